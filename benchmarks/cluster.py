@@ -1,10 +1,12 @@
-"""What does a cluster gain? The fits of one step of discover on a real local dask.distributed cluster, against one process.
+"""What does a cluster gain? The fits of one step of discover on a real local dask.distributed
+cluster, against one process.
 
     python -m benchmarks.cluster [--workers 1,2] [--repeats 5] [--seconds 32]
 
-Eight rivals of a hidden motor lag are fitted to two flights: in this process (whose likelihood uses all cores), and on
-clusters whose workers stand for machines of one core each: bound to a core of their own, and warm (their models are
-built). Printed are medians over repeats, the seconds that the tasks take to be sent and answered, and what the cost model
+Eight rivals of a hidden motor lag are fitted to two flights: in this process (whose likelihood uses
+all cores), and on clusters whose workers stand for machines of one core each: bound to a core of
+their own, and warm (their models are built). Printed are medians over repeats, the seconds that the
+tasks take to be sent and answered, and what the cost model
 
     t(w) = ceil(fits / w) * t_fit + fits * t_send
 
@@ -30,9 +32,15 @@ from greybox.discovery.cause import offer  # noqa: E402 (after the thread counts
 from greybox.discovery.evidence import Flights, Task, solved  # noqa: E402
 
 RIVALS = (
-    ("motor_lag",), ("command_delay",), ("motor_lag", "command_delay"), ("sensor_delay",), ("pose_delay",), ("rotor_drag",),
-    ("parasitic_drag",), ("rotational_damping",),
-)  # fmt: skip
+    ("motor_lag",),
+    ("command_delay",),
+    ("motor_lag", "command_delay"),
+    ("sensor_delay",),
+    ("pose_delay",),
+    ("rotor_drag",),
+    ("parasitic_drag",),
+    ("rotational_damping",),
+)
 
 
 def step(seconds: float) -> tuple[Flights, list[Task]]:
@@ -90,12 +98,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     there, tasks = step(options.seconds)
     content = there.causes, there.data, there.options
     alone = median(lambda: [solve(t, content) for t in tasks], options.repeats)
-    print(f"{len(tasks)} fits, {pickle.dumps((tasks[0], content)).__sizeof__() / 1e6:.1f} MB each to send")
+    print(
+        f"{len(tasks)} fits, {pickle.dumps((tasks[0], content)).__sizeof__() / 1e6:.1f} MB each to "
+        "send"
+    )
     print(f"one process, likelihood on all cores: {alone:.2f} s")
     per_fit = send = first = 0.0
     for workers in (int(w) for w in options.workers.split(",")):
         with (
-            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None, processes=True) as cluster,
+            LocalCluster(
+                n_workers=workers, threads_per_worker=1, dashboard_address=None, processes=True
+            ) as cluster,
             Client(cluster) as client,
         ):
             pool = client.get_executor(pure=False)
@@ -113,10 +126,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             first = took
         expected = math.ceil(len(tasks) / workers) * (per_fit - send) + len(tasks) * send
         print(
-            f"{workers} worker(s): {took:.2f} s, {first / took:.2f} times as fast as the first cluster, "
+            f"{workers} worker(s): {took:.2f} s, {first / took:.2f} times as fast as the first "
+            "cluster, "
             f"{alone / took:.2f} times as one process, "
-            f"sending {empty:.3f} s; the cost model expects {expected:.2f} s", flush=True,
-        )  # fmt: skip
+            f"sending {empty:.3f} s; the cost model expects {expected:.2f} s",
+            flush=True,
+        )
     for workers in (4, 8):
         expected = math.ceil(len(tasks) / workers) * (per_fit - send) + len(tasks) * send
         print(f"{workers} workers of this speed, by the cost model: {expected:.2f} s")

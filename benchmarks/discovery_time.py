@@ -1,11 +1,13 @@
-"""How long does the discovery take on two 32 s flights at 100 Hz, the whole catalogue, with and without a filled cache?
+"""How long does the discovery take on two 32 s flights at 100 Hz, the whole catalogue, with and
+without a filled cache?
 
     python -m benchmarks.discovery_time [--only clean,one,five] [--cold]
 
-`clean` hides nothing, `one` a motor lag, `five` motor lag, battery sag, rotor drag, blade flapping and rotational damping.
-Nominal inertia, thrust and torque are 15 % off. Every row runs in a process of its own; `--cold` gives it an empty build
-cache (compilation included), otherwise a first run fills the cache and the second one counts. Wall and CPU seconds of
-`discover` alone, compilers included; the machine's load average is recorded, as wall time means little on a busy one.
+`clean` hides nothing, `one` a motor lag, `five` motor lag, battery sag, rotor drag, blade flapping
+and rotational damping. Nominal inertia, thrust and torque are 15 % off. Every row runs in a process
+of its own; `--cold` gives it an empty build cache (compilation included), otherwise a first run
+fills the cache and the second one counts. Wall and CPU seconds of `discover` alone, compilers
+included; the machine's load average is recorded, as wall time means little on a busy one.
 """
 
 from __future__ import annotations
@@ -43,16 +45,24 @@ def measure(row: str) -> dict[str, Any]:
     found = discover(vehicle, train, test)
     wall, after = time.perf_counter() - began, os.times()
     return {
-        "row": row, "hidden": list(ROWS[row]), "named": [e["name"] for e in found.effects()], "verdict": found.verdict,
-        "wall_s": round(wall, 2), "cpu_s": round(sum(after[:4]) - sum(before[:4]), 2), "load": os.getloadavg()[0],
-    }  # fmt: skip
+        "row": row,
+        "hidden": list(ROWS[row]),
+        "named": [e["name"] for e in found.effects()],
+        "verdict": found.verdict,
+        "wall_s": round(wall, 2),
+        "cpu_s": round(sum(after[:4]) - sum(before[:4]), 2),
+        "load": os.getloadavg()[0],
+    }
 
 
 def _child(row: str, cache: str) -> dict[str, Any]:
     done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.discovery_time", "--child", row], env={**os.environ, "GREYBOX_CACHE": cache},
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        [sys.executable, "-m", "benchmarks.discovery_time", "--child", row],
+        env={**os.environ, "GREYBOX_CACHE": cache},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     out: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return out
 
@@ -79,7 +89,11 @@ def main() -> None:
     path, new = RESULTS / "discovery_time.json", {(r["row"], r["cache"]) for r in rows}
     kept = json.loads(path.read_text())["rows"] if path.exists() else []
     rows = [r for r in kept if (r["row"], r["cache"]) not in new] + rows
-    about = {"python": platform.python_version(), "machine": platform.machine(), "cores": os.cpu_count()}
+    about = {
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+    }
     path.write_text(json.dumps({"about": about, "rows": rows}, indent=1) + "\n")
 
 

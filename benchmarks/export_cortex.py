@@ -1,9 +1,11 @@
-"""What does exported float C cost on a Cortex-M4F: flash, RAM, executed instructions (emulated; never cycles)?
+"""What does exported float C cost on a Cortex-M4F: flash, RAM, executed instructions (emulated;
+never cycles)?
 
     python -m benchmarks.export_cortex
 
-Six outputs of ten inputs, M = 50 and 100 support points: mean, Jacobian and variance, and the same with the variance's
-Jacobian; and one RK4 step of a hybrid (17 states, M = 50) with its Jacobians, which evaluates the process four times.
+Six outputs of ten inputs, M = 50 and 100 support points: mean, Jacobian and variance, and the same
+with the variance's Jacobian; and one RK4 step of a hybrid (17 states, M = 50) with its Jacobians,
+which evaluates the process four times.
 """
 
 from __future__ import annotations
@@ -46,10 +48,14 @@ def measured(label: str, function: Any, kernel: GPKernel, arguments: list[Any]) 
         expected = np.asarray(ca.densify(want)).ravel(order="F")
         errors.append(float(np.abs(got - expected).max() / np.abs(expected).max()))
     row = {
-        "what": label, "flash_bytes": found.flash, "ram_bytes": found.ram, "stack_bytes": found.stack,
-        "instructions": found.instructions[function.name()], "double_helpers": helpers,
+        "what": label,
+        "flash_bytes": found.flash,
+        "ram_bytes": found.ram,
+        "stack_bytes": found.stack,
+        "instructions": found.instructions[function.name()],
+        "double_helpers": helpers,
         "largest_relative_error": max(errors),
-    }  # fmt: skip
+    }
     print(row, flush=True)
     return row
 
@@ -57,7 +63,10 @@ def measured(label: str, function: Any, kernel: GPKernel, arguments: list[Any]) 
 def main() -> None:
     missing = missing_tool()
     if missing:
-        raise SystemExit(f"{missing} is needed (Debian: gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm)")
+        raise SystemExit(
+            f"{missing} is needed (Debian: gcc-arm-none-eabi libnewlib-arm-none-eabi "
+            "qemu-system-arm)"
+        )
     z, rows = np.random.default_rng(1).standard_normal(INPUTS), []
     for points in (50, 100):
         gp = posterior(points, share=False)
@@ -67,17 +76,34 @@ def main() -> None:
         ):
             kernel = GPKernel(name="gp", posterior=gp, which=which)
             rows.append(measured(f"M = {points}: {label}", kernel.function(), kernel, [z]))
-    physics = build_model(example_vehicle(), COLUMNS, ["motor_lag", "rotor_drag", "rotational_damping"])
+    physics = build_model(
+        example_vehicle(), COLUMNS, ["motor_lag", "rotor_drag", "rotational_damping"]
+    )
     names = [*(f"body_velocity.{a}" for a in "xyz"), "p", "q", "r", "nu1", "nu2", "nu3", "nu4"]
     outputs = Layout([physics.noises.signals[i] for i in range(OUTPUTS)])
-    learned = replace(posterior(50, share=False), inputs=feature_layout(physics, names), outputs=outputs)
+    learned = replace(
+        posterior(50, share=False), inputs=feature_layout(physics, names), outputs=outputs
+    )
     kernel = GPKernel(name="gp_mean_jac", posterior=learned, which=("mean", "mean_jacobian"))
-    step = rk4(derivative(HybridModel(inner=physics, posterior=learned), learned=kernel.function()), 0.01)
+    step = rk4(
+        derivative(HybridModel(inner=physics, posterior=learned), learned=kernel.function()), 0.01
+    )
     values = nominal_values(physics.parameters)
-    x = np.asarray(physics.reference({})) + 0.1 * np.random.default_rng(2).standard_normal(len(physics.states))
-    arguments = [x, np.full(len(physics.inputs), 0.6), np.array([values[p.name] for p in physics.parameters])]
+    x = np.asarray(physics.reference({})) + 0.1 * np.random.default_rng(2).standard_normal(
+        len(physics.states)
+    )
+    arguments = [
+        x,
+        np.full(len(physics.inputs), 0.6),
+        np.array([values[p.name] for p in physics.parameters]),
+    ]
     rows.append(measured("M = 50: RK4 step of a hybrid with A and B", step, kernel, arguments))
-    text = {"question": __doc__.splitlines()[0], "flags": " ".join(FLAGS), "emulator": "qemu mps2-an386", "rows": rows}
+    text = {
+        "question": __doc__.splitlines()[0],
+        "flags": " ".join(FLAGS),
+        "emulator": "qemu mps2-an386",
+        "rows": rows,
+    }
     (RESULTS / "export_cortex.json").write_text(json.dumps(text, indent=1) + "\n")
 
 

@@ -1,8 +1,10 @@
-"""Times one Gaussian process in l4casadi, for export_speed.py, which runs this with an interpreter that has l4casadi.
+"""Times one Gaussian process in l4casadi, for export_speed.py, which runs this with an interpreter
+that has l4casadi.
 
     L4CASADI_PYTHON benchmarks/export_l4casadi.py NUMBERS.npz BUILD_DIR
 
-Prints JSON: microseconds of mean and of mean + Jacobian per call in CasADi's VM (l4casadi computes in float32).
+Prints JSON: microseconds of mean and of mean + Jacobian per call in CasADi's VM (l4casadi computes
+in float32).
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ class Predictor(torch.nn.Module):
     def __init__(self, support: np.ndarray, inverse: np.ndarray, weights: np.ndarray) -> None:
         super().__init__()
         tensor = lambda v: torch.tensor(v, dtype=torch.float32)  # noqa: E731
-        self.scaled = torch.nn.Parameter(tensor(support[None] * np.sqrt(inverse)[:, None]))  # (O, M, D)
+        self.scaled = torch.nn.Parameter(
+            tensor(support[None] * np.sqrt(inverse)[:, None])
+        )  # (O, M, D)
         self.root = torch.nn.Parameter(tensor(np.sqrt(inverse)))
         self.weights = torch.nn.Parameter(tensor(weights.T))
 
@@ -58,7 +62,9 @@ def main() -> None:
     os.chdir(folder)
     model = Predictor(numbers["support"], numbers["inverse"], numbers["weights"])
     with torch.no_grad():
-        learned = l4c.L4CasADi(model, device="cpu", name="gp_mean", generate_adj1=False, generate_jac_adj1=False)
+        learned = l4c.L4CasADi(
+            model, device="cpu", name="gp_mean", generate_adj1=False, generate_jac_adj1=False
+        )
     z = ca.MX.sym("z", numbers["support"].shape[1], 1)
     mean = learned(z.T).T
     with_slope = ca.Function("both", [z], [mean, ca.jacobian(mean, z)])
@@ -67,7 +73,10 @@ def main() -> None:
     out = {
         "mean": microseconds(ca.Function("mean", [z], [mean]), point),
         "mean_jacobian": microseconds(with_slope, point),
-        "largest_error": [float(np.abs(np.asarray(g) - numbers[n]).max()) for g, n in zip(got, ("mean", "jacobian"))],
+        "largest_error": [
+            float(np.abs(np.asarray(g) - numbers[n]).max())
+            for g, n in zip(got, ("mean", "jacobian"))
+        ],
         "version": l4c.__version__ if hasattr(l4c, "__version__") else "2",
     }
     print(json.dumps(out))

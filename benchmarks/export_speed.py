@@ -1,10 +1,12 @@
-"""How fast is what we export, the GP and RK4 with Jacobians, against hand-written SIMD, CasADi, l4casadi and GPyTorch?
+"""How fast is what we export, the GP and RK4 with Jacobians, against hand-written SIMD, CasADi,
+l4casadi and GPyTorch?
 
     python -m benchmarks.export_speed [--l4casadi-python OTHER/bin/python] [--points 100]
 
-10 inputs, 6 outputs with length-scales of their own. All C is compiled by one compiler with the flags printed, called from
-one C loop; the candidates take turns, every figure is the median over the turns of CPU time, one thread. The SIMD
-yardstick is the fastest of six (three algorithms of `export_simd.c`, 256 and 512 bits wide where the processor has them).
+10 inputs, 6 outputs with length-scales of their own. All C is compiled by one compiler with the
+flags printed, called from one C loop; the candidates take turns, every figure is the median over
+the turns of CPU time, one thread. The SIMD yardstick is the fastest of six (three algorithms of
+`export_simd.c`, 256 and 512 bits wide where the processor has them).
 """
 
 from __future__ import annotations
@@ -76,12 +78,15 @@ def shared_library(folder: Path, name: str, text: str | Path, *flags: str) -> An
     else:
         source.write_text(text)
     out = folder / f"{name}.so"
-    subprocess.run(["gcc", *flags, "-w", "-fPIC", "-shared", "-o", str(out), str(source), "-lm"], check=True)
+    subprocess.run(
+        ["gcc", *flags, "-w", "-fPIC", "-shared", "-o", str(out), str(source), "-lm"], check=True
+    )
     return ctypes.CDLL(str(out))
 
 
 class Timer:
-    """Calls candidates in turn; a candidate is a function of the number of calls that returns seconds per call."""
+    """Calls candidates in turn; a candidate is a function of the number of calls that returns
+    seconds per call."""
 
     def __init__(self, folder: Path) -> None:
         self.driver = shared_library(folder, "timer", TIMER, "-O2", "-D_GNU_SOURCE")
@@ -91,7 +96,13 @@ class Timer:
         self.keep: list[Any] = []
 
     def add_c(
-        self, name: str, function: Any, library: Any, symbol: str, arguments: list[np.ndarray], calls: int
+        self,
+        name: str,
+        function: Any,
+        library: Any,
+        symbol: str,
+        arguments: list[np.ndarray],
+        calls: int,
     ) -> None:
         """A generated function with the sizes of the CasADi function that it came from."""
         sent = [np.asfortranarray(a, dtype=float).ravel(order="F") for a in arguments]
@@ -152,10 +163,17 @@ def simd(timer: Timer, gp: Any, z: np.ndarray, folder: Path) -> None:
     rows = np.zeros((p, 16))
     rows[:m, :INPUTS], rows[:m, INPUTS] = gp.support, 1.0
     data = [
-        pad(gp.support.T), rows, pad(-0.5 * inverse @ gp.support.T**2), pad(inverse[:, :, None] * gp.support.T[None]),
-        inverse, pad(gp.weights.T), first, second, np.stack([common.blocks(e, "double") for e in merged]),
+        pad(gp.support.T),
+        rows,
+        pad(-0.5 * inverse @ gp.support.T**2),
+        pad(inverse[:, :, None] * gp.support.T[None]),
+        inverse,
+        pad(gp.weights.T),
+        first,
+        second,
+        np.stack([common.blocks(e, "double") for e in merged]),
         np.stack([np.pad(e.T @ e, [(0, p - m), (0, p - m)]) for e in merged]),
-    ]  # fmt: skip
+    ]
     data = [np.ascontiguousarray(a, dtype=float) for a in data]
     x = z.ctypes.data_as(POINTER)
     pointers = (POINTER * len(data))(*(a.ctypes.data_as(POINTER) for a in data))
@@ -164,16 +182,24 @@ def simd(timer: Timer, gp: Any, z: np.ndarray, folder: Path) -> None:
     flags = ("-std=gnu99", *FAST_FLAGS[1:])
     processor = Path("/proc/cpuinfo").read_text()
     for width in [w for w, need in ((256, "avx2"), (512, "avx512f")) if need in processor]:
-        sizes = [f"-D{k}={v}" for k, v in (("WIDTH", width), ("D", INPUTS), ("O", OUTPUTS), ("P", p), ("M", m))]
+        sizes = [
+            f"-D{k}={v}"
+            for k, v in (("WIDTH", width), ("D", INPUTS), ("O", OUTPUTS), ("P", p), ("M", m))
+        ]
         library = shared_library(folder, f"simd{width}", HERE / "export_simd.c", *flags, *sizes)
         for variant in "abc":
             code = getattr(library, f"simd_{variant}")
             addresses = [o.ctypes.data_as(POINTER) for o in out]
             code(pointers, x, *addresses)
             shapes = ((OUTPUTS,), (OUTPUTS, INPUTS), (OUTPUTS,), (OUTPUTS, INPUTS))
-            for got, name, shape in zip(out, ("mean", "mean_jacobian", "variance", "variance_jacobian"), shapes):
+            for got, name, shape in zip(
+                out, ("mean", "mean_jacobian", "variance", "variance_jacobian"), shapes
+            ):
                 want = np.asarray(ca.DM(gp.expressions(z, (name,))[name])).reshape(shape)
-                assert np.abs(got.reshape(shape) - want).max() < 1e-8 * np.abs(want).max(), (variant, name)
+                assert np.abs(got.reshape(shape) - want).max() < 1e-8 * np.abs(want).max(), (
+                    variant,
+                    name,
+                )
             for what, last in (("jac", [None, None]), ("all", addresses[2:])):
                 timer.candidates[f"simd {variant} {width} {what}"] = (
                     lambda n, code=code, last=last, a=addresses: timer.driver.time_simd(
@@ -184,7 +210,8 @@ def simd(timer: Timer, gp: Any, z: np.ndarray, folder: Path) -> None:
 
 
 def gpytorch_functions(gp: Any, z: np.ndarray) -> dict[str, Callable[[], Any]]:
-    """Six independent exact processes on the support points, as a batch; autograd for the Jacobians."""
+    """Six independent exact processes on the support points, as a batch; autograd for the
+    Jacobians."""
     import gpytorch
     import torch
 
@@ -198,11 +225,14 @@ def gpytorch_functions(gp: Any, z: np.ndarray) -> dict[str, Callable[[], Any]]:
             super().__init__(x, y, gpytorch.likelihoods.GaussianLikelihood(batch_shape=batch))
             self.mean_module = gpytorch.means.ZeroMean(batch_shape=batch)
             self.covar_module = gpytorch.kernels.ScaleKernel(
-                gpytorch.kernels.RBFKernel(ard_num_dims=INPUTS, batch_shape=batch), batch_shape=batch
+                gpytorch.kernels.RBFKernel(ard_num_dims=INPUTS, batch_shape=batch),
+                batch_shape=batch,
             )
 
         def forward(self, at: Any) -> Any:
-            return gpytorch.distributions.MultivariateNormal(self.mean_module(at), self.covar_module(at))
+            return gpytorch.distributions.MultivariateNormal(
+                self.mean_module(at), self.covar_module(at)
+            )
 
     model = Model().double()
     model.eval()
@@ -250,9 +280,29 @@ def processes(timer: Timer, gp: Any, z: np.ndarray, folder: Path) -> None:
 
 
 def integrators(timer: Timer, gp: Any, folder: Path) -> dict[str, int]:
-    """RK4 with Jacobians of a physics model with motor lag and drags, without and with the process in every stage."""
-    columns = ["p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz", "x", "y", "z", "vx", "vy", "vz"]
-    physics = build_model(example_vehicle(), columns, ["motor_lag", "rotor_drag", "rotational_damping"])
+    """RK4 with Jacobians of a physics model with motor lag and drags, without and with the process
+    in every stage."""
+    columns = [
+        "p",
+        "q",
+        "r",
+        "ax",
+        "ay",
+        "az",
+        "qw",
+        "qx",
+        "qy",
+        "qz",
+        "x",
+        "y",
+        "z",
+        "vx",
+        "vy",
+        "vz",
+    ]
+    physics = build_model(
+        example_vehicle(), columns, ["motor_lag", "rotor_drag", "rotational_damping"]
+    )
     names = [*(f"body_velocity.{a}" for a in "xyz"), "p", "q", "r", "nu1", "nu2", "nu3", "nu4"]
     from dataclasses import replace
 
@@ -262,7 +312,9 @@ def integrators(timer: Timer, gp: Any, folder: Path) -> dict[str, int]:
     kernel = GPKernel(name="gp_mean_jac", posterior=learned, which=("mean", "mean_jacobian"))
     steps = [
         rk4(derivative(physics, name="slope_physics"), 0.05, name="physics"),
-        rk4(derivative(hybrid, name="slope_hybrid", learned=kernel.function()), 0.05, name="hybrid"),
+        rk4(
+            derivative(hybrid, name="slope_hybrid", learned=kernel.function()), 0.05, name="hybrid"
+        ),
     ]
     source = write_c(steps, folder, prefix="step", kernels=[kernel])
     library = shared_library(folder, "step", source.source, *FAST_FLAGS)
@@ -300,9 +352,22 @@ def l4casadi(python: str | None, gp: Any, z: np.ndarray, folder: Path) -> dict[s
     build.mkdir()
     mean, slope = np.asarray(gp.mean(z)), np.asarray(gp.mean_jacobian(z))
     np.savez(
-        folder / "numbers.npz", support=gp.support, inverse=inverse, weights=gp.weights, z=z, mean=mean, jacobian=slope
+        folder / "numbers.npz",
+        support=gp.support,
+        inverse=inverse,
+        weights=gp.weights,
+        z=z,
+        mean=mean,
+        jacobian=slope,
     )
-    script = [python, "-W", "ignore", str(HERE / "export_l4casadi.py"), str(folder / "numbers.npz"), str(build)]
+    script = [
+        python,
+        "-W",
+        "ignore",
+        str(HERE / "export_l4casadi.py"),
+        str(folder / "numbers.npz"),
+        str(build),
+    ]
     done = subprocess.run(script, capture_output=True, text=True, check=True)
     found: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
     return found
@@ -310,18 +375,27 @@ def l4casadi(python: str | None, gp: Any, z: np.ndarray, folder: Path) -> dict[s
 
 def ratios(us: dict[str, float], other: dict[str, Any] | None) -> dict[str, tuple[float, str]]:
     """Name -> (measured ratio, target)."""
-    fastest = {w: min(v for k, v in us.items() if k.startswith("simd") and k.endswith(w)) for w in ("jac", "all")}
+    fastest = {
+        w: min(v for k, v in us.items() if k.startswith("simd") and k.endswith(w))
+        for w in ("jac", "all")
+    }
     linear = 20 * us["rk4 hybrid"] / (80 * us["ours jac"] + 20 * us["rk4 physics"])
     out = {
         "mean + Jacobian over the fastest SIMD": (us["ours jac"] / fastest["jac"], "<= 2"),
         "all over the fastest SIMD": (us["ours all"] / fastest["all"], "<= 1.5"),
         "CasADi's AD as C over ours, all": (us["casadi AD, plain C all"] / us["ours all"], ">= 40"),
         "CasADi's AD in the VM over ours, all": (us["casadi AD, VM all"] / us["ours all"], ">= 40"),
-        "GPyTorch autograd over ours, mean + Jacobian": (us["gpytorch jac"] / us["ours jac"], ">= 1000"),
+        "GPyTorch autograd over ours, mean + Jacobian": (
+            us["gpytorch jac"] / us["ours jac"],
+            ">= 1000",
+        ),
         "20 RK4 steps over 80 GP calls + physics": (linear, "<= 1.3"),
     }
     if other:
-        out["l4casadi over ours, mean + Jacobian"] = (other["mean_jacobian"] / us["ours jac"], ">= 50")
+        out["l4casadi over ours, mean + Jacobian"] = (
+            other["mean_jacobian"] / us["ours jac"],
+            ">= 50",
+        )
         vm = other["mean_jacobian"] / us["casadi form, VM jac"]
         out["l4casadi over ours in the VM, mean + Jacobian"] = (vm, ">= 10")
     return {k: (round(v, 2), t) for k, (v, t) in out.items()}
@@ -344,13 +418,22 @@ def main() -> None:
         sizes = integrators(timer, gp, folder)
         us = timer.run()
         other = l4casadi(options.l4casadi_python, gp, z, folder)
-    version = subprocess.run(["gcc", "--version"], capture_output=True, text=True, check=True).stdout.splitlines()[0]
+    version = subprocess.run(
+        ["gcc", "--version"], capture_output=True, text=True, check=True
+    ).stdout.splitlines()[0]
     found = ratios(us, other)
     text = {
-        "question": __doc__.splitlines()[0], "unit": "us of CPU time, median", "machine": platform.machine(),
-        "compiler": version, "flags": " ".join(FAST_FLAGS), "points": options.points, "model": sizes,
-        "microseconds": us, "l4casadi": other, "ratios": {k: {"ratio": v, "target": t} for k, (v, t) in found.items()},
-    }  # fmt: skip
+        "question": __doc__.splitlines()[0],
+        "unit": "us of CPU time, median",
+        "machine": platform.machine(),
+        "compiler": version,
+        "flags": " ".join(FAST_FLAGS),
+        "points": options.points,
+        "model": sizes,
+        "microseconds": us,
+        "l4casadi": other,
+        "ratios": {k: {"ratio": v, "target": t} for k, (v, t) in found.items()},
+    }
     print(f"{version}; {' '.join(FAST_FLAGS)}")
     for k, v in us.items():
         print(f"{k:45s} {v:10.2f} us")

@@ -1,9 +1,11 @@
 """What does a GP that was trained in GPyTorch cost per call once it is CasADi or C?
 
-    python -m benchmarks.gpytorch_export [--points 100] [--inputs 10] [--l4casadi-python OTHER/bin/python]
+    python -m benchmarks.gpytorch_export [--points 100] [--inputs 10] [--l4casadi-python
+    OTHER/bin/python]
 
-Mean and its Jacobian at one point, one output, in microseconds: GPyTorch itself (caches warm, autograd),
-l4casadi (float32; its own environment), `from_gpytorch` in CasADi's virtual machine and as compiled C.
+Mean and its Jacobian at one point, one output, in microseconds: GPyTorch itself (caches warm,
+autograd), l4casadi (float32; its own environment), `from_gpytorch` in CasADi's virtual machine and
+as compiled C.
 """
 
 from __future__ import annotations
@@ -46,7 +48,9 @@ def made(points: int, inputs: int) -> tuple[Model, gpytorch.likelihoods.Gaussian
     torch.manual_seed(0)
     x = torch.randn(points, inputs, dtype=torch.float64)
     likelihood = gpytorch.likelihoods.GaussianLikelihood().double()
-    model = Model(x, torch.sin(x[:, 0]) + 0.1 * torch.randn(points, dtype=torch.float64), likelihood)
+    model = Model(
+        x, torch.sin(x[:, 0]) + 0.1 * torch.randn(points, dtype=torch.float64), likelihood
+    )
     model = model.double()
     model.covar_module.base_kernel.lengthscale = 2.0
     return model.eval(), likelihood.eval()
@@ -83,7 +87,16 @@ def compiled(function: ca.Function, folder: Path) -> ca.Function:
     """The same function from C with the fast flags."""
     source = write_c([function], folder, prefix="bench")
     library = folder / "bench.so"
-    command = ["gcc", *FAST_FLAGS, "-shared", "-fPIC", str(source.source), "-o", str(library), "-lm"]
+    command = [
+        "gcc",
+        *FAST_FLAGS,
+        "-shared",
+        "-fPIC",
+        str(source.source),
+        "-o",
+        str(library),
+        "-lm",
+    ]
     subprocess.run(command, check=True)
     return ca.external(f"bench_{function.name()}", str(library))
 
@@ -100,12 +113,24 @@ def other(python: str | None, model: Model, z: np.ndarray, folder: Path) -> floa
     k = np.exp(-0.5 * (((z - support) / lengthscale) ** 2).sum(1))
     slope = -(weights * k) @ ((z - support) / lengthscale**2)
     np.savez(
-        folder / "numbers.npz", support=support, inverse=lengthscale[None] ** -2.0, weights=weights[:, None],
-        z=z, mean=np.array([[weights @ k]]), jacobian=slope[None],
-    )  # fmt: skip
+        folder / "numbers.npz",
+        support=support,
+        inverse=lengthscale[None] ** -2.0,
+        weights=weights[:, None],
+        z=z,
+        mean=np.array([[weights @ k]]),
+        jacobian=slope[None],
+    )
     build = folder / "l4casadi"
     build.mkdir()
-    script = [python, "-W", "ignore", str(HERE / "export_l4casadi.py"), str(folder / "numbers.npz"), str(build)]
+    script = [
+        python,
+        "-W",
+        "ignore",
+        str(HERE / "export_l4casadi.py"),
+        str(folder / "numbers.npz"),
+        str(build),
+    ]
     done = subprocess.run(script, capture_output=True, text=True, check=False)
     if done.returncode:
         print(f"l4casadi: {done.stderr.strip().splitlines()[-1]}")
@@ -134,12 +159,20 @@ def main() -> None:
             "l4casadi, float32, VM": other(options.l4casadi_python, model, z, folder),
             "from_gpytorch, CasADi VM": called(function, z),
             "from_gpytorch, C": called(compiled(function, folder / "a"), z),
-            "from_gpytorch, C, with variance and its Jacobian": called(compiled(everything, folder / "b"), z),
+            "from_gpytorch, C, with variance and its Jacobian": called(
+                compiled(everything, folder / "b"), z
+            ),
         }
     best = rows["from_gpytorch, C"]
-    print(f"{options.points} training points, {options.inputs} inputs; read and checked in {seconds:.2f} s")
+    print(
+        f"{options.points} training points, {options.inputs} inputs; read and checked in "
+        f"{seconds:.2f} s"
+    )
     for label, value in rows.items():
-        print(f"{label:50s} " + ("not run" if value is None else f"{value:10.2f} us {value / best:8.1f} x"))
+        print(
+            f"{label:50s} "
+            + ("not run" if value is None else f"{value:10.2f} us {value / best:8.1f} x")
+        )
     if options.out:
         options.out.write_text(json.dumps({"microseconds": rows}, indent=1) + "\n")
 

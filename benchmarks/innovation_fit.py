@@ -41,11 +41,20 @@ HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results"
 EFFECTS = ("motor_lag", "rotor_drag", "blade_flapping", "rotational_damping")
 TRUTH = {
-    "inertia.xx": 1.43e-5, "inertia.yy": 1.43e-5, "inertia.zz": 2.89e-5, "thrust.c2": 0.14375, "torque.c2": 9.75e-4,
-    "center_of_mass.x": 1e-3, "motor_lag.tau": 0.05, "rotor_drag.k_x": 2.0e-6, "rotor_drag.k_y": 2.5e-6,
-    "blade_flapping.k_flap": 2.5e-8, "rotational_damping.d_p": 2e-5, "rotational_damping.d_q": 3e-5,
+    "inertia.xx": 1.43e-5,
+    "inertia.yy": 1.43e-5,
+    "inertia.zz": 2.89e-5,
+    "thrust.c2": 0.14375,
+    "torque.c2": 9.75e-4,
+    "center_of_mass.x": 1e-3,
+    "motor_lag.tau": 0.05,
+    "rotor_drag.k_x": 2.0e-6,
+    "rotor_drag.k_y": 2.5e-6,
+    "blade_flapping.k_flap": 2.5e-8,
+    "rotational_damping.d_p": 2e-5,
+    "rotational_damping.d_q": 3e-5,
     "rotational_damping.d_r": 1e-5,
-}  # fmt: skip
+}
 """The free parameters and what they are in the plant."""
 START = {n: v * (1.25 if i % 2 else 0.75) for i, (n, v) in enumerate(TRUTH.items())}
 SECONDS = 20.0
@@ -82,7 +91,15 @@ def make_case(folder: Path) -> None:
             plant_effects.RotationalDamping(d_p=2e-5, d_q=3e-5, d_r=1e-5),
         ]
     )
-    log = fly(plant, controller_for(plant), RandomWaypoints(), rich_excitation(), SECONDS, seed=1, warm_up=1.0)
+    log = fly(
+        plant,
+        controller_for(plant),
+        RandomWaypoints(),
+        rich_excitation(),
+        SECONDS,
+        seed=1,
+        warm_up=1.0,
+    )
     np.savez(folder / "log.npz", **{k: v for k, v in log.items() if not k.startswith("omega")})
     write_vehicle(folder / "vehicle.toml", plant)
 
@@ -92,7 +109,9 @@ def load(folder: Path) -> tuple[Any, Any]:
     from greybox import build_model, dataset_from_arrays, read_vehicle
 
     with np.load(folder / "log.npz") as log:
-        data = dataset_from_arrays(log["t"], {k: log[k] for k in log.files if k != "t"}, name="flight")
+        data = dataset_from_arrays(
+            log["t"], {k: log[k] for k in log.files if k != "t"}, name="flight"
+        )
     return build_model(read_vehicle(str(folder / "vehicle.toml")), data.channels, EFFECTS), data
 
 
@@ -103,9 +122,16 @@ def problem_of(model: Any, data: Any, predictor: Any = None) -> Any:
     from greybox.estimation.problem import make_problem
 
     return make_problem(
-        model, data, predictor=predictor or Innovation(), criterion=Gaussian(), free=TRUTH, values=START,
-        priors={n: (v, 0.0) for n, v in START.items()}, estimate_noise=False, estimate_initial=False,
-    )  # fmt: skip
+        model,
+        data,
+        predictor=predictor or Innovation(),
+        criterion=Gaussian(),
+        free=TRUTH,
+        values=START,
+        priors={n: (v, 0.0) for n, v in START.items()},
+        estimate_noise=False,
+        estimate_initial=False,
+    )
 
 
 def held_predictor() -> Any:
@@ -170,7 +196,11 @@ def run_ours(name: str, folder: Path, runs: int) -> dict[str, Any]:
             theta, status = LevenbergMarquardt().solve(problem, problem.start)
             converged, evaluations = status.converged, status.evaluations
         rows["solve"].append(clock.read())
-    return rows | {"theta": list(theta), "converged": bool(converged), "evaluations": int(evaluations)}
+    return rows | {
+        "theta": list(theta),
+        "converged": bool(converged),
+        "evaluations": int(evaluations),
+    }
 
 
 def _trf_compiled(problem: Any) -> tuple[Any, bool, int]:
@@ -189,7 +219,9 @@ def _trf_compiled(problem: Any) -> tuple[Any, bool, int]:
             memory[key] = (block.e @ root.T).ravel(), slope * scale
         return memory[key]
 
-    out = scipy.optimize.least_squares(lambda z: at(z)[0], problem.start / scale, lambda z: at(z)[1])
+    out = scipy.optimize.least_squares(
+        lambda z: at(z)[0], problem.start / scale, lambda z: at(z)[1]
+    )
     return out.x * scale, out.status > 0, out.nfev
 
 
@@ -218,7 +250,10 @@ def vm_residual(problem: Any, kind: str) -> tuple[Any, Any]:
     step = ca.Function("step", [x, u, y, z], [after, ca.DM(root) @ e])
     unknowns = ca.MX.sym("z", problem.n)
     _, whitened = step.mapaccum("record", record.n)(
-        ca.DM(record.x0), ca.DM(record.inputs.T), ca.DM(record.outputs.T), ca.repmat(unknowns, 1, record.n)
+        ca.DM(record.x0),
+        ca.DM(record.inputs.T),
+        ca.DM(record.outputs.T),
+        ca.repmat(unknowns, 1, record.n),
     )
     return unknowns, ca.vec(whitened)
 
@@ -236,27 +271,44 @@ def run_vm(name: str, folder: Path) -> dict[str, Any]:
     if name.startswith("scipy"):
         residual = ca.Function("residual", [z], [r])
         setup, clock = clock.read(), Clock()
-        out = scipy.optimize.least_squares(lambda v: residual(v).full().ravel(), start, method="trf")
+        out = scipy.optimize.least_squares(
+            lambda v: residual(v).full().ravel(), start, method="trf"
+        )
         x, converged, evaluations = out.x, out.status > 0, out.nfev
     else:
         f = 0.5 * ca.sumsqr(r)
-        options: dict[str, Any] = {"ipopt.print_level": 0, "print_time": False, "ipopt.tol": 1e-6, "ipopt.sb": "yes"}
+        options: dict[str, Any] = {
+            "ipopt.print_level": 0,
+            "print_time": False,
+            "ipopt.tol": 1e-6,
+            "ipopt.sb": "yes",
+        }
         if "Gauss-Newton" in name:
             slope = ca.jacobian(r, z)
-            none, factor, multipliers = ca.MX.sym("none", 0), ca.MX.sym("factor"), ca.MX.sym("multipliers", 0)
+            none, factor, multipliers = (
+                ca.MX.sym("none", 0),
+                ca.MX.sym("factor"),
+                ca.MX.sym("multipliers", 0),
+            )
             options["hess_lag"] = ca.Function(
-                "gauss_newton", [z, none, factor, multipliers], [ca.triu(factor * (slope.T @ slope))],
-                ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"],
-            )  # fmt: skip
+                "gauss_newton",
+                [z, none, factor, multipliers],
+                [ca.triu(factor * (slope.T @ slope))],
+                ["x", "p", "lam_f", "lam_g"],
+                ["triu_hess_gamma_x_x"],
+            )
         solver = ca.nlpsol("solver", "ipopt", {"x": z, "f": f}, options)
         setup, clock = clock.read(), Clock()
         out = solver(x0=start)
         stats = solver.stats()
         x, converged, evaluations = out["x"].full().ravel(), stats["success"], stats["iter_count"]
     return {
-        "setup": [setup], "solve": [clock.read()], "theta": list(x * scale), "converged": bool(converged),
+        "setup": [setup],
+        "solve": [clock.read()],
+        "theta": list(x * scale),
+        "converged": bool(converged),
         "evaluations": int(evaluations),
-    }  # fmt: skip
+    }
 
 
 def write_aeroid(folder: Path) -> None:
@@ -286,7 +338,10 @@ def write_aeroid(folder: Path) -> None:
     mass = values["mass"]
     # Raw coordinates: a quaternion component moves by half an angle; the force noise reaches the accelerometer too.
     noise_of = {"q": 0.5 * by_name["attitude.x"]}
-    measured = [noise_of["q"] if n in ("qw", "qx", "qy", "qz") else _level(by_name, n) for n in d.outputs.names]
+    measured = [
+        noise_of["q"] if n in ("qw", "qx", "qy", "qz") else _level(by_name, n)
+        for n in d.outputs.names
+    ]
     variance = np.square(measured)
     variance[[n in ("ax", "ay", "az") for n in d.outputs.names]] += (process[0] / mass) ** 2
     spectrum, spread = np.zeros(len(d.states)), np.zeros(len(d.states))
@@ -296,14 +351,26 @@ def write_aeroid(folder: Path) -> None:
         if block == "velocity":
             spectrum[i] = (process[0] / mass) ** 2 * problem.dt
         if block == "rate":
-            spectrum[i] = (process[3 + "xyz".index(axis)] / values[f"inertia.{axis}{axis}"]) ** 2 * problem.dt
+            spectrum[i] = (
+                process[3 + "xyz".index(axis)] / values[f"inertia.{axis}{axis}"]
+            ) ** 2 * problem.dt
         spread[i] = 0.5 * sigma["d_attitude.x"] if block == "attitude" else sigma[f"d_{n}"]
     np.savez(
-        folder / "aeroid.npz", states=d.states.names, inputs=d.inputs.names, outputs=d.outputs.names,
-        names=[q.name for q in problem.unknowns], start=problem.start, t=problem.dt * np.arange(record.n),
-        u=record.inputs, y=record.outputs, x0=record.x0, spectrum=spectrum, variance=variance, spread=spread**2,
+        folder / "aeroid.npz",
+        states=d.states.names,
+        inputs=d.inputs.names,
+        outputs=d.outputs.names,
+        names=[q.name for q in problem.unknowns],
+        start=problem.start,
+        t=problem.dt * np.arange(record.n),
+        u=record.inputs,
+        y=record.outputs,
+        x0=record.x0,
+        spectrum=spectrum,
+        variance=variance,
+        spread=spread**2,
         dt=problem.dt,
-    )  # fmt: skip
+    )
 
 
 def _level(levels: dict[str, float], column: str) -> float:
@@ -356,25 +423,39 @@ def run_aeroid(folder: Path) -> dict[str, Any]:
     columns = {str(n): u[:, i] for i, n in enumerate(case["inputs"])}
     columns |= {str(n): case["y"][:, i] for i, n in enumerate(case["outputs"])}
     model = aeroid.Model(
-        states=[str(n) for n in case["states"]], controls=[str(n) for n in case["inputs"]],
-        parameters=dict(zip(names, map(float, case["start"]))), dynamics=dynamics,
-        outputs=[str(n) for n in case["outputs"]], measurement=lambda t, x, command, params: h(x, command, params),
-    )  # fmt: skip
+        states=[str(n) for n in case["states"]],
+        controls=[str(n) for n in case["inputs"]],
+        parameters=dict(zip(names, map(float, case["start"]))),
+        dynamics=dynamics,
+        outputs=[str(n) for n in case["outputs"]],
+        measurement=lambda t, x, command, params: h(x, command, params),
+    )
     data = aeroid.FlightData(time=case["t"], channels=columns)
 
     def note(intermediate_result: Any) -> None:
-        (folder / "aeroid_theta.json").write_text(json.dumps(list(intermediate_result.x * np.abs(case["start"]))))
+        (folder / "aeroid_theta.json").write_text(
+            json.dumps(list(intermediate_result.x * np.abs(case["start"])))
+        )
 
     clock = Clock()
     result = aeroid.identify(
-        model, data, names, method="filter_error", x0=case["x0"], process_noise=np.diag(case["spectrum"]),
-        measurement_noise=np.diag(case["variance"]), filter_options={"P0": np.diag(case["spread"])},
+        model,
+        data,
+        names,
+        method="filter_error",
+        x0=case["x0"],
+        process_noise=np.diag(case["spectrum"]),
+        measurement_noise=np.diag(case["variance"]),
+        filter_options={"P0": np.diag(case["spread"])},
         optimizer_options={"callback": note},
-    )  # fmt: skip
+    )
     return {
-        "setup": [(0.0, 0.0)], "solve": [clock.read()], "theta": [result.parameters[n] for n in names],
-        "converged": result.success, "evaluations": result.n_evaluations,
-    }  # fmt: skip
+        "setup": [(0.0, 0.0)],
+        "solve": [clock.read()],
+        "theta": [result.parameters[n] for n in names],
+        "converged": result.success,
+        "evaluations": result.n_evaluations,
+    }
 
 
 # ---------------------------------------------------------------------------------------------------- the table
@@ -382,20 +463,45 @@ def run_aeroid(folder: Path) -> dict[str, Any]:
 
 def compete(name: str, folder: Path, cap: float, runs: int, python: str) -> dict[str, Any]:
     """Run one competitor in a process of its own; `capped` where it took more than `cap` seconds of CPU time."""
-    command = [python, str(Path(__file__).resolve()), "--one", name, "--folder", str(folder), "--runs", str(runs)]
+    command = [
+        python,
+        str(Path(__file__).resolve()),
+        "--one",
+        name,
+        "--folder",
+        str(folder),
+        "--runs",
+        str(runs),
+    ]
     # An interpreter of another environment must not see this one's packages.
-    environment = dict(os.environ, PYTHONPATH=str(HERE.parent)) if python == sys.executable else dict(os.environ)
+    environment = (
+        dict(os.environ, PYTHONPATH=str(HERE.parent))
+        if python == sys.executable
+        else dict(os.environ)
+    )
     clock = Clock()
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     limit = int(np.ceil(cap))
     done = subprocess.run(
-        command, capture_output=True, text=True, env=environment, cwd=folder, check=False,
+        command,
+        capture_output=True,
+        text=True,
+        env=environment,
+        cwd=folder,
+        check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5)),
-    )  # fmt: skip
+    )
     if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        row: dict[str, Any] = {"setup": [(0.0, 0.0)], "capped": True, "converged": False, "theta": None}
-        row["solve"] = [(after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime, clock.read()[1])]
+        row: dict[str, Any] = {
+            "setup": [(0.0, 0.0)],
+            "capped": True,
+            "converged": False,
+            "theta": None,
+        }
+        row["solve"] = [
+            (after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime, clock.read()[1])
+        ]
         noted = folder / "aeroid_theta.json"
         if name.startswith("AeroID") and noted.exists():
             row["theta"] = json.loads(noted.read_text())
@@ -412,8 +518,12 @@ def _median(rows: Sequence[Sequence[float]], which: int = 0) -> float:
 def main(argv: Sequence[str] | None = None) -> None:
     """Run all competitors, print the table and write results/innovation_fit.json."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--aeroid-python", default=sys.executable, help="interpreter of an environment with aeroid")
-    parser.add_argument("--cap", type=float, default=600.0, help="CPU seconds after which a peer is stopped")
+    parser.add_argument(
+        "--aeroid-python", default=sys.executable, help="interpreter of an environment with aeroid"
+    )
+    parser.add_argument(
+        "--cap", type=float, default=600.0, help="CPU seconds after which a peer is stopped"
+    )
     parser.add_argument("--runs", type=int, default=5, help="runs of ours before every peer")
     parser.add_argument("--only", default="", help="parts of the peers' names, separated by commas")
     parser.add_argument("--out", type=Path, default=RESULTS / "innovation_fit.json")
@@ -469,23 +579,41 @@ def main(argv: Sequence[str] | None = None) -> None:
             loglik = -problem.evaluate(np.array(row["theta"]), 0).likelihood
         table.append(
             {
-                "who": who, "solve_cpu_s": solve, "solve_wall_s": _median(row["solve"], 1), "setup_cpu_s": setup,
-                "setup_again_cpu_s": _median(row["setup"]), "ratio_solve": solve / base,
-                "ratio_with_setup": (solve + setup) / base_total, "log_likelihood": loglik,
-                "converged": row["converged"], "evaluations": row["evaluations"], "capped": row.get("capped", False),
-                "runs": len(row["solve"]), "parameters": row["theta"],
+                "who": who,
+                "solve_cpu_s": solve,
+                "solve_wall_s": _median(row["solve"], 1),
+                "setup_cpu_s": setup,
+                "setup_again_cpu_s": _median(row["setup"]),
+                "ratio_solve": solve / base,
+                "ratio_with_setup": (solve + setup) / base_total,
+                "log_likelihood": loglik,
+                "converged": row["converged"],
+                "evaluations": row["evaluations"],
+                "capped": row.get("capped", False),
+                "runs": len(row["solve"]),
+                "parameters": row["theta"],
             }
-        )  # fmt: skip
+        )
     print(render(table))
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     result = {
-        "question": __doc__.splitlines()[0] if __doc__ else "", "samples": problem.records[0].n,
-        "states": len(problem.dynamics.states), "parameters": [u.name for u in problem.unknowns],
-        "start": list(problem.start), "truth": [TRUTH[u.name] for u in problem.unknowns],
-        "log_likelihood_at_truth": -problem.evaluate(np.array([TRUTH[u.name] for u in problem.unknowns]), 0).likelihood,
-        "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()},
-        "load_at_end": os.getloadavg()[0], "rows": table,
-    }  # fmt: skip
+        "question": __doc__.splitlines()[0] if __doc__ else "",
+        "samples": problem.records[0].n,
+        "states": len(problem.dynamics.states),
+        "parameters": [u.name for u in problem.unknowns],
+        "start": list(problem.start),
+        "truth": [TRUTH[u.name] for u in problem.unknowns],
+        "log_likelihood_at_truth": -problem.evaluate(
+            np.array([TRUTH[u.name] for u in problem.unknowns]), 0
+        ).likelihood,
+        "machine": {
+            "processor": platform.machine(),
+            "cores": os.cpu_count(),
+            "python": platform.python_version(),
+        },
+        "load_at_end": os.getloadavg()[0],
+        "rows": table,
+    }
     arguments.out.write_text(json.dumps(result, indent=1) + "\n")
 
 
@@ -501,7 +629,11 @@ def render(table: Sequence[dict[str, Any]]) -> str:
             continue
         more = ">" if r["capped"] else ""
         loglik = "-" if r["log_likelihood"] is None else f"{r['log_likelihood']:.3f}"
-        done = "stopped at the cap" if r["capped"] else f"{'yes' if r['converged'] else 'no'} ({r['evaluations']})"
+        done = (
+            "stopped at the cap"
+            if r["capped"]
+            else f"{'yes' if r['converged'] else 'no'} ({r['evaluations']})"
+        )
         lines.append(
             f"{r['who']:50s} {more + format(r['solve_cpu_s'], '.3f'):>9s} {more + format(r['ratio_solve'], '.1f'):>8s} "
             f"{r['setup_cpu_s']:8.2f} {more + format(r['ratio_with_setup'], '.1f'):>8s} {loglik:>11s}  {done}"

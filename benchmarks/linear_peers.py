@@ -1,17 +1,20 @@
-"""How good and how fast is linear identification next to its Python peers, on the same records in the same run?
+"""How good and how fast is linear identification next to its Python peers, on the same records in
+the same run?
 
     pip install nfoursid sippy_unipi llsi jax-sysid     (in an environment of their own, with greybox on PYTHONPATH)
     python benchmarks/linear_peers.py --out linear_peers.json
 
-Truths: three random systems of order 6 with 4 inputs and 3 outputs, and three of order 4 with one input and one output (so
-that llsi, whose n4sid refuses several inputs, takes part); coloured disturbance, 20 dB; 3000 samples to train, 3000 to
-test, open and closed loop, orders 2-8. Each method gives A, B, C, D and, where it has one, K (nfoursid: the Riccati gain of
-its noise covariances; jax-sysid and llsi have no noise model, K = 0). Score: log det of the one-step innovation covariance
-on the test record, initial state by least squares for all alike. The feedback acts on the same sample, so that a free D lets
-u[k] tell of e[k]: a method that returns D (nfoursid, llsi) is compared to greybox with D free, the others to greybox with
-D = 0. The standard error of the difference is a block bootstrap (blocks of 50 samples, 300 draws). Time: processor seconds
-of identification only, best of three, one thread; "greybox fit_linear" is the same with robust covariance, whiteness and
-warnings, which no peer has.
+Truths: three random systems of order 6 with 4 inputs and 3 outputs, and three of order 4 with one
+input and one output (so that llsi, whose n4sid refuses several inputs, takes part); coloured
+disturbance, 20 dB; 3000 samples to train, 3000 to test, open and closed loop, orders 2-8. Each
+method gives A, B, C, D and, where it has one, K (nfoursid: the Riccati gain of its noise
+covariances; jax-sysid and llsi have no noise model, K = 0). Score: log det of the one-step
+innovation covariance on the test record, initial state by least squares for all alike. The feedback
+acts on the same sample, so that a free D lets u[k] tell of e[k]: a method that returns D (nfoursid,
+llsi) is compared to greybox with D free, the others to greybox with D = 0. The standard error of
+the difference is a block bootstrap (blocks of 50 samples, 300 draws). Time: processor seconds of
+identification only, best of three, one thread; "greybox fit_linear" is the same with robust
+covariance, whiteness and warnings, which no peer has.
 """
 
 # ruff: noqa: E402
@@ -22,7 +25,9 @@ import os
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+)
 
 import argparse
 import contextlib
@@ -48,13 +53,17 @@ Identify = Callable[[np.ndarray, np.ndarray, int], Matrices]
 
 def ours(u, y, n):
     scaled, scale = prepare([Record(u=u, y=y)])
-    return find(scaled, n, Options()).solution.system.scaled(1 / scale.input_scale, 1 / scale.output_scale)
+    return find(scaled, n, Options()).solution.system.scaled(
+        1 / scale.input_scale, 1 / scale.output_scale
+    )
 
 
 def ours_direct(u, y, n):
     scaled, scale = prepare([Record(u=u, y=y)])
     options = Options(feedthrough=True)
-    return find(scaled, n, options).solution.system.scaled(1 / scale.input_scale, 1 / scale.output_scale)
+    return find(scaled, n, options).solution.system.scaled(
+        1 / scale.input_scale, 1 / scale.output_scale
+    )
 
 
 def ours_complete(u, y, n):
@@ -75,10 +84,16 @@ def nfoursid(u, y, n):
     from nfoursid.nfoursid import NFourSID
 
     frame = pandas.DataFrame(
-        np.hstack([u, y]), columns=[*(f"u{i}" for i in range(u.shape[1])), *(f"y{i}" for i in range(y.shape[1]))]
+        np.hstack([u, y]),
+        columns=[*(f"u{i}" for i in range(u.shape[1])), *(f"y{i}" for i in range(y.shape[1]))],
     )
     names = list(frame.columns)
-    method = NFourSID(frame, output_columns=names[u.shape[1] :], input_columns=names[: u.shape[1]], num_block_rows=10)
+    method = NFourSID(
+        frame,
+        output_columns=names[u.shape[1] :],
+        input_columns=names[: u.shape[1]],
+        num_block_rows=10,
+    )
     method.subspace_identification()
     system, covariance = method.system_identification(rank=n)
     p = y.shape[1]
@@ -92,7 +107,9 @@ def sippy(method):
         from sippy_unipi import system_identification
 
         found = system_identification(y.T, u.T, method, SS_fixed_order=n)
-        return Matrices(*(np.asarray(v, dtype=float) for v in (found.A, found.B, found.C, found.D, found.K)))
+        return Matrices(
+            *(np.asarray(v, dtype=float) for v in (found.A, found.B, found.C, found.D, found.K))
+        )
 
     return identify
 
@@ -103,7 +120,8 @@ def llsi(u, y, n):
 
     found = method(iddata(y, u, 1.0), n)
     return Matrices(
-        *(np.asarray(v, dtype=float) for v in (found.A, found.B, found.C, found.D)), np.zeros((n, y.shape[1]))
+        *(np.asarray(v, dtype=float) for v in (found.A, found.B, found.C, found.D)),
+        np.zeros((n, y.shape[1])),
     )
 
 
@@ -164,7 +182,9 @@ STEP = "greybox subspace (pbsid)"
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--orders", default="2,3,4,5,6,7,8")
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--systems", default=",".join(SYSTEMS))
@@ -184,24 +204,36 @@ def main() -> int:
                 for n in (int(v) for v in arguments.orders.split(",")):
                     label = {"system": kind, "seed": seed, "loop": loop, "order": n}
                     rows += compare(label, names, (u[:3000], y[:3000]), (u[3000:], y[3000:]), rng)
-    summary = {kind: summarise([r for r in rows if r["system"] == kind], kind) for kind in arguments.systems.split(",")}
+    summary = {
+        kind: summarise([r for r in rows if r["system"] == kind], kind)
+        for kind in arguments.systems.split(",")
+    }
     worse = [r for r in rows if r.get("minus_greybox", 0.0) < -2 * r.get("std_error", np.inf)]
     peers = sum("minus_greybox" in r and not r["method"].startswith("greybox") for r in rows)
     print(
-        f"cases in which a method is better than {BASE} beyond two standard errors: {len(worse)} (peer fits: {peers})"
+        f"cases in which a method is better than {BASE} beyond two standard errors: {len(worse)} "
+        f"(peer fits: {peers})"
     )
     for r in worse:
         print("  ", r)
     if arguments.out:
         with open(arguments.out, "w", encoding="utf-8") as stream:
             json.dump(
-                {"summary": summary, "better_than_greybox": worse, "peer_fits": peers, "rows": rows}, stream, indent=1
+                {
+                    "summary": summary,
+                    "better_than_greybox": worse,
+                    "peer_fits": peers,
+                    "rows": rows,
+                },
+                stream,
+                indent=1,
             )
     return 0
 
 
 def compare(label, names, train, test, rng) -> list[dict]:
-    """One row per method: seconds, log det on the test record, its difference to greybox with standard error."""
+    """One row per method: seconds, log det on the test record, its difference to greybox with
+    standard error."""
     rows, base = [], {}
     for name in names:
         seconds, system, problem = [], None, ""
@@ -222,11 +254,15 @@ def compare(label, names, train, test, rng) -> list[dict]:
             own = base.setdefault(direct, e)
             row["log_det"] = log_det(e) if np.isfinite(e).all() else float("inf")
             row["minus_greybox"] = row["log_det"] - log_det(own)
-            row["std_error"] = difference_error(e, own, rng) if np.isfinite(e).all() else float("nan")
+            row["std_error"] = (
+                difference_error(e, own, rng) if np.isfinite(e).all() else float("nan")
+            )
         rows.append(row)
         print(
-            f"{label['system']} {label['seed']} {label['loop']:6} n={label['order']} {name:26} {row['seconds']:8.4f} s  "
-            f"log det {row.get('log_det', np.nan):9.4f}  minus greybox {row.get('minus_greybox', np.nan):+9.4f} "
+            f"{label['system']} {label['seed']} {label['loop']:6} n={label['order']} {name:26} "
+            f"{row['seconds']:8.4f} s  "
+            f"log det {row.get('log_det', np.nan):9.4f}  minus greybox "
+            f"{row.get('minus_greybox', np.nan):+9.4f} "
             f"+- {row.get('std_error', np.nan):.4f} {row.get('problem', '')}",
             flush=True,
         )
@@ -234,11 +270,19 @@ def compare(label, names, train, test, rng) -> list[dict]:
 
 
 def summarise(rows: list[dict], kind: str) -> dict:
-    """Per method: median seconds, and how many times slower it is than greybox: per case, then median and range."""
-    case = {(r["method"], r["seed"], r["loop"], r["order"]): r["seconds"] for r in rows if "problem" not in r}
+    """Per method: median seconds, and how many times slower it is than greybox: per case, then
+    median and range."""
+    case = {
+        (r["method"], r["seed"], r["loop"], r["order"]): r["seconds"]
+        for r in rows
+        if "problem" not in r
+    }
     orders = sorted({r["order"] for r in rows})
     out: dict = {}
-    print(f"\n{kind}: median seconds; ratio to {STEP} (median); ratio to {BASE}: median, worst case, median per order")
+    print(
+        f"\n{kind}: median seconds; ratio to {STEP} (median); ratio to {BASE}: median, worst case, "
+        "median per order"
+    )
     for name in dict.fromkeys(r["method"] for r in rows):
         keys = [k[1:] for k in case if k[0] == name]
         if not keys:
@@ -255,7 +299,8 @@ def summarise(rows: list[dict], kind: str) -> dict:
         }
         o = out[name]
         print(
-            f"{name:26} {o['median_seconds']:8.4f} s  x{o['ratio_to_subspace'] or np.nan:7.1f}  x{o['ratio']:6.1f} "
+            f"{name:26} {o['median_seconds']:8.4f} s  x{o['ratio_to_subspace'] or np.nan:7.1f}  "
+            f"x{o['ratio']:6.1f} "
             f"x{o['worst_ratio']:6.2f}  " + " ".join(f"{n}:{v:.1f}" for n, v in by_order.items())
         )
     return out

@@ -1,9 +1,11 @@
-"""How many times slower are the peers, all in one table, and did any ratio fall since it was last written down?
+"""How many times slower are the peers, all in one table, and did any ratio fall since it was last
+written down?
 
-Runs the benchmarks that need no other environment, each in a process of its own and at its smallest size, and takes from
-each the time of a peer over ours, both measured in the same run. Other work on the machine then hardly counts; the width of
-its vector unit does, of which ours makes more use, so that the kind of machine stands beside the table. About six minutes.
-`--compare` writes nothing and ends with 1 where a ratio fell by more than 30 %; the table of another kind of machine is no
+Runs the benchmarks that need no other environment, each in a process of its own and at its smallest
+size, and takes from each the time of a peer over ours, both measured in the same run. Other work on
+the machine then hardly counts; the width of its vector unit does, of which ours makes more use, so
+that the kind of machine stands beside the table. About six minutes. `--compare` writes nothing and
+ends with 1 where a ratio fell by more than 30 %; the table of another kind of machine is no
 measure.
 
     python -m benchmarks.ratios [--only export_speed,innovation_fit] [--compare]
@@ -25,7 +27,8 @@ from typing import Any
 
 COMMITTED = Path(__file__).resolve().parent / "results" / "ratios.json"
 FALL = 0.3
-"""Share by which a ratio may be lower than the committed one: repeats of a run differ by about a tenth."""
+"""Share by which a ratio may be lower than the committed one: repeats of a run differ by about a
+tenth."""
 
 Ratios = dict[str, float]
 
@@ -33,7 +36,10 @@ Ratios = dict[str, float]
 def export_speed(found: Mapping[str, Any]) -> Ratios:
     """Exported C of a Gaussian process with 100 support points."""
     us = found["microseconds"]
-    simd = {w: min(v for k, v in us.items() if k.startswith("simd") and k.endswith(w)) for w in ("jac", "all")}
+    simd = {
+        w: min(v for k, v in us.items() if k.startswith("simd") and k.endswith(w))
+        for w in ("jac", "all")
+    }
     return {
         "hand-written SIMD, mean and Jacobian": simd["jac"] / us["ours jac"],
         "hand-written SIMD, with variance": simd["all"] / us["ours all"],
@@ -45,7 +51,11 @@ def export_speed(found: Mapping[str, Any]) -> Ratios:
 def gp_evaluation(found: Mapping[str, Any]) -> Ratios:
     """A Gaussian process inside a CasADi optimiser."""
     rows = [r for r in found["rows"] if r["vm_ad"] is not None and not r["shared_kernel"]]
-    return {f"CasADi's derivatives in its VM, {r['points']} points, {r['quantities']}": r["vm_ad"] / r["vm"] for r in rows}
+    return {
+        f"CasADi's derivatives in its VM, {r['points']} points, {r['quantities']}": r["vm_ad"]
+        / r["vm"]
+        for r in rows
+    }
 
 
 def gpytorch_export(found: Mapping[str, Any]) -> Ratios:
@@ -56,7 +66,11 @@ def gpytorch_export(found: Mapping[str, Any]) -> Ratios:
 
 def innovation_fit(found: Mapping[str, Any]) -> Ratios:
     """A fit of 13 parameters in innovation form."""
-    return {f"{r['who']}, solution": r["ratio_solve"] for r in found["rows"] if r["who"].startswith("scipy")}
+    return {
+        f"{r['who']}, solution": r["ratio_solve"]
+        for r in found["rows"]
+        if r["who"].startswith("scipy")
+    }
 
 
 BENCHMARKS: dict[str, tuple[Callable[[Mapping[str, Any]], Ratios], tuple[str, ...]]] = {
@@ -74,7 +88,12 @@ def measured(name: str) -> Ratios:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.json"
         command = [sys.executable, "-m", f"benchmarks.{name}", *options, "--out", str(out)]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=Path(__file__).resolve().parent.parent)
+        subprocess.run(
+            command,
+            check=True,
+            stdout=subprocess.DEVNULL,
+            cwd=Path(__file__).resolve().parent.parent,
+        )
         return {k: round(v, 3) for k, v in taken(json.loads(out.read_text())).items()}
 
 
@@ -82,12 +101,15 @@ def processor() -> str:
     """The kind of machine, as Linux names it."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
-    named = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
+    named = next(
+        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")), ""
+    )
     return named or platform.machine()
 
 
 def fallen(now: Mapping[str, Ratios], before: Mapping[str, Ratios]) -> list[str]:
-    """A line for every ratio of `before` that is lower by more than `FALL` in the benchmarks of `now`, or gone."""
+    """A line for every ratio of `before` that is lower by more than `FALL` in the benchmarks of
+    `now`, or gone."""
     return [
         f"{name}: {what}: {ratio:g} -> {now[name].get(what, 'gone')}"
         for name in now
@@ -97,15 +119,24 @@ def fallen(now: Mapping[str, Ratios], before: Mapping[str, Ratios]) -> list[str]
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Print the table; write it, or compare with the one that was written. Returns 1 where a ratio fell."""
+    """Print the table; write it, or compare with the one that was written. Returns 1 where a ratio
+    fell."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--only", default=",".join(BENCHMARKS), metavar="a,b")
-    parser.add_argument("--compare", action="store_true", help="write nothing; 1 where a ratio fell by more than 30 %%")
+    parser.add_argument(
+        "--compare",
+        action="store_true",
+        help="write nothing; 1 where a ratio fell by more than 30 %%",
+    )
     arguments = parser.parse_args(argv)
-    before: dict[str, Any] = json.loads(COMMITTED.read_text()) if COMMITTED.exists() else {"ratios": {}}
+    before: dict[str, Any] = (
+        json.loads(COMMITTED.read_text()) if COMMITTED.exists() else {"ratios": {}}
+    )
     kind = before.get("machine", {}).get("processor", processor())
     if arguments.compare and kind != processor():
-        print(f"nothing to compare: the table is of another kind of machine ({kind})", file=sys.stderr)
+        print(
+            f"nothing to compare: the table is of another kind of machine ({kind})", file=sys.stderr
+        )
         return 0
     now: dict[str, Ratios] = {}
     chosen = arguments.only.split(",")
@@ -122,7 +153,11 @@ def main(argv: list[str] | None = None) -> int:
         return 1 if lines else 0
     text = {
         "date": datetime.date.today().isoformat(),
-        "machine": {"processor": processor(), "cores": os.cpu_count(), "python": platform.python_version()},
+        "machine": {
+            "processor": processor(),
+            "cores": os.cpu_count(),
+            "python": platform.python_version(),
+        },
         "ratios": {**before["ratios"], **now},
     }
     COMMITTED.write_text(json.dumps(text, indent=1) + "\n")

@@ -2,9 +2,10 @@
 
     python -m benchmarks.scale [--minutes 1,4,15,60] [--flights 10,50,200] [--cap 1800]
 
-`minutes`: one record at 1 kHz (a simulated flight of 20 s, repeated). `flights`: a fleet of 30 s logs at 100 Hz. Each row
-is a process of its own: set-up and three evaluations of cost, gradient and Hessian; a fit takes about a dozen. Wall and
-CPU seconds, largest resident memory, and both per sample; the data themselves are in memory, too.
+`minutes`: one record at 1 kHz (a simulated flight of 20 s, repeated). `flights`: a fleet of 30 s
+logs at 100 Hz. Each row is a process of its own: set-up and three evaluations of cost, gradient and
+Hessian; a fit takes about a dozen. Wall and CPU seconds, largest resident memory, and both per
+sample; the data themselves are in memory, too.
 """
 
 from __future__ import annotations
@@ -38,7 +39,16 @@ def flight(rate: float, seconds: float) -> dict[str, Any]:
     from scenarios.studies.recovery import plant
 
     craft = plant()
-    log = fly(craft, controller_for(craft), RandomWaypoints(), rich_excitation(), seconds, 1 / rate, 7, warm_up=1.0)
+    log = fly(
+        craft,
+        controller_for(craft),
+        RandomWaypoints(),
+        rich_excitation(),
+        seconds,
+        1 / rate,
+        7,
+        warm_up=1.0,
+    )
     return {n: v for n, v in log.items() if not n.startswith("omega")}
 
 
@@ -49,7 +59,9 @@ def data(kind: str, size: int) -> Any:
     if kind == "minutes":
         one = flight(1000.0, 20.0)
         n = len(one["t"]) * 3 * size
-        return dataset_from_arrays(np.arange(n) * 1e-3, {k: np.tile(v, 3 * size) for k, v in one.items() if k != "t"})
+        return dataset_from_arrays(
+            np.arange(n) * 1e-3, {k: np.tile(v, 3 * size) for k, v in one.items() if k != "t"}
+        )
     one = flight(100.0, 30.0)
     rng = np.random.default_rng(0)
     out = None
@@ -78,16 +90,24 @@ def measure(kind: str, size: int) -> dict[str, Any]:
         value = problem.evaluate(theta)
     samples = sum(r.n for r in problem.records)
     return {
-        "kind": kind, "size": size, "samples": samples, "unknowns": problem.n, "valid": value.valid,
-        "wall_s": (time.perf_counter() - began) / EVALUATIONS, "cpu_s": (time.process_time() - cpu) / EVALUATIONS,
-        "data_mb": before / 1024, "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "kind": kind,
+        "size": size,
+        "samples": samples,
+        "unknowns": problem.n,
+        "valid": value.valid,
+        "wall_s": (time.perf_counter() - began) / EVALUATIONS,
+        "cpu_s": (time.process_time() - cpu) / EVALUATIONS,
+        "data_mb": before / 1024,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "load": os.getloadavg()[0],
-    }  # fmt: skip
+    }
 
 
 def main() -> None:
     """Measure the rows, print them, write benchmarks/results/scale.json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--minutes", default="1,4,15,60")
     parser.add_argument("--flights", default="10,50,200")
     parser.add_argument("--cap", type=float, default=1800.0, help="seconds that a row may take")
@@ -101,21 +121,30 @@ def main() -> None:
         for size in filter(None, getattr(options, kind).split(",")):
             command = [sys.executable, "-m", "benchmarks.scale", "--child", kind, size]
             try:
-                done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=options.cap)
+                done = subprocess.run(
+                    command, capture_output=True, text=True, check=True, timeout=options.cap
+                )
             except subprocess.TimeoutExpired:
                 print(f"{kind} {size}: more than {options.cap:g} s")
                 continue
             row = json.loads(done.stdout.splitlines()[-1])
             rows.append(row)
             print(
-                f"{kind:8s}{row['size']:5d}{row['samples']:10d} samples {row['unknowns']:5d} unknowns  evaluation "
-                f"{row['cpu_s']:7.2f} s CPU ({1e6 * row['cpu_s'] / row['samples']:.1f} us a sample), "
-                f"{row['wall_s']:.2f} s wall, memory {row['peak_mb']:6.0f} MB, of which data {row['data_mb']:.0f}",
+                f"{kind:8s}{row['size']:5d}{row['samples']:10d} samples {row['unknowns']:5d} "
+                "unknowns  evaluation "
+                f"{row['cpu_s']:7.2f} s CPU ({1e6 * row['cpu_s'] / row['samples']:.1f} us a "
+                "sample), "
+                f"{row['wall_s']:.2f} s wall, memory {row['peak_mb']:6.0f} MB, of which data "
+                f"{row['data_mb']:.0f}",
                 flush=True,
-            )  # fmt: skip
+            )
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "scale.json").write_text(
-        json.dumps({"python": platform.python_version(), "machine": platform.machine(), "rows": rows}, indent=1) + "\n"
+        json.dumps(
+            {"python": platform.python_version(), "machine": platform.machine(), "rows": rows},
+            indent=1,
+        )
+        + "\n"
     )
 
 

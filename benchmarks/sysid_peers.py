@@ -101,7 +101,12 @@ def windows_of(data: Dataset, vehicle: Vehicle, origins: Mapping[str, IntArray])
     values, found = numbers(vehicle), []
     for flight in data:
         segment, steps = flight.segments[0], round(SECONDS / flight.dt)
-        states = np.hstack([segment.matrix(GROUPS[g].columns) for g in ("position", "rotation", "velocity", "rate")])
+        states = np.hstack(
+            [
+                segment.matrix(GROUPS[g].columns)
+                for g in ("position", "rotation", "velocity", "rate")
+            ]
+        )
         u = segment.matrix([f"u{i + 1}" for i in range(len(vehicle.rotors))])
         thrust = sum(values[f"thrust.c{k}"] * u**k for k in range(3))
         memory = round(MEMORY / flight.dt)
@@ -111,7 +116,11 @@ def windows_of(data: Dataset, vehicle: Vehicle, origins: Mapping[str, IntArray])
                 q = measured[:, 3:7]
                 q *= np.where(q @ q[0] < 0.0, -1.0, 1.0)[:, None]
                 found.append(
-                    Window(measured=measured, commanded=thrust[k : k + steps + 1], before=thrust[k - memory : k])
+                    Window(
+                        measured=measured,
+                        commanded=thrust[k : k + steps + 1],
+                        before=thrust[k - memory : k],
+                    )
                 )
     return found
 
@@ -123,7 +132,9 @@ def instants(data: Dataset, first: float, spacing: float) -> dict[str, IntArray]
         segment, steps = flight.segments[0], round(SECONDS / flight.dt)
         columns = [c for g in JUDGED for c in GROUPS[g].columns]
         there = np.isfinite(segment.matrix(columns)).all(axis=1)
-        k = np.arange(round(first / flight.dt), segment.n - steps - 1, max(1, round(spacing / flight.dt)))
+        k = np.arange(
+            round(first / flight.dt), segment.n - steps - 1, max(1, round(spacing / flight.dt))
+        )
         out[flight.name] = k[[bool(there[i : i + steps + 1].all()) for i in k]]
     return out
 
@@ -146,7 +157,8 @@ class Peer:
         arm = np.abs([r.position for r in vehicle.rotors]).max()
         ratio = sum(v[f"torque.c{k}"] for k in range(3)) / sum(v[f"thrust.c{k}"] for k in range(3))
         sites = "".join(
-            f'<site name="r{i}" pos="{" ".join(map(str, r.position))}"/>' for i, r in enumerate(vehicle.rotors)
+            f'<site name="r{i}" pos="{" ".join(map(str, r.position))}"/>'
+            for i, r in enumerate(vehicle.rotors)
         )
         motors = "".join(
             f'<general name="m{i}" site="r{i}" dyntype="filter" dynprm="{START_LAG}" gainprm="1" biastype="none" '
@@ -167,7 +179,9 @@ class Peer:
 
         model, found, rotors = self.spec.compile(), sysid.ParameterDict(), range(self.count)
 
-        def add(name: str, value: Any, low: float, high: float, modifier: Callable[[Any, Any], None]) -> None:
+        def add(
+            name: str, value: Any, low: float, high: float, modifier: Callable[[Any, Any], None]
+        ) -> None:
             start = np.atleast_1d(np.asarray(value, dtype=float))
             found.add(sysid.Parameter(name, start, low * start, high * start, modifier=modifier))
 
@@ -192,7 +206,13 @@ class Peer:
         add("torque", abs(model.actuator_gear[0, 5]), 0.2, 5.0, torque)
         # of the free joint, [N s/m] and [N m s/rad]; a damping of 1/s is where it starts from
         v = self.values
-        add("damping", [v["mass"], v["inertia.xx"], v["inertia.zz"]], 0.0, 50.0, lambda _spec, _p: None)
+        add(
+            "damping",
+            [v["mass"], v["inertia.xx"], v["inertia.zz"]],
+            0.0,
+            50.0,
+            lambda _spec, _p: None,
+        )
         about = np.array([self.values[f"inertia.{a}{a}"] for a in "xyz"])
         add("inertia", np.linalg.solve(BOX, about), 0.1, 5.0, moments)
         return found
@@ -231,19 +251,27 @@ class Peer:
         state = sysid.SignalType.MjStateQPos, sysid.SignalType.MjStateQVel
         layout = [("craft_qpos", 7, state[0]), ("craft_qvel", 6, state[1])]
 
-        def errors(_p: Any, told: Any, seen: Any, _m: Any, _all: bool, *, state: Any, **_: Any) -> tuple[Any, Any, Any]:
+        def errors(
+            _p: Any, told: Any, seen: Any, _m: Any, _all: bool, *, state: Any, **_: Any
+        ) -> tuple[Any, Any, Any]:
             return difference(state[:, 1:14], seen.data[1:]) / scale, told, told
 
         for _ in range(REFITS):
             before = float(self.params["lag"].value[0])
             sequence = sysid.ModelSequences(
-                "craft", self.spec, [str(i) for i in range(len(windows))], self.starts(windows),
+                "craft",
+                self.spec,
+                [str(i) for i in range(len(windows))],
+                self.starts(windows),
                 [sysid.TimeSeries(times, w.commanded) for w in windows],
                 [sysid.TimeSeries.from_custom_map(times, w.measured, layout) for w in windows],
                 allow_missing_sensors=True,
-            )  # fmt: skip
+            )
             residual = sysid.build_residual_fn(
-                models_sequences=[sequence], build_model=self.model, modify_residual=errors, n_threads=1,
+                models_sequences=[sequence],
+                build_model=self.model,
+                modify_residual=errors,
+                n_threads=1,
                 resample_true=False,
             )
             self.params, result = sysid.optimize(self.params, residual, verbose=False, max_iters=40)
@@ -270,7 +298,9 @@ class Peer:
 
         model = self.model()
         control = np.stack([w.commanded[:-1] for w in windows])
-        states, _ = rollout.rollout(model, mujoco.MjData(model), np.stack(self.starts(windows)), control)
+        states, _ = rollout.rollout(
+            model, mujoco.MjData(model), np.stack(self.starts(windows)), control
+        )
         return np.asarray(states[:, :, 1:14])
 
 
@@ -281,7 +311,9 @@ def squared(predicted: FloatArray, windows: Sequence[Window]) -> Errors:
     return {g: np.square(error_vectors(g, told[g], real[g])).sum(axis=-1) for g in JUDGED}
 
 
-def ours(model: IdentifiedModel, data: Dataset, origins: Mapping[str, IntArray]) -> dict[str, Errors]:
+def ours(
+    model: IdentifiedModel, data: Dataset, origins: Mapping[str, IntArray]
+) -> dict[str, Errors]:
     """Our errors from the same instants and measured states, with the filter's discrepancy and without."""
     runner, reader = Filter(model), GroupReader(model)
     pushes = reader.state_rows("disturbance")
@@ -290,28 +322,55 @@ def ours(model: IdentifiedModel, data: Dataset, origins: Mapping[str, IntArray])
         segment, k = flight.segments[0], origins[flight.name]
         own = adapt_to_flight(model, flight, ADAPT, riccati=runner.riccati)
         filtered = runner.run(
-            segment.without(flight.noncausal), p=model.parameter_vector(own.values), x0=own.x0, x0_sigma=own.x0_sigma
+            segment.without(flight.noncausal),
+            p=model.parameter_vector(own.values),
+            x0=own.x0,
+            x0_sigma=own.x0_sigma,
         )
-        steps, references = round(SECONDS / flight.dt), {g: segment.matrix(GROUPS[g].columns) for g in JUDGED}
+        steps, references = (
+            round(SECONDS / flight.dt),
+            {g: segment.matrix(GROUPS[g].columns) for g in JUDGED},
+        )
         forgotten = filtered.states.copy()
         forgotten[:, pushes] = 0.0
         for label, run in zip(rows, (filtered, replace(filtered, states=forgotten)), strict=True):
             told = predict_from(
-                runner.engine, reader, run, k, steps=steps, measured_start=True, references=references
+                runner.engine,
+                reader,
+                run,
+                k,
+                steps=steps,
+                measured_start=True,
+                references=references,
             )
             ahead = k[:, None] + np.arange(1, steps + 1)
             rows[label].append(
-                {g: np.square(error_vectors(g, told[g], references[g][ahead])).sum(axis=-1) for g in JUDGED}
+                {
+                    g: np.square(error_vectors(g, told[g], references[g][ahead])).sum(axis=-1)
+                    for g in JUDGED
+                }
             )
-    return {label: {g: np.concatenate([e[g] for e in each]) for g in JUDGED} for label, each in rows.items()}
+    return {
+        label: {g: np.concatenate([e[g] for e in each]) for g in JUDGED}
+        for label, each in rows.items()
+    }
 
 
-def fitted(vehicle: Path, train: Sequence[Path], test: Sequence[Path], folder: Path, cold: bool = False) -> float:
+def fitted(
+    vehicle: Path, train: Sequence[Path], test: Sequence[Path], folder: Path, cold: bool = False
+) -> float:
     """`greybox fit` as typed, into folder/fit; its CPU seconds. `cold`: nothing compiled yet."""
     before = seconds_of_children()
     with tempfile.TemporaryDirectory() as empty:
         folder.mkdir(parents=True, exist_ok=True)
-        fit_plainly(vehicle, train, test, folder, (), {**os.environ, "GREYBOX_CACHE": empty} if cold else None)
+        fit_plainly(
+            vehicle,
+            train,
+            test,
+            folder,
+            (),
+            {**os.environ, "GREYBOX_CACHE": empty} if cold else None,
+        )
     return seconds_of_children() - before
 
 
@@ -327,9 +386,12 @@ def nanobench(work: Path) -> list[dict[str, Any]]:
     found: dict[str, tuple[Errors, dict[str, float]]] = {"last value": (squared(still, judged), {})}
     flights = [[paths[n] for n in names] for names in (NANOBENCH_TRAIN, NANOBENCH_TEST)]
     seconds = {
-        f"cpu_{k}": fitted(vehicle_path("nanobench"), *flights, work / k, cold=k == "cold") for k in ("cold", "warm")
+        f"cpu_{k}": fitted(vehicle_path("nanobench"), *flights, work / k, cold=k == "cold")
+        for k in ("cold", "warm")
     }
-    for label, errors in ours(IdentifiedModel.load(work / "warm" / "fit" / "model.json"), test, origins).items():
+    for label, errors in ours(
+        IdentifiedModel.load(work / "warm" / "fit" / "model.json"), test, origins
+    ).items():
         found[label] = errors, seconds
     learned = windows_of(train, vehicle, instants(train, MEMORY, LEARNED))
     begin = time.process_time()
@@ -340,7 +402,11 @@ def nanobench(work: Path) -> list[dict[str, Any]]:
     print(*(f"{n} {p.value}" for n, p in peer.params.items()), flush=True)
     rows = []
     for label, (errors, cpu) in found.items():
-        rmse = {f"{g} {h:g} s": float(np.sqrt(errors[g][:, round(h / dt) - 1].mean())) for g in JUDGED for h in SHOWN}
+        rmse = {
+            f"{g} {h:g} s": float(np.sqrt(errors[g][:, round(h / dt) - 1].mean()))
+            for g in JUDGED
+            for h in SHOWN
+        }
         rows.append({"method": label, **rmse, **cpu})
     return rows
 
@@ -356,19 +422,27 @@ def craft(seeds: Sequence[int], folder: Path) -> list[dict[str, Any]]:
         train, test = (sorted(place.glob(f"{kind}*.csv")) for kind in ("train", "test"))
         cpu = fitted(place / "vehicle.toml", train, test, place)
         told = json.loads((place / "fit" / "fit.json").read_text())["parameters"]
-        about = {"seed": seed, "gusts": drawn.gusts, "sensors": "ideal" if drawn.realism is None else "real"}
+        about = {
+            "seed": seed,
+            "gusts": drawn.gusts,
+            "sensors": "ideal" if drawn.realism is None else "real",
+        }
         rows.append({**about, "method": "greybox", "cpu": cpu, "off": _off(told, truth)})
         data = read_logs(train, vehicle)
         begin = time.process_time()
         peer = Peer(vehicle, next(iter(data)).dt, mass=truth["mass"])
         peer.fit(windows_of(data, vehicle, instants(data, MEMORY, LEARNED)))
         cpu = time.process_time() - begin
-        rows.append({**about, "method": "mujoco.sysid", "cpu": cpu, "off": _off(peer.estimates(), truth)})
+        rows.append(
+            {**about, "method": "mujoco.sysid", "cpu": cpu, "off": _off(peer.estimates(), truth)}
+        )
         print(*(json.dumps(r) for r in rows[-2:]), sep="\n", flush=True)
     return rows
 
 
-def _off(told: Mapping[str, Mapping[str, Any]], truth: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+def _off(
+    told: Mapping[str, Mapping[str, Any]], truth: Mapping[str, float]
+) -> dict[str, tuple[float, float]]:
     """Name -> (deviation in standard errors, relative deviation) of those of `COMPARED` that were estimated."""
     z, off = deviations({n: told[n] for n in COMPARED if n in told}, truth)
     return {n: (z[n], off[n]) for n in off}
@@ -376,10 +450,14 @@ def _off(told: Mapping[str, Mapping[str, Any]], truth: Mapping[str, float]) -> d
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Fit, compare, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("part", choices=("nanobench", "craft"))
     parser.add_argument("--seeds", type=int, nargs=2, default=(1, 6), metavar=("FIRST", "LAST"))
-    parser.add_argument("--folder", type=Path, help="where fits and drawn craft are kept (a temporary folder)")
+    parser.add_argument(
+        "--folder", type=Path, help="where fits and drawn craft are kept (a temporary folder)"
+    )
     parser.add_argument("--out", type=Path, metavar="F.json")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as temporary:
@@ -387,7 +465,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if options.part == "nanobench":
             rows = nanobench(work)
             for row in rows:
-                print(f"{row['method']:28s}" + "  ".join(f"{k} {v:.4g}" for k, v in row.items() if k != "method"))
+                print(
+                    f"{row['method']:28s}"
+                    + "  ".join(f"{k} {v:.4g}" for k, v in row.items() if k != "method")
+                )
         else:
             first, last = options.seeds
             rows = craft(range(first, last + 1), work)
@@ -395,8 +476,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 off = [o for r in rows if r["method"] == method for o in r["off"].values()]
                 inside = sum(abs(z) <= DEVIATIONS for z, _ in off)
                 cpu = np.median([r["cpu"] for r in rows if r["method"] == method])
-                print(f"{method}: {inside} of {len(off)} inside, median error "
-                      f"{100 * np.median([abs(d) for _, d in off]):.2f} %, {cpu:.1f} s of CPU")  # fmt: skip
+                print(
+                    f"{method}: {inside} of {len(off)} inside, median error "
+                    f"{100 * np.median([abs(d) for _, d in off]):.2f} %, {cpu:.1f} s of CPU"
+                )
     if options.out:
         write_json(options.out, {"part": options.part, "rows": rows})
 

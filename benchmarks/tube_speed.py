@@ -58,7 +58,11 @@ def identified(folder: Path, points: int) -> Path:
 
         folder.mkdir(parents=True, exist_ok=True)
         data = training_flight()
-        physics = load_model(folder / "pem.json") if (folder / "pem.json").exists() else models(folder)["pem"]
+        physics = (
+            load_model(folder / "pem.json")
+            if (folder / "pem.json").exists()
+            else models(folder)["pem"]
+        )
         learned = learn(physics, data, points=points, seed=0).model
         save_model(replace(refit_noise(learned, data, each=True), horizon_noise=None), path)
     return path
@@ -67,7 +71,9 @@ def identified(folder: Path, points: int) -> Path:
 # ------------------------------------------------------------------------------------------------ steps in flight
 
 
-def in_flight(path: Path, flights: int, problems: int) -> tuple[dict[str, Any], Any, list[dict[str, np.ndarray]]]:
+def in_flight(
+    path: Path, flights: int, problems: int
+) -> tuple[dict[str, Any], Any, list[dict[str, np.ndarray]]]:
     """(times of a step, the controller, problems that were met) of flights over the course."""
     model = load_model(path)
     task = mission(model, OBSTACLE_COURSE)
@@ -102,16 +108,24 @@ def in_flight(path: Path, flights: int, problems: int) -> tuple[dict[str, Any], 
             plant.step(u, task.dt)
             u = np.array(after)
     pilot.solver.solve = inner
-    row: dict[str, Any] = {"what": "step in flight", "points": len(model.dynamics.posterior.support)}
-    row |= {"states": pilot.functions.sizes["n_x"], "horizon": task.problem.horizon, "flights": flights}
+    row: dict[str, Any] = {
+        "what": "step in flight",
+        "points": len(model.dynamics.posterior.support),
+    }
+    row |= {
+        "states": pilot.functions.sizes["n_x"],
+        "horizon": task.problem.horizon,
+        "flights": flights,
+    }
     for name, found in spent.items():
         wall, cpu = 1e3 * np.array(found).T
         row[name] = {
-            "count": len(wall), **{f"wall {k}": v for k, v in quantiles(wall).items()},
+            "count": len(wall),
+            **{f"wall {k}": v for k, v in quantiles(wall).items()},
             **{f"cpu {k}": v for k, v in quantiles(cpu).items()},
             "wall beyond the deadline": int(np.sum(wall > 1e3 * DEADLINE)),
             "cpu beyond the deadline": int(np.sum(cpu > 1e3 * DEADLINE)),
-        }  # fmt: skip
+        }
     row["solver parts, wall median"] = dict(
         zip(("linearisation", "tube", "QP"), np.round(1e3 * np.median(parts, axis=0), 3).tolist())
     )
@@ -141,19 +155,35 @@ class Problem:
     def __init__(self, solver: TubeSolver) -> None:
         self.solver, self.model, self.task = solver, solver.model, solver.problem
         m, w, n = self.model, self.task.weights, solver.sizes
-        self.n, self.nx, self.nu, self.npl, self.nl = n["N"], n["NX"], n["NU"], n["NPL"], n["NPL"] + 1
+        self.n, self.nx, self.nu, self.npl, self.nl = (
+            n["N"],
+            n["NX"],
+            n["NU"],
+            n["NPL"],
+            n["NPL"] + 1,
+        )
         x, u, before = ca.MX.sym("x", self.nx), ca.MX.sym("u", self.nu), ca.MX.sym("v", self.nu)
-        ref, goal, planes = ca.MX.sym("ref", 7 + self.nu), ca.MX.sym("g", self.nx), ca.MX.sym("pl", 4 * self.npl)
+        ref, goal, planes = (
+            ca.MX.sym("ref", 7 + self.nu),
+            ca.MX.sym("g", self.nx),
+            ca.MX.sym("pl", 4 * self.npl),
+        )
         turn, place = rotation_matrix(x[block(m, "attitude")]), x[block(m, "position")]
         heading = ca.cos(ref[6]) * turn[1, 0] - ca.sin(ref[6]) * turn[0, 0]
         r = ca.vertcat(
-            w.position * (place - ref[:3]), w.velocity * (x[block(m, "velocity")] - ref[3:6]), w.yaw * heading,
-            w.rate * x[block(m, "rate")], w.command * (u - ref[7:]), w.change * (u - before),
-        )  # fmt: skip
+            w.position * (place - ref[:3]),
+            w.velocity * (x[block(m, "velocity")] - ref[3:6]),
+            w.yaw * heading,
+            w.rate * x[block(m, "rate")],
+            w.command * (u - ref[7:]),
+            w.change * (u - before),
+        )
         keep = list(solver.stages.keep)
         root = np.linalg.cholesky(solver.stages.terminal + 1e-12 * np.eye(len(keep)))
         end = ca.DM(root.T) @ m["boxminus"](x, goal)[keep]
-        rows = [ca.dot(planes[4 * j : 4 * j + 3], place) - planes[4 * j + 3] for j in range(self.npl)]
+        rows = [
+            ca.dot(planes[4 * j : 4 * j + 3], place) - planes[4 * j + 3] for j in range(self.npl)
+        ]
         values = ca.vertcat(*rows, np.cos(self.task.tilt_max) - turn[2, 2])
         self.residual = ca.Function("r", [x, u, before, ref], [r])
         self.end = ca.Function("end", [x, goal], [end])
@@ -164,7 +194,9 @@ class Problem:
     def _check(self) -> None:
         """Same numbers as the controller's own stage functions."""
         rng, f = np.random.default_rng(0), self.solver.stages.functions
-        x = self.model["boxplus"](self.solver.stages.steady[0], 0.1 * rng.standard_normal(self.solver.sizes["ND"]))
+        x = self.model["boxplus"](
+            self.solver.stages.steady[0], 0.1 * rng.standard_normal(self.solver.sizes["ND"])
+        )
         u, v, ref = rng.random(self.nu), rng.random(self.nu), rng.random(7 + self.nu)
         planes, goal = rng.random((4, self.npl)), self.solver.stages.steady[0]
         pairs = [
@@ -183,7 +215,10 @@ def timed(call: Callable[[], Any]) -> tuple[Any, dict[str, float]]:
     """(result, wall and CPU milliseconds) of a call."""
     begin = time.perf_counter(), time.thread_time()
     found = call()
-    return found, {"wall": 1e3 * (time.perf_counter() - begin[0]), "cpu": 1e3 * (time.thread_time() - begin[1])}
+    return found, {
+        "wall": 1e3 * (time.perf_counter() - begin[0]),
+        "cpu": 1e3 * (time.thread_time() - begin[1]),
+    }
 
 
 def ours(problem: Problem) -> Callable[[dict[str, np.ndarray]], Answer]:
@@ -229,37 +264,82 @@ def ipopt(problem: Problem, hessian: str) -> Callable[[dict[str, np.ndarray]], A
     for k in range(n):
         before = u[k - 1] if k else given["u_before"]
         cost += 0.5 * ca.sumsqr(p.residual(x[k], u[k], before, ref[:, k]))
-        g += [x[k + 1] - p.model["f_d"](x[k], u[k], values), u[k] - before, u[k] - off_u[:, k], u[k] + off_u[:, k]]
-        low += [np.zeros(nx), np.full(nu, -task.rate_max), np.full(nu, task.command_min), np.full(nu, -np.inf)]
-        high += [np.zeros(nx), np.full(nu, task.rate_max), np.full(nu, np.inf), np.full(nu, task.command_max)]
+        g += [
+            x[k + 1] - p.model["f_d"](x[k], u[k], values),
+            u[k] - before,
+            u[k] - off_u[:, k],
+            u[k] + off_u[:, k],
+        ]
+        low += [
+            np.zeros(nx),
+            np.full(nu, -task.rate_max),
+            np.full(nu, task.command_min),
+            np.full(nu, -np.inf),
+        ]
+        high += [
+            np.zeros(nx),
+            np.full(nu, task.rate_max),
+            np.full(nu, np.inf),
+            np.full(nu, task.command_max),
+        ]
         if k:
             g.append(p.limits(x[k], planes[:, k]) + off[:, k] - s[k - 1])
             low.append(np.full(nl, -np.inf))
             high.append(np.zeros(nl))
-            cost += task.penalty * ca.sum1(s[k - 1]) + 0.5 * task.penalty_square * ca.sumsqr(s[k - 1])
+            cost += task.penalty * ca.sum1(s[k - 1]) + 0.5 * task.penalty_square * ca.sumsqr(
+                s[k - 1]
+            )
     parameters = ca.vertcat(*given.values(), *(ca.vec(v) for v in (ref, planes, off, off_u)))
     options = {
-        "ipopt.print_level": 0, "print_time": False, "ipopt.tol": TOLERANCE, "ipopt.sb": "yes",
+        "ipopt.print_level": 0,
+        "print_time": False,
+        "ipopt.tol": TOLERANCE,
+        "ipopt.sb": "yes",
         "ipopt.hessian_approximation": hessian,
-    }  # fmt: skip
+    }
     inner = ca.nlpsol(
-        "ipopt", "ipopt", {"x": ca.vertcat(*x, *u, *s), "f": cost, "g": ca.vertcat(*g), "p": parameters}, options
+        "ipopt",
+        "ipopt",
+        {"x": ca.vertcat(*x, *u, *s), "f": cost, "g": ca.vertcat(*g), "p": parameters},
+        options,
     )
     free = np.full(n * nx, np.inf)
 
     def solve(found: dict[str, np.ndarray]) -> Answer:
         numbers = np.concatenate(
-            [np.ravel(found[k]) for k in ("u_before", "x_end", "ref", "plane", "backoff", "backoff_u")]
+            [
+                np.ravel(found[k])
+                for k in ("u_before", "x_end", "ref", "plane", "backoff", "backoff_u")
+            ]
         )
-        start = np.concatenate([np.tile(found["x0"], n + 1), np.tile(p.hover, n), np.zeros((n - 1) * nl)])
-        lower = np.concatenate([found["x0"], -free, np.full(n * nu, task.command_min), np.zeros((n - 1) * nl)])
-        upper = np.concatenate([found["x0"], free, np.full(n * nu, task.command_max), np.full((n - 1) * nl, np.inf)])
+        start = np.concatenate(
+            [np.tile(found["x0"], n + 1), np.tile(p.hover, n), np.zeros((n - 1) * nl)]
+        )
+        lower = np.concatenate(
+            [found["x0"], -free, np.full(n * nu, task.command_min), np.zeros((n - 1) * nl)]
+        )
+        upper = np.concatenate(
+            [found["x0"], free, np.full(n * nu, task.command_max), np.full((n - 1) * nl, np.inf)]
+        )
         out, ms = timed(
-            lambda: inner(x0=start, p=numbers, lbx=lower, ubx=upper, lbg=np.concatenate(low), ubg=np.concatenate(high))
+            lambda: inner(
+                x0=start,
+                p=numbers,
+                lbx=lower,
+                ubx=upper,
+                lbg=np.concatenate(low),
+                ubg=np.concatenate(high),
+            )
         )
         stats = inner.stats()
         plan = out["x"].full().ravel()[(n + 1) * nx : (n + 1) * nx + n * nu].reshape(n, nu)
-        return {**ms, "iterations": stats["iter_count"], "good": stats["success"], "u": plan, "cost": float(out["f"])}
+        return {
+            **ms,
+            "iterations": stats["iter_count"],
+            "good": stats["success"],
+            "u": plan,
+            "cost": float(out["f"]),
+        }
 
     return solve
 
@@ -268,7 +348,9 @@ def with_do_mpc(problem: Problem) -> Callable[[dict[str, np.ndarray]], Answer]:
     """do-mpc with its own IPOPT; the command before is a state, slacks are inputs."""
     p, task = problem, problem.task
     model = do_mpc().model.Model("discrete", "MX")
-    x, before = (model.set_variable("_x", k, shape=(v, 1)) for k, v in (("x", p.nx), ("before", p.nu)))
+    x, before = (
+        model.set_variable("_x", k, shape=(v, 1)) for k, v in (("x", p.nx), ("before", p.nu))
+    )
     u, s = (model.set_variable("_u", k, shape=(v, 1)) for k, v in (("u", p.nu), ("s", p.nl)))
     sizes = {"ref": 7 + p.nu, "plane": 4 * p.npl, "backoff": p.nl, "backoff_u": p.nu, "x_end": p.nx}
     tvp = {k: model.set_variable("_tvp", k, shape=(v, 1)) for k, v in sizes.items()}
@@ -276,7 +358,11 @@ def with_do_mpc(problem: Problem) -> Callable[[dict[str, np.ndarray]], Answer]:
     model.set_rhs("before", u)
     model.setup()
     mpc = do_mpc().controller.MPC(model)
-    mpc.settings.n_horizon, mpc.settings.t_step, mpc.settings.store_full_solution = p.n, task.dt, False
+    mpc.settings.n_horizon, mpc.settings.t_step, mpc.settings.store_full_solution = (
+        p.n,
+        task.dt,
+        False,
+    )
     mpc.settings.supress_ipopt_output()
     mpc.settings.nlpsol_opts["ipopt.tol"] = TOLERANCE
     slack = task.penalty * ca.sum1(s) + 0.5 * task.penalty_square * ca.sumsqr(s)
@@ -286,7 +372,10 @@ def with_do_mpc(problem: Problem) -> Callable[[dict[str, np.ndarray]], Answer]:
     )
     mpc.set_rterm(u=0.0, s=0.0)
     mpc.bounds["lower", "_u", "s"] = np.zeros((p.nl, 1))
-    mpc.bounds["lower", "_u", "u"], mpc.bounds["upper", "_u", "u"] = task.command_min, task.command_max
+    mpc.bounds["lower", "_u", "u"], mpc.bounds["upper", "_u", "u"] = (
+        task.command_min,
+        task.command_max,
+    )
     mpc.set_nl_cons("limits", p.limits(x, tvp["plane"]) + tvp["backoff"] - s, ub=0.0)
     mpc.set_nl_cons("up", u - before - task.rate_max, ub=0.0)
     mpc.set_nl_cons("down", before - u - task.rate_max, ub=0.0)
@@ -297,8 +386,14 @@ def with_do_mpc(problem: Problem) -> Callable[[dict[str, np.ndarray]], Answer]:
     def varying(_: float) -> Any:
         for k in range(p.n + 1):
             j = min(k, p.n - 1)
-            rows = {"ref": now["ref"][j], "plane": now["plane"][k].ravel(), "backoff": now["backoff"][k]}
-            for name, value in (rows | {"backoff_u": now["backoff_u"][j], "x_end": now["x_end"]}).items():
+            rows = {
+                "ref": now["ref"][j],
+                "plane": now["plane"][k].ravel(),
+                "backoff": now["backoff"][k],
+            }
+            for name, value in (
+                rows | {"backoff_u": now["backoff_u"][j], "x_end": now["x_end"]}
+            ).items():
                 template["_tvp", k, name] = value
         return template
 
@@ -317,12 +412,20 @@ def with_do_mpc(problem: Problem) -> Callable[[dict[str, np.ndarray]], Answer]:
         stats = mpc.solver_stats
         plan = np.full((p.n, p.nu), np.nan)
         plan[0] = np.ravel(first)[: p.nu]
-        return {**ms, "iterations": stats["iter_count"], "good": stats["success"], "u": plan, "cost": np.nan}
+        return {
+            **ms,
+            "iterations": stats["iter_count"],
+            "good": stats["success"],
+            "u": plan,
+            "cost": np.nan,
+        }
 
     return solve
 
 
-def with_acados(problem: Problem, home: Path, work: Path, kind: str) -> Callable[[dict[str, np.ndarray]], Answer]:
+def with_acados(
+    problem: Problem, home: Path, work: Path, kind: str
+) -> Callable[[dict[str, np.ndarray]], Answer]:
     """acados with Gauss-Newton and HPIPM; kind "SQP" or "SQP_RTI". The command before is a state."""
     from acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver
 
@@ -333,8 +436,13 @@ def with_acados(problem: Problem, home: Path, work: Path, kind: str) -> Callable
     given = ca.MX.sym("p", 7 + p.nu + 4 * p.npl + p.nx)
     ref, planes, goal = ca.vertsplit(given, [0, 7 + p.nu, 7 + p.nu + 4 * p.npl, given.numel()])
     model.x, model.u, model.p = x, u, given
-    model.disc_dyn_expr = ca.vertcat(first_order(p.model)(x[: p.nx], u, p.model.parameter_values), u)
-    model.cost_y_expr, model.cost_y_expr_e = p.residual(x[: p.nx], u, x[p.nx :], ref), p.end(x[: p.nx], goal)
+    model.disc_dyn_expr = ca.vertcat(
+        first_order(p.model)(x[: p.nx], u, p.model.parameter_values), u
+    )
+    model.cost_y_expr, model.cost_y_expr_e = (
+        p.residual(x[: p.nx], u, x[p.nx :], ref),
+        p.end(x[: p.nx], goal),
+    )
     model.con_h_expr = p.limits(x[: p.nx], planes)
     ocp.model = model
     ocp.acados_include_path, ocp.acados_lib_path = str(home / "include"), str(home / "lib")
@@ -342,11 +450,18 @@ def with_acados(problem: Problem, home: Path, work: Path, kind: str) -> Callable
     ocp.dims.N = p.n
     ocp.cost.cost_type = ocp.cost.cost_type_e = "NONLINEAR_LS"
     ny, ne = model.cost_y_expr.numel(), model.cost_y_expr_e.numel()
-    ocp.cost.W, ocp.cost.W_e = np.eye(ny) / task.dt, np.eye(ne)  # all but the last stage are integrals to acados
+    ocp.cost.W, ocp.cost.W_e = (
+        np.eye(ny) / task.dt,
+        np.eye(ne),
+    )  # all but the last stage are integrals to acados
     ocp.cost.yref, ocp.cost.yref_e = np.zeros(ny), np.zeros(ne)
     c = ocp.constraints
     c.x0 = np.zeros(p.nx + p.nu)
-    c.idxbu, c.lbu, c.ubu = np.arange(p.nu), np.full(p.nu, task.command_min), np.full(p.nu, task.command_max)
+    c.idxbu, c.lbu, c.ubu = (
+        np.arange(p.nu),
+        np.full(p.nu, task.command_min),
+        np.full(p.nu, task.command_max),
+    )
     c.C, c.D = np.hstack([np.zeros((p.nu, p.nx)), -np.eye(p.nu)]), np.eye(p.nu)
     c.lg, c.ug = np.full(p.nu, -task.rate_max), np.full(p.nu, task.rate_max)
     c.lh, c.uh, c.idxsh = np.full(p.nl, -100.0), np.zeros(p.nl), np.arange(p.nl)
@@ -354,7 +469,11 @@ def with_acados(problem: Problem, home: Path, work: Path, kind: str) -> Callable
     ocp.cost.Zl = ocp.cost.Zu = np.full(p.nl, task.penalty_square / task.dt)
     ocp.parameter_values = np.zeros(given.numel())
     options = ocp.solver_options
-    options.tf, options.integrator_type, options.hessian_approx = p.n * task.dt, "DISCRETE", "GAUSS_NEWTON"
+    options.tf, options.integrator_type, options.hessian_approx = (
+        p.n * task.dt,
+        "DISCRETE",
+        "GAUSS_NEWTON",
+    )
     options.nlp_solver_type, options.nlp_solver_max_iter = kind, 100
     options.qp_solver, options.qp_solver_iter_max = "PARTIAL_CONDENSING_HPIPM", 200
     options.tol, options.qp_tol = TOLERANCE, 1e-8
@@ -367,7 +486,9 @@ def with_acados(problem: Problem, home: Path, work: Path, kind: str) -> Callable
         for k in range(p.n + 1):
             j = min(k, p.n - 1)
             solver.set(k, "x", start)
-            solver.set(k, "p", np.concatenate([found["ref"][j], found["plane"][k].ravel(), found["x_end"]]))
+            solver.set(
+                k, "p", np.concatenate([found["ref"][j], found["plane"][k].ravel(), found["x_end"]])
+            )
             if k < p.n:
                 solver.set(k, "u", p.hover)
                 solver.constraints_set(k, "lbu", task.command_min + found["backoff_u"][k])
@@ -379,10 +500,18 @@ def with_acados(problem: Problem, home: Path, work: Path, kind: str) -> Callable
         status, ms = timed(solver.solve)
         plan = np.array([solver.get(k, "u") for k in range(p.n)])
         count = int(np.max(solver.get_stats("sqp_iter"))) if kind == "SQP" else 1
-        answer = {**ms, "iterations": count, "good": status == 0, "u": plan, "cost": float(solver.get_cost())}
+        answer = {
+            **ms,
+            "iterations": count,
+            "good": status == 0,
+            "u": plan,
+            "cost": float(solver.get_cost()),
+        }
         # by acados' own clock, which is wall time: only their ratio says something on a crowded machine
         answer["qp iterations"] = int(np.sum(solver.get_stats("qp_iter")))
-        return answer | {k: 1e3 * float(np.sum(solver.get_stats(f"time_{k}"))) for k in ("lin", "qp")}
+        return answer | {
+            k: 1e3 * float(np.sum(solver.get_stats(f"time_{k}"))) for k in ("lin", "qp")
+        }
 
     return solve
 
@@ -390,7 +519,9 @@ def with_acados(problem: Problem, home: Path, work: Path, kind: str) -> Callable
 # ------------------------------------------------------------------------------------------------ report
 
 
-def compared(solvers: dict[str, Any], problems: list[dict[str, np.ndarray]], points: int) -> list[dict[str, Any]]:
+def compared(
+    solvers: dict[str, Any], problems: list[dict[str, np.ndarray]], points: int
+) -> list[dict[str, Any]]:
     """A row per solver; the quick ones solve every problem five times and their median counts."""
     answers: dict[str, list[Answer]] = {name: [] for name in solvers}
     for i, given in enumerate(problems):
@@ -401,23 +532,36 @@ def compared(solvers: dict[str, Any], problems: list[dict[str, np.ndarray]], poi
             middle = {k: float(np.median([r[k] for r in runs])) for k in ("wall", "cpu")}
             answers[name].append(runs[-1] | middle)
         print(
-            f"problem {i + 1} of {len(problems)}", {n: round(a[-1]["cpu"], 1) for n, a in answers.items()}, flush=True
+            f"problem {i + 1} of {len(problems)}",
+            {n: round(a[-1]["cpu"], 1) for n, a in answers.items()},
+            flush=True,
         )
     base = answers["ours"]
     rows = []
     for name, found in answers.items():
         both = [i for i, a in enumerate(found) if a["good"] and base[i]["good"]]
-        row: dict[str, Any] = {"what": "cold start to 1e-6", "solver": name, "points": points, "problems": len(found)}
+        row: dict[str, Any] = {
+            "what": "cold start to 1e-6",
+            "solver": name,
+            "points": points,
+            "problems": len(found),
+        }
         row["solved"] = sum(bool(a["good"]) for a in found)
         for clock in ("cpu", "wall"):
             row[f"{clock} median"] = round(float(np.median([a[clock] for a in found])), 3)
-            row[f"{clock} over ours"] = round(float(np.median([a[clock] / b[clock] for a, b in zip(found, base)])), 2)
+            row[f"{clock} over ours"] = round(
+                float(np.median([a[clock] / b[clock] for a, b in zip(found, base)])), 2
+            )
         row["iterations"] = float(np.median([a["iterations"] for a in found]))
-        row["cpu per iteration"] = round(float(np.median([a["cpu"] / max(a["iterations"], 1) for a in found])), 3)
+        row["cpu per iteration"] = round(
+            float(np.median([a["cpu"] / max(a["iterations"], 1) for a in found])), 3
+        )
         if "qp iterations" in found[0]:
             row["QP iterations"] = float(np.median([a["qp iterations"] for a in found]))
         if "lin" in found[0]:
-            row["linearisation over QP, wall"] = round(float(np.median([a["lin"] / a["qp"] for a in found])), 2)
+            row["linearisation over QP, wall"] = round(
+                float(np.median([a["lin"] / a["qp"] for a in found])), 2
+            )
         gaps = [np.nanmax(np.abs(found[i]["u"] - base[i]["u"])) for i in both]
         row["largest difference of commands"] = float(np.max(gaps)) if gaps else None
         rows.append(row)
@@ -425,7 +569,9 @@ def compared(solvers: dict[str, Any], problems: list[dict[str, np.ndarray]], poi
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--models", type=Path, required=True)
     parser.add_argument("--points", type=int, nargs="+", default=[50, 100])
     parser.add_argument("--acados", default=os.environ.get("GREYBOX_ACADOS"))
@@ -445,7 +591,10 @@ def main() -> None:
             rows.append(row)
             print(json.dumps(row, indent=1), flush=True)
             problem = Problem(pilot.solver)
-            solvers: dict[str, Any] = {"ours": ours(problem), "IPOPT, exact Hessian, VM": ipopt(problem, "exact")}
+            solvers: dict[str, Any] = {
+                "ours": ours(problem),
+                "IPOPT, exact Hessian, VM": ipopt(problem, "exact"),
+            }
             solvers["IPOPT, BFGS, VM"] = ipopt(problem, "limited-memory")
             solvers["do-mpc"] = with_do_mpc(problem)
             if home is not None:

@@ -1,10 +1,12 @@
-"""How many steps of 10 ms does a twin fly in a second of CPU, one craft and a thousand, beside others?
+"""How many steps of 10 ms does a twin fly in a second of CPU, one craft and a thousand, beside
+others?
 
     python -m benchmarks.twin_speed [MODEL.json] [--out F.json]
 
-Runs what is installed: the written NumPy and JAX modules, RotorPy (one craft and its batch for torch), drone-models
-and crazyflow's first-principles rates (one Runge-Kutta step per 10 ms, in NumPy and in JAX). CPU time of one thread,
-the best of three runs, compilation apart. Without MODEL: the example craft.
+Runs what is installed: the written NumPy and JAX modules, RotorPy (one craft and its batch for
+torch), drone-models and crazyflow's first-principles rates (one Runge-Kutta step per 10 ms, in
+NumPy and in JAX). CPU time of one thread, the best of three runs, compilation apart. Without MODEL:
+the example craft.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ import os
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[name] = "1"
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+)
 os.environ.setdefault("SCIPY_ARRAY_API", "1")
 
 import argparse  # noqa: E402
@@ -68,7 +72,9 @@ def ours_in_jax(folder: Path) -> Iterator[tuple[str, int, Step]]:
     (module,) = load(folder / "jax", "simulate_jax")
     for n in (1, MANY):
         run = jax.jit(jax.vmap(module.advance, in_axes=(0, 0, 0)))
-        x, window, u = (np.tile(v, (n, *[1] * np.ndim(v))) for v in (module.START, module.WINDOW, module.HOVER))
+        x, window, u = (
+            np.tile(v, (n, *[1] * np.ndim(v))) for v in (module.START, module.WINDOW, module.HOVER)
+        )
         yield "greybox, JAX", n, lambda run=run, a=(x, window, u): jax.block_until_ready(run(*a))
 
 
@@ -144,30 +150,48 @@ def first_principles(folder: Path, package: str, jit: bool) -> Iterator[tuple[st
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("model", nargs="?", metavar="MODEL.json")
     parser.add_argument("--out", metavar="F.json")
     options = parser.parse_args(arguments)
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        twin(_model(options.model), ("numpy", "jax", "rotorpy", "drone-models", "crazyflow"), out=folder)
+        twin(
+            _model(options.model),
+            ("numpy", "jax", "rotorpy", "drone-models", "crazyflow"),
+            out=folder,
+        )
         for found in (
-            ours(folder), ours_in_jax(folder), rotorpy(folder), rotorpy_batch(folder),
-            first_principles(folder, "drone-models", False), first_principles(folder, "crazyflow", True),
-        ):  # fmt: skip
+            ours(folder),
+            ours_in_jax(folder),
+            rotorpy(folder),
+            rotorpy_batch(folder),
+            first_principles(folder, "drone-models", False),
+            first_principles(folder, "crazyflow", True),
+        ):
             try:
                 for who, craft, step in found:
                     rows.append({"who": who, "craft": craft, "steps_per_second": rate(step, craft)})
-                    print(f"{who:24} {craft:5d} craft  {rows[-1]['steps_per_second']:12,.0f} steps/s", flush=True)
+                    print(
+                        f"{who:24} {craft:5d} craft  {rows[-1]['steps_per_second']:12,.0f} steps/s",
+                        flush=True,
+                    )
             except (ImportError, RuntimeError) as missing:
                 print(f"not measured: {missing}")
     if options.out:
         about = {
-            "question": "How many steps does a written twin fly in a second of CPU, beside other simulators?",
-            "date": datetime.date.today().isoformat(), "machine": platform.machine(), "cores": os.cpu_count(),
-            "load": os.getloadavg(), "seconds_per_step": DT, "versions": {n: _version(n) for n in PACKAGES},
-        }  # fmt: skip
+            "question": "How many steps does a written twin fly in a second of CPU, beside other "
+            "simulators?",
+            "date": datetime.date.today().isoformat(),
+            "machine": platform.machine(),
+            "cores": os.cpu_count(),
+            "load": os.getloadavg(),
+            "seconds_per_step": DT,
+            "versions": {n: _version(n) for n in PACKAGES},
+        }
         write_json(options.out, {**about, "rows": rows})
 
 

@@ -1,7 +1,9 @@
-"""Grey-box identification of small multirotors: physics by the prediction error method, with honest error bars.
+"""Grey-box identification of small multirotors: physics by the prediction error method, with honest
+error bars.
 
-README.md has the scripting interface in twelve lines. The public names stand in `__init__.pyi`, and in
-`__all__` and `dir(greybox)`; everything is loaded on first use, so that `import greybox` is quick.
+README.md has the scripting interface in twelve lines. The public names stand in `__init__.pyi`, and
+in `__all__` and `dir(greybox)`; everything is loaded on first use, so that `import greybox` is
+quick.
 """
 
 from __future__ import annotations

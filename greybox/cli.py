@@ -16,10 +16,29 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 COMMANDS = (
-    "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "profile", "linear", "frf", "learn",
-    "discover", "compare", "export", "twin", "mpc", "effects", "examples", "demo", "selftest", "cite",
+    "identify",
+    "vehicle",
+    "plan",
+    "inspect",
+    "check",
+    "fit",
+    "validate",
+    "profile",
+    "linear",
+    "frf",
+    "learn",
+    "discover",
+    "compare",
+    "export",
+    "twin",
+    "mpc",
+    "effects",
+    "examples",
+    "demo",
+    "selftest",
+    "cite",
     "completion",
-)  # fmt: skip
+)
 
 
 def _version() -> str:
@@ -39,7 +58,9 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=_version())
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     parser.add_argument(
-        "--quiet", action="store_true", help="no progress, no tables: only errors, --json - and the exit code"
+        "--quiet",
+        action="store_true",
+        help="no progress, no tables: only errors, --json - and the exit code",
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name in COMMANDS:
@@ -55,7 +76,11 @@ def _abandon_output() -> None:
 @contextlib.contextmanager
 def _hush(arguments: argparse.Namespace) -> Iterator[None]:
     """Nothing on standard error; nothing on standard output either, unless a file was asked for there."""
-    with open(os.devnull, "w") as nowhere, contextlib.redirect_stderr(nowhere), contextlib.ExitStack() as stack:
+    with (
+        open(os.devnull, "w") as nowhere,
+        contextlib.redirect_stderr(nowhere),
+        contextlib.ExitStack() as stack,
+    ):
         if getattr(arguments, "json", None) != "-" and arguments.command != "completion":
             stack.enter_context(contextlib.redirect_stdout(nowhere))
         yield
@@ -151,7 +176,9 @@ def _main(argv: Sequence[str] | None) -> int:
         print(f"greybox {arguments.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        kept = getattr(arguments, "kept", None) or "nothing was written; the same command starts again"
+        kept = (
+            getattr(arguments, "kept", None) or "nothing was written; the same command starts again"
+        )
         print(f"greybox {arguments.command}: interrupted; {kept}", file=sys.stderr)
         return 130
     except BrokenPipeError:

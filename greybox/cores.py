@@ -1,4 +1,5 @@
-"""How many processor cores this process may use: those of its affinity (taskset, cpusets of batch systems), not all."""
+"""How many processor cores this process may use: those of its affinity (taskset, cpusets of batch
+systems), not all."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The errors that greybox raises. Each is also the builtin that a caller would catch.
 
-An error is one line: what was expected, what came, where, and the usual fix. The command line prints that line and
-ends with exit code 2.
+An error is one line: what was expected, what came, where, and the usual fix. The command line
+prints that line and ends with exit code 2.
 """
 
 from __future__ import annotations
@@ -10,11 +10,13 @@ import difflib
 from collections.abc import Iterable
 
 LONGEST_LINE = 1500
-"""Characters of a message; what is longer quotes a file that is not what it should be, and loses its middle."""
+"""Characters of a message; what is longer quotes a file that is not what it should be, and loses
+its middle."""
 
 
 def printable(text: str) -> str:
-    """On one line, with escapes for what a terminal would act on: names and paths may hold anything."""
+    """On one line, with escapes for what a terminal would act on: names and paths may hold
+    anything."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
@@ -72,16 +74,21 @@ class FileFormatError(GreyboxError, ValueError):
 class UnknownNameError(GreyboxError, KeyError):
     """A name that greybox does not know; the message carries the nearest names."""
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], *, where: str | None = None) -> None:
+    def __init__(
+        self, kind: str, name: str, known: Iterable[str], *, where: str | None = None
+    ) -> None:
         names = sorted(known)
-        near = difflib.get_close_matches(str(name)[:200], names, n=3, cutoff=0.5)  # a file may say anything
+        near = difflib.get_close_matches(
+            str(name)[:200], names, n=3, cutoff=0.5
+        )  # a file may say anything
         shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
         fix = f"did you mean {' or '.join(near)}?" if near else f"known: {shown}"
         super().__init__(f"unknown {kind} '{name}'", where=where, fix=fix)
 
 
 class FitError(GreyboxError, RuntimeError):
-    """An estimate could not be computed at all (a fit that merely did not converge is a status, not an error)."""
+    """An estimate could not be computed at all (a fit that merely did not converge is a status, not
+    an error)."""
 
 
 class MissingExtraError(GreyboxError, ImportError):
@@ -89,4 +96,5 @@ class MissingExtraError(GreyboxError, ImportError):
 
 
 class OldFormWarning(FutureWarning):
-    """A file speaks a form that the next minor version will not read; the message names the new one."""
+    """A file speaks a form that the next minor version will not read; the message names the new
+    one."""

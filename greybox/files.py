@@ -22,11 +22,14 @@ import numpy as np
 from greybox.errors import FileFormatError, GreyboxError
 
 LARGEST_JSON = 128 * 2**20
-"""Bytes of a JSON file that is read; the model of 1000 support points and six outputs has about 120 MB."""
+"""Bytes of a JSON file that is read; the model of 1000 support points and six outputs has about 120
+MB."""
 MOST_CONTAINERS, MOST_QUOTES = 300_000, 4_000_000
-"""Arrays and objects, and quotation marks, of a JSON file: they cost more memory than their characters suggest."""
+"""Arrays and objects, and quotation marks, of a JSON file: they cost more memory than their
+characters suggest."""
 LARGEST_TOML, MOST_DOTS = 2**18, 200
-"""Bytes of a TOML file, and dots in one line of it: the cost of a dotted key grows with its square."""
+"""Bytes of a TOML file, and dots in one line of it: the cost of a dotted key grows with its
+square."""
 
 
 class OutputError(GreyboxError, OSError):
@@ -34,10 +37,11 @@ class OutputError(GreyboxError, OSError):
 
 
 def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> Path:
-    """Write `content` so that at any moment either the old or the new file is there. Returns the path.
+    """Write `content` so that at any moment either the old or the new file is there. Returns the
+    path.
 
-    Parent folders are made. A device or a pipe is written to as it is. Raises `OutputError` (disk full, read-only
-    folder, a folder of that name).
+    Parent folders are made. A device or a pipe is written to as it is. Raises `OutputError` (disk
+    full, read-only folder, a folder of that name).
     """
     target = Path(path)
     data = content.encode() if isinstance(content, str) else content
@@ -47,7 +51,9 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> Path:
             target.write_bytes(data)
             return target
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+        handle, temporary = tempfile.mkstemp(
+            dir=target.parent, prefix=f".{target.name}.", suffix=".part"
+        )
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
             stream.flush()
@@ -58,7 +64,9 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> Path:
         os.replace(temporary, target)
     except OSError as error:
         raise OutputError(
-            f"cannot write: {error.strerror or error}", where=str(target), fix="choose another --out"
+            f"cannot write: {error.strerror or error}",
+            where=str(target),
+            fix="choose another --out",
         ) from None
     finally:
         if temporary is not None and os.path.exists(temporary):
@@ -68,9 +76,12 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> Path:
 
 
 def no_overwriting(path: str | os.PathLike[str], option: str, *, force: bool) -> None:
-    """Refuse a file that is there already, which may have been edited by hand. Raises `OutputError`."""
+    """Refuse a file that is there already, which may have been edited by hand. Raises
+    `OutputError`."""
     if Path(path).is_file() and not force:
-        raise OutputError("the file exists", where=os.fspath(path), fix=f"choose another {option}, or add --force")
+        raise OutputError(
+            "the file exists", where=os.fspath(path), fix=f"choose another {option}, or add --force"
+        )
 
 
 def withdraw(folder: str | os.PathLike[str], *names: str) -> None:
@@ -84,9 +95,11 @@ def withdraw(folder: str | os.PathLike[str], *names: str) -> None:
 
 
 def check_writable(path: str | os.PathLike[str], *, folder: bool = False) -> None:
-    """Whether a file can be written at `path` (in it, if it is to be a `folder`): said before hours of work, not after.
+    """Whether a file can be written at `path` (in it, if it is to be a `folder`): said before hours
+    of work, not after.
 
-    Nothing is made. Raises `OutputError` (disk full, read-only folder, a file where a folder should be, or the reverse).
+    Nothing is made. Raises `OutputError` (disk full, read-only folder, a file where a folder should
+    be, or the reverse).
     """
     place = Path(path)
     try:
@@ -113,8 +126,8 @@ def check_writable(path: str | os.PathLike[str], *, folder: bool = False) -> Non
 def sole_writer(folder: str | os.PathLike[str]) -> Iterator[None]:
     """Nobody else writes results into `folder` inside: files of two runs would stand side by side.
 
-    The folder is made, and removed again where nothing came into it. The lock ends with the process,
-    also by kill -9 (flock; where there is none, nothing is locked). Raises `OutputError`.
+    The folder is made, and removed again where nothing came into it. The lock ends with the
+    process, also by kill -9 (flock; where there is none, nothing is locked). Raises `OutputError`.
     """
     place = Path(folder)
     made = [p for p in (place, *place.parents) if not p.exists()]
@@ -142,7 +155,10 @@ def _locked(place: Path) -> int | None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(handle)
-        message, fix = "another greybox command writes into this folder", "wait for it, or choose another --out"
+        message, fix = (
+            "another greybox command writes into this folder",
+            "wait for it, or choose another --out",
+        )
         raise OutputError(message, where=str(place), fix=fix) from None
     except OSError:
         os.close(handle)
@@ -151,7 +167,8 @@ def _locked(place: Path) -> int | None:
 
 
 def to_plain(value: Any) -> Any:
-    """Turn NumPy scalars and arrays, tuples, sets and paths into plain JSON values; NaN and infinity become None."""
+    """Turn NumPy scalars and arrays, tuples, sets and paths into plain JSON values; NaN and
+    infinity become None."""
     if isinstance(value, dict):
         return {str(k): to_plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):
@@ -182,39 +199,61 @@ def write_json(path: str | os.PathLike[str], value: Any) -> Path:
 def read_json(path: str | os.PathLike[str], *, schema: str | None = None) -> dict[str, Any]:
     """Read a JSON object; with `schema` also demand that its "schema" field is that string.
 
-    Raises `FileFormatError` for a missing file, text that is not JSON, a file over the limits of this module, or another
-    schema.
+    Raises `FileFormatError` for a missing file, text that is not JSON, a file over the limits of
+    this module, or another schema.
     """
     where = str(path)
     try:
         content = read_limited(path, LARGEST_JSON)
-        if content.count(b"[") + content.count(b"{") > MOST_CONTAINERS or content.count(b'"') > MOST_QUOTES:
-            raise FileFormatError("too many arrays, objects or texts", where=where, fix="pass a file that greybox wrote")
+        if (
+            content.count(b"[") + content.count(b"{") > MOST_CONTAINERS
+            or content.count(b'"') > MOST_QUOTES
+        ):
+            raise FileFormatError(
+                "too many arrays, objects or texts",
+                where=where,
+                fix="pass a file that greybox wrote",
+            )
         value = json.loads(content)
         if b"\\ud" in content.lower():
-            json.dumps(value, ensure_ascii=False).encode()  # half of a pair is no text that could be written again
+            json.dumps(
+                value, ensure_ascii=False
+            ).encode()  # half of a pair is no text that could be written again
     except FileNotFoundError:
         raise FileFormatError("no such file", where=where, fix="check the path") from None
     except IsADirectoryError:
-        raise FileFormatError("a folder, not a file", where=where, fix=_instead(Path(path), schema)) from None
+        raise FileFormatError(
+            "a folder, not a file", where=where, fix=_instead(Path(path), schema)
+        ) from None
     except OSError as error:
         raise FileFormatError(f"cannot read: {error.strerror}", where=where) from None
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"not JSON ({error})", where=where, fix="pass a file that greybox wrote") from None
+        raise FileFormatError(
+            f"not JSON ({error})", where=where, fix="pass a file that greybox wrote"
+        ) from None
     except MemoryError:
-        raise FileFormatError("too large for the memory", where=where, fix="pass a file that greybox wrote") from None
+        raise FileFormatError(
+            "too large for the memory", where=where, fix="pass a file that greybox wrote"
+        ) from None
     if not isinstance(value, dict):
         raise FileFormatError("not a JSON object", where=where, got=type(value).__name__)
     if schema is not None and value.get("schema") != schema:
         raise FileFormatError(
-            "wrong schema", where=where, expected=schema, got=repr(value.get("schema")),
+            "wrong schema",
+            where=where,
+            expected=schema,
+            got=repr(value.get("schema")),
             fix=_instead(Path(path).parent, schema),
-        )  # fmt: skip
+        )
     return value
 
 
 def read_toml(
-    path: str | os.PathLike[str], *, what: str, error: type[GreyboxError], largest: int = LARGEST_TOML
+    path: str | os.PathLike[str],
+    *,
+    what: str,
+    error: type[GreyboxError],
+    largest: int = LARGEST_TOML,
 ) -> dict[str, Any]:
     """Read the TOML of a stranger; `what` it is meant to be ("vehicle file").
 
@@ -269,22 +308,27 @@ def _begins_with(path: Path, schema: str) -> bool:
 
 
 def read_limited(path: str | os.PathLike[str], limit: int) -> bytes:
-    """The bytes of a file or pipe. Raises `FileFormatError` for more than `limit`, `OSError` where it cannot be read."""
+    """The bytes of a file or pipe. Raises `FileFormatError` for more than `limit`, `OSError` where
+    it cannot be read."""
     with open(path, "rb") as stream:
-        # In pieces: the size of a pipe or a device is not known before, and read(limit) would set it all aside.
+        # In pieces: the size of a pipe or a device is not known before, and read(limit) would set
+        # it all aside.
         pieces, size = [], 0
         while piece := stream.read(1 << 20):
             size += len(piece)
             if size > limit:
                 raise FileFormatError(
-                    f"more than {limit / 2**20:g} MiB", where=str(path), fix="pass a file that greybox wrote"
+                    f"more than {limit / 2**20:g} MiB",
+                    where=str(path),
+                    fix="pass a file that greybox wrote",
                 )
             pieces.append(piece)
     return b"".join(pieces)
 
 
 def checksum(value: Any) -> str:
-    """SHA-256 of the canonical JSON of a value. Raises `FileFormatError` for one nested too deeply for that."""
+    """SHA-256 of the canonical JSON of a value. Raises `FileFormatError` for one nested too deeply
+    for that."""
     try:
         return _checksum(value)
     except RecursionError:
@@ -306,8 +350,8 @@ def file_sha256(path: str | os.PathLike[str]) -> str:
 
 
 def append_json_line(path: Path, row: dict[str, Any]) -> None:
-    """Add a row to a file of JSON lines, in one write that is on the disk when this returns. A line that was cut off before
-    it stays alone."""
+    """Add a row to a file of JSON lines, in one write that is on the disk when this returns. A line
+    that was cut off before it stays alone."""
     whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
     with path.open("a", encoding="utf-8") as stream:
         stream.write(("" if whole else "\n") + json.dumps(row) + "\n")

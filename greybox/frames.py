@@ -1,11 +1,12 @@
 """Quaternion and rotation algebra in CasADi. Nothing else in greybox defines a rotation.
 
-Conventions: world frame ENU (z up), body frame FLU (x forward, y left, z up). A unit quaternion q = (w, x, y, z) maps
-body vectors to world vectors, v_world = R(q) v_body. Euler angles are ZYX (yaw psi, pitch theta, roll phi), for reports
-and GP inputs only. The attitude error delta_theta is in body axes: q = q_hat * exp(delta_theta / 2).
+Conventions: world frame ENU (z up), body frame FLU (x forward, y left, z up). A unit quaternion q =
+(w, x, y, z) maps body vectors to world vectors, v_world = R(q) v_body. Euler angles are ZYX (yaw
+psi, pitch theta, roll phi), for reports and GP inputs only. The attitude error delta_theta is in
+body axes: q = q_hat * exp(delta_theta / 2).
 
-Source of the formulas: J. Sola, "Quaternion kinematics for the error-state Kalman filter", arXiv:1711.02508 (Hamilton
-convention, local error).
+Source of the formulas: J. Sola, "Quaternion kinematics for the error-state Kalman filter",
+arXiv:1711.02508 (Hamilton convention, local error).
 """
 
 from __future__ import annotations
@@ -71,7 +72,8 @@ def quat_exp(rotation_vector: Expr) -> Expr:
 
 
 def quat_log(q: Expr) -> Expr:
-    """Rotation vector [rad] of a unit quaternion, in the ball of radius pi (q and -q give the same); smooth at identity."""
+    """Rotation vector [rad] of a unit quaternion, in the ball of radius pi (q and -q give the
+    same); smooth at identity."""
     sign = ca.if_else(q[0] < 0, -1.0, 1.0)
     w, v = sign * q[0], sign * q[1:4]
     n = ca.sqrt(ca.sumsqr(v) + 1e-30)
@@ -125,9 +127,12 @@ def _function(name: str) -> Any:
 
 
 def numeric(name: str, *arrays: npt.ArrayLike) -> FloatArray:
-    """Evaluate a rotation formula over many samples, time first: arrays (N, 3) or (N, 4) in, (N, 3) or (N, 4) out.
+    """Evaluate a rotation formula over many samples, time first: arrays (N, 3) or (N, 4) in, (N, 3)
+    or (N, 4) out.
 
-    Names: rotate(q, v), rotate_inverse(q, v), difference(q_hat, q), multiply(a, b), exp(v), log(q), euler(q) -> (phi,
-    theta, psi), from_euler((phi, theta, psi)), matrix(q) -> R row by row (N, 9).
+    Names: rotate(q, v), rotate_inverse(q, v), difference(q_hat, q), multiply(a, b), exp(v), log(q),
+    euler(q) -> (phi, theta, psi), from_euler((phi, theta, psi)), matrix(q) -> R row by row (N, 9).
     """
-    return evaluate(_function(name), *(np.atleast_2d(np.asarray(a, dtype=np.float64)) for a in arrays))
+    return evaluate(
+        _function(name), *(np.atleast_2d(np.asarray(a, dtype=np.float64)) for a in arrays)
+    )

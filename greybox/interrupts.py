@@ -1,7 +1,8 @@
 """Ctrl-C that is not lost inside CasADi.
 
-CasADi's operators ask Python code of CasADi's what shape an operand has and whether it is an array, and drop whatever
-that raises. An interrupt that arrives just then (one in three while a model is built) vanishes, and the command runs on.
+CasADi's operators ask Python code of CasADi's what shape an operand has and whether it is an array,
+and drop whatever that raises. An interrupt that arrives just then (one in three while a model is
+built) vanishes, and the command runs on.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ AGAIN = 0.002
 
 @contextlib.contextmanager
 def kept_interrupts() -> Iterator[None]:
-    """SIGINT raises KeyboardInterrupt where it is not dropped: it waits until CasADi's conversion of an operand is over.
+    """SIGINT raises KeyboardInterrupt where it is not dropped: it waits until CasADi's conversion
+    of an operand is over.
 
     Nothing changes outside the main thread, or where somebody handles SIGINT already.
     """
@@ -43,9 +45,11 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _converting(frame: FrameType | None) -> bool:
-    """Whether the call stack goes from Python of CasADi's through its compiled part into Python of CasADi's.
+    """Whether the call stack goes from Python of CasADi's through its compiled part into Python of
+    CasADi's.
 
-    A callback of the user's, at which the way from the compiled part leads elsewhere, may be interrupted.
+    A callback of the user's, at which the way from the compiled part leads elsewhere, may be
+    interrupted.
     """
     while frame is not None and (caller := frame.f_back) is not None:
         theirs = all(f.f_globals.get("__name__") == "casadi.casadi" for f in (frame, caller))

@@ -62,7 +62,9 @@ def panels(
             (line,) = axis.plot(curve.x, curve.y, label=curve.label, linewidth=1.0)
             if curve.spread is not None:
                 low, high = curve.y - curve.spread, curve.y + curve.spread
-                axis.fill_between(curve.x, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
+                axis.fill_between(
+                    curve.x, low, high, color=line.get_color(), alpha=0.2, linewidth=0
+                )
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)
         if sum(bool(c.label) for c in curves) > 1:

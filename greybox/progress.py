@@ -39,15 +39,17 @@ class TimeLeft:
         self._steps: list[tuple[float, float]] = []
 
     def after(self, share: float) -> str:
-        """", about ... left" when `share` (0 to 1) is done at the pace so far, "" where it is too early to tell."""
+        """ ", about ... left" when `share` (0 to 1) is done at the pace so far, "" where it is too
+        early to tell."""
         spent = self._clock() - self._began
         if spent < FIRST or not 0.02 <= share < 1.0:
             return ""
         return f", {in_words(spent / share * (1 - share))}"
 
     def after_step(self, iteration: int, decrement: float) -> str:
-        """The same of a solver by its expected decrease, which falls by about the same factor each iteration when it
-        comes near its end; "" while it does not fall, and where it is too early to tell."""
+        """The same of a solver by its expected decrease, which falls by about the same factor each
+        iteration when it comes near its end; "" while it does not fall, and where it is too early
+        to tell."""
         if iteration <= 1:
             self._steps.clear()
         now = self._clock()
@@ -65,13 +67,17 @@ OFTEN = 0.2
 
 
 class NotebookLine:
-    """One line below a cell of a notebook that says what runs, how much of it is done and how long it will take.
+    """One line below a cell of a notebook that says what runs, how much of it is done and how long
+    it will take.
 
     `display(data, id, update)` shows a bundle of MIME types (default: IPython's).
     """
 
     def __init__(
-        self, title: str, display: Callable[[dict[str, str], str, bool], None], clock: Callable[[], float] = time.monotonic
+        self,
+        title: str,
+        display: Callable[[dict[str, str], str, bool], None],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._title, self._display, self._clock = title, display, clock
         self._began = clock()
@@ -96,7 +102,9 @@ class NotebookLine:
     def end(self, how: str) -> None:
         """The last that is said: how it ended and how long it took."""
         self._shown = -math.inf
-        self._show(f"{how} after {self._clock() - self._began:.0f} s", 1.0 if how == "done" else None)
+        self._show(
+            f"{how} after {self._clock() - self._began:.0f} s", 1.0 if how == "done" else None
+        )
 
     def _show(self, text: str, share: float | None) -> None:
         now = self._clock()
@@ -108,7 +116,11 @@ class NotebookLine:
         bar = f'<progress{value} aria-label="{html.escape(self._title)}" style="width: 12em"></progress> '
         # A bar without a value moves for ever: what ended otherwise has none.
         bar = "" if share is None and text.startswith("stopped") else bar
-        self._display({"text/plain": plain, "text/html": f"<div>{bar}{html.escape(plain)}</div>"}, self._id, not self._first)
+        self._display(
+            {"text/plain": plain, "text/html": f"<div>{bar}{html.escape(plain)}</div>"},
+            self._id,
+            not self._first,
+        )
         self._first = False
 
 
@@ -127,7 +139,8 @@ def notebook_line(title: str) -> NotebookLine | None:
 
 
 def in_notebooks(**ways: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorator of long work: in a notebook, where the caller gave no way to hear of it, a line shows it.
+    """Decorator of long work: in a notebook, where the caller gave no way to hear of it, a line
+    shows it.
 
     `ways` maps keywords of the function to the method of `NotebookLine` that each is given.
     """
@@ -135,7 +148,11 @@ def in_notebooks(**ways: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         @functools.wraps(function)
         def shown(*args: P.args, **kwargs: P.kwargs) -> R:
-            line = None if any(kwargs.get(k) is not None for k in ways) else notebook_line(function.__name__)
+            line = (
+                None
+                if any(kwargs.get(k) is not None for k in ways)
+                else notebook_line(function.__name__)
+            )
             if line is None:
                 return function(*args, **kwargs)
             own: dict[str, Any] = {k: getattr(line, method) for k, method in ways.items()}

@@ -35,7 +35,8 @@ _STYLE = "text-align:left;vertical-align:top;padding:0 1em 0 0"
 
 
 class Shown:
-    """Base of objects that show themselves. A member gives `_shown_text` and perhaps `_shown_rows`."""
+    """Base of objects that show themselves. A member gives `_shown_text` and perhaps
+    `_shown_rows`."""
 
     def _shown_text(self) -> str:
         """The whole text, most important line first."""
@@ -57,7 +58,8 @@ class Shown:
         return f"<div><p><b>{html.escape(first)}</b></p>{body}</div>"
 
     def to_frame(self) -> DataFrame:
-        """The table as a pandas DataFrame. Raises `MissingExtraError` where pandas is not installed."""
+        """The table as a pandas DataFrame. Raises `MissingExtraError` where pandas is not
+        installed."""
         try:
             import pandas as pd
         except ImportError:
@@ -90,7 +92,9 @@ def html_table(rows: Sequence[Row]) -> str:
     columns = columns_of(rows[:ROWS])
     head = "".join(f'<th style="{_STYLE}">{html.escape(name)}</th>' for name in columns)
     lines = [
-        "<tr>" + "".join(f'<td style="{_STYLE}">{html.escape(_text(c))}</td>' for c in cells) + "</tr>"
+        "<tr>"
+        + "".join(f'<td style="{_STYLE}">{html.escape(_text(c))}</td>' for c in cells)
+        + "</tr>"
         for cells in zip(*columns.values(), strict=True)
     ]
     more = f"<p>... and {len(rows) - ROWS} more rows: to_frame()</p>" if len(rows) > ROWS else ""

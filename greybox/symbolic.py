@@ -21,8 +21,8 @@ Expr = Any
 CHUNK = 1024
 """Samples that one call of a mapped function takes."""
 CASADI = threading.RLock()
-"""Held by whoever builds or evaluates CasADi expressions where other threads may: CasADi lets go of Python's lock, and not
-every build of it counts references safely across threads."""
+"""Held by whoever builds or evaluates CasADi expressions where other threads may: CasADi lets go of
+Python's lock, and not every build of it counts references safely across threads."""
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
@@ -39,7 +39,11 @@ class Signal:
 @functools.cache
 def operation_names() -> Mapping[int, str]:
     """CasADi's names of its operations by their codes, which change between its versions."""
-    return {getattr(ca, n): n.removeprefix("OP_") for n in sorted(dir(ca), reverse=True) if n.startswith("OP_")}
+    return {
+        getattr(ca, n): n.removeprefix("OP_")
+        for n in sorted(dir(ca), reverse=True)
+        if n.startswith("OP_")
+    }
 
 
 def given(value: Expr) -> tuple[Expr, ...]:
@@ -57,8 +61,9 @@ def sum_of(first: Expr, second: Expr) -> Expr:
 class Layout:
     """An ordered set of named scalar signals: maps names to positions in a vector.
 
-    Immutable. `layout["omega.x"]` is the index; iteration gives the signals. Raises `UnknownNameError` for a name that
-    is not there, and `ModelError` for a name that is there twice.
+    Immutable. `layout["omega.x"]` is the index; iteration gives the signals. Raises
+    `UnknownNameError` for a name that is not there, and `ModelError` for a name that is there
+    twice.
 
     >>> rates = Layout([Signal(name="p", unit="rad/s"), Signal(name="q", unit="rad/s")])
     >>> rates["q"], rates.names
@@ -114,7 +119,8 @@ class Layout:
 
 
 def safe_norm(v: Expr, eps: float = 1e-12) -> Expr:
-    """Euclidean norm that is differentiable at zero: sqrt(v.v + eps^2) - eps, exactly 0 at v = 0."""
+    """Euclidean norm that is differentiable at zero: sqrt(v.v + eps^2) - eps, exactly 0 at v =
+    0."""
     return ca.sqrt(ca.sumsqr(v) + eps * eps) - eps
 
 
@@ -126,7 +132,8 @@ def smooth_step(x: Expr, width: float) -> Expr:
 def evaluate(function: Any, *columns: npt.ArrayLike) -> FloatArray:
     """Evaluate a single-output CasADi function over many samples, time first.
 
-    Each argument is an array (N, n_i) (or (n_i,) for a value that all samples share); the result is (N, n_out).
+    Each argument is an array (N, n_i) (or (n_i,) for a value that all samples share); the result is
+    (N, n_out).
     """
     arrays = [np.asarray(c, dtype=np.float64) for c in columns]
     lengths = {a.shape[0] for a in arrays if a.ndim == 2}
@@ -135,8 +142,14 @@ def evaluate(function: Any, *columns: npt.ArrayLike) -> FloatArray:
     n = lengths.pop() if lengths else 1
     if n == 0:
         return np.zeros((0, function.size1_out(0)))
-    wide = [np.ascontiguousarray(a if a.ndim == 2 else np.broadcast_to(a.ravel(), (n, a.size))) for a in arrays]
-    dense = all(function.sparsity_in(i).is_dense() for i in range(len(wide))) and function.sparsity_out(0).is_dense()
+    wide = [
+        np.ascontiguousarray(a if a.ndim == 2 else np.broadcast_to(a.ravel(), (n, a.size)))
+        for a in arrays
+    ]
+    dense = (
+        all(function.sparsity_in(i).is_dense() for i in range(len(wide)))
+        and function.sparsity_out(0).is_dense()
+    )
     if not dense or any(a.shape[1] != function.numel_in(i) for i, a in enumerate(wide)):
         return np.asarray(function.map(n)(*(a.T for a in wide)).full(), dtype=np.float64).T
     out = np.empty((n, function.numel_out(0)))

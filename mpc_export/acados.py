@@ -38,7 +38,9 @@ def lay_out(wheel: str | Path, home: str | Path) -> Path:
     links["interfaces/acados_template/acados_template"] = source / "acados_template"
     for name, target in links.items():
         if not target.is_dir():
-            raise FileNotFoundError(f"{target}: not there, so {wheel} is no unpacked comma-deps-acados")
+            raise FileNotFoundError(
+                f"{target}: not there, so {wheel} is no unpacked comma-deps-acados"
+            )
         (place / name).parent.mkdir(parents=True, exist_ok=True)
         if not (place / name).exists():
             (place / name).symlink_to(target, target_is_directory=True)
@@ -81,7 +83,10 @@ def _load_libraries(folder: Path) -> None:
 
 
 def acados_model(
-    model: Exported, *, dynamics: Literal["discrete", "continuous"] = "discrete", second_order: bool = False
+    model: Exported,
+    *,
+    dynamics: Literal["discrete", "continuous"] = "discrete",
+    second_order: bool = False,
 ) -> Any:
     """An `acados_template.AcadosModel` inside a `session`; set `ocp.parameter_values = model.parameter_values` beside it.
 
@@ -95,7 +100,11 @@ def acados_model(
     out = AcadosModel()
     out.name = model.name
     n = len(model.states) if dynamics == "discrete" else model.own_states
-    x, u, p = ca.MX.sym("x", n), ca.MX.sym("u", len(model.inputs)), ca.MX.sym("p", len(model.parameters))
+    x, u, p = (
+        ca.MX.sym("x", n),
+        ca.MX.sym("u", len(model.inputs)),
+        ca.MX.sym("p", len(model.parameters)),
+    )
     out.x, out.u = x, u
     if model.parameters:
         out.p = p
@@ -126,17 +135,33 @@ def first_order(model: Exported) -> Any:
             pattern = slopes.jac_sparsity(1 + i, j) if j < len(sizes) else ca.Sparsity(n * size, n)
             entry = [v[:1] for v in pattern.get_triplet()]
             second.append(
-                ca.MX(ca.DM(ca.Sparsity.triplet(n * size, argument.numel(), *entry), [np.nan] * len(entry[0])))
+                ca.MX(
+                    ca.DM(
+                        ca.Sparsity.triplet(n * size, argument.numel(), *entry),
+                        [np.nan] * len(entry[0]),
+                    )
+                )
             )
             labels.append(f"jac_{block}_{name}")
     results = [ca.MX.sym(f"out_{block}", n, size) for block, size in zip(blocks, sizes.values())]
     of_slopes = ca.Function(
-        "jac_jac_f_d", [*arguments, *results], second, [*names, *(f"out_{block}" for block in blocks)], labels
+        "jac_jac_f_d",
+        [*arguments, *results],
+        second,
+        [*names, *(f"out_{block}" for block in blocks)],
+        labels,
     )
     values = slopes(*given.values())[1:]
-    jacobian = ca.Function("jac_f_d", arguments, list(values), names, blocks, {"custom_jacobian": of_slopes, **whole})
+    jacobian = ca.Function(
+        "jac_f_d", arguments, list(values), names, blocks, {"custom_jacobian": of_slopes, **whole}
+    )
     return ca.Function(
-        "f_d", [*given.values()], [step(*given.values())], [*given], ["x_next"], {"custom_jacobian": jacobian, **whole}
+        "f_d",
+        [*given.values()],
+        [step(*given.values())],
+        [*given],
+        ["x_next"],
+        {"custom_jacobian": jacobian, **whole},
     )
 
 
@@ -149,13 +174,24 @@ def explicit_difference(model: Exported, points: int = 50, seed: int = 0) -> dic
     rng = np.random.default_rng(seed)
     n, n_d = model.own_states, len(model.error_states)
     slope, dt, p = model["f"], model.dt, model.parameter_values
-    width = np.where(np.isfinite(model.upper - model.lower), model.upper - model.lower, model.input_scale)
+    width = np.where(
+        np.isfinite(model.upper - model.lower), model.upper - model.lower, model.input_scale
+    )
     free = np.array(
-        [e.startswith(("history.", "d_history.", "disturbance.", "d_disturbance.")) for e in model.error_states]
+        [
+            e.startswith(("history.", "d_history.", "disturbance.", "d_disturbance."))
+            for e in model.error_states
+        ]
     )
     worst = np.zeros(n)
     for _ in range(points):
-        x = model["boxplus"](model.reference_state, np.where(free, 0.0, 0.1 * rng.standard_normal(n_d))).full().ravel()
+        x = (
+            model["boxplus"](
+                model.reference_state, np.where(free, 0.0, 0.1 * rng.standard_normal(n_d))
+            )
+            .full()
+            .ravel()
+        )
         x = model.with_history(x[:n], model.reference_inputs).full().ravel()
         u = model.reference_inputs + 0.1 * width * rng.uniform(-1, 1, len(model.inputs))
         after = model["f_d"](x, u, p).full().ravel()[:n]
@@ -164,7 +200,9 @@ def explicit_difference(model: Exported, points: int = 50, seed: int = 0) -> dic
     return dict(zip(model.states[:n], relative.tolist()))
 
 
-def _rk4(slope: Any, x: npt.NDArray[np.float64], u: Any, p: Any, dt: float) -> npt.NDArray[np.float64]:
+def _rk4(
+    slope: Any, x: npt.NDArray[np.float64], u: Any, p: Any, dt: float
+) -> npt.NDArray[np.float64]:
     k1 = slope(x, u, p)
     k2 = slope(x + dt / 2 * k1, u, p)
     k3 = slope(x + dt / 2 * k2, u, p)

@@ -61,23 +61,33 @@ class Adapted:
     limits: Mapping[str, float]
 
 
-NOTHING = Adapted(mean=np.zeros(0), covariance=np.zeros((0, 0)), lower=np.zeros(0), upper=np.zeros(0), limits={})
+NOTHING = Adapted(
+    mean=np.zeros(0), covariance=np.zeros((0, 0)), lower=np.zeros(0), upper=np.zeros(0), limits={}
+)
 
 
 def flight_parameters(model: Any) -> tuple[str, ...]:
     """The parameters whose values differ from flight to flight. Raises `ModelError` for another kind of model."""
     if not isinstance(model, IdentifiedModel):
         raise ModelError(
-            "adapt needs the physics model of a fit, or a hybrid on it", got=model.name, fix="leave adapt out of --with"
+            "adapt needs the physics model of a fit, or a hybrid on it",
+            got=model.name,
+            fix="leave adapt out of --with",
         )
     own = {d.name for d in model.dynamics.parameters}
-    return tuple(n for n, (_, s) in model.flight_spread.items() if n in own and s > 0 and math.isfinite(s))
+    return tuple(
+        n for n, (_, s) in model.flight_spread.items() if n in own and s > 0 and math.isfinite(s)
+    )
 
 
 def adapted(
-    model: IdentifiedModel, p: Layout, values: FloatArray, weights: GPPosterior | FeaturePosterior | None,
-    error_states: Layout, filtered: FloatArray,
-) -> Adapted:  # fmt: skip
+    model: IdentifiedModel,
+    p: Layout,
+    values: FloatArray,
+    weights: GPPosterior | FeaturePosterior | None,
+    error_states: Layout,
+    filtered: FloatArray,
+) -> Adapted:
     """All of p that is adapted: per-flight parameters, and the `weights` of the learned outputs where they are in p.
 
     `values` (n_p,) are the identified ones, `filtered` (n_d, n_d) is the covariance of the settled filter, `error_states`
@@ -110,11 +120,14 @@ def adapted(
     own = start_excess(model, np.diag(filtered))
     unknown[: len(own)] = own
     return Adapted(
-        names=tuple(names), rows=rows, mean=values[list(rows)],
+        names=tuple(names),
+        rows=rows,
+        mean=values[list(rows)],
         covariance=scipy.linalg.block_diag(*covariance, np.diag(unknown)),
-        lower=np.array([*low, *[-UNBOUNDED] * extra]), upper=np.array([*high, *[UNBOUNDED] * extra]),
+        lower=np.array([*low, *[-UNBOUNDED] * extra]),
+        upper=np.array([*high, *[UNBOUNDED] * extra]),
         limits=authority(model),
-    )  # fmt: skip
+    )
 
 
 def start_excess(model: IdentifiedModel, filtered: FloatArray) -> FloatArray:
@@ -122,9 +135,15 @@ def start_excess(model: IdentifiedModel, filtered: FloatArray) -> FloatArray:
     d = model.dynamics
     u = np.repeat(model.reference_inputs[:, None], sum(d.window) + 1, axis=1)
     p, w = ca.DM(model.parameter_vector()), ca.DM.zeros(len(d.noises))
-    y = np.array(ca.DM(d.output(0, ca.DM(model.reference_state), ca.DM(u), p, w, model.sample_time)))
-    columns = dict(zip((*d.outputs.names, *d.inputs.names), (*y.ravel(), *model.reference_inputs), strict=True))
-    samples = {n: np.full(STEADY, v) for n, v in columns.items()} | {"t": model.sample_time * np.arange(STEADY)}
+    y = np.array(
+        ca.DM(d.output(0, ca.DM(model.reference_state), ca.DM(u), p, w, model.sample_time))
+    )
+    columns = dict(
+        zip((*d.outputs.names, *d.inputs.names), (*y.ravel(), *model.reference_inputs), strict=True)
+    )
+    samples = {n: np.full(STEADY, v) for n, v in columns.items()} | {
+        "t": model.sample_time * np.arange(STEADY)
+    }
     sigma = d.initial_state(samples)[1]
     return np.asarray(np.maximum(sigma**2 - filtered[: len(sigma)], 0.0))
 
@@ -153,20 +172,25 @@ def authority(model: IdentifiedModel) -> dict[str, float]:
     vehicle, values = physics.vehicle, model.values
     ends = (vehicle.actuator.u_min, vehicle.actuator.u_max)
     thrust, torque = (
-        np.array([sum(values[f"{kind}.c{k}"] * u**k for k in range(3)) for u in ends]) for kind in ("thrust", "torque")
+        np.array([sum(values[f"{kind}.c{k}"] * u**k for k in range(3)) for u in ends])
+        for kind in ("thrust", "torque")
     )
     center = [values[f"center_of_mass.{a}"] for a in "xyz"]
     arms = np.array([r.position for r in vehicle.rotors], dtype=float) - center
     most = {f"force.{a}": len(arms) * thrust.max() for a in "xyz"}
     for axis, levers, each in (
-        ("x", arms[:, 1], thrust), ("y", -arms[:, 0], thrust), ("z", [-r.spin for r in vehicle.rotors], torque)
-    ):  # fmt: skip
+        ("x", arms[:, 1], thrust),
+        ("y", -arms[:, 0], thrust),
+        ("z", [-r.spin for r in vehicle.rotors], torque),
+    ):
         either = np.outer(levers, each)
         most[f"torque.{axis}"] = max(either.max(axis=1).sum(), -either.min(axis=1).sum())
     return {f"disturbance.{n}": float(v) for n, v in most.items() if v > 0}
 
 
-def adapt_function(functions: Mapping[str, Any], innovation: Any, own: Adapted, states: Layout, dt: float) -> Any:
+def adapt_function(
+    functions: Mapping[str, Any], innovation: Any, own: Adapted, states: Layout, dt: float
+) -> Any:
     """adapt_step(x, u, p, y, there, V, memory) -> x_next, p_next, V_next, e, y_hat.
 
     `innovation` maps (y, y_hat, x) to e. `p_next` differs from p in what is adapted.
@@ -203,15 +227,20 @@ def adapt_function(functions: Mapping[str, Any], innovation: Any, own: Adapted, 
     after = functions["boxplus"](after, gain @ (e - psi @ moved))
     keep = ca.if_else(memory > 0, ca.exp(-dt / ca.fmax(memory, 1e-12)), 1.0)
     q[rows] = own.mean + keep * (theta - own.mean)
-    on_step = ca.vertcat(keep * ca.MX(ca.DM(np.eye(n_t, n_a))), ca.horzcat(by[:, rows], a) - gain @ psi)
+    on_step = ca.vertcat(
+        keep * ca.MX(ca.DM(np.eye(n_t, n_a))), ca.horzcat(by[:, rows], a) - gain @ psi
+    )
     v_next = on_step @ left_over @ on_step.T
     v_next[:n_t, :n_t] += (1 - keep**2) * ca.DM(own.covariance[:n_t, :n_t])
     # Rounding must not grow into two covariances of the same pair.
     results = [_limited(after, own, states), q, 0.5 * (v_next + v_next.T), found, seen]
     return ca.Function(
-        "adapt_step", [x, u, p, y, there, v, memory], [ca.densify(r) for r in results],
-        ["x", "u", "p", "y", "there", "V", "memory"], ["x_next", "p_next", "V_next", "e", "y_hat"],
-    )  # fmt: skip
+        "adapt_step",
+        [x, u, p, y, there, v, memory],
+        [ca.densify(r) for r in results],
+        ["x", "u", "p", "y", "there", "V", "memory"],
+        ["x_next", "p_next", "V_next", "e", "y_hat"],
+    )
 
 
 def _whitened(n: int, m: int) -> Any:

@@ -33,7 +33,15 @@ import numpy as np
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.estimation.cache import cache_root
-from greybox.files import OutputError, checksum, file_sha256, read_json, to_plain, write_atomic, write_json
+from greybox.files import (
+    OutputError,
+    checksum,
+    file_sha256,
+    read_json,
+    to_plain,
+    write_atomic,
+    write_json,
+)
 from greybox.model.dynamics import Dynamics
 from greybox.model.effects_file import own_effects
 from greybox.model.identified import IdentifiedModel, library_versions
@@ -79,14 +87,19 @@ class ExportBundle(Shown):
     def functions(self) -> ModelFunctions:
         """The model's functions and numbers. Raises `ModelError` for a bundle that was loaded: its model is not at hand."""
         if self.source is None:
-            raise ModelError(f"{self.folder} was loaded, its model is not at hand", fix="use rebuild() and manifest")
+            raise ModelError(
+                f"{self.folder} was loaded, its model is not at hand",
+                fix="use rebuild() and manifest",
+            )
         return self.source()
 
     def _shown_text(self) -> str:
         """Name and folder, then its functions."""
         functions = [str(f["name"]) for f in self.manifest["functions"]]
         first = f"{self.name}: bundle of {len(functions)} functions in {self.folder}"
-        return "\n".join([first, f"  {', '.join(functions)}", f"  {len(self.manifest['files'])} files"])
+        return "\n".join(
+            [first, f"  {', '.join(functions)}", f"  {len(self.manifest['files'])} files"]
+        )
 
     def _shown_rows(self) -> list[dict[str, Cell]]:
         """One row per function: what it takes and gives, with sizes."""
@@ -95,7 +108,11 @@ class ExportBundle(Shown):
             return ", ".join(f"{p['name']} ({p['rows']}, {p['columns']})" for p in given)
 
         return [
-            {"function": f["name"], "arguments": ports(f["arguments"]), "results": ports(f["results"])}
+            {
+                "function": f["name"],
+                "arguments": ports(f["arguments"]),
+                "results": ports(f["results"]),
+            }
             for f in self.manifest["functions"]
         ]
 
@@ -109,17 +126,25 @@ class ExportBundle(Shown):
         """Read a bundle and check that its files are whole and inside it. Raises `FileFormatError`."""
         where = Path(folder)
         if (where / "manifest.json").exists() and not (where / "manifest.json").is_file():
-            raise FileFormatError("not a file", where=str(where / "manifest.json"), fix="export again")
+            raise FileFormatError(
+                "not a file", where=str(where / "manifest.json"), fix="export again"
+            )
         manifest = read_json(where / "manifest.json", schema=SCHEMA)
-        if manifest.get("checksum") != checksum({k: v for k, v in manifest.items() if k != "checksum"}):
-            raise FileFormatError("the checksum does not fit", where=str(where / "manifest.json"), fix="export again")
+        if manifest.get("checksum") != checksum(
+            {k: v for k, v in manifest.items() if k != "checksum"}
+        ):
+            raise FileFormatError(
+                "the checksum does not fit", where=str(where / "manifest.json"), fix="export again"
+            )
         _check_manifest(manifest, str(where / "manifest.json"))
         inside = where.resolve()
         for name, digest in manifest["files"].items():
             path = where / name
             try:
                 if not path.resolve().is_relative_to(inside):
-                    raise FileFormatError("leads out of the bundle", where=str(path), fix="export again")
+                    raise FileFormatError(
+                        "leads out of the bundle", where=str(path), fix="export again"
+                    )
                 whole = path.is_file() and file_sha256(path) == digest
             except (OSError, ValueError, RuntimeError):  # no name for a file, a loop of links
                 whole = False
@@ -138,7 +163,9 @@ class ExportBundle(Shown):
             return load(self.folder / "python", names)
         except Exception as error:  # CasADi says a wrong tape with errors of all kinds
             raise FileFormatError(
-                f"cannot be rebuilt ({type(error).__name__}: {error})", where=str(self.folder / "python"), fix="export again"
+                f"cannot be rebuilt ({type(error).__name__}: {error})",
+                where=str(self.folder / "python"),
+                fix="export again",
             ) from None
 
 
@@ -147,14 +174,26 @@ def _check_manifest(manifest: Mapping[str, Any], where: str) -> None:
     try:
         check_name(manifest["name"])
         for function in manifest["functions"]:
-            if not isinstance(function["name"], str) or not re.fullmatch(r"[A-Za-z]\w*", function["name"], re.ASCII):
+            if not isinstance(function["name"], str) or not re.fullmatch(
+                r"[A-Za-z]\w*", function["name"], re.ASCII
+            ):
                 raise TypeError(f"{function['name']!r} is no name of a function")
         for name, digest in manifest["files"].items():
             path = PurePosixPath(name)
-            if path.is_absolute() or ".." in path.parts or "\\" in name or "\0" in name or not isinstance(digest, str):
-                raise FileFormatError(f"{name!r} is not a file of the bundle", where=where, fix="export again")
+            if (
+                path.is_absolute()
+                or ".." in path.parts
+                or "\\" in name
+                or "\0" in name
+                or not isinstance(digest, str)
+            ):
+                raise FileFormatError(
+                    f"{name!r} is not a file of the bundle", where=where, fix="export again"
+                )
     except (KeyError, TypeError, AttributeError, ModelError) as error:
-        raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="export again") from None
+        raise FileFormatError(
+            f"incomplete or wrong ({error})", where=where, fix="export again"
+        ) from None
 
 
 def write_bundle(
@@ -180,11 +219,17 @@ def write_bundle(
     """
     place = Path(folder)
     name = check_name(place.resolve().name if name is None else name)
-    chosen, groups, runtime = tuple(dict.fromkeys(targets)), tuple(sorted(set(with_))), tuple(runtime_parameters)
+    chosen, groups, runtime = (
+        tuple(dict.fromkeys(targets)),
+        tuple(sorted(set(with_))),
+        tuple(runtime_parameters),
+    )
     for target in chosen:
         if target not in TARGETS:
             raise UnknownNameError("export target", target, TARGETS)
-    groups = tuple(sorted({*groups, *(group for target in chosen for group in NEEDS.get(target, ()))}))
+    groups = tuple(
+        sorted({*groups, *(group for target in chosen for group in NEEDS.get(target, ()))})
+    )
     check_place(place)
     options = [name, dt, sorted(chosen), real, groups, runtime, points]
     if not isinstance(model, (IdentifiedModel, LinearModel)):
@@ -192,7 +237,10 @@ def write_bundle(
     key = None if not use_cache or isinstance(model, PredictorModel) else _cache_key(model, options)
     if key is not None and (found := _from_cache(key, place)) is not None:
         again = model if points is None else with_points(model, points)[0]
-        return replace(found, source=lambda: model_functions(again, dt=dt, with_=groups, runtime_parameters=runtime))
+        return replace(
+            found,
+            source=lambda: model_functions(again, dt=dt, with_=groups, runtime_parameters=runtime),
+        )
     reduction: dict[str, Any] | None = None
     if points is not None:
         model, reduction = with_points(model, points)
@@ -200,24 +248,35 @@ def write_bundle(
     golden = golden_vectors(functions, GOLDEN_POINTS)
     with _beside(place) as part:
         entry = _write_parts(functions, golden, part, name=name, targets=chosen, real=real)
-        manifest = manifest_of(functions, name=name, real=real, groups=groups, golden=golden, **entry)
+        manifest = manifest_of(
+            functions, name=name, real=real, groups=groups, golden=golden, **entry
+        )
         manifest["reduction"] = reduction
         write_atomic(part / "README.md", readme(manifest))
         manifest["files"] = {
-            p.relative_to(part).as_posix(): file_sha256(p) for p in sorted(part.rglob("*")) if p.is_file()
+            p.relative_to(part).as_posix(): file_sha256(p)
+            for p in sorted(part.rglob("*"))
+            if p.is_file()
         }
         manifest = to_plain(manifest)
         write_json(part / "manifest.json", {**manifest, "checksum": checksum(manifest)})
         if key is not None:
             _into_cache(key, part)
         _move(part, place)
-    return ExportBundle(folder=place, manifest=read_json(place / "manifest.json"), source=lambda: functions)
+    return ExportBundle(
+        folder=place, manifest=read_json(place / "manifest.json"), source=lambda: functions
+    )
 
 
 def _write_parts(
-    functions: ModelFunctions, golden: list[Golden], part: Path, *, name: str, targets: tuple[str, ...],
+    functions: ModelFunctions,
+    golden: list[Golden],
+    part: Path,
+    *,
+    name: str,
+    targets: tuple[str, ...],
     real: Literal["double", "float"],
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Writes everything but the manifest and the README. Returns what the manifest says of it."""
     entry: dict[str, Any] = {"c": None, "targets": {}, "abi": None}
     tape, arrays = write_tape(functions.functions.values())
@@ -225,7 +284,9 @@ def _write_parts(
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     write_atomic(part / "python" / "functions.npz", buffer.getvalue())
-    interpreter = resources.files("mpc_export.rebuild").joinpath("rebuild.py").read_text(encoding="utf-8")
+    interpreter = (
+        resources.files("mpc_export.rebuild").joinpath("rebuild.py").read_text(encoding="utf-8")
+    )
     write_atomic(part / "python" / "rebuild.py", interpreter)
     for g in golden:
         write_atomic(part / "golden" / f"{g.name}.csv", g.csv())
@@ -233,7 +294,9 @@ def _write_parts(
         write_atomic(part / "LICENSES" / file, text)
     if "c" in targets:
         kernels = _kernels(functions)
-        source = write_c(list(functions.functions.values()), part / "c", prefix=name, real=real, kernels=kernels)
+        source = write_c(
+            list(functions.functions.values()), part / "c", prefix=name, real=real, kernels=kernels
+        )
         wrapper = CModel(functions, source, library_versions()["greybox"], golden)
         wrapper.write(part / "c")
         entry |= {"c": (source, wrapper.work), "abi": wrapper.abi}
@@ -254,7 +317,9 @@ def _kernels(functions: ModelFunctions) -> tuple[Any, ...]:
     names = functions.parameters.names
     at = next((i for i, n in enumerate(names) if n.startswith("gp.weights")), None)
     learned = {
-        n: tuple(f.name_out()) for n, f in functions.functions.items() if n.startswith("gp_") and "features" not in n
+        n: tuple(f.name_out())
+        for n, f in functions.functions.items()
+        if n.startswith("gp_") and "features" not in n
     }
     silent = not isinstance(functions.model, PredictorModel)
     return gp_kernels(functions.posterior, learned, weights_at=at, silent=silent)
@@ -267,7 +332,9 @@ def is_bundle(folder: Path) -> bool:
     """Whether a folder holds a manifest of ours."""
     try:
         path = folder / "manifest.json"  # a pipe of that name would never end
-        return path.is_file() and bool(json.loads(path.read_text(encoding="utf-8")).get("schema") == SCHEMA)
+        return path.is_file() and bool(
+            json.loads(path.read_text(encoding="utf-8")).get("schema") == SCHEMA
+        )
     except (OSError, ValueError, AttributeError, RecursionError):
         return False
 
@@ -279,7 +346,11 @@ def check_place(place: Path) -> None:
     if place.is_symlink() or not place.is_dir():
         raise OutputError("not a folder", where=str(place), fix="choose another --out")
     if not is_bundle(place) and any(place.iterdir()):
-        raise OutputError("the folder holds something else than a bundle", where=str(place), fix="choose another --out")
+        raise OutputError(
+            "the folder holds something else than a bundle",
+            where=str(place),
+            fix="choose another --out",
+        )
 
 
 @contextlib.contextmanager
@@ -289,7 +360,9 @@ def _beside(place: Path) -> Any:
         place.parent.mkdir(parents=True, exist_ok=True)
         part = Path(tempfile.mkdtemp(dir=place.parent, prefix=f".{place.name}.", suffix=".part"))
     except OSError as error:
-        raise OutputError(f"cannot write: {error.strerror}", where=str(place), fix="choose another --out") from None
+        raise OutputError(
+            f"cannot write: {error.strerror}", where=str(place), fix="choose another --out"
+        ) from None
     try:
         (part / "bundle").mkdir()
         yield part / "bundle"
@@ -310,7 +383,9 @@ def _move(part: Path, place: Path) -> None:
             os.rename(old, place)
         if not isinstance(error, OSError):
             raise
-        raise OutputError(f"cannot write: {error.strerror}", where=str(place), fix="choose another --out") from None
+        raise OutputError(
+            f"cannot write: {error.strerror}", where=str(place), fix="choose another --out"
+        ) from None
 
 
 # ------------------------------------------------------------------------------------------------ cache
@@ -336,7 +411,9 @@ def _cache_key(model: IdentifiedModel | LinearModel, options: list[Any]) -> str 
     except ModelError:
         return None
     body = {k: v for k, v in body.items() if k != "versions"}
-    return checksum({"model": body, "options": options, "code": _code_digest(), "versions": library_versions()})
+    return checksum(
+        {"model": body, "options": options, "code": _code_digest(), "versions": library_versions()}
+    )
 
 
 def _has_unknown_code(model: IdentifiedModel | LinearModel) -> bool:
@@ -376,7 +453,9 @@ def _into_cache(key: str, part: Path) -> None:
             shutil.copytree(part, Path(folder) / "bundle")
             with contextlib.suppress(OSError):
                 os.rename(Path(folder) / "bundle", store / key)
-        entries = sorted((p for p in store.iterdir() if len(p.name) == 64), key=lambda p: p.stat().st_mtime)
+        entries = sorted(
+            (p for p in store.iterdir() if len(p.name) == 64), key=lambda p: p.stat().st_mtime
+        )
         for old in entries[:-KEPT]:
             shutil.rmtree(old, ignore_errors=True)
 

@@ -1,16 +1,21 @@
-"""C source of CasADi functions: CasADi's own generator, then what it leaves to be desired is repaired in the text.
+"""C source of CasADi functions: CasADi's own generator, then what it leaves to be desired is
+repaired in the text.
 
 What `write_c` changes, each by name and with an error where the text is not as expected:
 
-- dense and sparse matrix products get column-wise, `restrict` bodies (the generated triple loop does not vectorise);
-- a function that has a kernel of its own (`CKernel`, e.g. a Gaussian process) gets that in place of the generated body;
-- helpers become `static`; those and constants that nothing uses any more are dropped (they would fail -Werror);
+- dense and sparse matrix products get column-wise, `restrict` bodies (the generated triple loop
+  does not vectorise);
+- a function that has a kernel of its own (`CKernel`, e.g. a Gaussian process) gets that in place of
+  the generated body;
+- helpers become `static`; those and constants that nothing uses any more are dropped (they would
+  fail -Werror);
 - exported names get the prefix of the model, so that two models link into one program;
 - in float builds literals and libm calls become float ones: no double arithmetic is left.
 
-The result has no stdio, no malloc and no variables with static storage that change; it compiles with
-`-std=c99 -Wall -Wextra -Wpedantic -Werror -Wno-unused-parameter`. `-std=c99` forbids gcc to fuse multiplication and
-addition; for speed add `-O3 -march=native -ffp-contract=fast -fno-math-errno` (`FAST_FLAGS`).
+The result has no stdio, no malloc and no variables with static storage that change; it compiles
+with `-std=c99 -Wall -Wextra -Wpedantic -Werror -Wno-unused-parameter`. `-std=c99` forbids gcc to
+fuse multiplication and addition; for speed add `-O3 -march=native -ffp-contract=fast
+-fno-math-errno` (`FAST_FLAGS`).
 """
 
 from __future__ import annotations
@@ -58,14 +63,16 @@ class CKernel(Protocol):
         """Name of the CasADi function that it stands for."""
 
     def c_source(self, symbol: str, real: Real) -> tuple[dict[str, str], str]:
-        """(shared, body). `body` defines `static int symbol(const casadi_real** arg, casadi_real** res, casadi_int* iw,
-        casadi_real* w, int mem)` and may use casadi_real, casadi_int and <math.h>; `shared` are static definitions that it
-        needs, by name, in order: one of each name goes into the file."""
+        """(shared, body). `body` defines `static int symbol(const casadi_real** arg, casadi_real**
+        res, casadi_int* iw, casadi_real* w, int mem)` and may use casadi_real, casadi_int and
+        <math.h>; `shared` are static definitions that it needs, by name, in order: one of each name
+        goes into the file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Port:
-    """One argument or result: its name and its sparsity, compressed columns as CasADi and scipy.sparse.csc have them."""
+    """One argument or result: its name and its sparsity, compressed columns as CasADi and
+    scipy.sparse.csc have them."""
 
     name: str
     rows: int
@@ -88,8 +95,9 @@ class Port:
 class CFunction:
     """One exported function: `int symbol(const real** arg, real** res, int* iw, real* w, int mem)`.
 
-    The sizes are those of the arrays arg, res (pointers), iw (integers) and w (reals) that the caller owns. `mem` is 0.
-    A null pointer in arg means zeros, one in res that the result is not wanted.
+    The sizes are those of the arrays arg, res (pointers), iw (integers) and w (reals) that the
+    caller owns. `mem` is 0. A null pointer in arg means zeros, one in res that the result is not
+    wanted.
     """
 
     name: str
@@ -123,23 +131,28 @@ def write_c(
     real: Real = "double",
     kernels: Sequence[CKernel] = (),
 ) -> CSource:
-    """Write `<prefix>.c` and `<prefix>.h` into `folder`; every CasADi function f is exported as `<prefix>_f`.
+    """Write `<prefix>.c` and `<prefix>.h` into `folder`; every CasADi function f is exported as
+    `<prefix>_f`.
 
-    `kernels` replace the functions of their name, exported or called by an exported one; those that do not occur are
-    ignored.
-    Integers are CasADi's `long long int` with double (casadi.external loads the library) and `int` with float.
-    Raises `ModelError` for a prefix that is no C identifier, for names given twice, and for functions that need stdio or
-    malloc (solvers).
+    `kernels` replace the functions of their name, exported or called by an exported one; those that
+    do not occur are ignored. Integers are CasADi's `long long int` with double (casadi.external
+    loads the library) and `int` with float. Raises `ModelError` for a prefix that is no C
+    identifier, for names given twice, and for functions that need stdio or malloc (solvers).
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix):
-        raise ModelError("the prefix is not a C identifier", got=repr(prefix), fix="letters, digits and underscores")
+        raise ModelError(
+            "the prefix is not a C identifier",
+            got=repr(prefix),
+            fix="letters, digits and underscores",
+        )
     names = [f.name() for f in functions]
     double = sorted({n for n in names if names.count(n) > 1})
     if double:
         raise ModelError(f"functions given twice: {', '.join(double)}")
     integer = "long long int" if real == "double" else "int"
     generator = ca.CodeGenerator(
-        f"{prefix}.c", {"verbose": False, "casadi_real": real, "casadi_int": integer, "with_header": False}
+        f"{prefix}.c",
+        {"verbose": False, "casadi_real": real, "casadi_int": integer, "with_header": False},
     )
     for f in functions:
         generator.add(f)
@@ -151,7 +164,9 @@ def write_c(
     text = _pruned(_with_static_helpers(text))
     for token in _FORBIDDEN:
         if token in text:
-            raise ModelError(f"generated C contains {token}", fix="export model functions, not solvers")
+            raise ModelError(
+                f"generated C contains {token}", fix="export model functions, not solvers"
+            )
     if real == "float":
         text = single_precision(text)
     described = tuple(_describe(f, prefix, text) for f in functions)
@@ -162,12 +177,19 @@ def write_c(
     write_atomic(source, text.encode())
     write_atomic(header, _header(prefix, real, integer, described).encode())
     return CSource(
-        source=source, header=header, prefix=prefix, real=real, integer=integer, functions=described, kernels=used
+        source=source,
+        header=header,
+        prefix=prefix,
+        real=real,
+        integer=integer,
+        functions=described,
+        kernels=used,
     )
 
 
 def single_precision(text: str) -> str:
-    """C text with every floating literal and every libm call in its float form; comments and strings stay.
+    """C text with every floating literal and every libm call in its float form; comments and
+    strings stay.
 
     A literal below float's range becomes 0, one above it the infinity.
     """
@@ -195,15 +217,18 @@ def single_precision(text: str) -> str:
     return token.sub(swap, text)
 
 
-# ------------------------------------------------------------------------------------------------ surgery by name
+# -------------------------------------------------------------------------------- surgery by name
 
 
 def _definition(text: str, name: str) -> tuple[int, int]:
-    """Where the definition of function `name` starts and ends. Raises `ModelError` unless there is exactly one."""
+    """Where the definition of function `name` starts and ends. Raises `ModelError` unless there is
+    exactly one."""
     heads = [m for m in re.finditer(rf"{name} ?\(", text) if _defines(text, m)]
     if len(heads) != 1:
         raise ModelError(
-            f"generated C defines {name} {len(heads)} times", expected="once", fix="report the CasADi version"
+            f"generated C defines {name} {len(heads)} times",
+            expected="once",
+            fix="report the CasADi version",
         )
     start, at = text.rfind("\n", 0, heads[0].start()) + 1, text.index("{", heads[0].end()) + 1
     depth = 1
@@ -234,7 +259,9 @@ def _with_kernels(text: str, kernels: Sequence[CKernel], real: Real) -> tuple[st
     for kernel in kernels:
         found = [symbol for name, symbol in named if name == kernel.name]
         if len(found) > 1:
-            raise ModelError(f"{len(found)} different functions are named {kernel.name}", expected="one")
+            raise ModelError(
+                f"{len(found)} different functions are named {kernel.name}", expected="one"
+            )
         if found:
             definitions, body = kernel.c_source(found[0], real)
             shared = {**shared, **{k: v for k, v in definitions.items() if k not in shared}}
@@ -247,7 +274,12 @@ def _with_kernels(text: str, kernels: Sequence[CKernel], real: Real) -> tuple[st
 
 
 def _with_static_helpers(text: str) -> str:
-    return re.sub(r"^((?:void|int|casadi_real|casadi_int) casadi_\w+\()", r"static \1", text, flags=re.MULTILINE)
+    return re.sub(
+        r"^((?:void|int|casadi_real|casadi_int) casadi_\w+\()",
+        r"static \1",
+        text,
+        flags=re.MULTILINE,
+    )
 
 
 def _pruned(text: str) -> str:
@@ -286,14 +318,17 @@ def _exported(text: str, symbols: Mapping[str, str]) -> str:
     return text
 
 
-# ------------------------------------------------------------------------------------------------ description
+# ------------------------------------------------------------------------------------ description
 
 
 def _port(name: str, sparsity: Any) -> Port:
     return Port(
-        name=name, rows=sparsity.size1(), columns=sparsity.size2(),
-        colind=tuple(sparsity.colind()), row=tuple(sparsity.row()),
-    )  # fmt: skip
+        name=name,
+        rows=sparsity.size1(),
+        columns=sparsity.size2(),
+        colind=tuple(sparsity.colind()),
+        row=tuple(sparsity.row()),
+    )
 
 
 def _describe(f: Any, prefix: str, text: str) -> CFunction:
@@ -312,7 +347,9 @@ def _describe(f: Any, prefix: str, text: str) -> CFunction:
 def _definition_of_work(text: str, name: str) -> tuple[int, int]:
     start = text.find(f"\nCASADI_SYMBOL_EXPORT int {name}_work(")
     if start < 0:
-        raise ModelError(f"generated C states no work sizes of {name}", fix="report the CasADi version")
+        raise ModelError(
+            f"generated C states no work sizes of {name}", fix="report the CasADi version"
+        )
     return start, text.index("\n}", start)
 
 
@@ -324,19 +361,38 @@ def _shape(port: Port) -> str:
 def _header(prefix: str, real: Real, integer: str, functions: Sequence[CFunction]) -> str:
     guard = f"{prefix.upper()}_H"
     lines = [
-        f"/* {prefix}: functions generated by greybox with CasADi {ca.CasadiMeta.version()}, in {real}.",
-        "   Every function: arg, res are arrays of pointers, iw and w work space, all owned by the caller, with the sizes",
-        "   below; mem is 0; the return value is 0 unless the evaluation failed. A null pointer in arg means zeros, one in",
-        "   res that the result is not wanted. Matrices are stored column by column. Reentrant: no static variables. */",
-        f"#ifndef {guard}", f"#define {guard}", "", "#ifdef __cplusplus", 'extern "C" {', "#endif", "",
-        f"typedef {real} {prefix}_real;", f"typedef {integer} {prefix}_int;",
-    ]  # fmt: skip
+        f"/* {prefix}: functions generated by greybox with CasADi {ca.CasadiMeta.version()}, in "
+        f"{real}.",
+        "   Every function: arg, res are arrays of pointers, iw and w work space, all owned by the "
+        "caller, with the sizes",
+        "   below; mem is 0; the return value is 0 unless the evaluation failed. A null pointer in "
+        "arg means zeros, one in",
+        "   res that the result is not wanted. Matrices are stored column by column. Reentrant: no "
+        "static variables. */",
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        "",
+        "#ifdef __cplusplus",
+        'extern "C" {',
+        "#endif",
+        "",
+        f"typedef {real} {prefix}_real;",
+        f"typedef {integer} {prefix}_int;",
+    ]
     for f in functions:
         upper = f.symbol.upper()
-        lines += ["", f"/* {f.name}({', '.join(map(_shape, f.inputs))}) -> {', '.join(map(_shape, f.outputs))} */"]
-        lines += [f"#define {upper}_{k.upper()} {getattr(f, k)}" for k in ("sz_arg", "sz_res", "sz_iw", "sz_w")]
         lines += [
-            f"int {f.symbol}(const {prefix}_real** arg, {prefix}_real** res, {prefix}_int* iw, {prefix}_real* w, int mem);"
+            "",
+            f"/* {f.name}({', '.join(map(_shape, f.inputs))}) -> "
+            f"{', '.join(map(_shape, f.outputs))} */",
+        ]
+        lines += [
+            f"#define {upper}_{k.upper()} {getattr(f, k)}"
+            for k in ("sz_arg", "sz_res", "sz_iw", "sz_w")
+        ]
+        lines += [
+            f"int {f.symbol}(const {prefix}_real** arg, {prefix}_real** res, {prefix}_int* iw, "
+            f"{prefix}_real* w, int mem);"
         ]
     lines += ["", "#ifdef __cplusplus", "}", "#endif", "", f"#endif /* {guard} */", ""]
     return "\n".join(lines)

@@ -50,14 +50,18 @@ def merged_factor(explained: FloatArray, uncertain: FloatArray) -> FloatArray | 
 @functools.lru_cache(maxsize=64)
 def _merged(explained: bytes, uncertain: bytes, m: int) -> FloatArray | None:
     """`merged_factor`, remembered: the functions of a model share their factors."""
-    first, second = (np.frombuffer(b).reshape(m, m).astype(np.longdouble) for b in (explained, uncertain))
+    first, second = (
+        np.frombuffer(b).reshape(m, m).astype(np.longdouble) for b in (explained, uncertain)
+    )
     t = np.zeros((m, m), dtype=np.longdouble)
     for j in range(m - 1, -1, -1):  # T L1 = L2, column by column from the right
         t[:, j] = (second[:, j] - t[:, j + 1 :] @ first[j + 1 :, j]) / first[j, j]
     share, turn = np.linalg.eigh((np.eye(m) - t.T @ t).astype(np.float64))
     if share.min() < -MERGE_TOLERANCE:
         return None
-    root = np.sqrt(np.maximum(share, 0.0))[:, None] * (turn.T.astype(np.longdouble) @ first).astype(np.float64)
+    root = np.sqrt(np.maximum(share, 0.0))[:, None] * (turn.T.astype(np.longdouble) @ first).astype(
+        np.float64
+    )
     # Rows may be turned: of root P = Q U (P reverses columns) follows root = Q P (P U P), lower triangular.
     upper = qr(root[:, ::-1], mode="r")[0]
     out = np.tril(np.asarray(upper)[::-1, ::-1])
@@ -87,7 +91,9 @@ class GPKernel:
             if quantity not in QUANTITIES:
                 raise UnknownNameError("GP quantity", quantity, QUANTITIES)
         if not self.which:
-            raise ModelError(f"{self.name}: no quantity to compute", expected=f"some of {', '.join(QUANTITIES)}")
+            raise ModelError(
+                f"{self.name}: no quantity to compute", expected=f"some of {', '.join(QUANTITIES)}"
+            )
 
     def function(self) -> Any:
         """The CasADi function of z alone that this kernel stands for (weights constant, `silent` off)."""
@@ -123,7 +129,9 @@ class GPKernel:
             first, second = self.posterior.explained[j], self.posterior.uncertain[j]
             # The distance is what L1 leaves unexplained.
             merged = None if "distance" in self.which else merged_factor(first, second)
-            out[j] = (first, second if np.any(second) else None) if merged is None else (merged, None)
+            out[j] = (
+                (first, second if np.any(second) else None) if merged is None else (merged, None)
+            )
         return out
 
     # ------------------------------------------------------------------------------------------- text
@@ -134,7 +142,11 @@ class GPKernel:
 
 
 def gp_kernels(
-    posterior: GPPosterior, names: Mapping[str, Iterable[str]], *, weights_at: int | None = None, silent: bool = True
+    posterior: GPPosterior,
+    names: Mapping[str, Iterable[str]],
+    *,
+    weights_at: int | None = None,
+    silent: bool = True,
 ) -> tuple[GPKernel, ...]:
     """Kernels for the functions of (z, p) of a hybrid model: name -> quantities in the order of its results.
 
@@ -184,7 +196,9 @@ class _Writer:
                 self._inactive(j)
             self.lines.append("  }")
         if "distance" in self.place:
-            self.lines.append(f"  if ({self._result('distance')}) {self._result('distance')}[0] = far;")
+            self.lines.append(
+                f"  if ({self._result('distance')}) {self._result('distance')}[0] = far;"
+            )
         self.lines += ["  return 0;", "}", ""]
         return self.shared, "\n".join(self.lines)
 
@@ -222,7 +236,9 @@ class _Writer:
             "  (void)arg; (void)res; (void)iw; (void)w; (void)mem;",
         ]
         kernels = self.gp.kernels
-        if self.of.active or (self.second and not self.of.silent and any(k.slopes is not None for k in kernels)):
+        if self.of.active or (
+            self.second and not self.of.silent and any(k.slopes is not None for k in kernels)
+        ):
             center, scale = self._array(self.gp.input_mean), self._array(self.gp.input_scale)
             self.lines.append("  const casadi_real* z = arg[0];")
             self.lines += [
@@ -260,7 +276,9 @@ class _Writer:
     def _support_features(self, kernel: Kernel) -> str:
         """slopes phi(b) of all support points, (n_in, M)."""
         assert kernel.slopes is not None
-        return self._array(self._padded(kernel.slopes[:, None] * kernel.features(self.gp.support.T)))
+        return self._array(
+            self._padded(kernel.slopes[:, None] * kernel.features(self.gp.support.T))
+        )
 
     def _covariances(self) -> None:
         """k and g of every kernel, in one pass over the support."""
@@ -278,7 +296,9 @@ class _Writer:
         ]
         for d in range(self.n_in):
             out.append(f"    t = x{d} - {self._over(d, support)}; t *= t;")
-            out += [f"    s{q} {'+=' if d else '='} t*{name}[{d}];" for q, name in enumerate(inverse)]
+            out += [
+                f"    s{q} {'+=' if d else '='} t*{name}[{d}];" for q, name in enumerate(inverse)
+            ]
         for q, kernel in enumerate(kernels):
             out += self._correlation(kernel, q)
         self.lines += [*out, "  }"]
@@ -293,7 +313,11 @@ class _Writer:
         else:
             self.shared.setdefault("gb_sqrt", _SQRT)
             root = 3.0 if family == "matern32" else 5.0
-            more, g = ("a", "-1.5*e") if family == "matern32" else (f"(a + a*a*{1 / 3!r})", f"{-5 / 6!r}*((1.0 + a)*e)")
+            more, g = (
+                ("a", "-1.5*e")
+                if family == "matern32"
+                else (f"(a + a*a*{1 / 3!r})", f"{-5 / 6!r}*((1.0 + a)*e)")
+            )
             begin = f"    {{ const gb_v a = gb_sqrt({root!r}*s{q}), "
             if self.less:
                 begin += f"m = gb_expm1(-a)*{size}, e = m + {size}; s{q} = m + {more}*e;"
@@ -302,7 +326,9 @@ class _Writer:
             out = [begin, f"      GB_STORE(g{q} + i, {g}); }}" if own else "    }"]
         if kernel.slopes is not None:
             features = self._support_features(kernel)
-            out.append(f"    s{q} += {common.tree([f'f{q}_{d}*{self._over(d, features)}' for d in range(self.n_in)])};")
+            out.append(
+                f"    s{q} += {common.tree([f'f{q}_{d}*{self._over(d, features)}' for d in range(self.n_in)])};"
+            )
         return [*out, f"    GB_STORE(k{q} + i, s{q});"]
 
     def _mean(self, j: int) -> None:
@@ -348,7 +374,9 @@ class _Writer:
         if self.less and not own:
             slope = f"({slope} + {kernel.variance!r})"
         support = self._array(self._padded(self.gp.support.T))
-        factor = self._array((2.0 if own else -1.0) * scale * kernel.lengthscales**-2.0 / self.gp.input_scale)
+        factor = self._array(
+            (2.0 if own else -1.0) * scale * kernel.lengthscales**-2.0 / self.gp.input_scale
+        )
         out = [
             f"    if ({target}) {{",
             f"      gb_v a = {{0}}, {', '.join(f'a{d} = {{0}}' for d in n)};",
@@ -373,7 +401,10 @@ class _Writer:
         if kernel.slopes is not None:
             slopes = self._array(kernel.slopes)
             own_part = [f" + {prior}*({slopes}[{d}]*f{q}_{d})" if prior else "" for d in n]
-            self.lines += ["      {", *(f"      const casadi_real h{d} = gb_sum(b{d}){own_part[d]};" for d in n)]
+            self.lines += [
+                "      {",
+                *(f"      const casadi_real h{d} = gb_sum(b{d}){own_part[d]};" for d in n),
+            ]
             self._through_features(kernel, str(q), places, scale)
             self.lines.append("      }")
         self.lines.append("    }")
@@ -415,13 +446,19 @@ class _Writer:
         if "variance" in self.place:
             target = self._result("variance")
             noise = float(self.gp.noise_variance(self.of.noise)[j])
-            value = f"{scale!r}*({cut}{' + rest' if second is not None else ''})" + (f" + {noise!r}" if noise else "")
+            value = f"{scale!r}*({cut}{' + rest' if second is not None else ''})" + (
+                f" + {noise!r}" if noise else ""
+            )
             self.lines.append(f"    if ({target}) {target}[{j}] = {value};")
         elif second is not None and not self.back:
             self.lines.append("    (void)rest;")
         if self.back:
             self.lines.append("    const casadi_real on = left > 0.0 ? 1.0 : 0.0;")
-            c = "GB_LOAD(v2 + i) - on*GB_LOAD(v + i)" if second is not None else "-on*GB_LOAD(v + i)"
+            c = (
+                "GB_LOAD(v2 + i) - on*GB_LOAD(v + i)"
+                if second is not None
+                else "-on*GB_LOAD(v + i)"
+            )
             self._slope("variance_jacobian", j, c, 2.0 * scale, "on")
 
     def _inactive(self, j: int) -> None:
@@ -440,13 +477,17 @@ class _Writer:
                 if linear and kernel.slopes is not None and name == "variance_jacobian":
                     slopes = self._array(kernel.slopes)
                     self.lines += ["      {"]
-                    self.lines += [f"      const casadi_real h{d} = {slopes}[{d}]*f{tag}_{d};" for d in n]
+                    self.lines += [
+                        f"      const casadi_real h{d} = {slopes}[{d}]*f{tag}_{d};" for d in n
+                    ]
                     self._through_features(kernel, tag, places, 2.0 * scale)
                     self.lines += ["      }"]
                 self.lines.append("    }")
         if "mean" in self.place:
             target = self._result("mean")
-            self.lines.append(f"    if ({target}) {target}[{j}] = {float(self.gp.output_mean[j])!r};")
+            self.lines.append(
+                f"    if ({target}) {target}[{j}] = {float(self.gp.output_mean[j])!r};"
+            )
         if "variance" in self.place:
             target = self._result("variance")
             noise = float(self.gp.noise_variance(self.of.noise)[j])

@@ -1,10 +1,12 @@
-"""C that the Gaussian-process kernels share: vectors of reals, an exponential that runs on them, a triangular product.
+"""C that the Gaussian-process kernels share: vectors of reals, an exponential that runs on them, a
+triangular product.
 
-Plain C99. Where the compiler has vectors (GNU C: gcc and clang) the same text works on as many reals as the target's
-registers hold, elsewhere (Cortex-M4F) on single ones. Arrays are padded to `PAD` reals, so that no loop has a rest.
-The exponential takes arguments <= 0, keeps NaN, and is 0 below -708 (-87 in float): Cody and Waite's reduction,
-x = n ln 2 + r, and a polynomial in r on [-ln 2/2, ln 2/2] (interpolation in Chebyshev nodes, relative error 1.7e-17, in
-float 1e-8). In float it is exp(x) - 1, whose digits are not lost where covariances are all near one.
+Plain C99. Where the compiler has vectors (GNU C: gcc and clang) the same text works on as many
+reals as the target's registers hold, elsewhere (Cortex-M4F) on single ones. Arrays are padded to
+`PAD` reals, so that no loop has a rest. The exponential takes arguments <= 0, keeps NaN, and is 0
+below -708 (-87 in float): Cody and Waite's reduction, x = n ln 2 + r, and a polynomial in r on [-ln
+2/2, ln 2/2] (interpolation in Chebyshev nodes, relative error 1.7e-17, in float 1e-8). In float it
+is exp(x) - 1, whose digits are not lost where covariances are all near one.
 """
 
 from __future__ import annotations
@@ -20,14 +22,29 @@ PAD = {"double": 8, "float": 4}
 
 _COEFFICIENTS = {
     "double": (
-        1.0, 1.0, 0.5000000000000001, 0.16666666666666669, 0.04166666666662413, 0.008333333333330062,
-        0.0013888888917213717, 0.00019841269863053618, 2.4801521295954376e-05, 2.7557268459997064e-06,
-        2.7620088445409746e-07, 2.510038549551032e-08,
+        1.0,
+        1.0,
+        0.5000000000000001,
+        0.16666666666666669,
+        0.04166666666662413,
+        0.008333333333330062,
+        0.0013888888917213717,
+        0.00019841269863053618,
+        2.4801521295954376e-05,
+        2.7557268459997064e-06,
+        2.7620088445409746e-07,
+        2.510038549551032e-08,
     ),
     "float": (
-        1.0, 1.0, 0.5, 0.16666576666119928, 0.04166655421298415, 0.008363232883682618, 0.0013926250831497611,
+        1.0,
+        1.0,
+        0.5,
+        0.16666576666119928,
+        0.04166655421298415,
+        0.008363232883682618,
+        0.0013926250831497611,
     ),
-}  # fmt: skip
+}
 
 _VECTORS = """\
 /* Vectors of GB_LANES reals where the compiler has them, single reals elsewhere. Casts between them keep the bits. */
@@ -119,9 +136,12 @@ def exponential(real: str) -> str:
         # NaN is not below the least argument and stays.
         "vector": "return (gb_v)((gb_i)(y*s) & ~least);"
         if double
-        else "y = y*s + (s - 1.0);\n    return (gb_v)((gb_i)y & ~least) - (gb_v)(least & (gb_bits)0x3f800000);",
-        "scalar": "return x < -708.0 ? 0 : y*s.real;" if double else "return x < -87.0 ? -1 : y*s.real + (s.real - 1.0);",
-    }  # fmt: skip
+        else "y = y*s + (s - 1.0);\n    return (gb_v)((gb_i)y & ~least) - (gb_v)(least & "
+        "(gb_bits)0x3f800000);",
+        "scalar": "return x < -708.0 ? 0 : y*s.real;"
+        if double
+        else "return x < -87.0 ? -1 : y*s.real + (s.real - 1.0);",
+    }
     return _filled(_EXP, parts)
 
 
@@ -161,17 +181,20 @@ def lane_sum() -> str:
 
 
 def triangular_product(real: str, *, back: bool) -> str:
-    """Definition of `gb_norm(e, k, n)`, |E k|^2, or with `back` of `gb_norm_back(e, k, v, n)`, which also gives v = E'E k.
+    """Definition of `gb_norm(e, k, n)`, |E k|^2, or with `back` of `gb_norm_back(e, k, v, n)`,
+    which also gives v = E'E k.
 
-    e holds a lower triangular E as `blocks` lays it out, k and v have n reals. Each block of rows is read once. In float
-    k comes without a constant, whose product with E is the last argument: |E k + start|^2.
+    e holds a lower triangular E as `blocks` lays it out, k and v have n reals. Each block of rows
+    is read once. In float k comes without a constant, whose product with E is the last argument: |E
+    k + start|^2.
     """
     rows = range(PAD[real])
     name = "gb_norm_back" if back else "gb_norm"
     start = real == "float"
     out = [
         f"static casadi_real {name}(const casadi_real* restrict e, const casadi_real* restrict k,",
-        f"    {'casadi_real* restrict v, ' if back else ''}int n{', const casadi_real* start' if start else ''}) {{",
+        f"    {'casadi_real* restrict v, ' if back else ''}int "
+        f"n{', const casadi_real* start' if start else ''}) {{",
         "  casadi_real s = 0;",
         "  int g, c, m;",
         f"  for (g=0; g<n; g+={len(rows)}) {{",
@@ -182,7 +205,10 @@ def triangular_product(real: str, *, back: bool) -> str:
         *(f"      a{r} += GB_LOAD(e + {r}*m + c)*x;" for r in rows),
         "    }",
         "    {",
-        *(f"      const casadi_real s{r} = gb_sum(a{r}){f' + start[g + {r}]' if start else ''};" for r in rows),
+        *(
+            f"      const casadi_real s{r} = gb_sum(a{r}){f' + start[g + {r}]' if start else ''};"
+            for r in rows
+        ),
         f"      s += {tree([f's{r}*s{r}' for r in rows])};",
     ]
     if back:
@@ -196,7 +222,8 @@ def triangular_product(real: str, *, back: bool) -> str:
 
 
 def blocks(factor: FloatArray, real: str) -> FloatArray:
-    """A lower triangular (M, M) as `triangular_product` reads it: `PAD` rows at a time, each as long as the block needs."""
+    """A lower triangular (M, M) as `triangular_product` reads it: `PAD` rows at a time, each as
+    long as the block needs."""
     pad = PAD[real]
     n = padded(len(factor), real)
     full = np.zeros((n, n))
@@ -214,7 +241,11 @@ def constants(name: str, values: FloatArray | Sequence[float], real: str) -> str
     flat = np.asarray(values, dtype=np.float64).ravel()
     numbers = [_number(v) for v in (flat if real == "double" else flat.astype(np.float32))]
     rows = [", ".join(numbers[i : i + 8]) for i in range(0, len(numbers), 8)]
-    return f"static const casadi_real {name}[{len(numbers)}] GB_ALIGNED = {{\n  " + ",\n  ".join(rows) + "};\n"
+    return (
+        f"static const casadi_real {name}[{len(numbers)}] GB_ALIGNED = {{\n  "
+        + ",\n  ".join(rows)
+        + "};\n"
+    )
 
 
 def _number(value: float | np.floating) -> str:

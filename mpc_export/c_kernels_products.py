@@ -1,7 +1,9 @@
-"""Matrix products for generated C: column by column, `restrict`, partial sums, so that compilers vectorise them.
+"""Matrix products for generated C: column by column, `restrict`, partial sums, so that compilers
+vectorise them.
 
-CasADi's own triple loop adds into memory that the compiler must take for aliased. These have the signatures and the
-meaning of CasADi's helpers of the same name (z += x y, or x' y with `tr`; sparse matrices in compressed columns).
+CasADi's own triple loop adds into memory that the compiler must take for aliased. These have the
+signatures and the meaning of CasADi's helpers of the same name (z += x y, or x' y with `tr`; sparse
+matrices in compressed columns).
 """
 
 from __future__ import annotations

@@ -25,21 +25,85 @@ from mpc_export.golden import FARTHEST, Golden
 
 CODES = (
     ("OK", "results are written"),
-    ("OUT_OF_RANGE", "results are written, but a command is out of its bounds or the quaternion is not of unit length"),
+    (
+        "OUT_OF_RANGE",
+        "results are written, but a command is out of its bounds or the quaternion is not of unit length",
+    ),
     ("NOT_FINITE_INPUT", "an argument is NaN or infinite: nothing is written"),
     ("NOT_FINITE_RESULT", "results are written, but one of them is NaN or infinite"),
     ("FAILED", "the evaluation failed"),
 )
 """Return codes by number."""
-KEYWORDS = frozenset({
-    "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern",
-    "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short",
-    "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile",
-    "while", "class", "new", "delete", "namespace", "template", "this", "throw", "try", "catch", "bool",
-    "true", "false", "private", "public", "protected", "virtual", "operator", "using",
-})  # fmt: skip
+KEYWORDS = frozenset(
+    {
+        "auto",
+        "break",
+        "case",
+        "char",
+        "const",
+        "continue",
+        "default",
+        "do",
+        "double",
+        "else",
+        "enum",
+        "extern",
+        "float",
+        "for",
+        "goto",
+        "if",
+        "inline",
+        "int",
+        "long",
+        "register",
+        "restrict",
+        "return",
+        "short",
+        "signed",
+        "sizeof",
+        "static",
+        "struct",
+        "switch",
+        "typedef",
+        "union",
+        "unsigned",
+        "void",
+        "volatile",
+        "while",
+        "class",
+        "new",
+        "delete",
+        "namespace",
+        "template",
+        "this",
+        "throw",
+        "try",
+        "catch",
+        "bool",
+        "true",
+        "false",
+        "private",
+        "public",
+        "protected",
+        "virtual",
+        "operator",
+        "using",
+    }
+)
 TAKEN = frozenset(
-    {"all", "c", "clean", "depend", "edit_cache", "help", "install", "m", "package", "rebuild_cache", "test"}
+    {
+        "all",
+        "c",
+        "clean",
+        "depend",
+        "edit_cache",
+        "help",
+        "install",
+        "m",
+        "package",
+        "rebuild_cache",
+        "test",
+    }
 )
 """CMake targets of these names there are already; lib`c` and lib`m` are the system's."""
 LISTED = 120
@@ -48,13 +112,21 @@ LISTED = 120
 
 def check_name(name: str) -> str:
     """The name, if C and C++ take it as the prefix of everything. Raises `ModelError`."""
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,40}", name) or name in KEYWORDS or name.startswith("casadi"):
+    if (
+        not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,40}", name)
+        or name in KEYWORDS
+        or name.startswith("casadi")
+    ):
         raise ModelError(
-            "the bundle's name is not a C identifier", expected="letters, digits and underscores, a letter first",
-            got=repr(name), fix="--name quad",
-        )  # fmt: skip
+            "the bundle's name is not a C identifier",
+            expected="letters, digits and underscores, a letter first",
+            got=repr(name),
+            fix="--name quad",
+        )
     if name.lower() in TAKEN:
-        raise ModelError("the bundle's name is taken in C builds", got=repr(name), fix="--name quad")
+        raise ModelError(
+            "the bundle's name is taken in C builds", got=repr(name), fix="--name quad"
+        )
     return name
 
 
@@ -67,29 +139,54 @@ def abi_number(functions: ModelFunctions, source: CSource) -> int:
     """32 bits that change whenever the layout of an argument or a result does."""
     f = functions
     layouts = [
-        f.states, f.inputs, f.parameters, f.outputs, f.error_states, f.innovations, f.features, f.learned, f.targets,
-    ]  # fmt: skip
-    text = repr([(s.name, s.unit) for layout in layouts for s in layout]) + repr(list(f.covariance_names))
+        f.states,
+        f.inputs,
+        f.parameters,
+        f.outputs,
+        f.error_states,
+        f.innovations,
+        f.features,
+        f.learned,
+        f.targets,
+    ]
+    text = repr([(s.name, s.unit) for layout in layouts for s in layout]) + repr(
+        list(f.covariance_names)
+    )
     text += repr(list(functions.adapted.names))
-    text += repr([(f.name, [(p.name, p.rows, p.columns) for p in (*f.inputs, *f.outputs)]) for f in source.functions])
+    text += repr(
+        [
+            (f.name, [(p.name, p.rows, p.columns) for p in (*f.inputs, *f.outputs)])
+            for f in source.functions
+        ]
+    )
     return int(hashlib.sha256((text + source.real).encode()).hexdigest()[:8], 16)
 
 
 class CModel:
     """The texts of one bundle's c/ folder besides the generated functions."""
 
-    def __init__(self, functions: ModelFunctions, source: CSource, version: str, golden: Sequence[Golden]) -> None:
+    def __init__(
+        self, functions: ModelFunctions, source: CSource, version: str, golden: Sequence[Golden]
+    ) -> None:
         self.functions, self.source, self.version, self.golden = functions, source, version, golden
-        self.name, self.upper, self.real = source.prefix, source.prefix.upper(), f"{source.prefix}_real"
+        self.name, self.upper, self.real = (
+            source.prefix,
+            source.prefix.upper(),
+            f"{source.prefix}_real",
+        )
         self.abi = abi_number(functions, source)
 
     def texts(self) -> dict[str, str]:
         """File name -> content."""
         n = self.name
         return {
-            f"{n}_model.h": self._header(), f"{n}_model.c": self._wrapper(), f"{n}_selftest.c": self._selftest(),
-            f"{n}_example.cpp": self._example(), "CMakeLists.txt": self._cmake(), f"{n}.pc.in": self._pkg_config(),
-        }  # fmt: skip
+            f"{n}_model.h": self._header(),
+            f"{n}_model.c": self._wrapper(),
+            f"{n}_selftest.c": self._selftest(),
+            f"{n}_example.cpp": self._example(),
+            "CMakeLists.txt": self._cmake(),
+            f"{n}.pc.in": self._pkg_config(),
+        }
 
     @property
     def work(self) -> dict[str, int]:
@@ -102,14 +199,27 @@ class CModel:
     def _tables(self) -> list[str]:
         f, out = self.functions, []
         for letter, what, layout in (
-            ("X", "states x", f.states), ("D", "error states (rows and columns of A, B, S, K)", f.error_states),
-            ("U", "commands u", f.inputs), ("P", "run-time parameters p", f.parameters), ("Y", "outputs y", f.outputs),
-            ("E", "innovations e, there", f.innovations), ("Z", "inputs z of the learned part", f.features),
-            ("G", "learned outputs", f.learned), ("R", "targets r", f.targets),
+            ("X", "states x", f.states),
+            ("D", "error states (rows and columns of A, B, S, K)", f.error_states),
+            ("U", "commands u", f.inputs),
+            ("P", "run-time parameters p", f.parameters),
+            ("Y", "outputs y", f.outputs),
+            ("E", "innovations e, there", f.innovations),
+            ("Z", "inputs z of the learned part", f.features),
+            ("G", "learned outputs", f.learned),
+            ("R", "targets r", f.targets),
             ("THETA", "uncertain parameters (columns of b)", f.covariance_names),
-            ("A", "adapted parameters, then errors of the state (rows and columns of V)", f.adapted.names),
-            ("H", "horizons of forecasts (columns of E, seen, sigma, scale)", f.calibration.horizons),
-        ):  # fmt: skip
+            (
+                "A",
+                "adapted parameters, then errors of the state (rows and columns of V)",
+                f.adapted.names,
+            ),
+            (
+                "H",
+                "horizons of forecasts (columns of E, seen, sigma, scale)",
+                f.calibration.horizons,
+            ),
+        ):
             names = layout.names if isinstance(layout, Layout) else tuple(layout)
             units = layout.units if isinstance(layout, Layout) else ("",) * len(names)
             out += ["", f"/* {what} */", f"#define {self.upper}_N_{letter} {len(names)}"]
@@ -129,21 +239,35 @@ class CModel:
         lower, upper = (np.nan_to_num(v, posinf=big, neginf=-big) for v in f.bounds)
         named = {
             "x_reference": ("state at which the stationary gain is linearised", f.reference[0]),
-            "u_reference": ("command there", f.reference[1]), "p_identified": ("identified values of p", f.parameter_values),
+            "u_reference": ("command there", f.reference[1]),
+            "p_identified": ("identified values of p", f.parameter_values),
             "x_scale": ("typical size of x: dimensionless = x / scale", f.scales[0]),
-            "u_scale": ("typical size of u", f.scales[1]), "y_scale": ("typical size of y", f.scales[2]),
-            "u_lower": ("lower bounds of u", lower), "u_upper": ("upper bounds of u", upper),
-            "covariance_0": ("n_d x n_d, covariance of the filter's predicted state: a start for S", f.noise.covariance),
+            "u_scale": ("typical size of u", f.scales[1]),
+            "y_scale": ("typical size of y", f.scales[2]),
+            "u_lower": ("lower bounds of u", lower),
+            "u_upper": ("upper bounds of u", upper),
+            "covariance_0": (
+                "n_d x n_d, covariance of the filter's predicted state: a start for S",
+                f.noise.covariance,
+            ),
             "process_noise": ("n_d x n_d, Q per sample", f.noise.process),
             "gain": ("n_d x n_e, stationary gain K of the identified filter", f.noise.gain),
             "theta_covariance": ("n_theta x n_theta, of the uncertain parameters", f.covariance),
-            "adapted_covariance": ("n_a x n_a, before a flight: a start for V", f.adapted.covariance),
-            "calibration_sigma": ("n_e x n_h, stated standard deviations of forecasts' errors", f.calibration.sigma),
-        }  # fmt: skip
+            "adapted_covariance": (
+                "n_a x n_a, before a flight: a start for V",
+                f.adapted.covariance,
+            ),
+            "calibration_sigma": (
+                "n_e x n_h, stated standard deviations of forecasts' errors",
+                f.calibration.sigma,
+            ),
+        }
         return {k: (why, np.ravel(v, order="F")) for k, (why, v) in named.items() if np.size(v)}
 
     def _prototype(self, f: CFunction) -> str:
-        arguments = [f"const {self.real} *{p.name}" for p in f.inputs] + [f"{self.real} *{p.name}" for p in f.outputs]
+        arguments = [f"const {self.real} *{p.name}" for p in f.inputs] + [
+            f"{self.real} *{p.name}" for p in f.outputs
+        ]
         return f"int {self.name}_eval_{f.name}({', '.join(arguments)}, {self.name}_work *work)"
 
     def _header(self) -> str:
@@ -156,22 +280,41 @@ class CModel:
             "",
             "   Reentrant and free of state: any number of threads may call any function at once, each with its own work.",
             "   No malloc, no stdio. Do not compile with -ffast-math: it would remove the checks for NaN. */",
-            f"#ifndef {up}_MODEL_H", f"#define {up}_MODEL_H", "", f'#include "{n}.h"', "",
+            f"#ifndef {up}_MODEL_H",
+            f"#define {up}_MODEL_H",
+            "",
+            f'#include "{n}.h"',
+            "",
             f'#define {up}_GREYBOX_VERSION "{self.version}"',
             f"#define {up}_ABI 0x{self.abi:08x}u  /* changes with the layout of any argument or result */",
             f"#if defined({up}_EXPECTED_ABI) && {up}_EXPECTED_ABI != {up}_ABI",
-            f'#error "{n}: another layout than the program was written for"', "#endif", "",
+            f'#error "{n}: another layout than the program was written for"',
+            "#endif",
+            "",
             f"#define {up}_SAMPLE_TIME {_number(f.dt)}  /* [s] */",
             f"#define {up}_N_OWN_STATES {f.own_states}  /* of x; f and f_jac_raw take these alone, the rest is history */",
-            *self._tables(), "",
-            "/* return codes */", *(f"#define {up}_{code} {i}  /* {why} */" for i, (code, why) in enumerate(CODES)), "",
+            *self._tables(),
+            "",
+            "/* return codes */",
+            *(f"#define {up}_{code} {i}  /* {why} */" for i, (code, why) in enumerate(CODES)),
+            "",
             "/* work space of any one call, owned by the caller */",
             *(f"#define {up}_{k.upper()} {v}" for k, v in self.work.items()),
-            "typedef struct {", f"  const {self.real} *arg[{up}_SZ_ARG + 1];", f"  {self.real} *res[{up}_SZ_RES + 1];",
-            f"  {n}_int iw[{up}_SZ_IW + 1];", f"  {self.real} w[{up}_SZ_W + 1];", f"}} {n}_work;", "",
-            "#ifdef __cplusplus", 'extern "C" {', "#endif", "",
-            f"/* {up}_ABI of the compiled library */", f"unsigned int {n}_abi(void);", "",
-        ]  # fmt: skip
+            "typedef struct {",
+            f"  const {self.real} *arg[{up}_SZ_ARG + 1];",
+            f"  {self.real} *res[{up}_SZ_RES + 1];",
+            f"  {n}_int iw[{up}_SZ_IW + 1];",
+            f"  {self.real} w[{up}_SZ_W + 1];",
+            f"}} {n}_work;",
+            "",
+            "#ifdef __cplusplus",
+            'extern "C" {',
+            "#endif",
+            "",
+            f"/* {up}_ABI of the compiled library */",
+            f"unsigned int {n}_abi(void);",
+            "",
+        ]
         for name, (why, values) in self._numbers().items():
             lines.append(f"extern const {self.real} {n}_{name}[{values.size}];  /* {why} */")
         lines += [
@@ -180,7 +323,11 @@ class CModel:
             "   arguments: x_next is another array than x. */",
         ]
         for c in self.source.functions:
-            shape = ", ".join(_shape(p) for p in c.inputs) + " -> " + ", ".join(_shape(p) for p in c.outputs)
+            shape = (
+                ", ".join(_shape(p) for p in c.inputs)
+                + " -> "
+                + ", ".join(_shape(p) for p in c.outputs)
+            )
             lines += [f"/* {shape} */", f"{self._prototype(c)};"]
         lines += ["", "#ifdef __cplusplus", "}", "#endif", "", f"#endif /* {up}_MODEL_H */", ""]
         return "\n".join(lines)
@@ -191,10 +338,17 @@ class CModel:
         n, up, real = self.name, self.upper, self.real
         lines = [
             f"/* Plain C functions around the generated ones. Written by greybox {self.version}. */",
-            f'#include "{n}_model.h"', "", f"unsigned int {n}_abi(void) {{ return {up}_ABI; }}", "",
-        ]  # fmt: skip
+            f'#include "{n}_model.h"',
+            "",
+            f"unsigned int {n}_abi(void) {{ return {up}_ABI; }}",
+            "",
+        ]
         for name, (_, values) in self._numbers().items():
-            lines += [f"const {real} {n}_{name}[{values.size}] = {{", *_wrapped(values, self.source.real), "};"]
+            lines += [
+                f"const {real} {n}_{name}[{values.size}] = {{",
+                *_wrapped(values, self.source.real),
+                "};",
+            ]
         lines += [
             "",
             f"static int finite_all(const {real} *v, int n) {{",
@@ -237,13 +391,17 @@ class CModel:
                 lines.append(f"  if ({test}) return {up}_NOT_FINITE_INPUT;")
             lines += [f"  work->arg[{i}] = {p.name};" for i, p in enumerate(f.inputs)]
             lines += [f"  work->res[{i}] = {p.name};" for i, p in enumerate(f.outputs)]
-            lines.append(f"  if ({f.symbol}(work->arg, work->res, work->iw, work->w, 0)) return {up}_FAILED;")
+            lines.append(
+                f"  if ({f.symbol}(work->arg, work->res, work->iw, work->w, 0)) return {up}_FAILED;"
+            )
             results = [p for p in f.outputs if p.nnz and p.name != "e"]
             if results:
                 test = " || ".join(f"!finite_all({p.name}, {p.nnz})" for p in results)
                 lines.append(f"  if ({test}) return {up}_NOT_FINITE_RESULT;")
             if {"x", "u"} <= {p.name for p in f.inputs}:
-                lines.append(f"  return x == 0 || u == 0 || in_range(x, u) ? {up}_OK : {up}_OUT_OF_RANGE;")
+                lines.append(
+                    f"  return x == 0 || u == 0 || in_range(x, u) ? {up}_OK : {up}_OUT_OF_RANGE;"
+                )
             else:
                 lines.append(f"  return {up}_OK;")
             lines.append("}")
@@ -261,9 +419,14 @@ class CModel:
         lines = [
             f"/* Self-test of {n}: every function at golden points. Returns 0 when all agree. Written by greybox",
             f"   {self.version}. */",
-            "#include <stdio.h>", f'#include "{n}_model.h"', "",
-            f"static {n}_work work;", f"static {real} result[{max(self._most(), 1)}];", "static double worst;",
-            "static int failures;", "",
+            "#include <stdio.h>",
+            f'#include "{n}_model.h"',
+            "",
+            f"static {n}_work work;",
+            f"static {real} result[{max(self._most(), 1)}];",
+            "static double worst;",
+            "static int failures;",
+            "",
             f"static double compare(const {real} *got, const double *want, int n, double scale) {{",
             "  double most = 0;",
             "  int i;",
@@ -283,7 +446,7 @@ class CModel:
             '    printf("%s: code %d, difference %.2g of the output\'s scale\\n", name, code, gap);',
             "  }",
             "}",
-        ]  # fmt: skip
+        ]
         calls = []
         for f in self.source.functions:
             golden = next(g for g in self.golden if g.name == f.name)
@@ -324,14 +487,19 @@ class CModel:
             lines += ["", *body, "}"]
             calls.append(f"  test_{f.name}();")
         lines += [
-            "", "int main(void) {",
-            f"  if ({n}_abi() != {up}_ABI) {{", '    printf("the library has another layout than the header\\n");',
-            "    return 2;", "  }",
+            "",
+            "int main(void) {",
+            f"  if ({n}_abi() != {up}_ABI) {{",
+            '    printf("the library has another layout than the header\\n");',
+            "    return 2;",
+            "  }",
             *calls,
             f'  printf("{n}: %d functions, largest difference %.2g of the output\'s scale (limit {limit:g}): %s\\n",',
             f'         {len(calls)}, worst, failures ? "FAILED" : "passed");',
-            "  return failures ? 1 : 0;", "}", "",
-        ]  # fmt: skip
+            "  return failures ? 1 : 0;",
+            "}",
+            "",
+        ]
         return "\n".join(lines)
 
     def _most(self) -> int:
@@ -416,7 +584,11 @@ def scale_of(results: npt.ArrayLike) -> float:
 
 
 def _shape(port: Port) -> str:
-    return f"{port.name}[{port.rows}]" if port.columns == 1 else f"{port.name}[{port.rows} x {port.columns}]"
+    return (
+        f"{port.name}[{port.rows}]"
+        if port.columns == 1
+        else f"{port.name}[{port.rows} x {port.columns}]"
+    )
 
 
 def _number(value: float) -> str:
@@ -449,4 +621,7 @@ def _comment(text: str) -> str:
 
 def sizes_of(source: CSource) -> Mapping[str, Any]:
     """Work sizes of every function, for the manifest."""
-    return {f.name: {k: getattr(f, k) for k in ("sz_arg", "sz_res", "sz_iw", "sz_w")} for f in source.functions}
+    return {
+        f.name: {k: getattr(f, k) for k in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
+        for f in source.functions
+    }

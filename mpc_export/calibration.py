@@ -1,20 +1,24 @@
-"""forecast_step and calibrate_step: how wide the predicted errors really are, learned in flight, by output and horizon.
+"""forecast_step and calibrate_step: how wide the predicted errors really are, learned in flight, by
+output and horizon.
 
     forecast_step    keeps COLUMNS forecasts under way, begun `every` samples apart; each goes on by f_d under the commands
-                     that are really given. At every horizon its error is what is measured less what it says.
+                     that are really given. At every horizon its error is what is measured less what
+                     it says.
     calibrate_step   missed = |E| > z(level) scale sigma,    log scale+ = log scale + step (missed - (1 - level))
 
-It is the online quantile of adaptive conformal inference (Gibbs and Candes 2021, NeurIPS 34) on log |E| / sigma: no
-distribution is assumed, and one wild error counts no more than any that missed. The scale that counts for an error is the
-one in force when its forecast began (delays: Angelopoulos, Candes and Tibshirani 2023, NeurIPS 36), so the coverage is
-that of intervals as they were stated. Sums of (missed - (1 - level)) are differences of log scale, hence, whatever happens,
+It is the online quantile of adaptive conformal inference (Gibbs and Candes 2021, NeurIPS 34) on log
+|E| / sigma: no distribution is assumed, and one wild error counts no more than any that missed. The
+scale that counts for an error is the one in force when its forecast began (delays: Angelopoulos,
+Candes and Tibshirani 2023, NeurIPS 36), so the coverage is that of intervals as they were stated.
+Sums of (missed - (1 - level)) are differences of log scale, hence, whatever happens,
 
     | share missed in T errors - (1 - level) |  <=  (log WIDEST + (delay + 1) step) / (step T)
 
-as long as |E| / (z sigma) lies between 1 / WIDEST and WIDEST. Beyond, an error is missed; below, it is covered: the scale
-has ends, so that memory and the way back are bounded. A horizon of j times `every` sees each disturbance j times; its step
-is gain / sqrt(j), between the delay of a small step and the noise of a large one. With errors that are Gaussian as stated
-the mean width is 1 to 2 % above nominal at the default gain.
+as long as |E| / (z sigma) lies between 1 / WIDEST and WIDEST. Beyond, an error is missed; below, it
+is covered: the scale has ends, so that memory and the way back are bounded. A horizon of j times
+`every` sees each disturbance j times; its step is gain / sqrt(j), between the delay of a small step
+and the noise of a large one. With errors that are Gaussian as stated the mean width is 1 to 2 %
+above nominal at the default gain.
 """
 
 from __future__ import annotations
@@ -30,7 +34,8 @@ import numpy as np
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
 
 LEVEL, GAIN = 0.95, 0.05
-"""What a controller asks for by default: the share of errors that intervals hold, and the step of log scale by sample."""
+"""What a controller asks for by default: the share of errors that intervals hold, and the step of
+log scale by sample."""
 SPACING = 0.05
 """Time between two forecasts [s], to the nearest sample."""
 MULTIPLES = (1, 2, 5, 10)
@@ -44,8 +49,9 @@ WIDEST = 100.0
 class Calibration:
     """Horizons of `calibrate_step` and the spread that the model states for them.
 
-    `every` samples a forecast begins; `multiples` (n_h,) of it are the horizons, 0 for the next sample; `sigma` (n_e, n_h)
-    are standard deviations of the errors at the model's reference point, in flight under known commands.
+    `every` samples a forecast begins; `multiples` (n_h,) of it are the horizons, 0 for the next
+    sample; `sigma` (n_e, n_h) are standard deviations of the errors at the model's reference point,
+    in flight under known commands.
     """
 
     every: int = 1
@@ -61,9 +67,12 @@ class Calibration:
     @property
     def horizons(self) -> Layout:
         """Horizons by name."""
-        return Layout([
-            Signal(name=f"{n}_samples", unit="s", meaning=f"{n * self.dt:g} s ahead") for n in self.samples
-        ])  # fmt: skip
+        return Layout(
+            [
+                Signal(name=f"{n}_samples", unit="s", meaning=f"{n * self.dt:g} s ahead")
+                for n in self.samples
+            ]
+        )
 
     @property
     def delays(self) -> tuple[int, ...]:
@@ -72,7 +81,8 @@ class Calibration:
 
     @property
     def first(self) -> tuple[int, ...]:
-        """Columns of theta that hold the scale in force, by horizon; those of earlier updates follow each."""
+        """Columns of theta that hold the scale in force, by horizon; those of earlier updates
+        follow each."""
         return tuple(int(n) for n in np.cumsum([0, *(d + 1 for d in self.delays[:-1])]))
 
     @property
@@ -94,13 +104,16 @@ def calibration(functions: Mapping[str, Any], stated: Stated, dt: float) -> Cali
     multiples = (0, *(k for k in MULTIPLES if k * every > 1))
     made = Calibration(every=every, multiples=multiples, sigma=np.zeros((0, 0)), dt=dt)
     spread = stated.errors(functions, max(made.samples))
-    return Calibration(every=every, multiples=multiples, sigma=spread[:, [n - 1 for n in made.samples]], dt=dt)
+    return Calibration(
+        every=every, multiples=multiples, sigma=spread[:, [n - 1 for n in made.samples]], dt=dt
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stated:
-    """What a model says of its errors at a point (x, u, p): covariance P (n_d, n_d) of the filter's prediction, process Q
-    (n_d, n_d), innovation S (n_e, n_e), `theta` (n_theta, n_theta) of the uncertain parameters."""
+    """What a model says of its errors at a point (x, u, p): covariance P (n_d, n_d) of the filter's
+    prediction, process Q (n_d, n_d), innovation S (n_e, n_e), `theta` (n_theta, n_theta) of the
+    uncertain parameters."""
 
     point: tuple[FloatArray, FloatArray, FloatArray]
     predicted: FloatArray
@@ -109,17 +122,23 @@ class Stated:
     theta: FloatArray
 
     def errors(self, functions: Mapping[str, Any], longest: int) -> FloatArray:
-        """Standard deviations (n_e, longest) of what is measured 1, 2, ... samples after the last measurement that was
-        used. Errors of the learned part and of the parameters stay as they are, those of states and sensors are fresh."""
+        """Standard deviations (n_e, longest) of what is measured 1, 2, ... samples after the last
+        measurement that was used. Errors of the learned part and of the parameters stay as they
+        are, those of states and sensors are fresh."""
         a = functions["f_d_jac"](*self.point)[1].full()
         constant = [np.zeros((len(a), 0))]
         if "gp_variance" in functions and "gp_features" in functions:
             z = functions["gp_features"](*self.point)[0]
-            deviation = np.sqrt(np.maximum(functions["gp_variance"](z, self.point[2]).full().ravel(), 0.0))
+            deviation = np.sqrt(
+                np.maximum(functions["gp_variance"](z, self.point[2]).full().ravel(), 0.0)
+            )
             constant.append(functions["B_d"](*self.point).full() * deviation)
         if "P_theta" in functions:
             values, vectors = np.linalg.eigh(self.theta)
-            constant.append(functions["P_theta"](*self.point).full() @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+            constant.append(
+                functions["P_theta"](*self.point).full()
+                @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+            )
         push = np.hstack(constant)
         p, b, out = self.predicted, np.zeros_like(push), []
         for _ in range(longest):
@@ -141,8 +160,9 @@ class Stated:
 def forecast_function(functions: Mapping[str, Any], innovation: Any, own: Calibration) -> Any:
     """forecast_step(x, x_next, u, p, y, there, F, clock) -> F_next, clock_next, E, seen.
 
-    x is the filter's state before the sample's measurement y, x_next after it and one sample on. F (n_x, COLUMNS): forecasts
-    under way. E, seen (n_e, n_h): errors at the horizons, and whether each is one.
+    x is the filter's state before the sample's measurement y, x_next after it and one sample on. F
+    (n_x, COLUMNS): forecasts under way. E, seen (n_e, n_h): errors at the horizons, and whether
+    each is one.
     """
     step, out = functions["f_d"], functions["h"]
     x, u, p = (ca.MX.sym(n, step.numel_in(n)) for n in ("x", "u", "p"))
@@ -150,7 +170,9 @@ def forecast_function(functions: Mapping[str, Any], innovation: Any, own: Calibr
     there, clock = ca.MX.sym("there", innovation.numel_out(0)), ca.MX.sym("clock")
     given = ca.MX.sym("F", x.numel(), COLUMNS)
     # what has not begun yet may be anything, such as a quaternion of no length
-    under_way = ca.horzcat(*(ca.if_else(clock > k * own.every, given[:, k], x) for k in range(COLUMNS)))
+    under_way = ca.horzcat(
+        *(ca.if_else(clock > k * own.every, given[:, k], x) for k in range(COLUMNS))
+    )
     due = ca.fmod(clock, own.every) == 0
     on = ca.if_else(there != 0, 1.0, 0.0)
     errors, seen = [], []
@@ -169,16 +191,20 @@ def forecast_function(functions: Mapping[str, Any], innovation: Any, own: Calibr
     later = clock + 1 - longest * (clock + 1 >= 2 * longest)
     results = [after, later, ca.horzcat(*errors), ca.horzcat(*seen)]
     return ca.Function(
-        "forecast_step", [x, x_next, u, p, y, there, given, clock], [ca.densify(r) for r in results],
-        ["x", "x_next", "u", "p", "y", "there", "F", "clock"], ["F_next", "clock_next", "E", "seen"],
-    )  # fmt: skip
+        "forecast_step",
+        [x, x_next, u, p, y, there, given, clock],
+        [ca.densify(r) for r in results],
+        ["x", "x_next", "u", "p", "y", "there", "F", "clock"],
+        ["F_next", "clock_next", "E", "seen"],
+    )
 
 
 def calibrate_function(own: Calibration) -> Any:
     """calibrate_step(theta, E, seen, sigma, level, gain) -> theta_next, scale.
 
-    theta (n_e, n_l): logarithms of the scale by horizon, that in force and those of the updates before. scale (n_e, n_h): by
-    how much wider the errors are than sigma (n_e, n_h) says, so that z(level) scale sigma holds `level` of them.
+    theta (n_e, n_l): logarithms of the scale by horizon, that in force and those of the updates
+    before. scale (n_e, n_h): by how much wider the errors are than sigma (n_e, n_h) says, so that
+    z(level) scale sigma holds `level` of them.
     """
     n_e, n_h = own.sigma.shape
     theta = ca.SX.sym("theta", n_e, own.remembered)
@@ -194,17 +220,25 @@ def calibrate_function(own: Calibration) -> Any:
         missed = 1.0 - (ca.fabs(error[:, h]) <= stated)
         after = ca.fmax(ca.fmin(theta[:, at] + step * (missed - (1.0 - level)), end), -end)
         there = ca.repmat(seen[:, h] != 0, 1, delay + 1)
-        columns.append(ca.if_else(there, ca.horzcat(after, theta[:, at : at + delay]), theta[:, at : at + delay + 1]))
+        columns.append(
+            ca.if_else(
+                there, ca.horzcat(after, theta[:, at : at + delay]), theta[:, at : at + delay + 1]
+            )
+        )
         scales.append(ca.exp(columns[-1][:, 0]))
     results = [ca.densify(ca.horzcat(*columns)), ca.densify(ca.horzcat(*scales))]
     return ca.Function(
-        "calibrate_step", [theta, error, seen, sigma, level, gain], ca.cse(results),
-        ["theta", "E", "seen", "sigma", "level", "gain"], ["theta_next", "scale"],
-    )  # fmt: skip
+        "calibrate_step",
+        [theta, error, seen, sigma, level, gain],
+        ca.cse(results),
+        ["theta", "E", "seen", "sigma", "level", "gain"],
+        ["theta_next", "scale"],
+    )
 
 
 def normal_half_width(level: Expr) -> Expr:
-    """z with P(|N(0, 1)| <= z) = level, to 1e-7 for levels up to 0.9999: a closed start (Winitzki 2008), then Newton."""
+    """z with P(|N(0, 1)| <= z) = level, to 1e-7 for levels up to 0.9999: a closed start (Winitzki
+    2008), then Newton."""
     inside = ca.log(1.0 - level * level)
     half = 2.0 / (math.pi * 0.147) + 0.5 * inside
     z = ca.sqrt(2.0 * (ca.sqrt(half * half - inside / 0.147) - half))

@@ -178,23 +178,36 @@ def double_helpers(source: CSource, folder: Path) -> list[str]:
     return sorted(n for n in names if DOUBLE_HELPERS.fullmatch(n))
 
 
-def run_on_cortex(source: CSource, calls: Mapping[str, Sequence[FloatArray]], folder: Path) -> CortexRun:
+def run_on_cortex(
+    source: CSource, calls: Mapping[str, Sequence[FloatArray]], folder: Path
+) -> CortexRun:
     """Builds an image of `source` (float) and calls each named function once with its arguments (dense, any shape).
 
     Raises `ModelError` for a double build or an unknown function, `CortexError` where a tool fails or a call returns
     something else than 0.
     """
     if source.real != "float":
-        raise ModelError("the Cortex-M4F computes in float", got=source.real, fix='write_c(..., real="float")')
+        raise ModelError(
+            "the Cortex-M4F computes in float", got=source.real, fix='write_c(..., real="float")'
+        )
     known = {f.name: f for f in source.functions}
     for name in calls:
         if name not in known:
             raise ModelError(f"{source.prefix} has no function {name}", expected=", ".join(known))
     chosen = [known[name] for name in calls]
-    harness, script, image = (folder / f"{source.prefix}_{n}" for n in ("cortex.c", "cortex.ld", "cortex.elf"))
+    harness, script, image = (
+        folder / f"{source.prefix}_{n}" for n in ("cortex.c", "cortex.ld", "cortex.elf")
+    )
     harness.write_text(_harness(source, chosen, calls), encoding="utf-8")
     script.write_text(_LINKER, encoding="utf-8")
-    link = ["-nostartfiles", "--specs=nano.specs", "--specs=nosys.specs", "-Wl,--gc-sections", "-T", str(script)]
+    link = [
+        "-nostartfiles",
+        "--specs=nano.specs",
+        "--specs=nosys.specs",
+        "-Wl,--gc-sections",
+        "-T",
+        str(script),
+    ]
     # The harness needs GNU C for its few lines of assembler.
     objects = []
     for path, flags in (
@@ -202,37 +215,74 @@ def run_on_cortex(source: CSource, calls: Mapping[str, Sequence[FloatArray]], fo
         (harness, (*CPU_FLAGS, "-std=gnu99", "-Wall", "-Wextra", "-Werror", "-O2")),
     ):
         objects.append(str(folder / f"{path.stem}.o"))
-        _call(["arm-none-eabi-gcc", *flags, f"-I{source.header.parent}", "-c", str(path), "-o", objects[-1]])
+        _call(
+            [
+                "arm-none-eabi-gcc",
+                *flags,
+                f"-I{source.header.parent}",
+                "-c",
+                str(path),
+                "-o",
+                objects[-1],
+            ]
+        )
     _call(["arm-none-eabi-gcc", *CPU_FLAGS, *link, "-o", str(image), *objects, "-lm"])
     sizes = _call(["arm-none-eabi-size", str(image)]).splitlines()[1].split()
     text, data, bss = (int(v) for v in sizes[:3])
-    machine = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-monitor", "none", "-serial", "none"]
-    machine += ["-semihosting-config", "enable=on,target=native", "-icount", "shift=6", "-kernel", str(image)]
+    machine = [
+        "qemu-system-arm",
+        "-M",
+        "mps2-an386",
+        "-nographic",
+        "-monitor",
+        "none",
+        "-serial",
+        "none",
+    ]
+    machine += [
+        "-semihosting-config",
+        "enable=on,target=native",
+        "-icount",
+        "shift=6",
+        "-kernel",
+        str(image),
+    ]
     return _read(_call(machine, timeout=60), chosen, text + data, data + bss)
 
 
-def _harness(source: CSource, chosen: Sequence[CFunction], calls: Mapping[str, Sequence[FloatArray]]) -> str:
+def _harness(
+    source: CSource, chosen: Sequence[CFunction], calls: Mapping[str, Sequence[FloatArray]]
+) -> str:
     data, lines = [], []
     for k, f in enumerate(chosen):
         given = [np.asarray(v, dtype=np.float64).ravel(order="F") for v in calls[f.name]]
         want = [p.nnz for p in f.inputs]
         if [v.size for v in given] != want:
-            raise ModelError(f"{f.name}: arguments of sizes {[v.size for v in given]}", expected=str(want))
+            raise ModelError(
+                f"{f.name}: arguments of sizes {[v.size for v in given]}", expected=str(want)
+            )
         names = []
         for i, v in enumerate(given):
             names.append(f"in{k}_{i}")
             values = ", ".join(f"{float(np.float32(x))!r}f" for x in v) or "0.0f"
             data.append(f"static const {source.prefix}_real {names[-1]}[] = {{{values}}};")
         data.append(f"static const {source.prefix}_real* inputs{k}[] = {{{', '.join(names)}}};")
-        data.append(f"static const int sizes{k}[] = {{{', '.join(str(p.nnz) for p in f.outputs)}}};")
+        data.append(
+            f"static const int sizes{k}[] = {{{', '.join(str(p.nnz) for p in f.outputs)}}};"
+        )
         lines.append("  paint();")
         lines.append(f"  run({f.symbol}, inputs{k}, {len(names)}, sizes{k}, {len(f.outputs)});")
         lines.append('  say("stack", deepest());')
     parts = {
-        "prefix": source.prefix, "data": "\n".join(data), "calls": "\n".join(lines),
+        "prefix": source.prefix,
+        "data": "\n".join(data),
+        "calls": "\n".join(lines),
         "result": str(max(sum(p.nnz for p in f.outputs) for f in chosen)),
-        **{k: str(max(1, *(getattr(f, f"sz_{k}") for f in chosen))) for k in ("w", "iw", "arg", "res")},
-    }  # fmt: skip
+        **{
+            k: str(max(1, *(getattr(f, f"sz_{k}") for f in chosen)))
+            for k in ("w", "iw", "arg", "res")
+        },
+    }
     text = _HARNESS
     for key, value in parts.items():
         text = text.replace(f"@{key}@", value)
@@ -240,12 +290,20 @@ def _harness(source: CSource, chosen: Sequence[CFunction], calls: Mapping[str, S
 
 
 def _read(text: str, chosen: Sequence[CFunction], flash: int, static: int) -> CortexRun:
-    words = [(line.split()[0], int(line.split()[1], 16)) for line in text.splitlines() if len(line.split()) == 2]
+    words = [
+        (line.split()[0], int(line.split()[1], 16))
+        for line in text.splitlines()
+        if len(line.split()) == 2
+    ]
     by_name: dict[str, list[int]] = {}
     for name, value in words:
         by_name.setdefault(name, []).append(value)
     if len(by_name.get("stack", [])) != len(chosen) or any(by_name["status"]):
-        raise CortexError("the emulated program did not finish", got=text[-200:], fix="look at the image in a debugger")
+        raise CortexError(
+            "the emulated program did not finish",
+            got=text[-200:],
+            fix="look at the image in a debugger",
+        )
     values = np.array(by_name["value"], dtype=np.uint32).view(np.float32)
     results: dict[str, Sequence[FloatArray]] = {}
     at = 0
@@ -258,14 +316,25 @@ def _read(text: str, chosen: Sequence[CFunction], flash: int, static: int) -> Co
     overhead = by_name["empty"][0]
     stack = max(by_name["stack"])
     return CortexRun(
-        flash=flash, ram=static + stack, stack=stack, results=results, loop=by_name["loop"][0],
+        flash=flash,
+        ram=static + stack,
+        stack=stack,
+        results=results,
+        loop=by_name["loop"][0],
         instructions={f.name: n - overhead for f, n in zip(chosen, by_name["instructions"])},
-    )  # fmt: skip
+    )
 
 
 def _call(command: Sequence[str], timeout: float = 300) -> str:
     try:
-        done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False, timeout=timeout)
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            check=False,
+            timeout=timeout,
+        )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise CortexError(f"{command[0]} did not run: {error}") from None
     if done.returncode:

@@ -1,4 +1,5 @@
-"""Small dense linear algebra written out in SX: Cholesky factor and solution, as expressions that any backend can run."""
+"""Small dense linear algebra written out in SX: Cholesky factor and solution, as expressions that
+any backend can run."""
 
 from __future__ import annotations
 

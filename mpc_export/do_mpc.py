@@ -1,7 +1,9 @@
-"""do-mpc: a discrete `do_mpc.model.Model` of an exported model, and an MPC and a simulator set up with it.
+"""do-mpc: a discrete `do_mpc.model.Model` of an exported model, and an MPC and a simulator set up
+with it.
 
-Variables are vectors in the bundle's order: `_x` "x" (n_x), `_u` "u" (n_u), `_p` "p" (n_p, where the model has any); the
-outputs are the auxiliary expression "y". do-mpc 5, imported inside the functions.
+Variables are vectors in the bundle's order: `_x` "x" (n_x), `_u` "u" (n_u), `_p` "p" (n_p, where
+the model has any); the outputs are the auxiliary expression "y". do-mpc 5, imported inside the
+functions.
 """
 
 from __future__ import annotations
@@ -29,7 +31,11 @@ def do_mpc_model(model: Exported) -> Any:
     out = do_mpc().model.Model("discrete", "MX")
     x = out.set_variable("_x", "x", shape=(len(model.states), 1))
     u = out.set_variable("_u", "u", shape=(len(model.inputs), 1))
-    p = out.set_variable("_p", "p", shape=(len(model.parameters), 1)) if model.parameters else model.parameter_values
+    p = (
+        out.set_variable("_p", "p", shape=(len(model.parameters), 1))
+        if model.parameters
+        else model.parameter_values
+    )
     out.set_expression("y", model["h"](x, u, p))
     out.set_rhs("x", model["f_d"](x, u, p))
     out.setup()
@@ -37,7 +43,8 @@ def do_mpc_model(model: Exported) -> Any:
 
 
 def do_mpc_controller(model: Exported, problem: Hover, stage_cost: Any, final_cost: Any) -> Any:
-    """An `do_mpc.controller.MPC`, set up; the costs are functions (x, u) -> cost and x -> cost of the problem's horizon."""
+    """An `do_mpc.controller.MPC`, set up; the costs are functions (x, u) -> cost and x -> cost of
+    the problem's horizon."""
     inner = do_mpc_model(model)
     out = do_mpc().controller.MPC(inner)
     out.settings.n_horizon = problem.steps

@@ -1,9 +1,11 @@
-"""FMU: dx/dt and outputs of a continuous model as an FMI 3.0 model-exchange FMU, by CasADi's own exporter.
+"""FMU: dx/dt and outputs of a continuous model as an FMI 3.0 model-exchange FMU, by CasADi's own
+exporter.
 
-Variables: the states, commands and run-time parameters by their names in the bundle, the outputs as `y.<name>`; start
-values are the reference point. It holds f, which has no delay and no command history; f_d, the authoritative model, is in
-the rest of the bundle. Units stand in the descriptions, because the exporter writes no unit definitions. The sources are
-always inside; a binary for this platform is, when a C compiler and the FMI headers that come with fmpy are at hand.
+Variables: the states, commands and run-time parameters by their names in the bundle, the outputs as
+`y.<name>`; start values are the reference point. It holds f, which has no delay and no command
+history; f_d, the authoritative model, is in the rest of the bundle. Units stand in the
+descriptions, because the exporter writes no unit definitions. The sources are always inside; a
+binary for this platform is, when a C compiler and the FMI headers that come with fmpy are at hand.
 """
 
 from __future__ import annotations
@@ -35,10 +37,13 @@ def write_fmu(model: Exported, path: Path) -> dict[str, Any]:
     """
     if "f" not in model:
         raise ModelError(
-            f"{model.name} is discrete, so an FMU for model exchange has nothing to hold", fix="leave fmu out"
+            f"{model.name} is discrete, so an FMU for model exchange has nothing to hold",
+            fix="leave fmu out",
         )
     if not hasattr(ca.DaeBuilder, "compile_fmu"):
-        raise ModelError("this CasADi cannot export an FMU", expected="3.8 or later", got=ca.CasadiMeta.version())
+        raise ModelError(
+            "this CasADi cannot export an FMU", expected="3.8 or later", got=ca.CasadiMeta.version()
+        )
     builder = _builder(model)
     headers, path = _headers(), path.resolve()
     with tempfile.TemporaryDirectory(prefix="fmu-") as folder, contextlib.chdir(folder):
@@ -57,13 +62,18 @@ def write_fmu(model: Exported, path: Path) -> dict[str, Any]:
 
 
 def _settle(description: Path, files: list[Path]) -> None:
-    """Take the date out, and replace the random token by a digest of the model, wherever it stands."""
-    text = re.sub(r' generationDateAndTime="[^"]*"', "", description.read_text(encoding="utf-8"), count=1)
+    """Take the date out, and replace the random token by a digest of the model, wherever it
+    stands."""
+    text = re.sub(
+        r' generationDateAndTime="[^"]*"', "", description.read_text(encoding="utf-8"), count=1
+    )
     description.write_text(text, encoding="utf-8")
     found = re.search(r'instantiationToken="([^"]*)"', text)
     if found is None:
         return
-    texts = {path: path.read_text(encoding="utf-8").replace(found[1], "TOKEN") for path in sorted(files)}
+    texts = {
+        path: path.read_text(encoding="utf-8").replace(found[1], "TOKEN") for path in sorted(files)
+    }
     digest = hashlib.sha256("".join(texts.values()).encode()).hexdigest()[:32]
     for path, settled in texts.items():
         path.write_text(settled.replace("TOKEN", digest), encoding="utf-8")
@@ -88,7 +98,12 @@ def _builder(model: Exported) -> Any:
         return f"[{model.units.get(name, '-')}]"
 
     states = [
-        dae.add(name, "local", "continuous", {"start": float(v), "initial": "exact", "description": described(name)})
+        dae.add(
+            name,
+            "local",
+            "continuous",
+            {"start": float(v), "initial": "exact", "description": described(name)},
+        )
         for name, v in zip(model.states[:n], model.reference_state)
     ]
     inputs = [
@@ -99,7 +114,10 @@ def _builder(model: Exported) -> Any:
         dae.add(name, "parameter", "tunable", {"start": float(v), "description": described(name)})
         for name, v in zip(model.parameters, model.parameter_values)
     ]
-    outputs = [dae.add(f"y.{name}", "output", "continuous", {"description": described(name)}) for name in model.outputs]
+    outputs = [
+        dae.add(f"y.{name}", "output", "continuous", {"description": described(name)})
+        for name in model.outputs
+    ]
     x, u = ca.vertcat(*states), ca.vertcat(*inputs)
     p = ca.vertcat(ca.MX(0, 1), *parameters)
     slope, seen = model["f"](x, u, p), model["h"](model.with_history(x, u), u, p)

@@ -133,11 +133,20 @@ class ModelFunctions:
         """n_x, n_d, n_u, n_p, n_y, n_e, n_z (features), n_g (learned outputs), n_r (targets), n_theta, n_a (adapted), n_h
         (horizons), n_l (columns of calibrate_step's theta)."""
         return {
-            "n_x": len(self.states), "n_d": len(self.error_states), "n_u": len(self.inputs), "n_p": len(self.parameters),
-            "n_y": len(self.outputs), "n_e": len(self.innovations), "n_z": len(self.features), "n_g": len(self.learned),
-            "n_r": len(self.targets), "n_theta": len(self.covariance_names), "n_a": len(self.adapted.names),
-            "n_h": len(self.calibration.multiples), "n_l": self.calibration.remembered,
-        }  # fmt: skip
+            "n_x": len(self.states),
+            "n_d": len(self.error_states),
+            "n_u": len(self.inputs),
+            "n_p": len(self.parameters),
+            "n_y": len(self.outputs),
+            "n_e": len(self.innovations),
+            "n_z": len(self.features),
+            "n_g": len(self.learned),
+            "n_r": len(self.targets),
+            "n_theta": len(self.covariance_names),
+            "n_a": len(self.adapted.names),
+            "n_h": len(self.calibration.multiples),
+            "n_l": self.calibration.remembered,
+        }
 
 
 def model_functions(
@@ -184,7 +193,9 @@ class _Builder:
         same = math.isclose(self.dt, self.own_dt, rel_tol=1e-9)
         if self.discrete and not same:
             raise ModelError(
-                f"{dynamics.name} is a discrete model", expected=f"dt = {self.own_dt:g} s", got=f"{self.dt:g} s"
+                f"{dynamics.name} is a discrete model",
+                expected=f"dt = {self.own_dt:g} s",
+                got=f"{self.dt:g} s",
             )
         if not same:
             dynamics = at_sample_time(dynamics, self.dt)
@@ -194,17 +205,26 @@ class _Builder:
             self.posterior = model.learned
         elif isinstance(dynamics, HybridModel):
             self.posterior, dynamics = dynamics.posterior, dynamics.inner
-            self.looks_back = {of: lag for of, lag in sorted(map(lag_of, self.posterior.inputs.names)) if lag}
+            self.looks_back = {
+                of: lag for of, lag in sorted(map(lag_of, self.posterior.inputs.names)) if lag
+            }
             if self.looks_back and not same:
                 raise ModelError(
                     "the learned part looks at earlier commands, sample by sample",
-                    expected=f"dt = {self.own_dt:g} s, at which it was learned", got=f"{self.dt:g} s",
-                )  # fmt: skip
+                    expected=f"dt = {self.own_dt:g} s, at which it was learned",
+                    got=f"{self.dt:g} s",
+                )
             if self.looks_back:
                 dynamics = LongerWindow(inner=dynamics, past=reach(self.posterior.inputs.names))
         if learned_push_of(dynamics) is not None:
-            raise ModelError("a learned part inside another one cannot be exported", got=dynamics.name)
-        euler = () if self.posterior is None else tuple(n for n in self.posterior.inputs.names if n in EULER)
+            raise ModelError(
+                "a learned part inside another one cannot be exported", got=dynamics.name
+            )
+        euler = (
+            ()
+            if self.posterior is None
+            else tuple(n for n in self.posterior.inputs.names if n in EULER)
+        )
         if euler and not isinstance(model, PredictorModel):
             raise ModelError(
                 f"the learned part looks at Euler angles ({', '.join(euler)})",
@@ -214,25 +234,36 @@ class _Builder:
         if self.weights and self.posterior is None:
             raise ModelError(f"no learned part, so no {WEIGHTS} to change at run time")
         if self.weights and not isinstance(self.posterior, (GPPosterior, FeaturePosterior)):
-            raise ModelError(f"{WEIGHTS} cannot change at run time here", expected="a learned part of `greybox learn`")
+            raise ModelError(
+                f"{WEIGHTS} cannot change at run time here",
+                expected="a learned part of `greybox learn`",
+            )
         self.theta_names, self.theta_covariance = parameter_covariance(model)
         # What an output hybrid did not learn keeps the prior's variance, as in its own predictions.
         self.silent = not isinstance(model, PredictorModel)
         self.prefix = "network" if isinstance(self.posterior, NetworkPart) else "gp"
         values = (
-            dict(model.values) if isinstance(model, IdentifiedModel) else {d.name: d.nominal for d in dynamics.parameters}
+            dict(model.values)
+            if isinstance(model, IdentifiedModel)
+            else {d.name: d.nominal for d in dynamics.parameters}
         )
         self.sampled = (
             SampledForm(dynamics=model.form, dt=self.dt, values={}, runtime=runtime)
             if isinstance(model, PredictorModel)
             else Sampled(
-                dynamics=dynamics, dt=self.dt, values=values, runtime=tuple(n for n in runtime if n != WEIGHTS),
-                sensitive=self.theta_names, looks_back=self.looks_back,
+                dynamics=dynamics,
+                dt=self.dt,
+                values=values,
+                runtime=tuple(n for n in runtime if n != WEIGHTS),
+                sensitive=self.theta_names,
+                looks_back=self.looks_back,
             )
-        )  # fmt: skip
+        )
         self.x, self.u, self.p, self.w = self.sampled.symbols()
         self.chart_in, _ = self.sampled.chart(self.x, self.x)
-        self.spread = ca.DM(self.w.numel(), 0 if self.posterior is None else len(self.posterior.outputs))
+        self.spread = ca.DM(
+            self.w.numel(), 0 if self.posterior is None else len(self.posterior.outputs)
+        )
         if self.posterior is not None:
             for j, n in enumerate(self.posterior.outputs.names):
                 self.spread[dynamics.noises[n], j] = 1.0
@@ -245,7 +276,11 @@ class _Builder:
         """p: exogenous inputs and run-time parameters, then the learned weights."""
         if self.posterior is None or not self.weights:
             return self.sampled.parameters
-        names = [f"{WEIGHTS}.{o}.{i + 1}" for o in self.posterior.outputs.names for i in range(self.posterior.points)]
+        names = [
+            f"{WEIGHTS}.{o}.{i + 1}"
+            for o in self.posterior.outputs.names
+            for i in range(self.posterior.points)
+        ]
         return self.sampled.parameters + Layout(
             [Signal(name=n, unit="-", meaning="weight, standardised") for n in names]
         )
@@ -253,7 +288,11 @@ class _Builder:
     def _arguments(self, own: bool = False) -> tuple[Expr, Expr, Expr]:
         """MX symbols x (own states only, on request), u, p."""
         n = len(self.sampled.dynamics.states) if own else self.x.numel()
-        return ca.MX.sym("x", n), ca.MX.sym("u", self.u.numel()), ca.MX.sym("p", len(self.parameters))
+        return (
+            ca.MX.sym("x", n),
+            ca.MX.sym("u", self.u.numel()),
+            ca.MX.sym("p", len(self.parameters)),
+        )
 
     def _own_p(self, p: Expr) -> Expr:
         return p[: self.p.numel()]
@@ -266,15 +305,23 @@ class _Builder:
         posterior = self.posterior
         assert posterior is not None
         z, p = ca.MX.sym("z", len(posterior.inputs)), ca.MX.sym("p", len(self.parameters))
-        weights = ca.reshape(p[self.p.numel() :], posterior.points, len(posterior.outputs)) if self.weights else None
+        weights = (
+            ca.reshape(p[self.p.numel() :], posterior.points, len(posterior.outputs))
+            if self.weights
+            else None
+        )
         found = posterior.expressions(z, which, weights=weights)
         if self.silent and not all(posterior.active):
             on = np.array(posterior.active, dtype=float)
             if "variance" in found:
                 found["variance"] = on * found["variance"]
             if "variance_jacobian" in found:
-                found["variance_jacobian"] = np.outer(on, np.ones(len(posterior.inputs))) * found["variance_jacobian"]
-        made = ca.Function(name, [z, p], [ca.densify(found[n]) for n in which], ["z", "p"], list(which))
+                found["variance_jacobian"] = (
+                    np.outer(on, np.ones(len(posterior.inputs))) * found["variance_jacobian"]
+                )
+        made = ca.Function(
+            name, [z, p], [ca.densify(found[n]) for n in which], ["z", "p"], list(which)
+        )
         self.functions[name] = made
         return made
 
@@ -286,7 +333,10 @@ class _Builder:
 
     def _features(self, kind: str) -> Any:
         """(x, u, p) -> z, z_x, z_u, z_p; x in error ("error"), raw ("raw") or the model's own raw coordinates ("own")."""
-        name = self.prefix + {"error": "_features", "raw": "_features_raw", "own": "_features_own"}[kind]
+        name = (
+            self.prefix
+            + {"error": "_features", "raw": "_features_raw", "own": "_features_own"}[kind]
+        )
         if name in self.functions:
             return self.functions[name]
         assert self.posterior is not None
@@ -302,7 +352,9 @@ class _Builder:
         parts.append(ca.horzcat(ca.jacobian(z, self.p), zeros))
         p = ca.SX.sym("p", len(self.parameters))
         values = [ca.densify(ca.substitute(v, self.p, p[: self.p.numel()])) for v in parts]
-        made = ca.Function(name, [x, self.u, p], values, ["x", "u", "p"], ["z", "z_x", "z_u", "z_p"])
+        made = ca.Function(
+            name, [x, self.u, p], values, ["x", "u", "p"], ["z", "z_x", "z_u", "z_p"]
+        )
         self.functions[name] = made
         return made
 
@@ -315,19 +367,32 @@ class _Builder:
         x = self.x[: len(self.sampled.dynamics.states)] if own else self.x
         if self.posterior is None:
             value = ca.densify(ca.substitute(expression, self.w, ca.DM.zeros(self.w.numel())))
-            self.functions[name] = ca.Function(name, [x, self.u, self.p], [ca.cse(value)], ["x", "u", "p"], [result])
+            self.functions[name] = ca.Function(
+                name, [x, self.u, self.p], [ca.cse(value)], ["x", "u", "p"], [result]
+            )
             return
-        physics = ca.Function(f"physics_{name}", [x, self.u, self.p, self.w], [ca.densify(ca.cse(expression))])
+        physics = ca.Function(
+            f"physics_{name}", [x, self.u, self.p, self.w], [ca.densify(ca.cse(expression))]
+        )
         mx, mu, mp = self._arguments(own)
         value = physics(mx, mu, self._own_p(mp), self._push(mx, mu, mp, "own" if own else "raw"))
         self.functions[name] = ca.Function(name, [mx, mu, mp], [value], ["x", "u", "p"], [result])
 
     def _jacobians(
-        self, name: str, results: tuple[str, str, str, str], value: Expr, slopes: tuple[Expr, ...], kind: str
+        self,
+        name: str,
+        results: tuple[str, str, str, str],
+        value: Expr,
+        slopes: tuple[Expr, ...],
+        kind: str,
     ) -> None:
         """Adds name(x, u, p) -> value and its slopes in x, u, p; `slopes` are those of the physics in x, u, p and w."""
         x = self.x[: len(self.sampled.dynamics.states)] if kind == "own" else self.x
-        parts = [ca.densify(value), *(ca.sparsify(v) for v in slopes[:3]), ca.sparsify(slopes[3] @ self.spread)]
+        parts = [
+            ca.densify(value),
+            *(ca.sparsify(v) for v in slopes[:3]),
+            ca.sparsify(slopes[3] @ self.spread),
+        ]
         if self.posterior is None:
             parts = ca.substitute(parts[:4], [self.w], [ca.DM.zeros(self.w.numel())])
             physics = ca.Function(f"physics_{name}", [x, self.u, self.p], ca.cse(parts))
@@ -335,7 +400,14 @@ class _Builder:
             physics = ca.Function(f"physics_{name}", [x, self.u, self.p, self.w], ca.cse(parts))
         self._close(name, results, physics, kind)
 
-    def _close(self, name: str, results: tuple[str, str, str, str], physics: Any, kind: str, turn: Any = None) -> None:
+    def _close(
+        self,
+        name: str,
+        results: tuple[str, str, str, str],
+        physics: Any,
+        kind: str,
+        turn: Any = None,
+    ) -> None:
         """Adds name(x, u, p) from `physics`(x, u, p[, w]) -> value, slopes in x, u, p[, w]; `turn`(x, value, slopes) changes
         their coordinates.
 
@@ -355,14 +427,21 @@ class _Builder:
                 slopes = list(turn(mx, y, *slopes))
             y_x, y_u, y_p, y_g = slopes
             by_z = y_g @ slope
-            y_p = ca.horzcat(y_p, ca.MX(y_p.shape[0], len(self.parameters) - self.p.numel())) + by_z @ z_p
+            y_p = (
+                ca.horzcat(y_p, ca.MX(y_p.shape[0], len(self.parameters) - self.p.numel()))
+                + by_z @ z_p
+            )
             if self.weights:
                 q = ca.MX.sym("q", len(self.parameters))
                 fixed = ca.MX.sym("z", z.numel())
-                by_weight = ca.Function("gp_mean_by_weight", [fixed, q], [ca.jacobian(self._mean()(fixed, q), q)])
+                by_weight = ca.Function(
+                    "gp_mean_by_weight", [fixed, q], [ca.jacobian(self._mean()(fixed, q), q)]
+                )
                 y_p = y_p + y_g @ by_weight(z, mp)
             values = [ca.densify(v) for v in (y, y_x + by_z @ z_x, y_u + by_z @ z_u, y_p)]
-        self.functions[name] = ca.Function(name, [mx, mu, mp], values, ["x", "u", "p"], list(results))
+        self.functions[name] = ca.Function(
+            name, [mx, mu, mp], values, ["x", "u", "p"], list(results)
+        )
 
     # ------------------------------------------------------------------------------------------------ families
 
@@ -381,7 +460,9 @@ class _Builder:
         learned = self.posterior is not None
         parts = [ca.densify(after), *(ca.sparsify(v) for v in raw[:3])]
         if learned:
-            physics = ca.Function("physics_f_d", [x, u, p, w], ca.cse([*parts, ca.sparsify(raw[3] @ self.spread)]))
+            physics = ca.Function(
+                "physics_f_d", [x, u, p, w], ca.cse([*parts, ca.sparsify(raw[3] @ self.spread)])
+            )
         else:
             parts = ca.substitute(parts, [w], [ca.DM.zeros(w.numel())])
             physics = ca.Function("physics_f_d", [x, u, p], ca.cse(parts))
@@ -395,7 +476,9 @@ class _Builder:
         )
         into, out = s.chart(x, ends)
         turned = [out @ coded[0] @ into, *(out @ v for v in coded[1:])]
-        turn = ca.Function("to_error_coordinates", [x, ends, *coded], [ca.sparsify(v) for v in turned])
+        turn = ca.Function(
+            "to_error_coordinates", [x, ends, *coded], [ca.sparsify(v) for v in turned]
+        )
         self._close("f_d_jac", ("x_next", "A", "B", "P"), physics, "error", turn)
         into, out = s.chart(x, after)
         error = tuple(out @ v for v in raw)
@@ -430,8 +513,12 @@ class _Builder:
         s = self.sampled
         d, x2 = ca.SX.sym("d", len(s.error_states)), ca.SX.sym("x2", self.x.numel())
         moved, between = ca.densify(s.boxplus(self.x, d)), ca.densify(s.boxminus(x2, self.x))
-        self.functions["boxplus"] = ca.Function("boxplus", [self.x, d], [moved], ["x", "d"], ["x_moved"])
-        self.functions["boxminus"] = ca.Function("boxminus", [x2, self.x], [between], ["x2", "x1"], ["d"])
+        self.functions["boxplus"] = ca.Function(
+            "boxplus", [self.x, d], [moved], ["x", "d"], ["x_moved"]
+        )
+        self.functions["boxminus"] = ca.Function(
+            "boxminus", [x2, self.x], [between], ["x2", "x1"], ["d"]
+        )
 
     def _learned(self) -> None:
         if self.posterior is None:
@@ -566,7 +653,11 @@ class _Builder:
         bias = ca.MX.sym("c", nd, d.shape[1])
         now = c @ bias + d * ca.sqrt(wide)
         self.functions["output_consider"] = ca.Function(
-            "output_consider", [*arguments, bias], [ca.densify(plain + now @ now.T)], [*labels, "c"], ["Y"]
+            "output_consider",
+            [*arguments, bias],
+            [ca.densify(plain + now @ now.T)],
+            [*labels, "c"],
+            ["Y"],
         )
 
     def _by_theta(self) -> Any:
@@ -574,7 +665,9 @@ class _Builder:
         s, theta = self.sampled, ca.SX.sym("theta", len(self.theta_names))
         after = s.step(self.x, self.u, self.p, self.w, theta)
         _, out = s.chart(self.x, after)
-        slope = ca.substitute(out @ ca.jacobian(after, theta), theta, s._baked(self.p, self.theta_names))
+        slope = ca.substitute(
+            out @ ca.jacobian(after, theta), theta, s._baked(self.p, self.theta_names)
+        )
         self._value("P_theta", "P_theta", slope)
         return self.functions["P_theta"]
 
@@ -595,7 +688,9 @@ class _Builder:
         fill = ca.Function("fill_innovation", [e, there], [ca.cse(ca.densify(filled))])
         mt = ca.MX.sym("there", ne)
         on = ca.if_else(mt != 0, 1.0, 0.0)
-        gain = ca.MX(ca.DM(noise.gain)) @ ca.horzcat(*(fill(ca.DM.eye(ne)[:, i], mt) for i in range(ne)))
+        gain = ca.MX(ca.DM(noise.gain)) @ ca.horzcat(
+            *(fill(ca.DM.eye(ne)[:, i], mt) for i in range(ne))
+        )
         spread = ca.DM(noise.innovation) * (on @ on.T) + ca.diag(1 - on)
         self.functions["innovation_gain"] = ca.Function(
             "innovation_gain", [mt], [ca.densify(gain), ca.densify(spread)], ["there"], ["K", "S"]
@@ -611,15 +706,20 @@ class _Builder:
             if self.posterior is not None:
                 push = push + self._push(mx, mu, mp, "raw")
             step = s.step(self.x, self.u, self.p, self.w)
-            moved = ca.Function("innovate", [self.x, self.u, self.p, self.w], [ca.cse(ca.densify(step))])
+            moved = ca.Function(
+                "innovate", [self.x, self.u, self.p, self.w], [ca.cse(ca.densify(step))]
+            )
             after = moved(mx, mu, self._own_p(mp), push)
         else:
             correction = ca.mtimes(ca.DM(noise.gain), fill(found, mt))
             after = self.functions["boxplus"](self.functions["f_d"](mx, mu, mp), correction)
         self.functions["filter_step"] = ca.Function(
-            "filter_step", [mx, mu, mp, my, mt], [after, found, seen], ["x", "u", "p", "y", "there"],
+            "filter_step",
+            [mx, mu, mp, my, mt],
+            [after, found, seen],
+            ["x", "u", "p", "y", "there"],
             ["x_next", "e", "y_hat"],
-        )  # fmt: skip
+        )
 
     @cached_property
     def _innovation(self) -> Any:
@@ -632,11 +732,17 @@ class _Builder:
     def _adapt(self, values: FloatArray) -> Adapted:
         """Adds adapt_step; `values` (n_p,) are the identified ones."""
         assert isinstance(self.model, IdentifiedModel)
-        learned = self.posterior if isinstance(self.posterior, (GPPosterior, FeaturePosterior)) else None
+        learned = (
+            self.posterior if isinstance(self.posterior, (GPPosterior, FeaturePosterior)) else None
+        )
         own = adapted(
-            self.model, self.parameters, values, learned if self.weights else None, self.sampled.error_states,
+            self.model,
+            self.parameters,
+            values,
+            learned if self.weights else None,
+            self.sampled.error_states,
             self.noise.covariance,
-        )  # fmt: skip
+        )
         self.functions["adapt_step"] = adapt_function(
             self.functions, self._innovation, own, self.sampled.states, self.dt
         )
@@ -646,9 +752,12 @@ class _Builder:
         """Adds forecast_step and calibrate_step; `point` = (x, u, p) is where sigma is stated."""
         noise = self.noise
         stated = Stated(
-            point=point, predicted=noise.covariance, process=noise.process, innovation=noise.innovation,
+            point=point,
+            predicted=noise.covariance,
+            process=noise.process,
+            innovation=noise.innovation,
             theta=self.theta_covariance,
-        )  # fmt: skip
+        )
         own = calibration(self.functions, stated, self.dt)
         self.functions["forecast_step"] = forecast_function(self.functions, self._innovation, own)
         self.functions["calibrate_step"] = calibrate_function(own)
@@ -665,7 +774,9 @@ class _Builder:
         else:
             v = ca.MX.sym("v", x.numel() + u.numel())
             value = ca.dot(lam, self.functions["f_d"](v[: x.numel()], v[x.numel() :], p))
-            inner = ca.Function("hessian_of_both", [v, p, lam], [ca.densify(ca.hessian(value, v)[0])])
+            inner = ca.Function(
+                "hessian_of_both", [v, p, lam], [ca.densify(ca.hessian(value, v)[0])]
+            )
             hessian = inner(ca.vertcat(x, u), p, lam)
         self.functions["lagrangian_hessian"] = ca.Function(
             "lagrangian_hessian", [x, u, p, lam], [hessian], ["x", "u", "p", "lam"], ["H"]
@@ -689,15 +800,24 @@ class _Builder:
         extra = len(self.sampled.history)
         if isinstance(self.model, (LinearModel, PredictorModel)):
             own = self.model.noise
-            gain = self.model.form.gain if isinstance(self.model, PredictorModel) else self.model.matrices.k
+            gain = (
+                self.model.form.gain
+                if isinstance(self.model, PredictorModel)
+                else self.model.matrices.k
+            )
             return innovation_noise(gain, own, extra)
         inputs = [self.x, self.u, self.p, self.w]
-        through = ca.Function("noise", inputs, [ca.densify(self.noise_input), ca.densify(self.noise_output)])
+        through = ca.Function(
+            "noise", inputs, [ca.densify(self.noise_input), ca.densify(self.noise_output)]
+        )
         w = ca.DM.zeros(self.w.numel())
         if self.posterior is not None:
             w = self.spread @ self._mean()(self._features("error")(x, u, p)[0], p)
         g, d = (v.full() for v in through(x, u, p[: self.p.numel()], w))
-        a, c = self.functions["f_d_jac"](x, u, p)[1].full(), self.functions["h_jac"](x, u, p)[1].full()
+        a, c = (
+            self.functions["f_d_jac"](x, u, p)[1].full(),
+            self.functions["h_jac"](x, u, p)[1].full(),
+        )
         n = len(self.sampled.dynamics.error_states)
         return identified_noise(self.model, self.dt, (a[:n, :n], g[:n], c[:, :n], d), extra)
 
@@ -722,7 +842,9 @@ class _Builder:
             forecasts = self._calibrate((x, u, p))
         if "target" in self.groups:
             targets = tracked(s)
-            self.functions["target_step"] = target_function(s, self.functions, targets, len(self.parameters))
+            self.functions["target_step"] = target_function(
+                s, self.functions, targets, len(self.parameters)
+            )
         if "hessian" in self.groups:
             self._hessian()
         self.functions.pop(f"{self.prefix}_features_own", None)
@@ -734,16 +856,36 @@ class _Builder:
             longest[s.dynamics.inputs.names[i]] = lag
         none = Layout([])
         return ModelFunctions(
-            name=_name(self), dt=self.dt,
-            identified_dt=self.own_dt, functions=self.functions, states=s.states, error_states=s.error_states,
-            inputs=s.inputs, parameters=self.parameters, outputs=s.dynamics.outputs, innovations=s.dynamics.innovations,
+            name=_name(self),
+            dt=self.dt,
+            identified_dt=self.own_dt,
+            functions=self.functions,
+            states=s.states,
+            error_states=s.error_states,
+            inputs=s.inputs,
+            parameters=self.parameters,
+            outputs=s.dynamics.outputs,
+            innovations=s.dynamics.innovations,
             features=none if self.posterior is None else self.posterior.inputs,
-            learned=none if self.posterior is None else self.posterior.outputs, own_states=len(s.dynamics.states),
-            own_error_states=len(s.dynamics.error_states), parameter_values=p, reference=(x, u), noise=self.noise,
-            covariance_names=self.theta_names, covariance=self.theta_covariance, bounds=_bounds(self), scales=_scales(self),
-            delay=longest, targets=targets, adapted=own, calibration=forecasts, discrete=self.discrete,
-            posterior=self.posterior, model=self.model, sampled=s,
-        )  # fmt: skip
+            learned=none if self.posterior is None else self.posterior.outputs,
+            own_states=len(s.dynamics.states),
+            own_error_states=len(s.dynamics.error_states),
+            parameter_values=p,
+            reference=(x, u),
+            noise=self.noise,
+            covariance_names=self.theta_names,
+            covariance=self.theta_covariance,
+            bounds=_bounds(self),
+            scales=_scales(self),
+            delay=longest,
+            targets=targets,
+            adapted=own,
+            calibration=forecasts,
+            discrete=self.discrete,
+            posterior=self.posterior,
+            model=self.model,
+            sampled=s,
+        )
 
 
 def _dynamics(model: IdentifiedModel | LinearModel | PredictorModel) -> Dynamics:
@@ -752,7 +894,9 @@ def _dynamics(model: IdentifiedModel | LinearModel | PredictorModel) -> Dynamics
     return model if isinstance(model, LinearModel) else model.form
 
 
-def _domain_of(model: IdentifiedModel | LinearModel | PredictorModel) -> Mapping[str, tuple[float, float]]:
+def _domain_of(
+    model: IdentifiedModel | LinearModel | PredictorModel,
+) -> Mapping[str, tuple[float, float]]:
     """Training ranges by name, where they are known."""
     return {} if isinstance(model, LinearModel) else model.domain
 
@@ -796,7 +940,9 @@ def _scales(builder: _Builder) -> tuple[FloatArray, FloatArray, FloatArray]:
 
     rates = dict(zip(("rate.x", "rate.y", "rate.z"), "pqr"))
     speeds = dict(zip(("velocity.x", "velocity.y", "velocity.z"), ("vx", "vy", "vz")))
-    pushes = {f"disturbance.{n}": v for n, v in zip(s.dynamics.noises.names, s.dynamics.noise_scale(0.01))}
+    pushes = {
+        f"disturbance.{n}": v for n, v in zip(s.dynamics.noises.names, s.dynamics.noise_scale(0.01))
+    }
     physics = physics_of(s.dynamics)
     remembered: Mapping[str, float] = {} if physics is None else physics.memory_sizes
     lower, upper = _bounds(builder)
@@ -810,6 +956,8 @@ def _scales(builder: _Builder) -> tuple[FloatArray, FloatArray, FloatArray]:
         elif name in pushes:
             x.append(float(pushes[name]) or 1.0)
         else:
-            x.append(half((rates | speeds).get(name, name), remembered.get(name, SCALES.get(head, 1.0))))
+            x.append(
+                half((rates | speeds).get(name, name), remembered.get(name, SCALES.get(head, 1.0)))
+            )
     y = [half(n, 1.0) for n in s.dynamics.outputs.names]
     return np.array(x), np.array(list(commands.values())), np.array(y)

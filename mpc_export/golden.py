@@ -1,6 +1,8 @@
-"""Golden vectors: points of flight, on the edge of the training domain and far outside, with the results of CasADi.
+"""Golden vectors: points of flight, on the edge of the training domain and far outside, with the
+results of CasADi.
 
-Every function of a bundle gets the same points; C, the rebuild and any consumer must give the same results.
+Every function of a bundle gets the same points; C, the rebuild and any consumer must give the same
+results.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ FARTHEST = 1 + SPREADS.index(max(SPREADS))
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Golden:
-    """Arguments and results of one function: name -> (points, numbers), column by column within a matrix."""
+    """Arguments and results of one function: name -> (points, numbers), column by column within a
+    matrix."""
 
     name: str
     arguments: Mapping[str, FloatArray]
@@ -33,7 +36,9 @@ class Golden:
     def csv(self) -> str:
         """One row per point; columns `in.x.0`, ..., `out.x_next.0`, ..."""
         parts = [
-            (f"{kind}.{n}", v) for kind, d in (("in", self.arguments), ("out", self.results)) for n, v in d.items()
+            (f"{kind}.{n}", v)
+            for kind, d in (("in", self.arguments), ("out", self.results))
+            for n, v in d.items()
         ]
         head = [f"{n}.{i}" for n, v in parts for i in range(v.shape[1])]
         rows = np.hstack([v for _, v in parts])
@@ -48,19 +53,28 @@ def golden_vectors(functions: ModelFunctions, points: int, seed: int = 0) -> lis
     out = []
     for name, function in functions.functions.items():
         given = [_arguments(functions, function, place) for place in places]
-        got = [[v.full().ravel(order="F") for v in function.call([ca.DM(v) for v in row.values()])] for row in given]
+        got = [
+            [v.full().ravel(order="F") for v in function.call([ca.DM(v) for v in row.values()])]
+            for row in given
+        ]
         names = function.name_in()
         out.append(
             Golden(
                 name=name,
-                arguments={n: np.array([np.ravel(row[n], order="F") for row in given]) for n in names},
-                results={n: np.array([row[i] for row in got]) for i, n in enumerate(function.name_out())},
+                arguments={
+                    n: np.array([np.ravel(row[n], order="F") for row in given]) for n in names
+                },
+                results={
+                    n: np.array([row[i] for row in got]) for i, n in enumerate(function.name_out())
+                },
             )
         )
     return out
 
 
-def _arguments(functions: ModelFunctions, function: Any, place: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+def _arguments(
+    functions: ModelFunctions, function: Any, place: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
     """What this function takes at a place; f and its Jacobian take the model's own states only."""
     out = {}
     for i, n in enumerate(function.name_in()):
@@ -70,7 +84,9 @@ def _arguments(functions: ModelFunctions, function: Any, place: Mapping[str, Flo
     return out
 
 
-def _point(functions: ModelFunctions, rng: np.random.Generator, spread: float) -> dict[str, FloatArray]:
+def _point(
+    functions: ModelFunctions, rng: np.random.Generator, spread: float
+) -> dict[str, FloatArray]:
     """One value for every argument that a function may take; `spread` 1 is typical flight."""
     n = functions.sizes
     scale, command, _ = functions.scales
@@ -78,8 +94,15 @@ def _point(functions: ModelFunctions, rng: np.random.Generator, spread: float) -
     move = rng.standard_normal(n["n_d"])
     # Raw and error states differ in the attitude alone, whose typical error is a third of a radian.
     typical = {s.name.removeprefix("d_"): scale[i] for i, s in enumerate(functions.states)}
-    size = np.array([0.3 if "attitude" in s else typical[s.removeprefix("d_")] for s in functions.error_states.names])
-    inside = np.array([s.startswith(("rotor", "history")) for s in functions.states.names], dtype=bool)
+    size = np.array(
+        [
+            0.3 if "attitude" in s else typical[s.removeprefix("d_")]
+            for s in functions.error_states.names
+        ]
+    )
+    inside = np.array(
+        [s.startswith(("rotor", "history")) for s in functions.states.names], dtype=bool
+    )
     x = np.asarray(boxplus(functions.reference[0], 0.3 * spread * size * move)).ravel()
     level = np.clip(0.5 + 0.3 * spread * (rng.random(x.size) - 0.5), 0.02, 0.98) * scale
     x = np.where(inside & (spread > 0), level, x)
@@ -104,7 +127,10 @@ def _point(functions: ModelFunctions, rng: np.random.Generator, spread: float) -
         slopes = rng.standard_normal((n["n_d"], len(own.rows))) / np.maximum(between, 1e-30)
         felt[len(own.rows) :, : len(own.rows)] = deviation[:, None] * slopes
     return {
-        "x": x, "u": u, "p": p, "z": z,
+        "x": x,
+        "u": u,
+        "p": p,
+        "z": z,
         "x2": np.asarray(boxplus(x, 0.1 * size * rng.standard_normal(n["n_d"]))).ravel(),
         "d": 0.1 * size * move,
         "y": y + 0.05 * np.maximum(np.abs(y), 0.1) * rng.standard_normal(n["n_y"]),
@@ -113,24 +139,39 @@ def _point(functions: ModelFunctions, rng: np.random.Generator, spread: float) -
         "K": 0.1 * command[:, None] / size[None, :] * rng.standard_normal((n["n_u"], n["n_d"])),
         "c": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_g"])),
         "b": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_theta"])) / theta,
-        "V": felt @ own.covariance @ felt.T * min(1.0, 0.2 + spread), "memory": np.array([30.0 * spread]),
+        "V": felt @ own.covariance @ felt.T * min(1.0, 0.2 + spread),
+        "memory": np.array([30.0 * spread]),
         **_calibration(functions, rng, x, 0.1 * size * move, spread),
         "lam": rng.standard_normal(n["n_x"]) / scale,
         "r": target,
-    }  # fmt: skip
+    }
 
 
 def _calibration(
-    functions: ModelFunctions, rng: np.random.Generator, x: FloatArray, away: FloatArray, spread: float
+    functions: ModelFunctions,
+    rng: np.random.Generator,
+    x: FloatArray,
+    away: FloatArray,
+    spread: float,
 ) -> dict[str, FloatArray]:
-    """Arguments of forecast_step and calibrate_step: forecasts and the next state about x, at samples due or not."""
-    own, boxplus = functions.calibration, functions.functions["boxplus"] if functions.sizes["n_x"] else lambda x, d: x
+    """Arguments of forecast_step and calibrate_step: forecasts and the next state about x, at
+    samples due or not."""
+    own, boxplus = (
+        functions.calibration,
+        functions.functions["boxplus"] if functions.sizes["n_x"] else lambda x, d: x,
+    )
     under_way = [np.asarray(boxplus(x, k / COLUMNS * away)).ravel() for k in range(1, COLUMNS + 1)]
     shape = own.sigma.shape
     return {
-        "x_next": under_way[0], "F": np.array(under_way).T.reshape(x.size, COLUMNS),
-        "clock": np.array([own.every * rng.integers(0, 2 * COLUMNS) + rng.integers(0, 2)], dtype=float),
+        "x_next": under_way[0],
+        "F": np.array(under_way).T.reshape(x.size, COLUMNS),
+        "clock": np.array(
+            [own.every * rng.integers(0, 2 * COLUMNS) + rng.integers(0, 2)], dtype=float
+        ),
         "theta": 0.2 * spread * rng.standard_normal((shape[0], own.remembered)),
-        "E": own.sigma * (0.5 + spread) * rng.standard_normal(shape), "sigma": own.sigma,
-        "seen": (rng.random(shape) < 0.8).astype(float), "level": np.array([LEVEL]), "gain": np.array([GAIN]),
-    }  # fmt: skip
+        "E": own.sigma * (0.5 + spread) * rng.standard_normal(shape),
+        "sigma": own.sigma,
+        "seen": (rng.random(shape) < 0.8).astype(float),
+        "level": np.array([LEVEL]),
+        "gain": np.array([GAIN]),
+    }

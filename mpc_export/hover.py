@@ -1,7 +1,9 @@
-"""Hover: one small optimal control problem that every consumer can pose, and its solution by IPOPT to compare with.
+"""Hover: one small optimal control problem that every consumer can pose, and its solution by IPOPT
+to compare with.
 
-From a displaced state to the reference in N samples: least squares of the error state (boxminus, so that an attitude error
-is an angle and not a difference of quaternions) and of the command, with the bounds of the commands,
+From a displaced state to the reference in N samples: least squares of the error state (boxminus, so
+that an attitude error is an angle and not a difference of quaternions) and of the command, with the
+bounds of the commands,
 
     min  sum_k dt/2 |W r(x_k, u_k)|^2 + final/2 |W_x boxminus(x_N, x_ref)|^2,   r = (boxminus(x, x_ref), u - u_ref).
 
@@ -29,7 +31,8 @@ FREE = ("history.", "disturbance.", "coloured.", "drift.", "line.", "low_pass.",
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hover:
-    """The problem in numbers: `start` (n_x,), squared weights of the error state (n_d,) and of the command (n_u,)."""
+    """The problem in numbers: `start` (n_x,), squared weights of the error state (n_d,) and of the
+    command (n_u,)."""
 
     steps: int
     start: Array
@@ -39,7 +42,8 @@ class Hover:
 
 
 def hover(model: Exported, steps: int = 20) -> Hover:
-    """The problem of a model: displaced by a third of the typical size of each of its own states."""
+    """The problem of a model: displaced by a third of the typical size of each of its own
+    states."""
     typical = dict(zip(model.states, model.state_scale.tolist()))
     own = [n.removeprefix("d_") for n in model.error_states]
     size = np.array([typical.get(n, ATTITUDE) for n in own])
@@ -73,7 +77,8 @@ def final_cost(model: Exported, problem: Hover, x: Any) -> Any:
 
 
 def solve(model: Exported, problem: Hover) -> tuple[Array, Array]:
-    """(X (N+1, n_x), U (N, n_u)) by multiple shooting and IPOPT. Raises `RuntimeError` when it does not converge."""
+    """(X (N+1, n_x), U (N, n_u)) by multiple shooting and IPOPT. Raises `RuntimeError` when it does
+    not converge."""
     nx, nu, n = len(model.states), len(model.inputs), problem.steps
     states = [ca.MX.sym(f"x{k}", nx) for k in range(n + 1)]
     inputs = [ca.MX.sym(f"u{k}", nu) for k in range(n)]
@@ -89,12 +94,17 @@ def solve(model: Exported, problem: Hover) -> tuple[Array, Array]:
     problem_ = {"x": ca.vertcat(*states, *inputs), "f": cost, "g": ca.vertcat(*gaps)}
     solver = ca.nlpsol("hover", "ipopt", problem_, options)
     free = np.full(n * nx, np.inf)
-    found = solver(
-        x0=np.concatenate([np.tile(problem.start, n + 1), np.tile(model.reference_inputs, n)]),
-        lbx=np.concatenate([problem.start, -free, np.tile(model.lower, n)]),
-        ubx=np.concatenate([problem.start, free, np.tile(model.upper, n)]),
-        lbg=0.0, ubg=0.0,
-    )["x"].full().ravel()  # fmt: skip
+    found = (
+        solver(
+            x0=np.concatenate([np.tile(problem.start, n + 1), np.tile(model.reference_inputs, n)]),
+            lbx=np.concatenate([problem.start, -free, np.tile(model.lower, n)]),
+            ubx=np.concatenate([problem.start, free, np.tile(model.upper, n)]),
+            lbg=0.0,
+            ubg=0.0,
+        )["x"]
+        .full()
+        .ravel()
+    )
     if not solver.stats()["success"]:
         raise RuntimeError(f"IPOPT: {solver.stats()['return_status']}")
     return found[: (n + 1) * nx].reshape(n + 1, nx), found[(n + 1) * nx :].reshape(n, nu)

@@ -34,9 +34,16 @@ TOLERANCE = {"double": 1e-10, "float": 1e-4}
 
 
 def manifest_of(
-    functions: ModelFunctions, *, name: str, real: str, groups: Sequence[str], golden: Sequence[Golden],
-    c: tuple[CSource, Mapping[str, int]] | None, targets: Mapping[str, Any], abi: int | None,
-) -> dict[str, Any]:  # fmt: skip
+    functions: ModelFunctions,
+    *,
+    name: str,
+    real: str,
+    groups: Sequence[str],
+    golden: Sequence[Golden],
+    c: tuple[CSource, Mapping[str, int]] | None,
+    targets: Mapping[str, Any],
+    abi: int | None,
+) -> dict[str, Any]:
     """Plain values of the manifest, without file checksums."""
     f, model = functions, functions.model
     frames = FRAMES if "attitude.w" in f.states else {k: FRAMES[k] for k in ("matrices",)}
@@ -54,7 +61,11 @@ def manifest_of(
         "states": _signals(f.states, scale=f.scales[0], reference=f.reference[0]),
         "error_states": _signals(f.error_states),
         "inputs": _signals(
-            f.inputs, scale=f.scales[1], reference=f.reference[1], lower=f.bounds[0], upper=f.bounds[1]
+            f.inputs,
+            scale=f.scales[1],
+            reference=f.reference[1],
+            lower=f.bounds[0],
+            upper=f.bounds[1],
         ),
         "parameters": _signals(f.parameters, value=f.parameter_values),
         "outputs": _signals(f.outputs, scale=f.scales[2]),
@@ -65,32 +76,45 @@ def manifest_of(
         "groups": list(groups),
         "functions": [_function(fn, g) for fn, g in zip(f.functions.values(), golden, strict=True)],
         "values": {k: float(v) for k, v in sorted(f.sampled.values.items())},
-        "flight_spread": {k: list(v) for k, v in model.flight_spread.items()} if isinstance(model, IdentifiedModel) else {},
+        "flight_spread": {k: list(v) for k, v in model.flight_spread.items()}
+        if isinstance(model, IdentifiedModel)
+        else {},
         "covariance": {"names": list(f.covariance_names), "matrix": f.covariance},
         "adapted": {
-            "names": list(f.adapted.names), "covariance": f.adapted.covariance,
-            "lower": f.adapted.lower, "upper": f.adapted.upper, "state_limits": dict(f.adapted.limits),
+            "names": list(f.adapted.names),
+            "covariance": f.adapted.covariance,
+            "lower": f.adapted.lower,
+            "upper": f.adapted.upper,
+            "state_limits": dict(f.adapted.limits),
         },
         "calibration": {
-            "names": list(f.calibration.horizons.names), "samples": list(f.calibration.samples),
-            "seconds": [n * f.dt for n in f.calibration.samples], "every": f.calibration.every,
-            "sigma": f.calibration.sigma, "level": LEVEL, "gain": GAIN,
+            "names": list(f.calibration.horizons.names),
+            "samples": list(f.calibration.samples),
+            "seconds": [n * f.dt for n in f.calibration.samples],
+            "every": f.calibration.every,
+            "sigma": f.calibration.sigma,
+            "level": LEVEL,
+            "gain": GAIN,
         },
         "noise": {
-            "process": f.noise.process, "gain": f.noise.gain, "innovation": f.noise.innovation,
+            "process": f.noise.process,
+            "gain": f.noise.gain,
+            "innovation": f.noise.innovation,
             "predicted": f.noise.covariance,
         },
         "domain": _domain(f),
         "c": None if c is None else _c(c[0], c[1], real),
         "abi": abi,
-        "return_codes": [{"code": i, "name": n, "meaning": why} for i, (n, why) in enumerate(CODES)],
+        "return_codes": [
+            {"code": i, "name": n, "meaning": why} for i, (n, why) in enumerate(CODES)
+        ],
         "thread_safety": "functions have no state: call them from any number of threads, each with work space of its own",
         "tolerance": TOLERANCE[real],
         "targets_written": dict(targets),
         "notes": _notes(f),
         "data_hash": model.data_hash if isinstance(model, IdentifiedModel) else "",
         "versions": library_versions(),
-    }  # fmt: skip
+    }
 
 
 def _model(f: ModelFunctions) -> dict[str, Any]:
@@ -98,15 +122,29 @@ def _model(f: ModelFunctions) -> dict[str, Any]:
     if isinstance(model, LinearModel):
         return {"name": model.name, "kind": "linear", "effects": [], "trained_on": []}
     if isinstance(model, PredictorModel):
-        return {"name": model.name, "kind": model.kind, "effects": [], "trained_on": list(model.trained_on)}
+        return {
+            "name": model.name,
+            "kind": model.kind,
+            "effects": [],
+            "trained_on": list(model.trained_on),
+        }
     kind = "physics" if f.posterior is None else "hybrid"
-    return {"name": model.name, "kind": kind, "effects": list(model.effects), "trained_on": list(model.trained_on)}
+    return {
+        "name": model.name,
+        "kind": kind,
+        "effects": list(model.effects),
+        "trained_on": list(model.trained_on),
+    }
 
 
 def _integrator(f: ModelFunctions) -> str:
     if f.discrete:
         return "none: the model is a map from sample to sample"
-    learned = "; the learned push is evaluated at the sample and held over it" if f.posterior is not None else ""
+    learned = (
+        "; the learned push is evaluated at the sample and held over it"
+        if f.posterior is not None
+        else ""
+    )
     return (
         "rotor lag exactly (exponential), rigid body by one classical Runge-Kutta 4 step per sample, quaternion brought "
         f"back to unit length{learned}"
@@ -151,29 +189,46 @@ def _function(function: Any, golden: Golden) -> dict[str, Any]:
 
 def _domain(f: ModelFunctions) -> dict[str, Any]:
     channels = {} if isinstance(f.model, LinearModel) else f.model.domain
-    out: dict[str, Any] = {"channels": {k: [float(v[0]), float(v[1])] for k, v in channels.items()}, "learned": None}
+    out: dict[str, Any] = {
+        "channels": {k: [float(v[0]), float(v[1])] for k, v in channels.items()},
+        "learned": None,
+    }
     if f.posterior is not None:
         box = f.posterior.domain
         out["learned"] = {
-            "inputs": list(f.posterior.inputs.names), "lower": box.lower, "upper": box.upper,
+            "inputs": list(f.posterior.inputs.names),
+            "lower": box.lower,
+            "upper": box.upper,
             "distance_quantiles": dict(zip(("50", "95", "99", "100"), box.distance)),
-            "samples": box.samples, "points": f.posterior.points, "method": f.posterior.method,
+            "samples": box.samples,
+            "points": f.posterior.points,
+            "method": f.posterior.method,
             "noise": f.posterior.noise,
-            "variance_factor": list(f.posterior.variance_factor) if isinstance(f.posterior, GPPosterior) else [],
-        }  # fmt: skip
+            "variance_factor": list(f.posterior.variance_factor)
+            if isinstance(f.posterior, GPPosterior)
+            else [],
+        }
     return out
 
 
 def _c(source: CSource, work: Mapping[str, int], real: str) -> dict[str, Any]:
-    pointer, number, integer = 8, 8 if real == "double" else 4, 8 if source.integer.startswith("long") else 4
+    pointer, number, integer = (
+        8,
+        8 if real == "double" else 4,
+        8 if source.integer.startswith("long") else 4,
+    )
     return {
-        "prefix": source.prefix, "real": real, "integer": source.integer,
-        "source_bytes": source.source.stat().st_size, "kernels": list(source.kernels),
+        "prefix": source.prefix,
+        "real": real,
+        "integer": source.integer,
+        "source_bytes": source.source.stat().st_size,
+        "kernels": list(source.kernels),
         "work": dict(work),
         "work_bytes": pointer * (work["sz_arg"] + work["sz_res"] + 2)
-        + integer * (work["sz_iw"] + 1) + number * (work["sz_w"] + 1),
+        + integer * (work["sz_iw"] + 1)
+        + number * (work["sz_w"] + 1),
         "functions": sizes_of(source),
-    }  # fmt: skip
+    }
 
 
 def _notes(f: ModelFunctions) -> list[str]:
@@ -188,7 +243,9 @@ def _notes(f: ModelFunctions) -> list[str]:
     if f.delay:
         out.append("f has no delay; f_d has it, as input-history states")
     if any(k.startswith("sensor_delay.") and v != 0 for k, v in f.sampled.values.items()):
-        out.append("states are those of the instant that gyro and accelerometer show, sensor_delay.d before the pose's")
+        out.append(
+            "states are those of the instant that gyro and accelerometer show, sensor_delay.d before the pose's"
+        )
     if not math.isclose(f.dt, f.identified_dt, rel_tol=1e-9):
         out.append(
             f"identified at {f.identified_dt:g} s and exported at {f.dt:g} s: white noise keeps its intensity, the sensor "
@@ -196,9 +253,13 @@ def _notes(f: ModelFunctions) -> list[str]:
         )
     window = f.sampled.dynamics.window
     if window[1]:
-        out.append("identified with commands that run linearly between samples, exported with commands that are held")
+        out.append(
+            "identified with commands that run linearly between samples, exported with commands that are held"
+        )
     if f.sampled.exogenous:
-        out.append(f"{', '.join(f.sampled.exogenous)} is a run-time parameter: give its present value in p")
+        out.append(
+            f"{', '.join(f.sampled.exogenous)} is a run-time parameter: give its present value in p"
+        )
     if f.sampled.runtime:
         out.append("Q, K and S are those of the identified values, whatever p says")
     return out

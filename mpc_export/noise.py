@@ -1,8 +1,8 @@
 """Noise: the identified filter and process noise at the controller's sample time, as plain numbers.
 
-White noise that is constant over a step keeps its intensity: variance times sample time is the same at every sample time.
-What is correlated in time keeps its stationary variance (each kind of noise part says how). Sensor noise is one per sample,
-whatever the rate.
+White noise that is constant over a step keeps its intensity: variance times sample time is the same
+at every sample time. What is correlated in time keeps its stationary variance (each kind of noise
+part says how). Sensor noise is one per sample, whatever the rate.
 """
 
 from __future__ import annotations
@@ -22,10 +22,12 @@ from greybox.symbolic import FloatArray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Noise:
-    """Numbers of the stationary filter and of the covariance step, in error coordinates, history states included as zeros.
+    """Numbers of the stationary filter and of the covariance step, in error coordinates, history
+    states included as zeros.
 
-    gain K (n_d, n_e), innovation covariance S (n_e, n_e), cross N (n_d, n_e) with K = N S^-1, covariance P (n_d, n_d) of
-    the predicted state, process Q (n_d, n_d) per step of an open-loop prediction, sensor (n_e,) standard deviations.
+    gain K (n_d, n_e), innovation covariance S (n_e, n_e), cross N (n_d, n_e) with K = N S^-1,
+    covariance P (n_d, n_d) of the predicted state, process Q (n_d, n_d) per step of an open-loop
+    prediction, sensor (n_e,) standard deviations.
     """
 
     gain: FloatArray
@@ -37,7 +39,8 @@ class Noise:
 
 
 def levels_at(model: IdentifiedModel, levels: FloatArray, dt: float) -> FloatArray:
-    """Process-noise standard deviations (n_w) of the model for steps of dt seconds instead of its own sample time."""
+    """Process-noise standard deviations (n_w) of the model for steps of dt seconds instead of its
+    own sample time."""
     own = model.sample_time
     if math.isclose(own, dt, rel_tol=1e-12):
         return levels
@@ -48,27 +51,39 @@ def levels_at(model: IdentifiedModel, levels: FloatArray, dt: float) -> FloatArr
 
 
 def identified_noise(
-    model: IdentifiedModel, dt: float, matrices: tuple[FloatArray, FloatArray, FloatArray, FloatArray], extra: int
+    model: IdentifiedModel,
+    dt: float,
+    matrices: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    extra: int,
 ) -> Noise:
-    """From the noise levels of a fit and A, G, C, D of the model at its reference point; `extra` history states."""
+    """From the noise levels of a fit and A, G, C, D of the model at its reference point; `extra`
+    history states."""
     _, g, _, d = matrices
     noise = levels_at(model, model.process_noise, dt)
     ahead = noise if model.horizon_noise is None else levels_at(model, model.horizon_noise, dt)
     found = stationary(matrices, noise**2, model.sensor_noise**2, model.weak**2)
     gain, covariance = found.gain(np.ones(d.shape[0]))[:2]
     return Noise(
-        gain=_rows(gain, extra), innovation=covariance, cross=_rows(found.N, extra), covariance=_square(found.P, extra),
-        process=_square((g * ahead**2) @ g.T, extra), sensor=np.asarray(model.sensor_noise, dtype=float),
-    )  # fmt: skip
+        gain=_rows(gain, extra),
+        innovation=covariance,
+        cross=_rows(found.N, extra),
+        covariance=_square(found.P, extra),
+        process=_square((g * ahead**2) @ g.T, extra),
+        sensor=np.asarray(model.sensor_noise, dtype=float),
+    )
 
 
 def innovation_noise(k: FloatArray, covariance: FloatArray, extra: int) -> Noise:
-    """Of an innovation form with gain K (n_d, n_e) and cov(e): the filter is the model, P = 0 and S = cov(e)."""
+    """Of an innovation form with gain K (n_d, n_e) and cov(e): the filter is the model, P = 0 and S
+    = cov(e)."""
     return Noise(
-        gain=_rows(k, extra), innovation=covariance, cross=_rows(k @ covariance, extra),
-        covariance=np.zeros((len(k) + extra,) * 2), process=_square(k @ covariance @ k.T, extra),
+        gain=_rows(k, extra),
+        innovation=covariance,
+        cross=_rows(k @ covariance, extra),
+        covariance=np.zeros((len(k) + extra,) * 2),
+        process=_square(k @ covariance @ k.T, extra),
         sensor=np.sqrt(np.diag(covariance)),
-    )  # fmt: skip
+    )
 
 
 def _rows(matrix: FloatArray, extra: int) -> FloatArray:
@@ -85,4 +100,6 @@ def parameter_covariance(model: Any) -> tuple[tuple[str, ...], FloatArray]:
         return (), np.zeros((0, 0))
     declared = {d.name for d in model.dynamics.parameters}
     at = [i for i, n in enumerate(model.covariance_names) if n in declared]
-    return tuple(model.covariance_names[i] for i in at), np.nan_to_num(model.covariance[np.ix_(at, at)])
+    return tuple(model.covariance_names[i] for i in at), np.nan_to_num(
+        model.covariance[np.ix_(at, at)]
+    )

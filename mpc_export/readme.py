@@ -49,7 +49,11 @@ def _copyright() -> str:
     """The copyright line of greybox's LICENSE, where the source tree is at hand."""
     path = Path(str(resources.files("greybox"))).parent / "LICENSE"
     if path.is_file():
-        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("Copyright")]
+        lines = [
+            line
+            for line in path.read_text(encoding="utf-8").splitlines()
+            if line.startswith("Copyright")
+        ]
         if lines:
             return lines[0]
     return "Copyright (c) the greybox authors"
@@ -72,44 +76,64 @@ def readme(manifest: Mapping[str, Any]) -> str:
     """README.md: what it is, how to check it, ordering tables, functions."""
     m, n = manifest, manifest["name"]
     lines = [
-        f"# {n}: {plain(m['model']['name'])}", "",
+        f"# {n}: {plain(m['model']['name'])}",
+        "",
         f"A {m['model']['kind']} model that greybox {m['versions']['greybox']} identified, {m['sample_time']:g} s a sample, "
-        "as code. It needs nothing of greybox.", "",
-    ]  # fmt: skip
+        "as code. It needs nothing of greybox.",
+        "",
+    ]
     if m["c"]:
         lines += [
-            "Build and run the self-test (any C99 compiler):", "", "```sh",
-            f"cc -std=c99 -O2 -o selftest c/{n}.c c/{n}_model.c c/{n}_selftest.c -lm", "./selftest", "```", "",
+            "Build and run the self-test (any C99 compiler):",
+            "",
+            "```sh",
+            f"cc -std=c99 -O2 -o selftest c/{n}.c c/{n}_model.c c/{n}_selftest.c -lm",
+            "./selftest",
+            "```",
+            "",
             f"In C and C++ include `c/{n}_model.h`, in CMake `add_subdirectory(c)` and link `{n}`. "
             f"`c/{n}_example.cpp` is a program to start from. For speed add `-O3 -march=native -ffp-contract=fast`, never "
-            "`-ffast-math`.", "",
+            "`-ffast-math`.",
+            "",
             f"Source {m['c']['source_bytes'] / 1e3:.0f} kB, numbers in {m['c']['real']}, work space {m['c']['work_bytes']} "
-            "bytes per thread (on a 64-bit machine). No malloc, no stdio, no variables that live between calls.", "",
-        ]  # fmt: skip
+            "bytes per thread (on a 64-bit machine). No malloc, no stdio, no variables that live between calls.",
+            "",
+        ]
     lines += [
-        "In Python (casadi 3.6.7 or later, numpy):", "", "```python", "import sys; sys.path.insert(0, \"python\")",
-        "import rebuild", "f_d = rebuild.load()[\"f_d\"]  # casadi.Function: x_next = f_d(x, u, p)", "```", "",
+        "In Python (casadi 3.6.7 or later, numpy):",
+        "",
+        "```python",
+        'import sys; sys.path.insert(0, "python")',
+        "import rebuild",
+        'f_d = rebuild.load()["f_d"]  # casadi.Function: x_next = f_d(x, u, p)',
+        "```",
+        "",
         "`casadi/*.casadi`, if there, are the same functions for the CasADi version that wrote them only. `golden/*.csv` "
         "hold arguments and results of every function. `manifest.json` says all of this, and the noise of the identified "
         "filter, to programs.",
         "",
-    ]  # fmt: skip
+    ]
     for target, said in m["targets_written"].items():
         lines += [f"With {target}: `python {said['example']} --help`.", ""]
         if "f_expl_difference" in said:
             worst = max(said["f_expl_difference"].items(), key=lambda pair: pair[1])
             lines += [
                 f"One Runge-Kutta step of f_expl is up to {worst[1]:.1g} of a state's size ({worst[0]}) away from f_d when "
-                "commands change by a tenth of their range: use discrete dynamics.", "",
-            ]  # fmt: skip
+                "commands change by a tenth of their range: use discrete dynamics.",
+                "",
+            ]
     lines += ["## Order", ""]
     for letter, title, columns in (
         ("states", "States x", ("scale", "reference")),
         ("error_states", "Error states (rows and columns of A, B, S, K, P)", ()),
-        ("inputs", "Commands u", ("lower", "upper", "reference")), ("parameters", "Run-time parameters p", ("value",)),
-        ("outputs", "Outputs y", ("scale",)), ("innovations", "Innovations e", ("sensor_noise",)),
-        ("features", "Inputs z of the learned part", ()), ("learned", "Learned outputs", ()), ("targets", "Targets r", ()),
-    ):  # fmt: skip
+        ("inputs", "Commands u", ("lower", "upper", "reference")),
+        ("parameters", "Run-time parameters p", ("value",)),
+        ("outputs", "Outputs y", ("scale",)),
+        ("innovations", "Innovations e", ("sensor_noise",)),
+        ("features", "Inputs z of the learned part", ()),
+        ("learned", "Learned outputs", ()),
+        ("targets", "Targets r", ()),
+    ):
         if m[letter]:
             lines += _table(title, m[letter], columns)
     own = m["sizes"]["own_states"]
@@ -117,21 +141,38 @@ def readme(manifest: Mapping[str, Any]) -> str:
         lines += [
             f"The first {own} states are the model's own; `f` takes these alone and knows no delay. The rest is the history "
             "of commands, `history.u.k` the command of k samples ago. "
-            f"{m['delay']['form'][0].upper()}{m['delay']['form'][1:]}.", "",
-        ]  # fmt: skip
+            f"{m['delay']['form'][0].upper()}{m['delay']['form'][1:]}.",
+            "",
+        ]
     if len(m["frames"]) > 1:
-        lines += ["## Frames", "", *(f"- {k.replace('_', ' ')}: {v}" for k, v in m["frames"].items()), ""]
+        lines += [
+            "## Frames",
+            "",
+            *(f"- {k.replace('_', ' ')}: {v}" for k, v in m["frames"].items()),
+            "",
+        ]
     lines += ["## Functions", "", "| function | arguments | results |", "|---|---|---|"]
     for f in m["functions"]:
         given, got = (", ".join(_shape(p) for p in f[k]) for k in ("arguments", "results"))
         lines.append(f"| `{f['name']}` | {given} | {got} |")
     lines += [
-        "", f"Integrator: {m['integrator']}. Command: {m['hold']}.", "",
-        "Return codes in C: " + "; ".join(f"{c['code']} {c['name']}, {c['meaning']}" for c in m["return_codes"]) + ".", "",
-        f"{m['thread_safety'][0].upper()}{m['thread_safety'][1:]}.", "",
-    ]  # fmt: skip
+        "",
+        f"Integrator: {m['integrator']}. Command: {m['hold']}.",
+        "",
+        "Return codes in C: "
+        + "; ".join(f"{c['code']} {c['name']}, {c['meaning']}" for c in m["return_codes"])
+        + ".",
+        "",
+        f"{m['thread_safety'][0].upper()}{m['thread_safety'][1:]}.",
+        "",
+    ]
     if m["notes"]:
-        lines += ["## Beware", "", *(f"- {plain(note[0].upper() + note[1:])}." for note in m["notes"]), ""]
+        lines += [
+            "## Beware",
+            "",
+            *(f"- {plain(note[0].upper() + note[1:])}." for note in m["notes"]),
+            "",
+        ]
     return "\n".join([*lines, "Licences: LICENSES/.", ""])
 
 
@@ -144,14 +185,20 @@ def _table(title: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]
     lines = [
         f"{title}:",
         "",
-        "| # | name | unit | " + "".join(f"{c.replace('_', ' ')} | " for c in columns) + "meaning |",
+        "| # | name | unit | "
+        + "".join(f"{c.replace('_', ' ')} | " for c in columns)
+        + "meaning |",
     ]
     lines.append("|" + "---|" * (4 + len(columns)))
     for row in rows[:LISTED]:
         numbers = "".join(f"{'-' if row[c] is None else format(row[c], '.6g')} | " for c in columns)
-        lines.append(f"| {row['index']} | {plain(row['name'])} | {plain(row['unit'])} | {numbers}{plain(row['meaning'])} |")
+        lines.append(
+            f"| {row['index']} | {plain(row['name'])} | {plain(row['unit'])} | {numbers}{plain(row['meaning'])} |"
+        )
     if len(rows) > LISTED:
-        lines.append(f"| ... | {len(rows) - LISTED} more: manifest.json | |" + " |" * (1 + len(columns)))
+        lines.append(
+            f"| ... | {len(rows) - LISTED} more: manifest.json | |" + " |" * (1 + len(columns))
+        )
     return [*lines, ""]
 
 

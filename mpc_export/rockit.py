@@ -1,4 +1,5 @@
-"""rockit: an optimal control problem in discrete time with an exported model (PyPI rockit-meco, imported inside)."""
+"""rockit: an optimal control problem in discrete time with an exported model (PyPI rockit-meco,
+imported inside)."""
 
 from __future__ import annotations
 
@@ -9,10 +10,14 @@ if TYPE_CHECKING:
     from mpc_export.hover import Hover
 
 
-def rockit_problem(model: Exported, problem: Hover, stage_cost: Any, final_cost: Any) -> tuple[Any, Any, Any]:
-    """(ocp, x, u): `set_next` with f_d, bounds on the commands, the problem's start; the costs are functions of (x, u), x.
+def rockit_problem(
+    model: Exported, problem: Hover, stage_cost: Any, final_cost: Any
+) -> tuple[Any, Any, Any]:
+    """(ocp, x, u): `set_next` with f_d, bounds on the commands, the problem's start; the costs are
+    functions of (x, u), x.
 
-    `ocp.solve().sample(u, grid="control")` gives times and commands; the last row belongs to no sample.
+    `ocp.solve().sample(u, grid="control")` gives times and commands; the last row belongs to no
+    sample.
     """
     from rockit import MultipleShooting, Ocp
 
@@ -26,7 +31,10 @@ def rockit_problem(model: Exported, problem: Hover, stage_cost: Any, final_cost:
     ocp.set_initial(u, model.reference_inputs)
     ocp.solver(
         "ipopt",
-        {"ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "bound_relax_factor": 0.0}, "print_time": False},
+        {
+            "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "bound_relax_factor": 0.0},
+            "print_time": False,
+        },
     )
     ocp.method(MultipleShooting(N=problem.steps))
     return ocp, x, u

@@ -1,11 +1,12 @@
-"""Sampled: a Dynamics as a controller sees it, one sample long, its command held, everything that it needs in its state.
+"""Sampled: a Dynamics as a controller sees it, one sample long, its command held, everything that
+it needs in its state.
 
     X+ = step(X, u, p, w),   y = output(X, u, p, w),   X = (x, history)
 
-A delay looks at earlier commands. They become states: `history.<input>.<k>` is the command of k samples ago, as many as
-the model needs at its baked delay. Inputs that a controller does not choose (the battery voltage) become run-time
-parameters. The learned part of a hybrid is left out here: it enters through the process-noise channels w.
-All expressions are SX.
+A delay looks at earlier commands. They become states: `history.<input>.<k>` is the command of k
+samples ago, as many as the model needs at its baked delay. Inputs that a controller does not choose
+(the battery voltage) become run-time parameters. The learned part of a hybrid is left out here: it
+enters through the process-noise channels w. All expressions are SX.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ def is_discrete(dynamics: Dynamics) -> bool:
 
 
 def at_sample_time(dynamics: Dynamics, dt: float) -> Dynamics:
-    """The same model for another sample time: its command window holds as many samples as its delay then needs."""
+    """The same model for another sample time: its command window holds as many samples as its delay
+    then needs."""
     if physics_of(dynamics) is None:
         return dynamics
     return with_physics(dynamics, lambda physics: replace(physics, sample_time=dt))
@@ -45,10 +47,11 @@ def at_sample_time(dynamics: Dynamics, dt: float) -> Dynamics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sampled:
-    """`dynamics` (without a learned part) at sample time `dt` [s] with `values`; `runtime` parameters stay symbolic.
+    """`dynamics` (without a learned part) at sample time `dt` [s] with `values`; `runtime`
+    parameters stay symbolic.
 
-    `sensitive` are the parameters whose sensitivities must come out right too (they may need one command more). Raises
-    `UnknownNameError` for a parameter that the model does not have.
+    `sensitive` are the parameters whose sensitivities must come out right too (they may need one
+    command more). Raises `UnknownNameError` for a parameter that the model does not have.
     """
 
     dynamics: Dynamics
@@ -65,7 +68,7 @@ class Sampled:
             if name not in known:
                 raise UnknownNameError("parameter", name, known)
 
-    # ------------------------------------------------------------------------------------------------ layouts
+    # ------------------------------------------------------------------------------------- layouts
 
     @cached_property
     def exogenous(self) -> tuple[str, ...]:
@@ -84,7 +87,9 @@ class Sampled:
         """Run-time parameters p (n_p): exogenous inputs, then `runtime` in the order given."""
         units = {d.name: d for d in self.dynamics.parameters}
         signals = [s for s in self.dynamics.inputs if s.name in self.exogenous]
-        signals += [Signal(name=n, unit=units[n].unit, meaning=units[n].meaning) for n in self.runtime]
+        signals += [
+            Signal(name=n, unit=units[n].unit, meaning=units[n].meaning) for n in self.runtime
+        ]
         return Layout(signals)
 
     @cached_property
@@ -98,19 +103,29 @@ class Sampled:
         theta = ca.SX.sym("theta", len(self.sensitive))
         full = self._vector(p, theta)
         felt = ca.vertcat(
-            *(getattr(self.dynamics, which)(0, x, window, full, w, self.dt) for which in ("step", "output"))
+            *(
+                getattr(self.dynamics, which)(0, x, window, full, w, self.dt)
+                for which in ("step", "output")
+            )
         )
-        everything = ca.vertcat(felt, ca.vec(ca.jacobian(felt, theta)), ca.vec(ca.jacobian(felt, p)))
+        everything = ca.vertcat(
+            felt, ca.vec(ca.jacobian(felt, theta)), ca.vec(ca.jacobian(felt, p))
+        )
         baked = ca.substitute(everything, theta, self._baked(p, self.sensitive))
         needed = _felt(baked, [x, window, p, w], 1).reshape(-1, count)  # column by column
         out: list[tuple[int, int]] = []
         for i, name in enumerate(self.dynamics.inputs.names):
             needed[past - self.looks_back.get(name, 0), i] = True
-        longest = [max(lag for lag in range(past + 1) if needed[past - lag, i] or not lag) for i in range(count)]
+        longest = [
+            max(lag for lag in range(past + 1) if needed[past - lag, i] or not lag)
+            for i in range(count)
+        ]
         for lag in range(1, max(longest, default=0) + 1):
             out += [(i, lag) for i in range(count) if longest[i] >= lag]
         if any(self.dynamics.inputs.names[i] in self.exogenous for i, _ in out):
-            raise ModelError("an earlier battery voltage cannot be a state", fix="leave the delay of vbat out")
+            raise ModelError(
+                "an earlier battery voltage cannot be a state", fix="leave the delay of vbat out"
+            )
         return tuple(out)
 
     def _history_signals(self, prefix: str) -> list[Signal]:
@@ -134,14 +149,16 @@ class Sampled:
         """Error state (n_d): the model's own, then the history's."""
         return self.dynamics.error_states + Layout(self._history_signals("d_"))
 
-    # ------------------------------------------------------------------------------------------------ vectors
+    # ------------------------------------------------------------------------------------- vectors
 
     def symbols(self) -> tuple[Expr, Expr, Expr, Expr]:
         """SX symbols X, u, p, w."""
         return (
-            ca.SX.sym("x", len(self.states)), ca.SX.sym("u", len(self.inputs)),
-            ca.SX.sym("p", len(self.parameters)), ca.SX.sym("w", len(self.dynamics.noises)),
-        )  # fmt: skip
+            ca.SX.sym("x", len(self.states)),
+            ca.SX.sym("u", len(self.inputs)),
+            ca.SX.sym("p", len(self.parameters)),
+            ca.SX.sym("w", len(self.dynamics.noises)),
+        )
 
     def _plain_symbols(self) -> tuple[Expr, Expr, Expr, Expr]:
         past, future = self.dynamics.window
@@ -153,9 +170,12 @@ class Sampled:
         )
 
     def _baked(self, p: Expr, names: Sequence[str]) -> Expr:
-        """The named model parameters: entries of p where they are run-time ones, numbers where not."""
+        """The named model parameters: entries of p where they are run-time ones, numbers where
+        not."""
         layout = self.parameters
-        return ca.vertcat(ca.SX(0, 1), *(p[layout[n]] if n in layout else self.values[n] for n in names))
+        return ca.vertcat(
+            ca.SX(0, 1), *(p[layout[n]] if n in layout else self.values[n] for n in names)
+        )
 
     def _vector(self, p: Expr, theta: Expr | None = None) -> Expr:
         """The model's own parameter vector; `theta` stands for the `sensitive` ones."""
@@ -169,37 +189,51 @@ class Sampled:
     def current(self, u: Expr, p: Expr) -> Expr:
         """The model's own input column from commands and exogenous inputs."""
         layout = self.parameters
-        rows = [p[layout[n]] if n in self.exogenous else u[self.inputs[n]] for n in self.dynamics.inputs.names]
+        rows = [
+            p[layout[n]] if n in self.exogenous else u[self.inputs[n]]
+            for n in self.dynamics.inputs.names
+        ]
         return ca.vertcat(*rows)
 
     def window(self, x: Expr, u: Expr, p: Expr) -> Expr:
-        """The model's command window; the present command stands where no earlier one is looked at."""
+        """The model's command window; the present command stands where no earlier one is looked
+        at."""
         past, future = self.dynamics.window
         now = self.current(u, p)
         at = {pair: len(self.dynamics.states) + k for k, pair in enumerate(self.history)}
         columns = []
         for column in range(past + 1 + future):
             lag = past - column
-            columns.append(ca.vertcat(*(x[at[i, lag]] if (i, lag) in at else now[i] for i in range(now.numel()))))
+            columns.append(
+                ca.vertcat(
+                    *(x[at[i, lag]] if (i, lag) in at else now[i] for i in range(now.numel()))
+                )
+            )
         return ca.horzcat(*columns)
 
     def core(self, x: Expr) -> Expr:
         """The model's own states out of X."""
         return x[: len(self.dynamics.states)]
 
-    # ------------------------------------------------------------------------------------------------ the maps
+    # ------------------------------------------------------------------------------------ the maps
 
     def step(self, x: Expr, u: Expr, p: Expr, w: Expr, theta: Expr | None = None) -> Expr:
         """X one sample later."""
-        after = self.dynamics.step(0, self.core(x), self.window(x, u, p), self._vector(p, theta), w, self.dt)
+        after = self.dynamics.step(
+            0, self.core(x), self.window(x, u, p), self._vector(p, theta), w, self.dt
+        )
         now = self.current(u, p)
         n = len(self.dynamics.states)
         at = {pair: n + k for k, pair in enumerate(self.history)}
-        return ca.vertcat(after, *(now[i] if lag == 1 else x[at[i, lag - 1]] for i, lag in self.history))
+        return ca.vertcat(
+            after, *(now[i] if lag == 1 else x[at[i, lag - 1]] for i, lag in self.history)
+        )
 
     def output(self, x: Expr, u: Expr, p: Expr, w: Expr, theta: Expr | None = None) -> Expr:
         """Outputs y at the sample."""
-        return self.dynamics.output(0, self.core(x), self.window(x, u, p), self._vector(p, theta), w, self.dt)
+        return self.dynamics.output(
+            0, self.core(x), self.window(x, u, p), self._vector(p, theta), w, self.dt
+        )
 
     def derivative(self, x: Expr, u: Expr, p: Expr, w: Expr) -> Expr:
         """dx/dt of the model's own states, without the delay."""
@@ -211,7 +245,8 @@ class Sampled:
 
     def boxplus(self, x: Expr, d: Expr) -> Expr:
         """X moved by an error state (n_d)."""
-        # Of a scalar CasADi's [1:] is a row, and a sum of rows fills up with a zero: rows are asked for by name.
+        # Of a scalar CasADi's [1:] is a row, and a sum of rows fills up with a zero: rows are asked
+        # for by name.
         n, m = len(self.dynamics.states), len(self.dynamics.error_states)
         return ca.vertcat(self.dynamics.boxplus(x[:n], d[:m]), x[n:, :] + d[m:, :])
 
@@ -230,21 +265,31 @@ class Sampled:
         """Inputs of a learned part, by name (greybox/residual/features.py)."""
         return features(self.dynamics, names, self.core(x), self.window(x, u, p))
 
-    # ------------------------------------------------------------------------------------------------ reference
+    # ----------------------------------------------------------------------------------- reference
 
-    def extended(self, state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def extended(
+        self, state: FloatArray, inputs: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(X, u, p) of a state and an input column of the model that has been the same for long."""
-        column = dict(zip(self.dynamics.inputs.names, np.asarray(inputs, dtype=float).tolist(), strict=True))
+        column = dict(
+            zip(self.dynamics.inputs.names, np.asarray(inputs, dtype=float).tolist(), strict=True)
+        )
         names = self.dynamics.inputs.names
         past = [column[names[i]] for i, _ in self.history]
         p = [column.get(n, self.values.get(n, np.nan)) for n in self.parameters.names]
-        return np.concatenate([state, past]), np.array([column[n] for n in self.inputs.names]), np.array(p)
+        return (
+            np.concatenate([state, past]),
+            np.array([column[n] for n in self.inputs.names]),
+            np.array(p),
+        )
 
 
 def _felt(value: Expr, symbols: Sequence[Expr], which: int) -> npt.NDArray[np.bool_]:
-    """Per entry of symbols[which] whether `value` really depends on it: by structure, and by slope at random points.
+    """Per entry of symbols[which] whether `value` really depends on it: by structure, and by slope
+    at random points.
 
-    A delay of whole samples (or none) keeps a command in the expression with a factor that is exactly zero.
+    A delay of whole samples (or none) keeps a command in the expression with a factor that is
+    exactly zero.
     """
     inner = ca.vec(symbols[which])
     by_structure = np.array(ca.which_depends(value, inner, 1, False), dtype=bool)

@@ -1,8 +1,8 @@
 """Tapes: CasADi functions as plain numbers, instruction by instruction, by operation name.
 
-The files that a bundle carries (`functions.json`, `functions.npz`) and the interpreter that reads them
-(mpc_export/rebuild/rebuild.py). CasADi's own files are bound to its version and its operation codes change between
-versions; the names of the operations do not.
+The files that a bundle carries (`functions.json`, `functions.npz`) and the interpreter that reads
+them (mpc_export/rebuild/rebuild.py). CasADi's own files are bound to its version and its operation
+codes change between versions; the names of the operations do not.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ _MATRIX = {*_SCALAR, "CALL", *WHOLE, *SHAPED}
 
 
 def write_tape(functions: Iterable[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """(JSON value, arrays) of the functions and everything that they call. Raises `ModelError` for what has no tape."""
+    """(JSON value, arrays) of the functions and everything that they call. Raises `ModelError` for
+    what has no tape."""
     return _Writer().write(list(functions))
 
 
@@ -40,7 +41,11 @@ class _Writer:
     def write(self, functions: list[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
         for f in functions:
             self.tapes[self.place(f)]["public"] = True
-        return {"schema": SCHEMA, "operations": self.operations, "functions": self.tapes}, self.arrays
+        return {
+            "schema": SCHEMA,
+            "operations": self.operations,
+            "functions": self.tapes,
+        }, self.arrays
 
     def place(self, function: Any) -> int:
         """Index of a function's tape, written where it is not there yet."""
@@ -52,7 +57,9 @@ class _Writer:
                 tape = self.matrix(function)
             else:
                 raise ModelError(
-                    f"no tape of {function.name()}", expected="a function of expressions", got=function.class_name()
+                    f"no tape of {function.name()}",
+                    expected="a function of expressions",
+                    got=function.class_name(),
                 )
             self.tapes.append(tape)
             self.places[key] = (function, len(self.tapes) - 1)
@@ -68,8 +75,13 @@ class _Writer:
 
     def head(self, function: Any, kind: str) -> dict[str, Any]:
         ports = {
-            "in": [_port(function.sparsity_in(i), function.name_in(i)) for i in range(function.n_in())],
-            "out": [_port(function.sparsity_out(i), function.name_out(i)) for i in range(function.n_out())],
+            "in": [
+                _port(function.sparsity_in(i), function.name_in(i)) for i in range(function.n_in())
+            ],
+            "out": [
+                _port(function.sparsity_out(i), function.name_out(i))
+                for i in range(function.n_out())
+            ],
         }
         return {"name": function.name(), "kind": kind, "public": False, **ports}
 
@@ -103,7 +115,10 @@ class _Writer:
             name = names[function.instruction_id(k)]
             code = self.code(name, _MATRIX, function)
             node = function.instruction_MX(k)
-            arguments, results = list(function.instruction_input(k)), list(function.instruction_output(k))
+            arguments, results = (
+                list(function.instruction_input(k)),
+                list(function.instruction_output(k)),
+            )
             extra: dict[str, Any] = {}
             if name == "INPUT":
                 info = node.info()
@@ -123,10 +138,15 @@ class _Writer:
                 wide, narrow = sorted((node.shape[1], node.dep(0).shape[1]), reverse=True)
                 extra = {"n": wide // narrow}
             elif name in ("GETNONZEROS", "SETNONZEROS", "ADDNONZEROS"):
-                extra = {**_port(node.sparsity()), "entries": [int(v) for v in node.mapping().nonzeros()]}
+                extra = {
+                    **_port(node.sparsity()),
+                    "entries": [int(v) for v in node.mapping().nonzeros()],
+                }
             elif name in SHAPED:
                 extra = _port(node.sparsity())
-            instructions.append([code, [int(v) for v in arguments], [int(v) for v in results], extra])
+            instructions.append(
+                [code, [int(v) for v in arguments], [int(v) for v in results], extra]
+            )
         return {**self.head(function, "matrix"), "instructions": instructions}
 
     def constant(self, value: Any) -> str:
@@ -141,7 +161,10 @@ class _Writer:
 def _offsets(node: Any, name: str) -> list[int]:
     """Where the parts of a split begin, in rows or columns, with the end at last."""
     pieces = node.info()["output"]
-    sizes = [pieces.size1_out(i) if name == "VERTSPLIT" else pieces.size2_out(i) for i in range(pieces.n_out())]
+    sizes = [
+        pieces.size1_out(i) if name == "VERTSPLIT" else pieces.size2_out(i)
+        for i in range(pieces.n_out())
+    ]
     return [0, *np.cumsum(sizes).tolist()]
 
 
@@ -149,5 +172,8 @@ def _port(sparsity: Any, name: str | None = None) -> dict[str, Any]:
     out: dict[str, Any] = {} if name is None else {"name": name}
     out |= {"rows": int(sparsity.size1()), "columns": int(sparsity.size2())}
     if not sparsity.is_dense():
-        out |= {"colind": [int(v) for v in sparsity.colind()], "row": [int(v) for v in sparsity.row()]}
+        out |= {
+            "colind": [int(v) for v in sparsity.colind()],
+            "row": [int(v) for v in sparsity.row()],
+        }
     return out

@@ -1,12 +1,14 @@
-"""Offset-free targets: the steady state and command that hold a reference under the estimated disturbance.
+"""Offset-free targets: the steady state and command that hold a reference under the estimated
+disturbance.
 
-With disturbance states in the model, the steady state that the disturbed model needs has no offset in what it tracks
-(Pannocchia and Rawlings 2003, AIChE J. 49(2); Maeder, Borrelli and Morari 2009, Automatica 45(10)). The conditions
+With disturbance states in the model, the steady state that the disturbed model needs has no offset
+in what it tracks (Pannocchia and Rawlings 2003, AIChE J. 49(2); Maeder, Borrelli and Morari 2009,
+Automatica 45(10)). The conditions
 
     boxminus(f_d(x, u), x) = 0  (without the disturbances, which the target takes as they are),   tracked(x) = r
 
-are solved by Newton steps in error coordinates, each scaled to typical sizes and solved in the least-squares sense.
-A history of commands is at rest: every earlier command is the present one.
+are solved by Newton steps in error coordinates, each scaled to typical sizes and solved in the
+least-squares sense. A history of commands is at rest: every earlier command is the present one.
 """
 
 from __future__ import annotations
@@ -25,24 +27,31 @@ from greybox.symbolic import Expr, Layout, Signal
 from mpc_export.sampled import Sampled
 
 RIDGE = 1e-3
-"""Rows of this size times the identity stand under the conditions, whose own rows have length one: where conditions
-are fewer than unknowns, single precision needs them, and Newton steps stay as quick."""
+"""Rows of this size times the identity stand under the conditions, whose own rows have length one:
+where conditions are fewer than unknowns, single precision needs them, and Newton steps stay as
+quick."""
 ANGLES = ("phi", "theta", "psi")
 SIZES = {"d_position": 1.0, "d_velocity": 1.0, "d_attitude": 0.3, "d_rate": 1.0, "d_rotor": 0.3}
 
 
 def tracked(sampled: Sampled) -> Layout:
-    """What the target holds: position or else velocity (world) with the heading psi, or else the attitude (phi, theta, psi),
-    or else the rates; of models that do not fly as many outputs as there are commands. Angles are ZYX, in rad."""
+    """What the target holds: position or else velocity (world) with the heading psi, or else the
+    attitude (phi, theta, psi), or else the rates; of models that do not fly as many outputs as
+    there are commands. Angles are ZYX, in rad."""
     names = sampled.dynamics.states.names
     for block in ("position", "velocity"):
         if f"{block}.x" in names and "attitude.w" in names:
-            rows = [sampled.dynamics.states.signals[sampled.dynamics.states[f"{block}.{a}"]] for a in "xyz"]
+            rows = [
+                sampled.dynamics.states.signals[sampled.dynamics.states[f"{block}.{a}"]]
+                for a in "xyz"
+            ]
             return Layout([*rows, Signal(name="psi", unit="rad", meaning="heading, ZYX")])
     if "attitude.w" in names:
         return Layout([Signal(name=n, unit="rad", meaning="Euler angle, ZYX") for n in ANGLES])
     if "rate.x" in names:
-        return Layout([sampled.dynamics.states.signals[sampled.dynamics.states[f"rate.{a}"]] for a in "xyz"])
+        return Layout(
+            [sampled.dynamics.states.signals[sampled.dynamics.states[f"rate.{a}"]] for a in "xyz"]
+        )
     return Layout(list(sampled.dynamics.outputs)[: len(sampled.inputs)])
 
 
@@ -59,10 +68,14 @@ def _held(sampled: Sampled, targets: Layout, x: Expr, y: Expr) -> Expr:
     return ca.vertcat(*rows)
 
 
-def target_function(sampled: Sampled, functions: Mapping[str, Any], targets: Layout, n_p: int) -> Any:
-    """target_step(x, u, p, r) -> x_next, u_next, residual (a scalar: largest condition that x, u still miss, scaled).
+def target_function(
+    sampled: Sampled, functions: Mapping[str, Any], targets: Layout, n_p: int
+) -> Any:
+    """target_step(x, u, p, r) -> x_next, u_next, residual (a scalar: largest condition that x, u
+    still miss, scaled).
 
-    Call it a few times from any start; the disturbances in x stay. Raises `ModelError` for a model without commands.
+    Call it a few times from any start; the disturbances in x stay. Raises `ModelError` for a model
+    without commands.
     """
     if not len(sampled.inputs):
         raise ModelError("a model without commands has no target")
@@ -74,7 +87,9 @@ def target_function(sampled: Sampled, functions: Mapping[str, Any], targets: Lay
     physics = physics_of(sampled.dynamics)
     own_sizes: Mapping[str, float] = {} if physics is None else physics.memory_sizes
     sizes = SIZES | {f"d_{n}": v for n, v in own_sizes.items()}
-    size = np.array([sizes.get(names[i], sizes.get(names[i].rpartition(".")[0], 1.0)) for i in moving])
+    size = np.array(
+        [sizes.get(names[i], sizes.get(names[i].rpartition(".")[0], 1.0)) for i in moving]
+    )
     scale = np.concatenate([size, np.full(nu, 0.3)])
     x, u, p = ca.MX.sym("x", len(sampled.states)), ca.MX.sym("u", nu), ca.MX.sym("p", n_p)
     r = ca.MX.sym("r", len(targets))
@@ -90,13 +105,24 @@ def target_function(sampled: Sampled, functions: Mapping[str, Any], targets: Lay
     # d boxminus(f_d(x+d), x+d)/dd, to first order at a small change.
     slope = (a - ca.DM.eye(nd))[moving, moving]
     y, c, d, _ = functions["h_jac_raw"](still, u, p)
-    sx, sy, sr = ca.SX.sym("x", len(sampled.states)), ca.SX.sym("y", y.numel()), ca.SX.sym("r", len(targets))
+    sx, sy, sr = (
+        ca.SX.sym("x", len(sampled.states)),
+        ca.SX.sym("y", y.numel()),
+        ca.SX.sym("r", len(targets)),
+    )
     value = _held(sampled, targets, sx, sy)
     into, _ = sampled.chart(sx, sx)
     # An angle is reached the short way round.
     rows = [sr[i] - value[i] for i in range(len(targets))]
-    away = ca.vertcat(*(ca.atan2(ca.sin(v), ca.cos(v)) if n in ANGLES else v for n, v in zip(targets.names, rows)))
-    parts = (away, ca.jacobian(value, sx) @ into[:, moving], ca.jacobian(value, sy), into[:, moving])
+    away = ca.vertcat(
+        *(ca.atan2(ca.sin(v), ca.cos(v)) if n in ANGLES else v for n, v in zip(targets.names, rows))
+    )
+    parts = (
+        away,
+        ca.jacobian(value, sx) @ into[:, moving],
+        ca.jacobian(value, sy),
+        into[:, moving],
+    )
     hold = ca.Function("held", [sx, sy, sr], [ca.densify(v) for v in parts])
     missing, by_state, by_output, chart = hold(still, y, r)
     c, d = by_output @ c @ chart, by_output @ d
@@ -112,13 +138,17 @@ def target_function(sampled: Sampled, functions: Mapping[str, Any], targets: Lay
     new_x = functions["boxplus"](still, ca.densify(spread @ step[: len(moving)]))
     new_x = ca.vertcat(new_x[: len(sampled.dynamics.states)], held @ new_u)
     return ca.Function(
-        "target_step", [x, u, p, r], [new_x, new_u, ca.mmax(ca.fabs(rhs))], ["x", "u", "p", "r"],
+        "target_step",
+        [x, u, p, r],
+        [new_x, new_u, ca.mmax(ca.fabs(rhs))],
+        ["x", "u", "p", "r"],
         ["x_next", "u_next", "residual"],
-    )  # fmt: skip
+    )
 
 
 def _least_squares(rows: int, columns: int) -> Any:
-    """(J, r) -> the least-squares solution of J d = r, rows balanced first, with a tiny ridge under it.
+    """(J, r) -> the least-squares solution of J d = r, rows balanced first, with a tiny ridge under
+    it.
 
     Modified Gram-Schmidt of [J r], which is backward stable (Bjorck 1967, BIT 7), in whole columns.
     """

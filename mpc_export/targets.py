@@ -27,14 +27,25 @@ from mpc_export.fmu import write_fmu
 from mpc_export.functions import ModelFunctions
 
 COMMON = ("exported", "hover")
-MODULES = {"acados": "acados", "do-mpc": "do_mpc", "rockit": "rockit", "l4acados": "l4acados", "fmu": ""}
+MODULES = {
+    "acados": "acados",
+    "do-mpc": "do_mpc",
+    "rockit": "rockit",
+    "l4acados": "l4acados",
+    "fmu": "",
+}
 EXAMPLES = {
-    "acados": "acados_hover", "do-mpc": "do_mpc_hover", "rockit": "rockit_hover", "l4acados": "l4acados_hover",
+    "acados": "acados_hover",
+    "do-mpc": "do_mpc_hover",
+    "rockit": "rockit_hover",
+    "l4acados": "l4acados_hover",
     "fmu": "fmu_simulate",
-}  # fmt: skip
+}
 NEEDS = {"l4acados": ("nominal",)}
 """Groups of functions that a target cannot do without."""
-PACKAGE = '"""What this bundle\'s model looks like to controllers; see the scripts in examples/."""\n'
+PACKAGE = (
+    '"""What this bundle\'s model looks like to controllers; see the scripts in examples/."""\n'
+)
 
 
 def write_target(target: str, functions: ModelFunctions, folder: Path, name: str) -> dict[str, Any]:
@@ -50,7 +61,8 @@ def write_target(target: str, functions: ModelFunctions, folder: Path, name: str
         said |= write_fmu(model, folder / "fmu" / f"{name}.fmu")
     if target == "l4acados" and "f_d_nominal" not in model:
         raise ModelError(
-            "the target l4acados is for a model with a learned part", fix="leave it out, or export --with nominal"
+            "the target l4acados is for a model with a learned part",
+            fix="leave it out, or export --with nominal",
         )
     if target == "acados" and "f" in model:
         said["f_expl_difference"] = explicit_difference(model)
@@ -59,7 +71,10 @@ def write_target(target: str, functions: ModelFunctions, folder: Path, name: str
     for module in (*COMMON, MODULES[target]):
         if module:
             write_atomic(consumers / f"{module}.py", _text("mpc_export", module))
-    write_atomic(folder / "examples" / f"{EXAMPLES[target]}.py", _text("mpc_export.examples", EXAMPLES[target]))
+    write_atomic(
+        folder / "examples" / f"{EXAMPLES[target]}.py",
+        _text("mpc_export.examples", EXAMPLES[target]),
+    )
     return said
 
 

@@ -1,11 +1,13 @@
 """python -m mpc_export.verify DIR: does a bundle still compute what it was exported from?
 
-Checks that the files are whole; compiles c/ strictly, runs the self-test, and calls every function from a shared library at
-every golden point; replays python/ (rebuild) and casadi/ where casadi is installed. Prints the largest differences, in units
-of each output's scale. Exit code 0: all agree; 1: something does not, or nothing could be compared; 2: not a bundle.
+Checks that the files are whole; compiles c/ strictly, runs the self-test, and calls every function
+from a shared library at every golden point; replays python/ (rebuild) and casadi/ where casadi is
+installed. Prints the largest differences, in units of each output's scale. Exit code 0: all agree;
+1: something does not, or nothing could be compared; 2: not a bundle.
 
-Stands alone: the standard library, and casadi and numpy for the rebuild. It imports neither greybox nor this package. It
-runs the bundle's C and its rebuild.py: checksums find damage, not malice, so verify what comes from a source you trust.
+Stands alone: the standard library, and casadi and numpy for the rebuild. It imports neither greybox
+nor this package. It runs the bundle's C and its rebuild.py: checksums find damage, not malice, so
+verify what comes from a source you trust.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ from typing import Any
 SCHEMA = "greybox.bundle/1"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 C_LIMIT = {"double": 1e-10, "float": 1e-4}
-"""Largest difference between C and golden vectors, in units of the output's scale: a bundle may ask for less."""
+"""Largest difference between C and golden vectors, in units of the output's scale: a bundle may ask
+for less."""
 REBUILD_LIMIT = 1e-11
 """Other versions of CasADi order sums differently."""
 LARGEST_MANIFEST, LARGEST, MOST_FILES = 2**27, 500 * 2**20, 5000
@@ -46,7 +49,9 @@ class VerifyError(Exception):
 
 def say(text: str, *, error: bool = False) -> None:
     """Print with escapes for what a terminal would act on: names come from the bundle."""
-    shown = "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+    shown = "".join(
+        c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text
+    )
     print(shown, file=sys.stderr if error else sys.stdout)
 
 
@@ -74,8 +79,8 @@ def size(path: Path, limit: int = LARGEST) -> int:
 
 
 def check_files(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
-    """Files of the folder that the manifest does not list. Raises `VerifyError` for what is no regular
-    file (a link, a pipe), too many and too large ones."""
+    """Files of the folder that the manifest does not list. Raises `VerifyError` for what is no
+    regular file (a link, a pipe), too many and too large ones."""
     there, total = [], 0
     for path in folder.rglob("*"):
         if path.is_dir() and not path.is_symlink():
@@ -92,7 +97,9 @@ def check_names(manifest: Mapping[str, Any]) -> None:
     """Names that become paths and symbols lead nowhere else. Raises `VerifyError`."""
     for name in (manifest["name"], *(f["name"] for f in manifest["functions"])):
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
-            raise VerifyError(f"manifest.json: {name!r} is not the name of a bundle or of a function")
+            raise VerifyError(
+                f"manifest.json: {name!r} is not the name of a bundle or of a function"
+            )
     for name in manifest["files"]:
         path = PurePosixPath(name)
         if path.is_absolute() or ".." in path.parts or "\\" in name:
@@ -100,9 +107,12 @@ def check_names(manifest: Mapping[str, Any]) -> None:
 
 
 def seal(manifest: Mapping[str, Any]) -> str:
-    """Checksum of a manifest: SHA-256 of its canonical JSON without the checksum. Raises `ValueError` for NaN."""
+    """Checksum of a manifest: SHA-256 of its canonical JSON without the checksum. Raises
+    `ValueError` for NaN."""
     rest = {k: v for k, v in manifest.items() if k != "checksum"}
-    return hashlib.sha256(json.dumps(rest, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps(rest, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+    ).hexdigest()
 
 
 def changed_files(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
@@ -117,7 +127,9 @@ def changed_files(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
 
 def golden(folder: Path, function: Mapping[str, Any]) -> Iterator[Point]:
     """(arguments, results) of every golden point, each a list of columns of numbers."""
-    with open(folder / "golden" / f"{function['name']}.csv", newline="", encoding="utf-8") as stream:
+    with open(
+        folder / "golden" / f"{function['name']}.csv", newline="", encoding="utf-8"
+    ) as stream:
         rows = csv.reader(stream)
         next(rows)
         for row in rows:
@@ -132,34 +144,44 @@ def golden(folder: Path, function: Mapping[str, Any]) -> Iterator[Point]:
             yield parts[0], parts[1]
 
 
-def gap(function: Mapping[str, Any], got: Sequence[Sequence[float]], want: Sequence[Sequence[float]]) -> float:
-    """Largest difference over the results of one call, in units of each output's scale; infinite where one is NaN."""
+def gap(
+    function: Mapping[str, Any], got: Sequence[Sequence[float]], want: Sequence[Sequence[float]]
+) -> float:
+    """Largest difference over the results of one call, in units of each output's scale; infinite
+    where one is NaN."""
     worst = 0.0
     for port, ours, theirs in zip(function["results"], got, want, strict=True):
         for a, b in zip(ours, theirs, strict=True):
             difference = abs(a - b)
-            worst = max(worst, difference / port["scale"]) if difference == difference else float("inf")
+            worst = (
+                max(worst, difference / port["scale"]) if difference == difference else float("inf")
+            )
     return worst
 
 
 def check_scales(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """The scales by which differences are judged are those of the golden results. Raises `VerifyError`."""
+    """The scales by which differences are judged are those of the golden results. Raises
+    `VerifyError`."""
     for function in manifest["functions"]:
         largest = [1e-30] * len(function["results"])
         for _, results in golden(folder, function):
-            largest = [max(m, *map(abs, r)) if r else m for m, r in zip(largest, results, strict=True)]
+            largest = [
+                max(m, *map(abs, r)) if r else m for m, r in zip(largest, results, strict=True)
+            ]
         for port, own in zip(function["results"], largest, strict=True):
             if not 0 < port["scale"] <= own * (1 + 1e-9):
                 raise VerifyError(
-                    f"{function['name']}: damaged: scale {port['scale']:g} of {port['name']}, the results have {own:g}"
+                    f"{function['name']}: damaged: scale {port['scale']:g} of {port['name']}, the "
+                    f"results have {own:g}"
                 )
 
 
-# ---------------------------------------------------------------------------------------------------- C
+# ---------------------------------------------------------------------------------------------- C
 
 
 def find_compiler(asked: str | None) -> list[str]:
-    """The one asked for, or else $CC, cc, gcc or clang, or that of the wheel `ziglang`. Raises `VerifyError`."""
+    """The one asked for, or else $CC, cc, gcc or clang, or that of the wheel `ziglang`. Raises
+    `VerifyError`."""
     if asked and not shutil.which(asked):
         raise VerifyError(f"no compiler {asked}")
     for name in (asked, os.environ.get("CC"), "cc", "gcc", "clang"):
@@ -174,24 +196,48 @@ def run(command: Sequence[str]) -> str:
     """Standard output of a command. Raises `VerifyError` with its first complaint."""
     try:
         done = subprocess.run(
-            command, capture_output=True, encoding="utf-8", errors="replace", check=False, timeout=SECONDS,
+            command,
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            check=False,
+            timeout=SECONDS,
             stdin=subprocess.DEVNULL,
         )
     except subprocess.TimeoutExpired:
         raise VerifyError(f"{command[0]} did not end within {SECONDS:g} s") from None
     if done.returncode:
         said = (done.stderr or done.stdout).strip().splitlines()
-        raise VerifyError(f"{' '.join(command[:1])} failed with code {done.returncode}: {said[0] if said else ''}")
+        raise VerifyError(
+            f"{' '.join(command[:1])} failed with code {done.returncode}: {said[0] if said else ''}"
+        )
     return done.stdout
 
 
 def build(folder: Path, manifest: Mapping[str, Any], compiler: Sequence[str], work: Path) -> Path:
-    """Strictly compiled shared library in `work`, after the self-test has passed. Raises `VerifyError`."""
+    """Strictly compiled shared library in `work`, after the self-test has passed. Raises
+    `VerifyError`."""
     name, source = manifest["name"], folder / "c"
     objects = []
-    for stem, extra in ((name, ["-Wno-unused-parameter"]), (f"{name}_model", []), (f"{name}_selftest", [])):
+    for stem, extra in (
+        (name, ["-Wno-unused-parameter"]),
+        (f"{name}_model", []),
+        (f"{name}_selftest", []),
+    ):
         objects.append(str(work / f"{stem}.o"))
-        run([*compiler, *STRICT, *extra, "-O1", "-fPIC", "-c", str(source / f"{stem}.c"), "-o", objects[-1]])
+        run(
+            [
+                *compiler,
+                *STRICT,
+                *extra,
+                "-O1",
+                "-fPIC",
+                "-c",
+                str(source / f"{stem}.c"),
+                "-o",
+                objects[-1],
+            ]
+        )
     program = work / "selftest"
     run([*compiler, *objects, "-o", str(program), "-lm"])
     say(f"  {run([str(program)]).strip()}")
@@ -207,13 +253,17 @@ class CLibrary:
         self.library = ctypes.CDLL(str(path))
         self.manifest = manifest
         self.real: Any = ctypes.c_double if manifest["c"]["real"] == "double" else ctypes.c_float
-        self.integer: Any = ctypes.c_longlong if manifest["c"]["integer"].startswith("long") else ctypes.c_int
+        self.integer: Any = (
+            ctypes.c_longlong if manifest["c"]["integer"].startswith("long") else ctypes.c_int
+        )
         abi = getattr(self.library, f"{manifest['name']}_abi")
         abi.restype = ctypes.c_uint
         if abi() != manifest["abi"]:
             raise VerifyError("the compiled library has another layout than the manifest")
 
-    def call(self, function: Mapping[str, Any], arguments: Sequence[Sequence[float]]) -> list[list[float]]:
+    def call(
+        self, function: Mapping[str, Any], arguments: Sequence[Sequence[float]]
+    ) -> list[list[float]]:
         """Results as columns of numbers. Raises `VerifyError` where the function fails."""
         sizes = self.manifest["c"]["functions"][function["name"]]
         pointer = ctypes.POINTER(self.real)
@@ -223,23 +273,29 @@ class CLibrary:
         arg = (pointer * max(sizes["sz_arg"], 1))(*(ctypes.cast(a, pointer) for a in given))
         res = (pointer * max(sizes["sz_res"], 1))(*(ctypes.cast(r, pointer) for r in results))
         iw, w = (self.integer * max(sizes["sz_iw"], 1))(), (self.real * max(sizes["sz_w"], 1))()
-        code = getattr(self.library, f"{self.manifest['name']}_{function['name']}")(arg, res, iw, w, 0)
+        code = getattr(self.library, f"{self.manifest['name']}_{function['name']}")(
+            arg, res, iw, w, 0
+        )
         if code:
             raise VerifyError(f"{function['name']} returned {code}")
         return [list(r)[:n] for r, n in zip(results, lengths, strict=True)]
 
 
-def verify_c(folder: Path, manifest: Mapping[str, Any], compiler: Sequence[str]) -> dict[str, float]:
+def verify_c(
+    folder: Path, manifest: Mapping[str, Any], compiler: Sequence[str]
+) -> dict[str, float]:
     """Function -> largest difference between C and golden vectors."""
     with tempfile.TemporaryDirectory(prefix="verify-") as work:
         library = CLibrary(build(folder, manifest, compiler, Path(work)), manifest)
         return {
-            f["name"]: max(gap(f, library.call(f, given), want) for given, want in golden(folder, f))
+            f["name"]: max(
+                gap(f, library.call(f, given), want) for given, want in golden(folder, f)
+            )
             for f in manifest["functions"]
         }
 
 
-# ---------------------------------------------------------------------------------------------------- casadi
+# ----------------------------------------------------------------------------------------- casadi
 
 
 def _columns(function: Any, arguments: Sequence[Sequence[float]]) -> list[list[float]]:
@@ -252,10 +308,14 @@ def _columns(function: Any, arguments: Sequence[Sequence[float]]) -> list[list[f
     return [[float(v) for v in ca.densify(r).nonzeros()] for r in function.call(given)]
 
 
-def verify_functions(folder: Path, manifest: Mapping[str, Any], functions: Mapping[str, Any]) -> dict[str, float]:
+def verify_functions(
+    folder: Path, manifest: Mapping[str, Any], functions: Mapping[str, Any]
+) -> dict[str, float]:
     """Function -> largest difference between CasADi functions and golden vectors."""
     return {
-        f["name"]: max(gap(f, _columns(functions[f["name"]], given), want) for given, want in golden(folder, f))
+        f["name"]: max(
+            gap(f, _columns(functions[f["name"]], given), want) for given, want in golden(folder, f)
+        )
         for f in manifest["functions"]
     }
 
@@ -267,14 +327,17 @@ def load_rebuild(folder: Path) -> dict[str, Any]:
     try:
         code = compile(path.read_bytes(), str(path), "exec")
     except (OSError, SyntaxError, ValueError) as error:
-        raise VerifyError(f"{folder}: python/rebuild.py cannot be read ({type(error).__name__})") from None
+        raise VerifyError(
+            f"{folder}: python/rebuild.py cannot be read ({type(error).__name__})"
+        ) from None
     names: dict[str, Any] = {"__name__": "bundle_rebuild", "__file__": str(path)}
     exec(code, names)
     return dict(names["load"](folder / "python"))
 
 
 def verify_casadi(folder: Path, manifest: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """Differences of the rebuild, and of the .casadi files where this CasADi wrote them; empty without casadi."""
+    """Differences of the rebuild, and of the .casadi files where this CasADi wrote them; empty
+    without casadi."""
     try:
         import casadi as ca
     except ImportError:
@@ -284,13 +347,19 @@ def verify_casadi(folder: Path, manifest: Mapping[str, Any]) -> dict[str, dict[s
     if not (folder / "casadi").is_dir():
         return out
     if manifest["versions"]["casadi"] != ca.CasadiMeta.version():
-        say(f"  casadi/: not checked, written by {manifest['versions']['casadi']}, here is {ca.CasadiMeta.version()}")
+        say(
+            f"  casadi/: not checked, written by {manifest['versions']['casadi']}, here is "
+            f"{ca.CasadiMeta.version()}"
+        )
         return out
-    files = {f["name"]: ca.Function.load(str(folder / "casadi" / f"{f['name']}.casadi")) for f in manifest["functions"]}
+    files = {
+        f["name"]: ca.Function.load(str(folder / "casadi" / f"{f['name']}.casadi"))
+        for f in manifest["functions"]
+    }
     return {**out, "casadi files": verify_functions(folder, manifest, files)}
 
 
-# ---------------------------------------------------------------------------------------------------- main
+# ------------------------------------------------------------------------------------------- main
 
 
 def verify(folder: Path, compiler: str | None = None, *, with_c: bool = True) -> bool:
@@ -318,7 +387,8 @@ def verify(folder: Path, compiler: str | None = None, *, with_c: bool = True) ->
         passed = gaps[name] <= limit
         good = good and passed
         say(
-            f"  {what}: largest difference {gaps[name]:.2g} of the output's scale, in {name} (limit {limit:g}): "
+            f"  {what}: largest difference {gaps[name]:.2g} of the output's scale, in {name} "
+            f"(limit {limit:g}): "
             f"{'passed' if passed else 'FAILED'}"
         )
     return good
@@ -328,9 +398,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Command line. Returns the exit code."""
     asked = "Does a bundle still compute what it was exported from?"
     parser = argparse.ArgumentParser(prog="python -m mpc_export.verify", description=asked)
-    parser.add_argument("folder", metavar="DIR", type=Path, help="bundle that `greybox export` wrote")
-    parser.add_argument("--cc", metavar="COMPILER", help="C compiler (default: $CC, cc, gcc, clang, the wheel ziglang)")
-    parser.add_argument("--no-c", action="store_true", help="check the rebuild only, without a C compiler")
+    parser.add_argument(
+        "folder", metavar="DIR", type=Path, help="bundle that `greybox export` wrote"
+    )
+    parser.add_argument(
+        "--cc",
+        metavar="COMPILER",
+        help="C compiler (default: $CC, cc, gcc, clang, the wheel ziglang)",
+    )
+    parser.add_argument(
+        "--no-c", action="store_true", help="check the rebuild only, without a C compiler"
+    )
     arguments = parser.parse_args(argv)
     try:
         read_manifest(arguments.folder)

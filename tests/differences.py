@@ -9,7 +9,8 @@ from greybox.symbolic import FloatArray
 
 
 def gradient_error(problem: Problem, theta: FloatArray, step: float = 1e-4) -> float:
-    """Largest difference between the gradient and five-point differences of the cost, relative, unknowns scaled."""
+    """Largest difference between the gradient and five-point differences of the cost, relative,
+    unknowns scaled."""
     value = problem.evaluate(theta)
     assert value.gradient is not None
     slopes = np.zeros(problem.n)

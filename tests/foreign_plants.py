@@ -1,4 +1,5 @@
-"""A craft of medium size for tests, and the foreign plants that fly it; skips without its package."""
+"""A craft of medium size for tests, and the foreign plants that fly it; skips without its
+package."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Carts in gusts that blew before the ride began, and the model that knows them: in the estimator's and in the search's
-tests."""
+"""Carts in gusts that blew before the ride began, and the model that knows them: in the estimator's
+and in the search's tests."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from greybox.model.parameter import Parameter
 from greybox.symbolic import FloatArray, Layout, Signal
 
 DT, SIGMA, TIME, ROWS = 0.05, 12.0, 2.0, 60
-"""Sample time [s], standard deviation [m/s^2] and time constant [s] of the gusts, samples of a ride. They are twelve
-times the white noise that a model of this scale is thought to have."""
+"""Sample time [s], standard deviation [m/s^2] and time constant [s] of the gusts, samples of a
+ride. They are twelve times the white noise that a model of this scale is thought to have."""
 KEPT = float(np.exp(-DT / TIME))
 LEVELS = {"noise.process.v": 1e-3, "noise.process.disturbance.v": SIGMA * (1 - KEPT**2) ** 0.5}
 """The gusts as noise levels."""
@@ -23,7 +23,8 @@ LEVELS = {"noise.process.v": 1e-3, "noise.process.disturbance.v": SIGMA * (1 - K
 
 @functools.cache
 def model() -> Augmented:
-    """Position and speed of a cart without friction are seen; b [m/s^2] pushes it all the time, its null is 0."""
+    """Position and speed of a cart without friction are seen; b [m/s^2] pushes it all the time, its
+    null is 0."""
     seen = Layout([Signal(name="x", unit="m"), Signal(name="v", unit="m/s")])
     cart = StateSpaceModel(
         name="cart in gusts",
@@ -32,7 +33,13 @@ def model() -> Augmented:
         outputs=seen,
         parameters=(
             Parameter(
-                name="b", unit="m/s^2", nominal=0.0, null=0.0, scale=SIGMA, sigma=3 * SIGMA, scope="flight"
+                name="b",
+                unit="m/s^2",
+                nominal=0.0,
+                null=0.0,
+                scale=SIGMA,
+                sigma=3 * SIGMA,
+                scope="flight",
             ),
         ),
         dynamics=lambda t, x, u, p: [x[1], u[0] + p["b"]],

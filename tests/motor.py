@@ -1,4 +1,5 @@
-"""A DC motor as a user's own model, and records of the simulated motor: small, fast problems for the estimation tests."""
+"""A DC motor as a user's own model, and records of the simulated motor: small, fast problems for
+the estimation tests."""
 
 from __future__ import annotations
 
@@ -26,14 +27,16 @@ def _derivative(t: Expr, x: Expr, u: Expr, p: dict[str, Expr]) -> list[Expr]:
 
 @functools.cache
 def model() -> StateSpaceModel:
-    """The motor with wrong nominal values (20-100 per cent off); torque noise acts on the speed alone."""
+    """The motor with wrong nominal values (20-100 per cent off); torque noise acts on the speed
+    alone."""
     return StateSpaceModel(
         name="motor",
         states=Layout([CURRENT, SPEED]),
         inputs=Layout([Signal(name="u", unit="V")]),
         outputs=Layout([CURRENT, SPEED]),
         parameters=tuple(
-            Parameter(name=n, unit=UNITS[n], nominal=v, lower=0.02 * v, upper=50 * v, scale=v) for n, v in START.items()
+            Parameter(name=n, unit=UNITS[n], nominal=v, lower=0.02 * v, upper=50 * v, scale=v)
+            for n, v in START.items()
         ),
         dynamics=_derivative,
         measurement=lambda t, x, u, p: [x[0], x[1]],
@@ -57,7 +60,8 @@ def record(n: int = 600, torque_noise: float = 0.0, seed: int = 0, name: str = "
 
 
 def closed_loop(n: int = 3000, torque_noise: float = 0.002, seed: int = 0) -> Dataset:
-    """A speed loop u = 0.3 (reference - measured speed): the voltage carries the noise of the speed. Channel `sp`."""
+    """A speed loop u = 0.3 (reference - measured speed): the voltage carries the noise of the
+    speed. Channel `sp`."""
     plant = DcMotor(torque_noise=torque_noise, speed_noise=1.0)
     plant.reset(seed)
     reference = np.repeat(np.random.default_rng(7).uniform(-40, 40, n // 30), 30)

@@ -1,4 +1,5 @@
-"""Whether a folder ever holds results of two runs: it is looked at after every file that is written or removed."""
+"""Whether a folder ever holds results of two runs: it is looked at after every file that is written
+or removed."""
 
 from __future__ import annotations
 
@@ -24,7 +25,9 @@ def results_of_one_run(folder: Path, *names: str) -> Iterator[list[set[str]]]:
     mixed: list[dict[str, bool]] = []
 
     def look() -> None:
-        there = {n: (folder / n).read_bytes() == OLD.encode() for n in names if (folder / n).exists()}
+        there = {
+            n: (folder / n).read_bytes() == OLD.encode() for n in names if (folder / n).exists()
+        }
         seen.append({n for n, old in there.items() if not old})
         if len(set(there.values())) > 1:
             mixed.append(there)

@@ -1,4 +1,5 @@
-"""A simulated closed-loop flight and its vehicle file, made once per test session and shared by the estimation tests."""
+"""A simulated closed-loop flight and its vehicle file, made once per test session and shared by the
+estimation tests."""
 
 from __future__ import annotations
 
@@ -40,7 +41,13 @@ def flights(count: int = 2, seconds: float = 8.0, first_seed: int = 40) -> Datas
     true_plant = plant()
     seeds = list(range(first_seed, first_seed + count))
     log = fly(
-        true_plant, controller_for(true_plant), RandomWaypoints(), rich_excitation(), seconds, seed=seeds, warm_up=1.0
+        true_plant,
+        controller_for(true_plant),
+        RandomWaypoints(),
+        rich_excitation(),
+        seconds,
+        seed=seeds,
+        warm_up=1.0,
     )
     sets = []
     for i in range(count):

@@ -389,9 +389,7 @@ class _Decider:
         if "predictor" in self.given.choices or judged.mean <= POOR:
             return found
         try:
-            many = fit(
-                model, parts[0], _from(plain, options, set()).but(predictor="multi-step")
-            )
+            many = fit(model, parts[0], _from(plain, options, set()).but(predictor="multi-step"))
             return replace(found, ahead=many, ahead_score=foretell(many.model, parts[1]))
         except GreyboxError as error:
             self.say(f"  {steps[-1].name}, errors ahead: {error}")

@@ -1,7 +1,7 @@
 """Noise of gyro and accelerometer: filters and colour, which are offered, and which are felt.
 
-An IMU that is filtered at 30 Hz answers 5 ms late. Left out, that is taken for lag of the motors and
-motion that the gyro did not see; as a part of the model it is a time constant with an error. A
+An IMU that is filtered at 30 Hz answers 5 ms late. Left out, that is taken for lag of the motors
+and motion that the gyro did not see; as a part of the model it is a time constant with an error. A
 filter also colours the noise that passes it. Errors that last longer than a filter (temperature,
 structure) are colour, too: in a model without `Coloured` the filter's time constant explains them.
 So both are offered together, and every level is free.
@@ -96,4 +96,6 @@ def without_parts(options: FitOptions, names: Sequence[str]) -> FitOptions:
 def without_noise_of(part: str, table: Mapping[str, Value]) -> dict[str, Value]:
     """A table of parameter values or noise levels without those of a noise part."""
     own = (f"{part}.", f"noise.process.{part}.")
-    return {n: v for n, v in table.items() if n != f"noise.process.{part}" and not n.startswith(own)}
+    return {
+        n: v for n, v in table.items() if n != f"noise.process.{part}" and not n.startswith(own)
+    }

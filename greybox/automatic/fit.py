@@ -207,7 +207,13 @@ def fit_decided(
 
 
 def _with_what_flights_tell(
-    vehicle: Vehicle, data: Dataset, found: Fit, recipe: Recipe, decisions: Sequence[Decision], said: Given, say: Say
+    vehicle: Vehicle,
+    data: Dataset,
+    found: Fit,
+    recipe: Recipe,
+    decisions: Sequence[Decision],
+    said: Given,
+    say: Say,
 ) -> Fit:
     """The fit, with the parameters estimated that were held for a ratio and that the flights tell
     better than they are stated; as it was where nothing is told or such a fit does not end well."""
@@ -222,7 +228,8 @@ def _with_what_flights_tell(
         Decision(
             about=name,
             choice="estimated",
-            reason=f"the flights tell more than a ratio: to {error:.2g} {unit[name]}, stated to {stated:.2g}",
+            reason=f"the flights tell more than a ratio: to {error:.2g} {unit[name]}, stated to "
+            f"{stated:.2g}",
             option="--fixed, --considered",
         )
         for name, (error, stated) in told.items()
@@ -242,10 +249,15 @@ def _with_what_flights_tell(
     except FitError:
         again = None
     stuck = {n for n, e in found.parameters.items() if _at_bound(e)}
-    if again is None or not again.converged or any(
-        _at_bound(e) and n not in stuck for n, e in again.parameters.items()
+    if (
+        again is None
+        or not again.converged
+        or any(_at_bound(e) and n not in stuck for n, e in again.parameters.items())
     ):
-        say(f"  {', '.join(told)}: held after all, as that fit does not end at a minimum inside its bounds")
+        say(
+            f"  {', '.join(told)}: held after all, as that fit does not end at a minimum inside "
+            "its bounds"
+        )
         return as_it_was
     return again.with_history(freed, (*(d for d in decisions if d.about not in told), *new))
 

@@ -88,7 +88,8 @@ def sound_flights(
             factor = max(ratio / middle, middle / ratio)
             if factor > ANOTHER:
                 out[name] = (
-                    f"at the same command its thrust over weight is {ratio / middle:.2f} times that of the other "
+                    f"at the same command its thrust over weight is {ratio / middle:.2f} times "
+                    "that of the other "
                     "flights, as of another craft"
                 )
     kept = [n for n in data.names if n not in out]

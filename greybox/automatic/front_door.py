@@ -48,8 +48,8 @@ def fit(
     and the keywords describe, nothing is decided.
 
     The choices are keywords, fields of `FitOptions` with its defaults: predictor, criterion,
-    solver, initialisation, disturbance, noise_parts, free, fixed, considered, per_flight, shared, values,
-    priors, flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build,
+    solver, initialisation, disturbance, noise_parts, free, fixed, considered, per_flight, shared,
+    values, priors, flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build,
     use_compiler. Raises what `greybox.estimation.fit.fit` raises.
     """
     if isinstance(subject, Vehicle):

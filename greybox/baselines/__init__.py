@@ -1,1 +1,2 @@
-"""Rivals of the hybrid and the fair comparison of all: linear models with a learned output residual, NARX, LSTM."""
+"""Rivals of the hybrid and the fair comparison of all: linear models with a learned output
+residual, NARX, LSTM."""

@@ -126,14 +126,18 @@ class BasePredictor:
         """How many numbers were fitted: entries of a minimal form, or shared parameters and their values per flight."""
         if isinstance(self.model, LinearModel):
             return free_entries(self.model)
-        return len(self.model.covariance_names) + sum(len(v) for v in self.model.per_flight.values())
+        return len(self.model.covariance_names) + sum(
+            len(v) for v in self.model.per_flight.values()
+        )
 
     @property
     def commands(self) -> tuple[str, ...]:
         """Log columns that drive the model."""
         if isinstance(self.model, IdentifiedModel):
             return tuple(self.dynamics.inputs.names)
-        return tuple(dict.fromkeys(c for n in self.dynamics.inputs.names for _, c in self._terms(n)))
+        return tuple(
+            dict.fromkeys(c for n in self.dynamics.inputs.names for _, c in self._terms(n))
+        )
 
     def _terms(self, name: str) -> Terms:
         return self.channels.get(name, ((1.0, name),))
@@ -144,16 +148,25 @@ class BasePredictor:
         """Predictions of a whole segment. Raises `DataError` (a column is absent, too short), `FitError`."""
         if abs(segment.dt - self.dt) > 1e-6 * self.dt:
             raise DataError(
-                f"sampled every {segment.dt:g} s, the model every {self.dt:g} s", where=f"flight {segment.flight}",
+                f"sampled every {segment.dt:g} s, the model every {self.dt:g} s",
+                where=f"flight {segment.flight}",
                 fix=f"read the log with --rate {1 / self.dt:g}",
-            )  # fmt: skip
-        return self._run_linear(segment) if isinstance(self.model, LinearModel) else self._run_filter(segment)
+            )
+        return (
+            self._run_linear(segment)
+            if isinstance(self.model, LinearModel)
+            else self._run_filter(segment)
+        )
 
     def _run_linear(self, segment: Segment) -> Run:
         model = self.model
         assert isinstance(model, LinearModel)
         parts = [[w * segment.column(c) for w, c in self._terms(n)] for n in model.inputs.names]
-        u = np.column_stack([np.sum(p, axis=0) for p in parts]) if parts else np.zeros((segment.n, 0))
+        u = (
+            np.column_stack([np.sum(p, axis=0) for p in parts])
+            if parts
+            else np.zeros((segment.n, 0))
+        )
         u, _ = hold_missing(u)
         if not np.isfinite(u).all():
             raise DataError("an input column has no values", where=f"flight {segment.flight}")
@@ -168,14 +181,21 @@ class BasePredictor:
         moved = Record(u=moved.u - model.input_offset, y=moved.y - offset, name=record.name)
         x = predict(model.matrices, moved, x0, np.zeros(len(offset)), model.noise).x
         _, _, c, d, _ = model.matrices
-        states, mean = np.full((segment.n, model.order), np.nan), np.full((segment.n, len(offset)), np.nan)
+        states, mean = (
+            np.full((segment.n, model.order), np.nan),
+            np.full((segment.n, len(offset)), np.nan),
+        )
         states[cut:], mean[cut:] = x, x @ c.T + moved.u @ d.T + offset
         known = np.arange(segment.n) >= max(cut + 1, blind + cut)
         at = [model.outputs[n] for n in self.outputs]
         return Run(
-            states=states, mean=mean[:, at], known=known, inputs=np.vstack([np.repeat(u[:1], cut, axis=0), u]),
-            p=np.zeros(1), shift=(offset - model.output_offset)[at],
-        )  # fmt: skip
+            states=states,
+            mean=mean[:, at],
+            known=known,
+            inputs=np.vstack([np.repeat(u[:1], cut, axis=0), u]),
+            p=np.zeros(1),
+            shift=(offset - model.output_offset)[at],
+        )
 
     def _run_filter(self, segment: Segment) -> Run:
         model = self.model
@@ -189,10 +209,13 @@ class BasePredictor:
         filtered = self.filter.run(segment, p=p, x0=x0, x0_sigma=sigma)
         at = [self.dynamics.outputs[n] for n in self.outputs]
         return Run(
-            states=filtered.states[: segment.n], mean=filtered.outputs[:, at],
-            known=np.arange(segment.n) >= blind, inputs=filtered.record.inputs, p=filtered.p,
+            states=filtered.states[: segment.n],
+            mean=filtered.outputs[:, at],
+            known=np.arange(segment.n) >= blind,
+            inputs=filtered.record.inputs,
+            p=filtered.p,
             shift=np.zeros(len(at)),
-        )  # fmt: skip
+        )
 
     def one_step(self, segment: Segment) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (n, n_o) of every sample from what is known before it; NaN where too little is."""
@@ -201,7 +224,9 @@ class BasePredictor:
         variance = np.broadcast_to(np.diag(self.gain[1])[self.rows], mean.shape)
         return mean, np.where(np.isfinite(mean), variance, np.nan)
 
-    def free_run(self, segment: Segment, origins: npt.ArrayLike, horizon: int) -> tuple[FloatArray, FloatArray]:
+    def free_run(
+        self, segment: Segment, origins: npt.ArrayLike, horizon: int
+    ) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (m, horizon, n_o) of the samples k+1 .. k+horizon from every origin k."""
         return self.rolled(segment, origins, horizon, None)
 
@@ -219,15 +244,20 @@ class BasePredictor:
     def _unit(self, name: str) -> str:
         last = LAST_ERROR.fullmatch(name)
         if last:
-            return self.dynamics.outputs.signals[self.dynamics.outputs[self.outputs[self._error(name)]]].unit
+            return self.dynamics.outputs.signals[
+                self.dynamics.outputs[self.outputs[self._error(name)]]
+            ].unit
         late = LATE.fullmatch(name)
         if late:
             if late["lag"] is None and late["name"] not in self.commands:
                 raise ModelError(
-                    f"feature {name} is a measurement of the predicted instant", expected="a command, or [t-1]"
+                    f"feature {name} is a measurement of the predicted instant",
+                    expected="a command, or [t-1]",
                 )
             column = late["name"]
-            return "rad" if column in ANGLES else channel(column).unit if is_canonical(column) else "1"
+            return (
+                "rad" if column in ANGLES else channel(column).unit if is_canonical(column) else "1"
+            )
         own = self._signals()
         if name not in own:
             raise UnknownNameError("feature", name, [*own, *(f"{c}[t-1]" for c in self.commands)])
@@ -258,7 +288,9 @@ class BasePredictor:
                 continue
             column = late["name"]
             if column in ANGLES and column not in segment.channels:
-                value = numeric("euler", hold_missing(segment.matrix(QUATERNION))[0])[:, ANGLES.index(column)]
+                value = numeric("euler", hold_missing(segment.matrix(QUATERNION))[0])[
+                    :, ANGLES.index(column)
+                ]
             else:
                 value = hold_missing(segment.column(column)[:, None])[0][:, 0]
             lag = min(int(late["lag"] or 0), segment.n)
@@ -276,12 +308,19 @@ class BasePredictor:
     def features(self, segment: Segment, run: Run, names: Sequence[str]) -> FloatArray:
         """Features (n, n_z) of every sample of a run; NaN where one is not known."""
         width = sum(self._width)
-        windows = np.stack([run.inputs[k : k + segment.n] for k in range(width)], axis=1).reshape(segment.n, -1)
+        windows = np.stack([run.inputs[k : k + segment.n] for k in range(width)], axis=1).reshape(
+            segment.n, -1
+        )
         states = np.where(run.known[:, None], run.states, 0.0)
         z = evaluate(
-            self._told(tuple(names), None), states, windows, self.given(segment, names), self.errors(segment, run), run.p,
+            self._told(tuple(names), None),
+            states,
+            windows,
+            self.given(segment, names),
+            self.errors(segment, run),
+            run.p,
             run.shift,
-        )  # fmt: skip
+        )
         return np.where(run.known[:, None], z, np.nan)
 
     @property
@@ -305,7 +344,9 @@ class BasePredictor:
     def _build(self, names: tuple[str, ...], posterior: Candidate | None) -> Any:
         d, n_o = self.dynamics, len(self.outputs)
         x, p = ca.SX.sym("x", len(d.states)), ca.SX.sym("p", self._n_p)
-        numbers = ca.DM([q.nominal for q in d.parameters]) if isinstance(self.model, LinearModel) else p
+        numbers = (
+            ca.DM([q.nominal for q in d.parameters]) if isinstance(self.model, LinearModel) else p
+        )
         window = ca.SX.sym("U", len(d.inputs), sum(self._width))
         quiet = ca.DM.zeros(len(d.noises))
         y = d.output(0, x, window, numbers, quiet, self.dt)[[d.outputs[n] for n in self.outputs]]
@@ -360,9 +401,10 @@ class BasePredictor:
         away = minus(following, reference)
         moved_on = ca.vertcat(away, push) if uses else away
         around = ca.Function(
-            "around", [error, reference, *arguments],
+            "around",
+            [error, reference, *arguments],
             [mean, spread, push, following, ca.jacobian(mean, error), ca.jacobian(moved_on, error)],
-        )  # fmt: skip
+        )
         at = around(still, state, *arguments)[3]
         out = around(still, at, *arguments)
         return ca.Function("step", arguments, [ca.densify(ca.vertcat(*(ca.vec(v) for v in out)))])
@@ -383,18 +425,28 @@ class BasePredictor:
         run = self.run(segment)
         names = () if posterior is None else posterior.inputs.names
         given = self.given(segment, names)
-        held = np.array([m["name"] not in self.commands for n in names if (m := _column(n))], dtype=bool)
+        held = np.array(
+            [m["name"] not in self.commands for n in names if (m := _column(n))], dtype=bool
+        )
         errors = self.errors(segment, run) if _uses_errors(names) else np.zeros(run.mean.shape)
         mean, variance = np.full((2, len(k), horizon, len(self.outputs)), np.nan)
         for at in range(0, len(k), CHUNK):
             part = slice(at, at + CHUNK)
-            mean[part], variance[part] = self._roll(run, given, held, errors, k[part], horizon, posterior)
+            mean[part], variance[part] = self._roll(
+                run, given, held, errors, k[part], horizon, posterior
+            )
         return mean, variance
 
     def _roll(
-        self, run: Run, given: FloatArray, held: npt.NDArray[np.bool_], errors: FloatArray, k: npt.NDArray[np.int64],
-        horizon: int, posterior: Candidate | None,
-    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        self,
+        run: Run,
+        given: FloatArray,
+        held: npt.NDArray[np.bool_],
+        errors: FloatArray,
+        k: npt.NDArray[np.int64],
+        horizon: int,
+        posterior: Candidate | None,
+    ) -> tuple[FloatArray, FloatArray]:
         told = self._told(() if posterior is None else tuple(posterior.inputs.names), posterior)
         gain, cov = self.gain
         rows, n, n_o, n_x = self.rows, len(run.mean), len(self.outputs), len(self.dynamics.states)
@@ -411,7 +463,9 @@ class BasePredictor:
         mean, variance = np.full((2, len(k), horizon, n_o), np.nan)
         start = np.minimum(k + 1, n - 1)
         live = np.flatnonzero(
-            (k + 1 < n) & run.known[start] & np.isfinite(np.hstack([given, errors])[start]).all(axis=1)
+            (k + 1 < n)
+            & run.known[start]
+            & np.isfinite(np.hstack([given, errors])[start]).all(axis=1)
         )
         x, last = run.states[start[live]], errors[start[live]]
         white, learned = np.zeros((len(live), n_d, n_d)), np.zeros((len(live), n_d, n_o))
@@ -419,7 +473,14 @@ class BasePredictor:
         for h in range(1, horizon + 1):
             row = k[live] + h
             keep = row < n
-            live, x, last, white, learned, row = live[keep], x[keep], last[keep], white[keep], learned[keep], row[keep]
+            live, x, last, white, learned, row = (
+                live[keep],
+                x[keep],
+                last[keep],
+                white[keep],
+                learned[keep],
+                row[keep],
+            )
             if not live.size:
                 break
             z = np.where(held, given[k[live] + 1], given[row])
@@ -434,7 +495,9 @@ class BasePredictor:
             a = out[:, at + n_o * n_d :].reshape(-1, n_d, n_d).swapaxes(1, 2)
             now = c @ learned
             now[:, range(n_o), range(n_o)] += sd
-            variance[live, h - 1] = np.einsum("mij,mjk,mik->mi", c, white, c) + own + np.sum(now**2, axis=2)
+            variance[live, h - 1] = (
+                np.einsum("mij,mjk,mik->mi", c, white, c) + own + np.sum(now**2, axis=2)
+            )
             white = a @ white @ a.swapaxes(1, 2) + fresh
             learned = a @ learned + gain[:, rows] * sd[:, None, :]
         return mean, variance

@@ -55,7 +55,9 @@ def compare(
     there = {**METHODS, **pairs((GP, *LEARNERS)), **more}
     chosen = tuple(dict.fromkeys((*(METHODS if methods is None else methods), *more)))
     if not chosen:
-        raise GreyboxError("nothing to compare", fix=f"--methods {','.join(list(METHODS)[:2])}, or --learners")
+        raise GreyboxError(
+            "nothing to compare", fix=f"--methods {','.join(list(METHODS)[:2])}, or --learners"
+        )
     for name in chosen:
         if name not in there:
             raise UnknownNameError("method", name, there)
@@ -66,7 +68,9 @@ def compare(
         try:
             rows.append(_row(bench, name, there[name](bench)))
         except Exception as error:  # whatever a method does, the others keep their rows
-            rows.append({"method": name, "status": "failed", "error": f"{type(error).__name__}: {error}"})
+            rows.append(
+                {"method": name, "status": "failed", "error": f"{type(error).__name__}: {error}"}
+            )
         bench.say(f"{name}: {rows[-1]['status']} after {time.perf_counter() - began:.0f} s")
         yield _content(bench, rows, [n for n in chosen if n not in {r["method"] for r in rows}])
 
@@ -80,18 +84,29 @@ def _row(bench: Bench, name: str, found: Outcome) -> dict[str, Any]:
             variances.append(v[rows])
             inputs.append(s.matrix(bench.commands)[rows])
     scored = one_step_scores(
-        measured, means, variances, inputs, names=bench.outputs, units=[channel(n).unit for n in bench.outputs],
-        spread=bench.spread, dt=bench.dt,
-    )  # fmt: skip
+        measured,
+        means,
+        variances,
+        inputs,
+        names=bench.outputs,
+        units=[channel(n).unit for n in bench.outputs],
+        spread=bench.spread,
+        dt=bench.dt,
+    )
     table = found.table
     return {
-        "method": name, "status": "done", **scored,
+        "method": name,
+        "status": "done",
+        **scored,
         "multi_step": None if table is None else table.to_dict(bench.horizons),
         "curve": None if table is None else table.curve(),
-        "parameters": found.parameters, "train_seconds": found.seconds, "microseconds_per_sample": found.microseconds,
-        "search": list(found.search), "settings": dict(found.settings),
+        "parameters": found.parameters,
+        "train_seconds": found.seconds,
+        "microseconds_per_sample": found.microseconds,
+        "search": list(found.search),
+        "settings": dict(found.settings),
         "series": _series(bench, found),
-    }  # fmt: skip
+    }
 
 
 def _series(bench: Bench, found: Outcome) -> dict[str, Any]:
@@ -102,29 +117,39 @@ def _series(bench: Bench, found: Outcome) -> dict[str, Any]:
     return {n: {"mean": mean[:, j], "std": std[:, j]} for j, n in enumerate(bench.outputs)}
 
 
-def _content(bench: Bench, rows: Sequence[Mapping[str, Any]], missing: Sequence[str]) -> dict[str, Any]:
+def _content(
+    bench: Bench, rows: Sequence[Mapping[str, Any]], missing: Sequence[str]
+) -> dict[str, Any]:
     first = np.flatnonzero(bench.late[0])[: round(SHOWN / bench.dt)]
     segment = bench.segments[0]
     return {
         "schema": SCHEMA,
         "vehicle": bench.vehicle.name,
-        "train": list(bench.train.names), "test": list(bench.test.names),
-        "sample_time": bench.dt, "channels": list(bench.outputs),
+        "train": list(bench.train.names),
+        "test": list(bench.test.names),
+        "sample_time": bench.dt,
+        "channels": list(bench.outputs),
         "units": {n: channel(n).unit for n in bench.outputs},
         "train_std": dict(zip(bench.outputs, bench.spread.tolist(), strict=True)),
-        "adapt": bench.adapt, "budget": bench.budget, "seed": bench.seed, "horizons": list(bench.horizons),
+        "adapt": bench.adapt,
+        "budget": bench.budget,
+        "seed": bench.seed,
+        "horizons": list(bench.horizons),
         "origin_spacing": bench.every * bench.dt,
         "held_back": sorted({s.flight for s in bench.split[1]}),
         "black_box_inputs": list(bench.inputs),
         "methods": list(rows),
         "dead_reckoning": bench.extra_tables["dead reckoning"].to_dict(bench.horizons)
-        if "dead reckoning" in bench.extra_tables else None,
+        if "dead reckoning" in bench.extra_tables
+        else None,
         "dead_reckoning_curve": bench.extra_tables["dead reckoning"].curve()
-        if "dead reckoning" in bench.extra_tables else None,
+        if "dead reckoning" in bench.extra_tables
+        else None,
         "not_run": list(missing),
         "measured": {
-            "flight": segment.flight, "t": segment.t[first],
+            "flight": segment.flight,
+            "t": segment.t[first],
             "channels": {n: segment.column(n)[first] for n in bench.outputs},
         },
         "versions": library_versions(),
-    }  # fmt: skip
+    }

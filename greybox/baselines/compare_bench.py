@@ -1,7 +1,9 @@
-"""Bench: the flights of a comparison, the fits that several methods share, and how a method's predictions are judged.
+"""Bench: the flights of a comparison, the fits that several methods share, and how a method's
+predictions are judged.
 
-All methods are judged on the same samples and origins. A predictor of channels (`Predictor` in residual/regressors.py) gets
-its pose from `greybox.baselines.kinematics`; a model of motion is judged by `validate`, from the same origins.
+All methods are judged on the same samples and origins. A predictor of channels (`Predictor` in
+residual/regressors.py) gets its pose from `greybox.baselines.kinematics`; a model of motion is
+judged by `validate`, from the same origins.
 """
 
 from __future__ import annotations
@@ -44,7 +46,14 @@ LONGEST = 13
 """Samples after which every black box has its window full."""
 ORDER_SAMPLES = 6000
 """Samples on which the order of linear models is chosen; more would only take longer."""
-AXES: Mapping[str, str] = {"p": "roll", "ay": "roll", "q": "pitch", "ax": "pitch", "r": "yaw", "az": "collective"}
+AXES: Mapping[str, str] = {
+    "p": "roll",
+    "ay": "roll",
+    "q": "pitch",
+    "ax": "pitch",
+    "r": "yaw",
+    "az": "collective",
+}
 """Output -> its axis in the decoupled linear models."""
 
 
@@ -63,10 +72,12 @@ class OneStep(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
-    """What a method predicted on the test flights: per segment mean and variance (n, n_c), and its multi-step table.
+    """What a method predicted on the test flights: per segment mean and variance (n, n_c), and its
+    multi-step table.
 
-    parameters: how many numbers were trained; seconds: training with all candidates and what it builds on; microseconds
-    per predicted sample; search: every candidate with its error on the held-back flights.
+    parameters: how many numbers were trained; seconds: training with all candidates and what it
+    builds on; microseconds per predicted sample; search: every candidate with its error on the
+    held-back flights.
     """
 
     mean: Sequence[FloatArray]
@@ -83,8 +94,8 @@ class Outcome:
 class Bench:
     """The flights, and the fits that several methods share.
 
-    `fit` gives the nonlinear model of the training flights. `adapt` [s]: what belongs to a flight is fitted on its first
-    seconds. `budget` is the number of candidates of a method with choices.
+    `fit` gives the nonlinear model of the training flights. `adapt` [s]: what belongs to a flight
+    is fitted on its first seconds. `budget` is the number of candidates of a method with choices.
     """
 
     vehicle: Vehicle
@@ -115,7 +126,7 @@ class Bench:
         rows = np.concatenate([s.matrix(self.outputs) for s in self.train_segments])
         self.spread = np.nanstd(rows, axis=0)
 
-    # ------------------------------------------------------------------------------------------------ the samples
+    # --------------------------------------------------------------------------------- the samples
 
     @property
     def skip(self) -> float:
@@ -124,7 +135,8 @@ class Bench:
 
     @cached_property
     def late(self) -> tuple[BoolArray, ...]:
-        """Per test segment the samples that are judged: after adaptation or run-in, as `validate` takes them."""
+        """Per test segment the samples that are judged: after adaptation or run-in, as `validate`
+        takes them."""
         out = []
         for flight in self.test:
             begin = float(flight.segments[0].t[0]) + (self.adapt or 0.0)
@@ -136,7 +148,8 @@ class Bench:
 
     @cached_property
     def split(self) -> tuple[tuple[Segment, ...], tuple[Segment, ...]]:
-        """(segments to train candidates on, segments to judge them on): about a quarter of the flights, or of the time."""
+        """(segments to train candidates on, segments to judge them on): about a quarter of the
+        flights, or of the time."""
         if len(self.train) == 1:
             own, judge = self.train.split_by_time(0.75)
         else:
@@ -148,36 +161,54 @@ class Bench:
             tuple(s.without(self.train.noncausal) for s in judge.segments),
         )
 
-    # ------------------------------------------------------------------------------------------------ shared fits
+    # --------------------------------------------------------------------------------- shared fits
 
     @cached_property
     def mixes(self) -> dict[str, Terms]:
-        """Axis -> weighted sum of rotor commands, signed as the torque that they make, largest weight 1."""
+        """Axis -> weighted sum of rotor commands, signed as the torque that they make, largest
+        weight 1."""
         rotors = self.vehicle.rotors
         rows = {
-            "roll": [r.position[1] for r in rotors], "pitch": [-r.position[0] for r in rotors],
-            "yaw": [-float(r.spin) for r in rotors], "collective": [1.0] * len(rotors),
-        }  # fmt: skip
+            "roll": [r.position[1] for r in rotors],
+            "pitch": [-r.position[0] for r in rotors],
+            "yaw": [-float(r.spin) for r in rotors],
+            "collective": [1.0] * len(rotors),
+        }
         out = {}
         for axis, weights in rows.items():
             largest = max(map(abs, weights)) or 1.0
-            out[axis] = tuple((w / largest, c) for w, c in zip(weights, self.commands, strict=True) if w)
+            out[axis] = tuple(
+                (w / largest, c) for w, c in zip(weights, self.commands, strict=True) if w
+            )
         return out
 
-    def linear(self, inputs: Mapping[str, Terms], outputs: Sequence[str], largest: int) -> LinearFit:
-        """A linear model of mixed commands with one sample of delay; order by BIC on the first `ORDER_SAMPLES` samples."""
+    def linear(
+        self, inputs: Mapping[str, Terms], outputs: Sequence[str], largest: int
+    ) -> LinearFit:
+        """A linear model of mixed commands with one sample of delay; order by BIC on the first
+        `ORDER_SAMPLES` samples."""
         records: list[Record] = []
         for s in self.train_segments:
-            u = np.column_stack([sum(w * s.column(c) for w, c in terms) for terms in inputs.values()])
-            parts = split_at_missing(hold_missing(u)[0], s.matrix(outputs), name=s.flight, longest=0)
+            u = np.column_stack(
+                [sum(w * s.column(c) for w, c in terms) for terms in inputs.values()]
+            )
+            parts = split_at_missing(
+                hold_missing(u)[0], s.matrix(outputs), name=s.flight, longest=0
+            )
             records += [r for r in parts if len(r) >= 50]
         signals = [Signal(name=n, unit=channel(n).unit) for n in outputs]
 
         def found(order: int | str, some: Sequence[Record]) -> LinearFit:
             return fit_linear(
-                some, order, dt=self.dt, inputs=list(inputs), outputs=signals, delays=(1,) * len(inputs), largest=largest,
+                some,
+                order,
+                dt=self.dt,
+                inputs=list(inputs),
+                outputs=signals,
+                delays=(1,) * len(inputs),
+                largest=largest,
                 name="linear " + ",".join(outputs),
-            )  # fmt: skip
+            )
 
         lengths = np.cumsum([len(r) for r in records])
         few = records[: int(np.searchsorted(lengths, ORDER_SAMPLES)) + 1]
@@ -191,7 +222,9 @@ class Bench:
         fits = [self.linear({AXES[n]: self.mixes[AXES[n]]}, (n,), 6) for n in self.outputs]
         model, channels = combined([f.model for f in fits], self.mixes)
         seconds = time.perf_counter() - began
-        return BasePredictor(model=model, channels=channels, adapt=self.adapt, train_seconds=seconds), fits
+        return BasePredictor(
+            model=model, channels=channels, adapt=self.adapt, train_seconds=seconds
+        ), fits
 
     @cached_property
     def mimo(self) -> tuple[BasePredictor, int]:
@@ -199,7 +232,9 @@ class Bench:
         began = time.perf_counter()
         found = self.linear({c: ((1.0, c),) for c in self.commands}, self.outputs, 8)
         seconds = time.perf_counter() - began
-        return BasePredictor(model=found.model, adapt=self.adapt, train_seconds=seconds), found.order
+        return BasePredictor(
+            model=found.model, adapt=self.adapt, train_seconds=seconds
+        ), found.order
 
     @cached_property
     def physics(self) -> tuple[IdentifiedModel, float]:
@@ -208,7 +243,7 @@ class Bench:
         found = self.fit()
         return found.model, time.perf_counter() - began
 
-    # ------------------------------------------------------------------------------------------------ outcomes
+    # ------------------------------------------------------------------------------------ outcomes
 
     def channels_of(
         self, predictor: OneStep, views: Sequence[Segment]
@@ -225,8 +260,11 @@ class Bench:
         means, variances = [m[:, at] for m, _ in both], [v[:, at] for _, v in both]
         return means, variances, 1e6 * spent / views[0].n
 
-    def rolled(self, label: str, ahead: Callable[[int, npt.NDArray[np.int64]], Any]) -> HorizonTable | None:
-        """The multi-step table of what `ahead(segment number, origins)` gives: groups, and covariances or None."""
+    def rolled(
+        self, label: str, ahead: Callable[[int, npt.NDArray[np.int64]], Any]
+    ) -> HorizonTable | None:
+        """The multi-step table of what `ahead(segment number, origins)` gives: groups, and
+        covariances or None."""
         total = HorizonAccumulator(label=label, sample_time=self.dt, steps=self.steps)
         numbers = itertools.count()
         for flight in self.test:
@@ -234,13 +272,21 @@ class Bench:
                 i = next(numbers)
                 origins = np.flatnonzero(self.late[i])
                 origins = origins[origins < segment.n - REQUIRED][:: self.every]
-                references = {g: segment.matrix(d.columns, missing_ok=True) for g, d in GROUPS.items()}
-                references = {g: r for g, r in references.items() if np.isfinite(r).any() and g != "specific_force"}
+                references = {
+                    g: segment.matrix(d.columns, missing_ok=True) for g, d in GROUPS.items()
+                }
+                references = {
+                    g: r
+                    for g, r in references.items()
+                    if np.isfinite(r).any() and g != "specific_force"
+                }
                 if not origins.size or not references:
                     continue
-                groups, stated = ahead(i, origins) if label != "persistence" else (
-                    persistence(references, origins, steps=self.steps), None
-                )  # fmt: skip
+                groups, stated = (
+                    ahead(i, origins)
+                    if label != "persistence"
+                    else (persistence(references, origins, steps=self.steps), None)
+                )
                 kept = {g: v for g, v in groups.items() if g in references}
                 total.add(flight.name, kept, references, origins, covariances=stated)
         try:
@@ -249,9 +295,15 @@ class Bench:
             return None
 
     def outcome(
-        self, label: str, predictor: Predictor, *, views: bool, seconds: float, search: Sequence[Mapping[str, Any]] = (),
+        self,
+        label: str,
+        predictor: Predictor,
+        *,
+        views: bool,
+        seconds: float,
+        search: Sequence[Mapping[str, Any]] = (),
         settings: Mapping[str, Any] | None = None,
-    ) -> Outcome:  # fmt: skip
+    ) -> Outcome:
         """Everything of a predictor of channels; `views`: it sees those of black boxes."""
         seen = self.views if views else self.segments
         mean, variance, microseconds = self.channels_of(predictor, seen)
@@ -259,14 +311,21 @@ class Bench:
 
         def ahead(i: int, origins: npt.NDArray[np.int64]) -> Any:
             m, v = predictor.free_run(seen[i], origins, self.steps)
-            # A free run that diverges can lose the sign of its variance; it is never surer than one step ahead.
+            # A free run that diverges can lose the sign of its variance; it is never surer than one
+            # step ahead.
             v = np.fmax(v, v[:, :1])
             return motion(self.views[i], origins, predictor.outputs, m, v, gravity=gravity)
 
         return Outcome(
-            mean=mean, variance=variance, table=self.rolled(label, ahead), parameters=predictor.parameters,
-            seconds=seconds, microseconds=microseconds, search=search, settings=settings or {},
-        )  # fmt: skip
+            mean=mean,
+            variance=variance,
+            table=self.rolled(label, ahead),
+            parameters=predictor.parameters,
+            seconds=seconds,
+            microseconds=microseconds,
+            search=search,
+            settings=settings or {},
+        )
 
     def physical(self, model: IdentifiedModel, seconds: float, **more: Any) -> Outcome:
         """Everything of a model of motion: its filter one step ahead, `validate` further on."""
@@ -274,14 +333,24 @@ class Bench:
         mean, variance, microseconds = self.channels_of(base, self.segments)
         level = self._level(base)
         checked = validate(
-            model, self.test, horizon_samples=self.horizons, adapt=self.adapt, every=self.every, skip=self.skip
+            model,
+            self.test,
+            horizon_samples=self.horizons,
+            adapt=self.adapt,
+            every=self.every,
+            skip=self.skip,
         )
         if checked.dead_reckoning is not None:
             self.extra_tables["dead reckoning"] = checked.dead_reckoning
         return Outcome(
-            mean=mean, variance=[level * v for v in variance], table=checked.table, parameters=base.parameters,
-            seconds=seconds, microseconds=microseconds, **more,
-        )  # fmt: skip
+            mean=mean,
+            variance=[level * v for v in variance],
+            table=checked.table,
+            parameters=base.parameters,
+            seconds=seconds,
+            microseconds=microseconds,
+            **more,
+        )
 
     def _level(self, base: BasePredictor) -> FloatArray:
         """Mean squared error over stated variance (n_c,) on the training flights."""

@@ -19,7 +19,11 @@ import numpy as np
 from greybox.baselines.base_predictor import BasePredictor
 from greybox.baselines.compare_bench import Bench, Outcome
 from greybox.baselines.kinematics import BODY_VELOCITY, GRAVITY_DIRECTION, black_box_view
-from greybox.baselines.output_residual import fit_output_residual, output_features, with_measured_noise
+from greybox.baselines.output_residual import (
+    fit_output_residual,
+    output_features,
+    with_measured_noise,
+)
 from greybox.data import Segment
 from greybox.estimation.record import hold_missing
 from greybox.residual.learn import learn
@@ -55,20 +59,32 @@ def _persistence(bench: Bench) -> Outcome:
     held = Persistence(outputs=bench.outputs, variance=np.nanmean(np.concatenate(moved), axis=0))
     mean, variance, microseconds = bench.channels_of(held, bench.segments)
     table = bench.rolled("persistence", lambda _i, _k: None)
-    return Outcome(mean=mean, variance=variance, table=table, parameters=0, seconds=0.0, microseconds=microseconds)
+    return Outcome(
+        mean=mean,
+        variance=variance,
+        table=table,
+        parameters=0,
+        seconds=0.0,
+        microseconds=microseconds,
+    )
 
 
 def _siso(bench: Bench) -> Outcome:
     base, fits = bench.siso
     return bench.outcome(
-        "linear SISO PEM", base, views=False, seconds=base.train_seconds,
+        "linear SISO PEM",
+        base,
+        views=False,
+        seconds=base.train_seconds,
         settings={"orders": {n: f.order for n, f in zip(bench.outputs, fits, strict=True)}},
-    )  # fmt: skip
+    )
 
 
 def _mimo(bench: Bench) -> Outcome:
     base, order = bench.mimo
-    return bench.outcome("linear MIMO PEM", base, views=False, seconds=base.train_seconds, settings={"order": order})
+    return bench.outcome(
+        "linear MIMO PEM", base, views=False, seconds=base.train_seconds, settings={"order": order}
+    )
 
 
 def _nonlinear(bench: Bench) -> Outcome:
@@ -79,20 +95,29 @@ def _nonlinear(bench: Bench) -> Outcome:
 def _hybrid(bench: Bench, learner: str = GP) -> Outcome:
     model, seconds = bench.physics
     learned = learn(
-        model, bench.train, points=bench.points, learner=learner, seed=bench.seed,
+        model,
+        bench.train,
+        points=bench.points,
+        learner=learner,
+        seed=bench.seed,
         progress=lambda text, _s: bench.say(f"learn: {text}"),
-    )  # fmt: skip
+    )
     found = bench.physical(
-        learned.model, seconds + learned.seconds,
+        learned.model,
+        seconds + learned.seconds,
         search=[{"candidate": n, "held_out_gain": g} for n, g in learned.candidates.items()],
         settings={"chosen": learned.chosen, "null": learned.null, "points": bench.points},
-    )  # fmt: skip
+    )
     added = 0 if learned.null else learned_numbers(learned.fit.posterior)
     return replace(found, parameters=found.parameters + added)
 
 
 def _output_hybrid(
-    bench: Bench, base: BasePredictor, choices: Mapping[str, Sequence[str]], label: str, learner: str = GP
+    bench: Bench,
+    base: BasePredictor,
+    choices: Mapping[str, Sequence[str]],
+    label: str,
+    learner: str = GP,
 ) -> Outcome:
     """`base` + what is learned of its one-step errors; features, kernel and size by the error on the held-back flights."""
     began = time.perf_counter()
@@ -105,23 +130,39 @@ def _output_hybrid(
     for point in points_tried:
         rest = {k: v for k, v in point.items() if k != "features"}
         hybrid = fit_output_residual(
-            base, own, features=choices[point["features"]], learner=learner, seed=bench.seed, hold_out=0.0, **rest
+            base,
+            own,
+            features=choices[point["features"]],
+            learner=learner,
+            seed=bench.seed,
+            hold_out=0.0,
+            **rest,
         )
         error = validation_error(hybrid, judge, bench.outputs, bench.spread)
         tried.append({**point, "validation": error})
         bench.say(f"{label}: candidate {len(tried)} of {len(points_tried)}: {tried[-1]}")
     best = min(tried, key=lambda t: t["validation"])
     final = fit_output_residual(
-        base, bench.train_segments, features=choices[best["features"]], learner=learner, seed=bench.seed,
+        base,
+        bench.train_segments,
+        features=choices[best["features"]],
+        learner=learner,
+        seed=bench.seed,
         **{k: v for k, v in best.items() if k not in ("features", "validation")},
-    )  # fmt: skip
+    )
     seconds = base.train_seconds + time.perf_counter() - began
     settings = {**best, "null": [n for n, a in zip(final.outputs, final.posterior.active) if not a]}
-    return bench.outcome(label, final, views=False, seconds=seconds, search=tried, settings=settings)
+    return bench.outcome(
+        label, final, views=False, seconds=seconds, search=tried, settings=settings
+    )
 
 
 def _linear_hybrid(
-    bench: Bench, *, model: Callable[[Bench], tuple[BasePredictor, Any]], label: str, learner: str = GP
+    bench: Bench,
+    *,
+    model: Callable[[Bench], tuple[BasePredictor, Any]],
+    label: str,
+    learner: str = GP,
 ) -> Outcome:
     base, _ = model(bench)
     plain = output_features(base, bench.train_segments[0].names)
@@ -130,29 +171,40 @@ def _linear_hybrid(
 
 def _choices(bench: Bench, plain: Sequence[str]) -> dict[str, Sequence[str]]:
     """What is predicted alone, or also the model's last errors: black boxes see their last samples too."""
-    return {"prediction": tuple(plain), "and last errors": (*plain, *(f"error.{n}[t-1]" for n in bench.outputs))}
+    return {
+        "prediction": tuple(plain),
+        "and last errors": (*plain, *(f"error.{n}[t-1]" for n in bench.outputs)),
+    }
 
 
 def _nonlinear_output(bench: Bench) -> Outcome:
     model, seconds = bench.physics
-    base = BasePredictor(model=model, outputs=bench.outputs, adapt=bench.adapt, train_seconds=seconds)
+    base = BasePredictor(
+        model=model, outputs=bench.outputs, adapt=bench.adapt, train_seconds=seconds
+    )
     state = output_features(base, bench.train_segments[0].names)
     return _output_hybrid(bench, base, _choices(bench, state), "nonlinear PEM + output GP")
 
 
-def candidates(bench: Bench, space: Mapping[str, Sequence[Any]], first: str) -> list[dict[str, Any]]:
+def candidates(
+    bench: Bench, space: Mapping[str, Sequence[Any]], first: str
+) -> list[dict[str, Any]]:
     """`bench.budget` points of the grid `space`, drawn without repetition; all values of `first` take turns."""
     grid = [dict(zip(space, values)) for values in itertools.product(*space.values())]
     drawn = [grid[i] for i in np.random.default_rng(bench.seed).permutation(len(grid))]
     turns = [[p for p in drawn if p[first] == v] for v in space[first]]
-    return [p for together in itertools.zip_longest(*turns) for p in together if p is not None][: bench.budget]
+    return [p for together in itertools.zip_longest(*turns) for p in together if p is not None][
+        : bench.budget
+    ]
 
 
 def _black_box(bench: Bench) -> tuple[tuple[Segment, ...], tuple[Segment, ...], tuple[str, ...]]:
     """(views to train on, views to judge on, channels that black boxes predict)."""
     own, judge = (tuple(black_box_view(s) for s in part) for part in bench.split)
     more = [
-        n for n in (*BODY_VELOCITY, *GRAVITY_DIRECTION) if all(n in v.channels for v in (*own, *judge, *bench.views))
+        n
+        for n in (*BODY_VELOCITY, *GRAVITY_DIRECTION)
+        if all(n in v.channels for v in (*own, *judge, *bench.views))
     ]
     return own, judge, (*bench.outputs, *more)
 
@@ -168,7 +220,9 @@ def _gp(bench: Bench) -> Outcome:
     def trained(views: Sequence[Segment], point: Mapping[str, Any]) -> Any:
         rest = {k: v for k, v in point.items() if k != "lags"}
         lags = point["lags"]
-        return fit_narx(views, outputs=outputs, inputs=bench.inputs, n_a=lags, n_b=lags, seed=bench.seed, **rest)
+        return fit_narx(
+            views, outputs=outputs, inputs=bench.inputs, n_a=lags, n_b=lags, seed=bench.seed, **rest
+        )
 
     for point in candidates(bench, space, "increments"):
         error = validation_error(trained(own, point), judge, bench.outputs, bench.spread)
@@ -181,7 +235,9 @@ def _gp(bench: Bench) -> Outcome:
     target = y - z[:, : len(outputs)] if final.increments else y
     final = replace(final, posterior=with_measured_noise(final.posterior, z, target))
     seconds = time.perf_counter() - began
-    return bench.outcome("GP alone", final, views=True, seconds=seconds, search=tried, settings=best)
+    return bench.outcome(
+        "GP alone", final, views=True, seconds=seconds, search=tried, settings=best
+    )
 
 
 def _lstm(bench: Bench) -> Outcome:
@@ -197,11 +253,18 @@ def _lstm(bench: Bench) -> Outcome:
     for number, point in enumerate(candidates(bench, SPACE, "increments")):
         rest = {k: v for k, v in point.items() if k != "window"}
         window = point["window"]
-        settings = LSTMSettings(n_a=window, n_b=window, batch=batch, epochs=epochs, patience=patience, **rest)
+        settings = LSTMSettings(
+            n_a=window, n_b=window, batch=batch, epochs=epochs, patience=patience, **rest
+        )
         model = train_lstm(
-            own, judge, outputs=outputs, inputs=bench.inputs, settings=settings, seed=bench.seed + number,
+            own,
+            judge,
+            outputs=outputs,
+            inputs=bench.inputs,
+            settings=settings,
+            seed=bench.seed + number,
             progress=lambda text: bench.say(f"LSTM: {text}"),
-        )  # fmt: skip
+        )
         error = validation_error(model, judge, bench.outputs, bench.spread)
         ended = {k: model.report[k] for k in ("epochs", "ended")}
         tried.append({**point, "batch": batch, "validation": error, **ended})
@@ -210,10 +273,14 @@ def _lstm(bench: Bench) -> Outcome:
             best = model
     seconds = time.perf_counter() - began
     settings_used = min(tried, key=lambda t: t["validation"])
-    return bench.outcome("LSTM", best, views=True, seconds=seconds, search=tried, settings=settings_used)
+    return bench.outcome(
+        "LSTM", best, views=True, seconds=seconds, search=tried, settings=settings_used
+    )
 
 
-def validation_error(predictor: Any, segments: Sequence[Segment], names: Sequence[str], spread: FloatArray) -> float:
+def validation_error(
+    predictor: Any, segments: Sequence[Segment], names: Sequence[str], spread: FloatArray
+) -> float:
     """Mean over channels of the squared one-step error in units of the training variance."""
     at = [predictor.outputs.index(n) for n in names]
     errors = [(s.matrix(names) - predictor.one_step(s)[0][:, at]) ** 2 for s in segments]
@@ -242,9 +309,13 @@ def pairs(learners: Sequence[str]) -> dict[str, Callable[[Bench], Outcome]]:
     for learner in dict.fromkeys(learners):
         learner_of(learner)
         word = "GP" if learner == GP else learner
-        siso, mimo, physics = (f"{b} PEM + {word}" for b in ("linear SISO", "linear MIMO", "nonlinear"))
+        siso, mimo, physics = (
+            f"{b} PEM + {word}" for b in ("linear SISO", "linear MIMO", "nonlinear")
+        )
         out[mimo] = partial(_linear_hybrid, model=attrgetter("mimo"), label=mimo, learner=learner)
         if learner != GP:
-            out[siso] = partial(_linear_hybrid, model=attrgetter("siso"), label=siso, learner=learner)
+            out[siso] = partial(
+                _linear_hybrid, model=attrgetter("siso"), label=siso, learner=learner
+            )
             out[physics] = partial(_hybrid, learner=learner)
     return out

@@ -1,7 +1,9 @@
-"""Scores of one-step predictions over flights: per channel, and as means over channels that may be averaged.
+"""Scores of one-step predictions over flights: per channel, and as means over channels that may be
+averaged.
 
-A mean over rad/s and m/s^2 says nothing: means are over channels in units of their standard deviation on the training
-flights. NLPD and CRPS scale accordingly (a density has the unit of one over the channel).
+A mean over rad/s and m/s^2 says nothing: means are over channels in units of their standard
+deviation on the training flights. NLPD and CRPS scale accordingly (a density has the unit of one
+over the channel).
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ SPACING = 0.1
 """Seconds between the origins of a multi-step table: neighbours tell the same."""
 
 BINS, WIDEST = 16, 4.0
-"""Bars of a histogram of errors, and where the outermost end, in root mean squares of the errors."""
+"""Bars of a histogram of errors, and where the outermost end, in root mean squares of the
+errors."""
 MEANS = ("mse", "r2", "spectral_error", "nlpd", "crps", "coverage50", "coverage68", "coverage95")
 """What `one_step_scores` gives as means over channels."""
 
@@ -40,19 +43,22 @@ def one_step_scores(
     spread: FloatArray,
     dt: float,
 ) -> dict[str, Any]:
-    """Scores over stretches: arrays (N_i, n_c) each, NaN in `measured` = missing; `inputs` (N_i, n_u); `spread` (n_c,).
+    """Scores over stretches: arrays (N_i, n_c) each, NaN in `measured` = missing; `inputs` (N_i,
+    n_u); `spread` (n_c,).
 
-    `channels`: name -> mse, r2, spectral_error (share of the signal's power at 0.1-20 Hz that is left), nlpd, crps,
-    sharpness, coverage50/68/95, pit, whiteness (share of lags 1-30 outside the white band), input_correlation (the largest
-    such share over the inputs, positive lags), histogram (shares of errors by their root mean square), sigma_error and
-    sigma_manoeuvre (rank correlation of the stated deviation with the size of the error, and with how far the commands are
-    from their mean; None where it is constant). `mean`: means of standardised channels. Raises `DataError` where a
-    measured sample has no prediction.
+    `channels`: name -> mse, r2, spectral_error (share of the signal's power at 0.1-20 Hz that is
+    left), nlpd, crps, sharpness, coverage50/68/95, pit, whiteness (share of lags 1-30 outside the
+    white band), input_correlation (the largest such share over the inputs, positive lags),
+    histogram (shares of errors by their root mean square), sigma_error and sigma_manoeuvre (rank
+    correlation of the stated deviation with the size of the error, and with how far the commands
+    are from their mean; None where it is constant). `mean`: means of standardised channels. Raises
+    `DataError` where a measured sample has no prediction.
     """
     errors = [y - m for y, m in zip(measured, mean, strict=True)]
     for i, name in enumerate(names):
         lost = sum(
-            int((np.isfinite(y[:, i]) & ~np.isfinite(m[:, i])).sum()) for y, m in zip(measured, mean, strict=True)
+            int((np.isfinite(y[:, i]) & ~np.isfinite(m[:, i])).sum())
+            for y, m in zip(measured, mean, strict=True)
         )
         if lost:
             raise DataError(f"{name}: {lost} measured samples have no prediction")
@@ -64,11 +70,16 @@ def one_step_scores(
         y, m, v = (np.concatenate([a[:, i] for a in parts]) for parts in (measured, mean, variance))
         seen = np.isfinite(y)
         channels[name] = {
-            "unit": units[i], **score(y, m, v).to_dict(), "r2": r_squared(y[seen], m[seen]),
-            "spectral_error": float(left[i]), "whiteness": white.get(name), "input_correlation": cross.get(name),
-            "histogram": _histogram((y - m)[seen]), "sigma_error": _ranked(v[seen], np.abs(y - m)[seen]),
+            "unit": units[i],
+            **score(y, m, v).to_dict(),
+            "r2": r_squared(y[seen], m[seen]),
+            "spectral_error": float(left[i]),
+            "whiteness": white.get(name),
+            "input_correlation": cross.get(name),
+            "histogram": _histogram((y - m)[seen]),
+            "sigma_error": _ranked(v[seen], np.abs(y - m)[seen]),
             "sigma_manoeuvre": _ranked(v[seen], away[seen]),
-        }  # fmt: skip
+        }
     scale = dict(zip(names, spread, strict=True))
     pooled = {key: float(np.mean([c[key] for c in channels.values()])) for key in MEANS}
     pooled["mse"] = float(np.mean([c["mse"] / scale[n] ** 2 for n, c in channels.items()]))
@@ -78,7 +89,8 @@ def one_step_scores(
 
 
 def _histogram(e: FloatArray) -> list[float]:
-    """Shares (BINS,) of errors (n,) in units of their root mean square; the outermost bars hold all that lies beyond."""
+    """Shares (BINS,) of errors (n,) in units of their root mean square; the outermost bars hold all
+    that lies beyond."""
     size = float(np.sqrt(np.mean(e**2))) or 1.0
     inside = np.clip(e / size, -WIDEST, WIDEST)
     return [float(v) for v in np.histogram(inside, bins=BINS, range=(-WIDEST, WIDEST))[0] / len(e)]
@@ -101,7 +113,10 @@ def _correlations(
     try:
         white = {c.name: c.outside for c in whiteness(errors, names=names).channels}
         pairs = cross_correlation(errors, inputs, names=names).pairs
-        cross = {n: max(p.outside for p in pairs if p.innovation == n) for n in {p.innovation for p in pairs}}
+        cross = {
+            n: max(p.outside for p in pairs if p.innovation == n)
+            for n in {p.innovation for p in pairs}
+        }
     except GreyboxError:
         pass  # too short for a test: the scores stand without it
     return white, cross

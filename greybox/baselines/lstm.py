@@ -77,7 +77,11 @@ class LSTMModel:
         want += [(self.head[0], (n_y, width)), (self.head[1], (n_y,))]
         for value, shape in want:
             if value.shape != shape:
-                raise ModelError("an array of the network does not fit", expected=str(shape), got=str(value.shape))
+                raise ModelError(
+                    "an array of the network does not fit",
+                    expected=str(shape),
+                    got=str(value.shape),
+                )
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -113,7 +117,12 @@ class LSTMModel:
             return b if xp is np else ca.DM(b).T
 
         x = (z - row(self.input_mean)) / row(self.input_scale)
-        n_y, n_u, n_a, n_b = len(self.lags.outputs), len(self.lags.inputs), self.lags.n_a, self.lags.n_b
+        n_y, n_u, n_a, n_b = (
+            len(self.lags.outputs),
+            len(self.lags.inputs),
+            self.lags.n_a,
+            self.lags.n_b,
+        )
         steps = []
         for lag in range(max(n_a, n_b), 0, -1):
             # The input weights of what the window does not hold are left out: those inputs are zero.
@@ -134,7 +143,9 @@ class LSTMModel:
                 gates = sum(parts[1:], parts[0]) + row(b)
                 if state is not None:
                     gates = gates + times(state, r.T)
-                enter, forget, leave = (_sigmoid(gates[:, k * size : (k + 1) * size], xp) for k in (0, 1, 3))
+                enter, forget, leave = (
+                    _sigmoid(gates[:, k * size : (k + 1) * size], xp) for k in (0, 1, 3)
+                )
                 fresh = enter * xp.tanh(gates[:, 2 * size : 3 * size])
                 memory = fresh if memory is None else forget * memory + fresh
                 state = leave * xp.tanh(memory)
@@ -149,7 +160,9 @@ class LSTMModel:
         mean = self.mean(self.lags.rows(segment))
         return mean, np.where(np.isfinite(mean), self.variance[0], np.nan)
 
-    def free_run(self, segment: Segment, origins: npt.ArrayLike, horizon: int) -> tuple[FloatArray, FloatArray]:
+    def free_run(
+        self, segment: Segment, origins: npt.ArrayLike, horizon: int
+    ) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (m, horizon, n_y): predictions take the place of the outputs not yet measured."""
         past, moved = self.lags.starts(segment, origins, horizon)
         mean = np.empty((len(past), horizon, len(self.outputs)))
@@ -164,7 +177,9 @@ class LSTMModel:
     def _arrays(self) -> dict[str, FloatArray]:
         named = {n: getattr(self, n) for n in _VECTORS}
         for i, layer in enumerate(self.layers):
-            named |= {f"layer{i}.{part}": a for part, a in zip(("input", "recurrent", "bias"), layer)}
+            named |= {
+                f"layer{i}.{part}": a for part, a in zip(("input", "recurrent", "bias"), layer)
+            }
         return named | {"head.weight": self.head[0], "head.bias": self.head[1]}
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -194,17 +209,25 @@ class LSTMModel:
         where = str(path)
         body = read_json(path, schema=SCHEMA)
         if body.pop("checksum", None) != checksum(body):
-            raise FileFormatError("the checksum does not fit", where=where, fix="train again; do not edit by hand")
+            raise FileFormatError(
+                "the checksum does not fit", where=where, fix="train again; do not edit by hand"
+            )
         try:
             arrays = load_arrays(Path(path).with_suffix(".npz"))
             for name, stated in body["arrays"].items():
                 if checksum(arrays[name]) != stated["sha256"]:
-                    raise FileFormatError(f"array '{name}' does not fit its checksum", where=where, fix="train again")
+                    raise FileFormatError(
+                        f"array '{name}' does not fit its checksum", where=where, fix="train again"
+                    )
             return LSTMModel(
                 lags=Lags(**body["lags"]),
                 increments=bool(body["increments"]),
                 layers=tuple(
-                    (arrays[f"layer{i}.input"], arrays[f"layer{i}.recurrent"], arrays[f"layer{i}.bias"])
+                    (
+                        arrays[f"layer{i}.input"],
+                        arrays[f"layer{i}.recurrent"],
+                        arrays[f"layer{i}.bias"],
+                    )
                     for i in range(int(body["layers"]))
                 ),
                 head=(arrays["head.weight"], arrays["head.bias"]),
@@ -216,7 +239,9 @@ class LSTMModel:
         except FileFormatError:
             raise
         except (OSError, KeyError, TypeError, ValueError) as error:
-            raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="train again") from None
+            raise FileFormatError(
+                f"incomplete or wrong ({error})", where=where, fix="train again"
+            ) from None
 
 
 def _sigmoid(x: Any, xp: Any) -> Any:

@@ -81,9 +81,11 @@ def train_lstm(
     n_y = len(lags.outputs)
     target, base = (y - z[:, :n_y], zv[:, :n_y]) if s.increments else (y, np.zeros_like(yv))
     scaling = {
-        "input_mean": z.mean(axis=0), "input_scale": _spread(z), "target_mean": target.mean(axis=0),
+        "input_mean": z.mean(axis=0),
+        "input_scale": _spread(z),
+        "target_mean": target.mean(axis=0),
         "target_scale": _spread(target),
-    }  # fmt: skip
+    }
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -99,11 +101,15 @@ def train_lstm(
     finally:
         torch.set_num_threads(threads)
     model = LSTMModel(
-        lags=lags, increments=s.increments, **scaling,
+        lags=lags,
+        increments=s.increments,
+        **scaling,
         layers=tuple(_layer(best, i) for i in range(s.layers)),
-        head=(best["head.weight"], best["head.bias"]), variance=np.ones((1, n_y)),
-        report={**report, "settings": asdict(s), "seed": seed, "samples": len(z)}, dt=segments_of(train)[0].dt,
-    )  # fmt: skip
+        head=(best["head.weight"], best["head.bias"]),
+        variance=np.ones((1, n_y)),
+        report={**report, "settings": asdict(s), "seed": seed, "samples": len(z)},
+        dt=segments_of(train)[0].dt,
+    )
     model = replace(model, variance=residual_variance(model, segments_of(validation)))
     return replace(model, train_seconds=time.perf_counter() - began)
 
@@ -135,10 +141,22 @@ def search_lstm(
         window = point.pop("window")
         settings = LSTMSettings(n_a=window, n_b=window, newest=newest, epochs=epochs, **point)
         model = train_lstm(
-            train, validation, outputs=outputs, inputs=inputs, settings=settings, seed=seed + number, progress=progress
+            train,
+            validation,
+            outputs=outputs,
+            inputs=inputs,
+            settings=settings,
+            seed=seed + number,
+            progress=progress,
         )
         seconds += model.train_seconds
-        tried.append({**grid[index], "validation": model.report["validation"], "epochs": model.report["epochs"]})
+        tried.append(
+            {
+                **grid[index],
+                "validation": model.report["validation"],
+                "epochs": model.report["epochs"],
+            }
+        )
         if progress:
             progress(f"candidate {number + 1} of {budget}: {tried[-1]}")
         if best is None or model.report["validation"] < best.report["validation"]:
@@ -147,7 +165,9 @@ def search_lstm(
     return replace(best, train_seconds=seconds, report={**best.report, "search": tried})
 
 
-def residual_variance(model: LSTMModel, segments: Sequence[Segment], horizon: int = HORIZON) -> FloatArray:
+def residual_variance(
+    model: LSTMModel, segments: Sequence[Segment], horizon: int = HORIZON
+) -> FloatArray:
     """Mean squared error (horizon, n_y) of the free run over up to `ORIGINS` origins of the segments."""
     total: FloatArray = np.zeros((horizon, len(model.outputs)))
     count: FloatArray = np.zeros_like(total)
@@ -156,12 +176,16 @@ def residual_variance(model: LSTMModel, segments: Sequence[Segment], horizon: in
         every = max(1, last * len(segments) // ORIGINS)
         origins = np.arange(min(model.lags.history, last), last + 1, every)
         mean, _ = model.free_run(segment, origins, horizon)
-        y = np.vstack([model.lags.measured(segment), np.full((horizon, len(model.outputs)), np.nan)])
+        y = np.vstack(
+            [model.lags.measured(segment), np.full((horizon, len(model.outputs)), np.nan)]
+        )
         square = (y[origins[:, None] + 1 + np.arange(horizon)] - mean) ** 2
         total += np.nansum(square, axis=0)
         count += np.isfinite(square).sum(axis=0)
     if not count[0].all():
-        raise DataError("no validation sample to measure the variance on", fix="validate on longer segments")
+        raise DataError(
+            "no validation sample to measure the variance on", fix="validate on longer segments"
+        )
     # A horizon that the validation data never reach takes the one before it.
     for h in range(1, horizon):
         empty = count[h] == 0
@@ -175,7 +199,9 @@ class Network(torch.nn.Module):
     def __init__(self, width: int, s: LSTMSettings, n_y: int) -> None:
         super().__init__()
         dropout = s.dropout if s.layers > 1 else 0.0
-        self.lstm = torch.nn.LSTM(width, s.hidden, num_layers=s.layers, dropout=dropout, batch_first=True)
+        self.lstm = torch.nn.LSTM(
+            width, s.hidden, num_layers=s.layers, dropout=dropout, batch_first=True
+        )
         self.head = torch.nn.Linear(s.hidden, n_y)
 
     def forward(self, x: Any) -> Any:
@@ -185,11 +211,22 @@ class Network(torch.nn.Module):
 
 
 def _fit(
-    network: Any, x: Any, t: Any, xv: Any, tv: Any, scales: Any, s: LSTMSettings, progress: Callable[[str], None] | None
+    network: Any,
+    x: Any,
+    t: Any,
+    xv: Any,
+    tv: Any,
+    scales: Any,
+    s: LSTMSettings,
+    progress: Callable[[str], None] | None,
 ) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     """Weights at the lowest validation error, and what happened."""
-    optimiser = torch.optim.Adam(network.parameters(), lr=s.learning_rate, weight_decay=s.weight_decay)
-    schedule = torch.optim.lr_scheduler.ReduceLROnPlateau(optimiser, factor=0.5, patience=max(2, s.patience // 3))
+    optimiser = torch.optim.Adam(
+        network.parameters(), lr=s.learning_rate, weight_decay=s.weight_decay
+    )
+    schedule = torch.optim.lr_scheduler.ReduceLROnPlateau(
+        optimiser, factor=0.5, patience=max(2, s.patience // 3)
+    )
     lowest, since, best, history = float("inf"), 0, network.state_dict(), []
     ended = "epochs used up"
     for epoch in range(s.epochs):
@@ -223,8 +260,11 @@ def _fit(
     if not np.isfinite(lowest):
         raise DataError("the training of the LSTM diverged at once", fix="lower the learning rate")
     return {k: v.numpy().astype(np.float64) for k, v in best.items()}, {
-        "validation": lowest, "epochs": len(history), "ended": ended, "history": history,
-    }  # fmt: skip
+        "validation": lowest,
+        "epochs": len(history),
+        "ended": ended,
+        "history": history,
+    }
 
 
 def _layer(weights: dict[str, FloatArray], i: int) -> tuple[FloatArray, FloatArray, FloatArray]:

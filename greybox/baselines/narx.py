@@ -1,9 +1,11 @@
-"""NARXModel: a Gaussian process alone on past outputs and inputs, the baseline that knows no physics.
+"""NARXModel: a Gaussian process alone on past outputs and inputs, the baseline that knows no
+physics.
 
-y[t] = f(y[t-1], ..., y[t-n_a], u[t-1], ..., u[t-n_b]) + e with one GP per output (Rasmussen and Williams 2006, ch. 2; as a
-dynamic model: Kocijan 2016, Modelling and Control of Dynamic Systems Using Gaussian Process Models, ch. 2). In a free run
-the predictions take the place of the outputs not yet measured, and their covariance is carried along by the Jacobian of
-the mean (first order: Girard et al. 2003, NIPS 15; the GP's own errors count as independent from step to step).
+y[t] = f(y[t-1], ..., y[t-n_a], u[t-1], ..., u[t-n_b]) + e with one GP per output (Rasmussen and
+Williams 2006, ch. 2; as a dynamic model: Kocijan 2016, Modelling and Control of Dynamic Systems
+Using Gaussian Process Models, ch. 2). In a free run the predictions take the place of the outputs
+not yet measured, and their covariance is carried along by the Jacobian of the mean (first order:
+Girard et al. 2003, NIPS 15; the GP's own errors count as independent from step to step).
 """
 
 from __future__ import annotations
@@ -43,8 +45,8 @@ SPACE: dict[str, tuple[Any, ...]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NARXModel:
-    """A GP over `lags`; with `increments` it predicts y[t] - y[t-1]; `dt` [s] is the training data's
-    sample time. Plain numbers, no torch. Raises `ModelError`."""
+    """A GP over `lags`; with `increments` it predicts y[t] - y[t-1]; `dt` [s] is the training
+    data's sample time. Plain numbers, no torch. Raises `ModelError`."""
 
     lags: Lags
     increments: bool
@@ -54,8 +56,13 @@ class NARXModel:
     dt: float | None = None
 
     def __post_init__(self) -> None:
-        if self.posterior.inputs.names != self.lags.layout.names or self.posterior.outputs.names != self.lags.outputs:
-            raise ModelError("the GP is not one over these lags", expected=", ".join(self.lags.layout.names))
+        if (
+            self.posterior.inputs.names != self.lags.layout.names
+            or self.posterior.outputs.names != self.lags.outputs
+        ):
+            raise ModelError(
+                "the GP is not one over these lags", expected=", ".join(self.lags.layout.names)
+            )
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -68,11 +75,15 @@ class NARXModel:
         gp = self.posterior
         kernels = {id(k): k for k in gp.kernels}
         return (
-            sum(len(k.lengthscales) + 1 for k in kernels.values()) + gp.noise.size + gp.support.size + gp.weights.size
+            sum(len(k.lengthscales) + 1 for k in kernels.values())
+            + gp.noise.size
+            + gp.support.size
+            + gp.weights.size
         )
 
     def one_step(self, segment: Segment) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance (n, n_y) of every measured sample, noise included; NaN where the past has a hole."""
+        """Mean and variance (n, n_y) of every measured sample, noise included; NaN where the past
+        has a hole."""
         z = self.lags.rows(segment)
         whole = np.isfinite(z).all(axis=1)
         mean, variance = np.full((2, len(z), len(self.outputs)), np.nan)
@@ -81,10 +92,16 @@ class NARXModel:
             mean += z[:, : len(self.outputs)]
         return mean, variance
 
-    def free_run(self, segment: Segment, origins: npt.ArrayLike, horizon: int) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance (m, horizon, n_y), noise included, the covariance of past predictions carried along."""
+    def free_run(
+        self, segment: Segment, origins: npt.ArrayLike, horizon: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance (m, horizon, n_y), noise included, the covariance of past predictions
+        carried along."""
         past, moved = self.lags.starts(segment, origins, horizon)
-        parts = [self._run(past[at : at + CHUNK], moved[at : at + CHUNK]) for at in range(0, max(len(past), 1), CHUNK)]
+        parts = [
+            self._run(past[at : at + CHUNK], moved[at : at + CHUNK])
+            for at in range(0, max(len(past), 1), CHUNK)
+        ]
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
     def _run(self, past: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -121,11 +138,14 @@ class NARXModel:
 
     @cached_property
     def _told(self) -> Any:
-        """z -> (mean, variance of the function, d mean / d past outputs column by column) in one vector."""
+        """z -> (mean, variance of the function, d mean / d past outputs column by column) in one
+        vector."""
         z = ca.MX.sym("z", self.lags.width)
         told = self.posterior.expressions(z, ("mean", "variance", "mean_jacobian"))
         past = told["mean_jacobian"][:, : self.lags.n_a * len(self.outputs)]
-        return ca.Function("told", [z], [ca.densify(ca.vertcat(told["mean"], told["variance"], ca.vec(past)))])
+        return ca.Function(
+            "told", [z], [ca.densify(ca.vertcat(told["mean"], told["variance"], ca.vec(past)))]
+        )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write one JSON file, atomically."""
@@ -147,7 +167,9 @@ class NARXModel:
         """Read what `save` wrote. Raises `FileFormatError`."""
         body = read_json(path, schema=SCHEMA)
         if body.pop("checksum", None) != checksum(body):
-            raise FileFormatError("the checksum does not fit", where=str(path), fix="train again; do not edit by hand")
+            raise FileFormatError(
+                "the checksum does not fit", where=str(path), fix="train again; do not edit by hand"
+            )
         try:
             return NARXModel(
                 lags=Lags(**body["lags"]),
@@ -174,7 +196,8 @@ def fit_narx(
     points: int = 100,
     seed: int = 0,
 ) -> NARXModel:
-    """A sparse GP (SGPR) on the regressors of `train`. Raises `DataError`; `MissingExtraError` without the extra `gp`."""
+    """A sparse GP (SGPR) on the regressors of `train`. Raises `DataError`; `MissingExtraError`
+    without the extra `gp`."""
     from greybox.residual.train import train_gp
 
     began = time.perf_counter()
@@ -182,15 +205,39 @@ def fit_narx(
     z, y, flights = lags.pairs(segments_of(train))
     target = y - z[:, : len(lags.outputs)] if increments else y
     trained = train_gp(
-        z, target, inputs=lags.layout, outputs=lags.output_layout, kernel=kernel, points=points, seed=seed,
-        groups=flights, hold_out=0.0, noise_inflation=1.0, prior_mean="constant",
-    )  # fmt: skip
-    settings = {"n_a": n_a, "n_b": n_b, "newest": newest, "increments": increments, "kernel": kernel, "points": points}
+        z,
+        target,
+        inputs=lags.layout,
+        outputs=lags.output_layout,
+        kernel=kernel,
+        points=points,
+        seed=seed,
+        groups=flights,
+        hold_out=0.0,
+        noise_inflation=1.0,
+        prior_mean="constant",
+    )
+    settings = {
+        "n_a": n_a,
+        "n_b": n_b,
+        "newest": newest,
+        "increments": increments,
+        "kernel": kernel,
+        "points": points,
+    }
     return NARXModel(
-        lags=lags, increments=increments, posterior=trained.posterior, train_seconds=time.perf_counter() - began,
-        report={"settings": settings, "seed": seed, "samples": len(z), "training": trained.report.to_dict()},
+        lags=lags,
+        increments=increments,
+        posterior=trained.posterior,
+        train_seconds=time.perf_counter() - began,
+        report={
+            "settings": settings,
+            "seed": seed,
+            "samples": len(z),
+            "training": trained.report.to_dict(),
+        },
         dt=segments_of(train)[0].dt,
-    )  # fmt: skip
+    )
 
 
 def search_narx(
@@ -204,29 +251,49 @@ def search_narx(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> NARXModel:
-    """The best of `budget` models with settings drawn from `SPACE` without repetition, by validation error.
+    """The best of `budget` models with settings drawn from `SPACE` without repetition, by
+    validation error.
 
-    The error is the mean over outputs of the squared one-step error in units of the training variance, as for the LSTM.
-    `train_seconds` is that of all candidates; `report["search"]` lists them.
+    The error is the mean over outputs of the squared one-step error in units of the training
+    variance, as for the LSTM. `train_seconds` is that of all candidates; `report["search"]` lists
+    them.
     """
     if budget < 1:
         raise DataError(f"a search of {budget} candidates", expected="at least 1")
     grid = [dict(zip(SPACE, values)) for values in itertools.product(*SPACE.values())]
-    spread = np.nanvar(np.concatenate([s.matrix(tuple(outputs)) for s in segments_of(train)]), axis=0)
+    spread = np.nanvar(
+        np.concatenate([s.matrix(tuple(outputs)) for s in segments_of(train)]), axis=0
+    )
     best: NARXModel | None = None
     lowest, seconds, tried = float("inf"), 0.0, []
     for index in np.random.default_rng(seed).permutation(len(grid))[:budget]:
         point = dict(grid[index])
         lags = point.pop("lags")
-        model = fit_narx(train, outputs=outputs, inputs=inputs, n_a=lags, n_b=lags, newest=newest, seed=seed, **point)
+        model = fit_narx(
+            train,
+            outputs=outputs,
+            inputs=inputs,
+            n_a=lags,
+            n_b=lags,
+            newest=newest,
+            seed=seed,
+            **point,
+        )
         seconds += model.train_seconds
-        errors = [(model.lags.measured(s) - model.one_step(s)[0]) ** 2 for s in segments_of(validation)]
-        error = float(np.mean(np.nanmean(np.concatenate(errors), axis=0) / np.where(spread > 0, spread, 1.0)))
+        errors = [
+            (model.lags.measured(s) - model.one_step(s)[0]) ** 2 for s in segments_of(validation)
+        ]
+        error = float(
+            np.mean(np.nanmean(np.concatenate(errors), axis=0) / np.where(spread > 0, spread, 1.0))
+        )
         tried.append({**grid[index], "validation": error})
         if progress:
             progress(f"candidate {len(tried)} of {budget}: {tried[-1]}")
         if error < lowest:
             best, lowest = model, error
     if best is None:
-        raise DataError("no candidate of the search predicts the validation data", fix="validate on longer segments")
+        raise DataError(
+            "no candidate of the search predicts the validation data",
+            fix="validate on longer segments",
+        )
     return replace(best, train_seconds=seconds, report={**best.report, "search": tried})

@@ -1,4 +1,5 @@
-"""How much an output residual helps: one-step scores and open-loop errors per channel, with and without it."""
+"""How much an output residual helps: one-step scores and open-loop errors per channel, with and
+without it."""
 
 from __future__ import annotations
 
@@ -16,11 +17,15 @@ from greybox.symbolic import FloatArray
 from greybox.validation.predictive import score
 
 
-def judge(hybrid: OutputHybrid, data: Dataset, *, spread: FloatArray, horizons: Sequence[int]) -> dict[str, Any]:
-    """ "before" (the base model) and "after" (with its Gaussian process) on the flights of `data`, on the same samples.
+def judge(
+    hybrid: OutputHybrid, data: Dataset, *, spread: FloatArray, horizons: Sequence[int]
+) -> dict[str, Any]:
+    """ "before" (the base model) and "after" (with its Gaussian process) on the flights of `data`,
+     on the same samples.
 
-    Each has `one_step` (as `one_step_scores`, standardised by `spread` (n_o,)) and `horizons`: {h, seconds, channels: {name:
-    {rmse, nlpd, coverage95, n, unit}}}. Raises `DataError` where the flights are too short.
+    Each has `one_step` (as `one_step_scores`, standardised by `spread` (n_o,)) and `horizons`: {h,
+    seconds, channels: {name: {rmse, nlpd, coverage95, n, unit}}}. Raises `DataError` where the
+    flights are too short.
     """
     base = hybrid.base
     rows = [_judged(hybrid, s) for s in data.segments]
@@ -29,7 +34,9 @@ def judge(hybrid: OutputHybrid, data: Dataset, *, spread: FloatArray, horizons: 
     out: dict[str, Any] = {}
     for label, predictor in (("before", base), ("after", hybrid)):
         measured, means, variances, inputs = [], [], [], []
-        ahead: dict[int, list[tuple[FloatArray, FloatArray, FloatArray]]] = {h: [] for h in horizons}
+        ahead: dict[int, list[tuple[FloatArray, FloatArray, FloatArray]]] = {
+            h: [] for h in horizons
+        }
         for segment, late in zip(data.segments, rows, strict=True):
             if not late.any():
                 continue
@@ -47,10 +54,18 @@ def judge(hybrid: OutputHybrid, data: Dataset, *, spread: FloatArray, horizons: 
                     ahead[h].append((y[origins + h], far[:, h - 1], spread_ahead[:, h - 1]))
         if not measured:
             raise DataError(
-                "no flight is long enough to judge the model on", fix="longer flights, or fewer --adapt seconds"
+                "no flight is long enough to judge the model on",
+                fix="longer flights, or fewer --adapt seconds",
             )
         scored = one_step_scores(
-            measured, means, variances, inputs, names=base.outputs, units=units, spread=spread, dt=base.dt
+            measured,
+            means,
+            variances,
+            inputs,
+            names=base.outputs,
+            units=units,
+            spread=spread,
+            dt=base.dt,
         )
         out[label] = {
             "one_step": scored,
@@ -76,7 +91,13 @@ def _judged(hybrid: OutputHybrid, segment: Segment) -> Any:
     return late
 
 
-def _cell(parts: Sequence[tuple[FloatArray, FloatArray, FloatArray]], i: int, unit: str) -> dict[str, Any]:
+def _cell(
+    parts: Sequence[tuple[FloatArray, FloatArray, FloatArray]], i: int, unit: str
+) -> dict[str, Any]:
     y, mean, variance = (np.concatenate([p[k][:, i] for p in parts]) for k in range(3))
     seen = score(y, mean, variance).to_dict()
-    return {"rmse": seen["mse"] ** 0.5, "unit": unit, **{k: seen[k] for k in ("nlpd", "coverage95", "n")}}
+    return {
+        "rmse": seen["mse"] ** 0.5,
+        "unit": unit,
+        **{k: seen[k] for k in ("nlpd", "coverage95", "n")},
+    }

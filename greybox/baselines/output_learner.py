@@ -6,8 +6,8 @@ sec. 3.3). Everything is chosen on flights that were not seen: features are made
 of the flights and weights without the judged fold; of the candidates the one stays that foretells
 the left-out errors best, of the strengths of the prior the strongest that is as good within one
 standard error. What a network has memorised of the flights that judge it therefore gains nothing.
-Outside of the training inputs nothing is believed (`greybox.residual.learners.inside`). What remains
-is judged as a Gaussian process is (`greybox.residual.left_out`).
+Outside of the training inputs nothing is believed (`greybox.residual.learners.inside`). What
+remains is judged as a Gaussian process is (`greybox.residual.left_out`).
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class OutputFit:
 def fit_features(
     learner: Learner, rows: Discrepancy, own: FloatArray, *, points: int, seed: int
 ) -> OutputFit:
-    """Features on one-step errors. `rows`: inputs z (N, n_in) and errors y (N, n_out) of a model, in
-    order of time within each flight; `own` (n_out,) the variance that the model states for them.
+    """Features on one-step errors. `rows`: inputs z (N, n_in) and errors y (N, n_out) of a model,
+    in order of time within each flight; `own` (n_out,) the variance that the model states for them.
 
     Raises `ModelError` as `FeatureMaker.candidates`, and where no candidate can be made from half
     of the flights.
@@ -80,9 +80,7 @@ def fit_features(
     seen = list(zip(trial.error.T, trial.variance.T, strict=True))
     judged, scores = judged_on_errors(whole, seen, rows.y, flights, own)
     assert isinstance(judged, FeaturePosterior)
-    return OutputFit(
-        posterior=judged.at_home(rows.z), chosen=best, candidates=saved, scores=scores
-    )
+    return OutputFit(posterior=judged.at_home(rows.z), chosen=best, candidates=saved, scores=scores)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,7 +112,9 @@ class _LastLayer:
         phi = evaluate(candidate.phi, np.ascontiguousarray(x))
         near, last = seen_share(phi, candidate.phi, candidate.members)
         phi[:, last] = 0.0
-        return cls(candidate=candidate, phi=phi, near=near[:, None], y=rows.y / candidate.output_scale)
+        return cls(
+            candidate=candidate, phi=phi, near=near[:, None], y=rows.y / candidate.output_scale
+        )
 
     def normal(self, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Normal equations (M, M) and (M, n_out) of some rows, members of an ensemble apart."""
@@ -138,7 +138,11 @@ class _LastLayer:
 
 
 def _trial(
-    made: Sequence[FeaturePosterior], rows: Discrepancy, fold: IntArray, second: BoolArray, flights: IntArray
+    made: Sequence[FeaturePosterior],
+    rows: Discrepancy,
+    fold: IntArray,
+    second: BoolArray,
+    flights: IntArray,
 ) -> _Trial:
     """Left-out errors of a candidate: `made` from the first half of the rows and from the second,
     each judged on the folds of the other half with weights from all other folds."""
@@ -172,8 +176,9 @@ def _trial(
 
 
 def _strongest(square: FloatArray, block: IntArray) -> IntArray:
-    """Per output the strongest prior (n_out,) whose squared left-out errors (n_strengths, N, n_out) are within one
-    standard error of the least, by means over `block` (N,) (Breiman et al. 1984, sec. 3.4.3)."""
+    """Per output the strongest prior (n_out,) whose squared left-out errors (n_strengths, N, n_out)
+    are within one standard error of the least, by means over `block` (N,) (Breiman et al. 1984,
+    sec. 3.4.3)."""
     means = np.stack([square[:, block == b].mean(axis=1) for b in np.unique(block)])
     best = np.argmin(means.mean(axis=0), axis=0)
     worse = means - means[:, best, np.arange(len(best))][:, None]

@@ -1,14 +1,17 @@
-"""The paper's output residual: a Gaussian process on r(t) = y(t) - y_PEM(t|t-1), for linear and physical models.
+"""The paper's output residual: a Gaussian process on r(t) = y(t) - y_PEM(t|t-1), for linear and
+physical models.
 
-Ghoul, Bousserhane and Boufeldja 2026 (IJCAS 24(8), phase 2) learn r from z = [phi, theta, psi, p, q, r, u1..u4] of time t,
-which hold the measurement that is to be predicted. Here z holds what is known before it: the predicted state or outputs
-(t|t-1), attitude and commands one sample old. The command that begins at t may be named (`u1[t]`); a flight controller
-computes it from y(t), so that it gives the noise of y(t) away, and it is left out by default. So is psi: nothing that flies
-in free air feels where north is.
+Ghoul, Bousserhane and Boufeldja 2026 (IJCAS 24(8), phase 2) learn r from z = [phi, theta, psi, p,
+q, r, u1..u4] of time t, which hold the measurement that is to be predicted. Here z holds what is
+known before it: the predicted state or outputs (t|t-1), attitude and commands one sample old. The
+command that begins at t may be named (`u1[t]`); a flight controller computes it from y(t), so that
+it gives the noise of y(t) away, and it is left out by default. So is psi: nothing that flies in
+free air feels where north is.
 
-Where errors are correlated in time (sensors with memory, resampled packets) the model's own last errors foretell more than
-anything else: `error.ax[t-1]`. r is the mean of the next innovation. In a free run it therefore moves the state as a
-measured innovation would (`greybox.baselines.base_predictor`).
+Where errors are correlated in time (sensors with memory, resampled packets) the model's own last
+errors foretell more than anything else: `error.ax[t-1]`. r is the mean of the next innovation. In a
+free run it therefore moves the state as a measured innovation would
+(`greybox.baselines.base_predictor`).
 """
 
 from __future__ import annotations
@@ -55,7 +58,8 @@ class OutputHybrid(Shown):
     """`base` plus `posterior` on its one-step errors: a Gaussian process, or another learner's
     features. Plain numbers, no torch.
 
-    The posterior's outputs are those of `base`, its inputs features of `BasePredictor.feature_layout`. Raises `ModelError`.
+    The posterior's outputs are those of `base`, its inputs features of
+    `BasePredictor.feature_layout`. Raises `ModelError`.
     """
 
     base: BasePredictor
@@ -66,9 +70,10 @@ class OutputHybrid(Shown):
     def __post_init__(self) -> None:
         if self.posterior.outputs.names != self.base.outputs:
             raise ModelError(
-                "the learned part does not foretell the errors of this model", expected=", ".join(self.base.outputs),
+                "the learned part does not foretell the errors of this model",
+                expected=", ".join(self.base.outputs),
                 got=", ".join(self.posterior.outputs.names),
-            )  # fmt: skip
+            )
         self.base.feature_layout(self.posterior.inputs.names)
 
     def _shown_text(self) -> str:
@@ -102,12 +107,18 @@ class OutputHybrid(Shown):
         if isinstance(gp, FeaturePosterior):
             return self.base.parameters + learned_numbers(gp)
         kernels = {id(k): k for k in gp.kernels}
-        own = sum(len(k.lengthscales) + 1 for k in kernels.values()) + gp.noise.size + gp.support.size + gp.weights.size
+        own = (
+            sum(len(k.lengthscales) + 1 for k in kernels.values())
+            + gp.noise.size
+            + gp.support.size
+            + gp.weights.size
+        )
         return self.base.parameters + own
 
     def one_step(self, segment: Segment) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance (n, n_o), noise included, of every sample from what is known before it; NaN where too little
-        is (starts, holes in the features, the seconds that were adapted on)."""
+        """Mean and variance (n, n_o), noise included, of every sample from what is known before
+        it; NaN where too little is (starts, holes in the features, the seconds that were adapted
+        on)."""
         run = self.base.run(segment)
         z = self.base.features(segment, run, self.features)
         whole = np.isfinite(z).all(axis=1) & run.known
@@ -117,13 +128,16 @@ class OutputHybrid(Shown):
             mean[whole] = run.mean[whole] + added
         return mean, variance
 
-    def free_run(self, segment: Segment, origins: npt.ArrayLike, horizon: int) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance (m, horizon, n_o) of the samples k+1 .. k+horizon from every origin k; recorded commands."""
+    def free_run(
+        self, segment: Segment, origins: npt.ArrayLike, horizon: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance (m, horizon, n_o) of the samples k+1 .. k+horizon from every origin k;
+        recorded commands."""
         return self.base.rolled(segment, origins, horizon, self.posterior)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write one JSON file, atomically: schema "greybox.model/1", kind "output-hybrid". Raises `ModelError` for a base
-        that is not made of catalogue parts."""
+        """Write one JSON file, atomically: schema "greybox.model/1", kind "output-hybrid". Raises
+        `ModelError` for a base that is not made of catalogue parts."""
         base = self.base
         body = to_plain(
             {
@@ -134,27 +148,37 @@ class OutputHybrid(Shown):
                 "channels": {n: [list(t) for t in terms] for n, terms in base.channels.items()},
                 "outputs": list(base.outputs),
                 "adapt": base.adapt,
-                "learned" if isinstance(self.posterior, FeaturePosterior) else "gp": self.posterior.to_dict(),
+                "learned"
+                if isinstance(self.posterior, FeaturePosterior)
+                else "gp": self.posterior.to_dict(),
                 "train_seconds": self.train_seconds,
                 "base_seconds": base.train_seconds,
                 "report": dict(self.report),
             }
         )
-        return write_json(path, {**body, "versions": library_versions(), "checksum": checksum(body)})
+        return write_json(
+            path, {**body, "versions": library_versions(), "checksum": checksum(body)}
+        )
 
     @staticmethod
     def load(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) -> OutputHybrid:
-        """Read what `save` wrote; `effects` are those that are not in the catalogue. Raises `FileFormatError`."""
+        """Read what `save` wrote; `effects` are those that are not in the catalogue. Raises
+        `FileFormatError`."""
         where = str(path)
         data = read_json(path, schema=SCHEMA)
         if data.get("kind") != KIND:
             raise FileFormatError(
-                "not an output hybrid", where=where, expected=KIND, got=repr(data.get("kind")),
+                "not an output hybrid",
+                where=where,
+                expected=KIND,
+                got=repr(data.get("kind")),
                 fix="read it with greybox.load",
-            )  # fmt: skip
+            )
         body = {k: v for k, v in data.items() if k not in ("checksum", "versions")}
         if data.get("checksum") != checksum(body):
-            raise FileFormatError("the checksum does not fit", where=where, fix="the file was edited; write it again")
+            raise FileFormatError(
+                "the checksum does not fit", where=where, fix="the file was edited; write it again"
+            )
         try:
             linear = body["base"]["schema"] in LINEAR_SCHEMAS
             model: Base = (
@@ -163,32 +187,56 @@ class OutputHybrid(Shown):
                 else IdentifiedModel.from_dict(body["base"], where=where, effects=effects)
             )
             base = BasePredictor(
-                model=model, outputs=tuple(body["outputs"]),
-                channels={n: tuple((float(w), c) for w, c in terms) for n, terms in body["channels"].items()},
-                adapt=body["adapt"], train_seconds=float(body["base_seconds"]),
-            )  # fmt: skip
+                model=model,
+                outputs=tuple(body["outputs"]),
+                channels={
+                    n: tuple((float(w), c) for w, c in terms)
+                    for n, terms in body["channels"].items()
+                },
+                adapt=body["adapt"],
+                train_seconds=float(body["base_seconds"]),
+            )
             learned: Candidate = (
-                GPPosterior.from_dict(body["gp"]) if "gp" in body else FeaturePosterior.from_dict(body["learned"])
+                GPPosterior.from_dict(body["gp"])
+                if "gp" in body
+                else FeaturePosterior.from_dict(body["learned"])
             )
             return OutputHybrid(
-                base=base, posterior=learned, train_seconds=float(body["train_seconds"]), report=body["report"]
+                base=base,
+                posterior=learned,
+                train_seconds=float(body["train_seconds"]),
+                report=body["report"],
             )
-        except (KeyError, TypeError, AttributeError, ValueError, IndexError, ArithmeticError) as error:
+        except (
+            KeyError,
+            TypeError,
+            AttributeError,
+            ValueError,
+            IndexError,
+            ArithmeticError,
+        ) as error:
             if isinstance(error, GreyboxError):
                 raise
-            raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="write it again") from None
+            raise FileFormatError(
+                f"incomplete or wrong ({error})", where=where, fix="write it again"
+            ) from None
 
 
 def output_features(base: BasePredictor, channels: Iterable[str]) -> tuple[str, ...]:
-    """The default features: the predicted outputs of a linear model, or the motion and rotors of a physical one; roll and
-    pitch; commands. Attitude and commands are one sample old. `channels` are those of the log."""
+    """The default features: the predicted outputs of a linear model, or the motion and rotors of a
+    physical one; roll and pitch; commands. Attitude and commands are one sample old. `channels` are
+    those of the log."""
     there = set(channels)
-    angles = tuple(f"{a}[t-1]" for a in ("phi", "theta") if {"qw", "qx", "qy", "qz"} <= there or a in there)
+    angles = tuple(
+        f"{a}[t-1]" for a in ("phi", "theta") if {"qw", "qx", "qy", "qz"} <= there or a in there
+    )
     commands = tuple(f"{c}[t-1]" for c in base.commands)
     if isinstance(base.model, LinearModel):
         return (*base.outputs, *angles, *commands)
     own = [n for n in default_features(base.dynamics) if n not in base.dynamics.inputs.names]
-    attitude = ("phi", "theta") if "rate" in {n.split(".")[0] for n in base.dynamics.states.names} else ()
+    attitude = (
+        ("phi", "theta") if "rate" in {n.split(".")[0] for n in base.dynamics.states.names} else ()
+    )
     rotors = any(n.startswith("nu") for n in own)
     return (*attitude, *own, *(() if rotors else commands))
 
@@ -196,9 +244,11 @@ def output_features(base: BasePredictor, channels: Iterable[str]) -> tuple[str, 
 def residual_rows(
     base: BasePredictor, data: Dataset | Segment | Sequence[Segment], names: Sequence[str]
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.str_]]:
-    """(features (N, n_z), one-step errors (N, n_o), flight of each row (N,)) of all complete samples. Raises `DataError`.
+    """(features (N, n_z), one-step errors (N, n_o), flight of each row (N,)) of all complete
+    samples. Raises `DataError`.
 
-    Of a linear model that is not adapted to the flight the first seconds, in which it forgets its start, are left out.
+    Of a linear model that is not adapted to the flight the first seconds, in which it forgets its
+    start, are left out.
     """
     z, r, flights = [], [], []
     for segment in segments_of(data):
@@ -212,20 +262,26 @@ def residual_rows(
         r.append(errors[whole])
         flights.append(np.full(int(whole.sum()), segment.flight))
     if not z or not sum(map(len, z)):
-        raise DataError("no sample with all features and outputs", expected=", ".join((*names, *base.outputs)))
+        raise DataError(
+            "no sample with all features and outputs", expected=", ".join((*names, *base.outputs))
+        )
     return np.concatenate(z), np.concatenate(r), np.concatenate(flights)
 
 
 def with_measured_noise(posterior: GPPosterior, z: FloatArray, y: FloatArray) -> GPPosterior:
-    """The posterior with the noise (n_out,) that all rows z (N, n_in), y (N, n_out) show: their mean squared error.
+    """The posterior with the noise (n_out,) that all rows z (N, n_in), y (N, n_out) show: their
+    mean squared error.
 
-    The marginal likelihood of a few hundred rows is too rough a measure of errors with heavy tails. The factor N/(N - M) is
-    for the M weights fitted to the same rows. Outputs that nothing was learned of keep theirs.
+    The marginal likelihood of a few hundred rows is too rough a measure of errors with heavy tails.
+    The factor N/(N - M) is for the M weights fitted to the same rows. Outputs that nothing was
+    learned of keep theirs.
     """
     e = y - posterior.evaluate_mean(z)
     lost = min(posterior.points, len(z) // 2)
     measured = np.mean(e**2, axis=0) * len(z) / (len(z) - lost)
-    return replace(posterior, noise=np.where(posterior.active, measured, posterior.noise), group_noise={})
+    return replace(
+        posterior, noise=np.where(posterior.active, measured, posterior.noise), group_noise={}
+    )
 
 
 def fit_output_residual(
@@ -240,12 +296,14 @@ def fit_output_residual(
     progress: Callable[[str, float], None] | None = None,
     **choices: Unpack[GPChoices],
 ) -> OutputHybrid:
-    """Learn the one-step errors of `model` (decoupled linear models: several) on the flights of `train`.
+    """Learn the one-step errors of `model` (decoupled linear models: several) on the flights of
+    `train`.
 
-    `outputs`, `channels` and `adapt` are those of `BasePredictor`; `features` default to `output_features`; the choices
-    (`kernel`, `points`, `seed`, `hold_out`, ...) are those of `train_gp`, of which another `learner` (as in
-    `greybox.residual.learn.learn`) knows `points` and `seed`. Raises `DataError`, `UnknownNameError`, `ModelError`, and
-    `MissingExtraError` without the extra `gp`.
+    `outputs`, `channels` and `adapt` are those of `BasePredictor`; `features` default to
+    `output_features`; the choices (`kernel`, `points`, `seed`, `hold_out`, ...) are those of
+    `train_gp`, of which another `learner` (as in `greybox.residual.learn.learn`) knows `points` and
+    `seed`. Raises `DataError`, `UnknownNameError`, `ModelError`, and `MissingExtraError` without
+    the extra `gp`.
     """
     options = GPOptions.of(GPOptions(noise_inflation=1.0), choices)
     other = learner_for(learner, options.points, options.kernel)
@@ -258,43 +316,70 @@ def fit_output_residual(
             model, given = combined(model, given)
         base = BasePredictor(model=model, outputs=tuple(outputs), channels=given, adapt=adapt)
     segments = segments_of(train)
-    common = [n for n in segments[0].names if all(n in s.channels for s in segments)] if segments else []
+    common = (
+        [n for n in segments[0].names if all(n in s.channels for s in segments)] if segments else []
+    )
     names = tuple(features) if features is not None else output_features(base, common)
     inputs = base.feature_layout(names)
     z, r, flights = residual_rows(base, segments, names)
     units = {s.name: s.unit for s in base.dynamics.outputs}
     rows = Discrepancy(
-        inputs=inputs, outputs=Layout([Signal(name=n, unit=units[n]) for n in base.outputs]), z=z, y=r,
+        inputs=inputs,
+        outputs=Layout([Signal(name=n, unit=units[n]) for n in base.outputs]),
+        z=z,
+        y=r,
         flights=tuple(flights.tolist()),
-    )  # fmt: skip
+    )
     posterior: Candidate
     if other is None:
         posterior, training = _process(base, rows, options, progress)
     else:
         posterior, training = _learned(base, rows, other, options)
-    settings = {"features": list(names), "learner": GP if other is None else other.name, "points": options.points}
+    settings = {
+        "features": list(names),
+        "learner": GP if other is None else other.name,
+        "points": options.points,
+    }
     settings |= {"kernel": options.kernel} if other is None else {}
     return OutputHybrid(
-        base=base, posterior=posterior, train_seconds=time.perf_counter() - began,
-        report={"settings": settings, "seed": options.seed, "samples": len(z), "training": training},
-    )  # fmt: skip
+        base=base,
+        posterior=posterior,
+        train_seconds=time.perf_counter() - began,
+        report={
+            "settings": settings,
+            "seed": options.seed,
+            "samples": len(z),
+            "training": training,
+        },
+    )
 
 
 def _process(
-    base: BasePredictor, rows: Discrepancy, options: GPOptions, progress: Callable[[str, float], None] | None
+    base: BasePredictor,
+    rows: Discrepancy,
+    options: GPOptions,
+    progress: Callable[[str, float], None] | None,
 ) -> tuple[GPPosterior, dict[str, Any]]:
     """A Gaussian process on the errors, judged, and how it was trained."""
     from greybox.residual.train import train_gp
 
     trained = train_gp(
-        rows.z, rows.y, inputs=rows.inputs, outputs=rows.outputs, options=options, groups=np.array(rows.flights),
+        rows.z,
+        rows.y,
+        inputs=rows.inputs,
+        outputs=rows.outputs,
+        options=options,
+        groups=np.array(rows.flights),
         progress=progress,
-    )  # fmt: skip
+    )
     _, numbers = np.unique(rows.flights, return_inverse=True)
     posterior, scores = judged_on_left_out(trained.posterior, rows.z, rows.y, numbers, _own(base))
     training = trained.report.to_dict()
     training["left_out"] = dict(zip(base.outputs, scores, strict=True))
-    training["warnings"] = [*training["warnings"], *_refused(base.outputs, trained.posterior.active, posterior)]
+    training["warnings"] = [
+        *training["warnings"],
+        *_refused(base.outputs, trained.posterior.active, posterior),
+    ]
     return posterior, training
 
 
@@ -328,17 +413,24 @@ def _refused(outputs: Sequence[str], before: Sequence[bool], posterior: Candidat
 
 def read_linear(
     path: str | os.PathLike[str], *, channels: str | None = None
-) -> tuple[tuple[LinearModel, ...], tuple[ChannelSpec, ...], tuple[ChannelSpec, ...], tuple[str, ...]]:
-    """(models, input channels, output channels, flights fitted to) of a file that `greybox linear` wrote.
+) -> tuple[
+    tuple[LinearModel, ...], tuple[ChannelSpec, ...], tuple[ChannelSpec, ...], tuple[str, ...]
+]:
+    """(models, input channels, output channels, flights fitted to) of a file that `greybox linear`
+    wrote.
 
-    What sums of columns the channels are stands in fit.json beside the file; `channels` ("roll=u4+u3-u2-u1,...") goes before
-    it. A channel that neither names is the column of its own name. Raises `FileFormatError`, `DataError`.
+    What sums of columns the channels are stands in fit.json beside the file; `channels`
+    ("roll=u4+u3-u2-u1,...") goes before it. A channel that neither names is the column of its own
+    name. Raises `FileFormatError`, `DataError`.
     """
     where = str(path)
     data = read_json(path)
     if data.get("schema") not in LINEAR_SCHEMAS:
         raise FileFormatError(
-            "not a linear model", where=where, expected=" or ".join(LINEAR_SCHEMAS), got=repr(data.get("schema"))
+            "not a linear model",
+            where=where,
+            expected=" or ".join(LINEAR_SCHEMAS),
+            got=repr(data.get("schema")),
         )
     parts = data["models"] if data["schema"] == LINEAR_SCHEMAS[1] else [data]
     models = tuple(LinearModel.from_dict(m, where=where) for m in parts)
@@ -354,8 +446,13 @@ def read_linear(
                 told.setdefault(c["name"], ChannelSpec(name=c["name"], terms=terms))
 
     def specs(names: Iterable[str]) -> tuple[ChannelSpec, ...]:
-        return tuple(told.get(n, ChannelSpec(name=n, terms=((1.0, n),))) for n in dict.fromkeys(names))
+        return tuple(
+            told.get(n, ChannelSpec(name=n, terms=((1.0, n),))) for n in dict.fromkeys(names)
+        )
 
     return (
-        models, specs(n for m in models for n in m.inputs.names), specs(n for m in models for n in m.outputs.names), trained,
-    )  # fmt: skip
+        models,
+        specs(n for m in models for n in m.inputs.names),
+        specs(n for m in models for n in m.outputs.names),
+        trained,
+    )

@@ -1,8 +1,9 @@
 """Black-box predictors: the interface that all share, and the past samples that they see.
 
-Of the sample at t_k a predictor may know measurements up to t_(k-1) and inputs up to t_(k-`newest`). `newest` is 1 unless
-the user says 0: the command that begins at t_k cannot have moved a plant whose actuators take time, and a flight
-controller computes it from the measurements of t_k, so that in closed loop it gives their noise away.
+Of the sample at t_k a predictor may know measurements up to t_(k-1) and inputs up to
+t_(k-`newest`). `newest` is 1 unless the user says 0: the command that begins at t_k cannot have
+moved a plant whose actuators take time, and a flight controller computes it from the measurements
+of t_k, so that in closed loop it gives their noise away.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ IntArray = npt.NDArray[np.int64]
 
 
 class Predictor(Protocol):
-    """What predicts measured channels, mean and variance, from the past of a segment; arrays have time first.
+    """What predicts measured channels, mean and variance, from the past of a segment; arrays have
+    time first.
 
     `parameters` is how many numbers the training chose, `train_seconds` what it took.
     """
@@ -44,23 +46,28 @@ class Predictor(Protocol):
         ...
 
     def one_step(self, segment: Segment) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance (n, n_y) of every sample from what is known before it; NaN where too little is."""
+        """Mean and variance (n, n_y) of every sample from what is known before it; NaN where too
+        little is."""
         ...
 
-    def free_run(self, segment: Segment, origins: npt.ArrayLike, horizon: int) -> tuple[FloatArray, FloatArray]:
+    def free_run(
+        self, segment: Segment, origins: npt.ArrayLike, horizon: int
+    ) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (m, horizon, n_y) of the samples k+1 .. k+horizon from every origin k.
 
-        Measurements up to k are known, and the recorded inputs. NaN where the past has a hole, and past the end.
+        Measurements up to k are known, and the recorded inputs. NaN where the past has a hole, and
+        past the end.
         """
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lags:
-    """`n_a` past samples of every output and `n_b` of every input, the newest input `newest` samples old.
+    """`n_a` past samples of every output and `n_b` of every input, the newest input `newest`
+    samples old.
 
-    A row of regressors is (y[t-1], ..., y[t-n_a], u[t-newest], ..., u[t-newest-n_b+1]), all channels of one instant
-    together. Raises `DataError` for lags that are not positive.
+    A row of regressors is (y[t-1], ..., y[t-n_a], u[t-newest], ..., u[t-newest-n_b+1]), all
+    channels of one instant together. Raises `DataError` for lags that are not positive.
     """
 
     outputs: tuple[str, ...]
@@ -75,7 +82,8 @@ class Lags:
         if self.n_a < 1 or self.n_b < 1 or self.newest not in (0, 1):
             raise DataError(
                 f"lags n_a = {self.n_a}, n_b = {self.n_b}, newest = {self.newest}",
-                expected="n_a and n_b at least 1, newest 1 (or 0, which sees the command of the same instant)",
+                expected="n_a and n_b at least 1, newest 1 (or 0, which sees the command of the "
+                "same instant)",
             )
         if not self.outputs:
             raise DataError("no output channel", fix="name at least one")
@@ -95,7 +103,9 @@ class Lags:
         """Names p[t-1] and so on, with units."""
         past = [(n, i + 1) for i in range(self.n_a) for n in self.outputs]
         moved = [(n, i + self.newest) for i in range(self.n_b) for n in self.inputs]
-        return Layout([Signal(name=f"{n}[t-{i}]" if i else f"{n}[t]", unit=_unit(n)) for n, i in past + moved])
+        return Layout(
+            [Signal(name=f"{n}[t-{i}]" if i else f"{n}[t]", unit=_unit(n)) for n, i in past + moved]
+        )
 
     @property
     def output_layout(self) -> Layout:
@@ -103,7 +113,8 @@ class Lags:
         return Layout([Signal(name=n, unit=_unit(n)) for n in self.outputs])
 
     def measured(self, segment: Segment) -> FloatArray:
-        """The outputs (n, n_y) of a segment, quaternions without jumps of sign, the first with w >= 0."""
+        """The outputs (n, n_y) of a segment, quaternions without jumps of sign, the first with w >=
+        0."""
         y = segment.matrix(self.outputs)
         at = [self.outputs.index(n) for n in ("qw", "qx", "qy", "qz") if n in self.outputs]
         if len(at) == 4:
@@ -135,8 +146,11 @@ class Lags:
         """Past outputs (m, n_a n_y) one sample later, `new` (m, n_y) the latest."""
         return np.concatenate([new, past[:, : (self.n_a - 1) * len(self.outputs)]], axis=1)
 
-    def starts(self, segment: Segment, origins: npt.ArrayLike, horizon: int) -> tuple[FloatArray, FloatArray]:
-        """Past outputs (m, n_a n_y) at k+1 for every origin k, and past inputs (m, horizon, n_b n_u), NaN past the end.
+    def starts(
+        self, segment: Segment, origins: npt.ArrayLike, horizon: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Past outputs (m, n_a n_y) at k+1 for every origin k, and past inputs (m, horizon, n_b
+        n_u), NaN past the end.
 
         Raises `DataError` for origins outside the segment.
         """
@@ -146,13 +160,17 @@ class Lags:
         y = self.measured(segment)
         past = self.past_outputs(np.vstack([y, np.full((1, y.shape[1]), np.nan)]))[k + 1]
         u = segment.matrix(self.inputs)
-        # Past the end nothing is recorded, but the sample right after it needs only what came before.
+        # Past the end nothing is recorded, but the sample right after it needs only what came
+        # before.
         longer = np.vstack([u, np.full((horizon, u.shape[1]), np.nan)])
         moved = _lagged(longer, range(self.newest, self.newest + self.n_b))
         return past, moved[k[:, None] + 1 + np.arange(horizon)]
 
-    def pairs(self, segments: Iterable[Segment]) -> tuple[FloatArray, FloatArray, npt.NDArray[np.str_]]:
-        """Complete regressors (N, n_z), outputs (N, n_y) and flight names (N,) of all segments. Raises `DataError`."""
+    def pairs(
+        self, segments: Iterable[Segment]
+    ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.str_]]:
+        """Complete regressors (N, n_z), outputs (N, n_y) and flight names (N,) of all segments.
+        Raises `DataError`."""
         z, y, names = [], [], []
         for s in segments:
             rows, values = self.rows(s), self.measured(s)
@@ -162,7 +180,8 @@ class Lags:
             names.append(np.full(int(whole.sum()), s.flight))
         if not z or not sum(len(part) for part in z):
             raise DataError(
-                "no sample has a complete past", expected=f"{self.history + 1} samples in a row without missing cells"
+                "no sample has a complete past",
+                expected=f"{self.history + 1} samples in a row without missing cells",
             )
         return np.concatenate(z), np.concatenate(y), np.concatenate(names)
 
@@ -175,7 +194,8 @@ def segments_of(data: Dataset | Segment | Sequence[Segment]) -> tuple[Segment, .
 
 
 def _lagged(values: FloatArray, lags: Iterable[int]) -> FloatArray:
-    """Columns of `values` (n, d) delayed by every lag, (n, d times number of lags); NaN before the start."""
+    """Columns of `values` (n, d) delayed by every lag, (n, d times number of lags); NaN before the
+    start."""
     n, d = values.shape
     parts = []
     for lag in lags:

@@ -16,10 +16,14 @@ def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         description="Look for faults of clock, units, frames, motor order and alignment. "
         "Exit code 0: nothing blocks a fit; 1: a fault does; 2: bad input.",
     )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="flight log of any format (docs/logs.md)")
+    parser.add_argument(
+        "logs", nargs="+", metavar="LOG", help="flight log of any format (docs/logs.md)"
+    )
     parser.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     parser.add_argument(
-        "--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)"
+        "--mapping",
+        metavar="MAP.toml",
+        help="which fields of the logs are which channels (docs/logs.md)",
     )
     accept_option(parser)
     json_option(parser, "the findings")
@@ -27,7 +31,8 @@ def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Check the logs, print the report, write the JSON. Returns 0, or 1 where a fault blocks a fit."""
+    """Check the logs, print the report, write the JSON. Returns 0, or 1 where a fault blocks a
+    fit."""
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data.checks import check_logs
     from greybox.model.vehicle import read_vehicle

@@ -12,7 +12,9 @@ from greybox.commands.console import Console
 
 SCHEMA = "greybox.cite/1"
 
-PREDICTION_ERROR = "Ljung 1999, System Identification: Theory for the User, 2nd edition, Prentice Hall"
+PREDICTION_ERROR = (
+    "Ljung 1999, System Identification: Theory for the User, 2nd edition, Prentice Hall"
+)
 HYBRID = (
     "Ghoul, Bousserhane and Boufeldja 2026, A Hybrid PEM-GP Framework for Uncertainty-Aware System Identification of "
     "Quadcopters, International Journal of Control, Automation and Systems 24(8)"
@@ -55,7 +57,13 @@ def add(subparsers: Any) -> None:
         description="List what to cite for a model file: method, sources of its effects, data sets, software.",
     )
     p.add_argument("model", metavar="MODEL.json", help="a model file")
-    p.add_argument("--json", nargs="?", const="-", metavar="FILE", help="machine-readable, to FILE or standard output")
+    p.add_argument(
+        "--json",
+        nargs="?",
+        const="-",
+        metavar="FILE",
+        help="machine-readable, to FILE or standard output",
+    )
     p.set_defaults(run=run)
 
 
@@ -85,13 +93,21 @@ def works(model: Mapping[str, Any], *, where: str = "model") -> tuple[Work, ...]
     schema = model.get("schema")
     if not (isinstance(schema, str) and schema.startswith("greybox.") and "model" in schema):
         raise FileFormatError(
-            "not a model file", where=where, expected="greybox.model/1", got=repr(schema),
+            "not a model file",
+            where=where,
+            expected="greybox.model/1",
+            got=repr(schema),
             fix="pass the model.json that greybox fit wrote",
-        )  # fmt: skip
+        )
     effects = model.get("effects", [])
     if not (isinstance(effects, list) and all(isinstance(e, str) for e in effects)):
-        raise FileFormatError("effects is not a list of names", where=where, fix="write the file again")
-    found = [Work(reason="prediction error method", text=PREDICTION_ERROR), Work(reason="framework", text=HYBRID)]
+        raise FileFormatError(
+            "effects is not a list of names", where=where, fix="write the file again"
+        )
+    found = [
+        Work(reason="prediction error method", text=PREDICTION_ERROR),
+        Work(reason="framework", text=HYBRID),
+    ]
     parts = model.get("noise_parts", [])
     if model.get("disturbance") or any(p.get("kind") == "disturbance" for p in parts):
         found.append(Work(reason="disturbance states", text=DISTURBANCE))
@@ -99,7 +115,9 @@ def works(model: Mapping[str, Any], *, where: str = "model") -> tuple[Work, ...]
     for e in effects:
         references = own[e]["references"] if e in own else effect_by_name(e).references
         found += [Work(reason=f"effect {e}", text=r) for r in references]
-    found += [Work(reason=f"data set {name}", text=reference) for name, reference in data_sets(model)]
+    found += [
+        Work(reason=f"data set {name}", text=reference) for name, reference in data_sets(model)
+    ]
     found.append(Work(reason="symbolic framework", text=CASADI))
     reasons: dict[str, list[str]] = {}
     for work in found:

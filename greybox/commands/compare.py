@@ -26,19 +26,44 @@ def add(subparsers: Any) -> None:
     )
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to train on")
-    p.add_argument("--test", required=True, nargs="+", metavar="LOG", help="flights that only the judgement sees")
+    p.add_argument(
+        "--test",
+        required=True,
+        nargs="+",
+        metavar="LOG",
+        help="flights that only the judgement sees",
+    )
     flight_log_options(p)
     adapt_option(p)
     p.add_argument(
-        "--budget", type=int, default=4, metavar="N", help="candidates of every method with choices (default 4)"
+        "--budget",
+        type=int,
+        default=4,
+        metavar="N",
+        help="candidates of every method with choices (default 4)",
     )
-    p.add_argument("--points", type=int, default=50, metavar="M", help="support points of the force and torque GP")
-    p.add_argument("--methods", type=names, default=None, metavar="a,b", help="only these methods, by name")
-    p.add_argument("--learners", type=names, default=(), metavar="a,b",
-                   help="also every model (linear SISO, linear MIMO, nonlinear) with these learners, as in greybox learn; "
-                   "all: every learner that there is")  # fmt: skip
+    p.add_argument(
+        "--points",
+        type=int,
+        default=50,
+        metavar="M",
+        help="support points of the force and torque GP",
+    )
+    p.add_argument(
+        "--methods", type=names, default=None, metavar="a,b", help="only these methods, by name"
+    )
+    p.add_argument(
+        "--learners",
+        type=names,
+        default=(),
+        metavar="a,b",
+        help="also every model (linear SISO, linear MIMO, nonlinear) with these learners, as in greybox learn; "
+        "all: every learner that there is",
+    )
     horizon_options(p)
-    p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
+    p.add_argument(
+        "--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate"
+    )
     p.add_argument("--seed", type=int, default=0, help="seed of searches, subsets and networks")
     p.add_argument("--out", default="greybox-compare", metavar="DIR", help="folder for the results")
     json_option(p, "compare.json")
@@ -62,21 +87,32 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.residual.learners import GP, LEARNERS
 
     console = Console.of(arguments)
-    learners = (GP, *LEARNERS) if tuple(arguments.learners) == ("all",) else tuple(arguments.learners)
+    learners = (
+        (GP, *LEARNERS) if tuple(arguments.learners) == ("all",) else tuple(arguments.learners)
+    )
     pairs(learners)  # what is wrong with them is said before logs are read
     given_horizons(arguments)  # what is wrong with them is said before logs are read
     demand_adapt(arguments)
     if arguments.budget < 1:
-        raise GreyboxError("--budget takes a number above zero", got=str(arguments.budget), fix="--budget 4")
+        raise GreyboxError(
+            "--budget takes a number above zero", got=str(arguments.budget), fix="--budget 4"
+        )
     vehicle = read_vehicle(arguments.vehicle)
     train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
     test = read_flight_logs(arguments, arguments.test, vehicle, rate=1 / sample_time(train))
     demand_disjoint(train, test)
     bench = Bench(
-        vehicle=vehicle, train=train, test=test, fit=lambda: fit_with(arguments, vehicle, train, console.solver),
-        adapt=arguments.adapt, budget=arguments.budget, seed=arguments.seed, points=arguments.points,
-        horizons=horizon_steps(arguments, sample_time(train)), say=lambda text: console.say(f"  {text}"),
-    )  # fmt: skip
+        vehicle=vehicle,
+        train=train,
+        test=test,
+        fit=lambda: fit_with(arguments, vehicle, train, console.solver),
+        adapt=arguments.adapt,
+        budget=arguments.budget,
+        seed=arguments.seed,
+        points=arguments.points,
+        horizons=horizon_steps(arguments, sample_time(train)),
+        say=lambda text: console.say(f"  {text}"),
+    )
     out = Path(arguments.out)
     command = typed("compare")
     content: dict[str, Any] = {}

@@ -1,6 +1,6 @@
 """`greybox completion`: a script that completes commands and options in bash, zsh or tcsh.
 
-    greybox completion bash > ~/.local/share/bash-completion/completions/greybox
+greybox completion bash > ~/.local/share/bash-completion/completions/greybox
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ def add(subparsers: Any) -> None:
         "completion",
         help="print a script that completes this command line in a shell",
         description="Print a completion script; put it where the shell looks for one, e.g. "
-        "greybox completion bash > ~/.local/share/bash-completion/completions/greybox. Needs the extra `completion`.",
+        "greybox completion bash > ~/.local/share/bash-completion/completions/greybox. Needs the "
+        "extra `completion`.",
     )
     p.add_argument("shell", choices=SHELLS, help="the shell that the script is for")
     p.set_defaults(run=run)
@@ -34,7 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
         import shtab
     except ImportError:
         raise MissingExtraError(
-            "a completion script needs shtab, which is not installed", fix=install_line("completion")
+            "a completion script needs shtab, which is not installed",
+            fix=install_line("completion"),
         ) from None
     sys.stdout.write(shtab.complete(build_parser(), shell=arguments.shell) + "\n")
     return 0

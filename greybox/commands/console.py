@@ -1,4 +1,5 @@
-"""What a command tells: progress on standard error, its result on standard output, and the JSON of --json."""
+"""What a command tells: progress on standard error, its result on standard output, and the JSON of
+--json."""
 
 from __future__ import annotations
 
@@ -11,12 +12,17 @@ from typing import Any
 
 def json_option(p: Any, content: str) -> None:
     """Declare --json, which hands `content` (fit.json, "the statement") to programs."""
-    p.add_argument("--json", metavar="F", default=None, help=f"also write {content} to F ('-': standard output)")
+    p.add_argument(
+        "--json",
+        metavar="F",
+        default=None,
+        help=f"also write {content} to F ('-': standard output)",
+    )
 
 
 class Console:
-    """The terminal of a command. Where its JSON goes to standard output (`json`: "-", a path or None), nothing else
-    does, and no progress is said; warnings still are, on standard error."""
+    """The terminal of a command. Where its JSON goes to standard output (`json`: "-", a path or
+    None), nothing else does, and no progress is said; warnings still are, on standard error."""
 
     def __init__(self, json: str | None) -> None:
         from greybox.progress import TimeLeft
@@ -52,15 +58,21 @@ class Console:
     def solver(self, iteration: int, cost: float, decrement: float) -> None:
         """An iteration of a solver."""
         rest = self._left.after_step(iteration, decrement)
-        self.say(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}{rest}")
+        self.say(
+            f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease "
+            f"{decrement:.3g}{rest}"
+        )
 
     def result(self, content: Mapping[str, Any], *lines: str) -> None:
-        """`content` as JSON where it was asked for, and `lines` for people. Raises `OutputError`."""
+        """`content` as JSON where it was asked for, and `lines` for people. Raises
+        `OutputError`."""
         from greybox.files import dump_json, write_json
 
         if self.quiet:
             sys.stdout.write(dump_json(content))
             return
-        print("\n".join(lines))  # first: a file that cannot be written must not hide what took minutes
+        print(
+            "\n".join(lines)
+        )  # first: a file that cannot be written must not hide what took minutes
         if self.json:
             write_json(self.json, content)

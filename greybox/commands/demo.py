@@ -1,4 +1,5 @@
-"""`greybox demo`: the shipped real flights end to end, through the commands that a user would type."""
+"""`greybox demo`: the shipped real flights end to end, through the commands that a user would
+type."""
 
 from __future__ import annotations
 
@@ -14,9 +15,11 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "demo",
         help="check, fit and judge shipped real flights; find an effect that a simulation hides",
-        description="Check the shipped flights of a Crazyflie, fit them by the plain command, judge "
+        description="Check the shipped flights of a Crazyflie, fit them by the plain command, "
+        "judge "
         "the model on flights that the fit never saw, and write a page. Then hide an effect in a "
-        "simulated vehicle and let `greybox discover` look for it. Every command is printed before it "
+        "simulated vehicle and let `greybox discover` look for it. Every command is printed before "
+        "it "
         "runs. A few minutes. Exit code 0: done; 1: a model is not usable; 2: bad input.",
     )
     # Not `out`: the commands that run inside lock their own folders.

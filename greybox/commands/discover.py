@@ -47,33 +47,88 @@ def add(subparsers: Any) -> None:
         "whatever the verdict, 2: bad input, 130: interrupted (the files hold what was found until then).",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file (not needed with --from)")
-    p.add_argument("--from", dest="since", metavar="MODEL.json",
-                   help="what has changed since this model: its numbers and their errors are the prior")  # fmt: skip
-    p.add_argument("--continue", dest="folder", metavar="FOLDER",
-                   help="the flights are further ones: their evidence multiplies that of the names in FOLDER")  # fmt: skip
-    p.add_argument("--train", nargs="+", default=[], metavar="LOG", help="flights to search in")
-    p.add_argument("--test", nargs="+", default=[], metavar="LOG",
-                   help="flights that propose nothing and judge (without: halves of the training flights)")  # fmt: skip
-    flight_log_options(p)
-    p.add_argument("--alpha", type=float, default=0.05, help="probability of a false name on flights that miss nothing")
-    p.add_argument("--max-effects", type=int, default=8, metavar="N", help="no more than N effects (default 8)")
-    adapt_option(p)
-    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
-                   help="also offer the effects of these Python files, which are run (only what you trust)")  # fmt: skip
-    p.add_argument("--kinematic-noise", action="store_true", help="noise between attitude and gyro (clocks that drift)")
-    p.add_argument("--per-flight", type=names, default=(), metavar="a,b", help="parameters with one value per flight")
-    p.add_argument("--fixed", type=names, default=(), metavar="a,b", help="parameters held at the vehicle file's value")
-    p.add_argument("--hold-noise", choices=("none", "sensor"), default="none",
-                   help="sensor: hold the sensors' noise levels at those of the vehicle file")  # fmt: skip
-    p.add_argument("--trace", action="store_true", help="also add what is certain and worth nothing")
     p.add_argument(
-        "--attainable", action="store_true", help="also learn, without a name, what could be closed (extra gp)"
+        "--from",
+        dest="since",
+        metavar="MODEL.json",
+        help="what has changed since this model: its numbers and their errors are the prior",
     )
-    p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
+    p.add_argument(
+        "--continue",
+        dest="folder",
+        metavar="FOLDER",
+        help="the flights are further ones: their evidence multiplies that of the names in FOLDER",
+    )
+    p.add_argument("--train", nargs="+", default=[], metavar="LOG", help="flights to search in")
+    p.add_argument(
+        "--test",
+        nargs="+",
+        default=[],
+        metavar="LOG",
+        help="flights that propose nothing and judge (without: halves of the training flights)",
+    )
+    flight_log_options(p)
+    p.add_argument(
+        "--alpha",
+        type=float,
+        default=0.05,
+        help="probability of a false name on flights that miss nothing",
+    )
+    p.add_argument(
+        "--max-effects", type=int, default=8, metavar="N", help="no more than N effects (default 8)"
+    )
+    adapt_option(p)
+    p.add_argument(
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="E.py",
+        help="also offer the effects of these Python files, which are run (only what you trust)",
+    )
+    p.add_argument(
+        "--kinematic-noise",
+        action="store_true",
+        help="noise between attitude and gyro (clocks that drift)",
+    )
+    p.add_argument(
+        "--per-flight",
+        type=names,
+        default=(),
+        metavar="a,b",
+        help="parameters with one value per flight",
+    )
+    p.add_argument(
+        "--fixed",
+        type=names,
+        default=(),
+        metavar="a,b",
+        help="parameters held at the vehicle file's value",
+    )
+    p.add_argument(
+        "--hold-noise",
+        choices=("none", "sensor"),
+        default="none",
+        help="sensor: hold the sensors' noise levels at those of the vehicle file",
+    )
+    p.add_argument(
+        "--trace", action="store_true", help="also add what is certain and worth nothing"
+    )
+    p.add_argument(
+        "--attainable",
+        action="store_true",
+        help="also learn, without a name, what could be closed (extra gp)",
+    )
+    p.add_argument(
+        "--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate"
+    )
     p.add_argument("--seed", type=int, default=0, help="seed of bootstraps and random halves")
     accept_option(p)
-    p.add_argument("--out", default=None, metavar="DIR",
-                   help="folder for the results (default greybox-discover, or that of --continue)")  # fmt: skip
+    p.add_argument(
+        "--out",
+        default=None,
+        metavar="DIR",
+        help="folder for the results (default greybox-discover, or that of --continue)",
+    )
     mcap_option(p)
     json_option(p, "discovery.json")
     p.set_defaults(run=run, default_out=lambda arguments: arguments.folder or "greybox-discover")
@@ -100,7 +155,9 @@ class _Search:
         content["warnings"] = [*accepted_faults, *content["warnings"]]
         content["command"] = typed("discover")
         has = () if found.fit is None else found.model.effects
-        content["effects_files"] = [path for path, effects in self._offered.items() if {e.name for e in effects} & set(has)]
+        content["effects_files"] = [
+            path for path, effects in self._offered.items() if {e.name for e in effects} & set(has)
+        ]
         withdraw(out, "report.html")
         if found.fit is None:
             write_json(out / "discovery.json", content)
@@ -129,7 +186,11 @@ class _Search:
     def kept(self) -> str:
         """Where an interrupted search goes on."""
         model = self._out / "model.json"
-        more = f"; greybox discover --from {model} --train LOGS goes on from it" if model.exists() else ""
+        more = (
+            f"; greybox discover --from {model} --train LOGS goes on from it"
+            if model.exists()
+            else ""
+        )
         return f"what was found until then is in {self._out}{more}"
 
     def lines(self, found: Discovery) -> list[str]:
@@ -140,9 +201,13 @@ class _Search:
         written = ["discovery.json", *(["model.json"] if found.fit is not None else []), *laws]
         if found.lawful is not None:
             written.append(WITH_LAWS)
-            files = shlex.join([*self.content["effects_files"], *(str(self._out / name) for name in laws)])
+            files = shlex.join(
+                [*self.content["effects_files"], *(str(self._out / name) for name in laws)]
+            )
             model = shlex.quote(str(self._out / WITH_LAWS))
-            lines.append(f"what laws leave: greybox learn {model} --effects-file {files} --train ...")
+            lines.append(
+                f"what laws leave: greybox learn {model} --effects-file {files} --train ..."
+            )
         return [*lines, f"wrote {', '.join(written)} and report.html in {self._out}"]
 
 
@@ -152,24 +217,34 @@ def _check(arguments: argparse.Namespace, out: Path) -> None:
     from greybox.residual.laws.effect_file import LAW_FILE
 
     if not 0 < arguments.alpha < 1:
-        raise GreyboxError("--alpha takes a probability", got=f"{arguments.alpha:g}", fix="--alpha 0.05")
+        raise GreyboxError(
+            "--alpha takes a probability", got=f"{arguments.alpha:g}", fix="--alpha 0.05"
+        )
     if arguments.max_effects < 0:
-        raise GreyboxError("--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 8")
+        raise GreyboxError(
+            "--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 8"
+        )
     demand_adapt(arguments)
     need_mcap(arguments.mcap)
     if arguments.folder is not None:
         if arguments.mcap:
-            raise GreyboxError("--continue writes no recording", fix="greybox validate model.json --log LOGS --mcap F.mcap")
+            raise GreyboxError(
+                "--continue writes no recording",
+                fix="greybox validate model.json --log LOGS --mcap F.mcap",
+            )
         return
     if not arguments.train:
         raise GreyboxError("discover needs flights to search in", fix="--train LOGS")
     for path in map(Path, arguments.effects_file):
         if path.resolve().parent == out.resolve() and LAW_FILE.fullmatch(path.name):
             raise GreyboxError(
-                f"{path}: a search that writes to {out} may write over it", fix="another --out, or rename the file"
+                f"{path}: a search that writes to {out} may write over it",
+                fix="another --out, or rename the file",
             )
     if (arguments.vehicle is None) == (arguments.since is None):
-        raise GreyboxError("discover takes a vehicle file or --from", fix="--vehicle V.toml, or --from model.json")
+        raise GreyboxError(
+            "discover takes a vehicle file or --from", fix="--vehicle V.toml, or --from model.json"
+        )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -193,7 +268,10 @@ def run(arguments: argparse.Namespace) -> int:
     vehicle = read_vehicle(arguments.vehicle) if since is None else since.physics.vehicle
     # The files show faults of their clocks, which reading mends.
     faults = check_logs(
-        [*arguments.train, *arguments.test], vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)
+        [*arguments.train, *arguments.test],
+        vehicle,
+        mapping=arguments.mapping,
+        accept=accepted(arguments.accept),
     )
     search = _Search(out, f"What the model of {vehicle.name} misses", offered, faults)
     if faults.ok:
@@ -205,19 +283,34 @@ def run(arguments: argparse.Namespace) -> int:
         say_vehicle(vehicle, console.say)
         try:
             found = discover(
-                vehicle, train, test, own=own, alpha=arguments.alpha, max_effects=arguments.max_effects,
-                adapt=arguments.adapt, kinematic_noise=arguments.kinematic_noise, per_flight=arguments.per_flight,
-                fixed=arguments.fixed, hold_sensor_noise=arguments.hold_noise == "sensor", attainable=arguments.attainable,
-                trace=arguments.trace, since=since, seed=arguments.seed, faults=faults, progress=console.share,
+                vehicle,
+                train,
+                test,
+                own=own,
+                alpha=arguments.alpha,
+                max_effects=arguments.max_effects,
+                adapt=arguments.adapt,
+                kinematic_noise=arguments.kinematic_noise,
+                per_flight=arguments.per_flight,
+                fixed=arguments.fixed,
+                hold_sensor_noise=arguments.hold_noise == "sensor",
+                attainable=arguments.attainable,
+                trace=arguments.trace,
+                since=since,
+                seed=arguments.seed,
+                faults=faults,
+                progress=console.share,
                 save=search.write,
-            )  # fmt: skip
+            )
         except KeyboardInterrupt:
             if search.content:
                 search.page()
                 arguments.kept = search.kept()
             raise
     else:
-        found = refused(faults, vehicle, settings={"alpha": arguments.alpha, "seed": arguments.seed})
+        found = refused(
+            faults, vehicle, settings={"alpha": arguments.alpha, "seed": arguments.seed}
+        )
     search.write(found)
     search.page()
     if found.fit is not None:
@@ -238,7 +331,9 @@ def _go_on(arguments: argparse.Namespace) -> int:
     from greybox.report.discover_report import discover_report
 
     if arguments.vehicle is not None or arguments.since is not None:
-        raise GreyboxError("--continue goes on with its own model", fix="leave --vehicle and --from out")
+        raise GreyboxError(
+            "--continue goes on with its own model", fix="leave --vehicle and --from out"
+        )
     folder, logs = Path(arguments.folder), [*arguments.train, *arguments.test]
     if not logs:
         raise GreyboxError("--continue needs further flights", fix="--train LOGS or --test LOGS")
@@ -247,10 +342,15 @@ def _go_on(arguments: argparse.Namespace) -> int:
     own = [e for path in files for e in load_effects(path)]
     model = IdentifiedModel.load(folder / "model.json", effects=own)
     rate = arguments.rate or 1 / model.sample_time
-    faults = check_logs(logs, model.physics.vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept))
+    faults = check_logs(
+        logs, model.physics.vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)
+    )
     if not faults.ok:
         first = faults.blocking[0]
-        raise DataError(f"{first.flight}: {first.message}", fix="greybox check says more; --accept NAME overrules it")
+        raise DataError(
+            f"{first.flight}: {first.message}",
+            fix="greybox check says more; --accept NAME overrules it",
+        )
     data = read_flight_logs(arguments, logs, model.physics.vehicle, rate=rate)
     content = further(content, model, data, own)
     out = Path(arguments.out or folder)
@@ -266,5 +366,7 @@ def _go_on(arguments: argparse.Namespace) -> int:
         f"  {e['name']}: {e['status']}, log10 e {e['log10_e']:.1f} ({e.get('further', 0.0):+.1f} by these flights)"
         for e in (*content["effects"], *content["not_certified"])
     )
-    Console.of(arguments).result(content, content["line"], *names, f"wrote discovery.json and report.html in {out}")
+    Console.of(arguments).result(
+        content, content["line"], *names, f"wrote discovery.json and report.html in {out}"
+    )
     return 0

@@ -1,4 +1,5 @@
-"""`greybox effects`: the catalogue of physical effects that a model may have, from their declarations.
+"""`greybox effects`: the catalogue of physical effects that a model may have, from their
+declarations.
 
 `python -m greybox.commands.effects --markdown` writes the page docs/effects.md to standard output.
 """
@@ -12,12 +13,14 @@ from typing import Any
 from greybox.commands.console import Console
 
 STAGES = {
-    "command": "what becomes of the command before it reaches the motors: a fixed chain of delay, saturation and curve",
+    "command": "what becomes of the command before it reaches the motors: a fixed chain of delay, "
+    "saturation and curve",
     "rotor": "from command to rotor speed: factors multiply, then at most one lag",
     "thrust": "from rotor speed to thrust: factors multiply, then increments add",
     "body": "mass, inertia and centre of mass: one value each, changed by increments",
     "wrench": "further forces and moments on the body: they add",
-    "sensor": "what the sensors report: a fixed chain of lever arm, misalignment, scale, bias and delay",
+    "sensor": "what the sensors report: a fixed chain of lever arm, misalignment, scale, bias and "
+    "delay",
 }
 
 
@@ -26,18 +29,31 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "effects",
         help="list the physical effects that a model may have",
-        description="List the catalogue of effects: name, stage, parameters with units, what is needed, references.",
+        description="List the catalogue of effects: name, stage, parameters with units, what is "
+        "needed, references.",
     )
     p.add_argument("names", nargs="*", metavar="NAME", help="only these effects (default: all)")
     p.add_argument("--stage", choices=tuple(STAGES), help="only the effects of one stage")
-    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
-                   help="also list the effects of these Python files, which are run (only what you trust)")  # fmt: skip
-    p.add_argument("--json", nargs="?", const="-", metavar="FILE", help="machine-readable, to FILE or standard output")
+    p.add_argument(
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="E.py",
+        help="also list the effects of these Python files, which are run (only what you trust)",
+    )
+    p.add_argument(
+        "--json",
+        nargs="?",
+        const="-",
+        metavar="FILE",
+        help="machine-readable, to FILE or standard output",
+    )
     p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List the chosen effects. Returns 0. Raises `UnknownNameError` for an unknown name, `ModelError` for a bad file."""
+    """List the chosen effects. Returns 0. Raises `UnknownNameError` for an unknown name,
+    `ModelError` for a bad file."""
     from greybox.commands.effects_output import catalogue, text
     from greybox.errors import UnknownNameError
     from greybox.model.effects import CATALOGUE

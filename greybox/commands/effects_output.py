@@ -1,4 +1,5 @@
-"""What `greybox effects` prints and writes: the catalogue for a terminal, as JSON, and as the page docs/effects.md."""
+"""What `greybox effects` prints and writes: the catalogue for a terminal, as JSON, and as the page
+docs/effects.md."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ SCHEMA = "greybox.effects/1"
 
 
 def catalogue(effects: tuple[Effect, ...] = CATALOGUE) -> dict[str, Any]:
-    """Plain values of the declarations (schema "greybox.effects/1"). A bound that is not there is null."""
+    """Plain values of the declarations (schema "greybox.effects/1"). A bound that is not there is
+    null."""
     return {"schema": SCHEMA, "effects": [_plain(e) for e in effects]}
 
 
@@ -66,7 +68,9 @@ def text(effects: tuple[Effect, ...]) -> str:
             if needs := _needs(e):
                 lines.append(f"    needs {needs}")
             for reference in e.references:
-                lines += textwrap.wrap(reference, 100, initial_indent="    - ", subsequent_indent="      ")
+                lines += textwrap.wrap(
+                    reference, 100, initial_indent="    - ", subsequent_indent="      "
+                )
             lines.append("")
     return "\n".join(lines).rstrip()
 
@@ -80,10 +84,14 @@ def _page() -> Iterator[str]:
     yield "# Effects"
     yield ""
     yield (
-        "Physics that the rigid body with rotors does not have by itself and that a fit can add by name "
-        "(`--effects a,b`). Every effect lives in one stage, is absent at its null, and combines with others in a way "
-        "that does not depend on the order in which they are listed. Generated from the declarations by "
-        "`python -m greybox.commands.effects --markdown`; `greybox effects` prints the same with the sources of each. "
+        "Physics that the rigid body with rotors does not have by itself and that a fit can add by "
+        "name "
+        "(`--effects a,b`). Every effect lives in one stage, is absent at its null, and combines "
+        "with others in a way "
+        "that does not depend on the order in which they are listed. Generated from the "
+        "declarations by "
+        "`python -m greybox.commands.effects --markdown`; `greybox effects` prints the same with "
+        "the sources of each. "
         "Effects of your own: [own_effect.md](own_effect.md)."
     )
     for stage, meaning in STAGES.items():
@@ -99,17 +107,27 @@ def _page() -> Iterator[str]:
         yield "|---|---|---|---|---|---|"
         for e in members:
             parameters = ", ".join(f"`{p.name}` [{p.unit}]{_limits(p, *b)}" for p, *b in _rows(e))
-            cells = (f"`{e.name}`", e.summary, f"`{e.formula}`", parameters, _needs(e) or "-", e.validity)
+            cells = (
+                f"`{e.name}`",
+                e.summary,
+                f"`{e.formula}`",
+                parameters,
+                _needs(e) or "-",
+                e.validity,
+            )
             yield "| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |"
 
 
 def _rows(effect: Effect) -> list[tuple[Parameter, float | None, float | None]]:
-    """(declaration, lower, upper); a bound that is not there, or that depends on the vehicle, is None."""
+    """(declaration, lower, upper); a bound that is not there, or that depends on the vehicle, is
+    None."""
 
     def fixed(a: float, b: float) -> float | None:
         return a if math.isfinite(a) and a == b else None
 
-    pairs = zip(effect.parameters(example_vehicle()), effect.parameters(example_vehicle(2.0)), strict=True)
+    pairs = zip(
+        effect.parameters(example_vehicle()), effect.parameters(example_vehicle(2.0)), strict=True
+    )
     return [(p, fixed(p.lower, other.lower), fixed(p.upper, other.upper)) for p, other in pairs]
 
 
@@ -133,8 +151,12 @@ def _limits(p: Parameter, lower: float | None, upper: float | None) -> str:
 
 def _needs(effect: Effect) -> str:
     needs = effect.needs
-    parts = [f"column {c}" for c in needs.columns] + [f"{fact} in the vehicle file" for fact in needs.vehicle]
-    parts += [f"sensor {' or '.join(group)}" for group in (needs.sensors, needs.other_sensors) if group]
+    parts = [f"column {c}" for c in needs.columns] + [
+        f"{fact} in the vehicle file" for fact in needs.vehicle
+    ]
+    parts += [
+        f"sensor {' or '.join(group)}" for group in (needs.sensors, needs.other_sensors) if group
+    ]
     if needs.effects:
         parts.append(f"felt only with {' or '.join(needs.effects)}")
     return ", ".join(parts)

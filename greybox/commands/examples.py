@@ -1,4 +1,5 @@
-"""`greybox examples [NAME]`: real flights that come with greybox, listed or copied with their vehicle file."""
+"""`greybox examples [NAME]`: real flights that come with greybox, listed or copied with their
+vehicle file."""
 
 from __future__ import annotations
 
@@ -14,20 +15,31 @@ def add(subparsers: Any) -> None:
         description="List the real flights that come with greybox, or copy a set of them: logs, "
         "vehicle file, licence, provenance.",
     )
-    p.add_argument("name", nargs="?", metavar="NAME", help="the set to copy (without it: list them)")
-    p.add_argument("--out", metavar="DIR", default=None, help="folder for the copies (default: one of the set's name)")
+    p.add_argument(
+        "name", nargs="?", metavar="NAME", help="the set to copy (without it: list them)"
+    )
+    p.add_argument(
+        "--out",
+        metavar="DIR",
+        default=None,
+        help="folder for the copies (default: one of the set's name)",
+    )
     p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List or copy. Returns 0. Raises `UnknownNameError`, `OutputError` and `GreyboxError` as `examples.copy` does."""
+    """List or copy. Returns 0. Raises `UnknownNameError`, `OutputError` and `GreyboxError` as
+    `examples.copy` does."""
     from greybox import examples
     from greybox.errors import GreyboxError
 
     if arguments.name is None:
         if arguments.out is not None:
-            raise GreyboxError("--out needs the name of a set", expected=" or ".join(examples.SETS),
-                               fix=f"greybox examples {next(iter(examples.SETS))} --out {arguments.out}")  # fmt: skip
+            raise GreyboxError(
+                "--out needs the name of a set",
+                expected=" or ".join(examples.SETS),
+                fix=f"greybox examples {next(iter(examples.SETS))} --out {arguments.out}",
+            )
         for name, what in examples.SETS.items():
             print(f"{name:15} {what}")
         print(f"greybox examples NAME copies one; they are in {examples.ROOT}")

@@ -23,26 +23,55 @@ def add(commands: Any) -> None:
         "is replaced only when it is such a bundle. Exit code 0: done, 1: refused, as the model is not usable, 2: bad "
         "input.",
     )
-    p.add_argument("model", metavar="MODEL.json", help="model file of `greybox fit`, `learn`, `discover` or "
-                   "`linear`, or what save() of a NARX, LSTM or Gaussian process wrote")
+    p.add_argument(
+        "model",
+        metavar="MODEL.json",
+        help="model file of `greybox fit`, `learn`, `discover` or "
+        "`linear`, or what save() of a NARX, LSTM or Gaussian process wrote",
+    )
     p.add_argument("--out", required=True, metavar="DIR", help="the bundle's folder")
     p.add_argument(
-        "--target", default="c,casadi", metavar="T,...", help=f"some of {', '.join(TARGETS)} (default %(default)s)"
+        "--target",
+        default="c,casadi",
+        metavar="T,...",
+        help=f"some of {', '.join(TARGETS)} (default %(default)s)",
     )
     p.add_argument("--float", action="store_true", help="C in single precision")
-    p.add_argument("--name", metavar="NAME", help="prefix of everything in C (default: the folder's name)")
     p.add_argument(
-        "--dt", type=float, metavar="S", help="sample time (default: the one that the model was identified at)"
+        "--name", metavar="NAME", help="prefix of everything in C (default: the folder's name)"
     )
-    p.add_argument("--with", dest="groups", default="", metavar="G,...", help=f"also {', '.join(GROUPS)}")
     p.add_argument(
-        "--runtime", default="", metavar="P,...", help="parameters that stay arguments: mass, ..., gp.weights"
+        "--dt",
+        type=float,
+        metavar="S",
+        help="sample time (default: the one that the model was identified at)",
     )
-    p.add_argument("--points", type=int, metavar="M", help="fewer support points for the learned part")
-    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py", help="effects of your own in the model")
+    p.add_argument(
+        "--with", dest="groups", default="", metavar="G,...", help=f"also {', '.join(GROUPS)}"
+    )
+    p.add_argument(
+        "--runtime",
+        default="",
+        metavar="P,...",
+        help="parameters that stay arguments: mass, ..., gp.weights",
+    )
+    p.add_argument(
+        "--points", type=int, metavar="M", help="fewer support points for the learned part"
+    )
+    p.add_argument(
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="E.py",
+        help="effects of your own in the model",
+    )
     model_file_option(p)
-    p.add_argument("--even-so", action="store_true", help="go on although the model was judged not usable")
-    p.add_argument("--no-cache", action="store_true", help="build anew even if the same export is in the cache")
+    p.add_argument(
+        "--even-so", action="store_true", help="go on although the model was judged not usable"
+    )
+    p.add_argument(
+        "--no-cache", action="store_true", help="build anew even if the same export is in the cache"
+    )
     json_option(p, "the manifest")
     p.set_defaults(run=run)
 
@@ -57,12 +86,17 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.errors import DataError, UnknownNameError
     from greybox.files import read_json
 
-    for what, given, known in (("export target", arguments.target, TARGETS), ("group", arguments.groups, GROUPS)):
+    for what, given, known in (
+        ("export target", arguments.target, TARGETS),
+        ("group", arguments.groups, GROUPS),
+    ):
         for name in _split(given):
             if name not in known:
                 raise UnknownNameError(what, name, known)
     if not _split(arguments.target):
-        raise DataError("--target", expected=f"some of {', '.join(TARGETS)}", got=repr(arguments.target))
+        raise DataError(
+            "--target", expected=f"some of {', '.join(TARGETS)}", got=repr(arguments.target)
+        )
     if arguments.dt is not None and not 0 < arguments.dt < float("inf"):
         raise DataError("--dt", expected="a positive number of seconds", got=f"{arguments.dt:g}")
     model = _model(arguments)
@@ -73,10 +107,17 @@ def run(arguments: argparse.Namespace) -> int:
     from mpc_export.bundle import describe, write_bundle
 
     bundle = write_bundle(
-        model, arguments.out, name=arguments.name, dt=arguments.dt,
-        targets=_split(arguments.target), real="float" if arguments.float else "double", with_=_split(arguments.groups),
-        runtime_parameters=_split(arguments.runtime), points=arguments.points, use_cache=not arguments.no_cache,
-    )  # fmt: skip
+        model,
+        arguments.out,
+        name=arguments.name,
+        dt=arguments.dt,
+        targets=_split(arguments.target),
+        real="float" if arguments.float else "double",
+        with_=_split(arguments.groups),
+        runtime_parameters=_split(arguments.runtime),
+        points=arguments.points,
+        use_cache=not arguments.no_cache,
+    )
     judged.say("export")
     Console.of(arguments).result(bundle.manifest, describe(bundle))
     return 0

@@ -23,7 +23,13 @@ if TYPE_CHECKING:
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
-from greybox.commands.judgement import adapt_option, demand_adapt, exit_code, given_horizons, horizon_options
+from greybox.commands.judgement import (
+    adapt_option,
+    demand_adapt,
+    exit_code,
+    given_horizons,
+    horizon_options,
+)
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.model_options import fit_with, given, model_options
 from greybox.commands.own_model import model_file_option
@@ -34,27 +40,42 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "fit",
         help="fit a Newton-Euler model to flight logs",
-        description="Fit a Newton-Euler model to flight logs by the prediction error method. What is not said is decided "
-        "from the flights, each choice with its reason, and the explicit command is printed. Writes fit.json, model.json "
-        "and report.html. Exit code 0: usable (or the flights are too calm to judge), 1: not usable, 2: bad input, 130: "
+        description="Fit a Newton-Euler model to flight logs by the prediction error method. What "
+        "is not said is decided "
+        "from the flights, each choice with its reason, and the explicit command is printed. "
+        "Writes fit.json, model.json "
+        "and report.html. Exit code 0: usable (or the flights are too calm to judge), 1: not "
+        "usable, 2: bad input, 130: "
         "interrupted.",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
     model_file_option(p, read=False)
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
-    p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
+    p.add_argument(
+        "--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees"
+    )
     flight_log_options(p)
     model_options(p)
-    p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
+    p.add_argument(
+        "--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate"
+    )
     horizon_options(p)
     adapt_option(p)
-    p.add_argument("--manual", action="store_true", help="decide nothing: what is not said has its plain default")
+    p.add_argument(
+        "--manual",
+        action="store_true",
+        help="decide nothing: what is not said has its plain default",
+    )
     p.add_argument(
         "--judge-left-out",
         action="store_true",
         help="judge on pieces of the training flights that a fit of its own leaves out, too",
     )
-    p.add_argument("--all-flights", action="store_true", help="fit flights with blocking faults or of another craft, too")
+    p.add_argument(
+        "--all-flights",
+        action="store_true",
+        help="fit flights with blocking faults or of another craft, too",
+    )
     p.add_argument("--seed", type=int, default=0, help="seed of random starts")
     p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
     mcap_option(p)
@@ -107,13 +128,19 @@ def run(arguments: argparse.Namespace) -> int:
     except Interrupted as stop:
         withdraw(out, *RESULTS)
         save(stop.kept)
-        arguments.kept = f"the best values so far are in {out / 'fit.json'} and {out / 'model.json'}, marked as not "
+        arguments.kept = (
+            f"the best values so far are in {out / 'fit.json'} and "
+            f"{out / 'model.json'}, marked as not "
+        )
         arguments.kept += "converged; the same command starts again"
         raise
     # The fit is safe before anything else can go wrong.
     withdraw(out, *RESULTS)
     content = save(result)
-    arguments.kept = f"the fit is in {out}, not judged: greybox validate {out / 'model.json'} --log LOGS judges it"
+    arguments.kept = (
+        f"the fit is in {out}, not judged: greybox validate {out / 'model.json'} "
+        "--log LOGS judges it"
+    )
     seen = None
     try:
         seen, left_out = _validated(arguments, result, prepared, test, faults, horizons)
@@ -138,18 +165,25 @@ def _check(arguments: argparse.Namespace) -> None:
 
     if (arguments.vehicle is None) == (arguments.model_file is None):
         raise GreyboxError(
-            "fit takes a vehicle file or a model of your own", expected="one of --vehicle and --model-file",
-            fix=f"--vehicle V.toml; greybox vehicle new --from {shlex.quote(arguments.train[0])} --out V.toml begins one",
-        )  # fmt: skip
+            "fit takes a vehicle file or a model of your own",
+            expected="one of --vehicle and --model-file",
+            fix=f"--vehicle V.toml; greybox vehicle new --from {shlex.quote(arguments.train[0])} "
+            "--out V.toml begins one",
+        )
     need_mcap(arguments.mcap)
     demand_adapt(arguments)
 
 
 def _report(
-    arguments: argparse.Namespace, result: Fit, content: Mapping[str, Any], seen: Validation | None,
-    prepared: Prepared, test: Dataset,
-) -> str:  # fmt: skip
-    """Write validate.json, report.html and the recording. Returns the names of all files of the fit, for people."""
+    arguments: argparse.Namespace,
+    result: Fit,
+    content: Mapping[str, Any],
+    seen: Validation | None,
+    prepared: Prepared,
+    test: Dataset,
+) -> str:
+    """Write validate.json, report.html and the recording. Returns the names of all files of the
+    fit, for people."""
     from greybox.commands.flight_series import series
     from greybox.commands.responses import responses
     from greybox.data import Dataset
@@ -164,7 +198,9 @@ def _report(
             verdict = result.verdict
             pieces = verdict is not None and verdict.judged_on == LEFT_OUT
             where = "pieces of the training flights" if pieces else "the flights that were fitted"
-            checked.setdefault("warnings", []).insert(0, f"validated on {where}: give --test flights")
+            checked.setdefault("warnings", []).insert(
+                0, f"validated on {where}: give --test flights"
+            )
         write_json(out / "validate.json", checked)
     adapted = ((checked or {}).get("adapted_on") or {}).get("flights", {})
     # The flight that judges is drawn; a fitted one where there is none.
@@ -174,13 +210,16 @@ def _report(
     said = {**content, "warnings": [*_sanity_lines(result), *content["warnings"]]}
     answers = responses(result.model, prepared.data, test)
     title = f"Fit of {result.model.physics.vehicle.name}"
-    report = write_atomic(out / "report.html", fit_report(said, drawing, checked, responses=answers, title=title))
+    report = write_atomic(
+        out / "report.html", fit_report(said, drawing, checked, responses=answers, title=title)
+    )
     write_if_asked(arguments.mcap, result.model, prepared.data, test, adapted=adapted)
     return f"{', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name}"
 
 
 def _lines(result: Fit, table: str, content: Mapping[str, Any]) -> list[str]:
-    """The verdict and what physics says, the decisions with their reasons, the estimates, the explicit command."""
+    """The verdict and what physics says, the decisions with their reasons, the estimates, the
+    explicit command."""
     first, *rest = result.summary().splitlines()
     lines = [first, *_sanity_lines(result)]
     if result.provenance.decisions:
@@ -196,7 +235,8 @@ def _lines(result: Fit, table: str, content: Mapping[str, Any]) -> list[str]:
 
 
 def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared, Dataset]:
-    """(training flights as they are fitted, test flights at their rate). Raises `GreyboxError` for a flight in both."""
+    """(training flights as they are fitted, test flights at their rate). Raises `GreyboxError` for
+    a flight in both."""
     from greybox.automatic.fit import prepare, read_flights
     from greybox.data import Dataset
     from greybox.data.logs import read_possible
@@ -243,17 +283,25 @@ def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared,
 
 
 def _unfit(arguments: argparse.Namespace, vehicle: Vehicle) -> list[str]:
-    """What `greybox inspect` says first of training logs that no model can be fitted to, before anything is estimated.
+    """What `greybox inspect` says first of training logs that no model can be fitted to, before
+    anything is estimated.
 
     Reads the logs once more: what was read for the fit has not the rates of the log's own streams.
     """
     from greybox.data.inspection import inspect_log
 
-    found = [(path, inspect_log(path, vehicle, mapping=arguments.mapping).unfit) for path in arguments.train]
-    return [f"greybox inspect calls {path} not usable: {'; '.join(why)}" for path, why in found if why]
+    found = [
+        (path, inspect_log(path, vehicle, mapping=arguments.mapping).unfit)
+        for path in arguments.train
+    ]
+    return [
+        f"greybox inspect calls {path} not usable: {'; '.join(why)}" for path, why in found if why
+    ]
 
 
-def _decided(arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, console: Console) -> Fit:
+def _decided(
+    arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, console: Console
+) -> Fit:
     """The automatic fit."""
     from greybox.automatic.decide import decide
     from greybox.automatic.facts import facts_of
@@ -275,8 +323,8 @@ def _decided(arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared
 def _pieces(
     arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, result: Fit
 ) -> tuple[Any, Dataset] | None:
-    """(model of the first parts of the flights, pieces left out) by the recipe of the fit; None where nothing can be
-    left out, and of a fit that did not arrive."""
+    """(model of the first parts of the flights, pieces left out) by the recipe of the fit; None
+    where nothing can be left out, and of a fit that did not arrive."""
     from greybox.automatic.fit import on_pieces
     from greybox.commands.model_options import explicit_recipe
 
@@ -285,11 +333,15 @@ def _pieces(
 
 
 def _validated(
-    arguments: argparse.Namespace, result: Fit, prepared: Prepared, test: Dataset,
-    faults: CheckReport | None, horizons: Mapping[str, Any],
-) -> tuple[Validation, Verdict | None]:  # fmt: skip
-    """(on test flights where there are any (`faults`: what their checks said), else on pieces left out, else on the
-    flights that were fitted; the verdict on the pieces, where there are any)."""
+    arguments: argparse.Namespace,
+    result: Fit,
+    prepared: Prepared,
+    test: Dataset,
+    faults: CheckReport | None,
+    horizons: Mapping[str, Any],
+) -> tuple[Validation, Verdict | None]:
+    """(on test flights where there are any (`faults`: what their checks said), else on pieces left
+    out, else on the flights that were fitted; the verdict on the pieces, where there are any)."""
     from greybox.validation.advice import hints_of_checks, hints_of_fit, hints_of_sanity
     from greybox.validation.sanity import sanity_of
     from greybox.validation.usefulness import LEFT_OUT
@@ -302,7 +354,9 @@ def _validated(
             h
             for report in (prepared.report, faults)
             if report is not None
-            for h in hints_of_checks(report, effects=result.model.effects, kinematic_noise=kinematic)
+            for h in hints_of_checks(
+                report, effects=result.model.effects, kinematic_noise=kinematic
+            )
         ),
         *hints_of_sanity(sanity_of(result)),
         *hints_of_fit(result),
@@ -310,9 +364,13 @@ def _validated(
     pieces = None
     if arguments.judge_left_out or not (test.flights or arguments.manual):
         pieces = _pieces(arguments, result.model.physics.vehicle, prepared, result)
-    left_out = None if pieces is None else validate(*pieces, **horizons, hints=hints, judged_on=LEFT_OUT)
+    left_out = (
+        None if pieces is None else validate(*pieces, **horizons, hints=hints, judged_on=LEFT_OUT)
+    )
     if test.flights:
-        seen = validate(result.model, test, **horizons, adapt=_adapted(arguments, result, test), hints=hints)
+        seen = validate(
+            result.model, test, **horizons, adapt=_adapted(arguments, result, test), hints=hints
+        )
     elif left_out is not None:
         seen = left_out
     else:
@@ -321,7 +379,8 @@ def _validated(
 
 
 def _adapted(arguments: argparse.Namespace, result: Fit, test: Dataset) -> float | None:
-    """Seconds that test flights are adapted on; a time that nobody asked for only where enough is left to judge."""
+    """Seconds that test flights are adapted on; a time that nobody asked for only where enough is
+    left to judge."""
     from greybox.automatic.fit import adaptation
 
     recipe = result.provenance.recipe
@@ -345,7 +404,11 @@ def _explicit(arguments: argparse.Namespace, prepared: Prepared, test: Dataset, 
     train = [p for p, name in zip(arguments.train, prepared.names, strict=True) if name not in out]
     words = recipe.command_line(arguments.vehicle, train, arguments.test)
     more = ["--mapping", arguments.mapping] if arguments.mapping else []
-    more += [] if arguments.max_iterations is None else ["--max-iterations", str(arguments.max_iterations)]
+    more += (
+        []
+        if arguments.max_iterations is None
+        else ["--max-iterations", str(arguments.max_iterations)]
+    )
     more += ["--effects-file", *arguments.effects_file] if arguments.effects_file else []
     more += ["--keep-impossible"] if arguments.keep_impossible else []
     more += ["--judge-left-out"] if arguments.judge_left_out or not arguments.test else []

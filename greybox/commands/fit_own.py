@@ -17,8 +17,12 @@ if TYPE_CHECKING:
 RESULTS = ("report.html", "validate.json", "fit.json", "model.json")
 """Files of the command."""
 OF_VEHICLES: dict[str, object] = {
-    "effects": None, "effects_file": [], "kinematic_noise": None, "keep_impossible": False, "all_flights": False,
-}  # fmt: skip
+    "effects": None,
+    "effects_file": [],
+    "kinematic_noise": None,
+    "keep_impossible": False,
+    "all_flights": False,
+}
 """Options that only a vehicle has, with the value that says nothing."""
 
 
@@ -40,7 +44,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     for name, silent in OF_VEHICLES.items():
         if getattr(arguments, name) != silent:
-            raise GreyboxError(f"--{name.replace('_', '-')} is for vehicles", got="--model-file", fix="leave it out")
+            raise GreyboxError(
+                f"--{name.replace('_', '-')} is for vehicles",
+                got="--model-file",
+                fix="leave it out",
+            )
     console = Console.of(arguments)
     horizons = given_horizons(arguments, own=True)
     model = load_own_model(arguments.model_file)
@@ -61,10 +69,15 @@ def run(arguments: argparse.Namespace) -> int:
     except Interrupted as stop:
         withdraw(out, *RESULTS)
         save(stop.kept, [])
-        arguments.kept = f"the best values so far are in {out / 'fit.json'} and {out / 'model.json'}, marked as not "
+        arguments.kept = (
+            f"the best values so far are in {out / 'fit.json'} and "
+            f"{out / 'model.json'}, marked as not "
+        )
         arguments.kept += "converged; the same command starts again"
         raise
-    warnings = [] if test.flights else ["validated on the flights that were fitted: give --test flights"]
+    warnings = (
+        [] if test.flights else ["validated on the flights that were fitted: give --test flights"]
+    )
     withdraw(out, *RESULTS)
     save(found, warnings)  # the fit is safe before anything else can go wrong
     seen: Validation | None = None
@@ -76,13 +89,18 @@ def run(arguments: argparse.Namespace) -> int:
         warnings.insert(0, f"no validation: {error}")
     content = save(found, warnings)
     page = fit_report(
-        content, series(found.model, train, test), None if seen is None else seen.to_dict(),
-        responses=responses(found.model, train, test), title=f"Fit of {model.name}",
-    )  # fmt: skip
+        content,
+        series(found.model, train, test),
+        None if seen is None else seen.to_dict(),
+        responses=responses(found.model, train, test),
+        title=f"Fit of {model.name}",
+    )
     write_atomic(out / "report.html", page)
     write_if_asked(arguments.mcap, found.model, train, test)
     table = [seen.table_text()] if seen is not None and seen.tables else []
-    written = f"wrote {', '.join(p.name for p in sorted(out.glob('*.json')))} and report.html in {out}"
+    written = (
+        f"wrote {', '.join(p.name for p in sorted(out.glob('*.json')))} and report.html in {out}"
+    )
     console.result(content, found.summary(), *(f"warning: {w}" for w in warnings), *table, written)
     return exit_code(found.verdict) if found.verdict is not None or found.converged else 1
 
@@ -93,5 +111,7 @@ def _judged(found: Fit, data: Dataset, adapt: float | None, horizons: dict[str, 
 
     bound = [n for n, e in found.parameters.items() if e.at_bound]
     hints = [] if found.converged else [Hint(symptom=Symptom.NOT_CONVERGED)]
-    hints += [Hint(symptom=Symptom.OWN_OUTPUT, detail=f"{', '.join(bound)} at a bound")] if bound else []
+    hints += (
+        [Hint(symptom=Symptom.OWN_OUTPUT, detail=f"{', '.join(bound)} at a bound")] if bound else []
+    )
     return validate(found.model, data, **horizons, adapt=adapt, hints=hints)

@@ -1,4 +1,5 @@
-"""Time series of flights for a page: what was measured beside what a model says one step and some seconds ahead."""
+"""Time series of flights for a page: what was measured beside what a model says one step and some
+seconds ahead."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 def series(
     model: Any, *datasets: Any, adapted: Any = None, ahead_seconds: float = 0.5, limit: int = 1
 ) -> dict[str, Any]:
-    """Time series of `limit` flights per data set for the report (15 figures each): measured, one step and some ahead."""
+    """Time series of `limit` flights per data set for the report (15 figures each): measured, one
+    step and some ahead."""
     chosen: list[tuple[str, Any]] = []
     roles: Sequence[str] = ("train", "test")
     for role, data in zip(roles, datasets, strict=False):
@@ -41,22 +43,29 @@ def series(
             for j, signal in enumerate(model.dynamics.outputs)
         }
         out[flight.name] = FlightSeries(
-            t=segment.t, channels=channels, ahead_seconds=seconds, role=role,
+            t=segment.t,
+            channels=channels,
+            ahead_seconds=seconds,
+            role=role,
             replay=_replay(runner, filtered, segment.t),
-        )  # fmt: skip
+        )
     return out
 
 
 def flight_parameters(model: Any, own: Mapping[str, Any] | None) -> FloatArray | None:
-    """The parameter vector of a flight with values of its own ({name: {value: ...}}), None where there are none."""
+    """The parameter vector of a flight with values of its own ({name: {value: ...}}), None where
+    there are none."""
     if not own:
         return None
-    vector: FloatArray = model.parameter_vector({k: v["value"] for k, v in own.items() if k in model.values})
+    vector: FloatArray = model.parameter_vector(
+        {k: v["value"] for k, v in own.items() if k in model.values}
+    )
     return vector
 
 
 def ahead_of(runner: Filter, filtered: Filtered, seconds: float) -> tuple[float, FloatArray]:
-    """(seconds, in whole steps; outputs (n, n_y), each as it was predicted that long before, NaN at the beginning)."""
+    """(seconds, in whole steps; outputs (n, n_y), each as it was predicted that long before, NaN at
+    the beginning)."""
     steps = max(1, round(seconds / runner.model.sample_time))
     origins = np.arange(0, max(filtered.record.n - steps - 1, 0))
     ahead = np.full_like(filtered.outputs, np.nan)
@@ -66,7 +75,8 @@ def ahead_of(runner: Filter, filtered: Filtered, seconds: float) -> tuple[float,
 
 
 def _replay(runner: Filter, filtered: Filtered, t: FloatArray) -> Replay | None:
-    """What was flown and what was said before; None where the model does not put out where the craft is."""
+    """What was flown and what was said before; None where the model does not put out where the
+    craft is."""
     names = [s.name for s in runner.model.dynamics.outputs]
     if not set(POSE) <= set(names):
         return None
@@ -75,16 +85,23 @@ def _replay(runner: Filter, filtered: Filtered, t: FloatArray) -> Replay | None:
     thin = max(1, round(STEP / dt))
     steps = round(SECONDS / (thin * dt))
     stride = thin * max(1, -(-n // (thin * ORIGINS)))
-    # A prediction from row k starts at what the filter knew there, and is the next rows' from then on.
+    # A prediction from row k starts at what the filter knew there, and is the next rows' from then
+    # on.
     origins = np.arange(0, n - steps * thin - 1, stride)
     if len(origins) < 2:
         return None
-    filled = np.where(np.isnan(filtered.record.outputs), filtered.outputs, filtered.record.outputs)[:, columns]
+    filled = np.where(np.isnan(filtered.record.outputs), filtered.outputs, filtered.record.outputs)[
+        :, columns
+    ]
     ahead = runner.rollout(filtered, origins, steps * thin)[:, thin - 1 :: thin][..., columns]
     start = filtered.outputs[origins][:, None, columns]
     physics = physics_of(runner.model.dynamics)
     arm = 0.1 if physics is None else physics.vehicle.arm_length
     return Replay(
-        begin=float(t[0]), step=thin * dt, stride=stride * dt, arm=arm,
-        measured=filled[::thin], predicted=np.concatenate([start, ahead], axis=1),
-    )  # fmt: skip
+        begin=float(t[0]),
+        step=thin * dt,
+        stride=stride * dt,
+        arm=arm,
+        measured=filled[::thin],
+        predicted=np.concatenate([start, ahead], axis=1),
+    )

@@ -36,9 +36,12 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "frf",
         help="frequency response of flights, with coherence and 95 %% bands",
-        description="Magnitude, phase, coherence and 95 % bands of outputs over inputs, straight from "
-        "the flights, with gain and lag. A channel is a column, a sum of columns ('a=u1+u2'), or with "
-        "a vehicle a mixed command: roll, pitch, yaw, thrust. With --model the model's own response "
+        description="Magnitude, phase, coherence and 95 % bands of outputs over inputs, straight "
+        "from "
+        "the flights, with gain and lag. A channel is a column, a sum of columns ('a=u1+u2'), or "
+        "with "
+        "a vehicle a mixed command: roll, pitch, yaw, thrust. With --model the model's own "
+        "response "
         "lies over it, and where they part is said. Writes frf.json, frf.csv and report.html. Exit "
         "code 0: done; 1: no frequency has coherence enough; 2: bad input.",
     )
@@ -181,7 +184,8 @@ def _named(
     model: IdentifiedModel | LinearModel | None,
     vehicle: Airframe | None,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Inputs and outputs: those that were named, else those of the vehicle, else those of the model."""
+    """Inputs and outputs: those that were named, else those of the vehicle, else those of the
+    model."""
     from greybox.errors import DataError
     from greybox.linear.frf_channels import mixers
     from greybox.model.linear import LinearModel
@@ -226,7 +230,8 @@ def _flights(
         references = (CHIRP,) if len(inputs) == 1 else ()
         if not references:
             print(
-                "the logs have a chirp: with one input at a time (--inputs roll) it is the reference",
+                "the logs have a chirp: with one input at a time (--inputs roll) it is the "
+                "reference",
                 file=sys.stderr,
             )
     specs: list[ChannelSpec] = []

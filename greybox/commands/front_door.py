@@ -1,5 +1,5 @@
-"""In Python what some commands do: read a file of any kind, export, compare methods, profile an unknown, a frequency
-response."""
+"""In Python what some commands do: read a file of any kind, export, compare methods, profile an
+unknown, a frequency response."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ if TYPE_CHECKING:
 def load(
     path: str | os.PathLike[str], *, effects: Iterable[Effect] = (), sensors: Iterable[Sensor] = ()
 ) -> IdentifiedModel | LinearModel | OutputHybrid:
-    """Read a model file of any kind: of `fit`, `learn`, `discover` (`IdentifiedModel`), of `linear` (`LinearModel`), of
-    `learn` on a linear model (`OutputHybrid`).
+    """Read a model file of any kind: of `fit`, `learn`, `discover` (`IdentifiedModel`), of `linear`
+    (`LinearModel`), of `learn` on a linear model (`OutputHybrid`).
 
-    `effects` and `sensors` are those of the user's own (`load_effects`). Raises `FileFormatError`, `UnknownNameError`.
+    `effects` and `sensors` are those of the user's own (`load_effects`). Raises `FileFormatError`,
+    `UnknownNameError`.
     """
     from greybox.baselines.output_residual import KIND, OutputHybrid
     from greybox.files import read_json
@@ -53,10 +54,11 @@ def export(
     targets: Iterable[str] = ("c", "casadi"),
     **options: Any,
 ) -> Path:
-    """Write a fitted model to `folder` for a controller, as `greybox export` does; returns the folder.
+    """Write a fitted model to `folder` for a controller, as `greybox export` does; returns the
+    folder.
 
-    `targets` and the other options (`name`, `dt`, `real`, `with_`, `runtime_parameters`, `points`) are those of
-    `mpc_export.bundle.write_bundle`, which says what they mean and what is raised.
+    `targets` and the other options (`name`, `dt`, `real`, `with_`, `runtime_parameters`, `points`)
+    are those of `mpc_export.bundle.write_bundle`, which says what they mean and what is raised.
     """
     from mpc_export.bundle import write_bundle
 
@@ -78,31 +80,48 @@ def compare(
     horizons: Sequence[int] = (1, 10, 50, 100),
     say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """Run methods on the same flights and judge them on the same samples, as `greybox compare` does.
+    """Run methods on the same flights and judge them on the same samples, as `greybox compare`
+    does.
 
-    `fit` makes the nonlinear model (default: `gb.fit(vehicle, train)`), `adapt` are seconds at the start of a test flight,
-    `budget` the candidates of every method that is tuned, `horizons` samples. Returns the content of compare.json; a method
-    that fails has its error in its row. Raises `UnknownNameError`, `DataError`.
+    `fit` makes the nonlinear model (default: `gb.fit(vehicle, train)`), `adapt` are seconds at the
+    start of a test flight, `budget` the candidates of every method that is tuned, `horizons`
+    samples. Returns the content of compare.json; a method that fails has its error in its row.
+    Raises `UnknownNameError`, `DataError`.
     """
     from greybox.automatic import fit as automatic
     from greybox.baselines.compare import compare as run
     from greybox.baselines.compare_bench import Bench
 
     bench = Bench(
-        vehicle=vehicle, train=train, test=test, fit=fit or (lambda: automatic(vehicle, train)), adapt=adapt, budget=budget,
-        seed=seed, points=points, horizons=tuple(horizons), say=say,
-    )  # fmt: skip
+        vehicle=vehicle,
+        train=train,
+        test=test,
+        fit=fit or (lambda: automatic(vehicle, train)),
+        adapt=adapt,
+        budget=budget,
+        seed=seed,
+        points=points,
+        horizons=tuple(horizons),
+        say=say,
+    )
     return list(run(bench, methods))[-1]
 
 
 def profile(
-    fit: Fit, name: str, *, flight: str | None = None, grid: Sequence[float] | None = None, level: float = 0.95
+    fit: Fit,
+    name: str,
+    *,
+    flight: str | None = None,
+    grid: Sequence[float] | None = None,
+    level: float = 0.95,
 ) -> Profile:
-    """The profile likelihood of one estimated number of a fit: the others re-optimised along a grid.
+    """The profile likelihood of one estimated number of a fit: the others re-optimised along a
+    grid.
 
-    `name` is a parameter or a noise level ("noise.sensor.p"), `flight` the flight where each has its own value. The
-    interval at `level` ends where the likelihood ratio says so; an end is the bound where the profile reaches that first,
-    and infinite where the data do not end it. Raises `UnknownNameError`.
+    `name` is a parameter or a noise level ("noise.sensor.p"), `flight` the flight where each has
+    its own value. The interval at `level` ends where the likelihood ratio says so; an end is the
+    bound where the profile reaches that first, and infinite where the data do not end it. Raises
+    `UnknownNameError`.
     """
     from greybox.estimation.profile import profile as along
     from greybox.estimation.solvers import SOLVERS
@@ -122,17 +141,26 @@ def frf(
     band: tuple[float, float] | None = None,
     window: float | None = None,
 ) -> FrequencyResponse:
-    """The frequency response of flights, without a model: magnitude, phase, coherence, 95 % bands, gain and lag.
+    """The frequency response of flights, without a model: magnitude, phase, coherence, 95 % bands,
+    gain and lag.
 
-    A channel is a column, a sum of columns ("a=u1+u2") or, with a `vehicle` (that of the `model`, where one is given), a
-    mixed command: roll, pitch, yaw, thrust. Name all inputs that move at once: each response is that with the others held.
-    `references` are signals that excite the loop from outside (set points, a chirp), at least as many as inputs: only what
-    they explain counts, which is right where inputs are fed back. `band` [Hz] and `window` (the longest, [s]) are chosen
-    where they are not given. The response of a `model` is put beside it. Raises `DataError` for flights that are too short
-    and channels that do not move, `UnknownNameError`, `ModelError`.
+    A channel is a column, a sum of columns ("a=u1+u2") or, with a `vehicle` (that of the `model`,
+    where one is given), a mixed command: roll, pitch, yaw, thrust. Name all inputs that move at
+    once: each response is that with the others held. `references` are signals that excite the loop
+    from outside (set points, a chirp), at least as many as inputs: only what they explain counts,
+    which is right where inputs are fed back. `band` [Hz] and `window` (the longest, [s]) are chosen
+    where they are not given. The response of a `model` is put beside it. Raises `DataError` for
+    flights that are too short and channels that do not move, `UnknownNameError`, `ModelError`.
     """
     from greybox.linear.frf import frf as measured
 
     return measured(
-        data, inputs, outputs, references=references, vehicle=vehicle, model=model, band=band, window=window
+        data,
+        inputs,
+        outputs,
+        references=references,
+        vehicle=vehicle,
+        model=model,
+        band=band,
+        window=window,
     )

@@ -1,4 +1,5 @@
-"""`greybox identify`: the whole chain from flight logs to a judged model for a controller, in one folder."""
+"""`greybox identify`: the whole chain from flight logs to a judged model for a controller, in one
+folder."""
 
 from __future__ import annotations
 
@@ -19,23 +20,59 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "identify",
         help="do all of it: from flight logs to a judged model for a controller",
-        description="inspect, check, fit, discover, fit again with what was found, learn, validate and export, each the "
-        "plain command of its name with its own folder, and one page. The same command again goes on where it was stopped. "
-        "A model that is NOT USABLE is not learned from or exported. Without a vehicle file the log is asked for one. Exit "
-        "code 0: usable (or the flights are too calm to judge), 1: not usable, 2: bad input, 130: interrupted.",
+        description="inspect, check, fit, discover, fit again with what was found, learn, validate "
+        "and export, each the "
+        "plain command of its name with its own folder, and one page. The same command again goes "
+        "on where it was stopped. "
+        "A model that is NOT USABLE is not learned from or exported. Without a vehicle file the "
+        "log is asked for one. Exit "
+        "code 0: usable (or the flights are too calm to judge), 1: not usable, 2: bad input, 130: "
+        "interrupted.",
     )
-    p.add_argument("inputs", nargs="*", metavar="VEHICLE.toml LOG", help="vehicle file and the flights to fit")
-    p.add_argument("--vehicle", metavar="V.toml", help="the vehicle file, said as to the other commands")
-    p.add_argument("--train", nargs="+", default=[], metavar="LOG", help="the flights to fit, said as to the other commands")
+    p.add_argument(
+        "inputs", nargs="*", metavar="VEHICLE.toml LOG", help="vehicle file and the flights to fit"
+    )
+    p.add_argument(
+        "--vehicle", metavar="V.toml", help="the vehicle file, said as to the other commands"
+    )
+    p.add_argument(
+        "--train",
+        nargs="+",
+        default=[],
+        metavar="LOG",
+        help="the flights to fit, said as to the other commands",
+    )
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only judge")
-    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
-    p.add_argument("--skip", type=names, default=(), metavar="a,b", help="leave stages out: discover,learn,export,...")
-    p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
-    p.add_argument("--guess", action="store_true", help="without a vehicle file: go on with the one guessed from the log")
-    p.add_argument("--even-so", action="store_true", help="learn and export although the model was judged not usable")
+    p.add_argument(
+        "--mapping",
+        metavar="MAP.toml",
+        help="which fields of the logs are which channels (docs/logs.md)",
+    )
+    p.add_argument(
+        "--skip",
+        type=names,
+        default=(),
+        metavar="a,b",
+        help="leave stages out: discover,learn,export,...",
+    )
+    p.add_argument(
+        "--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate"
+    )
+    p.add_argument(
+        "--guess",
+        action="store_true",
+        help="without a vehicle file: go on with the one guessed from the log",
+    )
+    p.add_argument(
+        "--even-so",
+        action="store_true",
+        help="learn and export although the model was judged not usable",
+    )
     accept_option(p)
     p.add_argument("--seed", type=int, default=0, help="seed of all stages")
-    p.add_argument("--out", default="greybox-identify", metavar="DIR", help="folder for the results")
+    p.add_argument(
+        "--out", default="greybox-identify", metavar="DIR", help="folder for the results"
+    )
     json_option(p, "identify.json")
     p.set_defaults(run=run)
 
@@ -57,16 +94,27 @@ def run(arguments: argparse.Namespace) -> int:
     if vehicle is None and logs and Path(logs[0]).suffix == ".toml":
         vehicle = logs.pop(0)
     if not logs:
-        raise GreyboxError("no flights to fit", fix="greybox identify --vehicle V.toml --train A.csv B.csv")
+        raise GreyboxError(
+            "no flights to fit", fix="greybox identify --vehicle V.toml --train A.csv B.csv"
+        )
     if vehicle is None:
         vehicle = guessed_vehicle(logs, out, go_on=arguments.guess, say=say)
     if arguments.rate is not None and not arguments.rate > 0:
-        raise GreyboxError("--rate takes a rate above zero", got=f"{arguments.rate:g} Hz", fix="--rate 100")
+        raise GreyboxError(
+            "--rate takes a rate above zero", got=f"{arguments.rate:g} Hz", fix="--rate 100"
+        )
     request = Request(
-        vehicle=vehicle, train=tuple(logs), test=tuple(arguments.test), out=out, mapping=arguments.mapping,
-        rate=arguments.rate, seed=arguments.seed, skip=frozenset(arguments.skip), even_so=arguments.even_so,
+        vehicle=vehicle,
+        train=tuple(logs),
+        test=tuple(arguments.test),
+        out=out,
+        mapping=arguments.mapping,
+        rate=arguments.rate,
+        seed=arguments.seed,
+        skip=frozenset(arguments.skip),
+        even_so=arguments.even_so,
         accept=accepted(arguments.accept),
-    )  # fmt: skip
+    )
     command = typed("identify", "greybox " + shlex.join(["identify", vehicle, *logs]))
     arguments.kept = f"the stages that ended are in {out}; the same command goes on"
     found = run_chain(request, command=command, say=say, progress=sys.stderr)

@@ -16,24 +16,46 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "inspect",
         help="show what a log of any format holds and what greybox can use of it",
-        description="Show the streams of a log (PX4 ULog, ROS bag, MCAP, Betaflight, Crazyflie, MATLAB, Parquet, CSV) with "
-        "rates and gaps, and the channels that greybox makes of them. Says which effects they allow, what is missing and "
-        "which logging settings would provide it. Exit code 0: the log can be used; 1: it cannot as it is; 2: bad input.",
+        description="Show the streams of a log (PX4 ULog, ROS bag, MCAP, Betaflight, Crazyflie, "
+        "MATLAB, Parquet, CSV) with "
+        "rates and gaps, and the channels that greybox makes of them. Says which effects they "
+        "allow, what is missing and "
+        "which logging settings would provide it. Exit code 0: the log can be used; 1: it cannot "
+        "as it is; 2: bad input.",
     )
     p.add_argument("log", metavar="LOG", help="flight log of any format (docs/logs.md)")
-    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the log are which channels (docs/logs.md)")
-    p.add_argument("--vehicle", metavar="V.toml", help="vehicle file: names of columns, number of rotors, known facts")
-    p.add_argument("--all", action="store_true", help="list every stream, also those that are not used")
-    p.add_argument("--out", metavar="LOG.csv", help="write the canonical channels to this CSV file (.csv or .csv.gz)")
-    p.add_argument("--draft", metavar="MAP.toml", help="write what columns with names of their own look like as a mapping "
-                   "file, to be looked over")  # fmt: skip
+    p.add_argument(
+        "--mapping",
+        metavar="MAP.toml",
+        help="which fields of the log are which channels (docs/logs.md)",
+    )
+    p.add_argument(
+        "--vehicle",
+        metavar="V.toml",
+        help="vehicle file: names of columns, number of rotors, known facts",
+    )
+    p.add_argument(
+        "--all", action="store_true", help="list every stream, also those that are not used"
+    )
+    p.add_argument(
+        "--out",
+        metavar="LOG.csv",
+        help="write the canonical channels to this CSV file (.csv or .csv.gz)",
+    )
+    p.add_argument(
+        "--draft",
+        metavar="MAP.toml",
+        help="write what columns with names of their own look like as a mapping "
+        "file, to be looked over",
+    )
     p.add_argument("--force", action="store_true", help="let --draft write over an existing file")
     json_option(p, "the findings")
     p.set_defaults(run=run, one_file=True)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Inspect, convert, print. Returns 0, or 1 where the log has no commands and sensors in common to fit."""
+    """Inspect, convert, print. Returns 0, or 1 where the log has no commands and sensors in common
+    to fit."""
     from greybox.data.column_guess import draft
     from greybox.data.inspection import inspect_log
     from greybox.data.logs.write import write_csv
@@ -50,10 +72,19 @@ def run(arguments: argparse.Namespace) -> int:
     content["uses"] = uses(found)
     guesses, time = looks(found, named=bool(arguments.mapping))
     content["looks_like"] = [
-        {"group": g.group, "fields": list(g.fields), "unit": g.unit, "frame": g.frame, "limits": g.limits, "why": g.why}
+        {
+            "group": g.group,
+            "fields": list(g.fields),
+            "unit": g.unit,
+            "frame": g.frame,
+            "limits": g.limits,
+            "why": g.why,
+        }
         for g in guesses
     ]
-    content["next"] = advice(found, content, arguments, beside(arguments.log, found) if vehicle is None else None)
+    content["next"] = advice(
+        found, content, arguments, beside(arguments.log, found) if vehicle is None else None
+    )
     written = None
     if arguments.draft:
         if not guesses:
@@ -63,13 +94,18 @@ def run(arguments: argparse.Namespace) -> int:
         if found.raw is None:
             raise DataError(f"nothing to write to {arguments.out}: {found.problem}")
         written = write_csv(arguments.out, found.raw)
-    csv = [] if written is None else [f"wrote {written}: {content['rows']} rows, {content['duration']:.3f} s"]
+    csv = (
+        []
+        if written is None
+        else [f"wrote {written}: {content['rows']} rows, {content['duration']:.3f} s"]
+    )
     Console.of(arguments).result(content, text(content, every=arguments.all), *csv)
     return 0 if content["uses"]["fit"] else 1
 
 
 def looks(found: Any, *, named: bool) -> tuple[tuple[Any, ...], tuple[str, str] | None]:
-    """(guesses, time column) of a table with columns of its own; nothing where a mapping file says what they are."""
+    """(guesses, time column) of a table with columns of its own; nothing where a mapping file says
+    what they are."""
     from greybox.data.column_guess import guess_columns, guess_time
     from greybox.data.readers.mapping import TABLE
 
@@ -98,25 +134,37 @@ def beside(log: str, found: Any) -> str | None:
     return None
 
 
-def advice(found: Any, content: dict[str, Any], arguments: argparse.Namespace, known: str | None) -> list[str]:
+def advice(
+    found: Any, content: dict[str, Any], arguments: argparse.Namespace, known: str | None
+) -> list[str]:
     """What to do next, in the order in which to try it."""
-    log, has = shlex.quote(arguments.log), [f"--mapping {shlex.quote(arguments.mapping)}"] if arguments.mapping else []
+    log, has = (
+        shlex.quote(arguments.log),
+        [f"--mapping {shlex.quote(arguments.mapping)}"] if arguments.mapping else [],
+    )
     has += [f"--vehicle {shlex.quote(arguments.vehicle)}"] if arguments.vehicle else []
     if known is not None:
-        return [f"{known} knows these columns: greybox inspect {log} --vehicle {shlex.quote(known)}"]
+        return [
+            f"{known} knows these columns: greybox inspect {log} --vehicle {shlex.quote(known)}"
+        ]
     out = []
     if content["looks_like"] and not arguments.draft:
         out.append(f"write the guess and look it over: greybox inspect {log} --draft map.toml")
         out.append(f"then: greybox inspect {log} --mapping map.toml")
     elif content["looks_like"]:
-        out.append(f"look {arguments.draft} over, then: greybox inspect {log} --mapping {shlex.quote(arguments.draft)}")
+        out.append(
+            f"look {arguments.draft} over, then: greybox inspect {log} --mapping "
+            f"{shlex.quote(arguments.draft)}"
+        )
     if arguments.vehicle is None:
         from greybox.model.vehicle_template import TEMPLATES
 
         start, names = f"--from {log}", "what the log knows of the craft"
         if found.format.table is not None:
             start, names = "--template NAME", ", ".join(TEMPLATES)
-        out.append(f"a vehicle file: greybox vehicle new {start} --out V.toml ({names}; docs/vehicle.md)")
+        out.append(
+            f"a vehicle file: greybox vehicle new {start} --out V.toml ({names}; docs/vehicle.md)"
+        )
         has.append("--vehicle V.toml")
     if content["uses"]["fit"]:
         out.append(f"greybox check {' '.join([*has, log])}")
@@ -134,7 +182,8 @@ def _sensors(found: Any) -> tuple[str, ...]:
 
 
 def uses(found: Any) -> dict[str, Any]:
-    """Which sensors of the model the log feeds, and what can be fitted: commands or rotor speeds, and a sensor."""
+    """Which sensors of the model the log feeds, and what can be fitted: commands or rotor speeds,
+    and a sensor."""
     from greybox.model.sensors import USUAL
 
     groups = {g.group for g in found.groups}
@@ -147,14 +196,18 @@ def uses(found: Any) -> dict[str, Any]:
         "rotation": driven and bool({"rate", "attitude"} & groups),
         "translation": driven and bool({"specific_force", "velocity", "position"} & groups),
         "speed_input": "rotor_speed" in groups and bool(sensors) and not found.unfit,
-        # The stationary gain of the innovation form takes every channel to be there at every sample.
-        "predictor": "kalman" if any(g.share < 0.9 for g in found.groups if g.group in measured) else "innovation",
+        # The stationary gain of the innovation form takes every channel to be there at every
+        # sample.
+        "predictor": "kalman"
+        if any(g.share < 0.9 for g in found.groups if g.group in measured)
+        else "innovation",
         "open_loop_horizons": sorted(groups & {"position", "velocity", "attitude", "rate"}),
     }
 
 
 def effects(found: Any, vehicle: Any) -> dict[str, Any]:
-    """Effects of the catalogue that the log allows, and what the others lack. Facts of a vehicle file count if given."""
+    """Effects of the catalogue that the log allows, and what the others lack. Facts of a vehicle
+    file count if given."""
     from greybox.model.effects import CATALOGUE
 
     sensors = _sensors(found)
@@ -177,25 +230,35 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
     lines += [f"  {k}: {v}" for k, v in content["info"].items()]
     used = {c["from"].partition(": ")[2].partition(" [")[0] for c in content["channels"]}
     used |= {o.split(": ")[2].partition(" [")[0] for o in content["other_sources"]}
-    shown = [s for s in content["streams"] if every or s["name"] in used or len(content["streams"]) <= 12]
+    shown = [
+        s for s in content["streams"] if every or s["name"] in used or len(content["streams"]) <= 12
+    ]
     lines += ["", f"HOLDS  {len(content['streams'])} stream(s)"]
     width = min(max((len(s["name"]) for s in shown), default=0), 40)
     for s in shown:
         span = "" if s["start"] is None else f"{s['start']:.2f}..{s['end']:.2f} s"
         gaps = f", {s['gaps']} gap(s), longest {1e3 * s['longest_gap']:.0f} ms" if s["gaps"] else ""
         back = f", {s['backward_steps']} step(s) back" if s["backward_steps"] else ""
-        lines.append(f"  {s['name']:{width}}  {s['samples']:7d} x {s['rate']:7.5g} Hz  {span}{gaps}{back}")
+        lines.append(
+            f"  {s['name']:{width}}  {s['samples']:7d} x {s['rate']:7.5g} Hz  {span}{gaps}{back}"
+        )
         if len(content["streams"]) <= 3 or every:
             fields = [f for f in s["fields"] if "covariance" not in f]
             names = ", ".join(fields[:24]) + (", ..." if len(fields) > 24 else "")
             lines.append(f"    {names}")
     if len(shown) < len(content["streams"]):
-        lines.append(f"  and {len(content['streams']) - len(shown)} that greybox has no use for (--all lists them)")
+        lines.append(
+            f"  and {len(content['streams']) - len(shown)} that greybox has no use for (--all "
+            "lists them)"
+        )
     clocks = sorted({s["clock"] for s in shown if s["clock"]})
     lines += [f"  clock: {c}" for c in clocks[:4]]
     lost = content["dropouts"]
     if lost:
-        lines.append(f"  the logger reports {len(lost)} drop-out(s), {sum(d['length'] for d in lost):.2f} s in all")
+        lines.append(
+            f"  the logger reports {len(lost)} drop-out(s), {sum(d['length'] for d in lost):.2f} s "
+            "in all"
+        )
     if content["problem"]:
         lines += ["", f"CANNOT BE USED AS IT IS  {content['problem']}"]
     else:
@@ -206,7 +269,11 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
             lines.append(f"  {c['from']}{' -> ' + units if units else ''}{few}")
         good = content["uses"]
         whole = good["fit"] or good["speed_input"]
-        none = "nothing under these names (see LOOKS LIKE and NEXT)" if content["looks_like"] else "nothing"
+        none = (
+            "nothing under these names (see LOOKS LIKE and NEXT)"
+            if content["looks_like"]
+            else "nothing"
+        )
         lines.append(
             "  fits: "
             + (
@@ -217,7 +284,7 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
                 else "no"
             )
             + (", also with rotor speeds as the input" if good["speed_input"] else "")
-        )  # fmt: skip
+        )
         if whole and good["predictor"] == "kalman":
             lines.append("  some channels come slower than the rows: fit with --predictor kalman")
         for other in content["other_sources"][:8]:
@@ -237,10 +304,13 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
         for m in content["missing"]:
             if m["group"] in guessed:
                 lines.append(
-                    f"  {m['group']} ({', '.join(m['channels'])}): not by this name, see above; {m['purpose']}"
+                    f"  {m['group']} ({', '.join(m['channels'])}): not by this name, see above; "
+                    f"{m['purpose']}"
                 )
                 continue
-            lines.append(f"  {m['group']} ({', '.join(m['channels'])}): {m['reason']}; {m['purpose']}")
+            lines.append(
+                f"  {m['group']} ({', '.join(m['channels'])}): {m['reason']}; {m['purpose']}"
+            )
             if m["advice"]:
                 lines.append(f"    to log it: {m['advice']}")
     if content["advice"]:
@@ -249,7 +319,11 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
         lines += ["", "ROTORS of the log, for the vehicle file"]
         for r in content["rotors"]:
             x, y, z = r["position"]
-            lines += ["  [[rotor]]", f"  position = [{x:.4g}, {y:.4g}, {z:.4g}]", f"  spin = {r['spin']}"]
+            lines += [
+                "  [[rotor]]",
+                f"  position = [{x:.4g}, {y:.4g}, {z:.4g}]",
+                f"  spin = {r['spin']}",
+            ]
     if content["notes"]:
         lines += ["", "NOTES", *(f"  {n}" for n in content["notes"])]
     if content["next"]:

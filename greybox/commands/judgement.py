@@ -19,7 +19,8 @@ def accept_option(p: argparse.ArgumentParser) -> None:
         "--accept",
         default="",
         metavar="CHECK,...",
-        help="checks whose blocking findings are overruled, by the name in brackets (frozen,motors); "
+        help="checks whose blocking findings are overruled, by the name in brackets "
+        "(frozen,motors); "
         "the result says so",
     )
 
@@ -40,7 +41,9 @@ def demand_adapt(arguments: argparse.Namespace) -> None:
     from greybox.errors import DataError
 
     if arguments.adapt is not None and not arguments.adapt > 0:
-        raise DataError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
+        raise DataError(
+            "--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5"
+        )
 
 
 def accepted(text: str) -> tuple[str, ...]:
@@ -77,7 +80,9 @@ def given_horizons(arguments: argparse.Namespace, *, own: bool = False) -> dict[
         None if arguments.horizons_samples is None else parse_samples(arguments.horizons_samples)
     )
     longest = math.inf if own else LONGEST
-    seconds = None if arguments.horizons is None else parse_seconds(arguments.horizons, longest=longest)
+    seconds = (
+        None if arguments.horizons is None else parse_seconds(arguments.horizons, longest=longest)
+    )
     return {"horizons": seconds, "horizon_samples": samples}
 
 

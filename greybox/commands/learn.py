@@ -10,7 +10,13 @@ from typing import Any
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
-from greybox.commands.judgement import adapt_option, demand_adapt, exit_code, given_horizons, horizon_options
+from greybox.commands.judgement import (
+    adapt_option,
+    demand_adapt,
+    exit_code,
+    given_horizons,
+    horizon_options,
+)
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.own_model import demand_disjoint, loaded, model_file_option, read_flights_of
 
@@ -24,29 +30,71 @@ def add(subparsers: Any) -> None:
         "hybrid.json, learn.json and report.html (where nothing was worth learning, hybrid.json is the physics with "
         "calibrated uncertainty). Exit code 0: usable (or too calm to judge), 1: not usable, 2: bad input.",
     )
-    p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` or `greybox linear` wrote")
-    p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="the flights that the model was fitted to")
-    p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
+    p.add_argument(
+        "model",
+        metavar="MODEL.json",
+        help="model file that `greybox fit` or `greybox linear` wrote",
+    )
+    p.add_argument(
+        "--train",
+        required=True,
+        nargs="+",
+        metavar="LOG",
+        help="the flights that the model was fitted to",
+    )
+    p.add_argument(
+        "--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees"
+    )
     flight_log_options(p)
-    p.add_argument("--points", default="50", metavar="M", help="support points, a number or auto (default 50)")
-    p.add_argument("--learner", default="gp", metavar="NAME", help="gp (default), random-features, neural (a network with "
-                   "a Bayesian last layer), ensemble (of networks), sparse (a law of few terms), tcn (a convolution "
-                   "over earlier commands), or own.py:Name, Python that is run")  # fmt: skip
+    p.add_argument(
+        "--points", default="50", metavar="M", help="support points, a number or auto (default 50)"
+    )
+    p.add_argument(
+        "--learner",
+        default="gp",
+        metavar="NAME",
+        help="gp (default), random-features, neural (a network with "
+        "a Bayesian last layer), ensemble (of networks), sparse (a law of few terms), tcn (a convolution "
+        "over earlier commands), or own.py:Name, Python that is run",
+    )
     p.add_argument("--kernel", default="se", help="se, matern32, matern52, or linear+ one of these")
-    p.add_argument("--inputs", default=None, metavar="a,b", help="features (default: sets of them compete); "
-                   "u1[t-3] is a command of three samples ago")  # fmt: skip
-    p.add_argument("--place", action="store_true", help="let the place in the room compete as a feature too (walls, vents): "
-                   "what it teaches holds in this room only")  # fmt: skip
+    p.add_argument(
+        "--inputs",
+        default=None,
+        metavar="a,b",
+        help="features (default: sets of them compete); u1[t-3] is a command of three samples ago",
+    )
+    p.add_argument(
+        "--place",
+        action="store_true",
+        help="let the place in the room compete as a feature too (walls, vents): "
+        "what it teaches holds in this room only",
+    )
     adapt_option(p)
     horizon_options(p)
-    p.add_argument("--effects-file", nargs="+", default=[], metavar="F.py",
-                   help="effects of your own in the model, and the laws of model_with_laws.json")  # fmt: skip
+    p.add_argument(
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="F.py",
+        help="effects of your own in the model, and the laws of model_with_laws.json",
+    )
     model_file_option(p)
-    p.add_argument("--vehicle", metavar="V.toml", help="of a linear model: vehicle file, for its column names")
-    p.add_argument("--channels", metavar="'roll=u4-u2,...'", help="of a linear model: sums of columns that its channels are "
-                   "(default: as in fit.json beside it)")  # fmt: skip
-    p.add_argument("--guard", action="store_true", help="of a linear model: raise the sparse GP's "
-                   "variance to that of the full one (docs/residual.md)")  # fmt: skip
+    p.add_argument(
+        "--vehicle", metavar="V.toml", help="of a linear model: vehicle file, for its column names"
+    )
+    p.add_argument(
+        "--channels",
+        metavar="'roll=u4-u2,...'",
+        help="of a linear model: sums of columns that its channels are "
+        "(default: as in fit.json beside it)",
+    )
+    p.add_argument(
+        "--guard",
+        action="store_true",
+        help="of a linear model: raise the sparse GP's "
+        "variance to that of the full one (docs/residual.md)",
+    )
     p.add_argument("--seed", type=int, default=0, help="seed of subsets and restarts")
     p.add_argument("--out", default="greybox-learn", metavar="DIR", help="folder for the results")
     mcap_option(p)
@@ -78,21 +126,32 @@ def run(arguments: argparse.Namespace) -> int:
             points = 0
         if points < 1:
             raise GreyboxError(
-                "--points takes a number above zero or auto", got=repr(arguments.points), fix="--points 50"
+                "--points takes a number above zero or auto",
+                got=repr(arguments.points),
+                fix="--points 50",
             )
     if arguments.place and arguments.inputs:
-        raise GreyboxError("--place competes with other sets, --inputs is the only one", fix="one of the two")
+        raise GreyboxError(
+            "--place competes with other sets, --inputs is the only one", fix="one of the two"
+        )
     need_mcap(arguments.mcap)
     if is_linear(arguments.model):
         if arguments.mcap:
-            raise GreyboxError("--mcap is for models of a vehicle", got=f"the linear model {arguments.model}")
+            raise GreyboxError(
+                "--mcap is for models of a vehicle", got=f"the linear model {arguments.model}"
+            )
         if arguments.place:
-            raise GreyboxError("--place is for models of a vehicle", got=f"the linear model {arguments.model}")
+            raise GreyboxError(
+                "--place is for models of a vehicle", got=f"the linear model {arguments.model}"
+            )
         if arguments.guard and arguments.learner != "gp":
-            raise GreyboxError("--guard is for the Gaussian process", got=f"--learner {arguments.learner}")
+            raise GreyboxError(
+                "--guard is for the Gaussian process", got=f"--learner {arguments.learner}"
+            )
         if arguments.keep_impossible:
             raise GreyboxError(
-                "--keep-impossible is for models of a vehicle", got=f"the linear model {arguments.model}"
+                "--keep-impossible is for models of a vehicle",
+                got=f"the linear model {arguments.model}",
             )
         return run_output(arguments)
     if arguments.guard:
@@ -107,16 +166,29 @@ def run(arguments: argparse.Namespace) -> int:
     )
     demand_disjoint(train, test)
     console = Console.of(arguments)
-    names = tuple(n.strip() for n in arguments.inputs.split(",") if n.strip()) if arguments.inputs else None
+    names = (
+        tuple(n.strip() for n in arguments.inputs.split(",") if n.strip())
+        if arguments.inputs
+        else None
+    )
     learned = learn(
-        model, train, features=names, place=arguments.place, kernel=arguments.kernel, points=points,
-        learner=arguments.learner, seed=arguments.seed, progress=console.share,
-    )  # fmt: skip
+        model,
+        train,
+        features=names,
+        place=arguments.place,
+        kernel=arguments.kernel,
+        points=points,
+        learner=arguments.learner,
+        seed=arguments.seed,
+        progress=console.share,
+    )
     content = learned.to_dict()
     content["command"] = typed("learn")
     unseen = sorted(set(model.trained_on) - set(train.names))
     if unseen:
-        content["warnings"].append(f"the model was also fitted to {', '.join(unseen)}, which were not given")
+        content["warnings"].append(
+            f"the model was also fitted to {', '.join(unseen)}, which were not given"
+        )
     out = Path(arguments.out)
     # What was learned is safe before anything else can go wrong.
     withdraw(out, *RESULTS)
@@ -138,7 +210,9 @@ def run(arguments: argparse.Namespace) -> int:
     save_model(hybrid, out / "hybrid.json")
     content["verdict"] = None if verdict is None else verdict.to_dict()
     if not test.flights:
-        content["warnings"].append("validated on the flights that were learned from: give --test flights")
+        content["warnings"].append(
+            "validated on the flights that were learned from: give --test flights"
+        )
     content["validation"] = checked
     write_json(out / "learn.json", content)
     page = learn_report(content, title=f"What {model.name} misses")
@@ -146,7 +220,10 @@ def run(arguments: argparse.Namespace) -> int:
     adapted = ((checked.get("after") or {}).get("adapted_on") or {}).get("flights")
     write_if_asked(arguments.mcap, hybrid, train, test, adapted=adapted)
     console.result(
-        content, NOT_JUDGED if verdict is None else verdict.line, *(f"warning: {w}" for w in content["warnings"]),
-        learned.summary(), f"wrote hybrid.json, learn.json and {report.name} in {out}",
-    )  # fmt: skip
+        content,
+        NOT_JUDGED if verdict is None else verdict.line,
+        *(f"warning: {w}" for w in content["warnings"]),
+        learned.summary(),
+        f"wrote hybrid.json, learn.json and {report.name} in {out}",
+    )
     return exit_code(verdict)

@@ -24,7 +24,8 @@ def is_linear(path: str) -> bool:
 
 
 def run_output(arguments: argparse.Namespace) -> int:
-    """Read the linear model and the logs, learn its one-step errors, judge before and after, report."""
+    """Read the linear model and the logs, learn its one-step errors, judge before and after,
+    report."""
     import numpy as np
 
     from greybox.baselines.decoupled import combined
@@ -53,14 +54,27 @@ def run_output(arguments: argparse.Namespace) -> int:
         else Dataset(flights=())
     )
     demand_disjoint(train, test)
-    names = tuple(n.strip() for n in arguments.inputs.split(",") if n.strip()) if arguments.inputs else None
+    names = (
+        tuple(n.strip() for n in arguments.inputs.split(",") if n.strip())
+        if arguments.inputs
+        else None
+    )
     points: Any = arguments.points if arguments.points == "auto" else int(arguments.points)
     terms = {s.name: s.terms for s in inputs}
     base, channels = combined(models, terms)
     hybrid = fit_output_residual(
-        base, train, channels=channels, features=names, kernel=arguments.kernel, points=points, adapt=arguments.adapt,
-        learner=arguments.learner, seed=arguments.seed, guard=arguments.guard, progress=console.share,
-    )  # fmt: skip
+        base,
+        train,
+        channels=channels,
+        features=names,
+        kernel=arguments.kernel,
+        points=points,
+        adapt=arguments.adapt,
+        learner=arguments.learner,
+        seed=arguments.seed,
+        guard=arguments.guard,
+        progress=console.share,
+    )
     out = Path(arguments.out)
     withdraw(out, *RESULTS)
     hybrid.save(out / "hybrid.json")
@@ -74,18 +88,34 @@ def run_output(arguments: argparse.Namespace) -> int:
         warnings.append("validated on the flights that were learned from: give --test flights")
     command = typed("learn")
     content: dict[str, Any] = {
-        "schema": "greybox.output_residual/1", "kind": "output", "command": command, "model": hybrid.name,
-        "features": list(hybrid.features), "outputs": [
+        "schema": "greybox.output_residual/1",
+        "kind": "output",
+        "command": command,
+        "model": hybrid.name,
+        "features": list(hybrid.features),
+        "outputs": [
             {"name": n, "unit": s.unit, "learned": active}
-            for n, s, active in zip(hybrid.outputs, hybrid.posterior.outputs, hybrid.posterior.active, strict=True)
+            for n, s, active in zip(
+                hybrid.outputs, hybrid.posterior.outputs, hybrid.posterior.active, strict=True
+            )
         ],
-        "null": not any(hybrid.posterior.active), "learner": hybrid.report["settings"]["learner"],
-        "kernel": arguments.kernel if arguments.learner == GP else None, "points": hybrid.posterior.points,
-        "adapt": arguments.adapt, "parameters": hybrid.parameters, "seconds": hybrid.train_seconds, "seed": arguments.seed,
-        "samples": hybrid.report["samples"], "training": hybrid.report["training"],
-        "trained_on": list(train.names), "judged_on": list(judged.names), "data_hash": train.hash, "validation": None,
-        "warnings": warnings, "versions": library_versions(),
-    }  # fmt: skip
+        "null": not any(hybrid.posterior.active),
+        "learner": hybrid.report["settings"]["learner"],
+        "kernel": arguments.kernel if arguments.learner == GP else None,
+        "points": hybrid.posterior.points,
+        "adapt": arguments.adapt,
+        "parameters": hybrid.parameters,
+        "seconds": hybrid.train_seconds,
+        "seed": arguments.seed,
+        "samples": hybrid.report["samples"],
+        "training": hybrid.report["training"],
+        "trained_on": list(train.names),
+        "judged_on": list(judged.names),
+        "data_hash": train.hash,
+        "validation": None,
+        "warnings": warnings,
+        "versions": library_versions(),
+    }
     write_json(out / "learn.json", content)
     console.share("validate", 1.0)
     try:
@@ -95,13 +125,17 @@ def run_output(arguments: argparse.Namespace) -> int:
     write_json(out / "learn.json", content)
     report = write_atomic(out / "report.html", output_report(content))
     console.result(
-        content, *(f"warning: {w}" for w in warnings), _summary(content),
+        content,
+        *(f"warning: {w}" for w in warnings),
+        _summary(content),
         f"wrote hybrid.json, learn.json and {report.name} in {out}",
-    )  # fmt: skip
+    )
     return 0
 
 
-def _flights(paths: Sequence[str], inputs: Any, outputs: Any, vehicle: Any, rate: float, mapping: Any) -> Any:
+def _flights(
+    paths: Sequence[str], inputs: Any, outputs: Any, vehicle: Any, rate: float, mapping: Any
+) -> Any:
     """The logs as flights that hold every output under its name."""
     from greybox.data import Dataset
     from greybox.errors import DataError, UnknownNameError
@@ -114,13 +148,16 @@ def _flights(paths: Sequence[str], inputs: Any, outputs: Any, vehicle: Any, rate
             raise
         wanted = ", ".join(dict.fromkeys(c for s in (*inputs, *outputs) for _, c in s.terms))
         raise DataError(
-            f"the log lacks columns of the model: {str(error).partition('. Usual fix')[0]}", expected=wanted,
-            fix="--vehicle V.toml, where the model was fitted with a vehicle file that names the columns",
+            f"the log lacks columns of the model: {str(error).partition('. Usual fix')[0]}",
+            expected=wanted,
+            fix="--vehicle V.toml, where the model was fitted with a vehicle file that names the "
+            "columns",
         ) from None
     flights = []
     for flight in found.flights:
         segments = tuple(
-            s.replace({o.name: sum(w * s.column(c) for w, c in o.terms) for o in outputs}) for s in flight.segments
+            s.replace({o.name: sum(w * s.column(c) for w, c in o.terms) for o in outputs})
+            for s in flight.segments
         )
         flights.append(replace(flight, segments=segments))
     return Dataset(flights=tuple(flights))

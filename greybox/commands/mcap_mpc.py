@@ -1,7 +1,8 @@
-"""`greybox mpc --mcap F.mcap`: the watched flights of every controller beside each other, with their plans.
+"""`greybox mpc --mcap F.mcap`: the watched flights of every controller beside each other, with
+their plans.
 
-One channel per flight, controller and kind, /flight_SEED/CONTROLLER/KIND; all flights begin at zero, so that controllers
-fly side by side.
+One channel per flight, controller and kind, /flight_SEED/CONTROLLER/KIND; all flights begin at
+zero, so that controllers fly side by side.
 """
 
 from __future__ import annotations
@@ -34,14 +35,26 @@ def _flight(out: Recording, root: str, trace: Mapping[str, Any], row: Mapping[st
     # Traces of earlier versions have no attitude.
     attitude = trace.get("attitude") or [_LEVEL] * len(trace["path"])
     poses = [pose_of((*p, *q)) for p, q in zip(trace["path"], attitude, strict=True)]
-    for t, pose, nearest, tilt in zip(trace["time"], poses, trace["nearest"], trace["tilt"], strict=True):
+    for t, pose, nearest, tilt in zip(
+        trace["time"], poses, trace["nearest"], trace["tilt"], strict=True
+    ):
         out.pose(root, t, pose, craft=root.replace("/", " ").strip())
         far = math.inf if nearest is None else nearest
         out.message(f"{root}/margin", MARGIN, t, {"value": {"nearest": far, "tilt": tilt}})
-    out.message(f"{root}/path", "foxglove.PosesInFrame", trace["time"][0], {"frame_id": WORLD, "poses": poses})
+    out.message(
+        f"{root}/path",
+        "foxglove.PosesInFrame",
+        trace["time"][0],
+        {"frame_id": WORLD, "poses": poses},
+    )
     for plan in trace["plans"]:
         places = [pose_of((*p, *_LEVEL)) for p in plan["place"]]
-        out.message(f"{root}/plan", "foxglove.PosesInFrame", plan["time"], {"frame_id": WORLD, "poses": places})
+        out.message(
+            f"{root}/plan",
+            "foxglove.PosesInFrame",
+            plan["time"],
+            {"frame_id": WORLD, "poses": places},
+        )
     for event in row.get("events", ()):
         out.log(f"{root}/events", event["time"], event["what"])
     for crossing in row.get("crossings", ()):

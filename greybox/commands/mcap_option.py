@@ -9,21 +9,30 @@ from typing import Any
 def mcap_option(p: Any) -> None:
     """Declare --mcap."""
     p.add_argument(
-        "--mcap", metavar="F.mcap", default=None,
-        help="also write the flights beside the model's predictions, with innovations, force and torque, for Foxglove, "
+        "--mcap",
+        metavar="F.mcap",
+        default=None,
+        help="also write the flights beside the model's predictions, with innovations, force and "
+        "torque, for Foxglove, "
         "Rerun or PlotJuggler",
-    )  # fmt: skip
+    )
 
 
 def need_mcap(path: str | None) -> None:
-    """Raises `DataError` for another ending, and where the library is not there: before any work."""
+    """Raises `DataError` for another ending, and where the library is not there: before any
+    work."""
     if path is None:
         return
     from greybox.data.readers.recording import library
     from greybox.errors import DataError
 
     if Path(path).suffix.lower() != ".mcap":
-        raise DataError("a recording ends in .mcap", where="--mcap", got=path, fix=f"--mcap {Path(path).stem}.mcap")
+        raise DataError(
+            "a recording ends in .mcap",
+            where="--mcap",
+            got=path,
+            fix=f"--mcap {Path(path).stem}.mcap",
+        )
     library("mcap.writer", where="--mcap", what="a recording for Foxglove")
 
 
@@ -32,7 +41,12 @@ def need_ulog(path: str | None) -> None:
     from greybox.errors import DataError
 
     if path is not None and Path(path).suffix.lower() != ".ulg":
-        raise DataError("Flight Review takes .ulg", where="--ulog", got=path, fix=f"--ulog {Path(path).stem}.ulg")
+        raise DataError(
+            "Flight Review takes .ulg",
+            where="--ulog",
+            got=path,
+            fix=f"--ulog {Path(path).stem}.ulg",
+        )
 
 
 def write_if_asked(path: str | None, model: Any, *datasets: Any, adapted: Any = None) -> None:

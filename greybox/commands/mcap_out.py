@@ -1,8 +1,9 @@
 """`--mcap F.mcap`: flights beside what a model says of them, for Foxglove, Rerun and PlotJuggler.
 
-Poses, paths and lines of a log are messages of Foxglove (https://docs.foxglove.dev/docs/sdk/schemas), as protocol buffers:
-Rerun and PlotJuggler take those apart, and leave JSON as bytes. Innovations, forces and torques are plain numbers, each
-in a type of its own. One channel per flight and kind, /FLIGHT/KIND.
+Poses, paths and lines of a log are messages of Foxglove
+(https://docs.foxglove.dev/docs/sdk/schemas), as protocol buffers: Rerun and PlotJuggler take those
+apart, and leave JSON as bytes. Innovations, forces and torques are plain numbers, each in a type of
+its own. One channel per flight and kind, /FLIGHT/KIND.
 """
 
 from __future__ import annotations
@@ -29,8 +30,10 @@ from greybox.symbolic import FloatArray
 AHEAD = 0.5
 """Seconds that `ahead` looks ahead, as the curves of a page."""
 BAND = 1.96
-"""Half width of the band of force and torque in standard deviations: 95 % of a normal distribution."""
+"""Half width of the band of force and torque in standard deviations: 95 % of a normal
+distribution."""
 WORLD = "world"
+
 
 def _message(name: str, of: str, number: int, *, many: bool = False) -> Field:
     return Field(name=name, number=number, kind="message", of=of, many=many)
@@ -42,24 +45,41 @@ TYPES: Types = {
     "foxglove.Vector3": fields(*"xyz"),
     "foxglove.Quaternion": fields(*"xyzw"),
     "foxglove.Pose": (
-        _message("position", "foxglove.Vector3", 1), _message("orientation", "foxglove.Quaternion", 2),
+        _message("position", "foxglove.Vector3", 1),
+        _message("orientation", "foxglove.Quaternion", 2),
     ),
-    "foxglove.PoseInFrame": fields(_STAMP, ("frame_id", "string"), ("pose", "message", "foxglove.Pose")),
+    "foxglove.PoseInFrame": fields(
+        _STAMP, ("frame_id", "string"), ("pose", "message", "foxglove.Pose")
+    ),
     "foxglove.PosesInFrame": fields(
         _STAMP, ("frame_id", "string"), _message("poses", "foxglove.Pose", 3, many=True)
     ),
     "foxglove.FrameTransform": fields(
-        _STAMP, ("parent_frame_id", "string"), ("child_frame_id", "string"),
-        ("translation", "message", "foxglove.Vector3"), ("rotation", "message", "foxglove.Quaternion"),
+        _STAMP,
+        ("parent_frame_id", "string"),
+        ("child_frame_id", "string"),
+        ("translation", "message", "foxglove.Vector3"),
+        ("rotation", "message", "foxglove.Quaternion"),
     ),
     "foxglove.Log": fields(
-        _STAMP, ("level", "enum", "foxglove.Log.Level"), ("message", "string"), ("name", "string"), ("file", "string"),
+        _STAMP,
+        ("level", "enum", "foxglove.Log.Level"),
+        ("message", "string"),
+        ("name", "string"),
+        ("file", "string"),
         ("line", "fixed32"),
     ),
-}  # fmt: skip
+}
 """Message types by full name, with Foxglove's own numbers."""
 ENUMS: Enums = {
-    "foxglove.Log.Level": {"UNKNOWN": 0, "DEBUG": 1, "INFO": 2, "WARNING": 3, "ERROR": 4, "FATAL": 5}
+    "foxglove.Log.Level": {
+        "UNKNOWN": 0,
+        "DEBUG": 1,
+        "INFO": 2,
+        "WARNING": 3,
+        "ERROR": 4,
+        "FATAL": 5,
+    }
 }
 
 
@@ -100,11 +120,14 @@ class Recording:
         self._types.update(types)
 
     def message(self, topic: str, kind: str, t: float, content: Mapping[str, Any]) -> None:
-        """One message of a channel at `t` [s], without its stamp; `kind` is the full name of its type."""
+        """One message of a channel at `t` [s], without its stamp; `kind` is the full name of its
+        type."""
         if topic not in self._channels:
             if kind not in self._schemas:
                 text = describe(self._types, kind, ENUMS)
-                self._schemas[kind] = self._writer.register_schema(name=kind, encoding="protobuf", data=text)
+                self._schemas[kind] = self._writer.register_schema(
+                    name=kind, encoding="protobuf", data=text
+                )
             self._channels[topic] = self._writer.register_channel(
                 topic=topic, message_encoding="protobuf", schema_id=self._schemas[kind]
             )
@@ -112,20 +135,32 @@ class Recording:
         stamp = {"seconds": nanoseconds // 10**9, "nanos": nanoseconds % 10**9}
         sequence = self._count[topic] = self._count.get(topic, -1) + 1
         self._writer.add_message(
-            channel_id=self._channels[topic], log_time=nanoseconds, publish_time=nanoseconds, sequence=sequence,
+            channel_id=self._channels[topic],
+            log_time=nanoseconds,
+            publish_time=nanoseconds,
+            sequence=sequence,
             data=encode(self._types, kind, {"timestamp": stamp, **content}),
-        )  # fmt: skip
+        )
 
     def pose(self, root: str, t: float, pose: Mapping[str, Any], *, craft: str) -> None:
         """A pose at a time, and the same as the frame `craft`, which a 3D view moves."""
         self.message(f"{root}/pose", "foxglove.PoseInFrame", t, {"frame_id": WORLD, "pose": pose})
-        place = {"parent_frame_id": WORLD, "child_frame_id": craft,
-                 "translation": pose["position"], "rotation": pose["orientation"]}  # fmt: skip
+        place = {
+            "parent_frame_id": WORLD,
+            "child_frame_id": craft,
+            "translation": pose["position"],
+            "rotation": pose["orientation"],
+        }
         self.message(f"{root}/tf", "foxglove.FrameTransform", t, place)
 
     def log(self, topic: str, t: float, text: str, *, level: int = INFO) -> None:
         """A line of text at a time."""
-        self.message(topic, "foxglove.Log", t, {"level": level, "message": text, "name": "greybox", "file": "", "line": 0})
+        self.message(
+            topic,
+            "foxglove.Log",
+            t,
+            {"level": level, "message": text, "name": "greybox", "file": "", "line": 0},
+        )
 
 
 @contextlib.contextmanager
@@ -141,8 +176,11 @@ def recording(path: str | Path) -> Iterator[Recording]:
     write_atomic(path, stream.getvalue())
 
 
-def write_mcap(path: str | Path, model: Any, *datasets: Dataset, adapted: Mapping[str, Any] | None = None) -> None:
-    """All flights of the data sets beside what `model` says of them. `adapted` are per-flight values by flight."""
+def write_mcap(
+    path: str | Path, model: Any, *datasets: Dataset, adapted: Mapping[str, Any] | None = None
+) -> None:
+    """All flights of the data sets beside what `model` says of them. `adapted` are per-flight
+    values by flight."""
     runner = Filter(model)
     with recording(path) as out:
         flights = [f for data in datasets for f in data]
@@ -160,11 +198,15 @@ def write_mcap(path: str | Path, model: Any, *datasets: Dataset, adapted: Mappin
                     gap = float(segment.t[0] - flight.segments[i - 1].t[-1])
                     text = f"nothing usable for {gap:.2f} s before this"
                     out.log(f"{root}/events", shift + float(segment.t[0]), text, level=WARNING)
-                found = runner.run(segment, p=flight_parameters(model, (adapted or {}).get(flight.name)))
+                found = runner.run(
+                    segment, p=flight_parameters(model, (adapted or {}).get(flight.name))
+                )
                 _segment(out, root, runner, found, segment, shift)
 
 
-def _segment(out: Recording, root: str, runner: Filter, found: Filtered, segment: Segment, shift: float) -> None:
+def _segment(
+    out: Recording, root: str, runner: Filter, found: Filtered, segment: Segment, shift: float
+) -> None:
     dynamics = runner.model.dynamics
     names = dynamics.outputs.names
     times = segment.t + shift
@@ -181,7 +223,12 @@ def _segment(out: Recording, root: str, runner: Filter, found: Filtered, segment
                     out.pose(f"{root}/{kind}", t, pose, craft=f"{root[1:]} {kind}")
             if path:
                 thin = path[:: max(1, len(path) // 500)]
-                out.message(f"{root}/{kind}/path", "foxglove.PosesInFrame", times[0], {"frame_id": WORLD, "poses": thin})
+                out.message(
+                    f"{root}/{kind}/path",
+                    "foxglove.PosesInFrame",
+                    times[0],
+                    {"frame_id": WORLD, "poses": thin},
+                )
     labels = dynamics.innovations.names
     fields_of = plain_names(labels)
     out.declare(rows_of("greybox.Innovations", ("value", "std"), fields_of))

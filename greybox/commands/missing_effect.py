@@ -1,8 +1,8 @@
-"""The story of a missing effect: a simulated quadrotor hides it, `greybox discover` looks for it, and
-what it found is printed beside what was hidden.
+"""The story of a missing effect: a simulated quadrotor hides it, `greybox discover` looks for it,
+and what it found is printed beside what was hidden.
 
-A 250 mm quadrotor flies in closed loop through random waypoints. Its vehicle file is ten per cent off
-in inertia and thrust and knows no effect. The test flight is another path with other noise.
+A 250 mm quadrotor flies in closed loop through random waypoints. Its vehicle file is ten per cent
+off in inertia and thrust and knows no effect. The test flight is another path with other noise.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ def write_story(folder: Path, hidden: Sequence[PlantEffect], seconds: float = 16
 
 
 def tell(folder: Path, hidden: Sequence[PlantEffect]) -> None:
-    """Print what was hidden beside what discovery.json in `folder` names, and how the gap closed."""
+    """Print what was hidden beside what discovery.json in `folder` names, and how the gap
+    closed."""
     from greybox.files import read_json
     from greybox.validation.gap import closed_in_words
 
@@ -61,7 +62,9 @@ def tell(folder: Path, hidden: Sequence[PlantEffect]) -> None:
         for full, value in effect.parameters().items():
             p = named.get(effect.name, {}).get(full.split(".", 1)[1])
             numbers = (
-                f"{p['value']:10.4g} {p['std'] or float('nan'):9.2g}" if p else f"{'not named':>10s}"
+                f"{p['value']:10.4g} {p['std'] or float('nan'):9.2g}"
+                if p
+                else f"{'not named':>10s}"
             )
             print(f"{full:36s} {float(value):10.4g} {numbers}")
     others = sorted(set(named) - {e.name for e in hidden})

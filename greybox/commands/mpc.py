@@ -1,4 +1,5 @@
-"""`greybox mpc`: fly an identified model inside limits, in closed loop, and show how often they were crossed."""
+"""`greybox mpc`: fly an identified model inside limits, in closed loop, and show how often they
+were crossed."""
 
 from __future__ import annotations
 
@@ -16,37 +17,90 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "mpc",
         help="fly an identified model through a course with limits, with and without a tube",
-        description="Fly controllers on an identified model through a course whose limits bind, many seeded flights "
-        "each: the model alone, with limits tightened by a tube, with one constant back-off, and a cascade of "
-        "PID loops. `rates` flies a rate controller on a linear model with a Gaussian process instead. Writes "
-        "flights.jsonl (kept and resumed), mpc.json and report.html. Exit code 0: done, 1: refused, "
-        "as the model is not usable, 2: bad input, 130: interrupted (the report shows what was flown until then).",
+        description="Fly controllers on an identified model through a course whose limits bind, "
+        "many seeded flights "
+        "each: the model alone, with limits tightened by a tube, with one constant back-off, and a "
+        "cascade of "
+        "PID loops. `rates` flies a rate controller on a linear model with a Gaussian process "
+        "instead. Writes "
+        "flights.jsonl (kept and resumed), mpc.json and report.html. Exit code 0: done, 1: "
+        "refused, "
+        "as the model is not usable, 2: bad input, 130: interrupted (the report shows what was "
+        "flown until then).",
     )
-    p.add_argument("subject", metavar="MODEL.json|demo|rates", help="model file of `greybox fit` or `learn`; demo: "
-                   "identify a simulated vehicle with hidden effects from one flight first; rates: a linear model of the "
-                   "body rates with a process on its residual")  # fmt: skip
-    p.add_argument("--plant", metavar="MODULE:ATTRIBUTE", help="the vehicle that is flown, with reset, step, "
-                   "measure and truth (default: "
-                   "the model itself, disturbed; Python code that is run, only what you trust)")  # fmt: skip
-    p.add_argument("--log", nargs="+", default=[], metavar="LOG", help="real flights whose unexplained force and torque "
-                   "disturb the model (default: the identified process noise)")  # fmt: skip
-    p.add_argument("--course", default="mpc_export.mission:OBSTACLE_COURSE", metavar="MODULE:ATTRIBUTE", help="path and "
-                   "limits, an mpc_export.mission.Course (default: a wall, a gap, a low ceiling)")  # fmt: skip
-    p.add_argument("--flights", type=int, default=20, metavar="N", help="flights per controller (default 20)")
-    p.add_argument("--level", type=float, default=0.1, metavar="P", help="share of flights that may cross a "
-                   "limit (default 0.1)")  # fmt: skip
-    p.add_argument("--pace", type=float, default=None, metavar="F", help="fly the course in F times the time (default: "
-                   "1, or slow enough for the speeds that the model was trained at)")  # fmt: skip
     p.add_argument(
-        "--jobs", type=int, default=1, metavar="N", help="flights at a time (default 1; 2 spoil solution times a bit)"
+        "subject",
+        metavar="MODEL.json|demo|rates",
+        help="model file of `greybox fit` or `learn`; demo: "
+        "identify a simulated vehicle with hidden effects from one flight first; rates: a linear "
+        "model of the "
+        "body rates with a process on its residual",
     )
-    p.add_argument("--risk", choices=("rehearsal", "boole"), default="rehearsal", help="how the level becomes a back-off: "
-                   "flights against the model itself (default), or Boole's inequality over touched limits")  # fmt: skip
+    p.add_argument(
+        "--plant",
+        metavar="MODULE:ATTRIBUTE",
+        help="the vehicle that is flown, with reset, step, "
+        "measure and truth (default: "
+        "the model itself, disturbed; Python code that is run, only what you trust)",
+    )
+    p.add_argument(
+        "--log",
+        nargs="+",
+        default=[],
+        metavar="LOG",
+        help="real flights whose unexplained force and torque "
+        "disturb the model (default: the identified process noise)",
+    )
+    p.add_argument(
+        "--course",
+        default="mpc_export.mission:OBSTACLE_COURSE",
+        metavar="MODULE:ATTRIBUTE",
+        help="path and "
+        "limits, an mpc_export.mission.Course (default: a wall, a gap, a low ceiling)",
+    )
+    p.add_argument(
+        "--flights", type=int, default=20, metavar="N", help="flights per controller (default 20)"
+    )
+    p.add_argument(
+        "--level",
+        type=float,
+        default=0.1,
+        metavar="P",
+        help="share of flights that may cross a limit (default 0.1)",
+    )
+    p.add_argument(
+        "--pace",
+        type=float,
+        default=None,
+        metavar="F",
+        help="fly the course in F times the time (default: "
+        "1, or slow enough for the speeds that the model was trained at)",
+    )
+    p.add_argument(
+        "--jobs",
+        type=int,
+        default=1,
+        metavar="N",
+        help="flights at a time (default 1; 2 spoil solution times a bit)",
+    )
+    p.add_argument(
+        "--risk",
+        choices=("rehearsal", "boole"),
+        default="rehearsal",
+        help="how the level becomes a back-off: "
+        "flights against the model itself (default), or Boole's inequality over touched limits",
+    )
     p.add_argument("--seed", type=int, default=0, metavar="S", help="another set of gusts")
-    p.add_argument("--even-so", action="store_true", help="go on although the model was judged not usable")
+    p.add_argument(
+        "--even-so", action="store_true", help="go on although the model was judged not usable"
+    )
     p.add_argument("--out", default="greybox-mpc", metavar="DIR", help="folder for the results")
-    p.add_argument("--mcap", metavar="F.mcap", default=None, help="also write the watched flights with their plans, for "
-                   "Foxglove, Rerun or PlotJuggler")  # fmt: skip
+    p.add_argument(
+        "--mcap",
+        metavar="F.mcap",
+        default=None,
+        help="also write the watched flights with their plans, for Foxglove, Rerun or PlotJuggler",
+    )
     json_option(p, "mpc.json")
     p.set_defaults(run=run)
 
@@ -55,11 +109,17 @@ def _check(arguments: argparse.Namespace) -> None:
     from greybox.errors import GreyboxError
 
     if not 0 < arguments.level < 1:
-        raise GreyboxError("--level takes a share of flights", got=f"{arguments.level:g}", fix="--level 0.1")
+        raise GreyboxError(
+            "--level takes a share of flights", got=f"{arguments.level:g}", fix="--level 0.1"
+        )
     if not 1 <= arguments.flights <= 1000:
-        raise GreyboxError("--flights takes 1 to 1000", got=str(arguments.flights), fix="--flights 20")
+        raise GreyboxError(
+            "--flights takes 1 to 1000", got=str(arguments.flights), fix="--flights 20"
+        )
     if arguments.jobs < 1:
-        raise GreyboxError("--jobs takes a number above zero", got=str(arguments.jobs), fix="--jobs 1")
+        raise GreyboxError(
+            "--jobs takes a number above zero", got=str(arguments.jobs), fix="--jobs 1"
+        )
     if arguments.seed < 0:
         raise GreyboxError("--seed takes 0 or more", got=str(arguments.seed), fix="--seed 0")
     if arguments.pace is not None and not 0.5 <= arguments.pace <= 10:
@@ -67,7 +127,8 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prepare, fly, report; what was flown is reported even when interrupted. Returns 0, or 1 where it refuses."""
+    """Prepare, fly, report; what was flown is reported even when interrupted. Returns 0, or 1 where
+    it refuses."""
     from greybox.files import write_atomic, write_json
 
     _check(arguments)
@@ -85,9 +146,11 @@ def run(arguments: argparse.Namespace) -> int:
     base = file.get("base")
     if "own" in (file.get("kind"), base.get("kind") if isinstance(base, dict) else None):
         raise GreyboxError(
-            "the courses are flown by vehicles", where=arguments.subject, got=f"the model {file.get('name')} of your own",
+            "the courses are flown by vehicles",
+            where=arguments.subject,
+            got=f"the model {file.get('name')} of your own",
             fix="greybox export, and a controller on its f_d as in docs/own_model.md",
-        )  # fmt: skip
+        )
     judged = gate(file, arguments.subject, even_so=arguments.even_so)
     if not judged.open:
         judged.say("mpc")
@@ -105,21 +168,37 @@ def run(arguments: argparse.Namespace) -> int:
 
         demo = Demo(identify=identify, plant=PLANT)
     flown = prepare(
-        arguments.subject, out, demo=demo,
-        plant=arguments.plant, logs=arguments.log, course=arguments.course, pace=arguments.pace,
+        arguments.subject,
+        out,
+        demo=demo,
+        plant=arguments.plant,
+        logs=arguments.log,
+        course=arguments.course,
+        pace=arguments.pace,
         risk=arguments.risk,
-        flights_=arguments.flights, level=arguments.level, seed=arguments.seed, jobs=arguments.jobs, say=console.say_when,
-    )  # fmt: skip
+        flights_=arguments.flights,
+        level=arguments.level,
+        seed=arguments.seed,
+        jobs=arguments.jobs,
+        say=console.say_when,
+    )
     judged.say("mpc")
     campaign, watched = flown.hangar.campaign, flown.seeds[:WATCHED]
 
     def report(warnings: list[str]) -> dict[str, Any]:
         rows = kept(campaign, flown.entries, flown.seeds)
         content = summary(
-            what=flown.what, task=campaign.mission(), entries=flown.entries, rows=rows, level=arguments.level,
-            tuning=flown.tuning, seeds=flown.seeds, jobs=arguments.jobs, command=command,
+            what=flown.what,
+            task=campaign.mission(),
+            entries=flown.entries,
+            rows=rows,
+            level=arguments.level,
+            tuning=flown.tuning,
+            seeds=flown.seeds,
+            jobs=arguments.jobs,
+            command=command,
             warnings=[*warnings, *flown.warnings],
-        )  # fmt: skip
+        )
         write_json(out / "mpc.json", content)
         traces = read_traces(campaign, flown.entries, watched)
         write_atomic(out / "report.html", mpc_report(content, rows, traces))
@@ -131,7 +210,14 @@ def run(arguments: argparse.Namespace) -> int:
 
     arguments.kept = f"what was flown is in {out}; the same command goes on"
     try:
-        flights(flown.hangar, flown.entries, flown.seeds, jobs=arguments.jobs, watched=watched, say=console.say_when)
+        flights(
+            flown.hangar,
+            flown.entries,
+            flown.seeds,
+            jobs=arguments.jobs,
+            watched=watched,
+            say=console.say_when,
+        )
     except KeyboardInterrupt:
         report(["The run was interrupted: run the same command again to go on."])
         raise

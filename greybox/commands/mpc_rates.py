@@ -1,4 +1,5 @@
-"""`greybox mpc rates`: the paper's idea flown, a rate controller on a linear model with a Gaussian process."""
+"""`greybox mpc rates`: the paper's idea flown, a rate controller on a linear model with a Gaussian
+process."""
 
 from __future__ import annotations
 
@@ -10,9 +11,15 @@ from greybox.commands.command_line import typed
 from greybox.commands.console import Console
 
 OTHERS: dict[str, Any] = {
-    "plant": None, "log": [], "course": "mpc_export.mission:OBSTACLE_COURSE", "pace": None, "jobs": 1,
-    "risk": "rehearsal", "even_so": False, "mcap": None,
-}  # fmt: skip
+    "plant": None,
+    "log": [],
+    "course": "mpc_export.mission:OBSTACLE_COURSE",
+    "pace": None,
+    "jobs": 1,
+    "risk": "rehearsal",
+    "even_so": False,
+    "mcap": None,
+}
 """Options of a model that flies a course, with the values that they have where nobody gave them."""
 
 
@@ -23,9 +30,10 @@ def run(arguments: argparse.Namespace) -> int:
     for name, default in OTHERS.items():
         if getattr(arguments, name) != default:
             raise GreyboxError(
-                f"--{name.replace('_', '-')} belongs to a model that flies a course", got="rates",
+                f"--{name.replace('_', '-')} belongs to a model that flies a course",
+                got="rates",
                 fix="leave it out, or name a model.json",
-            )  # fmt: skip
+            )
     from greybox.files import write_atomic, write_json
     from greybox.report.rates_report import rates_report
     from mpc_export.mission import judging
@@ -47,9 +55,13 @@ def run(arguments: argparse.Namespace) -> int:
     watched = seeds[:WATCHED]
 
     def report() -> dict[str, Any]:
-        content = summary(flown, kept(flown, list(TEXTS), seeds), seeds, typed("mpc", "greybox mpc rates"))
+        content = summary(
+            flown, kept(flown, list(TEXTS), seeds), seeds, typed("mpc", "greybox mpc rates")
+        )
         write_json(out / "mpc_rates.json", content)
-        write_atomic(out / "report.html", rates_report(content, read_traces(flown, watched), stage=DT))
+        write_atomic(
+            out / "report.html", rates_report(content, read_traces(flown, watched), stage=DT)
+        )
         return content
 
     arguments.kept = f"what was flown is in {out}; the same command goes on"
@@ -59,6 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
         report()
         raise
     content = report()
-    written = f"wrote flights.jsonl, mpc_rates.json and report.html in {out} ({console.seconds:.0f} s)"
+    written = (
+        f"wrote flights.jsonl, mpc_rates.json and report.html in {out} ({console.seconds:.0f} s)"
+    )
     console.result(content, format_table(content), content["verdict"], written)
     return 0

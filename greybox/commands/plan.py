@@ -1,4 +1,5 @@
-"""`greybox plan`: excitation flights that make the wanted parameters known, with the standard errors to expect."""
+"""`greybox plan`: excitation flights that make the wanted parameters known, with the standard
+errors to expect."""
 
 from __future__ import annotations
 
@@ -18,7 +19,9 @@ def numbers(text: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"expected numbers separated by commas, got '{text}'") from None
+        raise argparse.ArgumentTypeError(
+            f"expected numbers separated by commas, got '{text}'"
+        ) from None
 
 
 def range_of(text: str) -> tuple[str, tuple[float, float]]:
@@ -35,49 +38,131 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "plan",
         help="propose excitation flights, with the standard errors to expect",
-        description="Propose excitation flights within limits, chosen for the information that they give about the "
-        "parameters (D-optimal), with expected standard errors and the effects they separate. Writes plan.json, setpoints "
-        "and expected log per flight (flight_1.csv, expected_1.csv), plan.png and report.html. Exit code 0: done; 1: done, "
+        description="Propose excitation flights within limits, chosen for the information that "
+        "they give about the "
+        "parameters (D-optimal), with expected standard errors and the effects they separate. "
+        "Writes plan.json, setpoints "
+        "and expected log per flight (flight_1.csv, expected_1.csv), plan.png and report.html. "
+        "Exit code 0: done; 1: done, "
         "but nothing will be known of some wanted parameter; 2: bad input.",
-    )  # fmt: skip
+    )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
     model_file_option(p)
-    p.add_argument("--range", dest="ranges", nargs="+", type=range_of, default=[], metavar="u=LO,HI",
-                   help="of a model of your own: the range of every input")  # fmt: skip
-    p.add_argument("--limit", dest="limits", nargs="+", type=range_of, default=[], metavar="y=LO,HI",
-                   help="of a model of your own: what outputs must not leave")  # fmt: skip
     p.add_argument(
-        "--model", metavar="MODEL.json", help="fitted model: its values, noise and covariance are what is known"
+        "--range",
+        dest="ranges",
+        nargs="+",
+        type=range_of,
+        default=[],
+        metavar="u=LO,HI",
+        help="of a model of your own: the range of every input",
     )
     p.add_argument(
-        "--for", dest="effects", type=names, default=(), metavar="a,b", help="effects that the flights are for"
+        "--limit",
+        dest="limits",
+        nargs="+",
+        type=range_of,
+        default=[],
+        metavar="y=LO,HI",
+        help="of a model of your own: what outputs must not leave",
     )
-    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
-                   help="know the effects of these Python files too, which are run (only what you trust)")  # fmt: skip
-    p.add_argument("--free", type=names, default=None, metavar="a,b", help="estimate exactly these parameters")
-    p.add_argument("--value", type=values, default={}, metavar="a=1,b=2", help="values that are taken for true")
-    p.add_argument("--noise", type=noise_levels, default={}, metavar="sensor.p=0.02,...",
-                   help="noise levels, of a component (sensor.p) or a group (process.torque)")  # fmt: skip
-    p.add_argument("--sensors", type=names, default=None, metavar="a,b",
-                   help="what is logged: position, velocity, attitude, gyro, accelerometer (default: [noise])")  # fmt: skip
     p.add_argument(
-        "--seconds", type=float, default=60.0, metavar="S", help="length of all flights together (default 60)"
+        "--model",
+        metavar="MODEL.json",
+        help="fitted model: its values, noise and covariance are what is known",
     )
-    p.add_argument("--piece", type=float, default=5.0, metavar="S", help="length of one manoeuvre (default 5)")
     p.add_argument(
-        "--flights", type=int, default=1, metavar="N", help="how many flights to split them into (default 1)"
+        "--for",
+        dest="effects",
+        type=names,
+        default=(),
+        metavar="a,b",
+        help="effects that the flights are for",
     )
-    p.add_argument("--rate", type=float, default=None, metavar="HZ", help="sample rate (default 100, or the model's)")
-    p.add_argument("--box", type=numbers, default=(4.0, 4.0, 2.5), metavar="L,W,H",
-                   help="room to fly in [m]: length x, width y, height above the floor (default 4,4,2.5)")  # fmt: skip
-    p.add_argument("--floor", type=float, default=0.3, metavar="M", help="lowest height [m] (default 0.3)")
-    p.add_argument("--speed", type=float, default=3.0, metavar="V", help="highest speed [m/s] (default 3)")
     p.add_argument(
-        "--tilt", type=float, default=35.0, metavar="DEG", help="largest tilt [degrees], at most 35 (default 35)"
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="E.py",
+        help="know the effects of these Python files too, which are run (only what you trust)",
     )
-    p.add_argument("--command", dest="range", type=numbers, default=None, metavar="LO,HI",
-                   help="range of the rotor commands (default: the vehicle's less 2 %% at both ends)")  # fmt: skip
-    p.add_argument("--setpoints-only", action="store_true", help="only manoeuvres that need no injected signals")
+    p.add_argument(
+        "--free", type=names, default=None, metavar="a,b", help="estimate exactly these parameters"
+    )
+    p.add_argument(
+        "--value", type=values, default={}, metavar="a=1,b=2", help="values that are taken for true"
+    )
+    p.add_argument(
+        "--noise",
+        type=noise_levels,
+        default={},
+        metavar="sensor.p=0.02,...",
+        help="noise levels, of a component (sensor.p) or a group (process.torque)",
+    )
+    p.add_argument(
+        "--sensors",
+        type=names,
+        default=None,
+        metavar="a,b",
+        help="what is logged: position, velocity, attitude, gyro, accelerometer (default: [noise])",
+    )
+    p.add_argument(
+        "--seconds",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="length of all flights together (default 60)",
+    )
+    p.add_argument(
+        "--piece", type=float, default=5.0, metavar="S", help="length of one manoeuvre (default 5)"
+    )
+    p.add_argument(
+        "--flights",
+        type=int,
+        default=1,
+        metavar="N",
+        help="how many flights to split them into (default 1)",
+    )
+    p.add_argument(
+        "--rate",
+        type=float,
+        default=None,
+        metavar="HZ",
+        help="sample rate (default 100, or the model's)",
+    )
+    p.add_argument(
+        "--box",
+        type=numbers,
+        default=(4.0, 4.0, 2.5),
+        metavar="L,W,H",
+        help="room to fly in [m]: length x, width y, height above the floor (default 4,4,2.5)",
+    )
+    p.add_argument(
+        "--floor", type=float, default=0.3, metavar="M", help="lowest height [m] (default 0.3)"
+    )
+    p.add_argument(
+        "--speed", type=float, default=3.0, metavar="V", help="highest speed [m/s] (default 3)"
+    )
+    p.add_argument(
+        "--tilt",
+        type=float,
+        default=35.0,
+        metavar="DEG",
+        help="largest tilt [degrees], at most 35 (default 35)",
+    )
+    p.add_argument(
+        "--command",
+        dest="range",
+        type=numbers,
+        default=None,
+        metavar="LO,HI",
+        help="range of the rotor commands (default: the vehicle's less 2 %% at both ends)",
+    )
+    p.add_argument(
+        "--setpoints-only",
+        action="store_true",
+        help="only manoeuvres that need no injected signals",
+    )
     p.add_argument("--seed", type=int, default=0, help="seed of the multi-sines' phases")
     p.add_argument("--out", default="greybox-plan", metavar="DIR", help="folder for the results")
     json_option(p, "plan.json")
@@ -103,43 +188,65 @@ def run(arguments: argparse.Namespace) -> int:
         return _run_own(arguments, own_model)
     if arguments.vehicle is None and arguments.model is None:
         raise GreyboxError(
-            "nothing to plan for", expected="a vehicle file, a fitted model or a model of your own",
-            fix="--vehicle V.toml before the first flight, --model model.json after it; --model-file own.py:build",
-        )  # fmt: skip
+            "nothing to plan for",
+            expected="a vehicle file, a fitted model or a model of your own",
+            fix="--vehicle V.toml before the first flight, --model model.json after it; "
+            "--model-file own.py:build",
+        )
     for option, given, length in (("--box", arguments.box, 3), ("--command", arguments.range, 2)):
         if given is not None and len(given) != length:
             raise GreyboxError(
-                f"{option} takes {length} numbers", got=str(len(given)), fix="--box 4,4,2.5 --command 0.1,0.9"
+                f"{option} takes {length} numbers",
+                got=str(len(given)),
+                fix="--box 4,4,2.5 --command 0.1,0.9",
             )
     if arguments.rate is not None and not 10 <= arguments.rate <= 2000:
-        raise GreyboxError("--rate takes 10 to 2000 Hz", got=f"{arguments.rate:g}", fix="--rate 100")
+        raise GreyboxError(
+            "--rate takes 10 to 2000 Hz", got=f"{arguments.rate:g}", fix="--rate 100"
+        )
     own = {e.name: e for path in arguments.effects_file for e in load_effects(path)}
     model = load_model(arguments.model, effects=own.values()) if arguments.model else None
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
     if model is not None:
         if physics_of(model.dynamics) is None:
             raise ModelError(
-                "only physics models can be planned for", got=model.name, fix="pass the model.json of greybox fit"
+                "only physics models can be planned for",
+                got=model.name,
+                fix="pass the model.json of greybox fit",
             )
         if vehicle is not None and vehicle != model.physics.vehicle:
             print(
-                "greybox plan: the model was fitted with another vehicle file; the model's own is used", file=sys.stderr
+                "greybox plan: the model was fitted with another vehicle file; the model's own is "
+                "used",
+                file=sys.stderr,
             )
         vehicle = model.physics.vehicle
     assert vehicle is not None
     limits = Limits(
-        box=arguments.box, floor=arguments.floor, speed=arguments.speed, tilt=float(np.radians(arguments.tilt)),
+        box=arguments.box,
+        floor=arguments.floor,
+        speed=arguments.speed,
+        tilt=float(np.radians(arguments.tilt)),
         command=arguments.range or command_range(vehicle),
-    )  # fmt: skip
+    )
     console = Console.of(arguments)
     found = plan(
-        None if model else vehicle, model=model, effects=[own.get(n, n) for n in arguments.effects],
-        seconds=arguments.seconds, piece=arguments.piece, flights=arguments.flights, limits=limits, free=arguments.free,
+        None if model else vehicle,
+        model=model,
+        effects=[own.get(n, n) for n in arguments.effects],
+        seconds=arguments.seconds,
+        piece=arguments.piece,
+        flights=arguments.flights,
+        limits=limits,
+        free=arguments.free,
         values=arguments.value,
-        noise=arguments.noise, sensors=arguments.sensors, sample_time=1 / arguments.rate if arguments.rate else None,
-        setpoints_only=arguments.setpoints_only, seed=arguments.seed,
+        noise=arguments.noise,
+        sensors=arguments.sensors,
+        sample_time=1 / arguments.rate if arguments.rate else None,
+        setpoints_only=arguments.setpoints_only,
+        seed=arguments.seed,
         say=lambda text: console.say(f"  {text}"),
-    )  # fmt: skip
+    )
     content = found.to_dict()
     content["command"] = typed("plan")
     gravity = float(vehicle.gravity)
@@ -154,14 +261,17 @@ def run(arguments: argparse.Namespace) -> int:
     write_atomic(out / "report.html", plan_report(content, both))
     write_json(out / "plan.json", content)
     console.result(
-        content, found.summary(), f"wrote plan.json, {len(both)} flight(s) as CSV, plan.png and report.html in {out}"
+        content,
+        found.summary(),
+        f"wrote plan.json, {len(both)} flight(s) as CSV, plan.png and report.html in {out}",
     )
     blind = [n for n in found.subject.wanted if not np.isfinite(found.errors[n][0])]
     return 1 if blind else 0
 
 
 def _own_model(arguments: argparse.Namespace) -> Any:
-    """The model of the user's own that is planned for: a fitted one, or that of a program; None for a vehicle."""
+    """The model of the user's own that is planned for: a fitted one, or that of a program; None for
+    a vehicle."""
     from greybox.model.dynamics import StateSpaceModel
     from greybox.model.own_model import load_own_model
 
@@ -181,12 +291,21 @@ def _run_own(arguments: argparse.Namespace, model: Any) -> int:
     from greybox.planning.setpoints import csv
 
     if arguments.vehicle or arguments.effects:
-        raise GreyboxError("a model of your own has no vehicle and no effects", fix="leave --vehicle and --for out")
+        raise GreyboxError(
+            "a model of your own has no vehicle and no effects", fix="leave --vehicle and --for out"
+        )
     found = plan_own(
-        model, dict(arguments.ranges), limits=dict(arguments.limits), seconds=arguments.seconds, piece=arguments.piece,
-        free=arguments.free, values=arguments.value, noise=arguments.noise,
-        sample_time=1 / arguments.rate if arguments.rate else None, seed=arguments.seed,
-    )  # fmt: skip
+        model,
+        dict(arguments.ranges),
+        limits=dict(arguments.limits),
+        seconds=arguments.seconds,
+        piece=arguments.piece,
+        free=arguments.free,
+        values=arguments.value,
+        noise=arguments.noise,
+        sample_time=1 / arguments.rate if arguments.rate else None,
+        seed=arguments.seed,
+    )
     out = Path(arguments.out)
     content = found.to_dict()
     content["command"] = typed("plan")
@@ -194,6 +313,8 @@ def _run_own(arguments: argparse.Namespace, model: Any) -> int:
     write_atomic(out / "experiment_1.csv", csv({"t": np.asarray(segment.t), **segment.channels}))
     write_json(out / "plan.json", content)
     Console.of(arguments).result(
-        content, found.summary(), f"wrote plan.json and experiment_1.csv (inputs to play, outputs to expect) in {out}"
+        content,
+        found.summary(),
+        f"wrote plan.json and experiment_1.csv (inputs to play, outputs to expect) in {out}",
     )
     return 1 if found.blind else 0

@@ -1,4 +1,5 @@
-"""`greybox profile`: likelihood intervals of single parameters of a fit, with the curve behind each."""
+"""`greybox profile`: likelihood intervals of single parameters of a fit, with the curve behind
+each."""
 
 from __future__ import annotations
 
@@ -25,16 +26,46 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "profile",
         help="likelihood intervals of single parameters of a fit",
-        description="Hold one parameter along a grid, fit all others again, and give the interval in which the likelihood "
-        "ratio keeps it: right where a symmetric error bar is not (bounds, ratios, weak excitation). Writes profile.json "
-        "and report.html. Exit code 0: done; 1: done, and an interval has no end on one side; 2: bad input.",
+        description="Hold one parameter along a grid, fit all others again, and give the interval "
+        "in which the likelihood "
+        "ratio keeps it: right where a symmetric error bar is not (bounds, ratios, weak "
+        "excitation). Writes profile.json "
+        "and report.html. Exit code 0: done; 1: done, and an interval has no end on one side; 2: "
+        "bad input.",
     )
-    p.add_argument("model", metavar="MODEL.json", help="model file of `greybox fit`, with its fit.json beside it")
-    p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="the flights that the model was fitted to")
-    p.add_argument("--of", required=True, type=names, metavar="a,b", help="parameters or noise levels (noise.sensor.p)")
-    p.add_argument("--level", type=float, default=0.95, help="probability of the interval (default %(default)s)")
+    p.add_argument(
+        "model",
+        metavar="MODEL.json",
+        help="model file of `greybox fit`, with its fit.json beside it",
+    )
+    p.add_argument(
+        "--train",
+        required=True,
+        nargs="+",
+        metavar="LOG",
+        help="the flights that the model was fitted to",
+    )
+    p.add_argument(
+        "--of",
+        required=True,
+        type=names,
+        metavar="a,b",
+        help="parameters or noise levels (noise.sensor.p)",
+    )
+    p.add_argument(
+        "--level",
+        type=float,
+        default=0.95,
+        help="probability of the interval (default %(default)s)",
+    )
     flight_log_options(p)
-    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py", help="effects of your own in the model")
+    p.add_argument(
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="E.py",
+        help="effects of your own in the model",
+    )
     model_file_option(p)
     p.add_argument("--out", default="greybox-profile", metavar="DIR", help="folder for the results")
     json_option(p, "profile.json")
@@ -42,7 +73,8 @@ def add(subparsers: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fit again from the model's values, profile, report. Returns 1 where an interval has no end."""
+    """Fit again from the model's values, profile, report. Returns 1 where an interval has no
+    end."""
     import math
 
     from greybox.commands.front_door import profile
@@ -51,7 +83,9 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.report.profile_report import profile_report
 
     if not 0 < arguments.level < 1:
-        raise DataError("--level", expected="a probability", got=f"{arguments.level:g}", fix="--level 0.95")
+        raise DataError(
+            "--level", expected="a probability", got=f"{arguments.level:g}", fix="--level 0.95"
+        )
     console = Console.of(arguments)
     found = _fitted(arguments)
     profiles = []
@@ -62,16 +96,23 @@ def run(arguments: argparse.Namespace) -> int:
     content = {
         "schema": "greybox.profile/1",
         "command": typed("profile"),
-        "model": found.model.name, "level": arguments.level, "profiles": [_plain(p, found) for p in profiles],
-    }  # fmt: skip
+        "model": found.model.name,
+        "level": arguments.level,
+        "profiles": [_plain(p, found) for p in profiles],
+    }
     write_json(out / "profile.json", content)
     write_atomic(out / "report.html", profile_report(content))
-    console.result(content, *(_line(p, found) for p in profiles), f"wrote profile.json and report.html in {out}")
+    console.result(
+        content,
+        *(_line(p, found) for p in profiles),
+        f"wrote profile.json and report.html in {out}",
+    )
     return 0 if all(math.isfinite(p.lower) and math.isfinite(p.upper) for p in profiles) else 1
 
 
 def _fitted(arguments: argparse.Namespace) -> Fit:
-    """The fit behind a model file: again from its values, with the choices that its fit.json names."""
+    """The fit behind a model file: again from its values, with the choices that its fit.json
+    names."""
     from greybox.errors import DataError, FitError
     from greybox.estimation.fit import fit, noise_of
     from greybox.estimation.options import FitOptions
@@ -80,28 +121,44 @@ def _fitted(arguments: argparse.Namespace) -> Fit:
     model = loaded(arguments)
     beside = Path(arguments.model).with_name("fit.json")
     if not beside.exists():
-        raise DataError("no fit.json beside the model", where=arguments.model, fix="keep both files of the fit together")
+        raise DataError(
+            "no fit.json beside the model",
+            where=arguments.model,
+            fix="keep both files of the fit together",
+        )
     settings = read_json(beside, schema="greybox.fit/1")["settings"]
     train = read_flights_of(arguments, model.dynamics, arguments.train, rate=1 / model.sample_time)
     if strangers := sorted(set(train.names) ^ set(model.trained_on)):
         raise DataError(
-            f"flight {', '.join(strangers)}: not the flights of the fit", expected=", ".join(model.trained_on),
+            f"flight {', '.join(strangers)}: not the flights of the fit",
+            expected=", ".join(model.trained_on),
             fix="give the flights that it was fitted to",
-        )  # fmt: skip
+        )
     choices: Any = {k: settings[k] for k in KEPT if k in settings}
     choices |= {"values": dict(model.values), "noise": noise_of(model), "initialisation": "nominal"}
     found = fit(model.dynamics, train, FitOptions.of(None, choices))
     if not found.converged:
-        raise FitError("the fit does not converge from its own values", fix="greybox fit first; a profile needs its optimum")
+        raise FitError(
+            "the fit does not converge from its own values",
+            fix="greybox fit first; a profile needs its optimum",
+        )
     return found
 
 
 def _plain(p: Profile, found: Fit) -> dict[str, Any]:
     std = found.parameters[p.name].std if p.name in found.parameters else found.noise[p.name][1]
     return {
-        "name": p.name, "unit": p.unit, "estimate": p.estimate, "std": std, "lower": p.lower, "upper": p.upper,
-        "at_bound": _ends(p, found), "grid": p.grid.tolist(), "cost": p.cost.tolist(), "converged": p.converged.tolist(),
-    }  # fmt: skip
+        "name": p.name,
+        "unit": p.unit,
+        "estimate": p.estimate,
+        "std": std,
+        "lower": p.lower,
+        "upper": p.upper,
+        "at_bound": _ends(p, found),
+        "grid": p.grid.tolist(),
+        "cost": p.cost.tolist(),
+        "converged": p.converged.tolist(),
+    }
 
 
 def _ends(p: Profile, found: Fit) -> list[str]:
@@ -109,7 +166,11 @@ def _ends(p: Profile, found: Fit) -> list[str]:
     place = found.problem.place(p.name, p.flight)
     assert place is not None
     u = found.problem.unknowns[place]
-    return [side for side, end, bound in (("lower", p.lower, u.lower), ("upper", p.upper, u.upper)) if end == bound]
+    return [
+        side
+        for side, end, bound in (("lower", p.lower, u.lower), ("upper", p.upper, u.upper))
+        if end == bound
+    ]
 
 
 def _line(p: Profile, found: Fit) -> str:
@@ -117,5 +178,8 @@ def _line(p: Profile, found: Fit) -> str:
     ends = (("lower", p.lower), ("upper", p.upper))
     said += [f"the data give no {side} end" for side, v in ends if abs(v) == float("inf")]
     said += ["some grid points did not converge"] if not p.converged.all() else []
-    text = f"{p.name}: {p.estimate:.5g} {p.unit}, {100 * p.level:g} % interval {p.lower:.5g} .. {p.upper:.5g}"
+    text = (
+        f"{p.name}: {p.estimate:.5g} {p.unit}, {100 * p.level:g} % interval {p.lower:.5g} .. "
+        f"{p.upper:.5g}"
+    )
     return text + (f" ({'; '.join(said)})" if said else "")

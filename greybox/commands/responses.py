@@ -1,4 +1,5 @@
-"""How outputs follow commands, for the page of a fit: the flights' own responses, the model's over them, its steps."""
+"""How outputs follow commands, for the page of a fit: the flights' own responses, the model's over
+them, its steps."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ OWN = {"roll": "p", "pitch": "q", "yaw": "r", "thrust": "az"}
 MOST = 6
 """Pairs that are drawn of a model that is no vehicle."""
 SECONDS, SAMPLES = 0.5, 50
-"""A step response lasts as long as the open loop of a page, or so many samples where these last longer."""
+"""A step response lasts as long as the open loop of a page, or so many samples where these last
+longer."""
 
 
 def responses(model: IdentifiedModel, *datasets: Dataset) -> Responses | None:
@@ -35,7 +37,12 @@ def responses(model: IdentifiedModel, *datasets: Dataset) -> Responses | None:
     data = Dataset(flights=tuple(f for d in datasets for f in d))
     specs = channels(inputs, vehicle, "inputs")
     steps = max(round(SECONDS / model.sample_time), SAMPLES)
-    seen = weights_of(channels(outputs, vehicle, "outputs"), model.dynamics.innovations.names, model.name, "output")
+    seen = weights_of(
+        channels(outputs, vehicle, "outputs"),
+        model.dynamics.innovations.names,
+        model.name,
+        "output",
+    )
     driven = np.linalg.pinv(weights_of(specs, model.dynamics.inputs.names, model.name, "input"))
     answer = seen @ step_response(model, steps) @ driven
     moved = np.concatenate([mixed(s, specs) for f in data for s in f.segments])
@@ -43,12 +50,16 @@ def responses(model: IdentifiedModel, *datasets: Dataset) -> Responses | None:
     units = {s.name: s.unit for s in model.dynamics.innovations}
     drawn = [
         Step(
-            input=i, output=o, size=float(size[inputs.index(i)]), t=model.sample_time * np.arange(steps, dtype=np.float64),
-            values=size[inputs.index(i)] * answer[:, outputs.index(o), inputs.index(i)], unit=units[o],
+            input=i,
+            output=o,
+            size=float(size[inputs.index(i)]),
+            t=model.sample_time * np.arange(steps, dtype=np.float64),
+            values=size[inputs.index(i)] * answer[:, outputs.index(o), inputs.index(i)],
+            unit=units[o],
         )
         for i, o in pairs
         if size[inputs.index(i)] > 0
-    ]  # fmt: skip
+    ]
     try:
         found = frf(data, inputs, outputs, vehicle=vehicle, model=model).to_dict()
     except GreyboxError as error:
@@ -58,7 +69,8 @@ def responses(model: IdentifiedModel, *datasets: Dataset) -> Responses | None:
 
 
 def _pairs(model: IdentifiedModel) -> list[tuple[str, str]]:
-    """(input, output): what each command of a vehicle is for; of another model the first of all pairs."""
+    """(input, output): what each command of a vehicle is for; of another model the first of all
+    pairs."""
     vehicle, seen = vehicle_of(model), model.dynamics.innovations.names
     if vehicle is None:
         return list(product(model.dynamics.inputs.names, seen))[:MOST]

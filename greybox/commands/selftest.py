@@ -1,5 +1,5 @@
-"""`greybox selftest`: does this installation do what it should? Each part is tried and held against a
-known answer, in under a minute."""
+"""`greybox selftest`: does this installation do what it should? Each part is tried and held against
+a known answer, in under a minute."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "selftest",
         help="try what is installed, with known answers: compiler, fit, export, readers, PyTorch",
-        description="Try what is installed and hold it against known answers: CasADi, C compiler, a "
-        "fit of a simulated flight, a page, an export that is compiled and compared, log readers, the "
+        description="Try what is installed and hold it against known answers: CasADi, C compiler, "
+        "a "
+        "fit of a simulated flight, a page, an export that is compiled and compared, log readers, "
+        "the "
         "shipped flights, PyTorch. One line each, with the usual fix. Exit code 0: all that is "
         "installed works ('missing' is optional); 1: something is broken; 2: bad usage.",
     )

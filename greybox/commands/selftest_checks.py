@@ -100,7 +100,9 @@ def packages(_: Bench) -> str:
         )
     names = ("numpy", "scipy", "casadi", "control", "matplotlib")
     versions = ", ".join(f"{n} {metadata.version(n)}" for n in names)
-    return f"Python {platform.python_version()}, {platform.system()} {platform.machine()}, {versions}"
+    return (
+        f"Python {platform.python_version()}, {platform.system()} {platform.machine()}, {versions}"
+    )
 
 
 def casadi(_: Bench) -> str:
@@ -146,7 +148,9 @@ def compiler(_: Bench) -> str:
     called = ctypes.CDLL(str(build([("selftest.c", text, DRIVER_FLAGS)]))).greybox_selftest
     called.restype, called.argtypes = ctypes.c_double, [ctypes.c_double]
     if (got := called(3.0)) != 5.0:
-        raise Broken(f"hypot(3, 4) is 5, the compiled one says {got:g}", fix="another compiler in CC")
+        raise Broken(
+            f"hypot(3, 4) is 5, the compiled one says {got:g}", fix="another compiler in CC"
+        )
     where = "wheel ziglang" if "ziglang" in cc else cc[0]
     return f"{version(cc)} ({where})"
 
@@ -165,7 +169,9 @@ def fit(bench: Bench) -> str:
     from greybox.plants.vehicle_file import write_vehicle
 
     plant = x250()
-    log = fly(plant, controller_for(plant), RandomWaypoints(), rich_excitation(), 8.0, seed=1, warm_up=1.0)
+    log = fly(
+        plant, controller_for(plant), RandomWaypoints(), rich_excitation(), 8.0, seed=1, warm_up=1.0
+    )
     path = write_vehicle(bench.folder / "vehicle.toml", plant, sigma=SIGMA, errors=ERRORS)
     vehicle = read_vehicle(path)
     data = dataset_from_arrays(
@@ -251,7 +257,8 @@ def torch(_: Bench) -> str:
 
 
 def reader(one: LogFormat, bench: Bench) -> str:
-    """The libraries of a log format are there; a file is written and read where that can be done."""
+    """The libraries of a log format are there; a file is written and read where that can be
+    done."""
     for library in one.libraries:
         try:
             importlib.import_module(library)
@@ -274,7 +281,11 @@ def reader(one: LogFormat, bench: Bench) -> str:
 
 def _csv(path: Path, columns: Mapping[str, FloatArray]) -> None:
     np.savetxt(
-        path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments=""
+        path,
+        np.column_stack(list(columns.values())),
+        delimiter=",",
+        header=",".join(columns),
+        comments="",
     )
 
 

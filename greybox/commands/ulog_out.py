@@ -1,8 +1,9 @@
 """`--ulog F.ulg`: flights beside what a model says of them, as a log that PX4 Flight Review opens.
 
-Flight Review draws two curves of attitude, rate and place: the estimate, and the ground truth that a simulation logs. Here
-the estimate is what the model said `AHEAD` before by commands alone, and the ground truth is what was measured. Flights
-follow each other. Units and frames are PX4's: FRD, NED. Reference: ULog file format, docs.px4.io.
+Flight Review draws two curves of attitude, rate and place: the estimate, and the ground truth that
+a simulation logs. Here the estimate is what the model said `AHEAD` before by commands alone, and
+the ground truth is what was measured. Flights follow each other. Units and frames are PX4's: FRD,
+NED. Reference: ULog file format, docs.px4.io.
 """
 
 from __future__ import annotations
@@ -59,29 +60,46 @@ class ULog:
     def parameter(self, key: str, value: int) -> None:
         """A parameter of the firmware."""
         name = f"int32_t {key}".encode()
-        self._definitions.append(_message("P", bytes([len(name)]) + name + struct.pack("<i", value)))
+        self._definitions.append(
+            _message("P", bytes([len(name)]) + name + struct.pack("<i", value))
+        )
 
     def line(self, t: float, text: str) -> None:
         """A logged line of text at a time [s]."""
         stamp = _micro(t)
-        self._data.append((stamp, _message("L", b"6" + struct.pack("<Q", stamp) + text.encode()[:2000])))
+        self._data.append(
+            (stamp, _message("L", b"6" + struct.pack("<Q", stamp) + text.encode()[:2000]))
+        )
 
     def rows(self, topic: str, times: FloatArray, fields: Mapping[str, FloatArray]) -> None:
         """Messages of a topic at times (N,) [s]; a field is (N,), or (N, k) for an array."""
-        wide = {k: np.asarray(v, dtype=np.float32).reshape(len(times), -1) for k, v in fields.items()}
-        kinds = [f"float[{v.shape[1]}] {k}" if fields[k].ndim == 2 else f"float {k}" for k, v in wide.items()]
+        wide = {
+            k: np.asarray(v, dtype=np.float32).reshape(len(times), -1) for k, v in fields.items()
+        }
+        kinds = [
+            f"float[{v.shape[1]}] {k}" if fields[k].ndim == 2 else f"float {k}"
+            for k, v in wide.items()
+        ]
         text = f"{topic}:uint64_t timestamp;{';'.join(kinds)};"
         if self._formats.setdefault(topic, text) != text:
             raise ValueError(f"{topic} has two formats")
         number = list(self._formats).index(topic)
         for t, row in zip(times, np.hstack(list(wide.values())), strict=True):
             stamp = _micro(t)
-            self._data.append((stamp, _message("D", struct.pack("<HQ", number, stamp) + row.astype("<f4").tobytes())))
+            self._data.append(
+                (
+                    stamp,
+                    _message("D", struct.pack("<HQ", number, stamp) + row.astype("<f4").tobytes()),
+                )
+            )
 
     def __bytes__(self) -> bytes:
         formats = [_message("F", text.encode()) for text in self._formats.values()]
         # Topics are numbered in the order in which they came.
-        named = [_message("A", struct.pack("<BH", 0, i) + n.encode()) for i, n in enumerate(self._formats)]
+        named = [
+            _message("A", struct.pack("<BH", 0, i) + n.encode())
+            for i, n in enumerate(self._formats)
+        ]
         data = [d for _, d in sorted(self._data, key=lambda pair: pair[0])]
         return b"".join([self._head, *formats, *self._definitions, *named, *data])
 
@@ -94,19 +112,33 @@ def _micro(t: float) -> int:
     return round(t * 1e6)
 
 
-def write_ulog(path: str | Path, model: Any, dataset: Dataset, *, adapted: Mapping[str, Any] | None = None) -> None:
-    """All flights of a data set beside what `model` says of them. `adapted` are per-flight values by flight."""
+def write_ulog(
+    path: str | Path, model: Any, dataset: Dataset, *, adapted: Mapping[str, Any] | None = None
+) -> None:
+    """All flights of a data set beside what `model` says of them. `adapted` are per-flight values
+    by flight."""
     out = ULog()
-    for key, value in (("sys_name", OURS), ("ver_sw_release_str", VERSION), ("ver_hw", "none"),
-                       ("estimate", f"model, {AHEAD:g} s ahead"), ("ground_truth", "measured")):  # fmt: skip
+    for key, value in (
+        ("sys_name", OURS),
+        ("ver_sw_release_str", VERSION),
+        ("ver_hw", "none"),
+        ("estimate", f"model, {AHEAD:g} s ahead"),
+        ("ground_truth", "measured"),
+    ):
         out.info(key, value)
     runner, clock = Filter(model), PAUSE
     for flight in dataset:
         for segment in flight.segments:
-            found = runner.run(segment, p=flight_parameters(model, (adapted or {}).get(flight.name)))
+            found = runner.run(
+                segment, p=flight_parameters(model, (adapted or {}).get(flight.name))
+            )
             seconds, ahead = ahead_of(runner, found, AHEAD)
             times = segment.t - segment.t[0] + clock
-            out.line(clock, f"flight {flight.name}: estimate = model {seconds:g} s ahead, ground truth = measured")
+            out.line(
+                clock,
+                f"flight {flight.name}: estimate = model {seconds:g} s ahead, ground truth = "
+                "measured",
+            )
             names = model.dynamics.outputs.names
             _curves(out, "", names, times, ahead)
             _curves(out, "_groundtruth", names, times, found.record.outputs)
@@ -122,16 +154,21 @@ def write_ulog(path: str | Path, model: Any, dataset: Dataset, *, adapted: Mappi
 
 
 def need_topic(model: Any) -> None:
-    """Raises `DataError` where Flight Review has no topic for any output of a model: before any work."""
+    """Raises `DataError` where Flight Review has no topic for any output of a model: before any
+    work."""
     names = model.dynamics.outputs.names
     if not any(set(group_names(g)) <= set(names) for g in _TOPICS):
         raise DataError(
             "--ulog: Flight Review draws none of this model's outputs",
-            expected=f"all channels of one of {', '.join(_TOPICS)}", got=", ".join(names), fix="leave --ulog out",
-        )  # fmt: skip
+            expected=f"all channels of one of {', '.join(_TOPICS)}",
+            got=", ".join(names),
+            fix="leave --ulog out",
+        )
 
 
-def _curves(out: ULog, suffix: str, names: Sequence[str], times: FloatArray, values: FloatArray) -> None:
+def _curves(
+    out: ULog, suffix: str, names: Sequence[str], times: FloatArray, values: FloatArray
+) -> None:
     """The outputs (N, n_y) of a model that Flight Review has topics for."""
     topics: dict[str, dict[str, FloatArray]] = {}
     for group, (topic, frame) in _TOPICS.items():

@@ -1,4 +1,5 @@
-"""greybox validate MODEL.json --log C.csv ...: errors of a fitted model on flights that it never saw."""
+"""greybox validate MODEL.json --log C.csv ...: errors of a fitted model on flights that it never
+saw."""
 
 from __future__ import annotations
 
@@ -9,7 +10,13 @@ from typing import Any
 
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
-from greybox.commands.judgement import adapt_option, demand_adapt, exit_code, given_horizons, horizon_options
+from greybox.commands.judgement import (
+    adapt_option,
+    demand_adapt,
+    exit_code,
+    given_horizons,
+    horizon_options,
+)
 from greybox.commands.mcap_option import mcap_option, need_mcap, need_ulog, write_if_asked
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
 
@@ -19,27 +26,44 @@ def add(commands: Any) -> None:
     p = commands.add_parser(
         "validate",
         help="judge a model on flights that it never saw",
-        description="Open-loop errors of a model over several horizons, with persistence and dead reckoning beside them, "
-        "errors one step ahead, coverage and residual tests. Exit code 0: usable, or too calm to judge; 1: not usable; "
+        description="Open-loop errors of a model over several horizons, with persistence and dead "
+        "reckoning beside them, "
+        "errors one step ahead, coverage and residual tests. Exit code 0: usable, or too calm to "
+        "judge; 1: not usable; "
         "2: bad input.",
     )
     p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` wrote")
-    p.add_argument("--log", nargs="+", required=True, metavar="LOG", help="flight logs of the model's vehicle")
+    p.add_argument(
+        "--log", nargs="+", required=True, metavar="LOG", help="flight logs of the model's vehicle"
+    )
     flight_log_options(p)
     horizon_options(p)
     adapt_option(p)
     p.add_argument(
-        "--measured-start", action="store_true", help="also start from the measured state (smoothed channels included)"
+        "--measured-start",
+        action="store_true",
+        help="also start from the measured state (smoothed channels included)",
     )
-    p.add_argument("--rate", type=float, metavar="HZ", help="resample the logs (default: the model's own rate)")
+    p.add_argument(
+        "--rate", type=float, metavar="HZ", help="resample the logs (default: the model's own rate)"
+    )
     p.add_argument("--keep-ground", action="store_true", help="keep take-off and landing")
     p.add_argument(
-        "--effects-file", nargs="+", default=[], metavar="E.py", help="Python files with the model's own effects"
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="E.py",
+        help="Python files with the model's own effects",
     )
     model_file_option(p)
     mcap_option(p)
-    p.add_argument("--ulog", metavar="F.ulg", default=None, help="also write the flights (ground truth) beside the model's "
-                   "predictions (estimate) for PX4 Flight Review")  # fmt: skip
+    p.add_argument(
+        "--ulog",
+        metavar="F.ulg",
+        default=None,
+        help="also write the flights (ground truth) beside the model's "
+        "predictions (estimate) for PX4 Flight Review",
+    )
     json_option(p, "the judgement")
     p.set_defaults(run=run)
 
@@ -70,10 +94,19 @@ def run(arguments: argparse.Namespace) -> int:
     def progress(line: str) -> None:
         k = next(begun)
         if sys.stderr.isatty():
-            print(f"{line} ({k + 1} of {len(dataset)}){left.after(k / len(dataset))}", file=sys.stderr, flush=True)
+            print(
+                f"{line} ({k + 1} of {len(dataset)}){left.after(k / len(dataset))}",
+                file=sys.stderr,
+                flush=True,
+            )
 
     result = validate(
-        model, dataset, **horizons, adapt=arguments.adapt, measured_start=arguments.measured_start, progress=progress
+        model,
+        dataset,
+        **horizons,
+        adapt=arguments.adapt,
+        measured_start=arguments.measured_start,
+        progress=progress,
     )
     adapted = (result.to_dict().get("adapted_on") or {}).get("flights")
     write_if_asked(arguments.mcap, model, dataset, adapted=adapted)

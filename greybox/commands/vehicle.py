@@ -1,4 +1,5 @@
-"""`greybox vehicle`: write a vehicle file from a template or from answers, and say what in one is implausible."""
+"""`greybox vehicle`: write a vehicle file from a template or from answers, and say what in one is
+implausible."""
 
 from __future__ import annotations
 
@@ -34,31 +35,46 @@ def add(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "vehicle",
         help="write a vehicle file, or say what in one is implausible",
-        description="Write a vehicle file (new) or judge one (check). Exit code 0: done; 1: check found something that "
+        description="Write a vehicle file (new) or judge one (check). Exit code 0: done; 1: check "
+        "found something that "
         "no craft has; 2: bad input.",
     )
     kinds = parser.add_subparsers(dest="vehicle_command", required=True, metavar="new|check")
     new = kinds.add_parser(
         "new",
-        help="write a vehicle file from a template, a log, a simulator's file, or from answers on a terminal",
-        description="Write a vehicle file. --from takes motor order, spins, arms and the hover command from a log of PX4, "
-        "Betaflight or a Crazyflie, and says what you must measure; or the whole craft from a simulator's file: SDF, "
-        "URDF, MJCF, RotorPy (.py), crazyflow (.toml), PX4 (.params). Without --template and --from questions are asked on "
-        "the terminal. Templates: "
-        + "; ".join(f"{k}: {v}" for k, v in TEMPLATES.items()) + ".",
-    )  # fmt: skip
+        help="write a vehicle file from a template, a log, a simulator's file, or from answers on "
+        "a terminal",
+        description="Write a vehicle file. --from takes motor order, spins, arms and the hover "
+        "command from a log of PX4, "
+        "Betaflight or a Crazyflie, and says what you must measure; or the whole craft from a "
+        "simulator's file: SDF, "
+        "URDF, MJCF, RotorPy (.py), crazyflow (.toml), PX4 (.params). Without --template and "
+        "--from questions are asked on "
+        "the terminal. Templates: " + "; ".join(f"{k}: {v}" for k, v in TEMPLATES.items()) + ".",
+    )
     new.add_argument("--template", metavar="NAME", help=", ".join(TEMPLATES))
-    new.add_argument("--from", metavar="FILE", dest="log", help="take what a log or a simulator's file knows")
-    new.add_argument("--set", nargs="+", action="extend", default=[], metavar="KEY=VALUE", dest="changes",
-                     help="change numbers: mass=0.5 arm=0.12 hover=0.45 thrust.c2.sigma=0.5 name=mine")  # fmt: skip
+    new.add_argument(
+        "--from", metavar="FILE", dest="log", help="take what a log or a simulator's file knows"
+    )
+    new.add_argument(
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="changes",
+        help="change numbers: mass=0.5 arm=0.12 hover=0.45 thrust.c2.sigma=0.5 name=mine",
+    )
     new.add_argument("--out", metavar="V.toml", help="file to write (default: standard output)")
     new.add_argument("--force", action="store_true", help="write over an existing file")
     new.set_defaults(run=run_new, one_file=True)
     check = kinds.add_parser(
         "check",
         help="say what in a vehicle file is implausible",
-        description="Judge a vehicle file: thrust to weight, hover command, inertia, rotor positions and spins, torque, "
-        "motor lag, sigmas, slips of unit. Exit code 0: nothing blocks; 1: no craft is like that; 2: not a vehicle file.",
+        description="Judge a vehicle file: thrust to weight, hover command, inertia, rotor "
+        "positions and spins, torque, "
+        "motor lag, sigmas, slips of unit. Exit code 0: nothing blocks; 1: no craft is like that; "
+        "2: not a vehicle file.",
     )
     check.add_argument("vehicle", metavar="V.toml", help="vehicle file")
     json_option(check, "the findings")
@@ -78,7 +94,9 @@ def run_new(arguments: argparse.Namespace) -> int:
     name = arguments.template
     if arguments.log:
         if name is not None:
-            raise VehicleError("--from and --template exclude each other", fix="give one of the two")
+            raise VehicleError(
+                "--from and --template exclude each other", fix="give one of the two"
+            )
         return _tell(_from_log(arguments.log, changes), arguments.out)
     if name is None:
         if not sys.stdin.isatty():
@@ -90,7 +108,9 @@ def run_new(arguments: argparse.Namespace) -> int:
         try:
             name, answers = ask(lambda prompt: input(prompt))
         except EOFError:
-            raise VehicleError("the answers ended before the questions", fix="answer all, or use --template") from None
+            raise VehicleError(
+                "the answers ended before the questions", fix="answer all, or use --template"
+            ) from None
         changes = answers | changes
     return _tell(vehicle_text(name, changes), arguments.out)
 
@@ -120,12 +140,16 @@ def _tell(text: str, out: str | None) -> int:
     if not out:
         print(text, end="")
         return 0
-    print(f"wrote {write_atomic(out, text)}; now weigh, measure and run: greybox vehicle check {shlex.quote(str(out))}")
+    print(
+        f"wrote {write_atomic(out, text)}; now weigh, measure and run: greybox vehicle check "
+        f"{shlex.quote(str(out))}"
+    )
     return 0
 
 
 def ask(reply: Callable[[str], str]) -> tuple[str, dict[str, Any]]:
-    """(template, settings) from questions; `reply` takes a prompt and gives the answer. A bad number is asked for again."""
+    """(template, settings) from questions; `reply` takes a prompt and gives the answer. A bad
+    number is asked for again."""
     import tomllib
 
     from greybox.model.vehicle_template import template_text
@@ -156,7 +180,8 @@ def ask(reply: Callable[[str], str]) -> tuple[str, dict[str, Any]]:
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Judge the file, print the findings, write the JSON. Returns 0, or 1 where something blocks."""
+    """Judge the file, print the findings, write the JSON. Returns 0, or 1 where something
+    blocks."""
     from greybox.data.readers.mapping import mapping_text
     from greybox.model.plausibility import check_vehicle
     from greybox.model.vehicle import columns_by_channel, read_vehicle

@@ -1,4 +1,5 @@
-"""What every command that reads a vehicle file says of it: numbers believed by default, and what no craft has."""
+"""What every command that reads a vehicle file says of it: numbers believed by default, and what no
+craft has."""
 
 from __future__ import annotations
 
@@ -10,7 +11,8 @@ if TYPE_CHECKING:
 
 
 def vehicle_lines(vehicle: Vehicle) -> list[str]:
-    """One line for the defaults, and one per finding that blocks or warns (`greybox vehicle check` has all of them)."""
+    """One line for the defaults, and one per finding that blocks or warns (`greybox vehicle check`
+    has all of them)."""
     from greybox.model.plausibility import vehicle_findings
 
     believed = vehicle.beliefs.sentence()

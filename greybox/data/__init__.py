@@ -1,4 +1,5 @@
-"""Flight data: channels, segments, data sets, log readers, conditioning and the data-fault checks."""
+"""Flight data: channels, segments, data sets, log readers, conditioning and the data-fault
+checks."""
 
 from greybox.data.channel import Channel, channel, group_names
 from greybox.data.dataset import Dataset, Flight, dataset_from_arrays

@@ -1,7 +1,8 @@
-"""Which rows of a log are flight: cuts take-off, landing and standing on the ground, and says what it cut.
+"""Which rows of a log are flight: cuts take-off, landing and standing on the ground, and says what
+it cut.
 
-Only stretches at the ends of the log, or with the motors near idle, are taken for the ground; a log that begins and
-ends in flight is left whole.
+Only stretches at the ends of the log, or with the motors near idle, are taken for the ground; a log
+that begins and ends in flight is left whole.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 CLEAR_HEIGHT = 0.25
-"""Height above the ground [m] from which a row counts as flight (half the flown height, where that is less)."""
+"""Height above the ground [m] from which a row counts as flight (half the flown height, where that
+is less)."""
 
 FLAT = 0.02
 """On the ground the height stays within this range [m] ..."""
@@ -30,11 +32,13 @@ MARGIN = 0.5
 """Without a height, this much time [s] next to the ground is cut as take-off and landing."""
 
 IDLE_TIME = 1.0
-"""Inside a log, motors below half the hover command for this long [s] mean that the craft stands."""
+"""Inside a log, motors below half the hover command for this long [s] mean that the craft
+stands."""
 
 
 def _held(values: FloatArray) -> FloatArray:
-    """Missing values replaced by the last one before (0 before the first): used to judge, never handed on."""
+    """Missing values replaced by the last one before (0 before the first): used to judge, never
+    handed on."""
     known = np.isfinite(values)
     last = np.maximum.accumulate(np.where(known, np.arange(values.size), -1))
     return np.where(last >= 0, values[np.maximum(last, 0)], 0.0)
@@ -45,8 +49,8 @@ def airborne(
 ) -> tuple[BoolArray, tuple[str, ...]]:
     """(rows of flight (N,), notes) of a log with increasing stamps `t` (N,) [s].
 
-    The hover level is the median of the mean command while the motors run. A log without commands, or whose motors
-    never ran, is left whole, and the notes say so.
+    The hover level is the median of the mean command while the motors run. A log without commands,
+    or whose motors never ran, is left whole, and the notes say so.
     """
     everything = np.ones(t.size, dtype=bool)
     commands = command_names(channels)
@@ -67,7 +71,8 @@ def airborne(
     if keep.sum() < max(2, 0.02 * t.size):
         return everything, ("no flight found by command and height: nothing cut",)
     notes = tuple(
-        f"on the ground or near it: cut t = {t[a]:.3f} .. {t[b - 1]:.3f} s ({b - a} rows)" for a, b in runs(~keep)
+        f"on the ground or near it: cut t = {t[a]:.3f} .. {t[b - 1]:.3f} s ({b - a} rows)"
+        for a, b in runs(~keep)
     )
     return keep, notes or ("begins and ends in flight: nothing cut",)
 
@@ -80,7 +85,9 @@ def _flat(height: FloatArray | None, rows: slice) -> bool | None:
     return bool(np.ptp(seen) < FLAT) if seen.size >= 3 else None
 
 
-def _standing(t: FloatArray, share: FloatArray, height: FloatArray | None) -> Sequence[tuple[int, int]]:
+def _standing(
+    t: FloatArray, share: FloatArray, height: FloatArray | None
+) -> Sequence[tuple[int, int]]:
     """Row ranges on the ground: at the ends of the log, and inside it with idle motors."""
     n = t.size
     idle = [(a, b) for a, b in runs(share < 0.5) if t[b - 1] - t[a] >= IDLE_TIME]
@@ -112,9 +119,13 @@ def _standing(t: FloatArray, share: FloatArray, height: FloatArray | None) -> Se
 
 
 def _widened(
-    t: FloatArray, share: FloatArray, height: FloatArray | None, stretches: Sequence[tuple[int, int]]
+    t: FloatArray,
+    share: FloatArray,
+    height: FloatArray | None,
+    stretches: Sequence[tuple[int, int]],
 ) -> list[tuple[int, int]]:
-    """The rows around standing stretches that are not flight: up to the clear height, or the time margin."""
+    """The rows around standing stretches that are not flight: up to the clear height, or the time
+    margin."""
     strong = share >= 0.7
     flying = np.flatnonzero(strong)
     flown = height[strong & np.isfinite(height)] if height is not None else np.zeros(0)
@@ -125,7 +136,9 @@ def _widened(
     for start, stop in stretches:
         seen = known[start:stop][np.isfinite(known[start:stop])]
         ground = float(np.median(seen)) if seen.size else np.nan
-        clear = float(np.minimum(CLEAR_HEIGHT, 0.5 * (usual - ground)))  # NaN where either is not known
+        clear = float(
+            np.minimum(CLEAR_HEIGHT, 0.5 * (usual - ground))
+        )  # NaN where either is not known
         if clear > FLAT:
             first = t.size - _first_above(behind, t.size - start, ground + clear)
             last = _first_above(ahead, stop, ground + clear)
@@ -133,14 +146,18 @@ def _widened(
             after = int(np.searchsorted(flying, stop))
             before = int(np.searchsorted(flying, start)) - 1
             first = int(np.searchsorted(t, t[flying[before]] - MARGIN)) if before >= 0 else 0
-            last = int(np.searchsorted(t, t[flying[after]] + MARGIN)) if after < flying.size else t.size
+            last = (
+                int(np.searchsorted(t, t[flying[after]] + MARGIN))
+                if after < flying.size
+                else t.size
+            )
         out.append((first, last))
     return out
 
 
 def _tree(values: FloatArray) -> list[FloatArray]:
-    """The values (N,) and, level by level, the larger of every two neighbours: a log has as many stretches as
-    it is long, and each looks for its end."""
+    """The values (N,) and, level by level, the larger of every two neighbours: a log has as many
+    stretches as it is long, and each looks for its end."""
     levels = [values]
     while levels[-1].size > 1:
         last = levels[-1]
@@ -149,7 +166,8 @@ def _tree(values: FloatArray) -> list[FloatArray]:
 
 
 def _first_above(levels: Sequence[FloatArray], start: int, limit: float) -> int:
-    """First place from `start` on at which a value of the tree is above the limit; their number where none is."""
+    """First place from `start` on at which a value of the tree is above the limit; their number
+    where none is."""
     level, at = 0, start
     while at < levels[level].size:
         if levels[level][at] > limit:

@@ -1,4 +1,5 @@
-"""Airframe: what the data package needs to know of a vehicle. The vehicle of greybox.model satisfies it."""
+"""Airframe: what the data package needs to know of a vehicle. The vehicle of greybox.model
+satisfies it."""
 
 from __future__ import annotations
 
@@ -57,7 +58,8 @@ class Airframe(Protocol):
 
     @property
     def columns(self) -> LogMapping:
-        """Which fields of its logs are which channels (what is not named keeps its canonical name)."""
+        """Which fields of its logs are which channels (what is not named keeps its canonical
+        name)."""
 
 
 class Number(Protocol):

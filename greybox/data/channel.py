@@ -1,8 +1,9 @@
 """Channels: the canonical names of what a log can hold, each with unit, group and plausible range.
 
-The names are the flight-log contract: `t` [s]; `u1..un` command [-]; `omega1..omegan` rotor speed [rad/s]; `vbat` [V];
-`qw,qx,qy,qz` attitude, body (FLU) to world (ENU); `p,q,r` body rate [rad/s]; `ax,ay,az` specific force, body [m/s^2];
-`x,y,z` [m] and `vx,vy,vz` [m/s] in the world; `sp_x,sp_y,sp_z` position setpoint [m] (an instrument in closed loop).
+The names are the flight-log contract: `t` [s]; `u1..un` command [-]; `omega1..omegan` rotor speed
+[rad/s]; `vbat` [V]; `qw,qx,qy,qz` attitude, body (FLU) to world (ENU); `p,q,r` body rate [rad/s];
+`ax,ay,az` specific force, body [m/s^2]; `x,y,z` [m] and `vx,vy,vz` [m/s] in the world;
+`sp_x,sp_y,sp_z` position setpoint [m] (an instrument in closed loop).
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from greybox.errors import UnknownNameError
 
 @dataclass(frozen=True, kw_only=True)
 class Channel:
-    """One canonical channel: SI unit, group, and the range [lower, upper] outside which a value is not plausible."""
+    """One canonical channel: SI unit, group, and the range [lower, upper] outside which a value is
+    not plausible."""
 
     name: str
     unit: str
@@ -30,12 +32,21 @@ TIME = "t"
 
 _FIXED = {
     "battery": (("vbat", "V", 1.0, 100.0, "battery voltage"),),
-    "attitude": tuple((n, "1", -1.01, 1.01, "attitude quaternion, body to world") for n in ("qw", "qx", "qy", "qz")),
+    "attitude": tuple(
+        (n, "1", -1.01, 1.01, "attitude quaternion, body to world")
+        for n in ("qw", "qx", "qy", "qz")
+    ),
     "rate": tuple((n, "rad/s", -70.0, 70.0, "body rate") for n in ("p", "q", "r")),
-    "specific_force": tuple((n, "m/s^2", -320.0, 320.0, "specific force, body axes") for n in ("ax", "ay", "az")),
+    "specific_force": tuple(
+        (n, "m/s^2", -320.0, 320.0, "specific force, body axes") for n in ("ax", "ay", "az")
+    ),
     "position": tuple((n, "m", -1e4, 1e4, "position in the world") for n in ("x", "y", "z")),
-    "velocity": tuple((n, "m/s", -100.0, 100.0, "velocity in the world") for n in ("vx", "vy", "vz")),
-    "setpoint": tuple((n, "m", -1e4, 1e4, "position setpoint in the world") for n in ("sp_x", "sp_y", "sp_z")),
+    "velocity": tuple(
+        (n, "m/s", -100.0, 100.0, "velocity in the world") for n in ("vx", "vy", "vz")
+    ),
+    "setpoint": tuple(
+        (n, "m", -1e4, 1e4, "position setpoint in the world") for n in ("sp_x", "sp_y", "sp_z")
+    ),
 }
 
 _CATALOGUE = {
@@ -55,7 +66,8 @@ INPUT_GROUPS = ("command",)
 
 
 def rotor_index(name: str) -> int | None:
-    """Number (from 1) of the rotor that a channel `u3` or `omega3` belongs to; None for other channels."""
+    """Number (from 1) of the rotor that a channel `u3` or `omega3` belongs to; None for other
+    channels."""
     match = _COMMAND.fullmatch(name) or _ROTOR_SPEED.fullmatch(name)
     return int(match[1]) if match else None
 
@@ -70,14 +82,24 @@ def channel(name: str) -> Channel:
     if name in _CATALOGUE:
         return _CATALOGUE[name]
     if _COMMAND.fullmatch(name):
-        return Channel(name=name, unit="1", group="command", lower=0.0, upper=1.0, meaning="rotor command")
+        return Channel(
+            name=name, unit="1", group="command", lower=0.0, upper=1.0, meaning="rotor command"
+        )
     if _ROTOR_SPEED.fullmatch(name):
-        return Channel(name=name, unit="rad/s", group="rotor_speed", lower=0.0, upper=2e4, meaning="rotor speed")
+        return Channel(
+            name=name,
+            unit="rad/s",
+            group="rotor_speed",
+            lower=0.0,
+            upper=2e4,
+            meaning="rotor speed",
+        )
     raise UnknownNameError("channel", name, canonical_names(4))
 
 
 def group_names(group: str, rotors: int = 4) -> tuple[str, ...]:
-    """Names of the channels of a group, for a craft with `rotors` rotors. Raises `UnknownNameError`."""
+    """Names of the channels of a group, for a craft with `rotors` rotors. Raises
+    `UnknownNameError`."""
     if group == "command":
         return tuple(f"u{i + 1}" for i in range(rotors))
     if group == "rotor_speed":

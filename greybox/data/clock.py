@@ -11,16 +11,18 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 UNIFORM_SHIFT = 0.3
-"""A clock is uniform where every stamp lies within this share of the sample time of one grid per stretch."""
+"""A clock is uniform where every stamp lies within this share of the sample time of one grid per
+stretch."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Clock:
-    """What a log's time stamps look like. `dt` [s] sample time, `uniform` whether the stamps lie on one grid.
+    """What a log's time stamps look like. `dt` [s] sample time, `uniform` whether the stamps lie on
+    one grid.
 
-    `blocks` are (start, stop) rows between gaps; `slots` (N,) the place of each row on the grid of its block (uniform
-    clocks only); `shift` [s] the largest distance of a stamp from its slot; `jitter` the 1 % to 99 % range of the steps
-    as a share of `dt`.
+    `blocks` are (start, stop) rows between gaps; `slots` (N,) the place of each row on the grid of
+    its block (uniform clocks only); `shift` [s] the largest distance of a stamp from its slot;
+    `jitter` the 1 % to 99 % range of the steps as a share of `dt`.
     """
 
     dt: float
@@ -40,7 +42,9 @@ def _round_figures(value: float, figures: int) -> float:
     return float(f"{value:.{figures}g}")
 
 
-def _placed(t: FloatArray, dt: float, blocks: tuple[tuple[int, int], ...]) -> tuple[npt.NDArray[np.int64], float]:
+def _placed(
+    t: FloatArray, dt: float, blocks: tuple[tuple[int, int], ...]
+) -> tuple[npt.NDArray[np.int64], float]:
     """(slots, largest shift [s]) of the stamps on a grid of step dt, one phase per block."""
     slots = np.zeros(t.size, dtype=np.int64)
     worst = 0.0
@@ -55,7 +59,8 @@ def _placed(t: FloatArray, dt: float, blocks: tuple[tuple[int, int], ...]) -> tu
 def read_clock(t: FloatArray, *, max_gap: float) -> Clock:
     """Describe increasing stamps `t` (N >= 2) [s]; steps longer than `max_gap` [s] end a block.
 
-    Sample times that are round figures are preferred, so that flights of one rate get the same sample time exactly.
+    Sample times that are round figures are preferred, so that flights of one rate get the same
+    sample time exactly.
     """
     steps = np.diff(t)
     middle = float(np.median(steps))
@@ -67,7 +72,11 @@ def read_clock(t: FloatArray, *, max_gap: float) -> Clock:
     single = inside[(inside > 0.5 * middle) & (inside < 1.5 * middle)]
     mean = float(single.mean()) if single.size else middle  # steps of all sizes: rows out of order
     rate = 1.0 / mean
-    candidates = [1.0 / _round_figures(rate, 2), 1.0 / _round_figures(rate, 3), _round_figures(mean, 3)]
+    candidates = [
+        1.0 / _round_figures(rate, 2),
+        1.0 / _round_figures(rate, 3),
+        _round_figures(mean, 3),
+    ]
     long = max(blocks, key=lambda b: b[1] - b[0])
     counted, _ = _placed(t, mean, (long,))
     if long[1] - long[0] > 2:
@@ -77,5 +86,19 @@ def read_clock(t: FloatArray, *, max_gap: float) -> Clock:
     for dt in candidates:
         slots, shift = _placed(t, dt, blocks)
         if shift <= UNIFORM_SHIFT * dt:
-            return Clock(dt=dt, uniform=True, blocks=blocks, slots=slots, shift=shift, jitter=float(high - low) / dt)
-    return Clock(dt=mean, uniform=False, blocks=blocks, slots=slots, shift=shift, jitter=float(high - low) / mean)
+            return Clock(
+                dt=dt,
+                uniform=True,
+                blocks=blocks,
+                slots=slots,
+                shift=shift,
+                jitter=float(high - low) / dt,
+            )
+    return Clock(
+        dt=mean,
+        uniform=False,
+        blocks=blocks,
+        slots=slots,
+        shift=shift,
+        jitter=float(high - low) / mean,
+    )

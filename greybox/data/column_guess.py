@@ -1,7 +1,9 @@
-"""What columns with names of their own look like: a draft of a mapping file, from names and sizes of the numbers.
+"""What columns with names of their own look like: a draft of a mapping file, from names and sizes
+of the numbers.
 
-A guess is never used by itself: it is shown, written where a user asks for it, and looked over. Axes, the order of the
-rotors and a rate in deg/s that never exceeds a calm 25 are what such a look must settle; `greybox check` tries the rest.
+A guess is never used by itself: it is shown, written where a user asks for it, and looked over.
+Axes, the order of the rotors and a rate in deg/s that never exceeds a calm 25 are what such a look
+must settle; `greybox check` tries the rest.
 """
 
 from __future__ import annotations
@@ -35,7 +37,13 @@ _OTHERS = r"att\w*|angles?|rpy|euler|q|quat\w*|thrusts?|forces?|torques?|moments
 """Words of what else is set: attitude, force and moment."""
 _UNITS = {
     "rate": {"deg/s": "deg/s", "\N{DEGREE SIGN}/s": "deg/s", "dps": "deg/s", "rad/s": "rad/s"},
-    "specific_force": {"m/s^2": "m/s^2", "m/s2": "m/s^2", "m/s\N{SUPERSCRIPT TWO}": "m/s^2", "g": "g", "mg": "mg"},
+    "specific_force": {
+        "m/s^2": "m/s^2",
+        "m/s2": "m/s^2",
+        "m/s\N{SUPERSCRIPT TWO}": "m/s^2",
+        "g": "g",
+        "mg": "mg",
+    },
     "rotor_speed": {"rpm": "rpm", "rad/s": "rad/s", "hz": "Hz"},
     "battery": {"v": "V", "mv": "mV"},
     "attitude": {"deg": "deg", "\N{DEGREE SIGN}": "deg", "rad": "rad"},
@@ -46,7 +54,8 @@ _UNITS = {
     "temperature": {"c": "", "\N{DEGREE SIGN}c": "", "degc": "", "k": ""},
     "current": {"a": "", "ma": "", "mah": ""},
 }
-"""Units as names of columns say them, "Gyro X (deg/s)", per group; a column with the unit of another group is none."""
+"""Units as names of columns say them, "Gyro X (deg/s)", per group; a column with the unit of
+another group is none."""
 _UNIT = re.compile(r"\s*[(\[]\s*([^\d\s)\]][^)\]]*?)\s*[)\]]\s*$")
 _ABOUT = r"temp\w*|bias\w*|offsets?|var|variance|std|cov\w*|err\w*|noise|scale|dt|clip\w*|vib\w*"
 """Words of what is said about a sensor and is not its reading."""
@@ -58,8 +67,8 @@ _TIME = re.compile(r"t|time\w*|\w*stamp\w*|ticks?|t_?[mun]?s|time_?[mun]?s")
 
 @dataclass(frozen=True, kw_only=True)
 class Guess:
-    """A group, the columns that look like it in the order of its channels, its unit ("": SI), its frame ("": ours), and
-    why."""
+    """A group, the columns that look like it in the order of its channels, its unit ("": SI), its
+    frame ("": ours), and why."""
 
     group: str
     fields: tuple[str, ...]
@@ -70,8 +79,11 @@ class Guess:
     why: str = ""
 
 
-def guess_columns(columns: Mapping[str, FloatArray], without: Iterable[str] = ()) -> tuple[Guess, ...]:
-    """Groups that columns (name -> (N,) numbers) look like, one guess a group; groups of `without` are left out."""
+def guess_columns(
+    columns: Mapping[str, FloatArray], without: Iterable[str] = ()
+) -> tuple[Guess, ...]:
+    """Groups that columns (name -> (N,) numbers) look like, one guess a group; groups of `without`
+    are left out."""
     found: dict[str, list[tuple[str, ...]]] = {}
 
     def take(group: str, names: Sequence[str]) -> None:
@@ -85,7 +97,11 @@ def guess_columns(columns: Mapping[str, FloatArray], without: Iterable[str] = ()
                 take(group, [members[i] for i in range(3)])
     for stem, members in _families(columns, {str(i): i for i in range(13)}):
         first = min(members)
-        if first in (0, 1) and set(members) == set(range(first, first + len(members))) and 3 <= len(members) <= 8:
+        if (
+            first in (0, 1)
+            and set(members) == set(range(first, first + len(members)))
+            and 3 <= len(members) <= 8
+        ):
             group = next((g for g, words in _NUMBERED.items() if _says(stem, words)), "")
             if group and _unit_of(members[first]) in _UNITS["rotor_speed"]:
                 group = "rotor_speed"
@@ -97,23 +113,32 @@ def guess_columns(columns: Mapping[str, FloatArray], without: Iterable[str] = ()
                 take("attitude", [members[i] for i in range(len(ends))])
     for stem, members in _families(columns, {"north": 0, "east": 1, "down": 2}):
         if len(members) == 3 and not _wanted(stem):
-            take("velocity" if _says(stem, _WORDS["velocity"]) else "position", [members[i] for i in range(3)])
+            take(
+                "velocity" if _says(stem, _WORDS["velocity"]) else "position",
+                [members[i] for i in range(3)],
+            )
     for name in columns:
         low = name.lower()
-        volts = re.search(r"v_?bat|volt", low) or ("bat" in low and _unit_of(name) in _UNITS["battery"])
+        volts = re.search(r"v_?bat|volt", low) or (
+            "bat" in low and _unit_of(name) in _UNITS["battery"]
+        )
         if volts and not re.search(r"temp|curr|perc|pct|(?<![a-z])soc(?![a-z])", low):
             take("battery", [name])
     left_out = set(without)
     return _framed(
-        _sized(group, min(found[group], key=lambda names: bool(_LESS.search(names[0].lower()))), columns)
+        _sized(
+            group,
+            min(found[group], key=lambda names: bool(_LESS.search(names[0].lower()))),
+            columns,
+        )
         for group in (*_NUMBERED, "battery", "attitude", *_WORDS)
         if group in found and group not in left_out
     )
 
 
 def _framed(guesses: Iterable[Guess]) -> tuple[Guess, ...]:
-    """The same with frames: where the accelerometer's z says gravity downwards, x forward and y to the right go with it,
-    in all that one IMU says; "down" is a name."""
+    """The same with frames: where the accelerometer's z says gravity downwards, x forward and y to
+    the right go with it, in all that one IMU says; "down" is a name."""
     found = tuple(guesses)
     turned = any(g.group == "specific_force" and g.frame for g in found)
     frames = {"rate": "FRD", "attitude": "FRD/NED"} if turned else {}
@@ -121,7 +146,8 @@ def _framed(guesses: Iterable[Guess]) -> tuple[Guess, ...]:
 
 
 def guess_time(columns: Mapping[str, FloatArray]) -> tuple[str, str] | None:
-    """(column, unit) of the clock: it grows, it has the name of a clock, and its steps are those of 20 Hz to 4 kHz."""
+    """(column, unit) of the clock: it grows, it has the name of a clock, and its steps are those of
+    20 Hz to 4 kHz."""
     for name, values in columns.items():
         step = np.diff(values[np.isfinite(values)])
         if not _TIME.fullmatch(_bare(name).lower()) or step.size < 2 or np.mean(step > 0) < 0.9:
@@ -140,17 +166,23 @@ def draft(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
         content["time"] = {"field": time[0], "unit": time[1]}
     for g in guesses:
         said = {"fields": g.fields, "unit": g.unit, "frame": g.frame, "limits": g.limits}
-        content[g.group] = {k: v for k, v in said.items() if v} | ({"scale": g.scale} if g.scale != 1.0 else {})
+        content[g.group] = {k: v for k, v in said.items() if v} | (
+            {"scale": g.scale} if g.scale != 1.0 else {}
+        )
     head = "# A guess from names and sizes: look over axes, units and the order of the rotors.\n"
     return head + mapping_text(content, comments={g.group: g.why for g in guesses})
 
 
-def _families(columns: Iterable[str], ends: Mapping[str, int]) -> Iterable[tuple[str, dict[int, str]]]:
-    """(stem, {place: column}) of columns of one unit whose names differ in their end only: gyro.x, gyroADC[0], qw, or in
-    the number of a motor: motor1_pwm."""
+def _families(
+    columns: Iterable[str], ends: Mapping[str, int]
+) -> Iterable[tuple[str, dict[int, str]]]:
+    """(stem, {place: column}) of columns of one unit whose names differ in their end only: gyro.x,
+    gyroADC[0], qw, or in the number of a motor: motor1_pwm."""
     out: dict[tuple[str, str], dict[int, str]] = {}
     for name in columns:
-        pattern = rf"(.*?)[\W_]*({'|'.join(sorted(ends, key=len, reverse=True))})\W*(?:[\W_]+({_AFTER}))?"
+        pattern = (
+            rf"(.*?)[\W_]*({'|'.join(sorted(ends, key=len, reverse=True))})\W*(?:[\W_]+({_AFTER}))?"
+        )
         match = re.fullmatch(pattern, _bare(name), re.IGNORECASE)
         if match is not None:
             stem = "_".join(part.lower() for part in match.group(1, 3) if part)
@@ -181,7 +213,8 @@ def _wanted(stem: str) -> bool:
 
 
 def _meant(stem: str) -> str:
-    """The group that the stem of three axes says; a setpoint is one of the position, where it says of what. "": none."""
+    """The group that the stem of three axes says; a setpoint is one of the position, where it says
+    of what. "": none."""
     if _wanted(stem):
         words = re.split(r"[\W_]+", stem)
         others = [_OTHERS, *(w for g, w in _WORDS.items() if g not in ("position", "setpoint"))]
@@ -210,19 +243,40 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         unit = "deg/s" if float(np.percentile(np.abs(values), 99)) > 25 else "rad/s"
     elif group == "specific_force":
         norm = float(np.median(np.linalg.norm(values, axis=1)))
-        unit = next((u for u, g in (("m/s^2", GRAVITY), ("g", 1.0), ("mg", 1000.0)) if 0.7 < norm / g < 1.4), "")
+        unit = next(
+            (
+                u
+                for u, g in (("m/s^2", GRAVITY), ("g", 1.0), ("mg", 1000.0))
+                if 0.7 < norm / g < 1.4
+            ),
+            "",
+        )
         why = f"middle length {norm:.3g}" + ("" if unit else ": of no known unit")
         if float(np.median(values[:, 2])) < -0.5 * norm:
             frame, why = "FRD", f"{why}, z negative: z is down"
     elif group == "command":
-        ranges = ((0.0, 1.0), (0.0, 100.0), (0.0, 255.0), (1000.0, 2000.0), (0.0, 2047.0), (0.0, 65535.0))
-        limits = next((r for r in ranges if high <= 1.05 * r[1] and low >= r[0] - 0.1 * (r[1] - r[0])), None)
+        ranges = (
+            (0.0, 1.0),
+            (0.0, 100.0),
+            (0.0, 255.0),
+            (1000.0, 2000.0),
+            (0.0, 2047.0),
+            (0.0, 65535.0),
+        )
+        limits = next(
+            (r for r in ranges if high <= 1.05 * r[1] and low >= r[0] - 0.1 * (r[1] - r[0])), None
+        )
         limits = None if limits == (0.0, 1.0) else limits
     elif group == "rotor_speed":
         unit = "rpm" if size > 4000 or "rpm" in names[0].lower() else "rad/s"
         if "erpm" in names[0].lower():
-            # Betaflight writes hundreds of electrical turns a minute; no motor of a craft is as slow as 6000 of them.
-            scale, what = (100.0 / POLE_PAIRS, "hundreds of electrical") if size < 6000 else (1 / POLE_PAIRS, "electrical")
+            # Betaflight writes hundreds of electrical turns a minute; no motor of a craft is as
+            # slow as 6000 of them.
+            scale, what = (
+                (100.0 / POLE_PAIRS, "hundreds of electrical")
+                if size < 6000
+                else (1 / POLE_PAIRS, "electrical")
+            )
             why = f"{what} turns a minute, {2 * POLE_PAIRS} poles guessed: see scale; {why}"
     elif group == "battery":
         unit = "mV" if float(np.median(values)) > 200 else "V"
@@ -238,4 +292,6 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
     if group == "specific_force" and stated != unit:
         why = f"middle length {norm:.3g}: not gravity in that unit"
     unit = stated
-    return Guess(group=group, fields=names, unit=unit, frame=frame, limits=limits, scale=scale, why=why)
+    return Guess(
+        group=group, fields=names, unit=unit, frame=frame, limits=limits, scale=scale, why=why
+    )

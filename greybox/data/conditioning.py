@@ -1,7 +1,8 @@
-"""Conditioning: from a raw log to segments on a uniform clock. Everything that is done is said in the flight's notes.
+"""Conditioning: from a raw log to segments on a uniform clock. Everything that is done is said in
+the flight's notes.
 
-A missing sample becomes missing cells (NaN); only commands are carried over it, because a command holds until the next
-one. A longer gap ends the segment.
+A missing sample becomes missing cells (NaN); only commands are carried over it, because a command
+holds until the next one. A longer gap ends the segment.
 """
 
 from __future__ import annotations
@@ -41,10 +42,11 @@ def condition(
     max_gap: float = MAX_GAP,
     where: str = "",
 ) -> Flight:
-    """Turn a raw log into a flight of uniform segments; see `greybox.data.logs.read_log` for the options.
+    """Turn a raw log into a flight of uniform segments; see `greybox.data.logs.read_log` for the
+    options.
 
-    Raises `DataError` where time goes back or stands still, where no command is known anywhere, or for a bad `rate` or
-    `max_gap`.
+    Raises `DataError` where time goes back or stands still, where no command is known anywhere, or
+    for a bad `rate` or `max_gap`.
     """
     where = where or raw.source
     if rate is not None and not (np.isfinite(rate) and rate > 0):
@@ -70,7 +72,11 @@ def condition(
             notes.append(f"dropped a single sample at t = {raw.t[start]:.3f} s")
             continue
         rows = slice(start, stop)
-        part = (raw.t[rows], {k: v[rows] for k, v in channels.items()}, {k: v[rows] for k, v in raw.extra.items()})
+        part = (
+            raw.t[rows],
+            {k: v[rows] for k, v in channels.items()},
+            {k: v[rows] for k, v in raw.extra.items()},
+        )
         if on_grid:
             pieces += _placed(part, clock.slots[rows], dt, raw.flight)
         else:
@@ -102,7 +108,9 @@ def _mask_quaternions(channels: dict[str, FloatArray]) -> list[str]:
         return []
     for n in names:
         channels[n] = np.where(bad, np.nan, channels[n])
-    return [f"attitude: {int(bad.sum())} row(s) whose quaternion is not of unit length taken as missing"]
+    return [
+        f"attitude: {int(bad.sum())} row(s) whose quaternion is not of unit length taken as missing"
+    ]
 
 
 def _round_rate(dt: float) -> float:
@@ -111,10 +119,14 @@ def _round_rate(dt: float) -> float:
 
 def _clock_note(clock: Clock, dt: float, on_grid: bool) -> str:
     if on_grid:
-        return f"clock: uniform, {1 / dt:.6g} Hz, stamps moved by at most {clock.shift * 1e3:.3g} ms"
+        return (
+            f"clock: uniform, {1 / dt:.6g} Hz, stamps moved by at most {clock.shift * 1e3:.3g} ms"
+        )
     kind = "uniform" if clock.uniform else f"not uniform (steps vary by {100 * clock.jitter:.0f} %)"
     if dt > AVERAGE_FROM * clock.dt:
-        how = "measurements averaged around each sample, commands averaged over the interval after it"
+        how = (
+            "measurements averaged around each sample, commands averaged over the interval after it"
+        )
     else:
         how = "measurements interpolated linearly, commands held"
     return f"clock: {kind}, {1 / clock.dt:.6g} Hz; resampled to {1 / dt:.6g} Hz, {how}"
@@ -142,7 +154,10 @@ def _placed(part: Part, slots: npt.NDArray[np.int64], dt: float, flight: str) ->
     others = {k: _scatter(v, slots, n) for k, v in extra.items()}
     return [
         Segment(
-            t=np.asarray(start + dt * np.arange(n), dtype=np.float64), channels=columns, flight=flight, extra=others
+            t=np.asarray(start + dt * np.arange(n), dtype=np.float64),
+            channels=columns,
+            flight=flight,
+            extra=others,
         )
     ]
 
@@ -175,9 +190,12 @@ def _resampled(part: Part, dt: float, step: float, flight: str, linear_hold: boo
         if command and sparse:
             out[name] = held(t, _last_known(values), grid)
         elif dt > AVERAGE_FROM * step and not sparse:
-            out[name] = averaged(t, values, grid, step=step, ahead=command, linear=not command or linear_hold)
+            out[name] = averaged(
+                t, values, grid, step=step, ahead=command, linear=not command or linear_hold
+            )
         elif command and not linear_hold:
-            # A command that comes a little after its grid point acts over the rest of that step, not from the next one on.
+            # A command that comes a little after its grid point acts over the rest of that step,
+            # not from the next one on.
             mean = averaged(t, values, grid, step=step, ahead=True, linear=False)
             mean = np.clip(mean, np.nanmin(values), np.nanmax(values))
             out[name] = np.where(np.isfinite(mean), mean, held(t, values, grid))
@@ -215,7 +233,9 @@ def _with_commands(pieces: list[Segment], max_gap: float) -> tuple[list[Segment]
         good = usable.all(axis=1)
         lost += int((~good).sum())
         if (usable & ~known).any():
-            piece = piece.replace({n: np.where(usable[:, j], carried[:, j], np.nan) for j, n in enumerate(names)})
+            piece = piece.replace(
+                {n: np.where(usable[:, j], carried[:, j], np.nan) for j, n in enumerate(names)}
+            )
         for a, b in runs(np.asarray(good)):
             if b - a >= 2:
                 out.append(piece if (a, b) == (0, piece.n) else piece.rows(a, b))
@@ -223,7 +243,9 @@ def _with_commands(pieces: list[Segment], max_gap: float) -> tuple[list[Segment]
                 lost += 1
     notes = []
     if filled:
-        notes.append(f"commands held over {filled} sample(s) without one; measurements there are missing")
+        notes.append(
+            f"commands held over {filled} sample(s) without one; measurements there are missing"
+        )
     if lost:
         notes.append(f"dropped {lost} sample(s) whose command is not known")
     return out, notes
@@ -232,13 +254,22 @@ def _with_commands(pieces: list[Segment], max_gap: float) -> tuple[list[Segment]
 def _flight(raw: RawLog, pieces: list[Segment], notes: list[str], where: str) -> Flight:
     long = [p for p in pieces if p.n >= SHORT] or pieces
     if not long:
-        raise DataError("no stretch of samples with known commands", where=where, fix="log all commands at every row")
+        raise DataError(
+            "no stretch of samples with known commands",
+            where=where,
+            fix="log all commands at every row",
+        )
     if len(long) < len(pieces):
         dropped = sum(p.n for p in pieces if p.n < SHORT)
-        notes.append(f"dropped {len(pieces) - len(long)} stretch(es) of fewer than {SHORT} samples ({dropped} in all)")
+        notes.append(
+            f"dropped {len(pieces) - len(long)} stretch(es) of fewer than {SHORT} samples "
+            f"({dropped} in all)"
+        )
     kept = sum(p.n for p in long)
     missing = sum(int(np.isnan(p.matrix(p.names)).any(axis=1).sum()) for p in long)
-    notes.append(f"kept {kept} samples in {len(long)} segment(s), {missing} of them with missing cells")
+    notes.append(
+        f"kept {kept} samples in {len(long)} segment(s), {missing} of them with missing cells"
+    )
     return Flight(
         name=raw.flight,
         segments=tuple(long),

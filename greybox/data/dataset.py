@@ -1,4 +1,5 @@
-"""Flight and Dataset: named flights made of segments, splits that do not leak, and a hash that pins the content."""
+"""Flight and Dataset: named flights made of segments, splits that do not leak, and a hash that pins
+the content."""
 
 from __future__ import annotations
 
@@ -25,10 +26,10 @@ if TYPE_CHECKING:
 class Flight(Shown):
     """One flight (one log): its segments in order of time and where they came from.
 
-    `source` is the file name, `sha256` the checksum of its bytes ("" for data from memory), `notes` say what
-    conditioning did, `removed` which samples were taken as missing because no craft can have made them. `noncausal` are
-    channels whose values were smoothed with later samples. Raises `DataError` where there is no segment or the sample
-    times differ.
+    `source` is the file name, `sha256` the checksum of its bytes ("" for data from memory), `notes`
+    say what conditioning did, `removed` which samples were taken as missing because no craft can
+    have made them. `noncausal` are channels whose values were smoothed with later samples. Raises
+    `DataError` where there is no segment or the sample times differ.
     """
 
     name: str
@@ -70,7 +71,9 @@ class Flight(Shown):
     @property
     def channels(self) -> tuple[str, ...]:
         """Channels that every segment has."""
-        return tuple(n for n in self.segments[0].names if all(n in s.channels for s in self.segments))
+        return tuple(
+            n for n in self.segments[0].names if all(n in s.channels for s in self.segments)
+        )
 
     def between(self, t0: float, t1: float) -> Flight | None:
         """The samples with t0 <= t < t1; None where fewer than two in a row are left."""
@@ -83,17 +86,27 @@ class Flight(Shown):
 
     def _shown_text(self) -> str:
         """What it is, its channels, and what conditioning did."""
-        what = f"Flight {self.name}: {len(self.segments)} segment(s), {self.n} samples of {self.dt:g} s"
+        what = (
+            f"Flight {self.name}: {len(self.segments)} segment(s), {self.n} samples of "
+            f"{self.dt:g} s"
+        )
         return "\n".join([what, f"  {', '.join(self.channels)}", *(f"  {n}" for n in self.notes)])
 
     def _shown_rows(self) -> list[dict[str, Cell]]:
         """One row per segment."""
         return [
-            {"start [s]": float(s.t[0]), "seconds": s.duration, "samples": s.n, "channels": len(s.channels)}
+            {
+                "start [s]": float(s.t[0]),
+                "seconds": s.duration,
+                "samples": s.n,
+                "channels": len(s.channels),
+            }
             for s in self.segments
         ]
 
-    def plot(self, channels: Sequence[str] | None = None, ax: Sequence[Axes] | None = None) -> list[Axes]:
+    def plot(
+        self, channels: Sequence[str] | None = None, ax: Sequence[Axes] | None = None
+    ) -> list[Axes]:
         """Channels over time, one panel per unit; matplotlib axes. Raises `UnknownNameError`."""
         return Dataset(flights=(self,)).plot(channels, ax=ax)
 
@@ -109,7 +122,8 @@ class Dataset(Shown):
         double = sorted({n for n in names if names.count(n) > 1})
         if double:
             raise DataError(
-                f"flight names given twice: {', '.join(double)}", fix="give each log once, under its own file name"
+                f"flight names given twice: {', '.join(double)}",
+                fix="give each log once, under its own file name",
             )
 
     def __len__(self) -> int:
@@ -142,7 +156,9 @@ class Dataset(Shown):
         """Channels that every flight has, in the order of the first flight."""
         if not self.flights:
             return ()
-        return tuple(n for n in self.flights[0].channels if all(n in f.channels for f in self.flights))
+        return tuple(
+            n for n in self.flights[0].channels if all(n in f.channels for f in self.flights)
+        )
 
     @property
     def any_channels(self) -> tuple[str, ...]:
@@ -166,7 +182,8 @@ class Dataset(Shown):
 
     @property
     def hash(self) -> str:
-        """SHA-256 of names, times and channel values (not of file paths, notes or extra columns)."""
+        """SHA-256 of names, times and channel values (not of file paths, notes or extra
+        columns)."""
         digest = hashlib.sha256()
         for flight in self.flights:
             digest.update(f"flight {flight.name} {','.join(sorted(flight.noncausal))}\n".encode())
@@ -181,15 +198,20 @@ class Dataset(Shown):
         return Dataset(flights=tuple(self[n] for n in names))
 
     def split_by_flight(self, test: Iterable[str]) -> tuple[Dataset, Dataset]:
-        """(train, test): the flights named in `test` go to the second. Raises `UnknownNameError`."""
+        """(train, test): the flights named in `test` go to the second. Raises
+        `UnknownNameError`."""
         held_out = self.select(test)
         rest = tuple(f for f in self.flights if f.name not in held_out.names)
         return Dataset(flights=rest), held_out
 
-    def split_by_time(self, fraction: float = 0.5, *, at: float | None = None) -> tuple[Dataset, Dataset]:
-        """(first, second): every flight is cut once, at `fraction` of its time span or at the log time `at` [s].
+    def split_by_time(
+        self, fraction: float = 0.5, *, at: float | None = None
+    ) -> tuple[Dataset, Dataset]:
+        """(first, second): every flight is cut once, at `fraction` of its time span or at the log
+        time `at` [s].
 
-        A flight with no samples on one side is missing there. Raises `DataError` for a fraction outside (0, 1).
+        A flight with no samples on one side is missing there. Raises `DataError` for a fraction
+        outside (0, 1).
         """
         if at is None and not 0.0 < fraction < 1.0:
             raise DataError(f"fraction {fraction:g}", expected="between 0 and 1")
@@ -198,7 +220,9 @@ class Dataset(Shown):
             start, stop = float(flight.segments[0].t[0]), float(flight.segments[-1].t[-1])
             cut = start + fraction * (stop - start) if at is None else at
             for side, part in zip(
-                parts, (flight.between(-float("inf"), cut), flight.between(cut, float("inf"))), strict=True
+                parts,
+                (flight.between(-float("inf"), cut), flight.between(cut, float("inf"))),
+                strict=True,
             ):
                 if part is not None:
                     side.append(part)
@@ -207,9 +231,12 @@ class Dataset(Shown):
     def _shown_text(self) -> str:
         """One line for all flights, one for each."""
         count = len(self.flights)
-        lines = [f"Dataset: {count} flight{'s' * (count != 1)}, {sum(f.n for f in self.flights)} samples"]
+        lines = [
+            f"Dataset: {count} flight{'s' * (count != 1)}, {sum(f.n for f in self.flights)} samples"
+        ]
         lines += [
-            f"  {f.name}: {f.duration:.4g} s at {1.0 / f.dt:.4g} Hz, {', '.join(f.channels)}" for f in self.flights
+            f"  {f.name}: {f.duration:.4g} s at {1.0 / f.dt:.4g} Hz, {', '.join(f.channels)}"
+            for f in self.flights
         ]
         return "\n".join(lines)
 
@@ -217,14 +244,22 @@ class Dataset(Shown):
         """One row per flight."""
         return [
             {
-                "flight": f.name, "seconds": f.duration, "rate [Hz]": 1.0 / f.dt, "samples": f.n,
-                "segments": len(f.segments), "channels": ", ".join(f.channels),
+                "flight": f.name,
+                "seconds": f.duration,
+                "rate [Hz]": 1.0 / f.dt,
+                "samples": f.n,
+                "segments": len(f.segments),
+                "channels": ", ".join(f.channels),
             }
             for f in self.flights
-        ]  # fmt: skip
+        ]
 
     def plot(
-        self, channels: Sequence[str] | None = None, *, flight: str | None = None, ax: Sequence[Axes] | None = None
+        self,
+        channels: Sequence[str] | None = None,
+        *,
+        flight: str | None = None,
+        ax: Sequence[Axes] | None = None,
     ) -> list[Axes]:
         """Channels over time, one panel per unit, of one flight (the first one); matplotlib axes.
 
@@ -234,7 +269,10 @@ class Dataset(Shown):
         rows: dict[str, list[Curve]] = {}
         for name in shown.channels if channels is None else channels:
             # Segments are drawn apart: a row of NaN between them.
-            parts = [np.vstack([np.column_stack([s.t, s.column(name)]), [np.nan, np.nan]]) for s in shown.segments]
+            parts = [
+                np.vstack([np.column_stack([s.t, s.column(name)]), [np.nan, np.nan]])
+                for s in shown.segments
+            ]
             xy = np.vstack(parts)
             rows.setdefault(_panel(name), []).append(Curve(label=name, x=xy[:, 0], y=xy[:, 1]))
         return panels(rows, x="t [s]", ax=ax)
@@ -253,9 +291,14 @@ def _bytes(values: npt.NDArray) -> bytes:
 
 
 def dataset_from_arrays(
-    t: npt.ArrayLike, channels: Mapping[str, npt.ArrayLike], *, name: str = "flight", notes: Sequence[str] = ()
+    t: npt.ArrayLike,
+    channels: Mapping[str, npt.ArrayLike],
+    *,
+    name: str = "flight",
+    notes: Sequence[str] = (),
 ) -> Dataset:
-    """A data set of one flight from arrays: `t` (N,) uniform [s], `channels` name -> (N,), NaN = missing.
+    """A data set of one flight from arrays: `t` (N,) uniform [s], `channels` name -> (N,), NaN =
+    missing.
 
     >>> dataset_from_arrays([0.0, 0.01, 0.02], {"p": [0.1, float("nan"), 0.3]}, name="bench")
     Dataset: 1 flight, 3 samples

@@ -13,8 +13,8 @@ from greybox.data.channel import command_names
 from greybox.data.raw import RawLog
 
 SLOWEST = 30.0
-"""Samples per second [Hz] of commands and of the fastest sensor below which rotors that answer in 20 to 50 ms are
-not seen."""
+"""Samples per second [Hz] of commands and of the fastest sensor below which rotors that answer in
+20 to 50 ms are not seen."""
 DISARMED = 0.02
 """Share of the range that no command ever passes: the motors do not turn."""
 GROUNDED = 0.1
@@ -22,12 +22,14 @@ GROUNDED = 0.1
 STILL = 0.02
 """Body rate [rad/s RMS] of a craft that stands ..."""
 SLOW = 0.3
-"""... and change of velocity [m/s] that it passes for less than a twentieth of the time: an estimate wanders."""
+"""... and change of velocity [m/s] that it passes for less than a twentieth of the time: an
+estimate wanders."""
 MEASURED = ("rate", "specific_force", "attitude", "position", "velocity")
 
 
 def unfit(raw: RawLog, rates: Mapping[str, float]) -> Iterator[str]:
-    """Why no model can be fitted to this log; nothing where one can. `rates` [Hz] by channel group."""
+    """Why no model can be fitted to this log; nothing where one can. `rates` [Hz] by channel
+    group."""
     names = command_names(raw.channels)
     sensors = [rates[g] for g in MEASURED if g in rates]
     if not names:
@@ -40,15 +42,23 @@ def unfit(raw: RawLog, rates: Mapping[str, float]) -> Iterator[str]:
         if not u.size or float(u.max()) <= DISARMED:
             yield "disarmed: no motor ever turns"
         elif float(np.percentile(u.mean(axis=1), 95)) < GROUNDED:
-            yield f"on the ground: the commands hardly pass {GROUNDED:g}, idling motors lift nothing"
+            yield (
+                f"on the ground: the commands hardly pass {GROUNDED:g}, idling motors lift nothing"
+            )
         elif _stands(raw):
             yield "on the ground: motors run, but the gyro shows no motion"
         if rates.get("command", SLOWEST) < SLOWEST and rates.get("rotor_speed", 0.0) < SLOWEST:
-            yield f"too slow: commands come at {rates['command']:.3g} Hz, a fit needs {SLOWEST:g} Hz or more"
+            yield (
+                f"too slow: commands come at {rates['command']:.3g} Hz, a fit needs {SLOWEST:g} "
+                "Hz or more"
+            )
     if not sensors:
         yield "no gyro, accelerometer, attitude, position or velocity"
     elif max(sensors) < SLOWEST:
-        yield f"too slow: the fastest sensor comes at {max(sensors):.3g} Hz, a fit needs {SLOWEST:g} Hz or more"
+        yield (
+            f"too slow: the fastest sensor comes at {max(sensors):.3g} Hz, a fit needs "
+            f"{SLOWEST:g} Hz or more"
+        )
 
 
 def _stands(raw: RawLog) -> bool:
@@ -57,9 +67,17 @@ def _stands(raw: RawLog) -> bool:
     if all(n in raw.channels for n in ("vx", "vy", "vz")):
         velocity = np.column_stack([raw.channels[n] for n in ("vx", "vy", "vz")])
         velocity = velocity[np.isfinite(velocity).all(axis=1)]
-        change = np.sqrt(((velocity - np.median(velocity, axis=0)) ** 2).sum(axis=1)) if velocity.size else np.zeros(1)
+        change = (
+            np.sqrt(((velocity - np.median(velocity, axis=0)) ** 2).sum(axis=1))
+            if velocity.size
+            else np.zeros(1)
+        )
         if float(np.percentile(change, 95)) > SLOW:
-            return False  # a simulated hover turns less than a real one shakes; a drifting estimate is no motion
+            # a simulated hover turns less than a real one shakes; a drifting estimate is no motion
+            return False
     rate = np.column_stack([raw.channels[n] for n in "pqr"])
     rate = rate[np.isfinite(rate).all(axis=1)]
-    return bool(rate.size and float(np.sqrt(((rate - np.median(rate, axis=0)) ** 2).sum(axis=1).mean())) < STILL)
+    return bool(
+        rate.size
+        and float(np.sqrt(((rate - np.median(rate, axis=0)) ** 2).sum(axis=1).mean())) < STILL
+    )

@@ -1,8 +1,8 @@
 """Samples that cannot be become missing, counted and listed; nothing else is changed.
 
 Three rules, one question: could the craft have done this? A value outside its channel's range; a
-rotor faster than 1.3 times its top speed; a single sample that stands apart from both its neighbours,
-which agree, by more than two things allow:
+rotor faster than 1.3 times its top speed; a single sample that stands apart from both its
+neighbours, which agree, by more than two things allow:
 
 - the channel's own noise and bandwidth: the same distance at the samples around it and in the whole
   flight. What a sensor sees of a motion that it can follow stands as far apart next to it;
@@ -33,7 +33,8 @@ FORCE, BATTERY = ("ax", "ay", "az"), ("vbat",)
 
 OUTSIDE = "outside its range"
 OVERSPEED = 1.3
-"""Times the top speed of the vehicle file: a rotor in a dive turns a little faster, never this much."""
+"""Times the top speed of the vehicle file: a rotor in a dive turns a little faster, never this
+much."""
 APART = 40.0
 """Times the usual distance from the neighbours, in the flight and around the sample, from which it
 stands apart; sound samples of real flights come to 34, white noise to 7."""
@@ -47,8 +48,8 @@ RISE = 0.02
 MARGIN = 2.0
 """Times what the vehicle file says of thrust and inertia."""
 SPIKES = 0.05
-"""Share of a channel's samples up to which they are spikes; more is a fault of the channel (a unit, a
-scale), which stays for the data-fault check to name."""
+"""Share of a channel's samples up to which they are spikes; more is a fault of the channel (a unit,
+a scale), which stays for the data-fault check to name."""
 SAG = 0.2
 """Change of a battery's voltage under load, as a share of it."""
 
@@ -93,7 +94,10 @@ def without_impossible(raw: RawLog, vehicle: Airframe) -> RawLog:
                 limit = OVERSPEED * top
                 reason = f"beyond {OVERSPEED:g} times speed_max, {limit:.4g} rad/s"
                 drop((name,), ~outside & (values > limit), values, reason)
-    for names, limit_of in {**_of_motors(raw, top), **_possible(set(raw.channels), vehicle)}.items():
+    for names, limit_of in {
+        **_of_motors(raw, top),
+        **_possible(set(raw.channels), vehicle),
+    }.items():
         block = np.column_stack([new.get(n, raw.channels[n]) for n in names])
         rows = _measured(raw.t, block)
         known = block[rows]
@@ -115,7 +119,8 @@ def top_speed(vehicle: Airframe) -> float | None:
 
 
 def _measured(t: FloatArray, block: FloatArray) -> IntArray:
-    """Rows with every value of a group, each later than those before: a slow channel has its own."""
+    """Rows with every value of a group, each later than those before: a slow channel has its
+    own."""
     rows = np.flatnonzero(np.isfinite(block).all(axis=1) & np.isfinite(t))
     latest = np.maximum.accumulate(np.concatenate([[-np.inf], t[rows]]))[:-1]
     later: IntArray = rows[t[rows] > latest]
@@ -160,7 +165,8 @@ def _possible(have: set[str], vehicle: Airframe) -> Mapping[tuple[str, ...], Pos
 
 
 def _off_line(t: FloatArray, block: FloatArray, k: int) -> FloatArray:
-    """Distance of the samples (n, d) from the line between those k before and k after; 0 at the ends."""
+    """Distance of the samples (n, d) from the line between those k before and k after; 0 at the
+    ends."""
     out = np.zeros(block.shape)
     share = ((t[k:-k] - t[: -2 * k]) / (t[2 * k :] - t[: -2 * k]))[:, None]
     out[k:-k] = np.abs(block[k:-k] - (1.0 - share) * block[: -2 * k] - share * block[2 * k :])
@@ -175,7 +181,9 @@ def _lone(t: FloatArray, block: FloatArray, possible: Possible) -> FloatArray:
     for _ in range(PASSES):
         found = _apart(t[left], block[left], possible)
         wide = np.pad(found, 2)
-        lone = (found > 0.0) & (found >= np.max([wide[k : k + found.size] for k in (0, 1, 3, 4)], axis=0))
+        lone = (found > 0.0) & (
+            found >= np.max([wide[k : k + found.size] for k in (0, 1, 3, 4)], axis=0)
+        )
         if not lone.any():
             break
         size[left[lone]] = found[lone]
@@ -184,8 +192,8 @@ def _lone(t: FloatArray, block: FloatArray, possible: Possible) -> FloatArray:
 
 
 def _apart(t: FloatArray, block: FloatArray, possible: Possible) -> FloatArray:
-    """How far a component of a sample stands apart from the line between both neighbours, which go on as those
-    beyond them, (n,); 0 where that is possible."""
+    """How far a component of a sample stands apart from the line between both neighbours, which go
+    on as those beyond them, (n,); 0 where that is possible."""
     n = len(block)
     if n < 2 * max(AROUND):
         return np.zeros(n)
@@ -198,9 +206,14 @@ def _apart(t: FloatArray, block: FloatArray, possible: Possible) -> FloatArray:
     gap = np.diff(t)
     limit = np.zeros(n)
     limit[1:-1] = possible(np.maximum(np.maximum(gap[:-1], gap[1:]), float(np.median(gap))))
-    # From one neighbour to the other, less than what is usual on the calmer side: a step is no lone sample.
+    # From one neighbour to the other, less than what is usual on the calmer side: a step is no lone
+    # sample.
     two = np.pad(np.abs(block[2:] - block[:-2]), ((3, 3), (0, 0)))
     step = two[2 : n + 2] - np.minimum(two[:n], two[4 : n + 4])
     # A sound sample between two spikes lies where those beyond them do.
-    lone = (apart > np.maximum(noise, limit[:, None])) & (step < 0.5 * apart) & (_off_line(t, block, 2) > 0.25 * apart)
+    lone = (
+        (apart > np.maximum(noise, limit[:, None]))
+        & (step < 0.5 * apart)
+        & (_off_line(t, block, 2) > 0.25 * apart)
+    )
     return np.asarray(np.where(lone, apart, 0.0).max(axis=1))

@@ -1,4 +1,5 @@
-"""What a log holds, what of it greybox can use, what is missing, and which logging settings would provide it."""
+"""What a log holds, what of it greybox can use, what is missing, and which logging settings would
+provide it."""
 
 from __future__ import annotations
 
@@ -17,7 +18,14 @@ from greybox.data.logs.canonical import to_channels
 from greybox.data.logs.table import Table
 from greybox.data.raw import RawLog
 from greybox.data.readers import LogFormat, LogMapping, Recording, format_of, read_recording
-from greybox.data.readers.assemble import assemble, choose, describe, in_channels, stream_of_table, usable
+from greybox.data.readers.assemble import (
+    assemble,
+    choose,
+    describe,
+    in_channels,
+    stream_of_table,
+    usable,
+)
 from greybox.data.readers.mapping import TABLE
 from greybox.data.readers.recording import Source, Stream
 from greybox.data.resampling import STRETCH
@@ -36,12 +44,14 @@ WANTED_RATE = {
     "velocity": 10.0,
     "battery": 1.0,
 }
-"""Samples per second below which a group is of little use [Hz]: motors answer in 20 to 50 ms, so that commands and IMU
-must be logged several times in that time; the pose is bridged by the IMU."""
+"""Samples per second below which a group is of little use [Hz]: motors answer in 20 to 50 ms, so
+that commands and IMU must be logged several times in that time; the pose is bridged by the IMU."""
 
 PURPOSE = {
-    "command": "without it no model of forces or torques can be fitted (`--input speed` takes rotor speeds instead)",
-    "rotor_speed": "separates motor lag from everything else, and gives coefficients of true rotor speed",
+    "command": "without it no model of forces or torques can be fitted (`--input speed` takes "
+    "rotor speeds instead)",
+    "rotor_speed": "separates motor lag from everything else, and gives coefficients of true rotor "
+    "speed",
     "battery": "battery_sag; thrust otherwise drifts over a flight",
     "attitude": "tells gravity from thrust; long horizons",
     "rate": "the whole rotational model",
@@ -55,7 +65,8 @@ PURPOSE = {
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelGroup:
-    """A group that greybox can use: its channels, where they come from, how often, and whether that is enough."""
+    """A group that greybox can use: its channels, where they come from, how often, and whether that
+    is enough."""
 
     group: str
     channels: tuple[str, ...]
@@ -67,7 +78,8 @@ class ChannelGroup:
 
 @dataclass(frozen=True, kw_only=True)
 class MissingGroup:
-    """A group that is missing or logged too slowly, what it is for, and the setting that provides it."""
+    """A group that is missing or logged too slowly, what it is for, and the setting that provides
+    it."""
 
     group: str
     channels: tuple[str, ...]
@@ -78,7 +90,8 @@ class MissingGroup:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Inspection(Shown):
-    """What `inspect_log` found. `raw` is the log in canonical channels, None where `problem` says why it cannot be."""
+    """What `inspect_log` found. `raw` is the log in canonical channels, None where `problem` says
+    why it cannot be."""
 
     format: LogFormat
     recording: Recording
@@ -106,21 +119,32 @@ class Inspection(Shown):
     def _shown_text(self) -> str:
         """The verdict, then what is there and what is missing."""
         lines = [self.verdict, f"{self.recording.source}: {self.format.title}"]
-        lines += [f"  {g.group}: {g.rate:.0f} Hz{'' if g.enough else ', too slow'}" for g in self.groups]
+        lines += [
+            f"  {g.group}: {g.rate:.0f} Hz{'' if g.enough else ', too slow'}" for g in self.groups
+        ]
         return "\n".join([*lines, *(f"  missing: {m.group} ({m.reason})" for m in self.missing)])
 
     def _shown_rows(self) -> list[dict[str, Cell]]:
         """One row per channel group: there and how often, or missing and what would provide it."""
         rows: list[dict[str, Cell]] = [
             {
-                "group": g.group, "channels": ", ".join(g.channels), "rate [Hz]": g.rate, "known": g.share,
-                "enough": g.enough, "advice": "",
+                "group": g.group,
+                "channels": ", ".join(g.channels),
+                "rate [Hz]": g.rate,
+                "known": g.share,
+                "enough": g.enough,
+                "advice": "",
             }
             for g in self.groups
-        ]  # fmt: skip
+        ]
         seen = {g.group for g in self.groups}
         return rows + [
-            {"group": m.group, "channels": ", ".join(m.channels), "enough": False, "advice": m.advice}
+            {
+                "group": m.group,
+                "channels": ", ".join(m.channels),
+                "enough": False,
+                "advice": m.advice,
+            }
             for m in self.missing
             if m.group not in seen
         ]
@@ -138,7 +162,9 @@ class Inspection(Shown):
             "streams": [stream_facts(s) for s in self.recording.streams.values()],
             "dropouts": [{"start": a, "length": b} for a, b in self.recording.dropouts],
             "rows": 0 if self.raw is None else self.raw.n,
-            "duration": 0.0 if self.raw is None else float(np.nanmax(self.raw.t) - np.nanmin(self.raw.t)),
+            "duration": 0.0
+            if self.raw is None
+            else float(np.nanmax(self.raw.t) - np.nanmin(self.raw.t)),
             "channels": [
                 {
                     "group": g.group,
@@ -174,9 +200,11 @@ def inspect_log(
     *,
     mapping: str | os.PathLike[str] | LogMapping | None = None,
 ) -> Inspection:
-    """Look into a log of any format. `vehicle` says what the columns of a table are and how many rotors there are.
+    """Look into a log of any format. `vehicle` says what the columns of a table are and how many
+    rotors there are.
 
-    Raises `DataError` where the file cannot be read at all; a log that can be read and not be used says so in `problem`.
+    Raises `DataError` where the file cannot be read at all; a log that can be read and not be used
+    says so in `problem`.
     """
     where = os.fspath(path)
     said = mapping_for(vehicle, mapping)
@@ -186,7 +214,9 @@ def inspect_log(
     if form.table is not None:
         table = form.table(path)
         recording = (
-            stream_of_table(table, said, where=where) if mapping is not None else _recording_of(table, said, where)
+            stream_of_table(table, said, where=where)
+            if mapping is not None
+            else _recording_of(table, said, where)
         )
     else:
         recording = read_recording(path, said)
@@ -212,7 +242,11 @@ def inspect_log(
         groups=groups,
         missing=tuple(_missing(groups, form)),
         others=tuple(others),
-        notes=tuple(n for n in (raw.notes if raw is not None else recording.notes) if n not in origins.values()),
+        notes=tuple(
+            n
+            for n in (raw.notes if raw is not None else recording.notes)
+            if n not in origins.values()
+        ),
         raw=raw,
         problem=problem,
     )
@@ -230,8 +264,16 @@ def _recording_of(table: Table, said: LogMapping, where: str) -> Recording:
         empty: npt.NDArray[np.float64] = np.full(table.rows.size, np.nan)
         numbers = {k: v for k, v in table.columns.items() if v.dtype.kind == "f"}
         text = tuple(k for k in table.columns if k not in numbers)
-        stream = Stream(name=TABLE, t=empty, fields=numbers, clock="no column is known to be the time", unread=text)
-        return Recording(format="table", source=table.source, sha256=table.sha256, streams={TABLE: stream})
+        stream = Stream(
+            name=TABLE,
+            t=empty,
+            fields=numbers,
+            clock="no column is known to be the time",
+            unread=text,
+        )
+        return Recording(
+            format="table", source=table.source, sha256=table.sha256, streams={TABLE: stream}
+        )
 
 
 def _groups(raw: RawLog, origins: dict[str, str], recording: Recording) -> list[ChannelGroup]:
@@ -248,7 +290,12 @@ def _groups(raw: RawLog, origins: dict[str, str], recording: Recording) -> list[
         origin = origins.get(group) or f"{short}: columns {', '.join(names)}"
         own = rate * share if share < 0.95 else rate
         stream = next(
-            (s for s in recording.streams.values() if origin.partition(": ")[2].startswith(s.name + " [")), None
+            (
+                s
+                for s in recording.streams.values()
+                if origin.partition(": ")[2].startswith(s.name + " [")
+            ),
+            None,
         )
         if stream is not None and group in origins:
             own = stream.rate

@@ -8,14 +8,17 @@ from greybox.data import Dataset
 from greybox.data.segment import START_SECONDS
 
 LEADS = 4
-"""The start of a segment only tells its commands where the segment is more than so many times as long."""
+"""The start of a segment only tells its commands where the segment is more than so many times as
+long."""
 
 
 def without_lead_in(data: Dataset) -> Dataset:
-    """The data without the first `START_SECONDS` seconds of every segment, whose commands are remembered.
+    """The data without the first `START_SECONDS` seconds of every segment, whose commands are
+    remembered.
 
-    Commands before the first row are unknown: a model with a delay predicts the samples after it wrongly, one with rotor
-    states does not, and would be preferred for that alone. `data_hash` of the result is that of the samples that are left.
+    Commands before the first row are unknown: a model with a delay predicts the samples after it
+    wrongly, one with rotor states does not, and would be preferred for that alone. `data_hash` of
+    the result is that of the samples that are left.
     """
     flights = []
     for f in data:

@@ -1,7 +1,9 @@
-"""Memory that the reader of a log may take: a small file must not unpack into all that the machine has.
+"""Memory that the reader of a log may take: a small file must not unpack into all that the machine
+has.
 
-Parsers of other formats believe what a file declares. While one runs, the address space of this process may grow by
-`allowance` only (Linux; elsewhere nothing is bounded), and the parser's own MemoryError says that it wanted more.
+Parsers of other formats believe what a file declares. While one runs, the address space of this
+process may grow by `allowance` only (Linux; elsewhere nothing is bounded), and the parser's own
+MemoryError says that it wanted more.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ from pathlib import Path
 LEAST = 2 * 2**30
 """Bytes that any log may take [B]: libraries set addresses aside that they never use."""
 PER_BYTE = 50
-"""Bytes for every byte of the file: numbers of a compressed table are 10 to 20 times as large in memory."""
+"""Bytes for every byte of the file: numbers of a compressed table are 10 to 20 times as large in
+memory."""
 
 _lock = threading.Lock()
 _inside = 0
@@ -35,12 +38,15 @@ def allowance(path: str | os.PathLike[str]) -> int:
 
 @contextlib.contextmanager
 def bounded(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Nothing inside may take more than `allowance(path)`: a MemoryError there, or what a library makes of it."""
+    """Nothing inside may take more than `allowance(path)`: a MemoryError there, or what a library
+    makes of it."""
     global _inside, _before, _limit
     try:
         import resource
 
-        used = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        used = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * os.sysconf(
+            "SC_PAGE_SIZE"
+        )
     except (ImportError, OSError, ValueError):
         yield
         return

@@ -1,4 +1,5 @@
-"""RawLog: a log in canonical channels on its own, unchecked clock, and what was removed from one."""
+"""RawLog: a log in canonical channels on its own, unchecked clock, and what was removed from
+one."""
 
 from __future__ import annotations
 
@@ -39,11 +40,13 @@ class Removed:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RawLog:
-    """Canonical channels (SI, right signs) on the clock of the log, which may still jitter, stop or go back.
+    """Canonical channels (SI, right signs) on the clock of the log, which may still jitter, stop or
+    go back.
 
-    `t` (N,) finite [s]; `channels` name -> (N,), NaN = missing; `extra` unknown columns as they came; `rows` (N,) line
-    numbers in the file; `empty` canonical channels whose column holds no value; `notes` what the reader has to say;
-    `removed` the samples that were taken as missing because no craft can have made them.
+    `t` (N,) finite [s]; `channels` name -> (N,), NaN = missing; `extra` unknown columns as they
+    came; `rows` (N,) line numbers in the file; `empty` canonical channels whose column holds no
+    value; `notes` what the reader has to say; `removed` the samples that were taken as missing
+    because no craft can have made them.
     """
 
     t: FloatArray
@@ -65,16 +68,26 @@ class RawLog:
 
 
 def measurable(raw: RawLog) -> RawLog:
-    """`raw`, with values beyond `LARGEST` as the infinite ones that they are for every sum of squares.
+    """`raw`, with values beyond `LARGEST` as the infinite ones that they are for every sum of
+    squares.
 
-    Raises `DataError` for what is no log: no rows, no channels, columns of other lengths, stamps that are no numbers.
+    Raises `DataError` for what is no log: no rows, no channels, columns of other lengths, stamps
+    that are no numbers.
     """
     where = f"flight {raw.flight}"
     if not raw.n or not raw.channels:
-        raise DataError(f"a log without {'channels' if raw.n else 'rows'}", where=where, fix="pass a log of a flight")
+        raise DataError(
+            f"a log without {'channels' if raw.n else 'rows'}",
+            where=where,
+            fix="pass a log of a flight",
+        )
     wrong = sorted(n for n, v in raw.channels.items() if v.shape != raw.t.shape)
     if wrong or raw.rows.shape != raw.t.shape:
-        raise DataError(f"not one value per time stamp: {', '.join(wrong or ['rows'])}", where=where, expected=f"{raw.n}")
+        raise DataError(
+            f"not one value per time stamp: {', '.join(wrong or ['rows'])}",
+            where=where,
+            expected=f"{raw.n}",
+        )
     # A clock is no better than its steps: sums of stamps must be numbers, too.
     bad = np.flatnonzero(~(np.abs(raw.t) <= LARGEST))
     if bad.size:
@@ -86,5 +99,9 @@ def measurable(raw: RawLog) -> RawLog:
             fix="leave these rows out",
         )
     huge = {n: np.abs(v) > LARGEST for n, v in raw.channels.items()}
-    new = {n: np.where(at, np.copysign(np.inf, raw.channels[n]), raw.channels[n]) for n, at in huge.items() if at.any()}
+    new = {
+        n: np.where(at, np.copysign(np.inf, raw.channels[n]), raw.channels[n])
+        for n, at in huge.items()
+        if at.any()
+    }
     return replace(raw, channels={**raw.channels, **new}) if new else raw

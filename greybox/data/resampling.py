@@ -1,7 +1,8 @@
 """Samples of an irregular clock, or of another rate, on a uniform grid.
 
-At about the log's own rate measurements are interpolated linearly and commands held; at a lower rate both are averaged
-over one sample time (measurements centred on the sample, commands over the interval in which the sample is held).
+At about the log's own rate measurements are interpolated linearly and commands held; at a lower
+rate both are averaged over one sample time (measurements centred on the sample, commands over the
+interval in which the sample is held).
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ def _bracket(t: FloatArray, grid: FloatArray) -> npt.NDArray[np.int64]:
 
 
 def interpolated(t: FloatArray, values: FloatArray, grid: FloatArray, *, step: float) -> FloatArray:
-    """Linear interpolation of (N,) at `grid` (M,); NaN where a neighbour is missing or the rows are too far apart."""
+    """Linear interpolation of (N,) at `grid` (M,); NaN where a neighbour is missing or the rows are
+    too far apart."""
     if np.isfinite(values).mean() < 0.5:
         return _nearest(t, values, grid)
     i = _bracket(t, grid)
@@ -40,7 +42,8 @@ def interpolated(t: FloatArray, values: FloatArray, grid: FloatArray, *, step: f
 
 
 def _nearest(t: FloatArray, values: FloatArray, grid: FloatArray) -> FloatArray:
-    """A slow channel: each value goes to the grid point next to it, all other points stay missing."""
+    """A slow channel: each value goes to the grid point next to it, all other points stay
+    missing."""
     out = np.full(grid.size, np.nan)
     known = np.flatnonzero(np.isfinite(values))
     place = np.rint((t[known] - grid[0]) / (grid[1] - grid[0])).astype(np.int64)
@@ -59,7 +62,8 @@ def averaged(
 ) -> FloatArray:
     """Mean over one grid step, (M,), of the held or piecewise linear signal.
 
-    The step lies after the grid point (`ahead`, for commands) or around it. NaN where less than half of it is known.
+    The step lies after the grid point (`ahead`, for commands) or around it. NaN where less than
+    half of it is known.
     """
     dt = grid[1] - grid[0]
     width = np.diff(t)
@@ -83,7 +87,8 @@ def averaged(
 
 
 def continuous_signs(quaternions: FloatArray) -> tuple[FloatArray, int]:
-    """Quaternions (N, 4) with signs such that neighbours agree (missing rows skipped); how many changes that took."""
+    """Quaternions (N, 4) with signs such that neighbours agree (missing rows skipped); how many
+    changes that took."""
     out = quaternions.copy()
     known = np.flatnonzero(np.isfinite(out).all(axis=1))
     if known.size < 2:

@@ -1,4 +1,5 @@
-"""Segment: an unbroken stretch of samples on one uniform clock. Missing cells are NaN, never a filled-in number."""
+"""Segment: an unbroken stretch of samples on one uniform clock. Missing cells are NaN, never a
+filled-in number."""
 
 from __future__ import annotations
 
@@ -16,8 +17,9 @@ from greybox.shown import Cell, Shown
 FloatArray = npt.NDArray[np.float64]
 
 START_SECONDS = 0.1
-"""First seconds of a segment: the initial state is read off them, and the commands before them, which nobody knows, still
-arrive (no `command_delay` is longer). Nothing is predicted from there, or judged."""
+"""First seconds of a segment: the initial state is read off them, and the commands before them,
+which nobody knows, still arrive (no `command_delay` is longer). Nothing is predicted from there, or
+judged."""
 EARLIER = 0.2
 """Seconds before a cut whose samples are remembered: longer than any delay."""
 CLOCK_TOLERANCE = 1e-3
@@ -27,7 +29,11 @@ CLOCK_TOLERANCE = 1e-3
 def _frozen_floats(values: Any, n: int, what: str, flight: str) -> FloatArray:
     array = np.array(values, dtype=np.float64)
     if array.shape != (n,):
-        raise DataError(f"{what} has shape {array.shape}", where=f"flight {flight}", expected=f"({n},), one per sample")
+        raise DataError(
+            f"{what} has shape {array.shape}",
+            where=f"flight {flight}",
+            expected=f"({n},), one per sample",
+        )
     array.setflags(write=False)
     return array
 
@@ -36,11 +42,11 @@ def _frozen_floats(values: Any, n: int, what: str, flight: str) -> FloatArray:
 class Segment(Shown):
     """Samples at t_0 + k dt. All arrays are (N,), read-only copies; NaN = missing.
 
-    `t` [s] is uniform (float64); `channels` are canonical names in SI units (a model of the user's own may use any
-    names); `extra` are the log's unknown columns, as they came (float64, or text). `earlier` are channels of the samples
-    just before t_0, (M,) each, where the segment was cut out of a longer one: commands that a delay still has to deliver.
-    Raises `DataError` where shapes do not fit, the clock is not uniform, a value is infinite, or there are fewer than two
-    samples.
+    `t` [s] is uniform (float64); `channels` are canonical names in SI units (a model of the user's
+    own may use any names); `extra` are the log's unknown columns, as they came (float64, or text).
+    `earlier` are channels of the samples just before t_0, (M,) each, where the segment was cut out
+    of a longer one: commands that a delay still has to deliver. Raises `DataError` where shapes do
+    not fit, the clock is not uniform, a value is infinite, or there are fewer than two samples.
     """
 
     t: FloatArray
@@ -53,10 +59,16 @@ class Segment(Shown):
         n = int(np.size(self.t))
         t = _frozen_floats(self.t, n, "t", self.flight)
         if n < 2:
-            raise DataError(f"a segment of {n} sample(s)", where=f"flight {self.flight}", expected="at least 2")
+            raise DataError(
+                f"a segment of {n} sample(s)", where=f"flight {self.flight}", expected="at least 2"
+            )
         dt = (t[-1] - t[0]) / (n - 1)
         if not np.isfinite(t).all() or dt <= 0:
-            raise DataError("t is not increasing", where=f"flight {self.flight}", fix="read the log with read_log")
+            raise DataError(
+                "t is not increasing",
+                where=f"flight {self.flight}",
+                fix="read the log with read_log",
+            )
         shift = float(np.abs(t - (t[0] + dt * np.arange(n))).max())
         if shift > CLOCK_TOLERANCE * dt:
             raise DataError(
@@ -64,19 +76,28 @@ class Segment(Shown):
                 where=f"flight {self.flight}",
                 fix="resample it (read_log does)",
             )
-        channels = {k: _frozen_floats(v, n, f"channel {k}", self.flight) for k, v in self.channels.items()}
+        channels = {
+            k: _frozen_floats(v, n, f"channel {k}", self.flight) for k, v in self.channels.items()
+        }
         for name, values in channels.items():
             if np.isinf(values).any():
-                raise DataError(f"channel {name} has an infinite value", where=f"flight {self.flight}")
+                raise DataError(
+                    f"channel {name} has an infinite value", where=f"flight {self.flight}"
+                )
         extra = {}
         for name, values in self.extra.items():
             array = np.array(values)
             if array.shape != (n,):
-                raise DataError(f"extra column {name} has shape {array.shape}", where=f"flight {self.flight}")
+                raise DataError(
+                    f"extra column {name} has shape {array.shape}", where=f"flight {self.flight}"
+                )
             array.setflags(write=False)
             extra[name] = array
         length = min((int(np.size(v)) for v in self.earlier.values()), default=0)
-        earlier = {k: _frozen_floats(v, length, f"earlier {k}", self.flight) for k, v in self.earlier.items()}
+        earlier = {
+            k: _frozen_floats(v, length, f"earlier {k}", self.flight)
+            for k, v in self.earlier.items()
+        }
         object.__setattr__(self, "earlier", MappingProxyType(earlier))
         object.__setattr__(self, "t", t)
         object.__setattr__(self, "channels", MappingProxyType(channels))
@@ -84,9 +105,12 @@ class Segment(Shown):
 
     def __getstate__(self) -> dict[str, Any]:
         return {
-            "t": self.t, "channels": dict(self.channels), "flight": self.flight, "extra": dict(self.extra),
+            "t": self.t,
+            "channels": dict(self.channels),
+            "flight": self.flight,
+            "extra": dict(self.extra),
             "earlier": dict(self.earlier),
-        }  # fmt: skip
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in ({"earlier": {}} | state).items():
@@ -101,7 +125,9 @@ class Segment(Shown):
     @property
     def dt(self) -> float:
         """Sample time [s], rounded to 12 digits so that segments of one clock agree exactly."""
-        return float(f"{(self.t[-1] - self.t[0]) / (self.n - 1):.12g}") if self.n > 1 else float("nan")
+        return (
+            float(f"{(self.t[-1] - self.t[0]) / (self.n - 1):.12g}") if self.n > 1 else float("nan")
+        )
 
     @property
     def duration(self) -> float:
@@ -129,7 +155,9 @@ class Segment(Shown):
                 else (None, None, None)
             )
             missing = 1.0 - known.size / self.n
-            rows.append({"channel": name, "min": least, "mean": mean, "max": most, "missing": missing})
+            rows.append(
+                {"channel": name, "min": least, "mean": mean, "max": most, "missing": missing}
+            )
         return rows
 
     def column(self, name: str) -> FloatArray:
@@ -138,7 +166,9 @@ class Segment(Shown):
             return self.channels[name]
         if name in self.extra and self.extra[name].dtype.kind == "f":
             return self.extra[name]
-        raise UnknownNameError("channel", name, [*self.channels, *self.extra], where=f"flight {self.flight}")
+        raise UnknownNameError(
+            "channel", name, [*self.channels, *self.extra], where=f"flight {self.flight}"
+        )
 
     def matrix(self, names: Sequence[str], *, missing_ok: bool = False) -> FloatArray:
         """The named columns as (N, len(names)); a fresh array.
@@ -152,14 +182,17 @@ class Segment(Shown):
         return out
 
     def rows(self, start: int, stop: int) -> Segment:
-        """Samples start <= k < stop, with a memory of those before. Raises `DataError` where fewer than two are left."""
+        """Samples start <= k < stop, with a memory of those before. Raises `DataError` where fewer
+        than two are left."""
         start = max(start, 0)
         part, longest = slice(start, max(stop, 0)), max(round(EARLIER / self.dt), 1)
         earlier = self.earlier
         if start:
             known = self.earlier if set(self.channels) <= set(self.earlier) else {}
             past = {k: v[max(start - longest, 0) : start] for k, v in self.channels.items()}
-            earlier = {k: np.concatenate([known.get(k, v[:0]), v])[-longest:] for k, v in past.items()}
+            earlier = {
+                k: np.concatenate([known.get(k, v[:0]), v])[-longest:] for k, v in past.items()
+            }
         return Segment(
             t=self.t[part],
             channels={k: v[part] for k, v in self.channels.items()},
@@ -175,10 +208,19 @@ class Segment(Shown):
 
     def without(self, names: Collection[str]) -> Segment:
         """A copy without these channels."""
-        kept, earlier = ({k: v for k, v in d.items() if k not in names} for d in (self.channels, self.earlier))
-        return Segment(t=self.t, channels=kept, flight=self.flight, extra=self.extra, earlier=earlier)
+        kept, earlier = (
+            {k: v for k, v in d.items() if k not in names} for d in (self.channels, self.earlier)
+        )
+        return Segment(
+            t=self.t, channels=kept, flight=self.flight, extra=self.extra, earlier=earlier
+        )
 
     def replace(self, channels: Mapping[str, npt.ArrayLike]) -> Segment:
         """A copy with these channels set or added, (N,) each."""
-        merged = {**self.channels, **{k: np.asarray(v, dtype=np.float64) for k, v in channels.items()}}
-        return Segment(t=self.t, channels=merged, flight=self.flight, extra=self.extra, earlier=self.earlier)
+        merged = {
+            **self.channels,
+            **{k: np.asarray(v, dtype=np.float64) for k, v in channels.items()},
+        }
+        return Segment(
+            t=self.t, channels=merged, flight=self.flight, extra=self.extra, earlier=self.earlier
+        )

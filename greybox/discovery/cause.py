@@ -204,7 +204,9 @@ def offer(
     every = {p for c in causes.values() for p in c.parameters}
     held = {*fixed, *_unstated(vehicle, chosen)}
     core = tuple(
-        d.name for d in model.parameters if d.sigma > 0 and d.name not in every and d.name not in held
+        d.name
+        for d in model.parameters
+        if d.sigma > 0 and d.name not in every and d.name not in held
     )
     return Causes(
         model=model,

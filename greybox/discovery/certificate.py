@@ -139,7 +139,9 @@ def certificates(
         strongest = min(found, key=lambda r: found[r], default=())
         log_e = found[strongest] if found else -np.inf
         evidence = {r.instead: r.fitted.log_evidence - at.log_evidence for r in rows}
-        out[name] = Certificate(name=name, log_e=log_e, against=strongest, rivals=found, evidence=evidence)
+        out[name] = Certificate(
+            name=name, log_e=log_e, against=strongest, rivals=found, evidence=evidence
+        )
     return out
 
 

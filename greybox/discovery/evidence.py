@@ -194,13 +194,17 @@ class Flights:
         )
         return self._carried_out([again], exact=not rough)[0]
 
-    def contest(self, asked: Sequence[tuple[Structure, Sequence[Start]]], than: Fitted) -> list[Fitted]:
+    def contest(
+        self, asked: Sequence[tuple[Structure, Sequence[Start]]], than: Fitted
+    ) -> list[Fitted]:
         """Structures that are held against each other and against `than`, each from the likeliest of
         its starts: carried on as long as they may catch up, and exact where they come near."""
         e = self.effort
         new = [(s, tuple(starts)) for s, starts in asked if s not in self._known]
         self.prepare(s for s, _ in new)
-        opened = [Task(structure=s, starts=t, tolerance=e.rough, iterations=e.opening) for s, t in new]
+        opened = [
+            Task(structure=s, starts=t, tolerance=e.rough, iterations=e.opening) for s, t in new
+        ]
         if len(opened) == 1:  # a start again loses what the solver learned
             reach = than.value.likelihood + e.behind
             whole = replace(opened[0], tolerance=e.exact, iterations=e.iterations, target=reach)
@@ -309,7 +313,9 @@ def problem_of(causes: Causes, data: Dataset, options: FitOptions, structure: St
     return make_problem(model, data, choices(causes, options, structure))
 
 
-def solved(causes: Causes, data: Dataset, options: FitOptions, task: Task) -> tuple[FloatArray, Status]:
+def solved(
+    causes: Causes, data: Dataset, options: FitOptions, task: Task
+) -> tuple[FloatArray, Status]:
     """Carry out one task: (unknowns (n,), how the solver ended)."""
     with threadpool_limits(limits=1):
         problem = problem_of(causes.canonical(), data, options, task.structure)
@@ -319,7 +325,9 @@ def solved(causes: Causes, data: Dataset, options: FitOptions, task: Task) -> tu
         if len(offered) > 1:
             start = min(offered, key=lambda t: problem.evaluate(t, 0).cost)
         most = task.iterations
-        solver = LevenbergMarquardt(tolerance=task.tolerance, max_iterations=most, target=task.target)
+        solver = LevenbergMarquardt(
+            tolerance=task.tolerance, max_iterations=most, target=task.target
+        )
         return solver.solve(problem, start)
 
 
@@ -349,7 +357,9 @@ def vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:
             return float(np.mean(others[name]))
         return start
 
-    return np.array([of(u.name, u.flight, u.start, u.kind) for u in problem.unknowns], dtype=np.float64)
+    return np.array(
+        [of(u.name, u.flight, u.start, u.kind) for u in problem.unknowns], dtype=np.float64
+    )
 
 
 Say = Callable[[str, float], None]

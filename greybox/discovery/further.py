@@ -62,7 +62,9 @@ def further(
     )
     parts = [sensor_cause(p, causes.model) for p in sensor_parts(model.dynamics)]
     causes = causes.with_cause(*parts)
-    structure = frozenset(n for n in (*model.effects, *(p.name for p in parts)) if n in causes.offered)
+    structure = frozenset(
+        n for n in (*model.effects, *(p.name for p in parts)) if n in causes.offered
+    )
     flights = Flights(causes=causes, data=without_lead_in(data))
     start: dict[Key, float] = {(n, None): float(v) for n, v in model.values.items()}
     told = flights.fit(structure, [start])
@@ -95,7 +97,9 @@ def further(
     }
 
 
-def _rivals(structure: Structure, effect: Mapping[str, Any], offered: Iterable[str]) -> list[Structure]:
+def _rivals(
+    structure: Structure, effect: Mapping[str, Any], offered: Iterable[str]
+) -> list[Structure]:
     """The structures that do without a name: it is dropped, or its strongest rival is in its place."""
     left = structure - {effect["name"]}
     instead = frozenset(str(effect["against"]).split(" + "))
@@ -118,4 +122,3 @@ def _without_numbers(effect: Mapping[str, Any]) -> dict[str, Any]:
 def _line(kept: Iterable[Mapping[str, Any]]) -> str:
     said = [f"{e['name']} (log10 e {e['log10_e']:.1f})" for e in kept]
     return "MISSING: " + "; ".join(said) if said else "no name holds on the further flights"
-

@@ -159,7 +159,9 @@ def _refitted(law: Axis, name: str, values: Mapping[str, float]) -> Axis:
     for i, (text, kept) in enumerate(zip(law.terms, law.memories, strict=True), 1):
         now = None
         if kept is not None:
-            memory = Memory(time=values[f"{name}.time_{i}"], damping=values.get(f"{name}.damping_{i}"))
+            memory = Memory(
+                time=values[f"{name}.time_{i}"], damping=values.get(f"{name}.damping_{i}")
+            )
             text, now = f"{text.rsplit(' (', 1)[0]} ({memory})", (memory, kept[1])
         terms[text] = values[f"{name}.c_{i}"]
         memories.append(now)

@@ -108,8 +108,8 @@ def _shares(
 
 
 def impossible(at: Fitted, flights: Flights, name: str) -> str:
-    """Why a cause of the structure `at` can be no name; empty where it can. An estimate at its bound
-    stands in for something else, and one beyond what any craft has is a fault of the data."""
+    """Why a cause of the structure `at` can be no name; empty where it can. An estimate at its
+    bound stands in for something else, and one beyond what any craft has is a fault of the data."""
     cause = flights.causes.offered[name]
     declared: dict[str, Parameter] = {d.name: d for d in at.problem.dynamics.parameters}
     bent = []

@@ -92,7 +92,11 @@ class Scores:
             ]
             if not out:
                 _, logdet = np.linalg.slogdet(m)
-                return np.asarray(estimate, dtype=float), rows, float(-0.5 * s @ estimate - 0.5 * logdet)
+                return (
+                    np.asarray(estimate, dtype=float),
+                    rows,
+                    float(-0.5 * s @ estimate - 0.5 * logdet),
+                )
             rows = [i for i in rows if i not in out]
         return np.zeros(0), [], 0.0
 
@@ -204,7 +208,9 @@ def scored(flights: Flights, at: Fitted) -> Scores:
     g = value.gradient / scale
     s = g[chosen] - g[rest] @ solved
     sigma = prior[chosen]
-    out = np.asarray(v * np.outer(scale[chosen] * sigma, scale[chosen] * sigma) - np.eye(len(chosen)))
+    out = np.asarray(
+        v * np.outer(scale[chosen] * sigma, scale[chosen] * sigma) - np.eye(len(chosen))
+    )
     at_places, k = {}, 0
     for n, rows in mine.items():
         at_places[n] = tuple(range(k, k + len(rows)))

@@ -95,8 +95,8 @@ class Discovery(Shown):
         ]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """The log10 e-value of every cause that was judged, against leaving it out, and the bar that
-        a name needs; matplotlib axes. Raises `GreyboxError` where none was judged."""
+        """The log10 e-value of every cause that was judged, against leaving it out, and the bar
+        that a name needs; matplotlib axes. Raises `GreyboxError` where none was judged."""
         rows = [(f"{r['cause']} ({r['status']})", r["log10 e"]) for r in self._shown_rows()]
         held = [(n, float(v)) for n, v in rows if isinstance(v, float) and np.isfinite(v)]
         return bars(dict(held), x="log10 e-value", threshold=self.bar / LOG10, ax=ax)
@@ -114,9 +114,7 @@ class Discovery(Shown):
 
     def traces(self) -> list[dict[str, Any]]:
         """What is certain but worth nothing, or of a size that no craft has, with the reason."""
-        return [
-            n.to_dict() | {"reason": n.reason} for n in self.said("trace", "impossible")
-        ]
+        return [n.to_dict() | {"reason": n.reason} for n in self.said("trace", "impossible")]
 
     def _stage(self, name: str) -> str:
         return next((e.stage for e in self.final_effects if e.name == name), "wrench")
@@ -124,9 +122,7 @@ class Discovery(Shown):
     def _parameters(self, name: str) -> dict[str, Any]:
         assert self.fit is not None
         own = {
-            n.split(".", 1)[1]: e
-            for n, e in self.fit.parameters.items()
-            if n.split(".")[0] == name
+            n.split(".", 1)[1]: e for n, e in self.fit.parameters.items() if n.split(".")[0] == name
         }
         return {
             n: {"value": e.value, "std": e.std if np.isfinite(e.std) else None, "unit": e.unit}
@@ -246,9 +242,7 @@ class Discovery(Shown):
                 size = f", {fly['amplitude']:g} {fly['unit']}" if fly["unit"] else ""
                 lines.append(f"    to tell them apart, {fly['text']}{size}")
         lines += [f"  {t['status']}: {t['name']}, {t['reason']}" for t in self.traces()]
-        lines += [
-            f"  not certified: {n.name} ({n.reason})" for n in self.said("not certified")
-        ]
+        lines += [f"  not certified: {n.name} ({n.reason})" for n in self.said("not certified")]
         if self.base:
             lines.append(f"  in every model: {', '.join(self.base)}")
         for kind in dict.fromkeys(s["kind"] for s in self.sensors if s["kind"] != "white"):
@@ -286,7 +280,11 @@ def _closing(rows: Sequence[GapRow]) -> list[str]:
     for r in rows:
         if r.closed is None or r.horizon_s not in (0.1, 0.5):
             continue
-        more = "" if r.with_proposals is None else f"; with the laws: {closed_in_words(r.with_proposals)}"
+        more = (
+            ""
+            if r.with_proposals is None
+            else f"; with the laws: {closed_in_words(r.with_proposals)}"
+        )
         out.append(
             f"  {r.group} {r.horizon_s:g} s ahead: {r.before:.4g} -> {r.after:.4g} {r.unit} "
             f"(of the gap closed: {closed_in_words(r.closed)}{more})"

@@ -11,8 +11,8 @@ class Rules:
 
     typical: float = 3.0
     """Standard deviation of the prior of a cause in units of its declared typical size: weakly
-    informative (Gelman, Jakulin, Pittau and Su 2008, Annals of Applied Statistics 2(4)); a factor of
-    three in it moves log evidence by about one per parameter."""
+    informative (Gelman, Jakulin, Pittau and Su 2008, Annals of Applied Statistics 2(4)); a factor
+    of three in it moves log evidence by about one per parameter."""
     trace: float = 0.02
     """Share of the squared error, ahead or of one reading, below which a name is worth nothing: one
     per cent of the error itself, which no flight controller feels."""
@@ -24,15 +24,15 @@ class Rules:
     """Share of the unnamed force or torque, on flights that were left out, that terms must explain
     to be called a law: half of its amplitude."""
     colour: float = 0.02
-    """Share of a channel's innovation variance that its own past must tell before its sensor's noise
-    is offered colour."""
+    """Share of a channel's innovation variance that its own past must tell before its sensor's
+    noise is offered colour."""
     stand_in: float = 0.5
     """Share of what the absence of a name costs that others must take over to be its rivals: what
     takes over less is no likelier than doing without any."""
     rivals: int = 3
-    """Rivals of a name that are refitted, the nearest first. Calibrated on linear worlds of look-alikes
-    (`tests/discovery/test_more_effort_finds_more.py`): with two, 5 of 600 had another verdict than
-    with all; with three, none of 300."""
+    """Rivals of a name that are refitted, the nearest first. Calibrated on linear worlds of
+    look-alikes (`tests/discovery/test_more_effort_finds_more.py`): with two, 5 of 600 had another
+    verdict than with all; with three, none of 300."""
 
 
 RULES = Rules()

@@ -69,7 +69,9 @@ class Search:
         at = start or self.flights.fit(self.flights.causes.base)
         self.interim(at)
         for turn in range(ROUNDS):
-            self.say(f"step {turn + 1}: {_named(self.named(at.structure))}", min(0.05 + 0.05 * turn, 0.5))
+            self.say(
+                f"step {turn + 1}: {_named(self.named(at.structure))}", min(0.05 + 0.05 * turn, 0.5)
+            )
             better = self._add(at)
             if better is not None:
                 better = self._leaner(better) or better
@@ -251,7 +253,9 @@ class Search:
                         }
                         for f in fits
                     ],
-                    "added": [] if best is None or gained <= 0 else sorted(best.structure - at.structure),
+                    "added": []
+                    if best is None or gained <= 0
+                    else sorted(best.structure - at.structure),
                 }
             )
         return best if gained > 0 else None

@@ -307,7 +307,9 @@ class _Run:
             good = None if old is None or new is None else worth(old, new)
             odd = impossible(at, self.flights, name)
             names.append(judged(certificate, good, odd, self.bar, self.options.alpha))
-        keep = {"certified", "supported", "one of these"} | ({"trace"} if self.options.trace else set())
+        keep = {"certified", "supported", "one of these"} | (
+            {"trace"} if self.options.trace else set()
+        )
         doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
         self.warnings += [doubt for doubt in doubts if doubt]
         gone = {n.name for n in names if n.status not in keep}

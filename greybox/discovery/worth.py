@@ -3,8 +3,8 @@
 The share of the squared error that a name removes, in its best channel group and horizon, one step
 to a second ahead. What it removes must also be more than the error of a single reading there: a
 share of next to nothing is nothing, and where all else is exact another integrator has a share.
-Physics alone foretells: the unnamed force and torque, which make up for a missing name after a second
-of flight, are set to zero at the start of every prediction.
+Physics alone foretells: the unnamed force and torque, which make up for a missing name after a
+second of flight, are set to zero at the start of every prediction.
 
 When every model is wrong a likelihood ratio tests models that nobody believes. Beside it stands the
 e-process of the hypothesis that the name does not improve what is foretold on average (Choe and
@@ -68,7 +68,8 @@ def worth(without: HeldOutErrors, named: HeldOutErrors) -> Worth:
 
 def seconds(without: HeldOutErrors, named: HeldOutErrors) -> FloatArray:
     """Per second of flight, the relative fall of the squared error over `RULES.fastest` to
-    `RULES.longest` ahead, (old - new) / (old + new), mean over groups and horizons: within -1, 1."""
+    `RULES.longest` ahead, (old - new) / (old + new), mean over groups and horizons: within -1,
+    1."""
     rows: list[FloatArray] = []
     for (group, horizon), blocks in without.own.items():
         new = named.own.get((group, horizon), [])

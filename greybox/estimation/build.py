@@ -1,9 +1,10 @@
 """Compile generated C into a shared library, once per content: the build cache.
 
-The key is the SHA-256 of sources, flags, compiler version and, with -march=native, the processor, so that a cached library
-is never stale; `cache` says where it lives and when it is believed. Without a C compiler (or with GREYBOX_COMPILER=none)
-`compiler()` is None and callers use CasADi's VM, as they do with one that fails: `opened`. The wheel `ziglang` (extra
-`compiler`) brings one where the system has none.
+The key is the SHA-256 of sources, flags, compiler version and, with -march=native, the processor,
+so that a cached library is never stale; `cache` says where it lives and when it is believed.
+Without a C compiler (or with GREYBOX_COMPILER=none) `compiler()` is None and callers use CasADi's
+VM, as they do with one that fails: `opened`. The wheel `ziglang` (extra `compiler`) brings one
+where the system has none.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ Command = tuple[str, ...]
 
 @functools.cache
 def compiler() -> Command | None:
-    """How the C compiler is called: $GREYBOX_COMPILER, $CC, cc, gcc or clang, that of the wheel `ziglang`,
-    or None."""
+    """How the C compiler is called: $GREYBOX_COMPILER, $CC, cc, gcc or clang, that of the wheel
+    `ziglang`, or None."""
     chosen = os.environ.get("GREYBOX_COMPILER")
     if chosen == "none":
         return None
@@ -57,8 +58,8 @@ def compiler() -> Command | None:
 
 
 def from_wheel() -> Command | None:
-    """The C compiler in the wheel `ziglang`, where that is installed. It would add traps for undefined
-    behaviour to what is not optimised, which need a library of their own."""
+    """The C compiler in the wheel `ziglang`, where that is installed. It would add traps for
+    undefined behaviour to what is not optimised, which need a library of their own."""
     if not sys.executable or importlib.util.find_spec("ziglang") is None:
         return None
     os.environ.setdefault("ZIG_GLOBAL_CACHE_DIR", str(cache_root() / "zig"))
@@ -81,7 +82,11 @@ def _processor(cc: Command) -> str:
         capture_output=True,
         check=False,
     )
-    return done.stdout.decode(errors="replace") if done.returncode == 0 else f"{platform.machine()} {platform.processor()}"
+    return (
+        done.stdout.decode(errors="replace")
+        if done.returncode == 0
+        else f"{platform.machine()} {platform.processor()}"
+    )
 
 
 def _compiled_for(cc: Command, flags: Iterable[str]) -> str:
@@ -108,7 +113,9 @@ def build(sources: Sequence[Source], *, link: Sequence[str] = ()) -> Path:
     """
     cc = compiler()
     if cc is None:
-        raise BuildError("no C compiler", fix=f"{install_line('compiler')}, or install gcc or clang")
+        raise BuildError(
+            "no C compiler", fix=f"{install_line('compiler')}, or install gcc or clang"
+        )
     key = _library(cc, sources, link)
     if (found := find(key, ".so")) is not None:
         return found
@@ -127,7 +134,8 @@ def build(sources: Sequence[Source], *, link: Sequence[str] = ()) -> Path:
 
 
 def _objects(cc: Command, sources: Sequence[Source], folder: Path) -> list[Path]:
-    """Object files of the sources, compiled side by side; those written by hand come from the cache."""
+    """Object files of the sources, compiled side by side; those written by hand come from the
+    cache."""
     objects: list[Path] = []
     running: list[tuple[subprocess.Popen[str], int, str | None]] = []
     for name, text, flags in sources:
@@ -138,7 +146,9 @@ def _objects(cc: Command, sources: Sequence[Source], folder: Path) -> list[Path]
         path = folder / name
         path.write_text(text, encoding="utf-8")
         command = [*cc, *flags, "-c", str(path), "-o", str(path.with_suffix(".o"))]
-        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, encoding="utf-8", errors="replace")
+        process = subprocess.Popen(
+            command, stderr=subprocess.PIPE, text=True, encoding="utf-8", errors="replace"
+        )
         running.append((process, len(objects), key))
         objects.append(path.with_suffix(".o"))
     complaints = [process.communicate()[1] for process, _, _ in running]
@@ -151,7 +161,9 @@ def _objects(cc: Command, sources: Sequence[Source], folder: Path) -> list[Path]
 
 
 def _run(command: Sequence[str], cc: Command) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", errors="replace", check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, encoding="utf-8", errors="replace", check=False
+    )
     if done.returncode:
         raise _failed(cc, done.returncode, done.stderr)
 

@@ -3,12 +3,12 @@
     <folder>/build/<key>             one line: SHA-256 and size of the file that belongs to the key
     <folder>/build/<SHA-256>.so      the file
 
-The folder is $GREYBOX_CACHE, else $XDG_CACHE_HOME/greybox, else ~/.cache/greybox, the first that can be
-written, lets programs be run, belongs to this user and that nobody else may write; else a temporary one
-that goes with the process. A library is run as soon as it is opened, and one that is cut short ends the
-process (SIGBUS): so size, SHA-256, owner and mode are checked before. What does not fit is made again,
-and said. Files are whole on the disk before they get their names, so that a crash leaves none in part,
-and files of two writers never mix.
+The folder is $GREYBOX_CACHE, else $XDG_CACHE_HOME/greybox, else ~/.cache/greybox, the first that
+can be written, lets programs be run, belongs to this user and that nobody else may write; else a
+temporary one that goes with the process. A library is run as soon as it is opened, and one that is
+cut short ends the process (SIGBUS): so size, SHA-256, owner and mode are checked before. What does
+not fit is made again, and said. Files are whole on the disk before they get their names, so that a
+crash leaves none in part, and files of two writers never mix.
 """
 
 from __future__ import annotations
@@ -104,7 +104,8 @@ def _foreign(state: os.stat_result) -> str:
 
 
 def find(key: str, suffix: str) -> Path | None:
-    """The file that `keep` put there under a key, or None. One that is not as it was is taken away."""
+    """The file that `keep` put there under a key, or None. One that is not as it was is taken
+    away."""
     index = cache_dir() / key
     if not os.path.lexists(index):
         return None
@@ -114,7 +115,9 @@ def find(key: str, suffix: str) -> Path | None:
         _check(path, digest, int(size))
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else error
-        say(f"a compiled model in {cache_dir()} is not as it was written ({why}); it is built again")
+        say(
+            f"a compiled model in {cache_dir()} is not as it was written ({why}); it is built again"
+        )
         with contextlib.suppress(OSError):
             index.unlink()
         return None
@@ -124,7 +127,9 @@ def find(key: str, suffix: str) -> Path | None:
 def _checked_text(path: Path) -> str:
     state = path.lstat()
     if not stat.S_ISREG(state.st_mode) or (why := _foreign(state)) or state.st_size > 200:
-        raise ValueError(f"{path.name[:12]}: {why if stat.S_ISREG(state.st_mode) and why else 'no entry'}")
+        raise ValueError(
+            f"{path.name[:12]}: {why if stat.S_ISREG(state.st_mode) and why else 'no entry'}"
+        )
     return path.read_text(encoding="ascii")
 
 
@@ -142,8 +147,8 @@ def _check(path: Path, digest: str, size: int) -> None:
 
 
 def keep(key: str, made: Path, suffix: str) -> Path:
-    """Move a finished file into the cache under a key; where it is then. `made` lies in `cache_dir()`
-    or a folder in it. Raises `OSError`."""
+    """Move a finished file into the cache under a key; where it is then. `made` lies in
+    `cache_dir()` or a folder in it. Raises `OSError`."""
     with open(made, "rb+") as stream:
         os.fsync(stream.fileno())
     made.chmod(0o700)

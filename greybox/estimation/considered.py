@@ -28,7 +28,8 @@ from greybox.symbolic import FloatArray
 
 Places = npt.NDArray[np.intp]
 ROUNDING = 100 * float(np.finfo(float).eps)
-"""Error of a Hessian's entries, relative: sums over all samples. An inverse multiplies it by the condition number."""
+"""Error of a Hessian's entries, relative: sums over all samples. An inverse multiplies it by the
+condition number."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +57,9 @@ def demand_considerable(dynamics: Dynamics, options: FitOptions) -> None:
             raise ModelError(f"{name} is considered but has no stated error", fix="give it a sigma")
 
 
-def considered(problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray) -> Considered:
+def considered(
+    problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray
+) -> Considered:
     """What there is to say of the considered parameters of a fit that ended at `theta` (n,)."""
     if not options.considered:
         return NOTHING
@@ -64,11 +67,15 @@ def considered(problem: Problem, data: Dataset, options: FitOptions, theta: Floa
     free = None if options.free is None else (*options.free, *options.considered)
     wide = make_problem(problem.dynamics, data, options.but(fixed=fixed, free=free))
     own = {(u.name, u.flight): t for u, t in zip(problem.unknowns, theta, strict=True)}
-    base = dict(zip((d.name for d in problem.dynamics.parameters), problem.base.tolist(), strict=True))
+    base = dict(
+        zip((d.name for d in problem.dynamics.parameters), problem.base.tolist(), strict=True)
+    )
     at = np.array([own.get((u.name, u.flight), base.get(u.name, u.start)) for u in wide.unknowns])
     places = {(u.name, u.flight): i for i, u in enumerate(wide.unknowns)}
     mine = np.array([places[u.name, u.flight] for u in problem.unknowns], dtype=np.intp)
-    others = np.array([i for i, u in enumerate(wide.unknowns) if (u.name, u.flight) not in own], dtype=np.intp)
+    others = np.array(
+        [i for i, u in enumerate(wide.unknowns) if (u.name, u.flight) not in own], dtype=np.intp
+    )
     value = wide.evaluate(at)
     if value.hessian is None or value.gradient is None or value.data_hessian is None:
         return Considered(spread=np.zeros((problem.n, problem.n)))
@@ -94,7 +101,9 @@ def considered(problem: Problem, data: Dataset, options: FitOptions, theta: Floa
     )
 
 
-def by_flights_alone(hessian: FloatArray, unknown: Places, held: Places, sigma: FloatArray) -> FloatArray:
+def by_flights_alone(
+    hessian: FloatArray, unknown: Places, held: Places, sigma: FloatArray
+) -> FloatArray:
     """Standard error (n_c,) of every held parameter by the data's Hessian, the other held ones
     known to `sigma` (n_c,); infinite where the flights say nothing, or not more than rounding."""
     inner = hessian[np.ix_(unknown, unknown)]

@@ -1,8 +1,10 @@
-"""Covariance of an estimate: Fisher, sandwich for coloured innovations, and what an active bound leaves of them.
+"""Covariance of an estimate: Fisher, sandwich for coloured innovations, and what an active bound
+leaves of them.
 
-Fisher: the inverse of the Gauss-Newton Hessian (with priors). Sandwich: H^-1 (sum g_b g_b' + P) H^-1 with the scores g_b of
-blocks longer than the correlation of the innovations and the prior precision P (White 1982, Econometrica 50(1); Newey and
-West 1987). An unknown at an active bound has no two-sided error: it is held, and the others are conditional on it.
+Fisher: the inverse of the Gauss-Newton Hessian (with priors). Sandwich: H^-1 (sum g_b g_b' + P)
+H^-1 with the scores g_b of blocks longer than the correlation of the innovations and the prior
+precision P (White 1982, Econometrica 50(1); Newey and West 1987). An unknown at an active bound has
+no two-sided error: it is held, and the others are conditional on it.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ FEWEST_BLOCKS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Covariance:
-    """Matrices over all unknowns (n, n); rows and columns of held ones are zero. `blocks`: how many scores were summed;
-    `doubt`: why all errors are too small, empty where nothing says so."""
+    """Matrices over all unknowns (n, n); rows and columns of held ones are zero. `blocks`: how many
+    scores were summed; `doubt`: why all errors are too small, empty where nothing says so."""
 
     fisher: FloatArray
     sandwich: FloatArray
@@ -35,11 +37,12 @@ class Covariance:
         return self.blocks >= FEWEST_BLOCKS
 
     def chosen(self, coloured: bool) -> FloatArray:
-        """The sandwich where the innovations are coloured (and there are blocks enough), never below Fisher; else Fisher."""
+        """The sandwich where the innovations are coloured (and there are blocks enough), never
+        below Fisher; else Fisher."""
         if not (coloured and self.enough):
             return self.fisher
-        # An unknown that few blocks see (one flight's own) has scores that cancel among them: its sandwich variance is
-        # too small, so that no error is reported below Fisher's.
+        # An unknown that few blocks see (one flight's own) has scores that cancel among them: its
+        # sandwich variance is too small, so that no error is reported below Fisher's.
         low, high = np.diag(self.sandwich), np.diag(self.fisher)
         usable = (low > 0) & np.isfinite(low) & np.isfinite(high)
         factor = np.ones(low.size)
@@ -47,10 +50,14 @@ class Covariance:
         return self.sandwich * np.outer(factor, factor)
 
 
-def covariance(hessian: FloatArray, scores: FloatArray | None, precision: FloatArray, held: BoolArray) -> Covariance:
-    """Covariances from the Hessian with priors (n, n), block scores (n_b, n), prior precisions (n,), held unknowns (n,).
+def covariance(
+    hessian: FloatArray, scores: FloatArray | None, precision: FloatArray, held: BoolArray
+) -> Covariance:
+    """Covariances from the Hessian with priors (n, n), block scores (n_b, n), prior precisions
+    (n,), held unknowns (n,).
 
-    Directions without any information (neither data nor prior) get infinite variance on the unknowns they touch.
+    Directions without any information (neither data nor prior) get infinite variance on the
+    unknowns they touch.
     """
     free = ~np.asarray(held, dtype=bool)
     n = free.size
@@ -67,19 +74,22 @@ def covariance(hessian: FloatArray, scores: FloatArray | None, precision: FloatA
         places = np.flatnonzero(free)[empty]
         for m in (fisher, sandwich):
             m[places, places] = np.inf
-    return Covariance(fisher=fisher, sandwich=sandwich, blocks=0 if scores is None else scores.shape[0])
+    return Covariance(
+        fisher=fisher, sandwich=sandwich, blocks=0 if scores is None else scores.shape[0]
+    )
 
 
 def scaled_eigen(h: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(sizes (n,) of the unknowns, eigenvalues (n,) rising and eigenvectors (n, n) of a positive semi-definite matrix whose
-    diagonal they bring to one)."""
+    """(sizes (n,) of the unknowns, eigenvalues (n,) rising and eigenvectors (n, n) of a positive
+    semi-definite matrix whose diagonal they bring to one)."""
     size = np.sqrt(np.maximum(np.diag(h), 1e-300))
     value, vector = np.linalg.eigh(h / np.outer(size, size))
     return size, value, vector
 
 
 def scaled_inverse(h: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """(inverse of a positive semi-definite matrix on its range, mask of unknowns touched by its null space).
+    """(inverse of a positive semi-definite matrix on its range, mask of unknowns touched by its
+    null space).
 
     Of no unknowns (all of them held) both are empty.
     """

@@ -1,9 +1,11 @@
-"""Differences: how the innovations of a fit change with parameters that it does not have, through the predictor.
+"""Differences: how the innovations of a fit change with parameters that it does not have, through
+the predictor.
 
-The larger model, with every candidate at its null, is run once per parameter with that parameter a little off: one-sided,
-away from the bound at which many nulls lie. Nothing but the step itself is built, where exact sensitivities of the whole
-catalogue would have to be compiled to be evaluated once. A parameter that does nothing at first (a limit that no command
-reaches) is moved further, until it is felt: the test then looks in that direction.
+The larger model, with every candidate at its null, is run once per parameter with that parameter a
+little off: one-sided, away from the bound at which many nulls lie. Nothing but the step itself is
+built, where exact sensitivities of the whole catalogue would have to be compiled to be evaluated
+once. A parameter that does nothing at first (a limit that no command reaches) is moved further,
+until it is felt: the test then looks in that direction.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ from greybox.model.parameter import Parameter
 from greybox.symbolic import FloatArray
 
 STEP = 1e-6
-"""Size of a difference in units of the parameter's scale: its error is about as large as that of exact sensitivities."""
+"""Size of a difference in units of the parameter's scale: its error is about as large as that of
+exact sensitivities."""
 FURTHER = (0.5, 1.0, 2.0, 3.0)
 """Sizes that are tried where nothing is felt of a small difference."""
 FELT = 0.005
@@ -60,7 +63,8 @@ class Given(Predictor[None]):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Spread:
-    """Covariances of a record's innovations: `table` (n_row, n_e, n_e), `row` (n,) which one a sample has."""
+    """Covariances of a record's innovations: `table` (n_row, n_e, n_e), `row` (n,) which one a
+    sample has."""
 
     table: FloatArray
     row: npt.NDArray[np.int32]
@@ -80,7 +84,8 @@ class _Passed:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Column:
-    """Change per unit of one parameter: of the innovations (n, n_e), and of their covariances, (new - old) / step."""
+    """Change per unit of one parameter: of the innovations (n, n_e), and of their covariances, (new
+    - old) / step."""
 
     innovations: FloatArray
     new: _Spread
@@ -101,12 +106,14 @@ def with_candidate_sensitivities(
     per_flight: Iterable[str] = (),
     apart: Dynamics | None = None,
 ) -> tuple[Problem, FloatArray]:
-    """(`small` with the parameters `null` of the model `large` as further unknowns, `theta` with these at their nulls).
+    """(`small` with the parameters `null` of the model `large` as further unknowns, `theta` with
+    these at their nulls).
 
-    `small` is a fit in innovation form whose model is `large` with `null` held. Parameters that only `apart` has, a larger
-    model still, are moved in that one: a rotor with a lag of no length shows its speed a sample later than one without, and
-    whatever acts on the accelerometer would be looked for a sample too late next to it. The result can be evaluated at that
-    point only. Raises `FitError` where a prediction is not finite.
+    `small` is a fit in innovation form whose model is `large` with `null` held. Parameters that
+    only `apart` has, a larger model still, are moved in that one: a rotor with a lag of no length
+    shows its speed a sample later than one without, and whatever acts on the accelerometer would be
+    looked for a sample too late next to it. The result can be evaluated at that point only. Raises
+    `FitError` where a prediction is not finite.
     """
     declared = {d.name: d for d in (apart or large).parameters}
     common = {d.name for d in large.parameters}
@@ -132,25 +139,42 @@ def with_candidate_sensitivities(
     for i, block in enumerate(Innovation(piece=sys.maxsize).blocks(small, theta, True)):
         assert block.jacobian is not None
         assert block.covariance_slope is not None
-        # A larger model may look further back at commands: its patterns are more, of lost rows long before.
+        # A larger model may look further back at commands: its patterns are more, of lost rows long
+        # before.
         groups = range(len(block.covariance_slope))
-        alike = {r: np.array([r.example(i, block.pattern == g) for g in groups]) for r in {runner, other}}
+        alike = {
+            r: np.array([r.example(i, block.pattern == g) for g in groups]) for r in {runner, other}
+        }
         there = [(j, c[i], runners[j]) for j, c in enumerate(columns)]
         moved = [(j, c, r) for j, c, r in there if c is not None]
         added_slopes = [c.covariance(alike[r]) for _, c, r in moved]  # (n_pat, n_e, n_e) each
         blocks.append(
             replace(
                 block,
-                jacobian=np.concatenate([block.jacobian, *(c.innovations[:, :, None] for _, c, _ in moved)], axis=2),
+                jacobian=np.concatenate(
+                    [block.jacobian, *(c.innovations[:, :, None] for _, c, _ in moved)], axis=2
+                ),
                 covariance_slope=tuple(
-                    np.concatenate([_padded(known, block.columns.size), *(new[None, g] for new in added_slopes)])
+                    np.concatenate(
+                        [
+                            _padded(known, block.columns.size),
+                            *(new[None, g] for new in added_slopes),
+                        ]
+                    )
                     for g, known in enumerate(block.covariance_slope)
                 ),
-                columns=np.concatenate([block.columns, small.n + np.array([j for j, _, _ in moved], dtype=np.intp)]),
+                columns=np.concatenate(
+                    [block.columns, small.n + np.array([j for j, _, _ in moved], dtype=np.intp)]
+                ),
             )
         )
     thresholds = frozenset(runner.thresholds | other.thresholds)
-    wide = replace(small, unknowns=(*small.unknowns, *added), predictor=Given(given=blocks), thresholds=thresholds)
+    wide = replace(
+        small,
+        unknowns=(*small.unknowns, *added),
+        predictor=Given(given=blocks),
+        thresholds=thresholds,
+    )
     return wide, np.concatenate([theta, [u.start for u in added]])
 
 
@@ -161,16 +185,29 @@ def _padded(slopes: FloatArray, n: int) -> FloatArray:
 
 def _unknown(d: Parameter, null: float, flight: str | None) -> Unknown:
     return Unknown(
-        name=d.name, kind="parameter", flight=flight, start=null, lower=d.lower, upper=d.upper, mean=d.nominal,
-        sigma=d.sigma if d.sigma > 0 else np.inf, scale=d.scale, unit=d.unit,
-    )  # fmt: skip
+        name=d.name,
+        kind="parameter",
+        flight=flight,
+        start=null,
+        lower=d.lower,
+        upper=d.upper,
+        mean=d.nominal,
+        sigma=d.sigma if d.sigma > 0 else np.inf,
+        scale=d.scale,
+        unit=d.unit,
+    )
 
 
 class _Runner:
     """The predictor of the larger model at the smaller one's estimates."""
 
     def __init__(
-        self, small: Problem, theta: FloatArray, large: Dynamics, data: Dataset, null: Mapping[str, float]
+        self,
+        small: Problem,
+        theta: FloatArray,
+        large: Dynamics,
+        data: Dataset,
+        null: Mapping[str, float],
     ) -> None:
         self.small, self.theta, self.large, self.null = small, theta, large, null
         self.engine = engine_for(large, (), use_compiler=small.engine.compiled, sensitive=False)
@@ -182,7 +219,9 @@ class _Runner:
         elsewhere = large.reference({k: v + 1.0 for k, v in small.means.items()})
         self.linearisation = linearisation_at(large, (), self.reference, elsewhere)
         self.weak = (np.max([r.x0_sigma for r in self.records], axis=0) * 100.0) ** 2
-        self.lost = lost_commands(large, (), self.reference, elsewhere) if any_lost(self.records) else None
+        self.lost = (
+            lost_commands(large, (), self.reference, elsewhere) if any_lost(self.records) else None
+        )
         process, sensor = small.noise_levels(theta)
         self.q, self.r = process**2, sensor**2
         self.names = [d.name for d in large.parameters]
@@ -190,7 +229,10 @@ class _Runner:
         self.starts = [self._start(i) for i in range(len(self.records))]
         self.spreads = [self._spread(i) for i in range(len(self.records))]
         self.common = self.gains(self.parameters(None))
-        self.base = [self.run(i, self.parameters(r.flight), self.common[i]) for i, r in enumerate(self.records)]
+        self.base = [
+            self.run(i, self.parameters(r.flight), self.common[i])
+            for i, r in enumerate(self.records)
+        ]
 
     def parameters(self, flight: str | None) -> FloatArray:
         """Parameter vector of the larger model, candidates at their nulls."""
@@ -205,7 +247,8 @@ class _Runner:
         return self.engine.moved(self.records[i].x0, d)[0]
 
     def _spread(self, i: int) -> FloatArray | None:
-        """Standard deviations of the start's errors as in the smaller model; what only the larger one has is known."""
+        """Standard deviations of the start's errors as in the smaller model; what only the larger
+        one has is known."""
         found = self.small.spreads
         if found is None:
             return None
@@ -220,25 +263,40 @@ class _Runner:
     def gains(self, p: FloatArray) -> list[RecordGains]:
         """The filter of every record at the parameters p."""
         values = self.linearisation.values(self.reference, self.window, p, self.small.dt)
-        lost = None if self.lost is None else self.lost.at(self.reference, self.window, p, self.small.dt)
+        lost = (
+            None
+            if self.lost is None
+            else self.lost.at(self.reference, self.window, p, self.small.dt)
+        )
         settling = Settling(values=values, q=self.q, r=self.r, weak=self.weak, lost=lost)
-        return [settling.gains(r, spread) for r, spread in zip(self.records, self.spreads, strict=True)]
+        return [
+            settling.gains(r, spread) for r, spread in zip(self.records, self.spreads, strict=True)
+        ]
 
     def run(self, i: int, p: FloatArray, found: RecordGains) -> _Passed:
         """Innovations of record i and their covariances."""
         record = self.records[i]
         gains, s, _ = found.tables()
         run = self.engine.run(
-            x0=self.starts[i], inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=found.pattern,
-            gains=gains, p=p, dt=record.dt,
-        )  # fmt: skip
+            x0=self.starts[i],
+            inputs=record.inputs,
+            outputs=record.outputs,
+            mask=record.mask,
+            pattern=found.pattern,
+            gains=gains,
+            p=p,
+            dt=record.dt,
+        )
         if run.failed_at is not None or run.innovations is None:
-            raise FitError(f"the prediction of flight {record.flight} is not finite after sample {run.failed_at}")
+            raise FitError(
+                f"the prediction of flight {record.flight} is not finite after sample "
+                f"{run.failed_at}"
+            )
         return _Passed(innovations=run.innovations, spread=_Spread(table=s, row=found.pattern))
 
     def column(self, d: Parameter, null: float, flight: str | None) -> list[_Column | None]:
-        """Change of every record with one parameter (of one flight): None where the record is of another flight. What is
-        only felt of a larger step goes to `thresholds`."""
+        """Change of every record with one parameter (of one flight): None where the record is of
+        another flight. What is only felt of a larger step goes to `thresholds`."""
         sign = 1.0 if null + STEP * d.scale <= d.upper else -1.0
         found: list[_Column | None] = []
         for size in (STEP, *FURTHER):

@@ -231,9 +231,7 @@ class Engine:
             a, b = ca.SX(self.nd, self.nd), ca.SX(self.nd, len(chosen))
             ex, ep = ca.SX(self.ne, self.nd), ca.SX(self.ne, len(chosen))
         inputs = [x, window, y, p, dt]
-        self.value = ca.Function(
-            "gb_value", inputs, [ca.densify(v) for v in (after, e, y_hat)]
-        )
+        self.value = ca.Function("gb_value", inputs, [ca.densify(v) for v in (after, e, y_hat)])
         self.slope = ca.Function("gb_slope", inputs, [a, b, ex, ep])
         self.pred = ca.Function(
             "gb_pred", [x, window, p, dt], [ca.densify(after), ca.densify(y_hat)]
@@ -255,9 +253,14 @@ class Engine:
             text = generator.dump()
             del generator
         own = resources.files("greybox.estimation")
-        written = {n: own.joinpath(f"{n}.c").read_text(encoding="utf-8") for n in ("driver", "tape")}
+        written = {
+            n: own.joinpath(f"{n}.c").read_text(encoding="utf-8") for n in ("driver", "tape")
+        }
         library = opened(
-            [("gb_model.c", text, MODEL_FLAGS), *((f"gb_{n}.c", t, DRIVER_FLAGS) for n, t in written.items())]
+            [
+                ("gb_model.c", text, MODEL_FLAGS),
+                *((f"gb_{n}.c", t, DRIVER_FLAGS) for n, t in written.items()),
+            ]
         )
         if library is None:
             return
@@ -639,7 +642,9 @@ def engine_for(
         shelf = {}
     key = active, sensitive
     if key not in shelf:
-        larger = [e for (own, has), e in shelf.items() if set(active) <= set(own) and has >= sensitive]
+        larger = [
+            e for (own, has), e in shelf.items() if set(active) <= set(own) and has >= sensitive
+        ]
         shelf[key] = (
             min(larger, key=lambda e: len(e.active)).select(active)
             if larger

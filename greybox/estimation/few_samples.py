@@ -1,10 +1,11 @@
 """Few samples: when there are too few for a fit, and when too few for its standard errors.
 
-The Fisher covariance takes the noise levels for known; in a second of data a level that comes out too
-small by chance makes the errors too small with it. With levels that are held the 95 % intervals hold the truth in 93 to 97 %
-from 0.6 s on; with estimated ones in 74 % (0.6 s), 81 % (1 s), 93 % (2 s) and 97 % (4 s), see
-`scenarios.studies.short_flights`. Doubt about the levels by quadrature brought 82 % at 1 s, restricted likelihood with
-Satterthwaite's degrees of freedom 88 %: neither makes a 95 % interval, so it is said that the flights are too short.
+The Fisher covariance takes the noise levels for known; in a second of data a level that comes out
+too small by chance makes the errors too small with it. With levels that are held the 95 % intervals
+hold the truth in 93 to 97 % from 0.6 s on; with estimated ones in 74 % (0.6 s), 81 % (1 s), 93 % (2
+s) and 97 % (4 s), see `scenarios.studies.short_flights`. Doubt about the levels by quadrature
+brought 82 % at 1 s, restricted likelihood with Satterthwaite's degrees of freedom 88 %: neither
+makes a 95 % interval, so it is said that the flights are too short.
 """
 
 from __future__ import annotations
@@ -15,23 +16,27 @@ from greybox.estimation.problem import Problem
 
 
 def demand_samples(problem: Problem) -> None:
-    """Raise `DataError` where there are fewer samples than unknowns (initial states left out: they are
-    read off the data)."""
+    """Raise `DataError` where there are fewer samples than unknowns (initial states left out: they
+    are read off the data)."""
     samples = sum(int((r.mask != 0).any(axis=1).sum()) for r in problem.records)
     unknowns = sum(u.kind != "initial" for u in problem.unknowns)
     if samples < unknowns:
         raise DataError(
             f"{samples} samples are fewer than the {unknowns} unknowns",
-            fix="pass a longer flight, or hold parameters (--fixed) and noise levels (--hold-noise)",
+            fix="pass a longer flight, or hold parameters (--fixed) and noise levels "
+            "(--hold-noise)",
         )
 
 
 def too_short_for_errors(blocks: int, seconds: float, levels: bool, coloured: bool) -> str:
-    """What to know of standard errors that rest on so few stretches of `seconds`: `levels` were estimated
-    from them, or the innovations are `coloured`."""
-    why = ["noise levels are hardly known"] * levels + ["what colours the innovations is not allowed for"] * coloured
+    """What to know of standard errors that rest on so few stretches of `seconds`: `levels` were
+    estimated from them, or the innovations are `coloured`."""
+    why = ["noise levels are hardly known"] * levels + [
+        "what colours the innovations is not allowed for"
+    ] * coloured
     fix = "fly longer, or hold them (--hold-noise)" if levels and not coloured else "fly longer"
     return (
-        f"standard errors are too small: the flights hold {blocks} stretch(es) of {seconds:.2g} s, fewer than "
+        f"standard errors are too small: the flights hold {blocks} stretch(es) of {seconds:.2g} s, "
+        "fewer than "
         f"{FEWEST_BLOCKS}, so that {' and '.join(why)}; {fix}"
     )

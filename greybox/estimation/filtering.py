@@ -1,4 +1,5 @@
-"""Run an identified model over data: predicted states, innovations with covariance, and open-loop rollouts."""
+"""Run an identified model over data: predicted states, innovations with covariance, and open-loop
+rollouts."""
 
 from __future__ import annotations
 
@@ -22,8 +23,9 @@ from greybox.symbolic import FloatArray
 class Filtered:
     """One segment under the filter. Arrays have the n samples first.
 
-    states (n, n_x): x_hat(k | k-1), from measurements up to k-1; innovations (n, n_e), zero where missing; outputs
-    (n, n_y): y_hat(k | k-1); covariance (n_row, n_e, n_e) of the innovations per row of `gains`.
+    states (n, n_x): x_hat(k | k-1), from measurements up to k-1; innovations (n, n_e), zero where
+    missing; outputs (n, n_y): y_hat(k | k-1); covariance (n_row, n_e, n_e) of the innovations per
+    row of `gains`.
     """
 
     record: Record
@@ -63,19 +65,26 @@ def _reference_window(model: IdentifiedModel) -> FloatArray:
 
 
 class Filter:
-    """The identified filter: gains from the model's noise levels, linearised at its reference point (`linear`: A, G, C, D
-    there). `settling` follows them from the spread of a start, `riccati` is where they end with all channels there."""
+    """The identified filter: gains from the model's noise levels, linearised at its reference point
+    (`linear`: A, G, C, D there). `settling` follows them from the spread of a start, `riccati` is
+    where they end with all channels there."""
 
     def __init__(self, model: IdentifiedModel, *, use_compiler: bool = True) -> None:
         self.model = model
         self.engine: Engine = engine_for(model.dynamics, (), use_compiler=use_compiler)
         self.linear = at_reference(model)
         self.settling = Settling(
-            values=self.linear, q=model.process_noise**2, r=model.sensor_noise**2, weak=model.weak**2,
+            values=self.linear,
+            q=model.process_noise**2,
+            r=model.sensor_noise**2,
+            weak=model.weak**2,
             lost=lost_commands(model.dynamics).at(
-                model.reference_state, _reference_window(model), model.parameter_vector(), model.sample_time
+                model.reference_state,
+                _reference_window(model),
+                model.parameter_vector(),
+                model.sample_time,
             ),
-        )  # fmt: skip
+        )
         self.riccati: Riccati = self.settling.settled()[0]
 
     def run(
@@ -85,13 +94,17 @@ class Filter:
         x0: FloatArray | None = None,
         x0_sigma: FloatArray | None = None,
     ) -> Filtered:
-        """Filter one segment with the parameter vector p (the flight's own values by default) from its measured start.
+        """Filter one segment with the parameter vector p (the flight's own values by default) from
+        its measured start.
 
-        With x0 (n_x,) from there, with errors of `x0_sigma` (n_d,); without the latter as if it had always run.
-        Raises `FitError` where the prediction stops being finite, `DataError` for missing input columns.
+        With x0 (n_x,) from there, with errors of `x0_sigma` (n_d,); without the latter as if it had
+        always run. Raises `FitError` where the prediction stops being finite, `DataError` for
+        missing input columns.
         """
         record = make_record(self.engine, segment)
-        vector = self.model.flight_vector(segment.flight) if p is None else np.asarray(p, dtype=float)
+        vector = (
+            self.model.flight_vector(segment.flight) if p is None else np.asarray(p, dtype=float)
+        )
         found = self.settling.gains(record, record.spread if x0 is None else x0_sigma)
         gains, covariance, _ = found.tables()
         run = self.engine.run(
@@ -106,7 +119,10 @@ class Filter:
             want=frozenset({"innovations", "states", "outputs"}),
         )
         if run.failed_at is not None:
-            raise FitError(f"the prediction of flight {segment.flight} is not finite after sample {run.failed_at}")
+            raise FitError(
+                f"the prediction of flight {segment.flight} is not finite after sample "
+                f"{run.failed_at}"
+            )
         if run.states is None or run.innovations is None or run.outputs is None:
             raise FitError("the engine returned no arrays")
         return Filtered(
@@ -120,18 +136,28 @@ class Filter:
         )
 
     def rollout(
-        self, filtered: Filtered, origins: npt.NDArray[np.int_], horizon: int, starts: FloatArray | None = None
+        self,
+        filtered: Filtered,
+        origins: npt.NDArray[np.int_],
+        horizon: int,
+        starts: FloatArray | None = None,
     ) -> FloatArray:
-        """Open-loop outputs (m, horizon, n_y) at k+1 .. k+horizon from every origin k, with the recorded commands.
+        """Open-loop outputs (m, horizon, n_y) at k+1 .. k+horizon from every origin k, with the
+        recorded commands.
 
-        The state at k+1 is x_hat(k+1 | k): measurements up to and including k. Every origin must have `horizon` samples
-        after it. `starts` (m, n_x) replaces those states (at row k+1).
+        The state at k+1 is x_hat(k+1 | k): measurements up to and including k. Every origin must
+        have `horizon` samples after it. `starts` (m, n_x) replaces those states (at row k+1).
         """
         rows = np.asarray(origins) + 1
         if rows.size and rows.max() + horizon > filtered.record.n:
             raise FitError("an origin has fewer samples after it than the horizon")
         begin = filtered.states[rows] if starts is None else starts
         outputs, _ = self.engine.rollout(
-            starts=begin, rows=rows, horizon=horizon, inputs=filtered.record.inputs, p=filtered.p, dt=filtered.record.dt
+            starts=begin,
+            rows=rows,
+            horizon=horizon,
+            inputs=filtered.record.inputs,
+            p=filtered.p,
+            dt=filtered.record.dt,
         )
         return outputs

@@ -1,6 +1,8 @@
-"""Where a fit starts: noise levels from the autocovariance of first innovations, parameters by equation error.
+"""Where a fit starts: noise levels from the autocovariance of first innovations, parameters by
+equation error.
 
-Each function takes a `Problem` and gives a start vector (n,) in the order of its unknowns; they can follow each other:
+Each function takes a `Problem` and gives a start vector (n,) in the order of its unknowns; they can
+follow each other:
 
     theta = equation_error(problem);  theta = noise_start(problem, theta);  theta, status = solver.solve(problem, theta)
 """
@@ -39,7 +41,8 @@ def _filter(
 def _pass(
     problem: Problem, theta: FloatArray, riccati: Riccati, i: int, jacobian: bool
 ) -> tuple[Record, FloatArray, FloatArray | None]:
-    """(record, innovations, their sensitivity to the active parameters) with the filter's gain held."""
+    """(record, innovations, their sensitivity to the active parameters) with the filter's gain
+    held."""
     record, engine = problem.records[i], problem.engine
     x0, s0, _ = start_of(problem, theta, i)
     s0 = np.ascontiguousarray(s0[:, : len(engine.active)])
@@ -48,30 +51,46 @@ def _pass(
         zero=np.array([not m.any() for m in record.patterns], dtype=np.int32),
     )
     run = engine.run(
-        x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern, gains=gains,
-        p=problem.parameters_of(theta, record.flight), dt=record.dt, s0=s0 if jacobian else None,
+        x0=x0,
+        inputs=record.inputs,
+        outputs=record.outputs,
+        mask=record.mask,
+        pattern=record.pattern,
+        gains=gains,
+        p=problem.parameters_of(theta, record.flight),
+        dt=record.dt,
+        s0=s0 if jacobian else None,
         want=frozenset({"innovations", "sensitivity"}),
-    )  # fmt: skip
+    )
     if run.failed_at is not None:
-        raise FitError(f"the prediction of flight {record.flight} is not finite after sample {run.failed_at}")
+        raise FitError(
+            f"the prediction of flight {record.flight} is not finite after sample {run.failed_at}"
+        )
     assert run.innovations is not None
     return record, run.innovations, run.sensitivity
 
 
-# ---------------------------------------------------------------------------------------------------- noise levels
+# ----------------------------------------------------------------------------------- noise levels
 
 
 def noise_start(
-    problem: Problem, theta: FloatArray | None = None, *, lags: int = 15, rounds: int = 2, skip_seconds: float = 0.5
+    problem: Problem,
+    theta: FloatArray | None = None,
+    *,
+    lags: int = 15,
+    rounds: int = 2,
+    skip_seconds: float = 0.5,
 ) -> FloatArray:
-    """Start vector whose noise levels explain the autocovariance of the innovations at `theta` (default: the start).
+    """Start vector whose noise levels explain the autocovariance of the innovations at `theta`
+    (default: the start).
 
-    Autocovariance least squares: under a fixed gain the autocovariances of the innovations up to `lags` are linear in
-    the variances of process and sensor noise, which follow by non-negative least squares (Odelson, Rajamani and
-    Rawlings 2006, Automatica 42(2), eq. 13-19). `rounds` repeats it with the gain just found; the first `skip_seconds`
-    of each record are left out. What the model misses counts as process noise, as a predictor wants it. Levels stay
-    within a factor 1000 of where they were. A round whose levels let the prediction run away (they are those of a linear
-    filter) is not taken. Returns the start unchanged where noise levels are no unknowns.
+    Autocovariance least squares: under a fixed gain the autocovariances of the innovations up to
+    `lags` are linear in the variances of process and sensor noise, which follow by non-negative
+    least squares (Odelson, Rajamani and Rawlings 2006, Automatica 42(2), eq. 13-19). `rounds`
+    repeats it with the gain just found; the first `skip_seconds` of each record are left out. What
+    the model misses counts as process noise, as a predictor wants it. Levels stay within a factor
+    1000 of where they were. A round whose levels let the prediction run away (they are those of a
+    linear filter) is not taken. Returns the start unchanged where noise levels are no unknowns.
     """
     theta = np.array(problem.start if theta is None else theta, dtype=np.float64)
     names = [f"noise.process.{n}" for n in problem.dynamics.noises.names]
@@ -105,7 +124,8 @@ def noise_start(
 def _autocovariance(
     problem: Problem, theta: FloatArray, riccati: Riccati, lags: int, skip_seconds: float
 ) -> FloatArray:
-    """Sample autocovariance (lags + 1, n_e, n_e), mean of e(t + l) e(t)' over the samples that have both."""
+    """Sample autocovariance (lags + 1, n_e, n_e), mean of e(t + l) e(t)' over the samples that have
+    both."""
     ne = problem.engine.ne
     total, count = np.zeros((lags + 1, ne, ne)), np.zeros((lags + 1, ne, ne))
     for i in range(len(problem.records)):
@@ -120,9 +140,14 @@ def _autocovariance(
 
 
 def _responses(
-    values: tuple[FloatArray, ...], riccati: Riccati, process: FloatArray, sensor: FloatArray, lags: int
+    values: tuple[FloatArray, ...],
+    riccati: Riccati,
+    process: FloatArray,
+    sensor: FloatArray,
+    lags: int,
 ) -> FloatArray:
-    """Autocovariances (n_w + n_e, lags + 1, n_e, n_e) that each noise source at its present level adds."""
+    """Autocovariances (n_w + n_e, lags + 1, n_e, n_e) that each noise source at its present level
+    adds."""
     a, g, c, d = values
     k, _, _, _ = riccati.gain(np.ones(c.shape[0]))
     closed = a - k @ c
@@ -153,7 +178,8 @@ def _lyapunov(a: FloatArray, m: FloatArray) -> FloatArray:
 
 
 def _least_squares(seen: FloatArray, responses: FloatArray) -> FloatArray:
-    """Non-negative factors on the variances, channels scaled to unit innovation variance; NaN cells are left out."""
+    """Non-negative factors on the variances, channels scaled to unit innovation variance; NaN cells
+    are left out."""
     size = np.sqrt(np.maximum(np.nan_to_num(np.diagonal(seen[0])), 1e-300))
     weight = 1.0 / np.outer(size, size)
     y = (seen * weight).ravel()
@@ -164,7 +190,7 @@ def _least_squares(seen: FloatArray, responses: FloatArray) -> FloatArray:
     return factors / reach
 
 
-# ---------------------------------------------------------------------------------------------------- equation error
+# --------------------------------------------------------------------------------- equation error
 
 
 def equation_error(
@@ -177,19 +203,26 @@ def equation_error(
     steps: int = 5,
     trust: float = 30.0,
 ) -> FloatArray:
-    """Start vector whose model parameters fit the step from one (nearly) measured state to the next.
+    """Start vector whose model parameters fit the step from one (nearly) measured state to the
+    next.
 
-    The filter runs with process noise `trust` times its start level, so that its state follows the measurements, and
-    with the gain held; up to `steps` Gauss-Newton steps on the model parameters alone, priors and bounds included, each
-    halved while it does not lower the cost. (Klein and Morelli 2006, Aircraft System Identification, ch. 5.)
+    The filter runs with process noise `trust` times its start level, so that its state follows the
+    measurements, and with the gain held; up to `steps` Gauss-Newton steps on the model parameters
+    alone, priors and bounds included, each halved while it does not lower the cost. (Klein and
+    Morelli 2006, Aircraft System Identification, ch. 5.)
 
-    Under feedback the regressors carry the noise of the equation and the estimates are biased. With `instruments`
-    (columns of the log that noise does not reach, such as setpoints; with `lags` delayed copies, `stride` samples
-    apart) the sensitivities are first projected on them: two-stage least squares (Soderstrom and Stoica 1983,
-    Instrumental Variable Methods for System Identification, ch. 3; Gilson and Van den Hof 2005, Automatica 41(2)).
-    Raises `UnknownNameError` for a column that is not there and `DataError` for instruments that never move.
+    Under feedback the regressors carry the noise of the equation and the estimates are biased. With
+    `instruments` (columns of the log that noise does not reach, such as setpoints; with `lags`
+    delayed copies, `stride` samples apart) the sensitivities are first projected on them: two-stage
+    least squares (Soderstrom and Stoica 1983, Instrumental Variable Methods for System
+    Identification, ch. 3; Gilson and Van den Hof 2005, Automatica 41(2)). Raises `UnknownNameError`
+    for a column that is not there and `DataError` for instruments that never move.
     """
-    theta = np.clip(np.array(problem.start if theta is None else theta, dtype=np.float64), problem.lower, problem.upper)
+    theta = np.clip(
+        np.array(problem.start if theta is None else theta, dtype=np.float64),
+        problem.lower,
+        problem.upper,
+    )
     if not any(u.kind == "parameter" for u in problem.unknowns):
         return theta
     process, sensor = problem.noise_levels(theta)
@@ -225,7 +258,8 @@ def equation_error(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Equations:
-    """Errors of all records stacked, under one held gain; `basis` (N, n_z) is orthonormal or None."""
+    """Errors of all records stacked, under one held gain; `basis` (N, n_z) is orthonormal or
+    None."""
 
     problem: Problem
     riccati: Riccati
@@ -255,11 +289,21 @@ class _Equations:
     def cost(
         self, theta: FloatArray, e: FloatArray, variance: FloatArray, jacobian: FloatArray | None
     ) -> tuple[float, FloatArray, FloatArray]:
-        """Weighted squares of the errors (of their part that the instruments explain) and of the priors."""
+        """Weighted squares of the errors (of their part that the instruments explain) and of the
+        priors."""
         unknowns = [self.problem.unknowns[i] for i in self.chosen]
         precision = np.array([u.sigma**-2 if np.isfinite(u.sigma) else 0.0 for u in unknowns])
-        off = np.array([t - u.mean if p > 0 else 0.0 for t, u, p in zip(theta[self.chosen], unknowns, precision)])
-        cost, gradient, hessian = 0.5 * float((precision * off * off).sum()), precision * off, np.diag(precision)
+        off = np.array(
+            [
+                t - u.mean if p > 0 else 0.0
+                for t, u, p in zip(theta[self.chosen], unknowns, precision)
+            ]
+        )
+        cost, gradient, hessian = (
+            0.5 * float((precision * off * off).sum()),
+            precision * off,
+            np.diag(precision),
+        )
         for j, v in enumerate(variance):
             part = e[:, j] if self.basis is None else self.basis.T @ e[:, j]
             cost += 0.5 * float(part @ part) / v
@@ -271,14 +315,17 @@ class _Equations:
 
 
 def _instruments(problem: Problem, names: Sequence[str], lags: int, stride: int) -> FloatArray:
-    """Orthonormal basis (N, n_z) of the instruments' delayed copies and a constant, all records stacked."""
+    """Orthonormal basis (N, n_z) of the instruments' delayed copies and a constant, all records
+    stacked."""
     parts = []
     for record in problem.records:
         z, _ = hold_missing(np.column_stack([record.segment.column(n) for n in names]))
         copies = [np.ones((record.n, 1))]
         for lag in range(lags + 1):
             shift = lag * stride
-            copies.append(np.concatenate([np.repeat(z[:1], min(shift, record.n), 0), z])[: record.n])
+            copies.append(
+                np.concatenate([np.repeat(z[:1], min(shift, record.n), 0), z])[: record.n]
+            )
         parts.append(np.concatenate(copies, axis=1))
     table = np.concatenate(parts)
     if not np.isfinite(table).all():
@@ -286,6 +333,8 @@ def _instruments(problem: Problem, names: Sequence[str], lags: int, stride: int)
     table[:, 1:] -= table[:, 1:].mean(axis=0)
     size = np.linalg.norm(table, axis=0)
     if not (size[1:] > 1e-9 * np.sqrt(len(table))).any():
-        raise DataError(f"instruments that never move: {', '.join(names)}", fix="name columns with excitation")
+        raise DataError(
+            f"instruments that never move: {', '.join(names)}", fix="name columns with excitation"
+        )
     u, sigma, _ = np.linalg.svd(table / np.maximum(size, 1e-300), full_matrices=False)
     return u[:, sigma > 1e-8 * sigma[0]]

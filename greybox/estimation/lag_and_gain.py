@@ -3,8 +3,8 @@
     H(s) = gain exp(-s d) / ((1 + T s) s^(n-1) (s + corner)),   lag = d + T,   n = 0 (no corner), 1, 2
 
 (low-order equivalent system; Tischler and Remple 2012, chapter 11: magnitude and phase weighed by
-their errors.) `lag` is the slope of the phase beyond that of the integrators, at low frequency: delays,
-rotor lag and filters in one number, which flights tell better than its parts.
+their errors.) `lag` is the slope of the phase beyond that of the integrators, at low frequency:
+delays, rotor lag and filters in one number, which flights tell better than its parts.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ def lag_and_gain(
     usable: BoolArray,
     integrators: int | None = None,
 ) -> LagAndGain | None:
-    """The form at the `usable` (K,) frequencies [Hz] of the widest band, with a loss that stray ones
-    hardly move; `integrators` between input and output, or the number that fits best. None where
-    there are too few frequencies."""
+    """The form at the `usable` (K,) frequencies [Hz] of the widest band, with a loss that stray
+    ones hardly move; `integrators` between input and output, or the number that fits best. None
+    where there are too few frequencies."""
     places = np.flatnonzero(usable)
     cuts = np.flatnonzero(np.diff(np.log(frequency[places])) > np.log(APART)) + 1
     one = max(np.split(places, cuts), key=len)

@@ -1,19 +1,22 @@
-"""Lost commands: a row that the logger lost takes its command along, and what that command did arrives unforeseen.
+"""Lost commands: a row that the logger lost takes its command along, and what that command did
+arrives unforeseen.
 
-The command of such a row is taken as the one before, give or take `LOST` of the mean command: an error du of covariance
-Sigma. It arrives when commands arrive, after whatever delays the model has. With B_i = dF/du(k) and H_i = dh/du(k) seen
-from row k + i of the lost row k, the state i rows after the next is off by X_i du, X_0 = B_0, and its sample by E_i du:
+The command of such a row is taken as the one before, give or take `LOST` of the mean command: an
+error du of covariance Sigma. It arrives when commands arrive, after whatever delays the model has.
+With B_i = dF/du(k) and H_i = dh/du(k) seen from row k + i of the lost row k, the state i rows after
+the next is off by X_i du, X_0 = B_0, and its sample by E_i du:
 
     E_i = C X_i + H_(i+1),   F_i = A X_i + B_(i+1),   X_(i+1) = F_i - K_i E_i
     S_i = S + w_i E_i Sigma E_i',   K_i = (A P C' + G Q D' + w_i F_i Sigma E_i') S_i^-1
 
-the gain that is best for the state after it. (With an error that stays this is Friedland's bias, IEEE Trans. Automatic
-Control 14(4), 1969; there the command would be estimated as well, here each sample only corrects the state.) A record that
-runs linearly uses u(k) one row earlier, too: then X_0 = B_0 + A B_(-1). What is left of X counts at samples that something
-new reaches, with a weight w_i that is 1 but for the smallest shares (`SHARE`) and goes smoothly to 0 without any: the
-likelihood stays smooth where a delay passes a whole sample, and is that of the model without the delay where that is 0. Not
-followed are the noise that K_i lets in besides, rows among these that were lost themselves, and all but the last two lost
-rows.
+the gain that is best for the state after it. (With an error that stays this is Friedland's bias,
+IEEE Trans. Automatic Control 14(4), 1969; there the command would be estimated as well, here each
+sample only corrects the state.) A record that runs linearly uses u(k) one row earlier, too: then
+X_0 = B_0 + A B_(-1). What is left of X counts at samples that something new reaches, with a weight
+w_i that is 1 but for the smallest shares (`SHARE`) and goes smoothly to 0 without any: the
+likelihood stays smooth where a delay passes a whole sample, and is that of the model without the
+delay where that is 0. Not followed are the noise that K_i lets in besides, rows among these that
+were lost themselves, and all but the last two lost rows.
 """
 
 from __future__ import annotations
@@ -39,8 +42,9 @@ SHARE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Pushes:
-    """B (m, n_d, n_u) and H (m, n_e, n_u) per standard deviation of every command, for i = 0 .. m-1 rows after the lost
-    one, `early` (n_d, n_u) for the row before it, and, with slopes, their derivatives (n_s, ...). The last is zero."""
+    """B (m, n_d, n_u) and H (m, n_e, n_u) per standard deviation of every command, for i = 0 .. m-1
+    rows after the lost one, `early` (n_d, n_u) for the row before it, and, with slopes, their
+    derivatives (n_s, ...). The last is zero."""
 
     B: FloatArray
     H: FloatArray
@@ -51,9 +55,12 @@ class Pushes:
 
     @functools.cached_property
     def weights(self) -> tuple[FloatArray, FloatArray]:
-        """w (m - 1,) and its slopes (n_s, m - 1): by the squared share of the command that reaches state or sample then."""
-        parts = ((self.B[:-1], self.dB if self.dB is None else self.dB[:, :-1]),
-                 (self.H[1:], self.dH if self.dH is None else self.dH[:, 1:]))  # fmt: skip
+        """w (m - 1,) and its slopes (n_s, m - 1): by the squared share of the command that reaches
+        state or sample then."""
+        parts = (
+            (self.B[:-1], self.dB if self.dB is None else self.dB[:, :-1]),
+            (self.H[1:], self.dH if self.dH is None else self.dH[:, 1:]),
+        )
         n = len(self.B) - 1
         square, slope = np.zeros(n), np.zeros((0 if self.dB is None else len(self.dB), n))
         for v, dv in parts:
@@ -70,12 +77,14 @@ class Pushes:
 
     @functools.cached_property
     def felt(self) -> int:
-        """Bits of the rows after a lost one (bit i: i rows after the next) at which anything arrives."""
+        """Bits of the rows after a lost one (bit i: i rows after the next) at which anything
+        arrives."""
         return sum(1 << i for i, w in enumerate(self.weights[0][:REACH]) if w > 0)
 
 
 class LostCommands:
-    """Derivatives of step and sample in every command that they look at, at one state, as functions of the parameters.
+    """Derivatives of step and sample in every command that they look at, at one state, as functions
+    of the parameters.
 
     `fixed` as in `ReferenceStep`.
     """
@@ -90,18 +99,25 @@ class LostCommands:
         parts = at.at_rest([at.out @ ca.jacobian(at.after, commands), -ca.jacobian(at.e, commands)])
         parts = [ca.sparsify(v) for v in parts]
         self._shapes = [v.shape for v in parts]
-        self._places = [tuple(np.array(i, dtype=np.intp) for i in v.sparsity().get_triplet()) for v in parts]
+        self._places = [
+            tuple(np.array(i, dtype=np.intp) for i in v.sparsity().get_triplet()) for v in parts
+        ]
         stacked = ca.vertcat(*(v.nz[:] for v in parts))
         self._function, self._value_only = at.functions("pushes", stacked, active)
         self._now = dynamics.window[0]
         self._slow = [n == "vbat" for n in dynamics.inputs.names]
 
     def at(
-        self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float,
-        columns: npt.NDArray[np.int_] | None = None, scale: FloatArray | float = 1.0,
-    ) -> Pushes:  # fmt: skip
-        """Pushes at the state x, the command window (n_u, past + 1 + future) and the parameters p; with `columns` also
-        slopes in those of the active parameters, each times `scale`."""
+        self,
+        x: FloatArray,
+        window: FloatArray,
+        p: FloatArray,
+        dt: float,
+        columns: npt.NDArray[np.int_] | None = None,
+        scale: FloatArray | float = 1.0,
+    ) -> Pushes:
+        """Pushes at the state x, the command window (n_u, past + 1 + future) and the parameters p;
+        with `columns` also slopes in those of the active parameters, each times `scale`."""
         sigma = LOST * np.abs(window[:, self._now])
         sigma[self._slow] = 0.0  # the voltage is slow: the row before has it
         with CASADI:
@@ -115,9 +131,11 @@ class LostCommands:
         (db, dearly), (dh, _) = self._unpack(slope[:, columns] * scale, sigma)
         return Pushes(B=b[0], H=h[0], early=early[0], dB=db, dH=dh, dearly=dearly)
 
-    def _unpack(self, columns: FloatArray, sigma: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        """[(B, early), (H, unused)] of every column: (columns, past + 2, n, n_u), the latest command first, and
-        (columns, n, n_u) for the command that comes."""
+    def _unpack(
+        self, columns: FloatArray, sigma: FloatArray
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """[(B, early), (H, unused)] of every column: (columns, past + 2, n, n_u), the latest
+        command first, and (columns, n, n_u) for the command that comes."""
         made, at = [], 0
         for (rows, width), (row, column) in zip(self._shapes, self._places, strict=True):
             dense = np.zeros((columns.shape[1], rows, width))
@@ -126,7 +144,9 @@ class LostCommands:
             by_row = dense.reshape(columns.shape[1], rows, width // sigma.size, sigma.size) * sigma
             late = by_row[:, :, self._now :: -1].transpose(0, 2, 1, 3)
             none = np.zeros((columns.shape[1], 1, rows, sigma.size))
-            made.append((np.concatenate([late, none], axis=1), by_row[:, :, self._now + 1 :].sum(axis=2)))
+            made.append(
+                (np.concatenate([late, none], axis=1), by_row[:, :, self._now + 1 :].sum(axis=2))
+            )
         return made
 
 
@@ -134,10 +154,13 @@ _built = once_per_model(LostCommands)
 
 
 def lost_commands(
-    dynamics: Dynamics, active: tuple[str, ...] = (), x: Iterable[float] = (), other: Iterable[float] = ()
+    dynamics: Dynamics,
+    active: tuple[str, ...] = (),
+    x: Iterable[float] = (),
+    other: Iterable[float] = (),
 ) -> LostCommands:
-    """`LostCommands`, built once per process; for the state `x` where another such state is known (`other` as in
-    `greybox.estimation.gain.linearisation_at`)."""
+    """`LostCommands`, built once per process; for the state `x` where another such state is known
+    (`other` as in `greybox.estimation.gain.linearisation_at`)."""
     return _built(dynamics, tuple(active), unchanging(x, other))
 
 

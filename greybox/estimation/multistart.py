@@ -20,8 +20,8 @@ from greybox.symbolic import FloatArray
 class Multistart:
     """All runs of a multistart, best first: theta (n_runs, n), cost (n_runs,), status per run.
 
-    `spread` is the largest cost minus the smallest among the runs that converged, `agreeing` how many runs reached the
-    best cost within 0.01 (a hundredth of what matters for the estimates).
+    `spread` is the largest cost minus the smallest among the runs that converged, `agreeing` how
+    many runs reached the best cost within 0.01 (a hundredth of what matters for the estimates).
     """
 
     theta: FloatArray
@@ -45,11 +45,15 @@ class Multistart:
         return float(good.max() - good.min()) if good.size else float("nan")
 
 
-def random_start(problem: Problem, rng: np.random.Generator, base: FloatArray, width: float = 1.0) -> FloatArray:
-    """One random start: parameters within their priors or bounds, noise levels within a factor e^(width/2) or so.
+def random_start(
+    problem: Problem, rng: np.random.Generator, base: FloatArray, width: float = 1.0
+) -> FloatArray:
+    """One random start: parameters within their priors or bounds, noise levels within a factor
+    e^(width/2) or so.
 
-    A finite prior: normal around its mean. Else two finite bounds: uniform between them (of logarithms, where both are
-    positive and a factor 100 or more apart). Else normal around `base` with the declared scale. Initial states stay.
+    A finite prior: normal around its mean. Else two finite bounds: uniform between them (of
+    logarithms, where both are positive and a factor 100 or more apart). Else normal around `base`
+    with the declared scale. Initial states stay.
     """
     out = np.array(base, dtype=np.float64)
     for i, u in enumerate(problem.unknowns):
@@ -81,8 +85,8 @@ def multistart(
 ) -> Multistart:
     """Solve from `base` (default: the problem's start) and from n - 1 random starts, side by side.
 
-    `executor` defaults to threads, one per core (the compiled recursion runs outside Python's lock). The starts depend
-    on `seed` alone, never on the order in which runs end.
+    `executor` defaults to threads, one per core (the compiled recursion runs outside Python's
+    lock). The starts depend on `seed` alone, never on the order in which runs end.
     """
     base = problem.start if base is None else base
     rng = np.random.default_rng(seed)
@@ -91,7 +95,9 @@ def multistart(
         stop = threading.Event()
         with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
             try:
-                runs = list(pool.map(functools.partial(_one_run, problem, solver, stop=stop), starts))
+                runs = list(
+                    pool.map(functools.partial(_one_run, problem, solver, stop=stop), starts)
+                )
             finally:  # an interrupt reaches the main thread only
                 stop.set()
     else:
@@ -99,7 +105,9 @@ def multistart(
     cost = np.array([c for _, c, _ in runs])
     order = np.argsort(cost, kind="stable")
     return Multistart(
-        theta=np.array([runs[i][0] for i in order]), cost=cost[order], status=tuple(runs[i][2] for i in order)
+        theta=np.array([runs[i][0] for i in order]),
+        cost=cost[order],
+        status=tuple(runs[i][2] for i in order),
     )
 
 

@@ -151,7 +151,9 @@ class FitOptions:
             given: Iterable[str] | None = getattr(self, name)
             if isinstance(given, str):  # its letters would be taken for names
                 listed = [word.strip() for word in given.split(",")]
-                raise GreyboxError(f"{name} takes a list of names", got=repr(given), fix=f"{name}={listed}")
+                raise GreyboxError(
+                    f"{name} takes a list of names", got=repr(given), fix=f"{name}={listed}"
+                )
             object.__setattr__(self, name, None if given is None else tuple(given))
         for name in ("values", "priors", "flight_priors", "noise"):
             object.__setattr__(self, name, dict(getattr(self, name) or {}))

@@ -43,10 +43,10 @@ class Block:
     e (n, n_e) with zeros where mask (n, n_e) is 0; jacobian (n, n_e, n_s) or None; columns (n_s,)
     their places among the unknowns; covariance (n_pat, n_e, n_e) with unit diagonal for missing
     channels and its derivative per pattern (n_k, n_e, n_e) in the first n_k columns, or None where
-    the criterion estimates the weights itself; pattern (n,). A time-varying predictor gives decorrelated residuals instead,
-    with `variance` (n, n_e; 1 where missing) and its derivative (n, n_e, n_s). Rows of one `group`
-    (n,) share a variance of their own per channel; `weight` is what one row counts, `spacing` how
-    many samples lie between two rows of one group.
+    the criterion estimates the weights itself; pattern (n,). A time-varying predictor gives
+    decorrelated residuals instead, with `variance` (n, n_e; 1 where missing) and its derivative (n,
+    n_e, n_s). Rows of one `group` (n,) share a variance of their own per channel; `weight` is what
+    one row counts, `spacing` how many samples lie between two rows of one group.
     """
 
     record: Record

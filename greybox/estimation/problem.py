@@ -39,6 +39,7 @@ _S = TypeVar("_S")
 _T = TypeVar("_T")
 _P = TypeVar("_P")
 
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
     """A fit as a minimisation. Build it with `make_problem`. Nothing in it changes;
@@ -317,9 +318,7 @@ def make_problem(
     dt = sample_time(dataset)
     wanted = {*chosen, *known(o.build or ()), *known(o.considered)}
     built = tuple(d.name for d in dynamics.parameters if d.name in wanted)
-    engine = engine_for(
-        dynamics, built, use_compiler=o.use_compiler
-    ).select(tuple(chosen))
+    engine = engine_for(dynamics, built, use_compiler=o.use_compiler).select(tuple(chosen))
     records = make_records(engine, dataset)
     flights = tuple(f.name for f in dataset.flights)
     unknowns = [

@@ -1,10 +1,11 @@
-"""Profile likelihood of one unknown: the others re-optimised along a grid, and the likelihood-ratio interval.
+"""Profile likelihood of one unknown: the others re-optimised along a grid, and the likelihood-ratio
+interval.
 
     interval = { v : 2 (V(v) - V_min) <= chi2_1(level) },   V(v) = min over the other unknowns of the cost
 
-(Venzon and Moolgavkar 1988, Applied Statistics 37(1); Raue et al. 2009, Bioinformatics 25(15).) Where the cost is not
-quadratic in the unknown this interval is right and the symmetric one is not; a flat profile is an unknown that the data
-do not identify. Priors are part of the cost.
+(Venzon and Moolgavkar 1988, Applied Statistics 37(1); Raue et al. 2009, Bioinformatics 25(15).)
+Where the cost is not quadratic in the unknown this interval is right and the symmetric one is not;
+a flat profile is an unknown that the data do not identify. Priors are part of the cost.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Slice:
-    """A problem with one unknown held at a value: what solvers see of a problem, with n - 1 unknowns."""
+    """A problem with one unknown held at a value: what solvers see of a problem, with n - 1
+    unknowns."""
 
     problem: Problem
     place: int
@@ -80,17 +82,22 @@ class Slice:
             return value
         hessian = np.delete(np.delete(value.hessian, self.place, 0), self.place, 1)
         return Value(
-            cost=value.cost, likelihood=value.likelihood, gradient=self._keep(value.gradient), hessian=hessian,
+            cost=value.cost,
+            likelihood=value.likelihood,
+            gradient=self._keep(value.gradient),
+            hessian=hessian,
             valid=value.valid,
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Profile(Shown):
-    """Profile of one unknown: grid (m,) in its unit (levels, not logarithms, of noise), cost (m,), converged (m,).
+    """Profile of one unknown: grid (m,) in its unit (levels, not logarithms, of noise), cost (m,),
+    converged (m,).
 
-    `lower` and `upper` end the likelihood-ratio interval at `level`; an end is the bound where the profile reaches it
-    first, and infinite where the grid ended before the cost had risen enough (not identified on that side).
+    `lower` and `upper` end the likelihood-ratio interval at `level`; an end is the bound where the
+    profile reaches it first, and infinite where the grid ended before the cost had risen enough
+    (not identified on that side).
     """
 
     name: str
@@ -110,8 +117,12 @@ class Profile(Shown):
         flight = "" if self.flight is None else f" of {self.flight}"
         ends = f"{self.lower:.5g} to {self.upper:.5g}{unit}"
         failed = int((~self.converged).sum())
-        lines = [f"{self.name}{flight} = {self.estimate:.5g}{unit}, {self.level:.0%} interval {ends}"]
-        lines += [f"warning: {failed} of {self.grid.size} points did not converge"] if failed else []
+        lines = [
+            f"{self.name}{flight} = {self.estimate:.5g}{unit}, {self.level:.0%} interval {ends}"
+        ]
+        lines += (
+            [f"warning: {failed} of {self.grid.size} points did not converge"] if failed else []
+        )
         return "\n".join([*lines, f"profile likelihood at {self.grid.size} points"])
 
     def _shown_rows(self) -> list[dict[str, Cell]]:
@@ -144,9 +155,9 @@ def profile(
 ) -> Profile:
     """Profile of the unknown `name` around the optimum `theta` (n,).
 
-    `grid` gives the values (in the unknown's unit); without it `points` values to either side, `width` standard errors
-    apart at the end, and further ones while the cost has not risen enough. Each point starts from its neighbour. Raises
-    `UnknownNameError` for a name that is no unknown.
+    `grid` gives the values (in the unknown's unit); without it `points` values to either side,
+    `width` standard errors apart at the end, and further ones while the cost has not risen enough.
+    Each point starts from its neighbour. Raises `UnknownNameError` for a name that is no unknown.
     """
     place = problem.place(name, flight)
     if place is None:
@@ -165,7 +176,11 @@ def profile(
         return np.asarray(estimate)
 
     if grid is not None:
-        wanted = np.log(np.asarray(grid, dtype=np.float64)) if logarithmic else np.asarray(grid, dtype=np.float64)
+        wanted = (
+            np.log(np.asarray(grid, dtype=np.float64))
+            if logarithmic
+            else np.asarray(grid, dtype=np.float64)
+        )
         for side in (np.sort(wanted[wanted > centre]), np.sort(wanted[wanted < centre])[::-1]):
             near = np.delete(theta, place)
             for v in side:
@@ -188,10 +203,17 @@ def profile(
     lower, upper = (_crossing(values, cost, centre, best.cost + threshold, s, u) for s in (-1, 1))
     as_unit = np.exp if logarithmic else np.asarray
     return Profile(
-        name=name, flight=u.flight, unit=u.unit, estimate=float(as_unit(centre)), grid=np.asarray(as_unit(values)),
-        cost=cost, converged=np.array([found[v][1] for v in values]), level=level, lower=float(as_unit(lower)),
+        name=name,
+        flight=u.flight,
+        unit=u.unit,
+        estimate=float(as_unit(centre)),
+        grid=np.asarray(as_unit(values)),
+        cost=cost,
+        converged=np.array([found[v][1] for v in values]),
+        level=level,
+        lower=float(as_unit(lower)),
         upper=float(as_unit(upper)),
-    )  # fmt: skip
+    )
 
 
 def _standard_error(value: Value, place: int, scale: float) -> float:
@@ -203,8 +225,11 @@ def _standard_error(value: Value, place: int, scale: float) -> float:
     return error if np.isfinite(error) and error > 0 else scale
 
 
-def _crossing(values: FloatArray, cost: FloatArray, centre: float, limit: float, side: int, u: Unknown) -> float:
-    """Where the profile first exceeds `limit` on one side, by monotone interpolation of the root of its rise."""
+def _crossing(
+    values: FloatArray, cost: FloatArray, centre: float, limit: float, side: int, u: Unknown
+) -> float:
+    """Where the profile first exceeds `limit` on one side, by monotone interpolation of the root of
+    its rise."""
     chosen = values >= centre if side > 0 else values <= centre
     v, c = values[chosen], cost[chosen]
     order = np.argsort(side * v)
@@ -212,7 +237,11 @@ def _crossing(values: FloatArray, cost: FloatArray, centre: float, limit: float,
     above = np.flatnonzero(c > limit)
     if not above.size:
         end = u.upper if side > 0 else u.lower
-        return end if np.isfinite(end) and abs(v[-1] - end) <= 1e-12 * max(abs(end), 1e-300) else side * np.inf
+        return (
+            end
+            if np.isfinite(end) and abs(v[-1] - end) <= 1e-12 * max(abs(end), 1e-300)
+            else side * np.inf
+        )
     stop = int(above[0]) + 1
     rise = np.maximum.accumulate(np.sqrt(np.maximum(c[:stop] - cost[values == centre][0], 0.0)))
     rise = rise + 1e-12 * np.arange(stop)

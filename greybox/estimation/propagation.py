@@ -6,10 +6,11 @@ Linearised along the predicted path, in the error state d of the model:
     c+ = A c + G sd_g(z),   b+ = A b + B        errors of the learned push and of parameters: constant over the horizon
     Sigma = S + c c' + b Cov(p) b'
 
-An error of the learned function or of a parameter is the same at every step of one prediction, so it is carried as a
-consider state (Schmidt 1966) and not as fresh noise per step, which would average it out. What the model does not explain
-and is correlated in time is a state of `Augmented`, with its own covariance in S. G is that of the model's reference point:
-in the error state it hardly depends on the path.
+An error of the learned function or of a parameter is the same at every step of one prediction, so
+it is carried as a consider state (Schmidt 1966) and not as fresh noise per step, which would
+average it out. What the model does not explain and is correlated in time is a state of `Augmented`,
+with its own covariance in S. G is that of the model's reference point: in the error state it hardly
+depends on the path.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ from greybox.symbolic import FloatArray, evaluate
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ahead:
-    """Predictions h samples ahead of m origins: states (m, n_x), their error covariance (m, n_d, n_d), and that of the
-    predicted innovation, sensor noise included, (m, n_e, n_e)."""
+    """Predictions h samples ahead of m origins: states (m, n_x), their error covariance (m, n_d,
+    n_d), and that of the predicted innovation, sensor noise included, (m, n_e, n_e)."""
 
     h: int
     states: FloatArray
@@ -46,9 +47,9 @@ class Ahead:
 class Propagator:
     """Propagates mean and covariance of an identified model through a horizon.
 
-    `extra` adds (or replaces) parameter standard deviations by name, such as those of an adaptation to the flight.
-    `parameters=False` leaves the parameters' uncertainty out, `learned=False` that of a learned push. `noise` (n_w)
-    replaces the model's process-noise levels.
+    `extra` adds (or replaces) parameter standard deviations by name, such as those of an adaptation
+    to the flight. `parameters=False` leaves the parameters' uncertainty out, `learned=False` that
+    of a learned push. `noise` (n_w) replaces the model's process-noise levels.
     """
 
     def __init__(
@@ -63,7 +64,9 @@ class Propagator:
     ) -> None:
         model = runner.model
         self.runner = runner
-        names, self.spread = _parameter_covariance(model, extra or {}) if parameters else ((), np.zeros((0, 0)))
+        names, self.spread = (
+            _parameter_covariance(model, extra or {}) if parameters else ((), np.zeros((0, 0)))
+        )
         self.engine: Engine = engine_for(model.dynamics, names, use_compiler=use_compiler)
         _, g, _, d = runner.linear
         self.push, self.through = g, d
@@ -73,7 +76,9 @@ class Propagator:
         self.seen = (d * noise**2) @ d.T + np.diag(model.sensor_noise**2)
         self._learned = _learned_spread(model.dynamics) if learned else None
 
-    def run(self, filtered: Filtered, origins: npt.NDArray[np.int_], horizon: int) -> Iterator[Ahead]:
+    def run(
+        self, filtered: Filtered, origins: npt.NDArray[np.int_], horizon: int
+    ) -> Iterator[Ahead]:
         """h = 1 .. horizon ahead of `origins` (m,), which have `horizon` samples after them.
 
         Raises `FitError` where a prediction stops being finite.
@@ -82,9 +87,13 @@ class Propagator:
 
 
 def run_together(
-    propagators: Sequence[Propagator], filtered: Filtered, origins: npt.NDArray[np.int_], horizon: int
+    propagators: Sequence[Propagator],
+    filtered: Filtered,
+    origins: npt.NDArray[np.int_],
+    horizon: int,
 ) -> Iterator[list[Ahead]]:
-    """As `Propagator.run` for several propagators of one filter, which share the path: one list per h = 1 .. horizon.
+    """As `Propagator.run` for several propagators of one filter, which share the path: one list per
+    h = 1 .. horizon.
 
     The first propagator has the parameters that any other has.
     """
@@ -110,7 +119,9 @@ def run_together(
         a, bias = found.end_sensitivity[:, :, na:], start[:, :, :na]
         push = spreads[0].spread(states, record.inputs, at, engine) if spreads else np.zeros((m, 0))
         into = first.push[:, spreads[0].rows] if spreads else np.zeros((nd, 0))
-        through = first.through[:, spreads[0].rows] if spreads else np.zeros((len(first.through), 0))
+        through = (
+            first.through[:, spreads[0].rows] if spreads else np.zeros((len(first.through), 0))
+        )
         now = c @ learned - through * push[:, None, :]
         out = []
         for i, p in enumerate(propagators):
@@ -130,7 +141,9 @@ def run_together(
         states = found.ends
 
 
-def _parameter_covariance(model: IdentifiedModel, extra: Mapping[str, float]) -> tuple[tuple[str, ...], FloatArray]:
+def _parameter_covariance(
+    model: IdentifiedModel, extra: Mapping[str, float]
+) -> tuple[tuple[str, ...], FloatArray]:
     declared = {d.name for d in model.dynamics.parameters}
     shared = [n for n in model.covariance_names if n in declared and n not in extra]
     at = [model.covariance_names.index(n) for n in shared]
@@ -138,7 +151,9 @@ def _parameter_covariance(model: IdentifiedModel, extra: Mapping[str, float]) ->
     names = (*shared, *own)
     cov = np.zeros((len(names), len(names)))
     cov[: len(shared), : len(shared)] = np.nan_to_num(model.covariance[np.ix_(at, at)])
-    cov[range(len(shared), len(names)), range(len(shared), len(names))] = [extra[n] ** 2 for n in own]
+    cov[range(len(shared), len(names)), range(len(shared), len(names))] = [
+        extra[n] ** 2 for n in own
+    ]
     return names, cov
 
 
@@ -153,7 +168,9 @@ class _Learned:
     def count(self) -> int:
         return len(self.rows)
 
-    def spread(self, states: FloatArray, inputs: FloatArray, rows: npt.NDArray[np.int_], engine: Engine) -> FloatArray:
+    def spread(
+        self, states: FloatArray, inputs: FloatArray, rows: npt.NDArray[np.int_], engine: Engine
+    ) -> FloatArray:
         width = engine.past + 1 + engine.future
         windows = inputs[rows[:, None] + np.arange(width)].reshape(len(rows), -1)
         return np.sqrt(np.maximum(evaluate(self.function, states, windows), 0.0))
@@ -168,4 +185,6 @@ def _learned_spread(dynamics: Dynamics) -> _Learned | None:
     x = ca.MX.sym("x", len(dynamics.states))
     window = ca.MX.sym("U", len(dynamics.inputs), past + 1 + future)
     variance = ca.densify(learned.learned_variance(x, window))
-    return _Learned(function=ca.Function("spread", [x, window], [variance]), rows=list(learned.learned_rows))
+    return _Learned(
+        function=ca.Function("spread", [x, window], [variance]), rows=list(learned.learned_rows)
+    )

@@ -80,7 +80,10 @@ class Recipe:
     def to_python(self) -> str:
         """The same as Python source, for `vehicle` and `data` as read."""
         options = ", ".join(f"{k}={v!r}" for k, v in self.options.to_dict().items())
-        build = f"gb.build_model(vehicle, data.channels, {list(self.effect_names)!r}, sample_time=data.flights[0].dt"
+        build = (
+            f"gb.build_model(vehicle, data.channels, {list(self.effect_names)!r}, "
+            "sample_time=data.flights[0].dt"
+        )
         build += ", noncausal=data.noncausal"
         if self.input != "command":
             build += f", input={self.input!r}"

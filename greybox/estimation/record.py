@@ -1,4 +1,5 @@
-"""Record: one unbroken segment in the shape that the engine wants, with its patterns of missing channels."""
+"""Record: one unbroken segment in the shape that the engine wants, with its patterns of missing
+channels."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from greybox.model.noise import lasting_errors
 from greybox.symbolic import BoolArray, FloatArray
 
 REACH = 50
-"""Rows after a lost one that know of it at most: whole numbers in floating point have so many bits."""
+"""Rows after a lost one that know of it at most: whole numbers in floating point have so many
+bits."""
 MOST = 2
 """How many lost rows before it a row knows of, the last ones."""
 RARE = 0.1
@@ -27,8 +29,9 @@ RARE = 0.1
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Record:
-    """Arrays of one segment. `patterns` (n_pat, n_e) lists which innovation components are there, `pattern` (n,) which:
-    0 missing, 1 there, 1 + bits there, after rows that were lost with their commands (see `lost_bits`)."""
+    """Arrays of one segment. `patterns` (n_pat, n_e) lists which innovation components are there,
+    `pattern` (n,) which: 0 missing, 1 there, 1 + bits there, after rows that were lost with their
+    commands (see `lost_bits`)."""
 
     flight: str
     segment: Segment
@@ -61,7 +64,8 @@ class Record:
 
 
 def hold_missing(values: FloatArray) -> tuple[FloatArray, int]:
-    """Missing cells take the last value before them (the first value where nothing is before); how many there were."""
+    """Missing cells take the last value before them (the first value where nothing is before); how
+    many there were."""
     out = np.array(values, dtype=np.float64)
     missing = ~np.isfinite(out)
     count = int(missing.sum())
@@ -77,35 +81,54 @@ def hold_missing(values: FloatArray) -> tuple[FloatArray, int]:
 
 
 def make_record(engine: Engine, segment: Segment, start_seconds: float = START_SECONDS) -> Record:
-    """Arrays of `segment` for the engine's model. Raises `DataError` where a command column is absent or empty."""
+    """Arrays of `segment` for the engine's model. Raises `DataError` where a command column is
+    absent or empty."""
     dynamics = engine.dynamics
     for name in dynamics.inputs.names:
         if name not in segment.channels and name not in segment.extra:
             raise DataError(
-                f"no column {name}, which the model needs as input", where=f"flight {segment.flight}",
-                fix="name it in [columns] of the vehicle file, or leave out the effect that needs it",
-            )  # fmt: skip
+                f"no column {name}, which the model needs as input",
+                where=f"flight {segment.flight}",
+                fix="name it in [columns] of the vehicle file, or leave out the effect that needs "
+                "it",
+            )
     u, held = hold_missing(segment.matrix(dynamics.inputs.names))
     if not np.isfinite(u).all():
-        empty = [n for n, v in zip(dynamics.inputs.names, u.T, strict=True) if not np.isfinite(v).any()]
-        raise DataError(f"input column {', '.join(empty)} has no values", where=f"flight {segment.flight}")
+        empty = [
+            n for n, v in zip(dynamics.inputs.names, u.T, strict=True) if not np.isfinite(v).any()
+        ]
+        raise DataError(
+            f"input column {', '.join(empty)} has no values", where=f"flight {segment.flight}"
+        )
     y = segment.matrix(dynamics.outputs.names, missing_ok=True)
     there = np.isfinite(y)
     at = {n: i for i, n in enumerate(dynamics.outputs.names)}
-    mask = np.column_stack([there[:, [at[c] for c in cols]].all(axis=1) for cols in dynamics.innovation_columns])
+    mask = np.column_stack(
+        [there[:, [at[c] for c in cols]].all(axis=1) for cols in dynamics.innovation_columns]
+    )
     kinds = np.where(mask, 1.0 + _after_lost(mask, u, dynamics.window[0])[:, None], 0.0)
     patterns, pattern = np.unique(kinds, axis=0, return_inverse=True)
     few = max(3, round(start_seconds / segment.dt))
-    numbers = {n: v for n, v in segment.extra.items() if v.dtype.kind == "f"} | dict(segment.channels)
+    numbers = {n: v for n, v in segment.extra.items() if v.dtype.kind == "f"} | dict(
+        segment.channels
+    )
     start = {n: v[:few] for n, v in numbers.items()}
     start["t"] = segment.t[:few]
     x0, sigma = dynamics.initial_state(start)
     return Record(
-        flight=segment.flight, segment=segment, outputs=y,
+        flight=segment.flight,
+        segment=segment,
+        outputs=y,
         inputs=engine.padded_inputs(u, _earlier(segment, dynamics.inputs.names)),
-        mask=mask.astype(np.float64), pattern=pattern.ravel().astype(np.int32), patterns=patterns.astype(np.float64),
-        dt=segment.dt, x0=x0, x0_sigma=sigma, held=held, lasting=lasting_errors(dynamics),
-    )  # fmt: skip
+        mask=mask.astype(np.float64),
+        pattern=pattern.ravel().astype(np.int32),
+        patterns=patterns.astype(np.float64),
+        dt=segment.dt,
+        x0=x0,
+        x0_sigma=sigma,
+        held=held,
+        lasting=lasting_errors(dynamics),
+    )
 
 
 def _earlier(segment: Segment, names: tuple[str, ...]) -> FloatArray | None:
@@ -117,13 +140,15 @@ def _earlier(segment: Segment, names: tuple[str, ...]) -> FloatArray | None:
 
 
 def lost_bits(patterns: FloatArray) -> npt.NDArray[np.int64]:
-    """Which rows before were lost with their commands: bit 0 the last one, bit i the one i rows earlier."""
+    """Which rows before were lost with their commands: bit 0 the last one, bit i the one i rows
+    earlier."""
     return np.maximum(patterns.astype(np.int64) - 1, 0)
 
 
 def _after_lost(mask: BoolArray, u: FloatArray, past: int) -> FloatArray:
-    """(n,) bits of the last `MOST` rows before every row that were lost, not longer ago than a step looks at commands:
-    nothing was measured there, and the command is only that of the row before."""
+    """(n,) bits of the last `MOST` rows before every row that were lost, not longer ago than a
+    step looks at commands: nothing was measured there, and the command is only that of the row
+    before."""
     lost = np.asarray(~mask.any(axis=1))
     lost[1:] &= (u[1:] == u[:-1]).all(axis=1)
     lost[0] = False
@@ -140,15 +165,17 @@ def _after_lost(mask: BoolArray, u: FloatArray, past: int) -> FloatArray:
 
 
 def make_records(engine: Engine, dataset: Dataset) -> list[Record]:
-    """Records of all segments, in the order of the data set. Raises `DataError` for a set without samples."""
+    """Records of all segments, in the order of the data set. Raises `DataError` for a set without
+    samples."""
     records = [make_record(engine, s) for f in dataset.flights for s in f.segments]
     if not records:
         raise DataError("no flight in the data set")
     if not any(r.mask.any() for r in records):
         raise DataError(
-            "no measured sample of any output", expected=", ".join(engine.dynamics.outputs.names),
+            "no measured sample of any output",
+            expected=", ".join(engine.dynamics.outputs.names),
             fix="check the column names of the log",
-        )  # fmt: skip
+        )
     return records
 
 
@@ -173,6 +200,7 @@ def sample_time(dataset: Dataset, dynamics: Dynamics | None = None) -> float:
         raise DataError("no flight in the data set")
     if steps[-1] - steps[0] > 1e-6 * steps[0]:
         raise DataError(
-            f"flights with different sample times {', '.join(f'{s:g}' for s in steps)} s", fix="read them with one rate"
+            f"flights with different sample times {', '.join(f'{s:g}' for s in steps)} s",
+            fix="read them with one rate",
         )
     return steps[0]

@@ -1,4 +1,5 @@
-"""Reference point: one step of a Dynamics and its sample there, differentiated once as functions of the parameters."""
+"""Reference point: one step of a Dynamics and its sample there, differentiated once as functions of
+the parameters."""
 
 from __future__ import annotations
 
@@ -17,11 +18,12 @@ Built = TypeVar("Built")
 
 
 class ReferenceStep:
-    """Symbols x, U (`window`), p, w, dt; the state `after` a step, the innovation `e`, and the charts `into` and `out` of
-    the error state.
+    """Symbols x, U (`window`), p, w, dt; the state `after` a step, the innovation `e`, and the
+    charts `into` and `out` of the error state.
 
-    `fixed` (n_x entries or none): the values of state entries that never change, None where one does. Zeros and ones
-    among them make the expressions, their construction and their evaluation smaller.
+    `fixed` (n_x entries or none): the values of state entries that never change, None where one
+    does. Zeros and ones among them make the expressions, their construction and their evaluation
+    smaller.
     """
 
     def __init__(self, dynamics: Dynamics, fixed: Fixed) -> None:
@@ -33,19 +35,30 @@ class ReferenceStep:
         self.into, self.out = chart_jacobians(dynamics, self.x, self.after)
         self._measured = ca.SX.sym("y", self._predicted.numel())
         self.e = dynamics.innovation(self._measured, self._predicted, self.x)
-        self._point = ca.vertcat(*(self.x[i] if v is None else v for i, v in enumerate(fixed))) if fixed else self.x
+        self._point = (
+            ca.vertcat(*(self.x[i] if v is None else v for i, v in enumerate(fixed)))
+            if fixed
+            else self.x
+        )
 
     def at_rest(self, parts: Sequence[Expr]) -> list[Expr]:
         """Derivatives without noise, where the measured value equals the prediction."""
         seen = ca.substitute(list(parts), [self._measured], [self._predicted])
-        return list(ca.substitute(seen, [self.x, self.w], [self._point, ca.DM.zeros(self.w.numel())]))
+        return list(
+            ca.substitute(seen, [self.x, self.w], [self._point, ca.DM.zeros(self.w.numel())])
+        )
 
-    def functions(self, name: str, values: Expr, active: Iterable[str]) -> tuple[ca.Function, ca.Function]:
-        """(x, window, p, dt) to `values` and their slopes in the active parameters, and to `values` alone."""
+    def functions(
+        self, name: str, values: Expr, active: Iterable[str]
+    ) -> tuple[ca.Function, ca.Function]:
+        """(x, window, p, dt) to `values` and their slopes in the active parameters, and to `values`
+        alone."""
         given = [self.x, self.window, self.p, self.dt]
         chosen = [self._names.index(a) for a in active]
         slopes = ca.jacobian(values, self.p)[:, chosen] if chosen else ca.SX(values.numel(), 0)
-        return ca.Function(name, given, [values, slopes]), ca.Function(f"{name}_value", given, [values])
+        return ca.Function(name, given, [values, slopes]), ca.Function(
+            f"{name}_value", given, [values]
+        )
 
 
 def unchanging(x: Iterable[float], other: Iterable[float]) -> Fixed:
@@ -56,7 +69,8 @@ def unchanging(x: Iterable[float], other: Iterable[float]) -> Fixed:
 def once_per_model(
     build: Callable[[Dynamics, tuple[str, ...], Fixed], Built],
 ) -> Callable[[Dynamics, tuple[str, ...], Fixed], Built]:
-    """`build` with a memory of its last results in this process; models that cannot be hashed are built anew."""
+    """`build` with a memory of its last results in this process; models that cannot be hashed are
+    built anew."""
     remembered = functools.lru_cache(maxsize=64)(build)
 
     def built(dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed) -> Built:

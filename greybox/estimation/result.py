@@ -73,8 +73,8 @@ class Estimates:
 
     `derived` and `noise` map names to (value, std) and (level, std, unit); `correlations` (m, m)
     are those of the shared parameters `correlation_names`; `theta` (n,) are all unknowns of the
-    problem. `told`: name -> (error by the flights, stated error) of held parameters that flights with
-    white innovations know better than they are stated (`greybox.estimation.considered`).
+    problem. `told`: name -> (error by the flights, stated error) of held parameters that flights
+    with white innovations know better than they are stated (`greybox.estimation.considered`).
     """
 
     model: IdentifiedModel
@@ -413,7 +413,8 @@ class Fit(Shown):
         self.model.save(f"{folder}/model.json")
 
     def summary(self) -> str:
-        """The estimates as text: the verdict first, then how the solver ended and what doubts every error."""
+        """The estimates as text: the verdict first, then how the solver ended and what doubts every
+        error."""
         lines = [NOT_JUDGED if self.verdict is None else self.verdict.line, self.status.advice]
         if (
             self.verdict is None and not self.converged

@@ -370,9 +370,7 @@ class Settling:
         return bool(max(off_s.max(initial=0.0), off_n.max(initial=0.0)) <= SETTLED)
 
 
-def kept_up(
-    values: Sequence[FloatArray], q: FloatArray, own: npt.NDArray[np.intp]
-) -> FloatArray:
+def kept_up(values: Sequence[FloatArray], q: FloatArray, own: npt.NDArray[np.intp]) -> FloatArray:
     """Stationary variances (k,) of Gauss-Markov states `own` (k,), each fed by its noise alone, of
     the linear system (A, G, ...) under process noise of variances `q` (n_w,)."""
     a, g = values[0], values[1]

@@ -10,28 +10,40 @@ from typing import Any
 class Code(enum.Enum):
     """How a solver ended. The value is what to tell the user."""
 
-    CONVERGED = "Converged: the gradient vanishes to far below one standard error of every estimate."
+    CONVERGED = (
+        "Converged: the gradient vanishes to far below one standard error of every estimate."
+    )
     MAX_ITERATIONS = (
-        "NOT converged: the iteration limit was reached. Allow more iterations, give better start values, or fix "
+        "NOT converged: the iteration limit was reached. Allow more iterations, give better start "
+        "values, or fix "
         "parameters that the data cannot identify."
     )
     NO_PROGRESS = (
-        "NOT converged: no step lowers the cost although the gradient does not vanish. The model may be discontinuous "
-        "here or the data contain outliers: look at the innovations, try the robust criterion or other start values."
+        "NOT converged: no step lowers the cost although the gradient does not vanish. The model "
+        "may be discontinuous "
+        "here or the data contain outliers: look at the innovations, try the robust criterion or "
+        "other start values."
     )
-    BEHIND = "NOT converged: ended early, as it could not catch up with the fit that it was held against."
+    BEHIND = (
+        "NOT converged: ended early, as it could not catch up with the fit that it was held "
+        "against."
+    )
     INVALID_START = (
-        "NOT converged: the model gives no finite prediction at the start values. Check units and the vehicle file."
+        "NOT converged: the model gives no finite prediction at the start values. "
+        "Check units and the vehicle file."
     )
     INTERRUPTED = "NOT converged: interrupted; the values are the best so far."
-    SOLVER_FAILED = "NOT converged: the solver gave up. Try levenberg-marquardt, or other start values."
+    SOLVER_FAILED = (
+        "NOT converged: the solver gave up. Try levenberg-marquardt, or other start values."
+    )
 
 
 class Interrupted(KeyboardInterrupt):
     """A solver or a fit was interrupted from the keyboard.
 
-    Nobody goes on with half a fit by mistake, because it is an exception; nothing is lost, because `kept` is what was
-    there: of a solver the best unknowns and their `Status`, of `fit` the `Fit` with them.
+    Nobody goes on with half a fit by mistake, because it is an exception; nothing is lost, because
+    `kept` is what was there: of a solver the best unknowns and their `Status`, of `fit` the `Fit`
+    with them.
     """
 
     def __init__(self, kept: Any) -> None:
@@ -63,7 +75,11 @@ class Status:
     def to_dict(self) -> dict[str, Any]:
         """Plain values for fit.json."""
         return {
-            "converged": self.converged, "code": self.code.name.lower(), "advice": self.advice,
-            "iterations": self.iterations, "evaluations": self.evaluations, "decrement": self.decrement,
+            "converged": self.converged,
+            "code": self.code.name.lower(),
+            "advice": self.advice,
+            "iterations": self.iterations,
+            "evaluations": self.evaluations,
+            "decrement": self.decrement,
             "seconds": self.seconds,
-        }  # fmt: skip
+        }

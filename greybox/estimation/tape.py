@@ -1,9 +1,10 @@
 """Tapes: straight-line expressions as numbers, which `tape.c` runs for many samples at once.
 
-Once the states of a record are known, the linearisations of its steps do not depend on each other. An interpreter that
-takes one instruction for 32 samples spends little on reading it, and the numbers stay in the processor's vectors. It is
-quicker than compiled code of the same expression without optimisation, and nothing has to be compiled: expressions of
-tens of thousands of operations take the compiler seconds.
+Once the states of a record are known, the linearisations of its steps do not depend on each other.
+An interpreter that takes one instruction for 32 samples spends little on reading it, and the
+numbers stay in the processor's vectors. It is quicker than compiled code of the same expression
+without optimisation, and nothing has to be compiled: expressions of tens of thousands of operations
+take the compiler seconds.
 
 A product that is added once, and used nowhere else, is one instruction with its sum.
 """
@@ -21,14 +22,63 @@ from greybox.errors import ModelError
 from greybox.symbolic import FloatArray, operation_names
 
 ORDER = (
-    "END", "INPUT", "OUTPUT", "CONST",
-    "ASSIGN", "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "NEG", "SQ", "TWICE", "INV", "LT", "LE", "EQ",
-    "NE", "NOT", "AND", "OR", "IF_ELSE_ZERO",
-    "SQRT", "FABS", "FMIN", "FMAX", "EXP", "LOG", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "FLOOR", "CEIL", "ERF",
-    "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "LOG1P", "EXPM1", "POW", "CONSTPOW", "FMOD", "COPYSIGN", "ATAN2",
-    "HYPOT", "SIGN",
-)  # fmt: skip
-"""Names of the instructions, in the order of tape.c; but for the first and those with two parts CasADi's own."""
+    "END",
+    "INPUT",
+    "OUTPUT",
+    "CONST",
+    "ASSIGN",
+    "ADD",
+    "SUB",
+    "MUL",
+    "DIV",
+    "MUL_ADD",
+    "MUL_SUB",
+    "SUB_MUL",
+    "NEG",
+    "SQ",
+    "TWICE",
+    "INV",
+    "LT",
+    "LE",
+    "EQ",
+    "NE",
+    "NOT",
+    "AND",
+    "OR",
+    "IF_ELSE_ZERO",
+    "SQRT",
+    "FABS",
+    "FMIN",
+    "FMAX",
+    "EXP",
+    "LOG",
+    "SIN",
+    "COS",
+    "TAN",
+    "ASIN",
+    "ACOS",
+    "ATAN",
+    "FLOOR",
+    "CEIL",
+    "ERF",
+    "SINH",
+    "COSH",
+    "TANH",
+    "ASINH",
+    "ACOSH",
+    "ATANH",
+    "LOG1P",
+    "EXPM1",
+    "POW",
+    "CONSTPOW",
+    "FMOD",
+    "COPYSIGN",
+    "ATAN2",
+    "HYPOT",
+    "SIGN",
+)
+"""Names of the instructions, in the order of tape.c; but for the first and those with two parts
+CasADi's own."""
 CODE = {name: i for i, name in enumerate(ORDER)}
 FUSED = {("ADD", 0): "MUL_ADD", ("ADD", 1): "MUL_ADD", ("SUB", 0): "MUL_SUB", ("SUB", 1): "SUB_MUL"}
 """A sum of a product that is its operand 0 or 1, as one instruction."""
@@ -42,8 +92,8 @@ SAMPLES = 32
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tape:
-    """`instructions` (n, 6) and `constants` as tape.c takes them, number of work `slots`, `lengths` of the results (their
-    structural nonzeros, column by column)."""
+    """`instructions` (n, 6) and `constants` as tape.c takes them, number of work `slots`, `lengths`
+    of the results (their structural nonzeros, column by column)."""
 
     instructions: npt.NDArray[np.uint16]
     constants: FloatArray
@@ -69,13 +119,14 @@ class _Carrier(ctypes.Structure):
 
 
 class Linear:
-    """The tape of a function with the sparsities of its results, as driver.c takes it: `carrier` points into what this
-    object keeps. Raises `ModelError` like `tape_of`."""
+    """The tape of a function with the sparsities of its results, as driver.c takes it: `carrier`
+    points into what this object keeps. Raises `ModelError` like `tape_of`."""
 
     def __init__(self, function: Any) -> None:
         self._tape = tape = tape_of(function)
         self._sparsities = [
-            np.array(function.sparsity_out(i).compress(), dtype=np.int64) for i in range(function.n_out())
+            np.array(function.sparsity_out(i).compress(), dtype=np.int64)
+            for i in range(function.n_out())
         ]
         places = [v.ctypes.data for v in self._sparsities]
         self.carrier = _Carrier(
@@ -88,8 +139,8 @@ class Linear:
 
 
 def tape_of(function: Any) -> Tape:
-    """The tape of a CasADi function of SX expressions. Raises `ModelError` for an operation that has none, and for a
-    function that is too large."""
+    """The tape of a CasADi function of SX expressions. Raises `ModelError` for an operation that
+    has none, and for a function that is too large."""
     return _Writer(function).tape()
 
 
@@ -102,7 +153,9 @@ class _Writer:
         names, place = operation_names(), dict[int, int]()  # which value a slot of CasADi holds
         self.names = [""] * n
         self.operands: list[tuple[int, ...]] = [()] * n
-        self.where: list[tuple[int, int]] = [(0, 0)] * n  # of inputs and outputs: which, and which number of it
+        self.where: list[tuple[int, int]] = [
+            (0, 0)
+        ] * n  # of inputs and outputs: which, and which number of it
         self.constants: list[float] = []
         self.uses = [0] * n
         for k in range(n):
@@ -140,14 +193,16 @@ class _Writer:
                     break
 
     def order(self) -> list[int]:
-        """Values in an order in which many neighbours are made alike, so that the processor guesses right which
-        instruction comes next."""
+        """Values in an order in which many neighbours are made alike, so that the processor guesses
+        right which instruction comes next."""
         level = [0] * len(self.names)
         keys: list[tuple[int, int, int, int]] = []
         for k, name in enumerate(self.names):
             if name:
                 part = k // CHUNK
-                level[k] = max((level[v] + 1 for v in self.operands[k] if v // CHUNK == part), default=0)
+                level[k] = max(
+                    (level[v] + 1 for v in self.operands[k] if v // CHUNK == part), default=0
+                )
                 keys.append((part, level[k], CODE[name], k))
         return [k for *_, k in sorted(keys)]
 

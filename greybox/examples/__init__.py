@@ -1,7 +1,8 @@
-"""Real flights that come with greybox, for trying it: `greybox.examples.vehicle_path("arpl_crazyflie")`.
+"""Real flights that come with greybox, for trying it:
+`greybox.examples.vehicle_path("arpl_crazyflie")`.
 
-Each set is a folder with logs, vehicle file, licence, provenance (README.md) and checksums. `greybox examples` lists and
-copies them.
+Each set is a folder with logs, vehicle file, licence, provenance (README.md) and checksums.
+`greybox examples` lists and copies them.
 """
 
 from __future__ import annotations
@@ -13,13 +14,20 @@ from greybox.errors import GreyboxError, UnknownNameError
 from greybox.files import write_atomic
 
 __all__ = [
-    "NANOBENCH_TEST", "NANOBENCH_TRAIN", "SETS", "copy", "flight_path",
-    "flight_paths", "nanobench_split", "vehicle_path",
-]  # fmt: skip
+    "NANOBENCH_TEST",
+    "NANOBENCH_TRAIN",
+    "SETS",
+    "copy",
+    "flight_path",
+    "flight_paths",
+    "nanobench_split",
+    "vehicle_path",
+]
 ROOT = Path(__file__).parent
 
 SETS = {
-    "nanobench": "14 flights of Crazyflie 2.1 craft in motion capture, 20 to 40 s at 100 Hz (BSD 3-Clause)",
+    "nanobench": "14 flights of Crazyflie 2.1 craft in motion capture, 20 to 40 s at 100 Hz (BSD "
+    "3-Clause)",
     "arpl_crazyflie": "3 flights of a Crazyflie, IMU and motor commands at 1 kHz (MIT)",
 }
 """Name of a set -> what it is."""
@@ -73,7 +81,8 @@ def vehicle_path(set_name: str) -> Path:
 
 
 def nanobench_split() -> tuple[list[Path], list[Path]]:
-    """(training logs, test logs) of the nanobench set: nine and five flights, every test trajectory type trained on."""
+    """(training logs, test logs) of the nanobench set: nine and five flights, every test trajectory
+    type trained on."""
     return (
         [flight_path("nanobench", name) for name in NANOBENCH_TRAIN],
         [flight_path("nanobench", name) for name in NANOBENCH_TEST],
@@ -81,10 +90,12 @@ def nanobench_split() -> tuple[list[Path], list[Path]]:
 
 
 def copy(set_name: str, folder: str | Path) -> list[Path]:
-    """Copy all files of a set into `folder`, which is made; licence and provenance come along. Returns the copies.
+    """Copy all files of a set into `folder`, which is made; licence and provenance come along.
+    Returns the copies.
 
-    Raises `UnknownNameError`, `OutputError`, and `GreyboxError` before anything is written where a file of that name
-    and other content is there, or where greybox's own files are not those of SHA256SUMS.
+    Raises `UnknownNameError`, `OutputError`, and `GreyboxError` before anything is written where a
+    file of that name and other content is there, or where greybox's own files are not those of
+    SHA256SUMS.
     """
     contents = {Path(folder) / name: content for name, content in sound(set_name).items()}
     for target, content in contents.items():
@@ -101,8 +112,8 @@ def copy(set_name: str, folder: str | Path) -> list[Path]:
 
 
 def sound(set_name: str) -> dict[str, bytes]:
-    """Name -> content of the files of a set; all that SHA256SUMS lists are whole. Raises `UnknownNameError`,
-    `GreyboxError`."""
+    """Name -> content of the files of a set; all that SHA256SUMS lists are whole. Raises
+    `UnknownNameError`, `GreyboxError`."""
     folder = path(set_name)
     fix = "install greybox again (pip install --force-reinstall --no-deps greybox-sysid)"
     try:
@@ -111,9 +122,13 @@ def sound(set_name: str) -> dict[str, bytes]:
         listed = {name: digest for digest, name in sums}
     except OSError as error:
         where = str(error.filename or folder)
-        raise GreyboxError(f"cannot read: {error.strerror or error}", where=where, fix=fix) from None
+        raise GreyboxError(
+            f"cannot read: {error.strerror or error}", where=where, fix=fix
+        ) from None
     except (KeyError, ValueError):
-        raise GreyboxError("is missing or damaged", where=str(folder / "SHA256SUMS"), fix=fix) from None
+        raise GreyboxError(
+            "is missing or damaged", where=str(folder / "SHA256SUMS"), fix=fix
+        ) from None
     for name, digest in listed.items():
         if name not in contents or hashlib.sha256(contents[name]).hexdigest() != digest:
             what = "is missing" if name not in contents else "is not the file that was shipped"

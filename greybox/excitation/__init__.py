@@ -1,4 +1,5 @@
-"""Excitation designs, one file each: signals for mixer inputs and setpoints, and reference paths."""
+"""Excitation designs, one file each: signals for mixer inputs and setpoints, and reference
+paths."""
 
 from greybox.excitation.chirp import Chirp
 from greybox.excitation.circle import Circle

@@ -14,8 +14,8 @@ from greybox.excitation.trajectory import Trajectory, from_positions, phase, spi
 class Circle:
     """Circle of `radius` [m] about `center`, started from rest at its rightmost point.
 
-    One turn takes `period` s once `ramp` s have passed; the height swings by `climb` [m] once per turn; the path is
-    turned by `heading` [rad] in the world; yaw turns at yaw_rate [rad/s].
+    One turn takes `period` s once `ramp` s have passed; the height swings by `climb` [m] once per
+    turn; the path is turned by `heading` [rad] in the world; yaw turns at yaw_rate [rad/s].
     """
 
     radius: float = 1.0
@@ -33,5 +33,9 @@ class Circle:
         x = self.radius * np.cos(angle)
         y = self.radius * np.sin(angle)
         cosine, sine = np.cos(self.heading), np.sin(self.heading)
-        path = np.column_stack([cosine * x - sine * y, sine * x + cosine * y, self.climb * np.sin(angle)])
-        return from_positions(time, path + np.array(self.center), spin(time, self.yaw, self.yaw_rate))
+        path = np.column_stack(
+            [cosine * x - sine * y, sine * x + cosine * y, self.climb * np.sin(angle)]
+        )
+        return from_positions(
+            time, path + np.array(self.center), spin(time, self.yaw, self.yaw_rate)
+        )

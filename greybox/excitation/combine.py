@@ -11,7 +11,8 @@ from greybox.excitation.signal import Array, Signal
 
 @dataclass(frozen=True, kw_only=True)
 class Windowed:
-    """`signal` inside the windows (start, length) [s], zero outside, faded in and out over `fade` s."""
+    """`signal` inside the windows (start, length) [s], zero outside, faded in and out over `fade`
+    s."""
 
     signal: Signal
     windows: tuple[tuple[float, float], ...]
@@ -22,7 +23,9 @@ class Windowed:
         gate = np.zeros_like(time)
         for start, length in self.windows:
             since = time - start
-            gate = np.maximum(gate, np.clip(np.minimum(since, length - since) / max(self.fade, 1e-9), 0.0, 1.0))
+            gate = np.maximum(
+                gate, np.clip(np.minimum(since, length - since) / max(self.fade, 1e-9), 0.0, 1.0)
+            )
         return np.asarray(gate * self.signal(time, rng))
 
 
@@ -35,4 +38,6 @@ class Total:
     def __call__(self, time: Array, rng: np.random.Generator) -> Array:
         """Values at the times (N,); shape (N,)."""
         seeds = rng.integers(0, 2**63, size=len(self.signals))
-        return np.sum([s(time, np.random.default_rng(n)) for s, n in zip(self.signals, seeds)], axis=0)
+        return np.sum(
+            [s(time, np.random.default_rng(n)) for s, n in zip(self.signals, seeds)], axis=0
+        )

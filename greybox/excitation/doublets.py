@@ -11,7 +11,8 @@ from greybox.excitation.signal import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Doublets:
-    """+amplitude for `width` s, -amplitude for `width` s, then rest; every `period` s from `start` on.
+    """+amplitude for `width` s, -amplitude for `width` s, then rest; every `period` s from `start`
+    on.
 
     With `alternate` every second doublet starts downwards.
     """

@@ -12,10 +12,11 @@ from greybox.excitation.trajectory import Trajectory, from_positions, phase, spi
 
 @dataclass(frozen=True, kw_only=True)
 class FigureEight:
-    """Lissajous figure, half width `radius` [m] along x and `radius`/2 along y, started from rest at its centre.
+    """Lissajous figure, half width `radius` [m] along x and `radius`/2 along y, started from rest
+    at its centre.
 
-    One turn takes `period` s once `ramp` s have passed; the height swings by `climb` [m] once per turn; the path is
-    turned by `heading` [rad] in the world; yaw turns at yaw_rate [rad/s].
+    One turn takes `period` s once `ramp` s have passed; the height swings by `climb` [m] once per
+    turn; the path is turned by `heading` [rad] in the world; yaw turns at yaw_rate [rad/s].
     """
 
     radius: float = 1.0
@@ -33,5 +34,9 @@ class FigureEight:
         x = self.radius * np.sin(angle)
         y = 0.5 * self.radius * np.sin(2.0 * angle)
         cosine, sine = np.cos(self.heading), np.sin(self.heading)
-        path = np.column_stack([cosine * x - sine * y, sine * x + cosine * y, self.climb * np.sin(angle)])
-        return from_positions(time, path + np.array(self.center), spin(time, self.yaw, self.yaw_rate))
+        path = np.column_stack(
+            [cosine * x - sine * y, sine * x + cosine * y, self.climb * np.sin(angle)]
+        )
+        return from_positions(
+            time, path + np.array(self.center), spin(time, self.yaw, self.yaw_rate)
+        )

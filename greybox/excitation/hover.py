@@ -20,4 +20,8 @@ class Hover:
 
     def sample(self, time: Array, rng: np.random.Generator) -> Trajectory:
         """The reference at uniform times (N,) [s]."""
-        return from_positions(time, np.tile(np.array(self.center), (time.size, 1)), spin(time, self.yaw, self.yaw_rate))
+        return from_positions(
+            time,
+            np.tile(np.array(self.center), (time.size, 1)),
+            spin(time, self.yaw, self.yaw_rate),
+        )

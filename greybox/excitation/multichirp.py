@@ -1,4 +1,5 @@
-"""Multi-sine chirp: several sines that sweep neighbouring bands at once, so that every moment excites the whole range."""
+"""Multi-sine chirp: several sines that sweep neighbouring bands at once, so that every moment
+excites the whole range."""
 
 from __future__ import annotations
 
@@ -12,10 +13,12 @@ from greybox.excitation.signal import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Multichirp:
-    """`count` sines; sine k sweeps band k of [low, high] Hz, up and down in `sweep` s, scaled to root-mean-square `rms`.
+    """`count` sines; sine k sweeps band k of [low, high] Hz, up and down in `sweep` s, scaled to
+    root-mean-square `rms`.
 
-    The bands are equal parts of the logarithmic frequency axis; phases and places in the sweep are random. Amplitudes
-    fall with frequency to the power of `slope` (0: white over the bands), so that a fast sine does not saturate a motor.
+    The bands are equal parts of the logarithmic frequency axis; phases and places in the sweep are
+    random. Amplitudes fall with frequency to the power of `slope` (0: white over the bands), so
+    that a fast sine does not saturate a motor.
     """
 
     rms: float

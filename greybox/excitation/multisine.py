@@ -11,10 +11,12 @@ from greybox.excitation.signal import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Multisine:
-    """`count` sines spaced logarithmically over [low, high] Hz, scaled to root-mean-square value `rms`.
+    """`count` sines spaced logarithmically over [low, high] Hz, scaled to root-mean-square value
+    `rms`.
 
-    Phases are random, and of `tries` draws the one with the smallest peak is kept. With `offset` k and `stride` n, a
-    signal uses frequencies k, k+n, k+2n, ... of the grid only, so that several inputs excited at once stay orthogonal.
+    Phases are random, and of `tries` draws the one with the smallest peak is kept. With `offset` k
+    and `stride` n, a signal uses frequencies k, k+n, k+2n, ... of the grid only, so that several
+    inputs excited at once stay orthogonal.
     """
 
     rms: float

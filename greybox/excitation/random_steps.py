@@ -11,7 +11,8 @@ from greybox.excitation.signal import Array
 
 @dataclass(frozen=True, kw_only=True)
 class RandomSteps:
-    """Levels drawn uniformly from [-amplitude, amplitude], each held between `shortest` and `longest` s."""
+    """Levels drawn uniformly from [-amplitude, amplitude], each held between `shortest` and
+    `longest` s."""
 
     amplitude: float
     shortest: float = 0.5

@@ -13,10 +13,12 @@ from greybox.plants.airframe import Airframe
 
 @dataclass(frozen=True, kw_only=True)
 class RotorForces:
-    """Thrust [N] added to each rotor (`rotors`, one signal per rotor) on top of another excitation (`rest`).
+    """Thrust [N] added to each rotor (`rotors`, one signal per rotor) on top of another excitation
+    (`rest`).
 
-    The controller takes wrenches, not rotor thrusts: the added thrusts enter as the specific force and the angular
-    accelerations that they cause on `airframe`, which its mixer turns back into the same thrusts where rotors are four.
+    The controller takes wrenches, not rotor thrusts: the added thrusts enter as the specific force
+    and the angular accelerations that they cause on `airframe`, which its mixer turns back into the
+    same thrusts where rotors are four.
     """
 
     airframe: Airframe
@@ -25,12 +27,17 @@ class RotorForces:
 
     def __post_init__(self) -> None:
         if len(self.rotors) != len(self.airframe.rotors):
-            raise ValueError(f"{len(self.airframe.rotors)} rotors need as many signals, got {len(self.rotors)}")
+            raise ValueError(
+                f"{len(self.airframe.rotors)} rotors need as many signals, got {len(self.rotors)}"
+            )
 
     def sample(self, time: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Signals at the times (N,): mixer (N, 4) and setpoint (N, 4) as `Excitation.sample` gives them."""
+        """Signals at the times (N,): mixer (N, 4) and setpoint (N, 4) as `Excitation.sample` gives
+        them."""
         seeds = rng.integers(0, 2**63, size=len(self.rotors) + 1)
-        forces = np.stack([s(time, np.random.default_rng(n)) for s, n in zip(self.rotors, seeds)], axis=-1)
+        forces = np.stack(
+            [s(time, np.random.default_rng(n)) for s, n in zip(self.rotors, seeds)], axis=-1
+        )
         mixer, setpoint = self.rest.sample(time, np.random.default_rng(seeds[-1]))
         frame, hover = self.airframe, float(np.mean(self.airframe.hover_speed))
         (t0, t1, t2), (q0, q1, q2) = frame.thrust, frame.torque

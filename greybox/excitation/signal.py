@@ -11,7 +11,8 @@ Array = NDArray[np.float64]
 
 
 class Signal(Protocol):
-    """A scalar signal; members are frozen dataclasses whose amplitude carries the unit of the channel they excite."""
+    """A scalar signal; members are frozen dataclasses whose amplitude carries the unit of the
+    channel they excite."""
 
     def __call__(self, time: Array, rng: np.random.Generator) -> Array:
         """Values at the times (N,) [s]; shape (N,)."""

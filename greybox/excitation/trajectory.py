@@ -1,4 +1,5 @@
-"""What a reference is: positions and yaw over time, with the derivatives that a controller feeds forward."""
+"""What a reference is: positions and yaw over time, with the derivatives that a controller feeds
+forward."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from greybox.excitation.signal import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """Sampled reference: position, velocity, acceleration, each (N, 3), world [m, m/s, m/s^2]; yaw, yaw_rate (N,)."""
+    """Sampled reference: position, velocity, acceleration, each (N, 3), world [m, m/s, m/s^2]; yaw,
+    yaw_rate (N,)."""
 
     position: Array
     velocity: Array
@@ -30,10 +32,17 @@ class Reference(Protocol):
 
 
 def from_positions(time: Array, position: Array, yaw: Array) -> Trajectory:
-    """A trajectory whose derivatives are central differences of its positions (N, 3) and yaw angles (N,)."""
+    """A trajectory whose derivatives are central differences of its positions (N, 3) and yaw angles
+    (N,)."""
     if time.size < 3:
         zero = np.zeros_like(position)
-        return Trajectory(position=position, velocity=zero, acceleration=zero, yaw=yaw, yaw_rate=np.zeros_like(yaw))
+        return Trajectory(
+            position=position,
+            velocity=zero,
+            acceleration=zero,
+            yaw=yaw,
+            yaw_rate=np.zeros_like(yaw),
+        )
     velocity = np.gradient(position, time, axis=0)
     return Trajectory(
         position=position,

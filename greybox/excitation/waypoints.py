@@ -12,10 +12,12 @@ from greybox.excitation.trajectory import Trajectory, from_positions, spin
 
 @dataclass(frozen=True, kw_only=True)
 class RandomWaypoints:
-    """Points drawn uniformly from a box of half widths `box` [m] about `center`, joined by minimum-jerk legs.
+    """Points drawn uniformly from a box of half widths `box` [m] about `center`, joined by
+    minimum-jerk legs.
 
-    A leg takes between `shortest` and `longest` s and never asks for more than `speed` [m/s] at its middle; every leg
-    starts and ends at rest. yaw_swing [rad] is the half width of random yaw targets, reached along with the points.
+    A leg takes between `shortest` and `longest` s and never asks for more than `speed` [m/s] at its
+    middle; every leg starts and ends at rest. yaw_swing [rad] is the half width of random yaw
+    targets, reached along with the points.
     """
 
     box: tuple[float, float, float] = (1.5, 1.5, 0.4)
@@ -36,7 +38,8 @@ class RandomWaypoints:
             there = middle + box * rng.uniform(-1.0, 1.0, 4)
             # the middle of a minimum-jerk leg is 15/8 times as fast as its mean
             length = max(
-                rng.uniform(self.shortest, self.longest), 1.875 * float(np.linalg.norm((there - here)[:3])) / self.speed
+                rng.uniform(self.shortest, self.longest),
+                1.875 * float(np.linalg.norm((there - here)[:3])) / self.speed,
             )
             mask = time >= begin
             s = np.clip((time[mask] - begin) / length, 0.0, 1.0)

@@ -1,1 +1,2 @@
-"""Linear state-space identification: subspace start, prediction error polish, order, uncertainty."""
+"""Linear state-space identification: subspace start, prediction error polish, order,
+uncertainty."""

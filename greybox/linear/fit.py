@@ -1,4 +1,5 @@
-"""fit_linear: from records to a linear model with error bars. The one call that scripts and the command line use."""
+"""fit_linear: from records to a linear model with error bars. The one call that scripts and the
+command line use."""
 
 from __future__ import annotations
 
@@ -30,11 +31,13 @@ SOLVERS = ("gauss-newton", "ipopt")
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LinearFit(Shown):
-    """A fitted linear model. Holds innovations (per record (N, p), NaN where missing) but no raw data.
+    """A fitted linear model. Holds innovations (per record (N, p), NaN where missing) but no raw
+    data.
 
-    `criterion` is -2 log likelihood in the units of the channels, `parameters` the number of free directions (initial
-    states and offsets not counted). `x0` and `offsets` belong to the records, in state coordinates and channel units.
-    `uncertainty` is the robust one where the innovations are `coloured` and the data are long enough for it, else `fisher`.
+    `criterion` is -2 log likelihood in the units of the channels, `parameters` the number of free
+    directions (initial states and offsets not counted). `x0` and `offsets` belong to the records,
+    in state coordinates and channel units. `uncertainty` is the robust one where the innovations
+    are `coloured` and the data are long enough for it, else `fisher`.
     """
 
     model: LinearModel
@@ -87,25 +90,32 @@ class LinearFit(Shown):
         poles = self.uncertainty.poles()
         return [
             {
-                "real": float(v.real), "imag": float(v.imag), "std real": float(np.sqrt(c[0, 0])),
-                "std imag": float(np.sqrt(c[1, 1])), "well determined": bool(sure),
+                "real": float(v.real),
+                "imag": float(v.imag),
+                "std real": float(np.sqrt(c[0, 0])),
+                "std imag": float(np.sqrt(c[1, 1])),
+                "well determined": bool(sure),
             }
             for v, c, sure in zip(
                 poles.value, poles.covariance, self.uncertainty.well_determined(), strict=True
             )
             if v.imag >= 0
-        ]  # fmt: skip
+        ]
 
     def summary(self) -> str:
         """A few lines for the terminal."""
         poles = self.uncertainty.poles()
         lines = [
-            f"order {self.order}, {len(self.model.inputs)} inputs, {len(self.model.outputs)} outputs, "
-            f"{self.samples} samples in {len(self.records)} records, {self.parameters} free parameters",
+            f"order {self.order}, {len(self.model.inputs)} inputs, {len(self.model.outputs)} "
+            "outputs, "
+            f"{self.samples} samples in {len(self.records)} records, {self.parameters} free "
+            "parameters",
             f"{self.status.value} ({self.iterations} iterations, start: {self.start})",
             f"-2 log likelihood {self.criterion:.2f}, log det Lambda {self.log_det:.4f}",
         ]
-        for value, cov, sure in zip(poles.value, poles.covariance, self.uncertainty.well_determined()):
+        for value, cov, sure in zip(
+            poles.value, poles.covariance, self.uncertainty.well_determined()
+        ):
             if value.imag >= 0:
                 std = np.sqrt(np.diag(cov))
                 im = f" +- {value.imag:.5f}j (std {std[1]:.5f})" if value.imag > 0 else ""
@@ -165,12 +175,14 @@ def fit_linear(
 ) -> LinearFit:
     """Identify a linear model in innovation form by subspace start and prediction error polish.
 
-    `order` is a number or "auto" (1 .. `largest` by `criterion` "aic", "aicc" or "bic"; see `choose_order`). `delays`
-    are whole samples per input, or "auto" (see `estimate_delays`). A number is the most states: those that the data do not
-    carry are left out, with a warning (`search.find`; `Options(exact_order=True)` keeps them). `dt` in seconds. `center`
-    takes the pooled means as the operating point. `solver` "ipopt" minimises the same criterion by IPOPT from the subspace
-    start, or from the chosen order: slow, a check. The choices are keywords, fields of `LinearSetup` with its defaults.
-    Raises `DataError` (bad records, too short for the order), `FitError` and `UnknownNameError` (of a choice, too).
+    `order` is a number or "auto" (1 .. `largest` by `criterion` "aic", "aicc" or "bic"; see
+    `choose_order`). `delays` are whole samples per input, or "auto" (see `estimate_delays`). A
+    number is the most states: those that the data do not carry are left out, with a warning
+    (`search.find`; `Options(exact_order=True)` keeps them). `dt` in seconds. `center` takes the
+    pooled means as the operating point. `solver` "ipopt" minimises the same criterion by IPOPT from
+    the subspace start, or from the chosen order: slow, a check. The choices are keywords, fields of
+    `LinearSetup` with its defaults. Raises `DataError` (bad records, too short for the order),
+    `FitError` and `UnknownNameError` (of a choice, too).
     """
     if not records:
         raise DataError("no records", fix="pass at least one log to train on")
@@ -183,10 +195,16 @@ def fit_linear(
     if isinstance(delays, str):
         if delays != "auto":
             raise DataError(f"delays '{delays}'", expected="'auto' or one whole number per input")
-        unit, _ = prepare(records, center=center, input_names=layout_u.names, output_names=layout_y.names)
+        unit, _ = prepare(
+            records, center=center, input_names=layout_u.names, output_names=layout_y.names
+        )
         delays = estimate_delays(unit) if m else ()
     scaled, scaling = prepare(
-        records, delays=delays, center=center, input_names=layout_u.names, output_names=layout_y.names
+        records,
+        delays=delays,
+        center=center,
+        input_names=layout_u.names,
+        output_names=layout_y.names,
     )
     choice: OrderChoice | None = None
     if isinstance(order, str):
@@ -205,17 +223,22 @@ def fit_linear(
     else:
         if order < 1:
             raise DataError(f"order {order}", expected="at least 1")
-        found = find(scaled, order, replace(options, polish=options.polish and solver == "gauss-newton"))
+        found = find(
+            scaled, order, replace(options, polish=options.polish and solver == "gauss-newton")
+        )
     if solver == "ipopt" and options.polish:
         from greybox.linear.ipopt import minimise_ipopt
 
         found = replace(found, solution=minimise_ipopt(found.solution, scaled, options.settings))
     late = tuple(delays or (0,) * m)
-    fit = _assemble(found, scaled, scaling, options, choice, setup.dt, layout_u, layout_y, late, setup.name)
+    fit = _assemble(
+        found, scaled, scaling, options, choice, setup.dt, layout_u, layout_y, late, setup.name
+    )
     if isinstance(order, str) or fit.order == order:
         return fit
     spare = (
-        f"{fit.order} of {order} states: the others gain less than the price of a state in marginal likelihood, and were "
+        f"{fit.order} of {order} states: the others gain less than the price of a state in "
+        "marginal likelihood, and were "
         "left out; --exact-order (exact_order=True) keeps them"
     )
     return replace(fit, warnings=(spare, *fit.warnings))
@@ -241,11 +264,18 @@ def _assemble(
     noise = s.evaluation.noise * np.outer(sy, sy)
     free = s.tangent.shape[1]
     fisher, rank = uncertainty(s.system, s.information, s.tangent)
-    innovations = tuple(np.where(np.isfinite(r.y), q.e, np.nan) for r, q in zip(scaled, s.evaluation.predictions))
+    innovations = tuple(
+        np.where(np.isfinite(r.y), q.e, np.nan) for r, q in zip(scaled, s.evaluation.predictions)
+    )
     coloured = is_coloured(list(innovations))
-    scores = score_covariance(s, scaled, options.settings, correlation_window(innovations)) if coloured else None
+    scores = (
+        score_covariance(s, scaled, options.settings, correlation_window(innovations))
+        if coloured
+        else None
+    )
     robust = None if scores is None else uncertainty(s.system, s.information, s.tangent, scores)[0]
-    # Lambda is estimated with as many degrees of freedom as samples; the covariance uses the unbiased scale.
+    # Lambda is estimated with as many degrees of freedom as samples; the covariance uses the
+    # unbiased scale.
     seen = sum(int(np.isfinite(r.y).sum()) for r in scaled)
     unbiased = seen / max(seen - free, 1)
     fisher = _in_units(fisher, unbiased, su, sy)
@@ -288,8 +318,12 @@ def _assemble(
     )
 
 
-def _in_units(known: Uncertainty, variance_factor: float, su: FloatArray, sy: FloatArray) -> Uncertainty:
-    return rescaled(Uncertainty(system=known.system, factor=known.factor * np.sqrt(variance_factor)), su, sy)
+def _in_units(
+    known: Uncertainty, variance_factor: float, su: FloatArray, sy: FloatArray
+) -> Uncertainty:
+    return rescaled(
+        Uncertainty(system=known.system, factor=known.factor * np.sqrt(variance_factor)), su, sy
+    )
 
 
 def _warnings(
@@ -298,14 +332,16 @@ def _warnings(
     out: list[str] = []
     if boastful:
         out.append(
-            "the innovations are coloured and the records too short (or too long to hold) for robust standard errors: "
+            "the innovations are coloured and the records too short (or too long to hold) for "
+            "robust standard errors: "
             "those given are too small"
         )
     if s.status in (Status.STALLED, Status.MAX_ITERATIONS, Status.FLAT):
         out.append(s.status.value)
     if rank < free:
         out.append(
-            f"the data determine {rank} of {free} parameter directions: lower the order or excite more; "
+            f"the data determine {rank} of {free} parameter directions: lower the order or excite "
+            "more; "
             "standard errors cover the determined directions only"
         )
     missing = sum(r.missing for r in scaled)
@@ -314,10 +350,13 @@ def _warnings(
     radius = spectral_radius(model.matrices.a)
     if radius >= 1.0:
         out.append(
-            f"the model is unstable (largest pole {radius:.4f}): one-step prediction works, free simulation drifts"
+            f"the model is unstable (largest pole {radius:.4f}): one-step prediction works, free "
+            "simulation drifts"
         )
     if spectral_radius(model.matrices.predictor) > 0.9995:
-        out.append("the predictor sits at the stability limit: standard errors are not reliable there")
+        out.append(
+            "the predictor sits at the stability limit: standard errors are not reliable there"
+        )
     return out
 
 
@@ -325,7 +364,9 @@ def _layout(given: Sequence[str | Signal] | None, count: int, letter: str) -> La
     if given is None:
         return Layout([Signal(name=f"{letter}{i + 1}", unit="1") for i in range(count)])
     if len(given) != count:
-        raise DataError(f"{len(given)} names for {count} channels", got=", ".join(str(g) for g in given))
+        raise DataError(
+            f"{len(given)} names for {count} channels", got=", ".join(str(g) for g in given)
+        )
     return Layout([g if isinstance(g, Signal) else Signal(name=g, unit="1") for g in given])
 
 
@@ -334,7 +375,11 @@ def to_dict(fit: LinearFit) -> dict[str, Any]:
     poles, limits = fit.uncertainty.poles(), fit.uncertainty.predictor_poles()
     value: dict[str, Any] = {
         "order": fit.order,
-        "status": {"name": fit.status.name.lower(), "advice": fit.status.value, "converged": fit.converged},
+        "status": {
+            "name": fit.status.name.lower(),
+            "advice": fit.status.value,
+            "converged": fit.converged,
+        },
         "iterations": fit.iterations,
         "samples": fit.samples,
         "parameters": fit.parameters,
@@ -355,7 +400,10 @@ def to_dict(fit: LinearFit) -> dict[str, Any]:
         ],
         "noise_model_zeros": _complex_rows(limits.value, limits.covariance),
         "singular_values": fit.singular_values,
-        "records": [{"name": n, "x0": x0, "offset": offset} for n, x0, offset in zip(fit.records, fit.x0, fit.offsets)],
+        "records": [
+            {"name": n, "x0": x0, "offset": offset}
+            for n, x0, offset in zip(fit.records, fit.x0, fit.offsets)
+        ],
         "warnings": list(fit.warnings),
     }
     if fit.order_choice is not None:

@@ -171,7 +171,8 @@ def _channels(
 
 
 def _stretches(data: Dataset, c: _Channels) -> tuple[list[FloatArray], dict[str, float]]:
-    """Stretches (N_i, c) in which every channel was measured, and the seconds of each flight in them."""
+    """Stretches (N_i, c) in which every channel was measured, and the seconds of each flight in
+    them."""
     if not data.flights:
         raise DataError("no flights")
     if len({f.dt for f in data.flights}) > 1:
@@ -219,8 +220,10 @@ def _longest(lengths: Sequence[int], dt: float, sources: int, window: float | No
             return float(length)
     least = tried[-1] if window is not None else SHORTEST
     raise DataError(
-        f"too short: {sum(lengths) * dt:.3g} s, the longest without a gap {max(lengths) * dt:.3g} s",
-        expected=f"about {0.53 * (need + 1) * least:.2g} s in stretches much longer than {least:g} s",
+        f"too short: {sum(lengths) * dt:.3g} s, the longest without a gap {max(lengths) * dt:.3g} "
+        "s",
+        expected=f"about {0.53 * (need + 1) * least:.2g} s in stretches much longer than {least:g} "
+        "s",
         fix="more or longer flights; of logs at several rates, --rate"
         if window is None
         else "a shorter --window",
@@ -251,31 +254,38 @@ def _warnings(
     fed = [c.all[i].name for i in watched if follows(stretches, i, c.y)]
     if fed and c.z:
         said.append(
-            f"{', '.join(fed)} follows the outputs itself: it is no reference from outside, and the estimate is biased"
+            f"{', '.join(fed)} follows the outputs itself: it is no reference from outside, and "
+            "the estimate is biased"
         )
     elif fed:
         said.append(
-            f"{', '.join(fed)} follow{'s' * (len(fed) == 1)} the outputs (a closed loop): where gusts or "
-            "noise move the craft more than the excitation does, what is seen is the controller, turned round, however "
-            "high the coherence. Excite the set points, log them, and name them: greybox frf --references"
+            f"{', '.join(fed)} follow{'s' * (len(fed) == 1)} the outputs (a closed loop): where "
+            "gusts or "
+            "noise move the craft more than the excitation does, what is seen is the controller, "
+            "turned round, however "
+            "high the coherence. Excite the set points, log them, and name them: greybox frf "
+            "--references"
             + ("" if model is None else ". Where model and flights part, either may be wrong")
         )
     for j, spec in enumerate(c.inputs):
         if np.median(r.shared[:, j]) > TOGETHER:
             said.append(
-                f"{spec.name} moves together with the other inputs: they cannot be told apart in these flights"
+                f"{spec.name} moves together with the other inputs: they cannot be told apart in "
+                "these flights"
             )
         if c.z and not (r.instrument[:, j] > STRONG).any():
             said.append(f"the references hardly move {spec.name}")
     needed = {column for s in (*c.outputs, *c.inputs) for _, column in s.terms}
     if smoothed := sorted(needed & data.noncausal):
         said.append(
-            f"{', '.join(smoothed)} was smoothed with later samples: phases are not those of the craft"
+            f"{', '.join(smoothed)} was smoothed with later samples: phases are not those of the "
+            "craft"
         )
     if model is not None:
         own, dt = model.sample_time, data.flights[0].dt
         if abs(own / dt - 1) > 1e-3:
             said.append(
-                f"the flights have {1 / dt:.4g} Hz, the model {1 / own:.4g}: commands are held differently"
+                f"the flights have {1 / dt:.4g} Hz, the model {1 / own:.4g}: commands are held "
+                "differently"
             )
     return said

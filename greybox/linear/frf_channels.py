@@ -1,4 +1,5 @@
-"""What a frequency response is taken of: columns, sums of columns, and the commands as a pilot knows them.
+"""What a frequency response is taken of: columns, sums of columns, and the commands as a pilot
+knows them.
 
 roll, pitch, yaw and thrust are what a mixer u_i = thrust + roll y_i - pitch x_i - yaw spin_i would
 have been given (least squares), with hub positions x (forward) and y (left) over the largest one: a
@@ -23,8 +24,8 @@ MIXERS = ("roll", "pitch", "yaw", "thrust")
 
 
 def mixers(vehicle: Airframe) -> dict[str, ChannelSpec]:
-    """The mixed commands that the rotors of a vehicle have, by name (positive: x to the left wing up
-    is roll, nose down pitch, to the left yaw, up thrust; body axes FLU)."""
+    """The mixed commands that the rotors of a vehicle have, by name (positive: x to the left wing
+    up is roll, nose down pitch, to the left yaw, up thrust; body axes FLU)."""
     hubs = np.array([r.position for r in vehicle.rotors], dtype=np.float64)
     hubs = hubs - hubs.mean(axis=0)
     spins = np.array([r.spin for r in vehicle.rotors], dtype=np.float64)
@@ -70,7 +71,8 @@ def channels(texts: Sequence[str], vehicle: Airframe | None, what: str) -> tuple
 
 
 def mixed(segment: Segment, specs: Sequence[ChannelSpec]) -> FloatArray:
-    """The channels as columns (N, len(specs)). Raises `UnknownNameError` for a column that is not there."""
+    """The channels as columns (N, len(specs)). Raises `UnknownNameError` for a column that is not
+    there."""
     out = [np.sum([w * segment.column(c) for w, c in s.terms], axis=0) for s in specs]
     return np.column_stack(out) if out else np.zeros((segment.n, 0))
 

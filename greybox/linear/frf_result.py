@@ -89,7 +89,8 @@ class Pair:
 
     @property
     def outside(self) -> BoolArray | None:
-        """Where (K,) the model lies outside the 95 % circle at a usable frequency; None without one."""
+        """Where (K,) the model lies outside the 95 % circle at a usable frequency; None without
+        one."""
         if self.model is None:
             return None
         with np.errstate(invalid="ignore"):
@@ -105,7 +106,10 @@ class Pair:
     def lines(self) -> Iterator[str]:
         """What there is to say, a line each."""
         if not self.usable.any():
-            yield f"{self.name}: no frequency has coherence above {TRUSTED:g} (highest {self.coherence.max():.2f})"
+            yield (
+                f"{self.name}: no frequency has coherence above {TRUSTED:g} (highest "
+                f"{self.coherence.max():.2f})"
+            )
             return
         yield f"{self.name}: coherence above {TRUSTED:g} at {self.usable_bands()}"
         if self.form is not None:
@@ -118,8 +122,10 @@ class Pair:
             unit = RATES.get(unit, f"{unit}/s")
         per = "unit" if self.input.signal.unit == "1" else self.input.signal.unit
         line = (
-            f"{self.input.name} shows in {self.output.name} after {1e3 * f.lag:.1f} +- {1e3 * f.lag_std:.1f} ms (slope "
-            f"of the phase, {f.low:.2g} to {f.high:.2g} Hz), gain {f.gain:.4g} +- {f.gain_std:.2g} {unit} per {per}"
+            f"{self.input.name} shows in {self.output.name} after {1e3 * f.lag:.1f} +- "
+            f"{1e3 * f.lag_std:.1f} ms (slope "
+            f"of the phase, {f.low:.2g} to {f.high:.2g} Hz), gain {f.gain:.4g} +- {f.gain_std:.2g} "
+            f"{unit} per {per}"
         )
         early = f.lag + 2 * f.lag_std < 0
         return line + (
@@ -132,7 +138,10 @@ class Pair:
         if outside is None or self.model is None:
             return
         known = self.usable & np.isfinite(self.model)
-        inside = f"inside the 95 % circle at {int((known & ~outside).sum())} of {int(known.sum())} usable frequencies"
+        inside = (
+            f"inside the 95 % circle at {int((known & ~outside).sum())} of "
+            f"{int(known.sum())} usable frequencies"
+        )
         bands = [slice(a, b) for a, b in runs(outside) if b - a > 1]
         for s in bands:
             f, ratio = self.frequency[s], self.model[s] / self.value[s]
@@ -183,9 +192,9 @@ class Pair:
 class FrequencyResponse(Shown):
     """Responses of flights, `pairs` by "output/input", over `frequency` (K,) [Hz].
 
-    `averages` (K,) independent averages and `window` (K,) [s] behind each; `flights` seconds that were
-    used by flight; `references` the signals that make it an estimate for closed loops; `model` the name
-    of the model beside it; `warnings` what must be known before it is believed.
+    `averages` (K,) independent averages and `window` (K,) [s] behind each; `flights` seconds that
+    were used by flight; `references` the signals that make it an estimate for closed loops; `model`
+    the name of the model beside it; `warnings` what must be known before it is believed.
     """
 
     pairs: Mapping[str, Pair]
@@ -210,7 +219,10 @@ class FrequencyResponse(Shown):
             return f"not measured: no frequency has coherence above {TRUSTED:g}"
         good = [p.name for p in self.pairs.values() if p.usable.any()]
         how = f" with {', '.join(self.references)} as reference" if self.references else ""
-        return f"measured{how}: {', '.join(good)}, from {sum(self.flights.values()):.0f} s of {len(self.flights)} flight(s)"
+        return (
+            f"measured{how}: {', '.join(good)}, from {sum(self.flights.values()):.0f} s of "
+            f"{len(self.flights)} flight(s)"
+        )
 
     def summary(self) -> str:
         """The result, then every pair, then the warnings."""
@@ -267,8 +279,8 @@ class FrequencyResponse(Shown):
         }
 
     def plot(self, pair: str | None = None, *, ax: Any = None) -> list[Axes]:
-        """Magnitude and phase with their bands, and coherence, of one pair (the first one); matplotlib
-        axes (three, where they are given)."""
+        """Magnitude and phase with their bands, and coherence, of one pair (the first one);
+        matplotlib axes (three, where they are given)."""
         from greybox.plots import Curve, panels
 
         p = self.pairs[next(iter(self.pairs)) if pair is None else pair]

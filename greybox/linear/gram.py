@@ -1,16 +1,20 @@
-"""Gradient, information and exact Hessian of the criterion from one Gram matrix of modal signals (records without holes).
+"""Gradient, information and exact Hessian of the criterion from one Gram matrix of modal signals
+(records without holes).
 
-In the eigenvectors of F = A - KC every sensitivity of y_hat is a combination of a few signals per mode lambda: z = [u, y]
-filtered once, the mode's own state filtered once more, and the start lambda^k; a push from one mode to another splits
-into partial fractions of these. One Gram matrix of n (m + p + 2) + m + 1 signals therefore holds all products of
-sensitivities. Its products with the innovations, and with the innovations filtered backwards (the adjoint), hold all
-second derivatives along straight lines in (F, G, C, D):
+In the eigenvectors of F = A - KC every sensitivity of y_hat is a combination of a few signals per
+mode lambda: z = [u, y] filtered once, the mode's own state filtered once more, and the start
+lambda^k; a push from one mode to another splits into partial fractions of these. One Gram matrix of
+n (m + p + 2) + m + 1 signals therefore holds all products of sensitivities. Its products with the
+innovations, and with the innovations filtered backwards (the adjoint), hold all second derivatives
+along straight lines in (F, G, C, D):
 
-    d2 <eps, y_hat> [s, t] = <eps, dC(s) dx(t)> + <adjoint, dF(s) dx(t)> + the same with s and t exchanged.
+    d2 <eps, y_hat> [s, t] = <eps, dC(s) dx(t)> + <adjoint, dF(s) dx(t)> + the same with s and t
+    exchanged.
 
-The Hessian of N log det S, S = sum e e' / N, has the curvature of log det besides: -|J'eps + eps'J|^2 / N at whitened
-innovations eps. At the true order both terms are small and Gauss-Newton is enough; at wrong orders innovations are
-neither small nor white, and only the exact Hessian converges fast.
+The Hessian of N log det S, S = sum e e' / N, has the curvature of log det besides: -|J'eps +
+eps'J|^2 / N at whitened innovations eps. At the true order both terms are small and Gauss-Newton is
+enough; at wrong orders innovations are neither small nor white, and only the exact Hessian
+converges fast.
 """
 
 from __future__ import annotations
@@ -26,14 +30,16 @@ from greybox.model.matrices import Matrices
 from greybox.symbolic import FloatArray
 
 CLOSEST = 1e-4
-"""Least distance between two modes, and of a mode from 1, at which partial fractions keep enough digits."""
+"""Least distance between two modes, and of a mode from 1, at which partial fractions keep enough
+digits."""
 WORST = 1e3
 """Largest condition number of the eigenvectors."""
 
 
 class Parts(NamedTuple):
-    """Of one record, whitened: J'J (D, D) and J'e (D,) for D = d + n + p columns (free directions, x0, offset), the sums
-    e_a J_b (p, p, D), and the second derivative of <e, y_hat> (d, d) along the free directions."""
+    """Of one record, whitened: J'J (D, D) and J'e (D,) for D = d + n + p columns (free directions,
+    x0, offset), the sums e_a J_b (p, p, D), and the second derivative of <e, y_hat> (d, d) along
+    the free directions."""
 
     information: FloatArray
     gradient: FloatArray
@@ -53,11 +59,14 @@ def separable(modes: Modes) -> bool:
 class Gram:
     """What all records share at one point: the model and its free directions in modal coordinates.
 
-    `tangent` (q, d) in the coordinates of `predictor.full_vector`; whitener Lambda whitener' = I. Modes are ordered: real
-    ones and those with positive imaginary part first (h of them), then the conjugates of the latter.
+    `tangent` (q, d) in the coordinates of `predictor.full_vector`; whitener Lambda whitener' = I.
+    Modes are ordered: real ones and those with positive imaginary part first (h of them), then the
+    conjugates of the latter.
     """
 
-    def __init__(self, system: Matrices, modes: Modes, tangent: FloatArray, whitener: FloatArray) -> None:
+    def __init__(
+        self, system: Matrices, modes: Modes, tangent: FloatArray, whitener: FloatArray
+    ) -> None:
         n, m, p = system.sizes
         nz, d = m + p, tangent.shape[1]
         half = modes.half
@@ -70,10 +79,13 @@ class Gram:
         self.c = whitener @ system.c @ v
         rows = (w @ tangent[: n * (n + nz)].reshape(n, (n + nz) * d)).reshape(n, n + nz, d)
         self.df = np.matmul(v.T, rows[:, :n])
-        dc = (whitener @ tangent[n * (n + nz) : n * (n + nz) + p * n].reshape(p, n * d)).reshape(p, n, d)
+        dc = (whitener @ tangent[n * (n + nz) : n * (n + nz) + p * n].reshape(p, n * d)).reshape(
+            p, n, d
+        )
         self.dc = np.matmul(v.T, dc)
         self.dd = (whitener @ tangent[n * (n + nz) + p * n :].reshape(p, m * d)).reshape(p, m, d)
-        # First-order perturbation of the modes: V moves along V turn, lambda along own, G and C in modal coordinates too.
+        # First-order perturbation of the modes: V moves along V turn, lambda along own, G and C in
+        # modal coordinates too.
         diagonal = np.arange(n)
         self.own = self.df[diagonal, diagonal]
         self.turn = self.df / (self.values[None, :] - self.values[:, None] + np.eye(n))[:, :, None]
@@ -98,11 +110,14 @@ class Gram:
         mix, turned = self._mix(width, start)
         total = mix.shape[2]
         flat = mix.reshape(width, p * total)
-        information = mix.reshape(width * p, total).T @ (gram[:width, :width] @ flat).reshape(width * p, total)
+        information = mix.reshape(width * p, total).T @ (gram[:width, :width] @ flat).reshape(
+            width * p, total
+        )
         mixed = (gram[-p:, :width] @ flat).reshape(p, p, total)
         gradient = np.trace(mixed)
 
-        # Products of innovations and adjoints with the modal signals, first with those of the first h modes.
+        # Products of innovations and adjoints with the modal signals, first with those of the first
+        # h modes.
         size = self.g.shape[1] + 2
         tall = h * size
         left = gram[width:, :width]
@@ -110,11 +125,16 @@ class Gram:
         rows[p + pairs] += 1j * left[h : h + len(pairs)]
         re = rows[:, :tall].reshape(p + h, h, size)
         im = np.zeros_like(re)
-        im[:, pairs] = 1j * rows[:, tall : tall + len(pairs) * size].reshape(p + h, len(pairs), size)
+        im[:, pairs] = 1j * rows[:, tall : tall + len(pairs) * size].reshape(
+            p + h, len(pairs), size
+        )
         plus, minus = re + im, re - im
         inner = np.empty((p + n, n, size), dtype=complex)
         inner[: p + h, :h], inner[: p + h, h:] = plus, minus[:, pairs]
-        inner[p + h :, :h], inner[p + h :, h:] = minus[p + pairs].conj(), plus[p + pairs][:, pairs].conj()
+        inner[p + h :, :h], inner[p + h :, h:] = (
+            minus[p + pairs].conj(),
+            plus[p + pairs][:, pairs].conj(),
+        )
         nz = size - 2
         of_x = (inner[:, :, :nz] * self.g).sum(axis=2) + inner[:, :, nz + 1] * start
         dx = np.matmul(inner[:, :h, :nz].transpose(1, 0, 2), self.moved_g[:h])
@@ -125,9 +145,12 @@ class Gram:
         second = (lead.transpose(1, 0, 2).reshape(-1, d).T @ dx.reshape(-1, d)).real
         return Parts(information, gradient, mixed, second + second.T)
 
-    def _basis(self, record: Record, prediction: Prediction, start: np.ndarray) -> tuple[FloatArray, int]:
-        """Rows: z, own state, power of each of the h modes (real parts), of the pairs (imaginary parts), u, 1; then the
-        adjoints (real, imaginary) and the innovations. Also the number of rows before the adjoints."""
+    def _basis(
+        self, record: Record, prediction: Prediction, start: np.ndarray
+    ) -> tuple[FloatArray, int]:
+        """Rows: z, own state, power of each of the h modes (real parts), of the pairs (imaginary
+        parts), u, 1; then the adjoints (real, imaginary) and the innovations. Also the number of
+        rows before the adjoints."""
         system, h, pairs = self.system, self.h, self.pairs
         _, m, p = system.sizes
         count, nz = len(record), m + p
@@ -151,7 +174,9 @@ class Gram:
                 late = _filtered(value, signals[: nz + 1])
                 block[:nz], block[nz + 1] = late[:nz], power.real
                 out[width + i] = late[nz, ::-1]
-                block[nz] = _filtered(value, self.g[i].real @ late[:nz] + start[i].real * power.real)
+                block[nz] = _filtered(
+                    value, self.g[i].real @ late[:nz] + start[i].real * power.real
+                )
                 continue
             other = out[(h + seen) * size : (h + seen + 1) * size]
             signals[nz + 1] = back[i].imag
@@ -176,7 +201,8 @@ class Gram:
         return out, width
 
     def _mix(self, width: int, start: np.ndarray) -> tuple[FloatArray, np.ndarray]:
-        """Coefficients of the whitened sensitivities on the basis (width, p, D); the turn of the start (n, d)."""
+        """Coefficients of the whitened sensitivities on the basis (width, p, D); the turn of the
+        start (n, d)."""
         h, pairs = self.h, self.pairs
         n, m, p = self.system.sizes
         nz, d = m + p, self.own.shape[1]
@@ -187,7 +213,9 @@ class Gram:
         block[:, : nz + 1, :, :d] = self.push
         c = (self.weight * self.c[:, :h]).T[:, :, None]
         block[:, nz + 1, :, :d] = c * turned[:h, None]
-        block[:, nz + 1, :, :d] += (self.weight * start[:h])[:, None, None] * self.moved_c[:, :h].transpose(1, 0, 2)
+        block[:, nz + 1, :, :d] += (self.weight * start[:h])[:, None, None] * self.moved_c[
+            :, :h
+        ].transpose(1, 0, 2)
         block[:, nz + 1, :, d : d + n] = c * self.inverse[:h, None]
         block[:, nz + 1, :, d + n :] = c * gain[:h, None]
         mix = np.zeros((width, p, d + n + p))
@@ -199,7 +227,8 @@ class Gram:
 
 
 def _filtered(pole: complex, signals: FloatArray) -> FloatArray:
-    """From rest, each row through 1 / (q - pole) for a real pole, q / (q^2 - 2 Re pole q + |pole|^2) for a complex one."""
+    """From rest, each row through 1 / (q - pole) for a real pole, q / (q^2 - 2 Re pole q +
+    |pole|^2) for a complex one."""
     if pole.imag == 0.0:
         return np.asarray(lfilter([0.0, 1.0], [1.0, -pole.real], signals))
     return np.asarray(lfilter([0.0, 1.0], [1.0, -2.0 * pole.real, abs(pole) ** 2], signals))

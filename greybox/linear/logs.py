@@ -1,7 +1,7 @@
 """From log files to records: any CSV with a time column, any numeric columns as inputs and outputs.
 
-A channel may also be a sum of columns, `roll=u4+u3-u2-u1` or `force=0.5*u1+0.5*u2`: the way to make the decoupled axes
-of a multirotor, or a difference of two sensors.
+A channel may also be a sum of columns, `roll=u4+u3-u2-u1` or `force=0.5*u1+0.5*u2`: the way to make
+the decoupled axes of a multirotor, or a difference of two sensors.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ from greybox.errors import DataError, UnknownNameError
 from greybox.linear.records import Record, split_at_missing
 from greybox.symbolic import FloatArray, Signal
 
-_TERM = re.compile(r"([+-])\s*(?:([0-9.]+(?:e[+-]?[0-9]+)?)\s*\*\s*)?([A-Za-z_][\w.]*)", re.IGNORECASE)
+_TERM = re.compile(
+    r"([+-])\s*(?:([0-9.]+(?:e[+-]?[0-9]+)?)\s*\*\s*)?([A-Za-z_][\w.]*)", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +51,9 @@ class ChannelSpec:
             end = match.end()
         if not name or not terms or signed[end:].strip():
             raise DataError(
-                f"channel '{text}'", expected="a column name, or NAME=a+2*b-c", fix="quote it for the shell"
+                f"channel '{text}'",
+                expected="a column name, or NAME=a+2*b-c",
+                fix="quote it for the shell",
             )
         return ChannelSpec(name=name, terms=tuple(terms))
 
@@ -61,7 +65,8 @@ class ChannelSpec:
 
 
 def parse_channels(text: str, what: str) -> tuple[ChannelSpec, ...]:
-    """A comma-separated list of channels. Raises `DataError` for an empty list or a name given twice."""
+    """A comma-separated list of channels. Raises `DataError` for an empty list or a name given
+    twice."""
     specs = tuple(ChannelSpec.parse(part) for part in text.split(",") if part.strip())
     names = [s.name for s in specs]
     if not specs and what == "outputs":
@@ -74,7 +79,8 @@ def parse_channels(text: str, what: str) -> tuple[ChannelSpec, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Logs:
-    """Records of several logs with one sample time [s], the flights they came from, and notes on what was done."""
+    """Records of several logs with one sample time [s], the flights they came from, and notes on
+    what was done."""
 
     records: tuple[Record, ...]
     dt: float
@@ -94,18 +100,21 @@ def read_records(
     bridge: int = 50,
     mapping: str | os.PathLike[str] | LogMapping | None = None,
 ) -> Logs:
-    """Read logs into records. With a vehicle file its `[columns]` apply and the airborne part is kept (`trim`).
+    """Read logs into records. With a vehicle file its `[columns]` apply and the airborne part is
+    kept (`trim`).
 
-    Inputs that miss for at most `hold` samples are held; longer holes, and holes of over `bridge` samples in all outputs,
-    end a record (with `bridge` 0 every lost row does, which keeps the fit on its fast path; pieces of fewer than 50
-    samples are then dropped). Raises `DataError` and `UnknownNameError` (column not in the log, text, other sample
-    time).
+    Inputs that miss for at most `hold` samples are held; longer holes, and holes of over `bridge`
+    samples in all outputs, end a record (with `bridge` 0 every lost row does, which keeps the fit
+    on its fast path; pieces of fewer than 50 samples are then dropped). Raises `DataError` and
+    `UnknownNameError` (column not in the log, text, other sample time).
     """
     records: list[Record] = []
     flights, notes = [], []
     dt = None
     for path in paths:
-        raw = with_columns(read_possible(path, vehicle, mapping=mapping), (*inputs, *outputs), os.fspath(path))
+        raw = with_columns(
+            read_possible(path, vehicle, mapping=mapping), (*inputs, *outputs), os.fspath(path)
+        )
         cut = vehicle is not None if trim is None else trim
         flight = condition(raw, vehicle, rate=rate, trim=cut, where=os.fspath(path))
         if dt is None:
@@ -121,7 +130,11 @@ def read_records(
         flights.append(flight)
         total_held = 0
         for i, segment in enumerate(flight.segments):
-            u = np.column_stack([_mixed(segment, s) for s in inputs]) if inputs else np.zeros((segment.n, 0))
+            u = (
+                np.column_stack([_mixed(segment, s) for s in inputs])
+                if inputs
+                else np.zeros((segment.n, 0))
+            )
             y = np.column_stack([_mixed(segment, s) for s in outputs])
             u, held = _held(u, hold)
             total_held += held
@@ -131,21 +144,29 @@ def read_records(
                 kept = [q for q in pieces if len(q) >= 50]
                 lost = sum(len(q) for q in pieces) - sum(len(q) for q in kept)
                 notes.append(
-                    f"{name}: cut at missing rows into {len(kept)} records; {lost} samples in short pieces dropped"
+                    f"{name}: cut at missing rows into {len(kept)} records; {lost} samples in "
+                    "short pieces dropped"
                 )
                 pieces = kept
             records += pieces
         if total_held:
-            notes.append(f"{flight.name}: {total_held} missing input samples held at the value before them")
+            notes.append(
+                f"{flight.name}: {total_held} missing input samples held at the value before them"
+            )
     if not records or dt is None:
-        raise DataError("no usable samples in the logs", fix="check that inputs and outputs were logged at one time")
+        raise DataError(
+            "no usable samples in the logs",
+            fix="check that inputs and outputs were logged at one time",
+        )
     return Logs(records=tuple(records), dt=dt, flights=tuple(flights), notes=tuple(notes))
 
 
 def with_columns(raw: RawLog, specs: Sequence[ChannelSpec], where: str) -> RawLog:
-    """The raw log with every needed column among its channels, so that conditioning interpolates it.
+    """The raw log with every needed column among its channels, so that conditioning interpolates
+    it.
 
-    Raises `UnknownNameError` for a column that the log has not, `DataError` for text, infinite or no values.
+    Raises `UnknownNameError` for a column that the log has not, `DataError` for text, infinite or
+    no values.
     """
     wanted = {column for spec in specs for _, column in spec.terms}
     channels = {}
@@ -158,16 +179,24 @@ def with_columns(raw: RawLog, specs: Sequence[ChannelSpec], where: str) -> RawLo
             raise UnknownNameError("column", name, known, where=where)
         column = raw.extra[name]
         if column.dtype.kind != "f":
-            raise DataError(f"column '{name}' is not numeric", where=where, fix="leave missing cells empty")
+            raise DataError(
+                f"column '{name}' is not numeric", where=where, fix="leave missing cells empty"
+            )
         if np.isinf(column).any():
-            raise DataError(f"column '{name}' has infinite values", where=where, fix="leave bad cells empty")
+            raise DataError(
+                f"column '{name}' has infinite values", where=where, fix="leave bad cells empty"
+            )
         channels[name] = column
     empty = [n for n, v in channels.items() if not np.isfinite(v).any()]
     if empty:
-        raise DataError(f"column '{empty[0]}' holds no value", where=where, fix="name another column")
-    # What only conditioning needs (height and commands tell the airborne part) stays; the rest is dropped.
+        raise DataError(
+            f"column '{empty[0]}' holds no value", where=where, fix="name another column"
+        )
+    # What only conditioning needs (height and commands tell the airborne part) stays; the rest is
+    # dropped.
     kept = {n: v for n, v in raw.channels.items() if n not in channels}
-    # The reader calls columns unused that are no channels of a multirotor; here the channels are the user's.
+    # The reader calls columns unused that are no channels of a multirotor; here the channels are
+    # the user's.
     notes = tuple(n for n in raw.notes if not n.startswith("columns kept but not used"))
     unused = [n for n in raw.extra if n not in channels]
     if unused:
@@ -176,11 +205,14 @@ def with_columns(raw: RawLog, specs: Sequence[ChannelSpec], where: str) -> RawLo
 
 
 def _mixed(segment: Any, spec: ChannelSpec) -> FloatArray:
-    return np.asarray(sum(weight * segment.column(column) for weight, column in spec.terms), dtype=np.float64)
+    return np.asarray(
+        sum(weight * segment.column(column) for weight, column in spec.terms), dtype=np.float64
+    )
 
 
 def _held(u: FloatArray, longest: int) -> tuple[FloatArray, int]:
-    """Missing inputs replaced by the last known value, over at most `longest` samples; and how many."""
+    """Missing inputs replaced by the last known value, over at most `longest` samples; and how
+    many."""
     if np.isfinite(u).all():
         return u, 0
     out, count = u.copy(), 0

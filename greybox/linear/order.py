@@ -1,4 +1,5 @@
-"""Order selection: information criteria over all orders, confirmed by whiteness and by held-out data."""
+"""Order selection: information criteria over all orders, confirmed by whiteness and by held-out
+data."""
 
 from __future__ import annotations
 
@@ -20,11 +21,13 @@ CRITERIA = ("aic", "aicc", "bic")
 
 @dataclass(frozen=True, kw_only=True)
 class OrderRow:
-    """One order: -2 log likelihood, number of parameters, criteria, whiteness p-value, held-out log det (or NaN).
+    """One order: -2 log likelihood, number of parameters, criteria, whiteness p-value, held-out log
+    det (or NaN).
 
-    `held_out` is -2 log likelihood per sample on data that this row's rival fit never saw, a mean over blocks of 50 samples
-    without the tenth at either end, so that one rough landing does not decide; `held_out_p` the p-value of a signed-rank
-    test over blocks that the best row predicts no better than this one.
+    `held_out` is -2 log likelihood per sample on data that this row's rival fit never saw, a mean
+    over blocks of 50 samples without the tenth at either end, so that one rough landing does not
+    decide; `held_out_p` the p-value of a signed-rank test over blocks that the best row predicts no
+    better than this one.
     """
 
     order: int
@@ -41,7 +44,8 @@ class OrderRow:
 
 @dataclass(frozen=True, kw_only=True)
 class OrderChoice:
-    """The chosen order with its table, the reasons in words, and the fits of all orders (scaled units)."""
+    """The chosen order with its table, the reasons in words, and the fits of all orders (scaled
+    units)."""
 
     order: int
     rule: str
@@ -66,7 +70,8 @@ class OrderChoice:
         for r in self.rows:
             mark = "*" if r.order == self.order else " "
             lines.append(
-                f"{r.order:>4}{mark} {r.criterion:>10.1f} {r.parameters:>5} {r.aic:>10.1f} {r.aicc:>9.1f} {r.bic:>9.1f}"
+                f"{r.order:>4}{mark} {r.criterion:>10.1f} {r.parameters:>5} {r.aic:>10.1f} "
+                f"{r.aicc:>9.1f} {r.bic:>9.1f}"
                 f"  {r.whiteness:>11.2g}  {r.held_out:>8.4f}"
             )
         return "\n".join([*lines, *self.reasons])
@@ -87,10 +92,11 @@ def choose_order(
 
     AIC: Akaike 1974; AICc: Hurvich and Tsai 1989; BIC: Schwarz 1978.
 
-    With `cross_validate` the orders are also fitted on about 70 % of the data (whole records where there are three or
-    more, else the first part of each) and scored on the rest: the smallest order that is not significantly worse than the
-    best (Wilcoxon signed-rank over blocks, 1 %) wins over a larger one that the criterion prefers. Raises `DataError` for an
-    unknown criterion or data too short for order 1.
+    With `cross_validate` the orders are also fitted on about 70 % of the data (whole records where
+    there are three or more, else the first part of each) and scored on the rest: the smallest order
+    that is not significantly worse than the best (Wilcoxon signed-rank over blocks, 1 %) wins over
+    a larger one that the criterion prefers. Raises `DataError` for an unknown criterion or data too
+    short for order 1.
     """
     if criterion not in CRITERIA:
         raise DataError(f"order criterion '{criterion}'", expected=" or ".join(CRITERIA))
@@ -109,18 +115,25 @@ def choose_order(
             best = min(scored, key=lambda r: r.held_out)
             enough = min(r.order for r in scored if r.held_out_p > 0.01)
             reasons.append(
-                f"on held-out data order {best.order} predicts best and order {enough} is not worse at the 1 % level"
+                f"on held-out data order {best.order} predicts best and order {enough} is not "
+                "worse at the 1 % level"
             )
             if enough < order:
                 order = enough
-                reasons.append(f"order {enough} is taken: the larger orders do not predict unseen data better")
+                reasons.append(
+                    f"order {enough} is taken: the larger orders do not predict unseen data better"
+                )
     chosen = next(r for r in rows if r.order == order)
     if np.isfinite(chosen.whiteness):
         verdict = "white" if chosen.whiteness > 0.01 else "not white"
-        reasons.append(f"innovations at order {order} are {verdict} (joint portmanteau p = {chosen.whiteness:.2g})")
+        reasons.append(
+            f"innovations at order {order} are {verdict} (joint portmanteau p = "
+            f"{chosen.whiteness:.2g})"
+        )
         if chosen.whiteness <= 0.01:
             reasons.append(
-                "what is left is structure that more states do not remove cheaply: nonlinearity, time variation, "
+                "what is left is structure that more states do not remove cheaply: nonlinearity, "
+                "time variation, "
                 "unmeasured inputs or clock jitter"
             )
     if order == max(found) and len(found) == largest:
@@ -136,11 +149,14 @@ def choose_order(
 
 
 def _affordable(records: Sequence[Record], largest: int) -> int:
-    """No more orders than leave ten scalar samples per parameter; raises where order 1 has not even two."""
+    """No more orders than leave ten scalar samples per parameter; raises where order 1 has not even
+    two."""
     m, p = records[0].u.shape[1], records[0].y.shape[1]
     seen = sum(int(np.isfinite(r.y).sum()) for r in records)
     if seen < 2 * (m + 2 * p):
-        raise DataError(f"{seen} output samples are too few even for order 1", fix="pass a longer record")
+        raise DataError(
+            f"{seen} output samples are too few even for order 1", fix="pass a longer record"
+        )
     return max(1, min(largest, seen // (10 * (m + 2 * p))))
 
 
@@ -172,7 +188,9 @@ def _whiteness(found: Found, records: Sequence[Record]) -> float:
     return float("nan") if test is None else test.p_value
 
 
-def _held_out(rows: Sequence[OrderRow], records: Sequence[Record], options: Options) -> list[OrderRow]:
+def _held_out(
+    rows: Sequence[OrderRow], records: Sequence[Record], options: Options
+) -> list[OrderRow]:
     train, test = split(records)
     largest = max(r.order for r in rows)
     try:
@@ -183,7 +201,9 @@ def _held_out(rows: Sequence[OrderRow], records: Sequence[Record], options: Opti
     for order, f in found.items():
         s = f.solution
         nuisances = start_nuisances(s.system, test, options.settings)
-        e = np.vstack([q.e for q in evaluate(s.system, nuisances, test, s.evaluation.noise).predictions])
+        e = np.vstack(
+            [q.e for q in evaluate(s.system, nuisances, test, s.evaluation.noise).predictions]
+        )
         noise = s.evaluation.noise
         white = np.linalg.solve(np.linalg.cholesky(noise), e.T).T
         terms[order] = (white**2).sum(axis=1) + np.linalg.slogdet(noise)[1]
@@ -200,7 +220,8 @@ def _held_out(rows: Sequence[OrderRow], records: Sequence[Record], options: Opti
 
 
 def split(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
-    """About 70 % to train and 30 % to test: every third record where those hold 20-45 % of the samples, else by time."""
+    """About 70 % to train and 30 % to test: every third record where those hold 20-45 % of the
+    samples, else by time."""
     third = [r for i, r in enumerate(records) if i % 3 == 2]
     if 0.2 <= sum(map(len, third)) / sum(map(len, records)) <= 0.45:
         return [r for i, r in enumerate(records) if i % 3 != 2], third
@@ -218,7 +239,8 @@ def _blocks(values: np.ndarray, block: int = 50) -> np.ndarray:
 
 
 def _no_worse(difference: np.ndarray) -> float:
-    """One-sided signed-rank p-value of the block means of a difference being above zero; 1 where it is zero."""
+    """One-sided signed-rank p-value of the block means of a difference being above zero; 1 where it
+    is zero."""
     if not np.any(difference):
         return 1.0
     return float(wilcoxon(_blocks(difference), alternative="greater").pvalue)

@@ -1,9 +1,10 @@
-"""How a vector of free numbers moves a linear model: the seam between the Gauss-Newton solver and the model class.
+"""How a vector of free numbers moves a linear model: the seam between the Gauss-Newton solver and
+the model class.
 
-`Free` is the full model without redundancy: data-driven local coordinates (McKelvey, Helmersson and Ribarits 2004,
-Automatica 40(9)). Steps are taken across the directions that only change the state coordinates, orthogonally to them in
-balanced coordinates, and both are renewed at every step, so that no canonical form (and none of its bad conditioning) is
-needed.
+`Free` is the full model without redundancy: data-driven local coordinates (McKelvey, Helmersson and
+Ribarits 2004, Automatica 40(9)). Steps are taken across the directions that only change the state
+coordinates, orthogonally to them in balanced coordinates, and both are renewed at every step, so
+that no canonical form (and none of its bad conditioning) is needed.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ class Parametrisation(Protocol):
         """The matrices at this point."""
 
     def tangent(self) -> FloatArray:
-        """Derivative of the full vector (`predictor.full_vector`) along each free direction: (q, n_free)."""
+        """Derivative of the full vector (`predictor.full_vector`) along each free direction: (q,
+        n_free)."""
 
     def moved(self, step: FloatArray) -> Parametrisation:
         """The point after a step (n_free,) along the tangent."""
@@ -35,7 +37,8 @@ class Parametrisation(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Free:
-    """All matrices free. `noise_model` False holds K = 0 (output error), `feedthrough` False holds D = 0."""
+    """All matrices free. `noise_model` False holds K = 0 (output error), `feedthrough` False holds
+    D = 0."""
 
     system: Matrices
     noise_model: bool = True
@@ -47,7 +50,9 @@ class Free:
         n, m, p = self.system.sizes
         rows = np.ones((n, n + m + p), dtype=bool)
         rows[:, n + m :] = self.noise_model
-        return np.concatenate([rows.ravel(), np.ones(p * n, dtype=bool), np.full(p * m, self.feedthrough)])
+        return np.concatenate(
+            [rows.ravel(), np.ones(p * n, dtype=bool), np.full(p * m, self.feedthrough)]
+        )
 
     @property
     def dimension(self) -> int:
@@ -56,7 +61,8 @@ class Free:
         return n * (m + p + (p if self.noise_model else 0)) + (p * m if self.feedthrough else 0)
 
     def tangent(self) -> FloatArray:
-        """Basis of the free directions across the similarity orbit, orthonormal in balanced coordinates of the predictor."""
+        """Basis of the free directions across the similarity orbit, orthonormal in balanced
+        coordinates of the predictor."""
         return self._tangent
 
     @cached_property
@@ -87,10 +93,12 @@ class Free:
 
 
 def balancing(system: Matrices) -> FloatArray:
-    """T (n, n) for which x' = T x is balanced for the predictor [u, y] -> y_hat (Moore 1981); I where modes coincide.
+    """T (n, n) for which x' = T x is balanced for the predictor [u, y] -> y_hat (Moore 1981); I
+    where modes coincide.
 
-    Steps taken in these coordinates bend least: in those of a bad start an iteration takes several times as many. The
-    Gramians have a closed form in modal coordinates. Hankel values below 1e-6 of the largest are raised to that.
+    Steps taken in these coordinates bend least: in those of a bad start an iteration takes several
+    times as many. The Gramians have a closed form in modal coordinates. Hankel values below 1e-6 of
+    the largest are raised to that.
     """
     f = system.predictor
     modes = Modes(f)
@@ -113,7 +121,8 @@ def _root(gramian: FloatArray) -> FloatArray:
 
 
 def similarity_directions(system: Matrices) -> FloatArray:
-    """Changes of the full vector under x' = (I + T) x for T = each unit matrix: (q, n^2); they change no output."""
+    """Changes of the full vector under x' = (I + T) x for T = each unit matrix: (q, n^2); they
+    change no output."""
     n, m, p = system.sizes
     rows = np.hstack([system.predictor, system.predictor_input])
     width, each = n + m + p, np.arange(n)
@@ -122,4 +131,6 @@ def similarity_directions(system: Matrices) -> FloatArray:
     change[:, each, :, each] -= system.predictor
     out = np.zeros((p, n, n, n))
     out[:, each, :, each] = -system.c
-    return np.vstack([change.reshape(n * width, n * n), out.reshape(p * n, n * n), np.zeros((p * m, n * n))])
+    return np.vstack(
+        [change.reshape(n * width, n * n), out.reshape(p * n, n * n), np.zeros((p * m, n * n))]
+    )

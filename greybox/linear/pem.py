@@ -1,9 +1,10 @@
 """Prediction error method for linear models: damped Newton steps on the exact gradient and Hessian.
 
-Criterion: N log det( 1/N sum e e' ), the Gaussian likelihood with Lambda concentrated out (Ljung 1999, section 7.4 and
-equation 15.2b). The initial state and the output offset of every record are nuisance parameters that are eliminated
-block by block. A step that leaves the region of stable predictors is refused, so that A - KC is stable by construction.
-The Hessian is exact for free models on records without holes (`gram`), else that of Gauss-Newton.
+Criterion: N log det( 1/N sum e e' ), the Gaussian likelihood with Lambda concentrated out (Ljung
+1999, section 7.4 and equation 15.2b). The initial state and the output offset of every record are
+nuisance parameters that are eliminated block by block. A step that leaves the region of stable
+predictors is refused, so that A - KC is stable by construction. The Hessian is exact for free
+models on records without holes (`gram`), else that of Gauss-Newton.
 """
 
 from __future__ import annotations
@@ -32,27 +33,36 @@ from greybox.symbolic import FloatArray
 FIRST_DAMPING = 1e-3
 """Of a Hessian scaled to unit information."""
 FLAT_GAIN = 0.05
-"""Gain of three steps together, in -2 log likelihood, below which the iteration ends as `Status.FLAT`; at most 5 times the
-tolerance. Much more would stop on plateaus behind which states of real flights were found."""
+"""Gain of three steps together, in -2 log likelihood, below which the iteration ends as
+`Status.FLAT`; at most 5 times the tolerance. Much more would stop on plateaus behind which states
+of real flights were found."""
 
 
 FORGET = 3.0
-"""Time constants of the slowest predictor mode that the longest record must hold; exp(-3) of the start is then left."""
+"""Time constants of the slowest predictor mode that the longest record must hold; exp(-3) of the
+start is then left."""
 
 
 class Status(Enum):
     """How the iteration ended; the value is advice."""
 
-    CONVERGED = "converged: a further step would change the estimate by less than a tenth of a standard error"
+    CONVERGED = (
+        "converged: a further step would change the estimate by less than a tenth of a "
+        "standard error"
+    )
     FLAT = (
-        "not converged: the steps gain next to nothing although the likelihood is not at a maximum, because the data hardly "
+        "not converged: the steps gain next to nothing although the likelihood is not at a "
+        "maximum, because the data hardly "
         "determine some direction: lower the order"
     )
     STALLED = (
-        "not converged: no step improves the likelihood although the gradient is not zero; the model may sit at the "
+        "not converged: no step improves the likelihood although the gradient is not zero; the "
+        "model may sit at the "
         "stability limit or have more states than the data carry: lower the order"
     )
-    MAX_ITERATIONS = "not converged: iteration limit reached; raise max_iterations or start from another method"
+    MAX_ITERATIONS = (
+        "not converged: iteration limit reached; raise max_iterations or start from another method"
+    )
     NOT_RUN = "not polished: this is the subspace start"
 
     @property
@@ -71,9 +81,10 @@ class Nuisance:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """`stable` demands |eig A| < 1; `offsets` frees one per record. The iteration stops as converged where the Hessian has
-    no negative curvature and a full step promises less than `tolerance` of -2 log likelihood. That decrease is the square
-    of the step in standard errors, over all directions together: 0.01 is a tenth of a standard error.
+    """`stable` demands |eig A| < 1; `offsets` frees one per record. The iteration stops as
+    converged where the Hessian has no negative curvature and a full step promises less than
+    `tolerance` of -2 log likelihood. That decrease is the square of the step in standard errors,
+    over all directions together: 0.01 is a tenth of a standard error.
     """
 
     max_iterations: int = 100
@@ -85,7 +96,8 @@ class Settings:
 
 
 class Evaluation(NamedTuple):
-    """Criterion at a point: -2 log likelihood (with constants), Lambda (p, p), predictions per record."""
+    """Criterion at a point: -2 log likelihood (with constants), Lambda (p, p), predictions per
+    record."""
 
     criterion: float
     noise: FloatArray
@@ -95,7 +107,8 @@ class Evaluation(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Where the iteration ended. `information` (d, d) is J'J of whitened innovations along `tangent` (q, d)."""
+    """Where the iteration ended. `information` (d, d) is J'J of whitened innovations along
+    `tangent` (q, d)."""
 
     point: Parametrisation
     nuisances: tuple[Nuisance, ...]
@@ -115,12 +128,15 @@ class Solution:
 def evaluate(
     system: Matrices, nuisances: Sequence[Nuisance], records: Sequence[Record], noise: FloatArray
 ) -> Evaluation:
-    """Innovations and criterion. `noise` is the Lambda used where samples miss; the returned one is re-estimated."""
+    """Innovations and criterion. `noise` is the Lambda used where samples miss; the returned one is
+    re-estimated."""
     modes = Modes(system.predictor)
     holes = any(r.missing for r in records)
     p = len(system.c)
     for _ in range(2 if holes else 1):
-        predictions = [predict(system, r, v.x0, v.offset, noise, modes) for r, v in zip(records, nuisances)]
+        predictions = [
+            predict(system, r, v.x0, v.offset, noise, modes) for r, v in zip(records, nuisances)
+        ]
         total, used = np.zeros((p, p)), 0
         for prediction, record in zip(predictions, records):
             e = prediction.e
@@ -135,29 +151,41 @@ def evaluate(
             return Evaluation(np.inf, noise, predictions, modes)
         noise = total / used
     sign, value = np.linalg.slogdet(noise)
-    # A correlation matrix of determinant below exp(-30): an output is a combination of others, up to rounding.
+    # A correlation matrix of determinant below exp(-30): an output is a combination of others, up
+    # to rounding.
     if sign <= 0 or not np.isfinite(value) or value - np.log(np.diag(noise)).sum() < -30.0:
         return Evaluation(np.inf, noise, predictions, modes)
     cost = 0.0
     for prediction, record in zip(predictions, records):
-        seen = int(np.isfinite(record.y).sum()) if prediction.gains is not None else prediction.e.size
+        seen = (
+            int(np.isfinite(record.y).sum()) if prediction.gains is not None else prediction.e.size
+        )
         cost += seen * np.log(2 * np.pi)
         if prediction.whitener is None:
             cost += len(record) * value
         else:
-            cost += prediction.log_det + float((np.einsum("kij,kj->ki", prediction.whitener, prediction.e) ** 2).sum())
-    # Over all records together e' Lambda^-1 e sums to p per sample; with holes only some of them are summed here.
+            cost += prediction.log_det + float(
+                (np.einsum("kij,kj->ki", prediction.whitener, prediction.e) ** 2).sum()
+            )
+    # Over all records together e' Lambda^-1 e sums to p per sample; with holes only some of them
+    # are summed here.
     inverse = np.linalg.inv(noise)
     for q in predictions:
         if q.whitener is None:
-            cost += p * len(q.e) if not holes else float(np.einsum("ki,ij,kj->", q.e, inverse, q.e, optimize=True))
+            cost += (
+                p * len(q.e)
+                if not holes
+                else float(np.einsum("ki,ij,kj->", q.e, inverse, q.e, optimize=True))
+            )
     return Evaluation(float(cost), noise, predictions, modes)
 
 
 class Normal(NamedTuple):
-    """Half the gradient and Hessian of the criterion with the nuisances eliminated, and what brings those back.
+    """Half the gradient and Hessian of the criterion with the nuisances eliminated, and what brings
+    those back.
 
-    `information` is J'J of whitened innovations, `hessian` the exact one where it is known, else the same.
+    `information` is J'J of whitened innovations, `hessian` the exact one where it is known, else
+    the same.
     """
 
     information: FloatArray
@@ -169,13 +197,18 @@ class Normal(NamedTuple):
 def normal_equations(
     point: Parametrisation, records: Sequence[Record], evaluation: Evaluation, settings: Settings
 ) -> Normal:
-    """J'J, J'e and Hessian along the tangent; per record (N'N)^-1 [N'e, N'J] to go back. Exact for straight steps."""
+    """J'J, J'e and Hessian along the tangent; per record (N'N)^-1 [N'e, N'J] to go back. Exact for
+    straight steps."""
     tangent = point.tangent()
     d = tangent.shape[1]
     n, _, p = point.system.sizes
     whitener = np.linalg.inv(np.linalg.cholesky(evaluation.noise))
     holes = any(q.gains is not None for q in evaluation.predictions)
-    modal = Gram(point.system, evaluation.modes, tangent, whitener) if separable(evaluation.modes) else None
+    modal = (
+        Gram(point.system, evaluation.modes, tangent, whitener)
+        if separable(evaluation.modes)
+        else None
+    )
     exact = modal is not None and not holes and isinstance(point, Free)
     h, g, second, mixed = np.zeros((d, d)), np.zeros(d), np.zeros((d, d)), np.zeros((p, p, d))
     back = []
@@ -186,7 +219,9 @@ def normal_equations(
             whole, right, products = parts.information, parts.gradient, parts.mixed
             second += parts.second
         else:
-            whole, right = _by_jacobian(point.system, record, prediction, evaluation.modes, whitener, tangent)
+            whole, right = _by_jacobian(
+                point.system, record, prediction, evaluation.modes, whitener, tangent
+            )
             products = np.zeros((p, p, d + n + p))
         start, slope = np.zeros(n + p), np.zeros((n + p, d))
         cross = whole[d:, :d][keep]
@@ -194,7 +229,9 @@ def normal_equations(
         start[keep], slope[keep] = inverse @ right[d:][keep], inverse @ cross
         h += whole[:d, :d] - cross.T @ slope[keep]
         g += right[:d] - cross.T @ start[keep]
-        mixed += products[:, :, :d] - (products[:, :, d:].reshape(p * p, n + p) @ slope).reshape(p, p, d)
+        mixed += products[:, :, :d] - (products[:, :, d:].reshape(p * p, n + p) @ slope).reshape(
+            p, p, d
+        )
         back.append((start, slope))
     h = (h + h.T) / 2
     if not exact:
@@ -204,9 +241,15 @@ def normal_equations(
 
 
 def _by_jacobian(
-    system: Matrices, record: Record, prediction: Prediction, modes: Modes, whitener: FloatArray, tangent: FloatArray
+    system: Matrices,
+    record: Record,
+    prediction: Prediction,
+    modes: Modes,
+    whitener: FloatArray,
+    tangent: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """J'J and J'e of one record, columns along the tangent, x0 and offset: the slow way, for holes and joined modes."""
+    """J'J and J'e of one record, columns along the tangent, x0 and offset: the slow way, for holes
+    and joined modes."""
     j, jx, jc = sensitivities(system, record, prediction, modes)
     whole = np.concatenate([j @ tangent, jx, jc], axis=2)
     if prediction.whitener is None:
@@ -219,7 +262,9 @@ def _by_jacobian(
     return flat.T @ flat, flat.T @ e.ravel()
 
 
-def start_nuisances(system: Matrices, records: Sequence[Record], settings: Settings) -> tuple[Nuisance, ...]:
+def start_nuisances(
+    system: Matrices, records: Sequence[Record], settings: Settings
+) -> tuple[Nuisance, ...]:
     """Least squares initial states and offsets for fixed matrices, scaled records assumed."""
     n, _, p = system.sizes
     modes = Modes(system.predictor)
@@ -237,7 +282,9 @@ def start_nuisances(system: Matrices, records: Sequence[Record], settings: Setti
         keep = np.concatenate([np.full(n, settings.free_start), np.full(p, settings.offsets)])
         whole = np.concatenate([jx, jc], axis=2).reshape(-1, n + p)[:, keep]
         value = np.zeros(n + p)
-        value[keep] = np.linalg.pinv(whole.T @ whole, rcond=1e-13, hermitian=True) @ (whole.T @ prediction.e.ravel())
+        value[keep] = np.linalg.pinv(whole.T @ whole, rcond=1e-13, hermitian=True) @ (
+            whole.T @ prediction.e.ravel()
+        )
         out.append(Nuisance(x0=value[:n], offset=value[n:]))
     return tuple(out)
 
@@ -249,12 +296,17 @@ def minimise(
     *,
     nuisances: Sequence[Nuisance] | None = None,
 ) -> Solution:
-    """Minimise the criterion from `point`; records scaled by `prepare`. Raises `FitError` for a useless start."""
+    """Minimise the criterion from `point`; records scaled by `prepare`. Raises `FitError` for a
+    useless start."""
     settings = settings or Settings()
     radius = _forgetful(settings, point, records)
     if not _allowed(point.system, settings, radius):
         raise FitError("the start has an unstable predictor", fix="start from a subspace method")
-    current = tuple(nuisances) if nuisances is not None else start_nuisances(point.system, records, settings)
+    current = (
+        tuple(nuisances)
+        if nuisances is not None
+        else start_nuisances(point.system, records, settings)
+    )
     noise = np.eye(len(point.system.c))
     here = evaluate(point.system, current, records, noise)
     if not np.isfinite(here.criterion):
@@ -262,7 +314,8 @@ def minimise(
             "the criterion is not finite at the start: an output is predicted without error",
             fix="lower the order, or drop outputs that are combinations of others",
         )
-    # With holes the sensitivities are those of a frozen gain: the last digits of the descent are not to be had.
+    # With holes the sensitivities are those of a frozen gain: the last digits of the descent are
+    # not to be had.
     holes = any(r.missing for r in records)
     tries, near = (12, 0.1) if holes else (25, max(1e-3, 1e3 * settings.tolerance))
     tolerance = max(settings.tolerance, 1e-2) if holes else settings.tolerance
@@ -270,7 +323,8 @@ def minimise(
     normal = normal_equations(point, records, here, settings)
     if not _finite(normal):
         raise FitError(
-            "the sensitivities are not finite at the start", fix="start from another method or a lower order"
+            "the sensitivities are not finite at the start",
+            fix="start from another method or a lower order",
         )
     gains: list[float] = []
     while True:
@@ -302,7 +356,13 @@ def minimise(
             status = Status.CONVERGED if decrement < near else Status.STALLED
             break
         gain = here.criterion - there.criterion
-        damping = damping / 10.0 if gain > 0.5 * promised else damping * 2.0 if gain < 0.1 * promised else damping
+        damping = (
+            damping / 10.0
+            if gain > 0.5 * promised
+            else damping * 2.0
+            if gain < 0.1 * promised
+            else damping
+        )
         damping = damping if damping > 1e-8 else 0.0
         gains.append(gain)
         point, current, here, normal = trial, moved, there, following
@@ -319,10 +379,12 @@ def minimise(
 
 
 def _forgetful(settings: Settings, point: Parametrisation, records: Sequence[Record]) -> float:
-    """Radius within which the predictor forgets its start over the longest record, if the start of the fit lies there.
+    """Radius within which the predictor forgets its start over the longest record, if the start of
+    the fit lies there.
 
-    A mode that does not is no filter but an undamped line that the free initial state fits to the noise: it raises the
-    likelihood of these records and ruins the prediction of others. Not for K = 0: there the modes are the plant's own.
+    A mode that does not is no filter but an undamped line that the free initial state fits to the
+    noise: it raises the likelihood of these records and ruins the prediction of others. Not for K =
+    0: there the modes are the plant's own.
     """
     limit = min(settings.radius, 1.0 - FORGET / max(len(r) for r in records))
     if not np.any(point.system.k) or spectral_radius(point.system.predictor) >= limit:
@@ -343,9 +405,11 @@ def _finite(normal: Normal) -> bool:
 
 
 class _Quadratic(NamedTuple):
-    """The quadratic model of the criterion in the eigenvectors of its Hessian, every direction at unit information.
+    """The quadratic model of the criterion in the eigenvectors of its Hessian, every direction at
+    unit information.
 
-    Negative curvature is taken by its size, so that a step descends there too (Dauphin et al. 2014, "saddle-free").
+    Negative curvature is taken by its size, so that a step descends there too (Dauphin et al. 2014,
+    "saddle-free").
     """
 
     values: FloatArray
@@ -365,7 +429,8 @@ class _Quadratic(NamedTuple):
 
     @property
     def decrement(self) -> float:
-        """Decrease of -2 log likelihood that a full step promises, over directions that the data see."""
+        """Decrease of -2 log likelihood that a full step promises, over directions that the data
+        see."""
         size = np.abs(self.values)
         keep = size > 1e-10 * size.max(initial=0.0)
         return float((self.slope[keep] ** 2 / size[keep]).sum())

@@ -1,10 +1,13 @@
-"""Profile likelihood intervals of poles, for modes that the data excite so weakly that a standard error misleads.
+"""Profile likelihood intervals of poles, for modes that the data excite so weakly that a standard
+error misleads.
 
-The standard error of a pole is about its noise over the strength of its mode. Where the strength itself is uncertain (a
-near pole-zero cancellation) the estimate of it is too large on average, so that Wald intervals are too short, and the
-likelihood is no parabola. A profile needs neither: it is the set of values at which the best model whose pole is held there
-loses less than the chi-square quantile of -2 log likelihood (Meeker and Escobar 1995, The American Statistician 49(1)).
-Under model error the quantile is multiplied by the ratio of robust to Fisher variance (Kent 1982, Biometrika 69(1)).
+The standard error of a pole is about its noise over the strength of its mode. Where the strength
+itself is uncertain (a near pole-zero cancellation) the estimate of it is too large on average, so
+that Wald intervals are too short, and the likelihood is no parabola. A profile needs neither: it is
+the set of values at which the best model whose pole is held there loses less than the chi-square
+quantile of -2 log likelihood (Meeker and Escobar 1995, The American Statistician 49(1)). Under
+model error the quantile is multiplied by the ratio of robust to Fisher variance (Kent 1982,
+Biometrika 69(1)).
 """
 
 from __future__ import annotations
@@ -30,9 +33,11 @@ Quantity = Literal["real", "imag", "magnitude", "angle"]
 """What of a pole is held or profiled: real or imaginary part, size, or angle [rad per sample]."""
 
 WIDEST = 2.0
-"""Distance from the estimate beyond which an interval counts as open: the unit circle is no wider."""
+"""Distance from the estimate beyond which an interval counts as open: the unit circle is no
+wider."""
 CLOSE = 0.03
-"""How near sqrt(ratio) must come to its quantile; 0.03 of about 2 moves an end by 1.5 % of the half-width."""
+"""How near sqrt(ratio) must come to its quantile; 0.03 of about 2 moves an end by 1.5 % of the
+half-width."""
 
 
 class Mode(NamedTuple):
@@ -61,7 +66,8 @@ def measured(value: complex, quantity: Quantity) -> float:
 
 
 def _slope(value: complex, quantity: Quantity) -> complex:
-    """s with d quantity = Re(conj(s) d value); also the direction in which a pole is moved to change the quantity."""
+    """s with d quantity = Re(conj(s) d value); also the direction in which a pole is moved to
+    change the quantity."""
     if quantity == "real":
         return 1.0
     if quantity == "imag":
@@ -72,7 +78,8 @@ def _slope(value: complex, quantity: Quantity) -> complex:
 
 @dataclass(frozen=True, kw_only=True)
 class HeldPole:
-    """`Free` with one quantity of one pole held at `target`; a `Parametrisation`. `near` is where that pole is now."""
+    """`Free` with one quantity of one pole held at `target`; a `Parametrisation`. `near` is where
+    that pole is now."""
 
     base: Free
     quantity: Quantity
@@ -91,7 +98,11 @@ class HeldPole:
         mode = mode_near(self.system.a, self.near)
         # A = F + K C: dA = dF + dK C + K dC, and d value = left dA right
         rows = np.hstack(
-            [np.outer(mode.left, mode.right), np.zeros((n, m)), np.outer(mode.left, self.system.c @ mode.right)]
+            [
+                np.outer(mode.left, mode.right),
+                np.zeros((n, m)),
+                np.outer(mode.left, self.system.c @ mode.right),
+            ]
         )
         change = np.concatenate(
             [rows.ravel(), np.outer(mode.left @ self.system.k, mode.right).ravel(), np.zeros(p * m)]
@@ -126,8 +137,8 @@ class HeldPole:
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """Profile likelihood interval of one quantity of one pole. An end is infinite where the likelihood never falls that far
-    (the data do not bound the pole on that side).
+    """Profile likelihood interval of one quantity of one pole. An end is infinite where the
+    likelihood never falls that far (the data do not bound the pole on that side).
     """
 
     pole: complex
@@ -140,7 +151,8 @@ class Interval:
 
 @dataclass(frozen=True, kw_only=True)
 class PoleProfile:
-    """Profiles of the poles of `fit`; `records` and `start` are those of the fit at unit scale. See `pole_profile`."""
+    """Profiles of the poles of `fit`; `records` and `start` are those of the fit at unit scale. See
+    `pole_profile`."""
 
     fit: LinearFit
     records: Sequence[Record]
@@ -149,16 +161,22 @@ class PoleProfile:
     def interval(self, index: int, quantity: Quantity, *, level: float = 0.95) -> Interval:
         """Interval of a quantity of pole number `index` (order of `fit.uncertainty.poles()`).
 
-        Raises `DataError` for an index out of range, or for the imaginary part or angle of a real pole.
+        Raises `DataError` for an index out of range, or for the imaginary part or angle of a real
+        pole.
         """
         pole, std = self._pole(index, quantity)
         quantile = float(np.sqrt(chi2.ppf(level, 1)))
         at = measured(pole, quantity)
-        lower, upper = (at + side * self._distance(pole, quantity, side, std, quantile) for side in (-1.0, 1.0))
-        return Interval(pole=pole, quantity=quantity, estimate=at, lower=lower, upper=upper, level=level)
+        lower, upper = (
+            at + side * self._distance(pole, quantity, side, std, quantile) for side in (-1.0, 1.0)
+        )
+        return Interval(
+            pole=pole, quantity=quantity, estimate=at, lower=lower, upper=upper, level=level
+        )
 
     def ratio(self, index: int, quantity: Quantity, target: float) -> float:
-        """By how much -2 log likelihood rises when the quantity of pole `index` is held at `target`; inf without a model."""
+        """By how much -2 log likelihood rises when the quantity of pole `index` is held at
+        `target`; inf without a model."""
         pole, _ = self._pole(index, quantity)
         return self._rise(self._solve(pole, quantity, target, self.start))
 
@@ -168,13 +186,18 @@ class PoleProfile:
             raise DataError(f"pole {index}", expected=f"0 .. {len(poles.value) - 1}")
         value = complex(poles.value[index])
         if value.imag == 0.0 and quantity in ("imag", "angle"):
-            raise DataError(f"the {quantity} of a real pole is not free", fix="profile its real part")
+            raise DataError(
+                f"the {quantity} of a real pole is not free", fix="profile its real part"
+            )
         slope = _slope(value, quantity)
         gradient = np.array([slope.real, slope.imag])
         return value, float(np.sqrt(gradient @ poles.covariance[index] @ gradient))
 
-    def _distance(self, pole: complex, quantity: Quantity, side: float, std: float, quantile: float) -> float:
-        """How far from the estimate the root of the ratio reaches its quantile: secant steps inside a bracket."""
+    def _distance(
+        self, pole: complex, quantity: Quantity, side: float, std: float, quantile: float
+    ) -> float:
+        """How far from the estimate the root of the ratio reaches its quantile: secant steps inside
+        a bracket."""
         at = measured(pole, quantity)
         low, root_low, warm = 0.0, 0.0, self.start
         high, root_high = np.inf, np.inf
@@ -193,7 +216,9 @@ class PoleProfile:
                 if distance > WIDEST:
                     return np.inf
             else:
-                share = 0.5 if np.isinf(root_high) else (quantile - root_low) / (root_high - root_low)
+                share = (
+                    0.5 if np.isinf(root_high) else (quantile - root_low) / (root_high - root_low)
+                )
                 distance = low + (high - low) * float(np.clip(share, 0.1, 0.9))
         return distance
 
@@ -202,8 +227,11 @@ class PoleProfile:
             return np.inf
         return max(solution.evaluation.criterion - self.start.evaluation.criterion, 0.0)
 
-    def _solve(self, pole: complex, quantity: Quantity, target: float, warm: Solution) -> Solution | None:
-        """The best model whose pole is held at the target, from `warm`; None where no stable predictor has it."""
+    def _solve(
+        self, pole: complex, quantity: Quantity, target: float, warm: Solution
+    ) -> Solution | None:
+        """The best model whose pole is held at the target, from `warm`; None where no stable
+        predictor has it."""
         near = warm.point.near if isinstance(warm.point, HeldPole) else pole
         base = warm.point.base if isinstance(warm.point, HeldPole) else warm.point
         assert isinstance(base, Free)
@@ -215,11 +243,14 @@ class PoleProfile:
 
 
 def pole_profile(fit: LinearFit, records: Sequence[Record]) -> PoleProfile:
-    """Prepare the profiles of a fit. `records` must be those of the fit, in the same order. Raises `DataError`."""
+    """Prepare the profiles of a fit. `records` must be those of the fit, in the same order. Raises
+    `DataError`."""
     names_u, names_y = fit.model.inputs.names, fit.model.outputs.names
     if len(records) != len(fit.records):
         raise DataError(f"{len(records)} records", expected=f"the {len(fit.records)} of the fit")
-    scaled, scaling = prepare(records, delays=fit.model.delays, input_names=names_u, output_names=names_y)
+    scaled, scaling = prepare(
+        records, delays=fit.model.delays, input_names=names_u, output_names=names_y
+    )
     m = fit.model.matrices
     point = Free(
         system=m.scaled(scaling.input_scale, scaling.output_scale),
@@ -227,7 +258,8 @@ def pole_profile(fit: LinearFit, records: Sequence[Record]) -> PoleProfile:
         feedthrough=bool(np.any(m.d)),
     )
     nuisances = [
-        Nuisance(x0=x0, offset=(c - scaling.output_offset) / scaling.output_scale) for x0, c in zip(fit.x0, fit.offsets)
+        Nuisance(x0=x0, offset=(c - scaling.output_offset) / scaling.output_scale)
+        for x0, c in zip(fit.x0, fit.offsets)
     ]
     start = minimise(point, scaled, nuisances=nuisances)
     return PoleProfile(fit=fit, records=scaled, start=start)

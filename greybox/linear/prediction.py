@@ -1,4 +1,5 @@
-"""Using a linear model: simulation, k-step prediction, Kalman filtering with missing samples, adaptation to a record."""
+"""Using a linear model: simulation, k-step prediction, Kalman filtering with missing samples,
+adaptation to a record."""
 
 from __future__ import annotations
 
@@ -17,8 +18,9 @@ from greybox.symbolic import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class Filtered:
-    """Kalman filter over a record: predicted states (N, n), filtered states (N, n), innovations (N, p) with NaN where
-    missing, innovation covariances (N, p, p), and log likelihood of what was measured.
+    """Kalman filter over a record: predicted states (N, n), filtered states (N, n), innovations (N,
+    p) with NaN where missing, innovation covariances (N, p, p), and log likelihood of what was
+    measured.
     """
 
     predicted: FloatArray
@@ -29,13 +31,18 @@ class Filtered:
 
 
 def kalman(
-    model: LinearModel, record: Record, *, x0: FloatArray | None = None, p0: FloatArray | None = None
+    model: LinearModel,
+    record: Record,
+    *,
+    x0: FloatArray | None = None,
+    p0: FloatArray | None = None,
 ) -> Filtered:
-    """Kalman filter of the innovation form (process noise K e, measurement noise e) with start N(x0, p0).
+    """Kalman filter of the innovation form (process noise K e, measurement noise e) with start
+    N(x0, p0).
 
-    Defaults: x0 = 0, p0 = 0 (then, without holes, this is the stationary predictor). A missing component is left out of
-    the update. The delayed inputs are taken within the record, whose first max(delays) samples are cut. Source:
-    Anderson and Moore 1979, chapter 5, correlated noises.
+    Defaults: x0 = 0, p0 = 0 (then, without holes, this is the stationary predictor). A missing
+    component is left out of the update. The delayed inputs are taken within the record, whose first
+    max(delays) samples are cut. Source: Anderson and Moore 1979, chapter 5, correlated noises.
     """
     a, b, c, d, k = model.matrices
     n, _, p = model.matrices.sizes
@@ -65,7 +72,13 @@ def kalman(
             total -= 0.5 * (v.size * np.log(2 * np.pi) + value + e[i, v] @ inverse @ e[i, v])
         filtered[i] = x
         x, cov = ahead, (spread + spread.T) / 2
-    return Filtered(predicted=predicted, filtered=filtered, innovations=e, covariances=big, log_likelihood=float(total))
+    return Filtered(
+        predicted=predicted,
+        filtered=filtered,
+        innovations=e,
+        covariances=big,
+        log_likelihood=float(total),
+    )
 
 
 def simulate(
@@ -76,7 +89,9 @@ def simulate(
     Before the first sample a delayed command is taken to be the first one.
     """
     u = np.asarray(u, dtype=float)
-    held = np.column_stack([np.concatenate([np.full(d, col[0]), col])[: len(col)] for d, col in zip(model.delays, u.T)])
+    held = np.column_stack(
+        [np.concatenate([np.full(d, col[0]), col])[: len(col)] for d, col in zip(model.delays, u.T)]
+    )
     deviation = (held if u.shape[1] else u) - model.input_offset
     a, b, c, d, k = model.matrices
     noise = np.zeros((len(u), len(c))) if e is None else np.asarray(e, dtype=float)
@@ -87,7 +102,8 @@ def simulate(
 
 @dataclass(frozen=True, kw_only=True)
 class Ahead:
-    """Predictions at horizon h: `predicted` and `measured` (N - h, p) of y[k + h] from data up to sample k."""
+    """Predictions at horizon h: `predicted` and `measured` (N - h, p) of y[k + h] from data up to
+    sample k."""
 
     horizon: int
     predicted: FloatArray
@@ -102,16 +118,19 @@ def k_step(
     x0: FloatArray | None = None,
     offset: FloatArray | None = None,
 ) -> list[Ahead]:
-    """Open-loop prediction from every origin k: the state knows y up to k, the recorded commands drive k + 1 .. k + h.
+    """Open-loop prediction from every origin k: the state knows y up to k, the recorded commands
+    drive k + 1 .. k + h.
 
-    h = 1 is the one-step prediction. `offset` (p,) replaces the model's output offset (see `adapt`). Raises `DataError`
-    for a horizon below 1 or a record that is shorter than the longest.
+    h = 1 is the one-step prediction. `offset` (p,) replaces the model's output offset (see
+    `adapt`). Raises `DataError` for a horizon below 1 or a record that is shorter than the longest.
     """
     if not horizons or min(horizons) < 1:
         raise DataError(f"horizons {list(horizons)}", expected="whole numbers >= 1")
     moved = _in_deviations(model, record, offset)
     if len(moved) <= max(horizons) + 1:
-        raise DataError(f"{len(moved)} samples are fewer than the horizon {max(horizons)}", where=record.name)
+        raise DataError(
+            f"{len(moved)} samples are fewer than the horizon {max(horizons)}", where=record.name
+        )
     a, b, c, d, _ = model.matrices
     start = np.zeros(len(a)) if x0 is None else np.asarray(x0, dtype=float)
     x = predict(model.matrices, moved, start, np.zeros(len(c)), model.noise).x[1:]
@@ -120,14 +139,21 @@ def k_step(
     for h in range(1, max(horizons) + 1):
         if h in horizons:
             inputs = u[h:]
-            out.append(Ahead(horizon=h, predicted=x[: len(inputs)] @ c.T + inputs @ d.T + shift, measured=y[h:]))
+            out.append(
+                Ahead(
+                    horizon=h,
+                    predicted=x[: len(inputs)] @ c.T + inputs @ d.T + shift,
+                    measured=y[h:],
+                )
+            )
         x = x[:-1] @ a.T + u[h : h + len(x) - 1] @ b.T
     return out
 
 
 @dataclass(frozen=True, kw_only=True)
 class Adapted:
-    """Initial state (n,) and output offset (p,) of a record, estimated from its first `samples` samples."""
+    """Initial state (n,) and output offset (p,) of a record, estimated from its first `samples`
+    samples."""
 
     x0: FloatArray
     offset: FloatArray
@@ -135,9 +161,11 @@ class Adapted:
 
 
 def adapt(model: LinearModel, record: Record, seconds: float) -> Adapted:
-    """Least squares of the innovations of the first `seconds` over x0 and the output offset; everything else is kept.
+    """Least squares of the innovations of the first `seconds` over x0 and the output offset;
+    everything else is kept.
 
-    Zero seconds give x0 = 0 and the model's own offset. Raises `DataError` where the record is too short.
+    Zero seconds give x0 = 0 and the model's own offset. Raises `DataError` where the record is too
+    short.
     """
     count = round(seconds / model.dt)
     n, p = model.order, len(model.outputs)

@@ -1,14 +1,16 @@
 """The one-step predictor of a linear model over a record, and its exact sensitivities. NumPy only.
 
-The predictor x+ = F x + G z, y_hat = C x + D u, with F = A - KC, G = [B - KD, K], z = [u, y], is simulated in its modal
-coordinates: every mode is one first-order filter, and the sensitivity to any entry of F and G is the same bank of
-filters applied to the states and signals, recombined by small matrices. Where modes (nearly) coincide, or where samples
-miss, a plain time-varying recursion gives the same numbers more slowly.
+The predictor x+ = F x + G z, y_hat = C x + D u, with F = A - KC, G = [B - KD, K], z = [u, y], is
+simulated in its modal coordinates: every mode is one first-order filter, and the sensitivity to any
+entry of F and G is the same bank of filters applied to the states and signals, recombined by small
+matrices. Where modes (nearly) coincide, or where samples miss, a plain time-varying recursion gives
+the same numbers more slowly.
 
-Missing outputs: the gain is the Kalman gain of the model for what was measured, K[k] = (A P C' + K L) S^-1 over the
-measured channels; innovations after a hole have covariance S[k] > Lambda and are weighted by it. The sensitivities hold
-that gain sequence fixed while it differs from K, which leaves the estimating equation unbiased (the innovations are
-exact and uncorrelated with everything earlier) but is not the gradient of the likelihood to the last digit.
+Missing outputs: the gain is the Kalman gain of the model for what was measured, K[k] = (A P C' + K
+L) S^-1 over the measured channels; innovations after a hole have covariance S[k] > Lambda and are
+weighted by it. The sensitivities hold that gain sequence fixed while it differs from K, which
+leaves the estimating equation unbiased (the innovations are exact and uncorrelated with everything
+earlier) but is not the gradient of the likelihood to the last digit.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ WORST_MODES = 1e6
 
 
 class Prediction(NamedTuple):
-    """States x (N, n), innovations e (N, p) (0 where missing), and, with holes, whitening factors (N, p, p) or None."""
+    """States x (N, n), innovations e (N, p) (0 where missing), and, with holes, whitening factors
+    (N, p, p) or None."""
 
     x: FloatArray
     e: FloatArray
@@ -36,7 +39,8 @@ class Prediction(NamedTuple):
 
 
 class Modes:
-    """Modal coordinates of a state matrix; `usable` is False where the eigenvectors are nearly dependent."""
+    """Modal coordinates of a state matrix; `usable` is False where the eigenvectors are nearly
+    dependent."""
 
     def __init__(self, f: FloatArray) -> None:
         self.values, self.vectors = np.linalg.eig(f)
@@ -45,13 +49,16 @@ class Modes:
         except np.linalg.LinAlgError:
             self.inverse = np.full_like(self.vectors, np.inf)
         # Frobenius norms: at most n times the condition number, and far cheaper
-        self.condition = float(np.linalg.norm(self.vectors) * np.linalg.norm(self.inverse)) if len(f) else 1.0
+        self.condition = (
+            float(np.linalg.norm(self.vectors) * np.linalg.norm(self.inverse)) if len(f) else 1.0
+        )
         self.usable = self.condition < WORST_MODES
         self.half = np.flatnonzero(self.values.imag >= 0.0)
         self.weight = np.where(self.values[self.half].imag > 0.0, 2.0, 1.0)
 
     def filtered(self, signals: FloatArray) -> list[FloatArray]:
-        """Per kept mode i the response of xi+ = lambda_i xi + w from xi = 0 to each column of signals (N, q)."""
+        """Per kept mode i the response of xi+ = lambda_i xi + w from xi = 0 to each column of
+        signals (N, q)."""
         out = []
         for value in self.values[self.half]:
             pole = value.real if value.imag == 0.0 else value
@@ -62,11 +69,15 @@ class Modes:
 
     def powers(self, count: int) -> list[FloatArray]:
         """Per kept mode the sequence 1, lambda, lambda^2, ... (count,)."""
-        return [powers(v, count).real if v.imag == 0.0 else powers(v, count) for v in self.values[self.half]]
+        return [
+            powers(v, count).real if v.imag == 0.0 else powers(v, count)
+            for v in self.values[self.half]
+        ]
 
 
 def powers(pole: complex, count: int) -> np.ndarray:
-    """1, pole, pole^2, ... (count,), complex; zero once far below rounding, as denormal numbers are slow."""
+    """1, pole, pole^2, ... (count,), complex; zero once far below rounding, as denormal numbers are
+    slow."""
     out = np.zeros(count, dtype=complex)
     size = abs(pole)
     stop = count if size >= 1.0 else min(count, 2 + int(-115.0 / np.log(max(size, 1e-30))))
@@ -74,7 +85,9 @@ def powers(pole: complex, count: int) -> np.ndarray:
     return out
 
 
-def states(f: FloatArray, drive: FloatArray, x0: FloatArray, modes: Modes | None = None) -> FloatArray:
+def states(
+    f: FloatArray, drive: FloatArray, x0: FloatArray, modes: Modes | None = None
+) -> FloatArray:
     """x[k+1] = F x[k] + drive[k] from x[0] = x0: (N, n) for drive (N, n)."""
     n = len(f)
     count = len(drive)
@@ -104,9 +117,15 @@ def states(f: FloatArray, drive: FloatArray, x0: FloatArray, modes: Modes | None
 
 
 def predict(
-    system: Matrices, record: Record, x0: FloatArray, offset: FloatArray, noise: FloatArray, modes: Modes | None = None
+    system: Matrices,
+    record: Record,
+    x0: FloatArray,
+    offset: FloatArray,
+    noise: FloatArray,
+    modes: Modes | None = None,
 ) -> Prediction:
-    """One-step prediction from x[0] = x0 with the output offset (p,) taken off; `noise` is Lambda, used for holes."""
+    """One-step prediction from x[0] = x0 with the output offset (p,) taken off; `noise` is Lambda,
+    used for holes."""
     if record.missing:
         return _with_holes(system, record, x0, offset, noise)
     z = np.hstack([record.u, record.y - offset])
@@ -149,7 +168,8 @@ def direct_part(j: FloatArray, x: FloatArray, u: FloatArray, first: int) -> None
 
 
 def modal_signals(modes: Modes, signals: FloatArray) -> FloatArray:
-    """Filtered signals (N, r, q): r real rows, one per real mode and two (real, imaginary) per complex pair."""
+    """Filtered signals (N, r, q): r real rows, one per real mode and two (real, imaginary) per
+    complex pair."""
     rows = []
     for response in modes.filtered(signals):
         rows.append(response.real)
@@ -159,7 +179,8 @@ def modal_signals(modes: Modes, signals: FloatArray) -> FloatArray:
 
 
 def modal_mix(modes: Modes, c: FloatArray) -> FloatArray:
-    """Weights (p, n, r) that turn `modal_signals` of a push on state a into output o: Re of C v_i w_i'."""
+    """Weights (p, n, r) that turn `modal_signals` of a push on state a into output o: Re of C v_i
+    w_i'."""
     cv = c @ modes.vectors
     out = []
     for i, w in zip(modes.half, modes.weight):
@@ -170,8 +191,11 @@ def modal_mix(modes: Modes, c: FloatArray) -> FloatArray:
     return np.stack(out, axis=2)
 
 
-def start_sensitivities(system: Matrices, modes: Modes, count: int) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of y_hat with respect to x0 (N, p, n) and to the output offset (N, p, p), without holes."""
+def start_sensitivities(
+    system: Matrices, modes: Modes, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of y_hat with respect to x0 (N, p, n) and to the output offset (N, p, p), without
+    holes."""
     p = system.sizes[2]
     mix = modal_mix(modes, system.c)
     rows, sums = [], []
@@ -204,8 +228,11 @@ def from_full_vector(vector: FloatArray, sizes: tuple[int, int, int]) -> Matrice
     return from_predictor(fg[:, :n], fg[:, n:], c, vector[first + p * n :].reshape(p, m))
 
 
-def _with_holes(system: Matrices, record: Record, x0: FloatArray, offset: FloatArray, noise: FloatArray) -> Prediction:
-    """Kalman filter with the gain of what was measured; the state is known (P = 0) at the start of the record."""
+def _with_holes(
+    system: Matrices, record: Record, x0: FloatArray, offset: FloatArray, noise: FloatArray
+) -> Prediction:
+    """Kalman filter with the gain of what was measured; the state is known (P = 0) at the start of
+    the record."""
     a, b, c, d, k = system
     n, _, p = system.sizes
     q, s = k @ noise @ k.T, k @ noise
@@ -247,8 +274,11 @@ def _with_holes(system: Matrices, record: Record, x0: FloatArray, offset: FloatA
     return Prediction(x, e, whitener, gains, log_det)
 
 
-def _recursive(system: Matrices, record: Record, prediction: Prediction) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The same derivatives by a recursion over samples, for time-varying gains and for coinciding modes."""
+def _recursive(
+    system: Matrices, record: Record, prediction: Prediction
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The same derivatives by a recursion over samples, for time-varying gains and for coinciding
+    modes."""
     n, m, p = system.sizes
     a, _, c, d, k = system
     width, count = n + m + p, len(record)
@@ -272,8 +302,8 @@ def _recursive(system: Matrices, record: Record, prediction: Prediction) -> tupl
         out[i] = here
         gain = k if prediction.gains is None else prediction.gains[i]
         push = a @ push - gain @ here
-        # dA = dF + dK C + K dC and dB = dB~ + dK D + K dD, so that in the coordinates (F, B~, K, C, D):
-        # dA x + dB u + dK e = dF x + dB~ u + dK (C x + D u + e) + K (dC x + dD u)
+        # dA = dF + dK C + K dC and dB = dB~ + dK D + K dD, so that in the coordinates (F, B~, K, C,
+        # D): dA x + dB u + dK e = dF x + dB~ u + dK (C x + D u + e) + K (dC x + dD u)
         level = c @ x[i] + d @ u[i] + e[i]
         push[rows[:, None], starts] += np.concatenate([x[i], u[i], level])
         for o in range(p):

@@ -1,4 +1,5 @@
-"""Record: uniformly sampled inputs and outputs. `prepare` checks them and brings them to unit scale."""
+"""Record: uniformly sampled inputs and outputs. `prepare` checks them and brings them to unit
+scale."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ from greybox.symbolic import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """One record: u (N, m) and y (N, p), uniform in time, in SI units. NaN in y is a missing sample; u has none.
+    """One record: u (N, m) and y (N, p), uniform in time, in SI units. NaN in y is a missing
+    sample; u has none.
 
     Raises `DataError` for shapes that do not fit, infinite values, or missing inputs.
     """
@@ -51,7 +53,8 @@ class Record:
 
 @dataclass(frozen=True, kw_only=True)
 class Scaling:
-    """Offsets and scales (u (m,), y (p,)) between a user's records and the unit-variance records the fit works on."""
+    """Offsets and scales (u (m,), y (p,)) between a user's records and the unit-variance records
+    the fit works on."""
 
     input_offset: FloatArray
     output_offset: FloatArray
@@ -75,11 +78,13 @@ def prepare(
     input_names: Sequence[str] | None = None,
     output_names: Sequence[str] | None = None,
 ) -> tuple[list[Record], Scaling]:
-    """Check the records, apply the input delays (whole samples per channel), and scale every channel to unit variance.
+    """Check the records, apply the input delays (whole samples per channel), and scale every
+    channel to unit variance.
 
-    The first `delay` samples of a record are cut where the delayed input is unknown; all channels are cut alike. With
-    `center` the pooled means are taken off. Raises `DataError` for no records, channels that differ between records,
-    a constant channel, a channel without samples, or inputs that are linearly dependent (the message names them).
+    The first `delay` samples of a record are cut where the delayed input is unknown; all channels
+    are cut alike. With `center` the pooled means are taken off. Raises `DataError` for no records,
+    channels that differ between records, a constant channel, a channel without samples, or inputs
+    that are linearly dependent (the message names them).
     """
     if not records:
         raise DataError("no records", fix="pass at least one log to train on")
@@ -88,7 +93,11 @@ def prepare(
         raise DataError("no output channel", fix="name at least one output")
     for r in records:
         if r.u.shape[1] != m or r.y.shape[1] != p:
-            raise DataError(f"{r.u.shape[1]} inputs and {r.y.shape[1]} outputs", where=r.name, expected=f"{m} and {p}")
+            raise DataError(
+                f"{r.u.shape[1]} inputs and {r.y.shape[1]} outputs",
+                where=r.name,
+                expected=f"{m} and {p}",
+            )
     names_u = list(input_names or [f"input {i + 1}" for i in range(m)])
     names_y = list(output_names or [f"output {i + 1}" for i in range(p)])
     shifted = [delayed(r, delays) for r in records]
@@ -105,7 +114,8 @@ def prepare(
         for i, name in enumerate(names):
             if scale[i] <= 1e-12 * max(float(size[i]), 1e-300):
                 raise DataError(
-                    f"{what} '{name}' is constant", fix=f"leave it out, or record a log in which that {what} moves"
+                    f"{what} '{name}' is constant",
+                    fix=f"leave it out, or record a log in which that {what} moves",
                 )
     u0, y0 = (u.mean(axis=0), np.nanmean(y, axis=0)) if center else (np.zeros(m), np.zeros(p))
     scaling = Scaling(input_offset=u0, output_offset=y0, input_scale=su, output_scale=sy)
@@ -115,7 +125,8 @@ def prepare(
 
 
 def delayed(record: Record, delays: Sequence[int] | None) -> Record:
-    """The record with input i taken `delays[i]` samples earlier; the first max(delays) samples are cut.
+    """The record with input i taken `delays[i]` samples earlier; the first max(delays) samples are
+    cut.
 
     Raises `DataError` for a negative delay, a wrong count, or a record shorter than the delay.
     """
@@ -123,19 +134,26 @@ def delayed(record: Record, delays: Sequence[int] | None) -> Record:
         return record
     if len(delays) != record.u.shape[1] or any(d < 0 for d in delays):
         raise DataError(
-            f"delays {list(delays)} do not fit {record.u.shape[1]} inputs", expected="one whole number >= 0 per input"
+            f"delays {list(delays)} do not fit {record.u.shape[1]} inputs",
+            expected="one whole number >= 0 per input",
         )
     cut = max(delays)
     if len(record) <= cut:
-        raise DataError(f"{len(record)} samples are fewer than the delay of {cut}", where=record.name)
+        raise DataError(
+            f"{len(record)} samples are fewer than the delay of {cut}", where=record.name
+        )
     u = np.column_stack([record.u[cut - d : len(record) - d, i] for i, d in enumerate(delays)])
     return Record(u=u, y=record.y[cut:], name=record.name)
 
 
-def split_at_missing(u: FloatArray, y: FloatArray, *, name: str = "record", longest: int = 50) -> list[Record]:
-    """Records from arrays with holes: cut where an input is missing and where all outputs miss for over `longest`.
+def split_at_missing(
+    u: FloatArray, y: FloatArray, *, name: str = "record", longest: int = 50
+) -> list[Record]:
+    """Records from arrays with holes: cut where an input is missing and where all outputs miss for
+    over `longest`.
 
-    Shorter holes in y stay as NaN and are bridged by the Kalman filter. Pieces of fewer than 2 samples are dropped.
+    Shorter holes in y stay as NaN and are bridged by the Kalman filter. Pieces of fewer than 2
+    samples are dropped.
     """
     bad = np.asarray(~np.isfinite(u).all(axis=1))
     dark = np.asarray(~np.isfinite(y).any(axis=1))
@@ -144,7 +162,11 @@ def split_at_missing(u: FloatArray, y: FloatArray, *, name: str = "record", long
             bad[start:end] = True
     pairs = runs(~bad)
     whole = len(pairs) == 1
-    return [Record(u=u[a:b], y=y[a:b], name=name if whole else f"{name}[{a}:{b}]") for a, b in pairs if b - a >= 2]
+    return [
+        Record(u=u[a:b], y=y[a:b], name=name if whole else f"{name}[{a}:{b}]")
+        for a, b in pairs
+        if b - a >= 2
+    ]
 
 
 def _check_rank(u: FloatArray, names: Sequence[str]) -> None:
@@ -154,7 +176,8 @@ def _check_rank(u: FloatArray, names: Sequence[str]) -> None:
         weights = right[-1]
         involved = [n for n, w in zip(names, weights) if abs(w) > 1e-3 * np.abs(weights).max()]
         raise DataError(
-            f"inputs {', '.join(involved)} are linearly dependent, so that their effects cannot be told apart",
+            f"inputs {', '.join(involved)} are linearly dependent, so that their effects cannot be "
+            "told apart",
             fix="leave one out, or combine them into one input",
         )
 
@@ -164,5 +187,7 @@ def _two_dimensional(value: FloatArray, what: str, where: str) -> FloatArray:
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2:
-        raise DataError(f"{what} must be (samples, channels)", where=where, got=f"shape {array.shape}")
+        raise DataError(
+            f"{what} must be (samples, channels)", where=where, got=f"shape {array.shape}"
+        )
     return array

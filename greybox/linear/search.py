@@ -1,8 +1,10 @@
-"""From records to the best model of one order, or of every order up to a largest: starts, polish, warm starts.
+"""From records to the best model of one order, or of every order up to a largest: starts, polish,
+warm starts.
 
-The criterion has local minima. Every order is started from subspace models, from the smaller model with states added
-that predict its innovations, and from the next larger model with its least balanced states cut; the best is polished.
-The likelihood never falls when the order grows, because the smaller model is always among the starts.
+The criterion has local minima. Every order is started from subspace models, from the smaller model
+with states added that predict its innovations, and from the next larger model with its least
+balanced states cut; the best is polished. The likelihood never falls when the order grows, because
+the smaller model is always among the starts.
 """
 
 from __future__ import annotations
@@ -33,10 +35,11 @@ from greybox.symbolic import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What is fitted and how it is started. `methods` are tried in turn and the best start is polished.
+    """What is fitted and how it is started. `methods` are tried in turn and the best start is
+    polished.
 
-    `past` is the subspace horizon (None: AIC of a VARX). `polish` False stops at the subspace start. `exact_order` keeps
-    states that the data do not carry (see `find`).
+    `past` is the subspace horizon (None: AIC of a VARX). `polish` False stops at the subspace
+    start. `exact_order` keeps states that the data do not carry (see `find`).
     """
 
     noise_model: bool = True
@@ -50,7 +53,8 @@ class Options:
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """A solution, the name of the start it came from, and the singular values of the first subspace method."""
+    """A solution, the name of the start it came from, and the singular values of the first subspace
+    method."""
 
     solution: Solution
     start: str
@@ -58,7 +62,8 @@ class Found:
 
 
 def decompose(records: Sequence[Record], largest: int, options: Options) -> list[Subspace]:
-    """One subspace decomposition per method, wide enough for order `largest`; raises the first error if all fail."""
+    """One subspace decomposition per method, wide enough for order `largest`; raises the first
+    error if all fail."""
     out: list[Subspace] = []
     problem: GreyboxError | None = None
     for method in options.methods:
@@ -81,12 +86,20 @@ def decompose(records: Sequence[Record], largest: int, options: Options) -> list
     return out
 
 
-def find(records: Sequence[Record], order: int, options: Options, *, bank: Sequence[Subspace] | None = None) -> Found:
-    """The model of at most `order` states. Raises `DataError` or `FitError` where the data cannot carry it.
+def find(
+    records: Sequence[Record],
+    order: int,
+    options: Options,
+    *,
+    bank: Sequence[Subspace] | None = None,
+) -> Found:
+    """The model of at most `order` states. Raises `DataError` or `FitError` where the data cannot
+    carry it.
 
-    An order that is too high costs nothing: of the subspace starts of `order` states and fewer the one of most evidence is
-    polished, where every state pays `price_of_a_state`. Superfluous states cancel; the likelihood is then no bump, and its
-    maximum fits the noise. (Orders that are compared, in `sweep`, are all polished.)
+    An order that is too high costs nothing: of the subspace starts of `order` states and fewer the
+    one of most evidence is polished, where every state pays `price_of_a_state`. Superfluous states
+    cancel; the likelihood is then no bump, and its maximum fits the noise. (Orders that are
+    compared, in `sweep`, are all polished.)
     """
     bank = bank or decompose(records, order, options)
     if all(order > s.largest_order for s in bank):
@@ -104,11 +117,14 @@ def find(records: Sequence[Record], order: int, options: Options, *, bank: Seque
 def _of_most_evidence(
     starts: list[_Start], records: Sequence[Record], bank: Sequence[Subspace], options: Options
 ) -> list[_Start]:
-    """The ranked starts of as many states as `starts` have, or of fewer if their evidence is greater."""
+    """The ranked starts of as many states as `starts` have, or of fewer if their evidence is
+    greater."""
     order, m, p = starts[0].system.sizes
     price = price_of_a_state(m + (2 if options.noise_model else 1) * p, max(map(len, records)))
     # Fewer states foretell the next sample worse by this already before their recursion is closed.
-    loss = np.min([v - v[-1] for v in (s.misfits(order) for s in bank if s.largest_order >= order)], axis=0)
+    loss = np.min(
+        [v - v[-1] for v in (s.misfits(order) for s in bank if s.largest_order >= order)], axis=0
+    )
     best, total = starts, starts[0].criterion + price * order
     for states in range(order - 1, 0, -1):
         if starts[0].criterion + loss[states] + price > total:
@@ -120,36 +136,51 @@ def _of_most_evidence(
 
 
 def price_of_a_state(parameters: int, samples: int) -> float:
-    """Gain in -2 log likelihood at which one more state of so many `parameters` is as likely as not, on `samples` rows.
+    """Gain in -2 log likelihood at which one more state of so many `parameters` is as likely as
+    not, on `samples` rows.
 
-    Half of what a pair of states pays, by its marginal likelihood. Its strengths, s = 2 (parameters - 1) of them under a
-    Gaussian prior whose width is the most likely one (empirical Bayes; MacKay 1992, Neural Computation 4(3)), cost
-    s (1 + log(G/s)) of a gain G. Its pole is as likely anywhere as the data tell poles apart (Jeffreys): information
-    G/(1 - |pole|^2)^2 over the half disc of poles that the record forgets, of area pi r^2/(1 - r^2)/2 in that metric with
-    r = 1 - FORGET/samples, costs 2 log(G area/(2 pi)) (Laplace). For 3000 rows a state pays 14 with one input and one
-    output, 28 with four and three, where Akaike asks 6 and 20 and Schwarz 24 and 80.
+    Half of what a pair of states pays, by its marginal likelihood. Its strengths, s = 2 (parameters
+    - 1) of them under a Gaussian prior whose width is the most likely one (empirical Bayes; MacKay
+    1992, Neural Computation 4(3)), cost s (1 + log(G/s)) of a gain G. Its pole is as likely
+    anywhere as the data tell poles apart (Jeffreys): information G/(1 - |pole|^2)^2 over the half
+    disc of poles that the record forgets, of area pi r^2/(1 - r^2)/2 in that metric with r = 1 -
+    FORGET/samples, costs 2 log(G area/(2 pi)) (Laplace). For 3000 rows a state pays 14 with one
+    input and one output, 28 with four and three, where Akaike asks 6 and 20 and Schwarz 24 and 80.
     """
     strengths = 2 * max(parameters - 1, 1)
     r = max(1.0 - FORGET / samples, 0.5)
     area = np.pi * r**2 / (1.0 - r**2) / 2.0
 
     def ahead(gain: float) -> float:
-        return float(gain - strengths * (1.0 + np.log(gain / strengths)) - 2.0 * np.log(gain * area / (2.0 * np.pi)))
+        return float(
+            gain
+            - strengths * (1.0 + np.log(gain / strengths))
+            - 2.0 * np.log(gain * area / (2.0 * np.pi))
+        )
 
     pair = brentq(ahead, strengths, 100.0 * strengths) if ahead(strengths) < 0 else strengths
     return float(pair) / 2.0
 
 
 def sweep(
-    records: Sequence[Record], largest: int, options: Options, *, patience: int | None = None, penalty: float = 0.0
+    records: Sequence[Record],
+    largest: int,
+    options: Options,
+    *,
+    patience: int | None = None,
+    penalty: float = 0.0,
 ) -> dict[int, Found]:
-    """The best model of every order 1 .. largest, each started from its neighbours as well as from subspace models.
+    """The best model of every order 1 .. largest, each started from its neighbours as well as from
+    subspace models.
 
-    Polished to 0.3 of -2 log likelihood (at most 20 iterations), enough to compare orders: call `refine` on the chosen.
-    With `patience` the sweep stops once -2 log likelihood + penalty * parameters has not improved for that many orders.
+    Polished to 0.3 of -2 log likelihood (at most 20 iterations), enough to compare orders: call
+    `refine` on the chosen. With `patience` the sweep stops once -2 log likelihood + penalty *
+    parameters has not improved for that many orders.
     """
     bank = decompose(records, largest, options)
-    coarse = replace(options.settings, tolerance=max(0.3, options.settings.tolerance), max_iterations=20)
+    coarse = replace(
+        options.settings, tolerance=max(0.3, options.settings.tolerance), max_iterations=20
+    )
     options = replace(options, settings=coarse)
     values = bank[0].singular_values
     found: dict[int, Found] = {}
@@ -182,7 +213,9 @@ def sweep(
             start = start._replace(d=np.zeros_like(start.d))
         if not _usable(start, options):
             continue
-        rival = _polished(_ranked(records, [(f"order {order + 1} cut", start)], options), records, options, values)
+        rival = _polished(
+            _ranked(records, [(f"order {order + 1} cut", start)], options), records, options, values
+        )
         if rival.solution.evaluation.criterion < found[order].solution.evaluation.criterion - 1e-3:
             found[order] = rival
     return found
@@ -199,7 +232,9 @@ def _dimension(solution: Solution) -> int:
     return solution.tangent.shape[1]
 
 
-def _subspace_starts(bank: Sequence[Subspace], order: int, options: Options) -> list[tuple[str, Matrices]]:
+def _subspace_starts(
+    bank: Sequence[Subspace], order: int, options: Options
+) -> list[tuple[str, Matrices]]:
     out: list[tuple[str, Matrices]] = []
     for s in bank:
         if order > s.largest_order:
@@ -231,17 +266,25 @@ class _Start(NamedTuple):
     nuisances: tuple[Nuisance, ...]
 
 
-def _ranked(records: Sequence[Record], starts: Sequence[tuple[str, Matrices]], options: Options) -> list[_Start]:
+def _ranked(
+    records: Sequence[Record], starts: Sequence[tuple[str, Matrices]], options: Options
+) -> list[_Start]:
     """The starts of finite criterion, most likely first."""
     scored = []
     p = records[0].y.shape[1]
     for label, system in starts:
         nuisances = start_nuisances(system, records, options.settings)
-        scored.append(_Start(evaluate(system, nuisances, records, np.eye(p)).criterion, label, system, nuisances))
+        scored.append(
+            _Start(
+                evaluate(system, nuisances, records, np.eye(p)).criterion, label, system, nuisances
+            )
+        )
     return sorted((s for s in scored if np.isfinite(s.criterion)), key=lambda s: s.criterion)
 
 
-def _polished(starts: Sequence[_Start], records: Sequence[Record], options: Options, values: FloatArray) -> Found:
+def _polished(
+    starts: Sequence[_Start], records: Sequence[Record], options: Options, values: FloatArray
+) -> Found:
     """The best of the starts, each polished; raises `FitError` where there is none."""
     if not starts:
         raise FitError(
@@ -252,7 +295,9 @@ def _polished(starts: Sequence[_Start], records: Sequence[Record], options: Opti
     best: Solution | None = None
     name = ""
     for start in starts:
-        point = Free(system=start.system, noise_model=options.noise_model, feedthrough=options.feedthrough)
+        point = Free(
+            system=start.system, noise_model=options.noise_model, feedthrough=options.feedthrough
+        )
         solution = minimise(point, records, settings, nuisances=start.nuisances)
         if best is None or solution.evaluation.criterion < best.evaluation.criterion:
             best, name = solution, start.name
@@ -260,17 +305,28 @@ def _polished(starts: Sequence[_Start], records: Sequence[Record], options: Opti
     return Found(solution=best, start=name, singular_values=values)
 
 
-def _grown(solution: Solution, records: Sequence[Record], more: int, options: Options) -> Matrices | None:
-    """The model with `more` states added that predict its innovations from u and e; None where there are none.
+def _grown(
+    solution: Solution, records: Sequence[Record], more: int, options: Options
+) -> Matrices | None:
+    """The model with `more` states added that predict its innovations from u and e; None where
+    there are none.
 
-    The added predictor runs on the innovations of the first, so that the cascade is again a predictor of that order
-    sum. Adding states that are never read reproduces the smaller model, hence the likelihood cannot fall.
+    The added predictor runs on the innovations of the first, so that the cascade is again a
+    predictor of that order sum. Adding states that are never read reproduces the smaller model,
+    hence the likelihood cannot fall.
     """
     system = solution.system
-    inner = [Record(u=r.u, y=q.e, name=r.name) for r, q in zip(records, solution.evaluation.predictions)]
+    inner = [
+        Record(u=r.u, y=q.e, name=r.name) for r, q in zip(records, solution.evaluation.predictions)
+    ]
     try:
         more_model = subspace(
-            inner, "ssarx", past=max(8, 2 * more + 2), order=more, feedthrough=False, noise_model=True
+            inner,
+            "ssarx",
+            past=max(8, 2 * more + 2),
+            order=more,
+            feedthrough=False,
+            noise_model=True,
         ).realise(more)
     except (GreyboxError, np.linalg.LinAlgError, ValueError):
         return None
@@ -279,7 +335,12 @@ def _grown(solution: Solution, records: Sequence[Record], more: int, options: Op
     f2, g2 = more_model.predictor, more_model.predictor_input
     b2, k2 = g2[:, :m], g2[:, m:]
     if not options.noise_model:
-        a = np.block([[system.a, np.zeros((system.order, more))], [np.zeros((more, system.order)), more_model.a]])
+        a = np.block(
+            [
+                [system.a, np.zeros((system.order, more))],
+                [np.zeros((more, system.order)), more_model.a],
+            ]
+        )
         b = np.vstack([system.b, more_model.b])
         c = np.hstack([system.c, more_model.c])
         grown = Matrices(a, b, c, system.d, np.zeros((len(a), len(c))))

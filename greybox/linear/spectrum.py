@@ -15,8 +15,8 @@ from greybox.symbolic import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class SpectralError:
-    """`share` (p,) = integral of S_ee over integral of S_yy between `low` and `high` Hz; the spectra (k, p) at
-    `frequency` [Hz].
+    """`share` (p,) = integral of S_ee over integral of S_yy between `low` and `high` Hz; the
+    spectra (k, p) at `frequency` [Hz].
     """
 
     share: FloatArray
@@ -28,19 +28,26 @@ class SpectralError:
 
 
 def spectral_error(
-    innovations: Sequence[FloatArray], outputs: Sequence[FloatArray], dt: float, *, low: float = 0.1, high: float = 20.0
+    innovations: Sequence[FloatArray],
+    outputs: Sequence[FloatArray],
+    dt: float,
+    *,
+    low: float = 0.1,
+    high: float = 20.0,
 ) -> SpectralError:
-    """Welch spectra (Hann windows of 4 s, or the longest that gives three, half overlapping) pooled over records.
+    """Welch spectra (Hann windows of 4 s, or the longest that gives three, half overlapping) pooled
+    over records.
 
-    Arrays (N_i, p) of equal shape; missing samples count as the channel's mean. `high` is cut at the Nyquist frequency.
-    Raises `DataError` where the records are too short to resolve the band.
+    Arrays (N_i, p) of equal shape; missing samples count as the channel's mean. `high` is cut at
+    the Nyquist frequency. Raises `DataError` where the records are too short to resolve the band.
     """
     high = min(high, 0.5 / dt)
     longest = max(len(e) for e in innovations)
     segment = min(round(4.0 / dt), longest // 2)
     if segment < 16 or high <= low:
         raise DataError(
-            f"{longest} samples of {dt:g} s cannot resolve {low:g} .. {high:g} Hz", fix="pass a longer record"
+            f"{longest} samples of {dt:g} s cannot resolve {low:g} .. {high:g} Hz",
+            fix="pass a longer record",
         )
     p = innovations[0].shape[1]
     total_e = total_y = np.zeros((segment // 2 + 1, p))
@@ -55,10 +62,19 @@ def spectral_error(
     see, syy = total_e / weight, total_y / weight
     band = (frequency >= low) & (frequency <= high)
     if band.sum() < 2:
-        raise DataError(f"records are too short to resolve {low:g} .. {high:g} Hz", fix="pass a longer record")
-    share = trapezoid(see[band], frequency[band], axis=0) / trapezoid(syy[band], frequency[band], axis=0)
+        raise DataError(
+            f"records are too short to resolve {low:g} .. {high:g} Hz", fix="pass a longer record"
+        )
+    share = trapezoid(see[band], frequency[band], axis=0) / trapezoid(
+        syy[band], frequency[band], axis=0
+    )
     return SpectralError(
-        share=share, low=float(low), high=float(high), frequency=frequency, error_spectrum=see, output_spectrum=syy
+        share=share,
+        low=float(low),
+        high=float(high),
+        frequency=frequency,
+        error_spectrum=see,
+        output_spectrum=syy,
     )
 
 

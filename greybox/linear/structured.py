@@ -1,7 +1,9 @@
-"""Structured linear grey box: PEM over named physical parameters of A(theta), B(theta), C(theta), D(theta).
+"""Structured linear grey box: PEM over named physical parameters of A(theta), B(theta), C(theta),
+D(theta).
 
-The gain K is free, or zero, so that the noise model never biases the physics: with K free the estimate is the
-prediction error estimate of the innovation form whose deterministic part has the given structure.
+The gain K is free, or zero, so that the noise model never biases the physics: with K free the
+estimate is the prediction error estimate of the innovation form whose deterministic part has the
+given structure.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from greybox.symbolic import FloatArray, Layout, Signal
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredPoint:
-    """theta in units of `unit`, and K, as one point of the class; a `Parametrisation`. Signals at unit scale."""
+    """theta in units of `unit`, and K, as one point of the class; a `Parametrisation`. Signals at
+    unit scale."""
 
     model: StructuredLinear
     theta: FloatArray
@@ -40,13 +43,21 @@ class StructuredPoint:
         return plain.scaled(self.input_scale, self.output_scale)
 
     def tangent(self) -> FloatArray:
-        """Derivatives of the full vector of the predictor along theta and then along the entries of K."""
+        """Derivatives of the full vector of the predictor along theta and then along the entries of
+        K."""
         n, m, p = self.system.sizes
         c, d, k = self.system.c, self.system.d, self.system.k
         su, sy = self.input_scale, self.output_scale
         columns = []
-        for (da, db, dc, dd), unit in zip(self.model.derivatives(self.theta * self.unit), self.unit):
-            da, db, dc, dd = da * unit, db * unit * su, dc * unit / sy[:, None], dd * unit * su / sy[:, None]
+        for (da, db, dc, dd), unit in zip(
+            self.model.derivatives(self.theta * self.unit), self.unit
+        ):
+            da, db, dc, dd = (
+                da * unit,
+                db * unit * su,
+                dc * unit / sy[:, None],
+                dd * unit * su / sy[:, None],
+            )
             rows = np.hstack([da - k @ dc, db - k @ dd, np.zeros((n, p))])
             columns.append(np.concatenate([rows.ravel(), dc.ravel(), dd.ravel()]))
         if self.free_gain:
@@ -67,7 +78,8 @@ class StructuredPoint:
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredFit:
-    """Estimates with standard errors, their covariance (n_theta, n_theta), the linear model, and the status."""
+    """Estimates with standard errors, their covariance (n_theta, n_theta), the linear model, and
+    the status."""
 
     values: dict[str, float]
     std: dict[str, float]
@@ -92,17 +104,21 @@ def fit_structured(
     offsets: bool = True,
     settings: Settings | None = None,
 ) -> StructuredFit:
-    """Fit the named parameters (and K) from `start`. Records in channel units, offsets estimated per record.
+    """Fit the named parameters (and K) from `start`. Records in channel units, offsets estimated
+    per record.
 
-    Raises `UnknownNameError` for a start of another name, `DataError` for channels that do not fit, and `FitError` where
-    the data do not determine the parameters (the message names the combination).
+    Raises `UnknownNameError` for a start of another name, `DataError` for channels that do not fit,
+    and `FitError` where the data do not determine the parameters (the message names the
+    combination).
     """
     for name in start:
         if name not in model.names:
             raise UnknownNameError("parameter", name, model.names)
     missing = [n for n in model.names if n not in start]
     if missing:
-        raise DataError(f"no start for {', '.join(missing)}", fix="give every parameter a nominal value")
+        raise DataError(
+            f"no start for {', '.join(missing)}", fix="give every parameter a nominal value"
+        )
     scaled, scaling = prepare(records, center=offsets)
     value = np.array([start[n] for n in model.names])
     unit = np.where(value != 0, np.abs(value), 1.0)
@@ -121,7 +137,13 @@ def fit_structured(
     elif spectral_radius(a) >= 1.0:
         raise FitError("without a noise model the start must be stable", fix="noise_model=True")
     point = StructuredPoint(
-        model=model, theta=value / unit, unit=unit, gain=gain, free_gain=noise_model, input_scale=su, output_scale=sy
+        model=model,
+        theta=value / unit,
+        unit=unit,
+        gain=gain,
+        free_gain=noise_model,
+        input_scale=su,
+        output_scale=sy,
     )
     settings = replace(settings or Settings(), offsets=offsets)
     solution = minimise(point, scaled, settings)
@@ -135,9 +157,12 @@ def fit_structured(
         if physical.max() > 1e-3 * np.abs(direction).max():
             involved = [m for m, w in zip(model.names, physical) if w > 1e-2 * physical.max()]
             raise FitError(
-                f"the data determine only a combination of {', '.join(involved)}", fix="fix one of them, or excite more"
+                f"the data determine only a combination of {', '.join(involved)}",
+                fix="fix one of them, or excite more",
             )
-    covariance = np.linalg.pinv(h, rcond=1e-14, hermitian=True)[:count, :count] * np.outer(unit, unit)
+    covariance = np.linalg.pinv(h, rcond=1e-14, hermitian=True)[:count, :count] * np.outer(
+        unit, unit
+    )
     end = solution.point
     assert isinstance(end, StructuredPoint)
     theta = end.theta * unit

@@ -1,8 +1,9 @@
 """Subspace identification: one singular value decomposition gives starts of every order at once.
 
-All members share the scheme (Van Overschee and De Moor 1996; Chiuso 2007): find a matrix J so that x[k] = J z_past[k],
-z_past[k] = [z[k-1], ..., z[k-past]], z = [u, y]; then y[k] on (x[k], u[k]) gives C, D and the innovations, and x[k+1]
-on (x[k], u[k], e[k]) gives A, B, K. They differ in how the predictable future is computed and weighted.
+All members share the scheme (Van Overschee and De Moor 1996; Chiuso 2007): find a matrix J so that
+x[k] = J z_past[k], z_past[k] = [z[k-1], ..., z[k-past]], z = [u, y]; then y[k] on (x[k], u[k])
+gives C, D and the innovations, and x[k+1] on (x[k], u[k], e[k]) gives A, B, K. They differ in how
+the predictable future is computed and weighted.
 
 | method | future | weights (left, right) | under feedback |
 |---|---|---|---|
@@ -35,9 +36,11 @@ METHODS: tuple[Method, ...] = ("n4sid", "moesp", "cva", "ssarx", "pbsid")
 
 @dataclass(frozen=True, kw_only=True)
 class Subspace:
-    """What one decomposition gives: singular values (largest first) and the map to the states of any order.
+    """What one decomposition gives: singular values (largest first) and the map to the states of
+    any order.
 
-    `state_map` (n_max, past (m + p)) holds the rows of J; `realise(order)` regresses the matrices for that order.
+    `state_map` (n_max, past (m + p)) holds the rows of J; `realise(order)` regresses the matrices
+    for that order.
     """
 
     method: Method
@@ -72,7 +75,8 @@ class Subspace:
         return x / scale, x1 / scale, u, y
 
     def misfits(self, order: int) -> FloatArray:
-        """N log det of what 0, 1, ..., `order` states and the direct inputs leave of y[k]: (order + 1,), never rising."""
+        """N log det of what 0, 1, ..., `order` states and the direct inputs leave of y[k]: (order +
+        1,), never rising."""
         x, _, u, y = self.rows
         x, direct = x[:, :order], u if self.feedthrough else u[:, :0]
         tri = triangle(np.hstack([direct, x, y]))
@@ -81,7 +85,8 @@ class Subspace:
         return len(y) * np.array([np.linalg.slogdet(v.T @ v / len(y))[1] for v in left])
 
     def realise(self, order: int, *, stable: bool = False) -> Matrices:
-        """The model of that order; with `stable` A has its eigenvalues inside the unit circle by construction.
+        """The model of that order; with `stable` A has its eigenvalues inside the unit circle by
+        construction.
 
         The predictor A - KC is always stable. Raises `FitError` for an order above `largest_order`.
         """
@@ -105,11 +110,12 @@ def subspace(
     noise_model: bool = True,
     varx: Varx | None = None,
 ) -> Subspace:
-    """Decompose the records. `past` None takes the AIC order of a VARX; `future` None takes the same.
+    """Decompose the records. `past` None takes the AIC order of a VARX; `future` None takes the
+    same.
 
-    `order` is the largest order that will be asked for: the horizons are widened to carry it. Missing outputs are
-    interpolated for this start only. `varx` is that of another method on the same records, to save its time. Raises
-    `DataError` where the records are too short.
+    `order` is the largest order that will be asked for: the horizons are widened to carry it.
+    Missing outputs are interpolated for this start only. `varx` is that of another method on the
+    same records, to save its time. Raises `DataError` where the records are too short.
     """
     filled = tuple(_filled(r) for r in records)
     m, p = filled[0].u.shape[1], filled[0].y.shape[1]
@@ -124,9 +130,11 @@ def subspace(
     rows = sum(len(r) - span - ahead + 1 for r in usable)
     if rows < (span + ahead) * (m + p):
         raise DataError(
-            f"{sum(len(r) for r in filled)} samples in {len(filled)} records are too short for order {order} "
+            f"{sum(len(r) for r in filled)} samples in {len(filled)} records are too short for "
+            f"order {order} "
             f"with {m} inputs and {p} outputs",
-            expected=f"at least {(span + ahead) * (m + p) + (span + ahead) * max(1, len(usable))} samples",
+            expected=f"at least {(span + ahead) * (m + p) + (span + ahead) * max(1, len(usable))} "
+            "samples",
             fix="lower the order or pass longer records",
         )
     if method == "pbsid" or method == "ssarx":
@@ -155,8 +163,11 @@ def _future(record: Record, values: FloatArray, past: int, future: int) -> Float
     return np.hstack([values[past + i : stop + i + 1] for i in range(future)])
 
 
-def _open_loop(records: Sequence[Record], method: Method, past: int, future: int) -> tuple[FloatArray, FloatArray]:
-    """N4SID, PO-MOESP and CVA by one LQ decomposition (Van Overschee and De Moor 1996, chapter 4)."""
+def _open_loop(
+    records: Sequence[Record], method: Method, past: int, future: int
+) -> tuple[FloatArray, FloatArray]:
+    """N4SID, PO-MOESP and CVA by one LQ decomposition (Van Overschee and De Moor 1996, chapter
+    4)."""
     blocks = []
     for r in records:
         z = lagged(r, past, last=len(r) - future)
@@ -165,7 +176,11 @@ def _open_loop(records: Sequence[Record], method: Method, past: int, future: int
     m, p = records[0].u.shape[1], records[0].y.shape[1]
     nu, nzp = future * m, past * (m + p)
     tri = triangle(data) / np.sqrt(len(data))
-    r12, r22, r23 = tri[:nu, nu : nu + nzp], tri[nu : nu + nzp, nu : nu + nzp], tri[nu : nu + nzp, nu + nzp :]
+    r12, r22, r23 = (
+        tri[:nu, nu : nu + nzp],
+        tri[nu : nu + nzp, nu : nu + nzp],
+        tri[nu : nu + nzp, nu + nzp :],
+    )
     r33 = tri[nu + nzp :, nu + nzp :]
     diagonal = np.abs(np.diag(r22))
     if diagonal.min() > 1e-10 * diagonal.max():
@@ -185,7 +200,8 @@ def _open_loop(records: Sequence[Record], method: Method, past: int, future: int
 
 
 def _ssarx(records: Sequence[Record], varx: Varx, future: int) -> tuple[FloatArray, FloatArray]:
-    """Jansson (2003), "Subspace identification and ARX modeling": take off what u and y after k bring, then CCA."""
+    """Jansson (2003), "Subspace identification and ARX modeling": take off what u and y after k
+    bring, then CCA."""
     past, (p, nz) = varx.past, varx.theta.shape[1:]
     m = nz - p
     clean = np.zeros((future, nz, future, p))
@@ -212,7 +228,8 @@ def _ssarx(records: Sequence[Record], varx: Varx, future: int) -> tuple[FloatArr
 
 
 def _pbsid(records: Sequence[Record], varx: Varx, future: int) -> tuple[FloatArray, FloatArray]:
-    """PBSID-opt (Chiuso 2007): the product of predictor observability and reachability from VARX coefficients."""
+    """PBSID-opt (Chiuso 2007): the product of predictor observability and reachability from VARX
+    coefficients."""
     past, (p, nz) = varx.past, varx.theta.shape[1:]
     ahead = min(future, past)
     rows = np.vstack([lagged(r, past) for r in records])
@@ -259,21 +276,36 @@ def _regressed(regressor: FloatArray, target: FloatArray) -> FloatArray:
     tri = triangle(np.hstack([regressor, target]))
     diagonal = np.abs(np.diag(tri)[:width])
     if len(tri) > width and diagonal.min() > 1e-5 * diagonal.max():
-        return np.asarray(sla.solve_triangular(tri[:width, :width], tri[:width, width:], check_finite=False)).T
-    return np.asarray(sla.lstsq(regressor, target, cond=1e-12, lapack_driver="gelsy", check_finite=False)[0]).T
+        return np.asarray(
+            sla.solve_triangular(tri[:width, :width], tri[:width, width:], check_finite=False)
+        ).T
+    return np.asarray(
+        sla.lstsq(regressor, target, cond=1e-12, lapack_driver="gelsy", check_finite=False)[0]
+    ).T
 
 
 def _stabilising_gain(
-    a: FloatArray, b: FloatArray, c: FloatArray, k: FloatArray, xu: FloatArray, x1: FloatArray, e: FloatArray
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+    k: FloatArray,
+    xu: FloatArray,
+    x1: FloatArray,
+    e: FloatArray,
 ) -> FloatArray:
-    """A gain with a stable predictor: the Riccati gain of the regression residuals, else that of unit noises."""
+    """A gain with a stable predictor: the Riccati gain of the regression residuals, else that of
+    unit noises."""
     w = x1 - xu @ np.hstack([a, b]).T
     both = np.hstack([w, e])
     covariance = both.T @ both / len(both)
     n = len(a)
     try:
         gain, _, _ = steady_gain(
-            a, c, covariance[:n, :n] + 1e-9 * np.eye(n), covariance[n:, n:] + 1e-12 * np.eye(len(c)), covariance[:n, n:]
+            a,
+            c,
+            covariance[:n, :n] + 1e-9 * np.eye(n),
+            covariance[n:, n:] + 1e-12 * np.eye(len(c)),
+            covariance[:n, n:],
         )
         if spectral_radius(a - gain @ c) < 0.9999:
             return gain
@@ -287,7 +319,8 @@ def _stabilising_gain(
 
 
 def _pulled_in(a: FloatArray, radius: float) -> FloatArray:
-    """A with every eigenvalue at most `radius` in size: those outside are mirrored at the unit circle, then limited."""
+    """A with every eigenvalue at most `radius` in size: those outside are mirrored at the unit
+    circle, then limited."""
     values, vectors = np.linalg.eig(a)
     size = np.abs(values)
     if size.max(initial=0.0) <= radius:

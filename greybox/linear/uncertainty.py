@@ -1,9 +1,11 @@
-"""Uncertainty of what does not depend on state coordinates: poles, zeros, frequency response, steady gain.
+"""Uncertainty of what does not depend on state coordinates: poles, zeros, frequency response,
+steady gain.
 
-The covariance of the entries of (A, B, C, D, K) lives on the tangent space that the fit used, so that it has rank d and
-says nothing about directions that only change coordinates. Any quantity that is the same in all coordinates has a
-gradient without components along those directions, so that its variance g' P g is the same whichever coordinates the
-covariance is expressed in (delta method; Ljung 1999, section 9.6).
+The covariance of the entries of (A, B, C, D, K) lives on the tangent space that the fit used, so
+that it has rank d and says nothing about directions that only change coordinates. Any quantity that
+is the same in all coordinates has a gradient without components along those directions, so that its
+variance g' P g is the same whichever coordinates the covariance is expressed in (delta method;
+Ljung 1999, section 9.6).
 """
 
 from __future__ import annotations
@@ -17,31 +19,39 @@ from greybox.model.matrices import Matrices
 from greybox.symbolic import BoolArray, FloatArray
 
 STRONG = 25.0
-"""Strength of a mode from which the standard error of its pole is believed: about 5 standard errors of the residue."""
+"""Strength of a mode from which the standard error of its pole is believed: about 5 standard errors
+of the residue."""
 CROWDED = 0.1
 """Largest share of the distance to the next pole that a standard error may have to be believed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ComplexEstimate:
-    """Complex numbers `value` (k,) with covariances of their (real, imaginary) parts `covariance` (k, 2, 2)."""
+    """Complex numbers `value` (k,) with covariances of their (real, imaginary) parts `covariance`
+    (k, 2, 2)."""
 
     value: np.ndarray
     covariance: FloatArray
 
     def ellipse(self, i: int, *, level: float = 0.95, points: int = 65) -> np.ndarray:
-        """Boundary (points,) of the confidence ellipse of number i in the complex plane (a segment for a real one)."""
+        """Boundary (points,) of the confidence ellipse of number i in the complex plane (a segment
+        for a real one)."""
         values, vectors = np.linalg.eigh(self.covariance[i])
         inside = values[0] <= 1e-12 * max(float(values[1]), 1e-300)
         radius = np.sqrt(_chi2(level, 1 if inside else 2))
         angle = np.linspace(0, 2 * np.pi, points)
-        xy = vectors @ (np.sqrt(np.maximum(values, 0))[:, None] * radius * np.array([np.cos(angle), np.sin(angle)]))
+        xy = vectors @ (
+            np.sqrt(np.maximum(values, 0))[:, None]
+            * radius
+            * np.array([np.cos(angle), np.sin(angle)])
+        )
         return np.asarray(self.value[i] + xy[0] + 1j * xy[1])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertainty:
-    """A system with a factor S (q, d) of the covariance S S' of `vector(system)` = [A, B, K rows; C; D] entries."""
+    """A system with a factor S (q, d) of the covariance S S' of `vector(system)` = [A, B, K rows;
+    C; D] entries."""
 
     system: Matrices
     factor: FloatArray
@@ -62,14 +72,17 @@ class Uncertainty:
         return np.asarray(spread @ spread.T)
 
     def poles(self) -> ComplexEstimate:
-        """Eigenvalues of A with covariances: d lambda = w' dA v / w' v (Golub and Van Loan 2013, section 7.2.2)."""
+        """Eigenvalues of A with covariances: d lambda = w' dA v / w' v (Golub and Van Loan 2013,
+        section 7.2.2)."""
         return self._eigenvalues(self.system.a, "a")
 
     def pole_strengths(self) -> FloatArray:
-        """Wald statistic per degree of freedom (n,) of the hypothesis that a mode is not there, in the order of `poles`.
+        """Wald statistic per degree of freedom (n,) of the hypothesis that a mode is not there, in
+        the order of `poles`.
 
-        The mode of a pole enters by its residue R = C v w' [B, K]; strength is r' cov(r)^+ r over the rank of cov(r), r
-        the entries of R (real and imaginary for a complex pole). About 1 is noise.
+        The mode of a pole enters by its residue R = C v w' [B, K]; strength is r' cov(r)^+ r over
+        the rank of cov(r), r the entries of R (real and imaginary for a complex pole). About 1 is
+        noise.
         """
         n, m, p = self.system.sizes
         values, left, right = sla.eig(self.system.a, left=True, right=True)
@@ -86,7 +99,9 @@ class Uncertainty:
             rows = []
             for da, db, dc, _, dk in parts:
                 turned = rest @ da @ mode + mode @ da @ rest
-                change = dc @ mode @ drive + self.system.c @ (turned @ drive + mode @ np.hstack([db, dk]))
+                change = dc @ mode @ drive + self.system.c @ (
+                    turned @ drive + mode @ np.hstack([db, dk])
+                )
                 rows.append(change.ravel())
             residue, spread = (self.system.c @ mode @ drive).ravel(), np.array(rows).T
             if values[i].imag == 0.0:
@@ -97,15 +112,18 @@ class Uncertainty:
             u, s, _ = np.linalg.svd(spread, full_matrices=False)
             keep = s[:freedom] > 1e-9 * max(float(s.max(initial=0.0)), 1e-300)
             out.append(
-                float((((u[:, :freedom].T @ residue)[keep] / s[:freedom][keep]) ** 2).sum()) / max(keep.sum(), 1)
+                float((((u[:, :freedom].T @ residue)[keep] / s[:freedom][keep]) ** 2).sum())
+                / max(keep.sum(), 1)
             )
         return np.array(out)
 
     def well_determined(self) -> BoolArray:
-        """Whether the standard error of each pole (order of `poles`) can be believed: booleans (n,).
+        """Whether the standard error of each pole (order of `poles`) can be believed: booleans
+        (n,).
 
-        A weak mode (strength below `STRONG`) or one whose neighbour is nearer than ten of its standard errors has a
-        likelihood that is no parabola: its interval is too short. `pole_profile` has intervals for those.
+        A weak mode (strength below `STRONG`) or one whose neighbour is nearer than ten of its
+        standard errors has a likelihood that is no parabola: its interval is too short.
+        `pole_profile` has intervals for those.
         """
         poles = self.poles()
         distance = np.abs(poles.value[:, None] - poles.value[None])
@@ -121,12 +139,18 @@ class Uncertainty:
     def zeros(self, output: int | None = None, input: int | None = None) -> ComplexEstimate:
         """Finite invariant zeros of the square system, or of one (output, input) channel.
 
-        Zeros beyond 1e3 in size are those at infinity and are left out. A system that is not square has none.
+        Zeros beyond 1e3 in size are those at infinity and are left out. A system that is not square
+        has none.
         """
         n, m, p = self.system.sizes
         rows = slice(None) if output is None else slice(output, output + 1)
         columns = slice(None) if input is None else slice(input, input + 1)
-        a, b, c, d = self.system.a, self.system.b[:, columns], self.system.c[rows], self.system.d[rows, columns]
+        a, b, c, d = (
+            self.system.a,
+            self.system.b[:, columns],
+            self.system.c[rows],
+            self.system.d[rows, columns],
+        )
         if b.shape[1] != c.shape[0]:
             return ComplexEstimate(value=np.zeros(0, dtype=complex), covariance=np.zeros((0, 2, 2)))
         size = n + c.shape[0]
@@ -147,10 +171,13 @@ class Uncertainty:
                 spread.append(w @ change @ v / scale)
             out.append(values[i])
             covariance.append(_two_by_two(np.array(spread)))
-        return ComplexEstimate(value=np.array(out, dtype=complex), covariance=np.array(covariance).reshape(-1, 2, 2))
+        return ComplexEstimate(
+            value=np.array(out, dtype=complex), covariance=np.array(covariance).reshape(-1, 2, 2)
+        )
 
     def response(self, frequencies: FloatArray, dt: float) -> tuple[np.ndarray, FloatArray]:
-        """Frequency response G (k, p, m) at `frequencies` [Hz] and covariances (k, p, m, 2, 2) of (real, imaginary)."""
+        """Frequency response G (k, p, m) at `frequencies` [Hz] and covariances (k, p, m, 2, 2) of
+        (real, imaginary)."""
         n, m, p = self.system.sizes
         a, b, c, d, _ = self.system
         parts = [_split(s, (n, m, p)) for s in self.factor.T]
@@ -171,7 +198,8 @@ class Uncertainty:
         return np.array(gains), np.array(covariances).reshape(-1, p, m, 2, 2)
 
     def bode(self, frequencies: FloatArray, dt: float) -> dict[str, FloatArray]:
-        """Magnitude and phase [rad] with standard errors, each (k, p, m): magnitude, phase, magnitude_std, phase_std.
+        """Magnitude and phase [rad] with standard errors, each (k, p, m): magnitude, phase,
+        magnitude_std, phase_std.
 
         `log_magnitude_std` is the standard error of ln |G|, for bands that stay positive.
         """
@@ -209,16 +237,23 @@ class Uncertainty:
 def uncertainty(
     system: Matrices, information: FloatArray, tangent: FloatArray, scores: FloatArray | None = None
 ) -> tuple[Uncertainty, int]:
-    """From H = J'J (d, d) along `tangent` (q, d; coordinates of `predictor.full_vector`). Also the rank of H.
+    """From H = J'J (d, d) along `tangent` (q, d; coordinates of `predictor.full_vector`). Also the
+    rank of H.
 
-    The covariance is H^-1 (Fisher), or with the covariance M of the `scores` (d, d) the sandwich H^-1 M H^-1. Directions
-    that the data do not see (relative eigenvalue below 1e-12) get no covariance; the rank tells how many are left, and a
-    caller must say so where it is below d.
+    The covariance is H^-1 (Fisher), or with the covariance M of the `scores` (d, d) the sandwich
+    H^-1 M H^-1. Directions that the data do not see (relative eigenvalue below 1e-12) get no
+    covariance; the rank tells how many are left, and a caller must say so where it is below d.
     """
     n, m, p = system.sizes
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-14 * max(float(np.diag(information).max(initial=0.0)), 1e-300)))
+    scale = np.sqrt(
+        np.maximum(
+            np.diag(information), 1e-14 * max(float(np.diag(information).max(initial=0.0)), 1e-300)
+        )
+    )
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    keep = values > 1e-12 * max(float(values[-1]), 1e-300) if len(values) else np.zeros(0, dtype=bool)
+    keep = (
+        values > 1e-12 * max(float(values[-1]), 1e-300) if len(values) else np.zeros(0, dtype=bool)
+    )
     root = (vectors[:, keep] / np.sqrt(values[keep])) / scale[:, None]
     if scores is not None:
         share, turn = np.linalg.eigh(root.T @ scores @ root)
@@ -230,8 +265,14 @@ def uncertainty(
         rows = s[:first].reshape(n, width)
         df, db, dk = rows[:, :n], rows[:, n : n + m], rows[:, n + m :]
         dc, dd = s[first : first + p * n].reshape(p, n), s[first + p * n :].reshape(p, m)
-        columns.append(_join(df + dk @ system.c + system.k @ dc, db + dk @ system.d + system.k @ dd, dc, dd, dk))
-    return Uncertainty(system=system, factor=np.array(columns).T.reshape(tangent.shape[0], -1)), int(keep.sum())
+        columns.append(
+            _join(
+                df + dk @ system.c + system.k @ dc, db + dk @ system.d + system.k @ dd, dc, dd, dk
+            )
+        )
+    return Uncertainty(
+        system=system, factor=np.array(columns).T.reshape(tangent.shape[0], -1)
+    ), int(keep.sum())
 
 
 def rescaled(known: Uncertainty, input_scale: FloatArray, output_scale: FloatArray) -> Uncertainty:
@@ -243,7 +284,8 @@ def rescaled(known: Uncertainty, input_scale: FloatArray, output_scale: FloatArr
         da, db, dc, dd, dk = _split(s, (n, m, p))
         columns.append(_join(da, db / su, dc * sy[:, None], dd * sy[:, None] / su, dk / sy))
     return Uncertainty(
-        system=known.system.scaled(1 / su, 1 / sy), factor=np.array(columns).T.reshape(known.factor.shape[0], -1)
+        system=known.system.scaled(1 / su, 1 / sy),
+        factor=np.array(columns).T.reshape(known.factor.shape[0], -1),
     )
 
 
@@ -260,7 +302,9 @@ def _split(s: FloatArray, sizes: tuple[int, int, int]) -> tuple[FloatArray, ...]
     )
 
 
-def _join(da: FloatArray, db: FloatArray, dc: FloatArray, dd: FloatArray, dk: FloatArray) -> FloatArray:
+def _join(
+    da: FloatArray, db: FloatArray, dc: FloatArray, dd: FloatArray, dk: FloatArray
+) -> FloatArray:
     return np.concatenate([np.hstack([da, db, dk]).ravel(), dc.ravel(), dd.ravel()])
 
 

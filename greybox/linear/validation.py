@@ -1,4 +1,5 @@
-"""Validation of a linear fit: residual tests on the training records, k-step prediction and free run on unseen ones."""
+"""Validation of a linear fit: residual tests on the training records, k-step prediction and free
+run on unseen ones."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ LEVEL = 0.99
 
 @dataclass(frozen=True, kw_only=True)
 class TestRow:
-    """One record at one horizon (0 = free run from the start): RMSE and fit percentage per output, persistence RMSE."""
+    """One record at one horizon (0 = free run from the start): RMSE and fit percentage per output,
+    persistence RMSE."""
 
     record: str
     horizon: int
@@ -39,9 +41,11 @@ class TestRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """A fit with its residual tests (training records) and its test rows (records that the fit never saw).
+    """A fit with its residual tests (training records) and its test rows (records that the fit
+    never saw).
 
-    `log_det_test` is log det of the one-step innovation covariance about zero on the test records, NaN without any.
+    `log_det_test` is log det of the one-step innovation covariance about zero on the test records,
+    NaN without any.
     """
 
     fit: LinearFit
@@ -64,7 +68,9 @@ class Identified:
             "fit": to_dict(self.fit),
             "model": self.fit.model.to_dict(),
             "profile_intervals": [_interval(i) for i in self.intervals],
-            "train": {"one_step_fit_percent": dict(zip(self.fit.model.outputs.names, self.train_fit))},
+            "train": {
+                "one_step_fit_percent": dict(zip(self.fit.model.outputs.names, self.train_fit))
+            },
             "whiteness": None if self.whiteness is None else self.whiteness.to_dict(),
             "cross_correlation": None if self.cross is None else self.cross.to_dict(),
             "feedback_assumed": self.feedback,
@@ -101,7 +107,8 @@ class Identified:
         ]
         for i in self.intervals:
             lines.append(
-                f"pole {i.pole:.4f}: {100 * i.level:.0f} % profile interval of its {i.quantity} part "
+                f"pole {i.pole:.4f}: {100 * i.level:.0f} % profile interval of its {i.quantity} "
+                "part "
                 f"[{i.lower:.4f}, {i.upper:.4f}]"
             )
         if self.spectral is not None:
@@ -135,17 +142,23 @@ def validate_linear(
 ) -> Identified:
     """Residual tests and test rows of `fit`, which uses the given columns of the records' u and y.
 
-    `horizons` are numbers of samples. With `adapt_seconds` the initial state and output offset of each test record
-    are fitted on its first seconds, which are then not scored; without, the state starts at zero and the first 2 s
-    are run in but not scored. Under `feedback` the verdict of the input test uses positive lags only. Raises
-    `DataError` where test records are too short.
+    `horizons` are numbers of samples. With `adapt_seconds` the initial state and output offset of
+    each test record are fitted on its first seconds, which are then not scored; without, the state
+    starts at zero and the first 2 s are run in but not scored. Under `feedback` the verdict of the
+    input test uses positive lags only. Raises `DataError` where test records are too short.
     """
     own = [_part(r, columns, outputs) for r in train]
     moved = [delayed(r, fit.model.delays) for r in own]
     e = list(fit.innovations)
     white, cross, spectral = None, None, None
     try:
-        white = whiteness(e, names=fit.model.outputs.names, max_lag=MAX_LAG, fitted=min(2 * fit.order, 20), level=LEVEL)
+        white = whiteness(
+            e,
+            names=fit.model.outputs.names,
+            max_lag=MAX_LAG,
+            fitted=min(2 * fit.order, 20),
+            level=LEVEL,
+        )
     except GreyboxError:
         white = None
     if len(fit.model.inputs):
@@ -159,7 +172,9 @@ def validate_linear(
                 level=LEVEL,
             )
             if not feedback:
-                cross = replace(cross, note="All lags count: the inputs were declared free of feedback.")
+                cross = replace(
+                    cross, note="All lags count: the inputs were declared free of feedback."
+                )
         except GreyboxError:
             cross = None
     try:
@@ -212,11 +227,16 @@ def _part(record: Record, columns: Sequence[int], outputs: Sequence[int]) -> Rec
 
 
 def _test_rows(
-    fit: LinearFit, record: Record, horizons: Sequence[int], seconds: float, one_step: list[FloatArray]
+    fit: LinearFit,
+    record: Record,
+    horizons: Sequence[int],
+    seconds: float,
+    one_step: list[FloatArray],
 ) -> list[TestRow]:
     model = fit.model
     known = adapt(model, record, seconds)
-    # A horizon of which a short record holds no more than a few is left out, unless it is the only one.
+    # A horizon of which a short record holds no more than a few is left out, unless it is the only
+    # one.
     reached = [h for h in horizons if h <= len(record) // 2] or [min(horizons)]
     first = max(known.samples, min(round(2.0 / model.dt), (len(record) - max(reached)) // 3))
     out = []

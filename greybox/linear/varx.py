@@ -1,6 +1,7 @@
 """VARX: the long vector autoregression with inputs from which closed-loop subspace methods start.
 
-y[k] = D u[k] + sum_j Theta_j [u[k-j]; y[k-j]] + e[k]. One QR gives every order up to the largest, and AIC chooses.
+y[k] = D u[k] + sum_j Theta_j [u[k-j]; y[k-j]] + e[k]. One QR gives every order up to the largest,
+and AIC chooses.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from greybox.symbolic import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class Varx:
-    """Coefficients of lag 1, 2, ...: `theta` (past, p, m + p), feedthrough `d` (p, m), innovation covariance (p, p)."""
+    """Coefficients of lag 1, 2, ...: `theta` (past, p, m + p), feedthrough `d` (p, m), innovation
+    covariance (p, p)."""
 
     past: int
     theta: FloatArray
@@ -28,7 +30,8 @@ class Varx:
 
 
 def lagged(record: Record, past: int, *, last: int | None = None) -> FloatArray:
-    """Rows k = past .. last of [z[k-1], ..., z[k-past]] with z = [u, y]: (last - past + 1, past (m + p)).
+    """Rows k = past .. last of [z[k-1], ..., z[k-past]] with z = [u, y]: (last - past + 1, past (m
+    + p)).
 
     `last` defaults to N - 1; N itself is allowed (everything it needs is known).
     """
@@ -38,11 +41,17 @@ def lagged(record: Record, past: int, *, last: int | None = None) -> FloatArray:
 
 
 def fit_varx(
-    records: Sequence[Record], *, past: int | None = None, feedthrough: bool = True, largest: int | None = None
+    records: Sequence[Record],
+    *,
+    past: int | None = None,
+    feedthrough: bool = True,
+    largest: int | None = None,
 ) -> Varx:
-    """Least squares VARX; `past` None lets AIC choose among 1 .. `largest` (default 10 log10 N, within the data).
+    """Least squares VARX; `past` None lets AIC choose among 1 .. `largest` (default 10 log10 N,
+    within the data).
 
-    Rows with a missing value are left out. Raises `DataError` where fewer rows than coefficients remain.
+    Rows with a missing value are left out. Raises `DataError` where fewer rows than coefficients
+    remain.
     """
     m, p = records[0].u.shape[1], records[0].y.shape[1]
     total = sum(len(r) for r in records)
@@ -59,7 +68,11 @@ def fit_varx(
     whole = all(not r.missing for r in usable)
     data = np.zeros((0, 1))
     rows = sum(len(r) - limit for r in usable)
-    r = _triangle_from_covariances(usable, limit, feedthrough) if whole and rows > 2 * columns else None
+    r = (
+        _triangle_from_covariances(usable, limit, feedthrough)
+        if whole and rows > 2 * columns
+        else None
+    )
     if r is None:
         blocks = [_rows(q, limit, feedthrough) for q in usable]
         data = np.vstack(blocks) if blocks else np.zeros((0, 1))
@@ -81,14 +94,24 @@ def fit_varx(
     d = coefficients[:head].T if feedthrough else np.zeros((p, m))
     theta = coefficients[head:].T.reshape(p, chosen, nz).transpose(1, 0, 2)
     inverse = _solve_triangular(tri, np.eye(used))[:head] if feedthrough else np.zeros((0, used))
-    return Varx(past=chosen, theta=np.ascontiguousarray(theta), d=d, noise=noise, d_covariance=inverse @ inverse.T)
+    return Varx(
+        past=chosen,
+        theta=np.ascontiguousarray(theta),
+        d=d,
+        noise=noise,
+        d_covariance=inverse @ inverse.T,
+    )
 
 
-def _triangle_from_covariances(records: Sequence[Record], limit: int, feedthrough: bool) -> FloatArray | None:
-    """R of the QR of the regression, from lagged covariances; None where squaring the data would cost digits.
+def _triangle_from_covariances(
+    records: Sequence[Record], limit: int, feedthrough: bool
+) -> FloatArray | None:
+    """R of the QR of the regression, from lagged covariances; None where squaring the data would
+    cost digits.
 
-    The Gram matrix of lagged data is block Toeplitz up to the ends of the records: G[i+1, j+1] = G[i, j] plus one
-    product of first samples minus one of last samples. That is far cheaper than forming and factoring the lagged data.
+    The Gram matrix of lagged data is block Toeplitz up to the ends of the records: G[i+1, j+1] =
+    G[i, j] plus one product of first samples minus one of last samples. That is far cheaper than
+    forming and factoring the lagged data.
     """
     nz = records[0].u.shape[1] + records[0].y.shape[1]
     m, p = records[0].u.shape[1], records[0].y.shape[1]
@@ -104,7 +127,9 @@ def _triangle_from_covariances(records: Sequence[Record], limit: int, feedthroug
             first, last = z[limit - i - 1], z[count - 1 - i]
             early, late = z[: limit - i][::-1], z[count - limit : count - i][::-1]
             own[i + 1, i + 1 :] = (
-                own[i, i:limit] + first[:, None] * early[:, None, :] - last[:, None] * late[:, None, :]
+                own[i, i:limit]
+                + first[:, None] * early[:, None, :]
+                - last[:, None] * late[:, None, :]
             )
         for i in range(limit + 1):
             for j in range(i):
@@ -123,12 +148,16 @@ def _triangle_from_covariances(records: Sequence[Record], limit: int, feedthroug
     return np.asarray(triangle)
 
 
-def estimate_delays(records: Sequence[Record], *, largest: int = 20, level: float = 3.3) -> tuple[int, ...]:
-    """Whole-sample input delay per channel: the leading impulse-response lags that cannot be told from zero.
+def estimate_delays(
+    records: Sequence[Record], *, largest: int = 20, level: float = 3.3
+) -> tuple[int, ...]:
+    """Whole-sample input delay per channel: the leading impulse-response lags that cannot be told
+    from zero.
 
-    A VARX with lags 0 .. past is fitted; lag j of input i is silent while every output's coefficient stays within
-    `level` standard errors of zero. Lag 0 alone silent is the usual strictly proper system, so that the delay returned
-    is one less than the first audible lag (and 0 where lag 0 is audible).
+    A VARX with lags 0 .. past is fitted; lag j of input i is silent while every output's
+    coefficient stays within `level` standard errors of zero. Lag 0 alone silent is the usual
+    strictly proper system, so that the delay returned is one less than the first audible lag (and 0
+    where lag 0 is audible).
     """
     m, p = records[0].u.shape[1], records[0].y.shape[1]
     first = fit_varx(records)
@@ -147,7 +176,11 @@ def estimate_delays(records: Sequence[Record], *, largest: int = 20, level: floa
     t = np.abs(coefficients) / np.sqrt(np.maximum(variance[:, None] * sigma2, 1e-300))
     delays = []
     for i in range(m):
-        audible = [j for j in range(past + 1) if (t[i if j == 0 else m + (j - 1) * (m + p) + i] > level).any()]
+        audible = [
+            j
+            for j in range(past + 1)
+            if (t[i if j == 0 else m + (j - 1) * (m + p) + i] > level).any()
+        ]
         delays.append(min(max(audible[0] - 1, 0), largest) if audible else 0)
     return tuple(delays)
 
@@ -169,7 +202,8 @@ def _aic(r: FloatArray, rows: int, head: int, nz: int, limit: int, p: int) -> in
 
 
 def triangle(data: FloatArray) -> FloatArray:
-    """R of data = Q R, (columns, columns): by the Cholesky factor of data'data, by QR where squaring would cost digits."""
+    """R of data = Q R, (columns, columns): by the Cholesky factor of data'data, by QR where
+    squaring would cost digits."""
     if len(data) > data.shape[1]:
         gram = data.T @ data
         try:
@@ -182,7 +216,8 @@ def triangle(data: FloatArray) -> FloatArray:
 
 
 def _solve_triangular(tri: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve R x = b; least squares of smallest norm where R is numerically singular (noise-free or short data)."""
+    """Solve R x = b; least squares of smallest norm where R is numerically singular (noise-free or
+    short data)."""
     diagonal = np.abs(np.diag(tri))
     if diagonal.size and diagonal.min() > 1e-11 * diagonal.max():
         return np.asarray(sla.solve_triangular(tri, right, check_finite=False))

@@ -35,7 +35,8 @@ DEFAULT_SIGMAS: Mapping[str, DefaultSigma] = {
     ),
     "inertia": DefaultSigma(
         share=0.30,
-        reason="guessed from mass and arm: J / (m L^2) of published craft lies within 30 % (Foerster 2015: 0.28, "
+        reason="guessed from mass and arm: J / (m L^2) of published craft lies within 30 % "
+        "(Foerster 2015: 0.28, "
         "0.49; Foehn et al. 2022: 0.21, 0.18, 0.37)",
     ),
     "thrust": DefaultSigma(
@@ -44,7 +45,8 @@ DEFAULT_SIGMAS: Mapping[str, DefaultSigma] = {
     ),
     "torque": DefaultSigma(
         share=0.30,
-        reason="nearly always thrust times a guessed length: that length is 0.15 to 0.35 rotor radii (Leishman 2006, ch. 2)",
+        reason="nearly always thrust times a guessed length: that length is 0.15 to 0.35 rotor "
+        "radii (Leishman 2006, ch. 2)",
     ),
     "center_of_mass": DefaultSigma(
         share=0.03, reason="of the arm: how well a craft balances on two fingers"
@@ -132,7 +134,8 @@ class Beliefs:
         if groups in ([], ["arm"]):
             return ""
         said = ", ".join(
-            f"{g.replace('_', ' ')} {DEFAULT_SIGMAS[g].share:.0%}{' of the arm' if g == 'center_of_mass' else ''}"
+            f"{g.replace('_', ' ')} "
+            f"{DEFAULT_SIGMAS[g].share:.0%}{' of the arm' if g == 'center_of_mass' else ''}"
             for g in groups
         )
         return f"believed by default, because the vehicle file gives no sigma: {said}"

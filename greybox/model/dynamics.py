@@ -1,11 +1,14 @@
-"""Dynamics: the one protocol that linear, physics, user-written and hybrid models share. Estimation knows only this.
+"""Dynamics: the one protocol that linear, physics, user-written and hybrid models share. Estimation
+knows only this.
 
-Time is discrete at the seam: `step` carries the state over one sample, `output` is what the sensors see. Process noise
-w enters both, because white force noise also reaches the accelerometer (cross-covariance of process and measurement).
-States may live on a manifold (a unit quaternion); `boxplus` and `boxminus` are its chart, the identity for vectors.
+Time is discrete at the seam: `step` carries the state over one sample, `output` is what the sensors
+see. Process noise w enters both, because white force noise also reaches the accelerometer
+(cross-covariance of process and measurement). States may live on a manifold (a unit quaternion);
+`boxplus` and `boxminus` are its chart, the identity for vectors.
 
-Inputs come as a window U, n_u x (past + 1 + future): column j is the command of sample k - past + j, so that a delay is
-an interpolation of the record and not a state. A model without delay has past = future = 0 and U is the column u_k.
+Inputs come as a window U, n_u x (past + 1 + future): column j is the command of sample k - past +
+j, so that a delay is an interpolation of the record and not a state. A model without delay has past
+= future = 0 and U is the column u_k.
 """
 
 from __future__ import annotations
@@ -24,7 +27,8 @@ from greybox.symbolic import Expr, FloatArray, Layout, Signal
 
 @runtime_checkable
 class Dynamics(Protocol):
-    """What estimation, validation and export need to know of a model. Argument order is (t, x, u, p) everywhere."""
+    """What estimation, validation and export need to know of a model. Argument order is (t, x, u,
+    p) everywhere."""
 
     @property
     def name(self) -> str:
@@ -52,7 +56,8 @@ class Dynamics(Protocol):
 
     @property
     def innovation_columns(self) -> tuple[tuple[str, ...], ...]:
-        """Per innovation component the output names that it needs; it is missing where one of them is missing."""
+        """Per innovation component the output names that it needs; it is missing where one of them
+        is missing."""
 
     @property
     def noises(self) -> Layout:
@@ -69,14 +74,17 @@ class Dynamics(Protocol):
     def f(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
         """dx/dt [state unit / s], n_x, at the command u (n_u; a command delay is not part of f).
 
-        w (n_w), where given, pushes through the channels of the process noise. Discrete models give the next state.
+        w (n_w), where given, pushes through the channels of the process noise. Discrete models give
+        the next state.
         """
 
     def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
-        """Outputs y, n_y, at the command u, without sensor noise; w has always pushed, as the command."""
+        """Outputs y, n_y, at the command u, without sensor noise; w has always pushed, as the
+        command."""
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
-        """State one sample later, n_x, for the command window (n_u x (past + 1 + future)) and process noise w."""
+        """State one sample later, n_x, for the command window (n_u x (past + 1 + future)) and
+        process noise w."""
 
     def output(
         self,
@@ -88,13 +96,16 @@ class Dynamics(Protocol):
         dt: Expr,
         lasting: Expr = None,
     ) -> Expr:
-        """Outputs y at the sample, n_y, given the command window and the process noise w of the step that begins.
+        """Outputs y at the sample, n_y, given the command window and the process noise w of the
+        step that begins.
 
-        `lasting` (n_w), where given, pushes through the same channels, now and before: a late sensor goes back under it.
+        `lasting` (n_w), where given, pushes through the same channels, now and before: a late
+        sensor goes back under it.
         """
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
-        """Innovation e, n_e, of the measured y against the predicted y_hat at the predicted state x."""
+        """Innovation e, n_e, of the measured y against the predicted y_hat at the predicted state
+        x."""
 
     def boxplus(self, x: Expr, d: Expr) -> Expr:
         """State x moved by the error state d."""
@@ -103,29 +114,36 @@ class Dynamics(Protocol):
         """Error state d with boxplus(x1, d) = x2."""
 
     def initial_state(self, start: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """(x0, sigma) from the first samples of each channel (arrays (n,), NaN = missing): start value and its spread.
+        """(x0, sigma) from the first samples of each channel (arrays (n,), NaN = missing): start
+        value and its spread.
 
-        `sigma` has one standard deviation per error state; it is the prior of the initial state of a flight.
+        `sigma` has one standard deviation per error state; it is the prior of the initial state of
+        a flight.
         """
 
     def reference(self, means: Mapping[str, float]) -> FloatArray:
-        """State x (n_x) at which a stationary gain is linearised, given the mean of every channel of the data."""
+        """State x (n_x) at which a stationary gain is linearised, given the mean of every channel
+        of the data."""
 
     def noise_scale(self, dt: float) -> FloatArray:
-        """Start values of the process-noise levels: standard deviation of w per sample of dt seconds (n_w)."""
+        """Start values of the process-noise levels: standard deviation of w per sample of dt
+        seconds (n_w)."""
 
     def sensor_scale(self) -> FloatArray:
-        """Start values of the sensor-noise levels, one standard deviation per innovation component (n_e)."""
+        """Start values of the sensor-noise levels, one standard deviation per innovation component
+        (n_e)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StateSpaceModel:
-    """A model of the user's own: CasADi f and h with declared parameters, all states plain numbers (no manifold).
+    """A model of the user's own: CasADi f and h with declared parameters, all states plain numbers
+    (no manifold).
 
-    `dynamics(t, x, u, p)` and `measurement(t, x, u, p)` are Python functions that take CasADi vectors and return the
-    state derivative (n_x) and the outputs (n_y); `p` maps names to scalars. With `discrete=True` `dynamics` returns the
-    next state instead. Process noise enters additively on the states named in `noise_states` (all, where None).
-    Raises `ModelError` where sizes do not fit.
+    `dynamics(t, x, u, p)` and `measurement(t, x, u, p)` are Python functions that take CasADi
+    vectors and return the state derivative (n_x) and the outputs (n_y); `p` maps names to scalars.
+    With `discrete=True` `dynamics` returns the next state instead. Process noise enters additively
+    on the states named in `noise_states` (all, where None). Raises `ModelError` where sizes do not
+    fit.
     """
 
     name: str
@@ -150,18 +168,27 @@ class StateSpaceModel:
             ("measurement", self.h(0, x, u, p), len(self.outputs)),
         ):
             if value.numel() != size:
-                raise ModelError(f"{self.name}: {what} returns {value.numel()} values", expected=f"{size}")
+                raise ModelError(
+                    f"{self.name}: {what} returns {value.numel()} values", expected=f"{size}"
+                )
         felt = ca.vertcat(self.f(0, x, u, p), self.h(0, x, u, p))
-        idle = [d.name for i, d in enumerate(self.parameters) if not any(ca.which_depends(felt, p[i], 1, False))]
+        idle = [
+            d.name
+            for i, d in enumerate(self.parameters)
+            if not any(ca.which_depends(felt, p[i], 1, False))
+        ]
         if idle:
             raise ModelError(
-                f"{self.name}: nothing depends on the parameter {', '.join(idle)}", expected="use in dynamics or "
-                "measurement", fix="use it there, or take its declaration out",
-            )  # fmt: skip
+                f"{self.name}: nothing depends on the parameter {', '.join(idle)}",
+                expected="use in dynamics or measurement",
+                fix="use it there, or take its declaration out",
+            )
         for what, given, known in (
-            ("noise_states", self.noise_states, self.states), ("initial", self.initial, self.states),
-            ("initial_sigma", self.initial_sigma, self.states), ("sensor_sigma", self.sensor_sigma, self.outputs),
-        ):  # fmt: skip
+            ("noise_states", self.noise_states, self.states),
+            ("initial", self.initial, self.states),
+            ("initial_sigma", self.initial_sigma, self.states),
+            ("sensor_sigma", self.sensor_sigma, self.outputs),
+        ):
             for name in given or ():
                 if name not in known:
                     raise UnknownNameError(f"{self.name}: {what}, name", name, known.names)
@@ -186,10 +213,13 @@ class StateSpaceModel:
 
     @property
     def noises(self) -> Layout:
-        """White noise on the derivative (continuous) or on the next state (discrete) of the noisy states."""
+        """White noise on the derivative (continuous) or on the next state (discrete) of the noisy
+        states."""
         chosen = self.states.names if self.noise_states is None else self.noise_states
         suffix = "" if self.discrete else "/s"
-        return Layout([Signal(name=n, unit=self.states.signals[self.states[n]].unit + suffix) for n in chosen])
+        return Layout(
+            [Signal(name=n, unit=self.states.signals[self.states[n]].unit + suffix) for n in chosen]
+        )
 
     @property
     def window(self) -> tuple[int, int]:
@@ -213,7 +243,8 @@ class StateSpaceModel:
         return ca.vertcat(*ca.vertsplit(ca.vcat(_flat(self.measurement(t, x, u, self._named(p))))))  # type: ignore[operator]
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
-        """Classical Runge-Kutta 4 with the command held (`substeps` per sample), or the discrete map plus w."""
+        """Classical Runge-Kutta 4 with the command held (`substeps` per sample), or the discrete
+        map plus w."""
         if self.discrete:
             return self.f(t, x, window, p, w)
         h = dt / self.substeps
@@ -251,7 +282,8 @@ class StateSpaceModel:
         return x2 - x1
 
     def initial_state(self, start: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """Declared start values; a state that is measured under its own name starts at its first measured value."""
+        """Declared start values; a state that is measured under its own name starts at its first
+        measured value."""
         x0 = np.array([(self.initial or {}).get(n, 0.0) for n in self.states.names])
         sigma = np.array([(self.initial_sigma or {}).get(n, 1.0) for n in self.states.names])
         for i, n in enumerate(self.states.names):
@@ -266,14 +298,18 @@ class StateSpaceModel:
         return np.array([means.get(n, (self.initial or {}).get(n, 0.0)) for n in self.states.names])
 
     def noise_scale(self, dt: float) -> FloatArray:
-        """A hundredth of the initial spread, per step (discrete) or per second over a step (continuous)."""
+        """A hundredth of the initial spread, per step (discrete) or per second over a step
+        (continuous)."""
         sigma = np.array([(self.initial_sigma or {}).get(n, 1.0) for n in self.noises.names])
         return 0.01 * sigma / (1.0 if self.discrete else dt)
 
     def sensor_scale(self) -> FloatArray:
-        """`sensor_sigma` where declared, else a tenth of the spread of a state of the same name, else 0.1."""
+        """`sensor_sigma` where declared, else a tenth of the spread of a state of the same name,
+        else 0.1."""
         spread = self.initial_sigma or {}
-        return np.array([(self.sensor_sigma or {}).get(n, 0.1 * spread.get(n, 1.0)) for n in self.outputs.names])
+        return np.array(
+            [(self.sensor_sigma or {}).get(n, 0.1 * spread.get(n, 1.0)) for n in self.outputs.names]
+        )
 
 
 def _flat(value: object) -> list[Expr]:

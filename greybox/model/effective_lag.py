@@ -40,14 +40,19 @@ class EffectiveLag:
         shows = any(n in self.parts for n in OF_SENSORS)
         each = " + ".join(f"{PARTS[n]} {1e3 * v:.1f}" for n, v in self.parts.items())
         error = f" +- {1e3 * self.std:.2g}" if self.std else ""
-        return f"commands {'show in the gyro' if shows else 'act'} after {1e3 * self.value:.1f}{error} ms: {each}"
+        return (
+            f"commands {'show in the gyro' if shows else 'act'} after "
+            f"{1e3 * self.value:.1f}{error} ms: {each}"
+        )
 
     def to_dict(self) -> dict[str, float | dict[str, float] | None]:
         """As in model.json and fit.json."""
         return {"value": self.value, "std": self.std, "parts": dict(self.parts)}
 
 
-def effective_lag(values: Mapping[str, float], names: tuple[str, ...], covariance: FloatArray) -> EffectiveLag | None:
+def effective_lag(
+    values: Mapping[str, float], names: tuple[str, ...], covariance: FloatArray
+) -> EffectiveLag | None:
     """The sum of those of `PARTS` among `values`, its error from the `covariance` (n, n) of the
     estimates `names`; None where there are fewer than two parts, as one of them says it itself."""
     parts = {n: float(values[n]) for n in PARTS if n in values}

@@ -1,7 +1,9 @@
-"""Effects from a Python file that the user names: read, and held to the basics that every effect is held to.
+"""Effects from a Python file that the user names: read, and held to the basics that every effect is
+held to.
 
-Such a file is code: it runs with the rights of whoever calls `load_effects`, as any script of theirs. Nothing here reads
-a file that was not named, and model files hold no code, only the name and checksum of the effects file they need.
+Such a file is code: it runs with the rights of whoever calls `load_effects`, as any script of
+theirs. Nothing here reads a file that was not named, and model files hold no code, only the name
+and checksum of the effects file they need.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from greybox.model.effects import CATALOGUE, effect_by_name
 
 @dataclass(frozen=True, kw_only=True)
 class EffectSource:
-    """Where an effect was read: the file's name without its folder, the SHA-256 of its text, and the text."""
+    """Where an effect was read: the file's name without its folder, the SHA-256 of its text, and
+    the text."""
 
     file: str
     sha256: str
@@ -31,16 +34,18 @@ class EffectSource:
 
 
 def source_of(effect: Effect) -> EffectSource | None:
-    """The file that the effect was loaded from; None for one of the catalogue or of the caller's own code."""
+    """The file that the effect was loaded from; None for one of the catalogue or of the caller's
+    own code."""
     return getattr(effect, "source", None)
 
 
 def load_effects(path: str | os.PathLike[str]) -> tuple[Effect, ...]:
-    """The effects of a Python file: one instance of every class in it that derives from `Effect`, in the file's order.
+    """The effects of a Python file: one instance of every class in it that derives from `Effect`,
+    in the file's order.
 
-    The same text gives the same instances. Raises `ModelError` with file and line where the file cannot be read or run,
-    has no effect, or uses a name of the catalogue. So does an effect that is not declared completely, returns what its
-    stage does not know, or does not vanish at its null.
+    The same text gives the same instances. Raises `ModelError` with file and line where the file
+    cannot be read or run, has no effect, or uses a name of the catalogue. So does an effect that is
+    not declared completely, returns what its stage does not know, or does not vanish at its null.
     """
     file = Path(path)
     try:
@@ -49,12 +54,15 @@ def load_effects(path: str | os.PathLike[str]) -> tuple[Effect, ...]:
         raise ModelError("no such effects file", where=str(path), fix="check the path") from None
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not a text file"
-        raise ModelError(f"cannot read: {reason}", where=str(path), fix="name a Python file") from None
+        raise ModelError(
+            f"cannot read: {reason}", where=str(path), fix="name a Python file"
+        ) from None
     return _from_text(text, str(path))
 
 
 def own_effects(effects: Iterable[Effect]) -> dict[str, Any]:
-    """What a model file says of the effects that are not in the catalogue: name -> file, sha256 and references.
+    """What a model file says of the effects that are not in the catalogue: name -> file, sha256 and
+    references.
 
     File and sha256 are null for an effect of the caller's own code.
     """
@@ -73,9 +81,11 @@ def own_effects(effects: Iterable[Effect]) -> dict[str, Any]:
 def effects_of(
     names: Iterable[str], own: Mapping[str, Any], given: Iterable[Effect], *, where: str
 ) -> tuple[Effect, ...]:
-    """The effects of a model file by name, those under `own` (see `own_effects`) from the `given` ones.
+    """The effects of a model file by name, those under `own` (see `own_effects`) from the `given`
+    ones.
 
-    Raises `FileFormatError` where one is not given or its file has changed, `UnknownNameError` for an unknown name.
+    Raises `FileFormatError` where one is not given or its file has changed, `UnknownNameError` for
+    an unknown name.
     """
     have = {e.name: e for e in given}
     found = []
@@ -85,25 +95,36 @@ def effects_of(
             continue
         file, sha256 = own[name]["file"], own[name]["sha256"]
         if name not in have:
-            load, option = (f"load_effects('{file}')", f" or --effects-file {file}") if file else ("[YourEffect()]", "")
+            load, option = (
+                (f"load_effects('{file}')", f" or --effects-file {file}")
+                if file
+                else ("[YourEffect()]", "")
+            )
             raise FileFormatError(
-                f"the model has the effect {name} of {file or 'Python code of your own'}, which it does not hold",
-                where=where, fix=f"IdentifiedModel.load(path, effects={load}){option}",
-            )  # fmt: skip
+                f"the model has the effect {name} of {file or 'Python code of your own'}, which it "
+                "does not hold",
+                where=where,
+                fix=f"IdentifiedModel.load(path, effects={load}){option}",
+            )
         source = source_of(have[name])
         if sha256 is not None and (source is None or source.sha256 != sha256):
             raise FileFormatError(
-                f"the effect {name} is not the one that the model was made with", where=where,
+                f"the effect {name} is not the one that the model was made with",
+                where=where,
                 expected=f"{file} with SHA-256 {sha256[:12]}...",
-                got=f"{source.file} with {source.sha256[:12]}..." if source else "one of your own code",
+                got=f"{source.file} with {source.sha256[:12]}..."
+                if source
+                else "one of your own code",
                 fix="give the file as it was then, or fit again",
-            )  # fmt: skip
+            )
         found.append(have[name])
     return tuple(found)
 
 
 def _from_text(text: str, path: str) -> tuple[Effect, ...]:
-    source = EffectSource(file=Path(path).name, sha256=hashlib.sha256(text.encode()).hexdigest(), text=text)
+    source = EffectSource(
+        file=Path(path).name, sha256=hashlib.sha256(text.encode()).hexdigest(), text=text
+    )
     name = f"greybox_effects_{source.sha256[:16]}"
     if name in sys.modules:
         known: tuple[Effect, ...] = sys.modules[name].__dict__["loaded_effects"]
@@ -145,19 +166,29 @@ def _run(text: str, path: str, module: ModuleType) -> None:
 
 
 def _instances(module: ModuleType, path: str) -> tuple[Effect, ...]:
-    classes = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
+    classes = [
+        v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__
+    ]
     kinds = [kind for kind in dict.fromkeys(classes) if issubclass(kind, Effect)]
     if not kinds:
         raise ModelError(
-            "no effect in the file", where=path, expected="a class derived from greybox.model.effect.Effect",
+            "no effect in the file",
+            where=path,
+            expected="a class derived from greybox.model.effect.Effect",
             fix="see docs/own_effect.md",
-        )  # fmt: skip
+        )
     found = []
     for kind in kinds:
         missing = sorted(getattr(kind, "__abstractmethods__", ()))
-        missing += [a for a in ("name", "stage", "summary", "formula") if not isinstance(getattr(kind, a, None), str)]
+        missing += [
+            a
+            for a in ("name", "stage", "summary", "formula")
+            if not isinstance(getattr(kind, a, None), str)
+        ]
         if missing:
-            raise ModelError(f"class {kind.__name__} lacks {', '.join(missing)}", where=path, fix="declare them")
+            raise ModelError(
+                f"class {kind.__name__} lacks {', '.join(missing)}", where=path, fix="declare them"
+            )
         try:
             found.append(kind())
         except Exception as error:
@@ -166,8 +197,12 @@ def _instances(module: ModuleType, path: str) -> tuple[Effect, ...]:
     for name in names:
         if name in {e.name for e in CATALOGUE}:
             raise ModelError(
-                f"effect {name} is in the catalogue already", where=path, fix="give yours another name, or use that one"
+                f"effect {name} is in the catalogue already",
+                where=path,
+                fix="give yours another name, or use that one",
             )
         if names.count(name) > 1:
-            raise ModelError(f"two effects are named {name}", where=path, fix="give each its own name")
+            raise ModelError(
+                f"two effects are named {name}", where=path, fix="give each its own name"
+            )
     return tuple(found)

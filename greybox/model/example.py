@@ -9,7 +9,8 @@ from greybox.model.vehicle import Vehicle
 
 @cache
 def example_vehicle(size: float = 1.0) -> Vehicle:
-    """The quadrotor, its arms and moments of inertia `size` times as large; it states every fact that an effect needs."""
+    """The quadrotor, its arms and moments of inertia `size` times as large; it states every fact
+    that an effect needs."""
     arm, j = 0.1 * size, 0.01 * size
     places = ((arm, -arm, 1), (-arm, -arm, -1), (-arm, arm, 1), (arm, arm, -1))
     return Vehicle.from_dict(

@@ -2,8 +2,9 @@
 
 H(z) = C (z I - A)^-1 B(z) + D(z),  z = exp(j omega dt),  B(z) = sum over j of B_j z^(j - past)
 
-B_j and D_j are the slopes of step and output with respect to column j of the command window: a delay
-of the model is an interpolation of that window, so that it is in the response to the last digit.
+B_j and D_j are the slopes of step and output with respect to column j of the command window: a
+delay of the model is an interpolation of that window, so that it is in the response to the last
+digit.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ def response_of(
 
 
 def step_response(model: IdentifiedModel | LinearModel, steps: int) -> FloatArray:
-    """What the innovation components do in samples 0 to `steps` - 1 (steps, n_e, n_u) after a unit step of each input
-    at sample 0, about the same point: a deviation, and of the linearised model."""
+    """What the innovation components do in samples 0 to `steps` - 1 (steps, n_e, n_u) after a
+    unit step of each input at sample 0, about the same point: a deviation, and of the linearised
+    model."""
     dynamics, dt, x, u, p = _point(model)
     past = dynamics.window[0]
     a, c, b, d = _slopes(dynamics, dt, x, u, p)

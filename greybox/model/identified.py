@@ -181,7 +181,8 @@ class IdentifiedModel(Shown):
 
     @property
     def noise_ahead(self) -> FloatArray:
-        """Process noise (n_w) where nothing is measured any more: `horizon_noise`, where there is one."""
+        """Process noise (n_w) where nothing is measured any more: `horizon_noise`, where there is
+        one."""
         return self.process_noise if self.horizon_noise is None else self.horizon_noise
 
     def parameter_vector(self, changes: Mapping[str, float] | None = None) -> FloatArray:

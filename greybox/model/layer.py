@@ -169,7 +169,8 @@ class Layer(Shown, ABC):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LongerWindow(Layer):
-    """`inner` with a command window that reaches at least `past` samples back, for who looks at them."""
+    """`inner` with a command window that reaches at least `past` samples back, for who looks at
+    them."""
 
     inner: Dynamics
     past: int

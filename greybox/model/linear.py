@@ -1,4 +1,5 @@
-"""LinearModel: a discrete linear state-space model in innovation form, with names and units. One of the `Dynamics`.
+"""LinearModel: a discrete linear state-space model in innovation form, with names and units. One of
+the `Dynamics`.
 
 x[k+1] = A x[k] + B (u[k-delay] - u0) + K e[k],  y[k] = y0 + C x[k] + D (u[k-delay] - u0) + e[k],  cov(e) = Lambda.
 """
@@ -29,10 +30,12 @@ LONGEST_DELAY = 10_000
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LinearModel(Shown):
-    """A (n, n), B (n, m), C (p, n), D (p, m), K (n, p), Lambda (p, p), sample time `dt` [s], names and operating point.
+    """A (n, n), B (n, m), C (p, n), D (p, m), K (n, p), Lambda (p, p), sample time `dt` [s], names
+    and operating point.
 
-    `delays` are whole samples per input; `input_offset` (m,) and `output_offset` (p,) are the operating point in the
-    units of the channels. Raises `ModelError` where the sizes do not fit or Lambda is not a covariance.
+    `delays` are whole samples per input; `input_offset` (m,) and `output_offset` (p,) are the
+    operating point in the units of the channels. Raises `ModelError` where the sizes do not fit or
+    Lambda is not a covariance.
     """
 
     name: str
@@ -52,11 +55,16 @@ class LinearModel(Shown):
         n = arrays[0].shape[0] if arrays[0].ndim == 2 else -1
         for what, array, shape in zip("ABCDK", arrays, ((n, n), (n, m), (p, n), (p, m), (n, p))):
             if array.shape != shape:
-                raise ModelError(f"{self.name}: {what} has shape {array.shape}", expected=f"{shape}")
+                raise ModelError(
+                    f"{self.name}: {what} has shape {array.shape}", expected=f"{shape}"
+                )
             if not np.isfinite(array).all():
                 raise ModelError(f"{self.name}: {what} is not finite")
         noise = np.array(self.noise, dtype=np.float64, copy=True).reshape(p, p)
-        if not np.allclose(noise, noise.T, rtol=1e-8, atol=0) or np.linalg.eigvalsh(noise).min(initial=0.0) < 0:
+        if (
+            not np.allclose(noise, noise.T, rtol=1e-8, atol=0)
+            or np.linalg.eigvalsh(noise).min(initial=0.0) < 0
+        ):
             raise ModelError(f"{self.name}: Lambda is not symmetric positive semi-definite")
         if not 0 < self.dt < np.inf:
             raise ModelError(f"{self.name}: sample time must be positive", got=f"{self.dt:g} s")
@@ -66,27 +74,37 @@ class LinearModel(Shown):
             value = np.asarray(getattr(self, what), dtype=np.float64)
             value = np.zeros(size) if value.size == 0 else value
             if value.shape != (size,):
-                raise ModelError(f"{self.name}: {what} has shape {value.shape}", expected=f"({size},)")
+                raise ModelError(
+                    f"{self.name}: {what} has shape {value.shape}", expected=f"({size},)"
+                )
             object.__setattr__(self, what, value)
             if not np.isfinite(value).all():
                 raise ModelError(f"{self.name}: {what} is not finite")
         delays = tuple(int(d) for d in self.delays) or (0,) * m
-        if len(delays) != m or not 0 <= min(delays, default=0) <= max(delays, default=0) <= LONGEST_DELAY:
-            raise ModelError(f"{self.name}: delays {delays}", expected=f"{m} whole numbers from 0 to {LONGEST_DELAY}")
+        if (
+            len(delays) != m
+            or not 0 <= min(delays, default=0) <= max(delays, default=0) <= LONGEST_DELAY
+        ):
+            raise ModelError(
+                f"{self.name}: delays {delays}",
+                expected=f"{m} whole numbers from 0 to {LONGEST_DELAY}",
+            )
         object.__setattr__(self, "delays", delays)
 
     def _shown_text(self) -> str:
         """Size, channels and how fast it forgets."""
         lines = [
             f"{self.name}: linear model of order {self.order}, sample time {self.dt:g} s",
-            f"  inputs {', '.join(self.inputs.names) or 'none'}; delays {', '.join(map(str, self.delays)) or 'none'}",
+            f"  inputs {', '.join(self.inputs.names) or 'none'}; delays "
+            f"{', '.join(map(str, self.delays)) or 'none'}",
             f"  outputs {', '.join(self.outputs.names)}",
             f"  spectral radius {spectral_radius(self.matrices.a):.4f}",
         ]
         return "\n".join(lines)
 
     def _shown_rows(self) -> list[dict[str, Cell]]:
-        """One row per mode (of a pair the upper pole): pole, natural frequency and damping ratio."""
+        """One row per mode (of a pair the upper pole): pole, natural frequency and damping
+        ratio."""
         rows: list[dict[str, Cell]] = []
         for pole in np.linalg.eigvals(self.matrices.a):
             if pole.imag >= 0:
@@ -95,10 +113,12 @@ class LinearModel(Shown):
                 damping = None if size == 0 else float(-s.real / size) if np.isfinite(size) else 1.0
                 rows.append(
                     {
-                        "real": float(pole.real), "imag": float(pole.imag),
-                        "frequency [rad/s]": float(size), "damping": damping,
+                        "real": float(pole.real),
+                        "imag": float(pole.imag),
+                        "frequency [rad/s]": float(size),
+                        "damping": damping,
                     }
-                )  # fmt: skip
+                )
         return rows
 
     @property
@@ -138,7 +158,8 @@ class LinearModel(Shown):
 
     @property
     def noises(self) -> Layout:
-        """The innovations e: they enter the state through K and the output directly, with covariance `noise`."""
+        """The innovations e: they enter the state through K and the output directly, with
+        covariance `noise`."""
         return self.outputs
 
     @property
@@ -148,7 +169,8 @@ class LinearModel(Shown):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All entries of A, B, C, D, K as A.1.1, A.1.2, ...; nominal = the value here. Redundant if all are freed."""
+        """All entries of A, B, C, D, K as A.1.1, A.1.2, ...; nominal = the value here. Redundant if
+        all are freed."""
         return tuple(
             Parameter(
                 name=f"{what}.{i + 1}.{j + 1}",
@@ -172,7 +194,8 @@ class LinearModel(Shown):
         return out
 
     def f(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
-        """The next state (the model is discrete) at the command u (m,) and innovation w, without delay."""
+        """The next state (the model is discrete) at the command u (m,) and innovation w, without
+        delay."""
         a, b, _, _, k = self._unpacked(p)
         after = a @ x + b @ (u - self.input_offset)
         return after if w is None else after + k @ w
@@ -217,7 +240,8 @@ class LinearModel(Shown):
         return x2 - x1
 
     def initial_state(self, start: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """Zero, with the spread of the stationary state under unit white inputs (1 where A is not stable)."""
+        """Zero, with the spread of the stationary state under unit white inputs (1 where A is not
+        stable)."""
         a, b, _, _, k = self.matrices
         if spectral_radius(a) >= 1.0 or self.order == 0:
             return np.zeros(self.order), np.ones(self.order)
@@ -233,14 +257,16 @@ class LinearModel(Shown):
         return np.sqrt(np.maximum(np.diag(self.noise), 1e-300))
 
     def sensor_scale(self) -> FloatArray:
-        """A thousandth of the innovations: in innovation form e carries the sensor noise, and nothing is added to it."""
+        """A thousandth of the innovations: in innovation form e carries the sensor noise, and
+        nothing is added to it."""
         return 1e-3 * self.noise_scale(self.dt)
 
     def to_control(self, *, include_delays: bool = False) -> Any:
-        """`control.StateSpace` from u to y (deviations from the operating point), with names and dt.
+        """`control.StateSpace` from u to y (deviations from the operating point), with names and
+        dt.
 
-        With `include_delays` every sample of delay becomes a state; without, a model with delays is refused with
-        `ModelError`, because a silent loss of delay would give wrong margins.
+        With `include_delays` every sample of delay becomes a state; without, a model with delays is
+        refused with `ModelError`, because a silent loss of delay would give wrong margins.
         """
         import control
 
@@ -265,20 +291,30 @@ class LinearModel(Shown):
 
     @staticmethod
     def from_control(
-        system: Any, *, gain: FloatArray | None = None, noise: FloatArray | None = None, dt: float | None = None
+        system: Any,
+        *,
+        gain: FloatArray | None = None,
+        noise: FloatArray | None = None,
+        dt: float | None = None,
     ) -> LinearModel:
         """From `control.StateSpace`; K defaults to 0 and Lambda to the identity.
 
-        A continuous system needs `dt` [s] and is sampled with the input held. Raises `ModelError` without one.
+        A continuous system needs `dt` [s] and is sampled with the input held. Raises `ModelError`
+        without one.
         """
         import control
 
         if system.dt == 0:
             if dt is None:
-                raise ModelError("a continuous system needs a sample time", fix="from_control(system, dt=0.01)")
+                raise ModelError(
+                    "a continuous system needs a sample time", fix="from_control(system, dt=0.01)"
+                )
             system = control.c2d(system, dt, method="zoh")
         step = float(system.dt if dt is None and system.dt is not True else (dt or 1.0))
-        a, b, c, d = (np.atleast_2d(np.asarray(v, dtype=float)) for v in (system.A, system.B, system.C, system.D))
+        a, b, c, d = (
+            np.atleast_2d(np.asarray(v, dtype=float))
+            for v in (system.A, system.B, system.C, system.D)
+        )
         n, p = a.shape[0], c.shape[0]
         return LinearModel(
             name=str(system.name or "linear"),
@@ -309,21 +345,30 @@ class LinearModel(Shown):
 
     @staticmethod
     def from_dict(value: Mapping[str, Any], *, where: str = "model") -> LinearModel:
-        """The inverse of `to_dict`. Raises `FileFormatError` for missing fields or a wrong checksum."""
+        """The inverse of `to_dict`. Raises `FileFormatError` for missing fields or a wrong
+        checksum."""
         body = {k: v for k, v in value.items() if k != "checksum"}
         if value.get("checksum") != checksum(body):
             raise FileFormatError(
-                "checksum does not fit the content", where=where, fix="fit again; do not edit by hand"
+                "checksum does not fit the content",
+                where=where,
+                fix="fit again; do not edit by hand",
             )
         try:
             ports = [*body["inputs"], *body["outputs"]]
-            texts = [body["name"], body.get("comment", ""), *(s[k] for s in ports for k in ("name", "unit"))]
+            texts = [
+                body["name"],
+                body.get("comment", ""),
+                *(s[k] for s in ports for k in ("name", "unit")),
+            ]
             if not all(isinstance(v, str) for v in texts):
                 raise ValueError("a name, unit or comment is not a text")
             m, p = len(body["inputs"]), len(body["outputs"])
             n = len(body["A"])
             shapes = ((n, n), (n, m), (p, n), (p, m), (n, p))
-            matrices = Matrices(*[np.asarray(body[w], dtype=float).reshape(s) for w, s in zip("ABCDK", shapes)])
+            matrices = Matrices(
+                *[np.asarray(body[w], dtype=float).reshape(s) for w, s in zip("ABCDK", shapes)]
+            )
             return LinearModel(
                 name=body["name"],
                 comment=body.get("comment", ""),

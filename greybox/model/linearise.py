@@ -1,8 +1,10 @@
-"""Trim and linearise any `Dynamics`, and linear models whose matrices are functions of named parameters.
+"""Trim and linearise any `Dynamics`, and linear models whose matrices are functions of named
+parameters.
 
-A trim point is a state and a command at which the state does not change from sample to sample (up to the drift that is
-allowed, e.g. a position under steady flight). There the sampled model x+ = step(x, u), y = output(x, u) has the
-Jacobians A, B, C, D in the error state of the chart (`boxplus`, `boxminus`), so that a quaternion counts three.
+A trim point is a state and a command at which the state does not change from sample to sample (up
+to the drift that is allowed, e.g. a position under steady flight). There the sampled model x+ =
+step(x, u), y = output(x, u) has the Jacobians A, B, C, D in the error state of the chart
+(`boxplus`, `boxminus`), so that a quaternion counts three.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from greybox.symbolic import Expr, FloatArray, Layout
 
 @dataclass(frozen=True, kw_only=True)
 class TrimPoint:
-    """State x (n_x), command u (n_u), and the largest remaining change of the error state per sample, `residual`."""
+    """State x (n_x), command u (n_u), and the largest remaining change of the error state per
+    sample, `residual`."""
 
     x: FloatArray
     u: FloatArray
@@ -44,10 +47,12 @@ def trim(
     tolerance: float = 1e-9,
     max_iterations: int = 100,
 ) -> TrimPoint:
-    """Find x and u with boxminus(step(x, u), x) = 0, by damped Gauss-Newton of least change from the start.
+    """Find x and u with boxminus(step(x, u), x) = 0, by damped Gauss-Newton of least change from
+    the start.
 
-    `fixed_states` are error states held at the start, `ignore` error states that may drift, `free_commands` the inputs
-    that may move (default: all). Raises `UnknownNameError`, and `ModelError` where no trim point is found.
+    `fixed_states` are error states held at the start, `ignore` error states that may drift,
+    `free_commands` the inputs that may move (default: all). Raises `UnknownNameError`, and
+    `ModelError` where no trim point is found.
     """
     p = _vector(model, values)
     x = np.asarray(model.initial_state({})[0] if start is None else start, dtype=float)
@@ -90,7 +95,8 @@ def trim(
                 break
             damping = max(damping * 10, 1e-6)
     raise ModelError(
-        f"{model.name}: no trim point found (the state still changes by {np.abs(change[rows]).max():.3g} per sample)",
+        f"{model.name}: no trim point found (the state still changes by "
+        f"{np.abs(change[rows]).max():.3g} per sample)",
         fix="start nearer, free more states or commands, or let drifting states be ignored",
     )
 
@@ -105,11 +111,13 @@ def linearise(
     states: Sequence[str] | None = None,
     noise: FloatArray | None = None,
 ) -> LinearModel:
-    """The sampled linear model around a trim point, exact Jacobians; K = 0 and Lambda = identity unless `noise` is given.
+    """The sampled linear model around a trim point, exact Jacobians; K = 0 and Lambda = identity
+    unless `noise` is given.
 
-    Outputs are the innovation components of the model: a measured quaternion gives three small angles about the trim
-    attitude. `outputs` and `states` select by name; states that are left out must not act on those that stay (`ModelError`).
-    A command delay of the model is not part of the matrices: linearise the model without it, and use `delays`.
+    Outputs are the innovation components of the model: a measured quaternion gives three small
+    angles about the trim attitude. `outputs` and `states` select by name; states that are left out
+    must not act on those that stay (`ModelError`). A command delay of the model is not part of the
+    matrices: linearise the model without it, and use `delays`.
     """
     p = _vector(model, values)
     a, b, c, d = (np.asarray(m) for m in _jacobians(model, dt)(point.x, point.u, p))
@@ -120,7 +128,8 @@ def linearise(
         acting = np.abs(a[np.ix_(keep, gone)]).max(initial=0.0)
         if acting > 1e-9:
             raise ModelError(
-                f"states left out act on those that stay (entry {acting:.3g})", fix="keep them, or trim elsewhere"
+                f"states left out act on those that stay (entry {acting:.3g})",
+                fix="keep them, or trim elsewhere",
             )
         a, b, c = a[np.ix_(keep, keep)], b[keep], c[:, keep]
     layout = model.innovations
@@ -146,10 +155,12 @@ def linearise(
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredLinear:
-    """A(theta), B(theta), C(theta), D(theta) as CasADi expressions of named parameters; continuous or sampled.
+    """A(theta), B(theta), C(theta), D(theta) as CasADi expressions of named parameters; continuous
+    or sampled.
 
-    `theta` (n_theta,) is the symbol, `names` its components. A continuous model is sampled exactly, with the input held
-    over `dt` [s]. `function` of the matrices and of their derivatives is built once.
+    `theta` (n_theta,) is the symbol, `names` its components. A continuous model is sampled exactly,
+    with the input held over `dt` [s]. `function` of the matrices and of their derivatives is built
+    once.
     """
 
     name: str
@@ -166,10 +177,14 @@ class StructuredLinear:
 
     def __post_init__(self) -> None:
         if self.theta.numel() != len(self.names):
-            raise ModelError(f"{self.name}: {self.theta.numel()} symbols for {len(self.names)} names")
+            raise ModelError(
+                f"{self.name}: {self.theta.numel()} symbols for {len(self.names)} names"
+            )
         parts = [ca.densify(ca.SX(m)) for m in (self.a, self.b, self.c, self.d)]
         values = ca.Function("matrices", [self.theta], parts)
-        slopes = ca.Function("slopes", [self.theta], [ca.densify(ca.jacobian(ca.vec(m), self.theta)) for m in parts])
+        slopes = ca.Function(
+            "slopes", [self.theta], [ca.densify(ca.jacobian(ca.vec(m), self.theta)) for m in parts]
+        )
         object.__setattr__(self, "_values", values)
         object.__setattr__(self, "_slopes", slopes)
 
@@ -180,7 +195,9 @@ class StructuredLinear:
             a, b = _sampled(a, b, self.dt)
         return a, b, c, d
 
-    def derivatives(self, theta: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
+    def derivatives(
+        self, theta: FloatArray
+    ) -> list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
         """Derivatives of the sampled matrices with respect to each component of theta."""
         from scipy.linalg import expm_frechet
 
@@ -210,8 +227,9 @@ def structured_from(
 ) -> StructuredLinear:
     """The linearised model as a function of some of the physical parameters, at a fixed trim point.
 
-    The trim command may itself depend on the parameters; it is held here, which is exact for parameters that do not move
-    the trim and a good approximation near it (the operating point of the data is estimated as an offset anyway).
+    The trim command may itself depend on the parameters; it is held here, which is exact for
+    parameters that do not move the trim and a good approximation near it (the operating point of
+    the data is estimated as an offset anyway).
     """
     known = {p.name for p in model.parameters}
     for n in names:
@@ -267,18 +285,22 @@ def _jacobians(model: Dynamics, dt: float) -> Any:
 def deviations(
     model: Dynamics, dt: float, rest: tuple[Expr, Expr], moved: tuple[Expr, Expr], p: Expr
 ) -> tuple[Expr, Expr]:
-    """(error state (n_d) after one sample of `dt` seconds, innovation (n_e)) of `moved`, a state and its command window,
-    against `rest`, without noise."""
+    """(error state (n_d) after one sample of `dt` seconds, innovation (n_e)) of `moved`, a state
+    and its command window, against `rest`, without noise."""
     w = ca.SX.zeros(len(model.noises))
     (x0, u0), (x, u) = rest, moved
     after = model.boxminus(model.step(0.0, x, u, p, w, dt), model.step(0.0, x0, u0, p, w, dt))
-    seen = model.innovation(model.output(0.0, x, u, p, w, dt), model.output(0.0, x0, u0, p, w, dt), x0)
+    seen = model.innovation(
+        model.output(0.0, x, u, p, w, dt), model.output(0.0, x0, u0, p, w, dt), x0
+    )
     return after, seen
 
 
 def _output_function(model: Dynamics, dt: float) -> Any:
     x, u, p, window = _symbols(model)
-    return ca.Function("y", [x, u, p], [model.output(0.0, x, window, p, ca.SX.zeros(len(model.noises)), dt)])
+    return ca.Function(
+        "y", [x, u, p], [model.output(0.0, x, window, p, ca.SX.zeros(len(model.noises)), dt)]
+    )
 
 
 def _trim_function(model: Dynamics, dt: float, p: FloatArray) -> dict[str, Any]:
@@ -296,7 +318,9 @@ def _trim_function(model: Dynamics, dt: float, p: FloatArray) -> dict[str, Any]:
     }
 
 
-def _evaluated(function: Mapping[str, Any], x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _evaluated(
+    function: Mapping[str, Any], x: FloatArray, u: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     change, jacobian = function["change"](x, u)
     return np.asarray(change, dtype=float).ravel(), np.asarray(jacobian, dtype=float)
 

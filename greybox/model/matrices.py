@@ -1,4 +1,5 @@
-"""Matrices: the five matrices of a discrete linear model in innovation form, and the algebra that belongs to them.
+"""Matrices: the five matrices of a discrete linear model in innovation form, and the algebra that
+belongs to them.
 
 x[k+1] = A x[k] + B u[k] + K e[k],  y[k] = C x[k] + D u[k] + e[k],  cov(e) = Lambda (Ljung 1999, equation 4.91).
 The predictor is the same model driven by data: x[k+1] = (A - KC) x[k] + (B - KD) u[k] + K y[k].
@@ -16,7 +17,8 @@ from greybox.symbolic import FloatArray
 
 
 class Matrices(NamedTuple):
-    """A (n, n), B (n, m), C (p, n), D (p, m), K (n, p). Plain numbers; names and units live in `LinearModel`."""
+    """A (n, n), B (n, m), C (p, n), D (p, m), K (n, p). Plain numbers; names and units live in
+    `LinearModel`."""
 
     a: FloatArray
     b: FloatArray
@@ -50,9 +52,12 @@ class Matrices(NamedTuple):
         return Matrices(t @ self.a @ inverse, t @ self.b, self.c @ inverse, self.d, t @ self.k)
 
     def scaled(self, input_scale: FloatArray, output_scale: FloatArray) -> Matrices:
-        """The system between u / input_scale and y / output_scale (arrays (m,) and (p,), all positive)."""
+        """The system between u / input_scale and y / output_scale (arrays (m,) and (p,), all
+        positive)."""
         su, sy = np.asarray(input_scale), np.asarray(output_scale)
-        return Matrices(self.a, self.b * su, self.c / sy[:, None], self.d * su / sy[:, None], self.k * sy)
+        return Matrices(
+            self.a, self.b * su, self.c / sy[:, None], self.d * su / sy[:, None], self.k * sy
+        )
 
     def gain(self, z: complex) -> np.ndarray:
         """Transfer matrix C (zI - A)^-1 B + D at the complex number z, (p, m)."""
@@ -60,7 +65,9 @@ class Matrices(NamedTuple):
 
     def noise_gain(self, z: complex) -> np.ndarray:
         """Noise transfer matrix I + C (zI - A)^-1 K at z, (p, p)."""
-        return np.eye(len(self.c)) + self.c @ np.linalg.solve(z * np.eye(self.order) - self.a, self.k)
+        return np.eye(len(self.c)) + self.c @ np.linalg.solve(
+            z * np.eye(self.order) - self.a, self.k
+        )
 
     def poles(self) -> np.ndarray:
         """Eigenvalues of A, sorted by real part then imaginary part."""
@@ -68,7 +75,8 @@ class Matrices(NamedTuple):
 
 
 def from_predictor(f: FloatArray, g: FloatArray, c: FloatArray, d: FloatArray) -> Matrices:
-    """The inverse of (`predictor`, `predictor_input`): F (n, n), G (n, m + p), C (p, n), D (p, m)."""
+    """The inverse of (`predictor`, `predictor_input`): F (n, n), G (n, m + p), C (p, n), D (p,
+    m)."""
     m = d.shape[1]
     k = g[:, m:]
     return Matrices(f + k @ c, g[:, :m] + k @ d, c, d, k)
@@ -82,11 +90,12 @@ def spectral_radius(a: FloatArray) -> float:
 def steady_gain(
     a: FloatArray, c: FloatArray, q: FloatArray, r: FloatArray, s: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Steady-state Kalman gain of x+ = A x + w, y = C x + v with cov(w) = Q, cov(v) = R, cov(w, v) = S.
+    """Steady-state Kalman gain of x+ = A x + w, y = C x + v with cov(w) = Q, cov(v) = R, cov(w, v)
+    = S.
 
-    Returns (K, Lambda, P): K = (A P C' + S) Lambda^-1, Lambda = C P C' + R, P the predicted state covariance from the
-    discrete Riccati equation (Anderson and Moore 1979, section 4.4 and 5.4). Raises `ModelError` where the equation
-    has no stabilising solution.
+    Returns (K, Lambda, P): K = (A P C' + S) Lambda^-1, Lambda = C P C' + R, P the predicted state
+    covariance from the discrete Riccati equation (Anderson and Moore 1979, section 4.4 and 5.4).
+    Raises `ModelError` where the equation has no stabilising solution.
     """
     try:
         p = sla.solve_discrete_are(a.T, c.T, q, r, s=s)
@@ -101,16 +110,21 @@ def steady_gain(
 
 
 def balanced(system: Matrices, *, noise: FloatArray | None = None) -> tuple[Matrices, FloatArray]:
-    """Balanced coordinates of the predictor ([u, y] -> y_hat) and its Hankel singular values (n,), largest first.
+    """Balanced coordinates of the predictor ([u, y] -> y_hat) and its Hankel singular values (n,),
+    largest first.
 
-    The predictor is stable even where A is not, so that this always exists for a model that PEM returns (Moore 1981).
-    `noise` (p, p) weighs the outputs by Lambda^-1/2. Raises `ModelError` where the predictor is not stable.
+    The predictor is stable even where A is not, so that this always exists for a model that PEM
+    returns (Moore 1981). `noise` (p, p) weighs the outputs by Lambda^-1/2. Raises `ModelError`
+    where the predictor is not stable.
     """
     f, g = system.predictor, system.predictor_input
     if system.order == 0:
         return system, np.zeros(0)
     if spectral_radius(f) >= 1.0:
-        raise ModelError("cannot balance: the predictor A - KC is not stable", got=f"radius {spectral_radius(f):.4f}")
+        raise ModelError(
+            "cannot balance: the predictor A - KC is not stable",
+            got=f"radius {spectral_radius(f):.4f}",
+        )
     weight = np.eye(len(system.c)) if noise is None else np.linalg.inv(np.linalg.cholesky(noise))
     reach = _factor(sla.solve_discrete_lyapunov(f, g @ g.T))
     c = weight @ system.c
@@ -121,7 +135,13 @@ def balanced(system: Matrices, *, noise: FloatArray | None = None) -> tuple[Matr
     forward = (left / root).T @ observe.T
     back = reach @ (right.T / root)
     return (
-        Matrices(forward @ system.a @ back, forward @ system.b, system.c @ back, system.d, forward @ system.k),
+        Matrices(
+            forward @ system.a @ back,
+            forward @ system.b,
+            system.c @ back,
+            system.d,
+            forward @ system.k,
+        ),
         values,
     )
 

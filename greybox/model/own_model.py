@@ -97,9 +97,7 @@ def _module(path: str) -> ModuleType:
         exec(compile(text, path, "exec"), module.__dict__)
     except SyntaxError as error:
         del sys.modules[name]
-        raise ModelError(
-            f"not valid Python: {error.msg}", where=f"{path}:{error.lineno}"
-        ) from None
+        raise ModelError(f"not valid Python: {error.msg}", where=f"{path}:{error.lineno}") from None
     except Exception as error:
         del sys.modules[name]
         raise failed("running the file", error, path) from error
@@ -136,9 +134,7 @@ def _symbols(model: StateSpaceModel) -> tuple[Expr, Expr, Expr, Expr]:
 
 def _plain(declaration: Mapping[str, Any]) -> dict[str, Any]:
     """Without what is not finite, which JSON does not have and is the default."""
-    return {
-        k: v for k, v in declaration.items() if not isinstance(v, float) or math.isfinite(v)
-    }
+    return {k: v for k, v in declaration.items() if not isinstance(v, float) or math.isfinite(v)}
 
 
 def own_from_dict(data: Mapping[str, Any], *, where: str = "model") -> StateSpaceModel:

@@ -1,4 +1,5 @@
-"""Parameter: the declaration of a number of the model. ParameterValues: numbers under those names. Never mixed up."""
+"""Parameter: the declaration of a number of the model. ParameterValues: numbers under those names.
+Never mixed up."""
 
 from __future__ import annotations
 
@@ -14,13 +15,15 @@ Scope = Literal["shared", "flight"]
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """Declaration of one scalar parameter. It never holds an estimate; free or fixed is a choice of the fit call.
+    """Declaration of one scalar parameter. It never holds an estimate; free or fixed is a choice of
+    the fit call.
 
-    `nominal` is the value where nothing else is said, `null` the value that removes the effect (None where there is
-    no such value), `sigma` the standard deviation of the prior around `nominal` (0 = exact, inf = no prior). `scale`
-    is the size of a typical change (for conditioning and for random starts), `possible` the largest distance from `null`
-    that a craft can have: more is a fault of the data, not a property of the vehicle. `origin` is the value at
-    which the factor that it stands for vanishes; None: what cannot be negative is a factor of its own.
+    `nominal` is the value where nothing else is said, `null` the value that removes the effect
+    (None where there is no such value), `sigma` the standard deviation of the prior around
+    `nominal` (0 = exact, inf = no prior). `scale` is the size of a typical change (for conditioning
+    and for random starts), `possible` the largest distance from `null` that a craft can have: more
+    is a fault of the data, not a property of the vehicle. `origin` is the value at which the factor
+    that it stands for vanishes; None: what cannot be negative is a factor of its own.
     """
 
     name: str
@@ -43,13 +46,18 @@ class Parameter:
                 expected=f"{self.lower:g} .. {self.upper:g}",
             )
         if not self.scale > 0 or not math.isfinite(self.scale):
-            raise ModelError(f"parameter {self.name}: scale must be positive and finite", got=f"{self.scale:g}")
+            raise ModelError(
+                f"parameter {self.name}: scale must be positive and finite", got=f"{self.scale:g}"
+            )
         if not self.sigma >= 0:
-            raise ModelError(f"parameter {self.name}: sigma must not be negative", got=f"{self.sigma:g}")
+            raise ModelError(
+                f"parameter {self.name}: sigma must not be negative", got=f"{self.sigma:g}"
+            )
 
 
 class ParameterValues(Mapping[str, float]):
-    """Names -> numbers, immutable. `replace({name: value})` gives a changed copy; a wrong name is an error with near names.
+    """Names -> numbers, immutable. `replace({name: value})` gives a changed copy; a wrong name is
+    an error with near names.
 
     >>> values = ParameterValues({"mass": 0.03, "motor_lag.tau": 0.04})
     >>> values.replace({"mass": 0.035})["mass"], values["mass"]

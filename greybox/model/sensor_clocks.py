@@ -149,8 +149,8 @@ class SensorClocks:
         w: Expr,
         lasting: Expr,
     ) -> dict[str, Expr]:
-        """Readings by sensor name, of states `x` and rotors `nu` that the command u drives, under the
-        noise `w` of the coming step and what pushes now and before."""
+        """Readings by sensor name, of states `x` and rotors `nu` that the command u drives, under
+        the noise `w` of the coming step and what pushes now and before."""
         rotors = self.body.rotors
         goal = rotors.goal(u, values)
         rate = rotors.rate(nu, goal, values)
@@ -189,8 +189,8 @@ class SensorClocks:
         """(flow, specific force [m/s^2], states) at the end of `way`, from states `x` and rotors
         `nu` at its start.
 
-        Bodies move by the midpoint rule, rotors exactly. The noise `w` of the coming step acts ahead
-        of the states alone, what is `lasting` on both sides.
+        Bodies move by the midpoint rule, rotors exactly. The noise `w` of the coming step acts
+        ahead of the states alone, what is `lasting` on both sides.
         """
         rotors, back = self.body.rotors, way.age
         w = lasting + ca.if_else(back < 0, w, ca.DM.zeros(w.shape[0]))

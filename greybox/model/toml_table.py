@@ -24,7 +24,8 @@ def describe(value: Any) -> str:
 class TomlTable:
     """A table of a TOML file with its place, for typed access.
 
-    All getters raise `VehicleError` (missing key, wrong type, not finite) with file and key in the message.
+    All getters raise `VehicleError` (missing key, wrong type, not finite) with file and key in the
+    message.
     """
 
     def __init__(self, value: Any, *, file: str, path: str = "") -> None:
@@ -46,7 +47,8 @@ class TomlTable:
         return key in self.value
 
     def known(self, keys: Iterable[str]) -> None:
-        """Demand that every key is one of `keys`. Raises `UnknownNameError` with the nearest names."""
+        """Demand that every key is one of `keys`. Raises `UnknownNameError` with the nearest
+        names."""
         allowed = tuple(keys)
         for key in self.value:
             if key not in allowed:
@@ -57,40 +59,70 @@ class TomlTable:
         if key in self.value:
             return self.value[key]
         if default is _ABSENT:
-            raise self.error(key, "missing", fix=f"add the key '{key}'" + (f" to [{self.path}]" if self.path else ""))
+            raise self.error(
+                key,
+                "missing",
+                fix=f"add the key '{key}'" + (f" to [{self.path}]" if self.path else ""),
+            )
         return default
 
     def number(
-        self, key: str, default: Any = _ABSENT, *, positive: bool = False, minimum: float | None = None
+        self,
+        key: str,
+        default: Any = _ABSENT,
+        *,
+        positive: bool = False,
+        minimum: float | None = None,
     ) -> float:
         """A finite number."""
         value = self.checked_number(key, self.get(key, default))
         if positive and not value > 0:
-            raise self.error(key, "must be positive", got=f"{value:g}", fix="give it in SI units, greater than zero")
+            raise self.error(
+                key,
+                "must be positive",
+                got=f"{value:g}",
+                fix="give it in SI units, greater than zero",
+            )
         if minimum is not None and value < minimum:
-            raise self.error(key, f"must be at least {minimum:g}", got=f"{value:g}", fix="check sign and unit")
+            raise self.error(
+                key, f"must be at least {minimum:g}", got=f"{value:g}", fix="check sign and unit"
+            )
         return value
 
     def checked_number(self, key: str, value: Any) -> float:
         """`value`, which stands at `key`, as a finite float."""
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.error(key, "a number is needed here", got=describe(value), fix="write it without quotes")
+            raise self.error(
+                key, "a number is needed here", got=describe(value), fix="write it without quotes"
+            )
         try:
             number = float(value)
         except OverflowError:
             number = math.inf
         if not math.isfinite(number):
-            raise self.error(key, "not finite", expected="a finite number", got=str(number), fix="give a real value")
+            raise self.error(
+                key,
+                "not finite",
+                expected="a finite number",
+                got=str(number),
+                fix="give a real value",
+            )
         return number
 
     def text(self, key: str, default: Any = _ABSENT) -> str:
         """A text."""
         value = self.get(key, default)
         if not isinstance(value, str):
-            raise self.error(key, "a text is needed here", got=describe(value), fix="put it in quotes")
+            raise self.error(
+                key, "a text is needed here", got=describe(value), fix="put it in quotes"
+            )
         if not value.isprintable():
             # it is printed, and written into pages, C and build files
-            raise self.error(key, "a text on one line, without control characters, is needed here", got=repr(value)[:80])
+            raise self.error(
+                key,
+                "a text on one line, without control characters, is needed here",
+                got=repr(value)[:80],
+            )
         return value
 
     def choice(self, key: str, choices: tuple[str, ...], default: str) -> str:
@@ -104,7 +136,9 @@ class TomlTable:
         """true or false."""
         value = self.get(key, default)
         if not isinstance(value, bool):
-            raise self.error(key, "a boolean is needed here", got=describe(value), fix="write true or false")
+            raise self.error(
+                key, "a boolean is needed here", got=describe(value), fix="write true or false"
+            )
         return value
 
     def array(self, key: str, length: int | None, default: Any = _ABSENT) -> list[Any]:
@@ -112,9 +146,17 @@ class TomlTable:
         value = self.get(key, default)
         wanted = "an array" if length is None else f"an array of {length}"
         if not isinstance(value, (list, tuple)):
-            raise self.error(key, "not an array", expected=wanted, got=describe(value), fix="write it as [a, b, ...]")
+            raise self.error(
+                key,
+                "not an array",
+                expected=wanted,
+                got=describe(value),
+                fix="write it as [a, b, ...]",
+            )
         if length is not None and len(value) != length:
-            raise self.error(key, f"{len(value)} entries", expected=wanted, fix="give one number per component")
+            raise self.error(
+                key, f"{len(value)} entries", expected=wanted, fix="give one number per component"
+            )
         return list(value)
 
     def numbers(self, key: str, length: int, default: Any = _ABSENT) -> tuple[float, ...]:
@@ -124,4 +166,6 @@ class TomlTable:
 
     def table(self, key: str, default: Any = _ABSENT) -> TomlTable:
         """A sub-table."""
-        return TomlTable(self.get(key, default), file=self.file, path=f"{self.path}.{key}" if self.path else key)
+        return TomlTable(
+            self.get(key, default), file=self.file, path=f"{self.path}.{key}" if self.path else key
+        )

@@ -138,14 +138,19 @@ class Vehicle(Shown):
     def _shown_text(self) -> str:
         """Name, weight and size, then every believed number with its standard deviation."""
         first = f"{self.name}: {self.n_rotors} rotors, arm {self.arm_length:.4g} m, {self.schema}"
-        lines = [f"  {b.quantity} {b.value:.5g} +- {b.sigma:.2g} ({b.why})" for b in self.beliefs.entries if b.value]
+        lines = [
+            f"  {b.quantity} {b.value:.5g} +- {b.sigma:.2g} ({b.why})"
+            for b in self.beliefs.entries
+            if b.value
+        ]
         known = ", ".join(self.effects) or "none"
         return "\n".join([first, f"  effects known to be there: {known}", *lines])
 
     def _shown_rows(self) -> list[dict[str, Cell]]:
         """One row per number: value, standard deviation and why it is believed so far."""
         return [
-            {"quantity": b.quantity, "value": b.value, "sigma": b.sigma, "why": b.why} for b in self.beliefs.entries
+            {"quantity": b.quantity, "value": b.value, "sigma": b.sigma, "why": b.why}
+            for b in self.beliefs.entries
         ]
 
     @property
@@ -171,10 +176,17 @@ class Vehicle(Shown):
         ..."""
         out = {"mass": self.mass}
         for i, axis in enumerate("xyz"):
-            out[f"inertia.{axis}{axis}"] = Quantity(value=self.inertia[i][i], sigma=self.inertia_sigma[i])
+            out[f"inertia.{axis}{axis}"] = Quantity(
+                value=self.inertia[i][i], sigma=self.inertia_sigma[i]
+            )
         for kind, curve in (("thrust", self.actuator.thrust), ("torque", self.actuator.torque)):
             out.update({f"{kind}.c{i}": quantity for i, quantity in enumerate(curve)})
-        out.update({f"center_of_mass.{axis}": q for axis, q in zip("xyz", self.center_of_mass, strict=True)})
+        out.update(
+            {
+                f"center_of_mass.{axis}": q
+                for axis, q in zip("xyz", self.center_of_mass, strict=True)
+            }
+        )
         return out
 
     @property
@@ -219,7 +231,9 @@ class Vehicle(Shown):
             "imu_position": list(self.imu_position),
             "rotor": [{"position": list(r.position), "spin": r.spin} for r in self.rotors],
             "actuator": actuator,
-            "effects": {k: {n: _plain(q, bare) for n, q in v.items()} for k, v in self.effects.items()},
+            "effects": {
+                k: {n: _plain(q, bare) for n, q in v.items()} for k, v in self.effects.items()
+            },
             "noise": dict(self.noise),
             "columns": self.columns.to_dict(),
         }
@@ -269,7 +283,11 @@ def _by_channel(data: Mapping[str, Any]) -> bool:
 
 def _plain(quantity: Quantity, bare: bool) -> float | dict[str, float]:
     """As in a file; `bare` says that a number without sigma is exact there."""
-    return quantity.value if quantity.exact and bare else {"value": quantity.value, "sigma": quantity.sigma}
+    return (
+        quantity.value
+        if quantity.exact and bare
+        else {"value": quantity.value, "sigma": quantity.sigma}
+    )
 
 
 def _arm_length(rotors: Iterable[Rotor]) -> float:
@@ -326,8 +344,13 @@ def _quantities(
     exact = _Silent(EXACT_SCHEMA, 0.0, ())
     read = [_quantity(table, f"{key}[{i}]", v, "", exact) for i, v in enumerate(values)]
     if any(not q.exact for q in read):
-        raise table.error(sigma_key, f"sigma given twice, here and in {key}", fix="keep one of the two")
-    x, y, z = (Quantity(value=q.value, sigma=s) for q, s in zip(read, _sigmas(table, sigma_key), strict=True))
+        raise table.error(
+            sigma_key, f"sigma given twice, here and in {key}", fix="keep one of the two"
+        )
+    x, y, z = (
+        Quantity(value=q.value, sigma=s)
+        for q, s in zip(read, _sigmas(table, sigma_key), strict=True)
+    )
     return x, y, z
 
 
@@ -393,7 +416,9 @@ def _inertia(top: TomlTable, silent: _Silent) -> tuple[Matrix3, Vector3]:
 def _rotors(top: TomlTable) -> tuple[Rotor, ...]:
     rotors = []
     if len(top.array("rotor", None)) > MOST_ROTORS:
-        raise top.error("rotor", f"more than {MOST_ROTORS} rotors", fix="add one [[rotor]] per rotor")
+        raise top.error(
+            "rotor", f"more than {MOST_ROTORS} rotors", fix="add one [[rotor]] per rotor"
+        )
     for i, value in enumerate(top.array("rotor", None)):
         table = TomlTable(value, file=top.file, path=f"rotor[{i}]")
         table.known(("position", "spin"))
@@ -407,10 +432,14 @@ def _rotors(top: TomlTable) -> tuple[Rotor, ...]:
             )
         rotors.append(Rotor(position=_vector(table, "position"), spin=int(spin)))
     if not rotors:
-        raise top.error("rotor", "no rotor", fix="add one [[rotor]] with position and spin per rotor")
+        raise top.error(
+            "rotor", "no rotor", fix="add one [[rotor]] with position and spin per rotor"
+        )
     places = [r.position for r in rotors]
     if len(set(places)) < len(places):
-        raise top.error("rotor", "two rotors at the same position", fix="give each rotor its own hub position")
+        raise top.error(
+            "rotor", "two rotors at the same position", fix="give each rotor its own hub position"
+        )
     return tuple(rotors)
 
 
@@ -448,8 +477,12 @@ def _actuator(table: TomlTable, silent: _Silent) -> Actuator:
     return Actuator(
         u_min=u_min,
         u_max=u_max,
-        hold="linear" if table.choice("hold", ("previous", "linear"), "previous") == "linear" else "previous",
-        rotor_radius=table.number("rotor_radius", positive=True) if "rotor_radius" in table else None,
+        hold="linear"
+        if table.choice("hold", ("previous", "linear"), "previous") == "linear"
+        else "previous",
+        rotor_radius=table.number("rotor_radius", positive=True)
+        if "rotor_radius" in table
+        else None,
         speed_max=table.number("speed_max", positive=True) if "speed_max" in table else None,
         thrust=thrust,
         torque=_quantities(table, "torque", ("torque.c0", "torque.c1", "torque.c2"), silent),
@@ -517,13 +550,17 @@ def _vehicle(top: TomlTable) -> Vehicle:
     silent = _Silent(schema, _arm_length(rotors), labelled)
     mass = _quantity(top, "mass", top.get("mass"), "mass", silent)
     if not mass.value > 0:
-        raise top.error("mass", "must be positive", got=f"{mass.value:g}", fix="weigh the craft, in kg")
+        raise top.error(
+            "mass", "must be positive", got=f"{mass.value:g}", fix="weigh the craft, in kg"
+        )
     inertia, inertia_sigma = _inertia(top, silent)
     effects_table = top.table("effects", {})
     effects = {}
     for name in effects_table.value:
         one = effects_table.table(name)
-        effects[name] = MappingProxyType({k: _quantity(one, k, v, f"{name}.{k}", silent) for k, v in one.value.items()})
+        effects[name] = MappingProxyType(
+            {k: _quantity(one, k, v, f"{name}.{k}", silent) for k, v in one.value.items()}
+        )
     noise = top.table("noise", {})
     noise.known((*NOISES, *(k for k in noise.value if _names_own_sensor(k))))
     battery = top.table("battery", {})
@@ -545,7 +582,9 @@ def _vehicle(top: TomlTable) -> Vehicle:
         rotors=rotors,
         actuator=_actuator(top.table("actuator"), silent),
         effects=effects,
-        nominal_voltage=battery.number("nominal_voltage", positive=True) if "nominal_voltage" in battery else None,
+        nominal_voltage=battery.number("nominal_voltage", positive=True)
+        if "nominal_voltage" in battery
+        else None,
         noise={k: noise.number(k, positive=True) for k in noise.value},
         columns=_columns(top.table("columns", {}), len(rotors)),
         schema=schema,

@@ -158,7 +158,8 @@ def _layout(
     if form == "ulog" and told.get("MAV_TYPE") == QUADROTOR:
         plus = 5000 <= start < 6000
         known.append(
-            f"motor order: PX4 quadrotor {'+' if plus else 'x'} (SYS_AUTOSTART = {start}, MAV_TYPE = 2)"
+            f"motor order: PX4 quadrotor {'+' if plus else 'x'} (SYS_AUTOSTART = {start}, MAV_TYPE "
+            "= 2)"
         )
         return QUAD_PLUS if plus else _unit(QUAD_X["px4"]), None
     if form == "betaflight" and raw is not None and _motors(raw) == 4:
@@ -166,11 +167,13 @@ def _layout(
         seen = _yaw_answer(raw, [s for _, s in places])
         if seen is None or abs(seen) < TURNING:
             known.append(
-                "motor order: Betaflight quad X; spins: props in ASSUMED (yaw says too little), look at the craft"
+                "motor order: Betaflight quad X; spins: props in ASSUMED (yaw says too little), "
+                "look at the craft"
             )
         else:
             known.append(
-                f"motor order: Betaflight quad X; spins: props {'in' if seen > 0 else 'out'}, as yaw answers"
+                f"motor order: Betaflight quad X; spins: props {'in' if seen > 0 else 'out'}, as "
+                "yaw answers"
             )
             places = tuple((p, s if seen > 0 else -s) for p, s in places)
         return places, None

@@ -1,6 +1,7 @@
 """Vehicle templates: vehicle files of known craft (package data) and how their numbers are changed.
 
-Comments stay, because they say where a number comes from; a number that was changed loses its source and says so instead.
+Comments stay, because they say where a number comes from; a number that was changed loses its
+source and says so instead.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ def template_text(name: str) -> str:
 
 
 def settings(pairs: list[str]) -> dict[str, Any]:
-    """KEY=VALUE texts as names and TOML values (what is no TOML value is a text). Raises `VehicleError`."""
+    """KEY=VALUE texts as names and TOML values (what is no TOML value is a text). Raises
+    `VehicleError`."""
     out: dict[str, Any] = {}
     for pair in pairs:
         key, sign, text = pair.partition("=")
@@ -56,11 +58,12 @@ def settings(pairs: list[str]) -> dict[str, Any]:
 def vehicle_text(name: str, changes: Mapping[str, Any]) -> str:
     """The file of template `name` with `changes`, checked by the vehicle reader.
 
-    Keys: `mass`, `inertia.xx`, `thrust.c2`, `torque.c0`, `center_of_mass.x`, each also with `.sigma` behind it (a value
-    alone keeps its relative sigma); `arm` [m] moves the rotors out or in, `hover` is the command that carries the
-    weight and scales thrust and torque (of the templates x and plus, inertia and maps follow mass and arm first); any
-    other scalar key of the file, as `name`, `noise.gyro` or `effects.motor_lag.tau`.
-    Raises `UnknownNameError`, `VehicleError`.
+    Keys: `mass`, `inertia.xx`, `thrust.c2`, `torque.c0`, `center_of_mass.x`, each also with
+    `.sigma` behind it (a value alone keeps its relative sigma); `arm` [m] moves the rotors out or
+    in, `hover` is the command that carries the weight and scales thrust and torque (of the
+    templates x and plus, inertia and maps follow mass and arm first); any other scalar key of the
+    file, as `name`, `noise.gyro` or `effects.motor_lag.tau`. Raises `UnknownNameError`,
+    `VehicleError`.
     """
     text = template_text(name)
     data = tomllib.loads(text)
@@ -79,11 +82,18 @@ def vehicle_text(name: str, changes: Mapping[str, Any]) -> str:
 
 def _positive(key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-        raise VehicleError("must be a number above zero", where=f"--set {key}", got=repr(value), fix=f"--set {key}=0.5")
+        raise VehicleError(
+            "must be a number above zero",
+            where=f"--set {key}",
+            got=repr(value),
+            fix=f"--set {key}=0.5",
+        )
     return float(value)
 
 
-def _resize(name: str, data: dict[str, Any], sizes: Mapping[str, float], notes: dict[str, str]) -> None:
+def _resize(
+    name: str, data: dict[str, Any], sizes: Mapping[str, float], notes: dict[str, str]
+) -> None:
     """Apply mass, arm and hover to the parsed file, and to what follows from them."""
     actuator = data["actuator"]
     mass, sigma = data["mass"]["value"], data["mass"]["sigma"]
@@ -107,7 +117,10 @@ def _resize(name: str, data: dict[str, Any], sizes: Mapping[str, float], notes: 
         u = sizes["hover"]
         if u > actuator["u_max"]:
             raise VehicleError(
-                "hover must lie inside the command range", where="--set hover", got=f"{u:g}", fix="--set hover=0.5"
+                "hover must lie inside the command range",
+                where="--set hover",
+                got=f"{u:g}",
+                fix="--set hover=0.5",
             )
         thrust = sum(c * u**k for k, c in enumerate(actuator["thrust"]))
         maps = data["mass"]["value"] * data["gravity"] / (len(data["rotor"]) * thrust)
@@ -115,7 +128,14 @@ def _resize(name: str, data: dict[str, Any], sizes: Mapping[str, float], notes: 
         why = f"hovers at u = {sizes['hover']:g}" if "hover" in sizes else "scaled with the mass"
         _scale(actuator, "thrust", maps, notes, f"N per rotor, {why}", "actuator.")
         wider = longer if name in SIZED else 1.0
-        _scale(actuator, "torque", maps * wider, notes, "N m per rotor, scaled with the thrust", "actuator.")
+        _scale(
+            actuator,
+            "torque",
+            maps * wider,
+            notes,
+            "N m per rotor, scaled with the thrust",
+            "actuator.",
+        )
 
 
 def _arm(data: Mapping[str, Any]) -> float:
@@ -123,7 +143,14 @@ def _arm(data: Mapping[str, Any]) -> float:
     return max(float(np.hypot(*r["position"][:2])) for r in data["rotor"])
 
 
-def _scale(table: dict[str, Any], key: str, factor: float, notes: dict[str, str], note: str, prefix: str = "") -> None:
+def _scale(
+    table: dict[str, Any],
+    key: str,
+    factor: float,
+    notes: dict[str, str],
+    note: str,
+    prefix: str = "",
+) -> None:
     for k in (key, f"{key}_sigma"):
         table[k] = (np.array(table[k]) * factor).tolist()
         table[k] = [[_round(v) for v in r] if isinstance(r, list) else _round(r) for r in table[k]]
@@ -135,19 +162,29 @@ def _assign(data: dict[str, Any], key: str, value: Any, notes: dict[str, str]) -
     wants_sigma = key.endswith(".sigma")
     base = key.removesuffix(".sigma")
     head, _, tail = base.partition(".")
-    unit = {"inertia": [f"{a}{b}" for i, a in enumerate(AXES) for b in AXES[i:]], "thrust": ["c0", "c1", "c2"],
-            "torque": ["c0", "c1", "c2"], "center_of_mass": list(AXES)}  # fmt: skip
+    unit = {
+        "inertia": [f"{a}{b}" for i, a in enumerate(AXES) for b in AXES[i:]],
+        "thrust": ["c0", "c1", "c2"],
+        "torque": ["c0", "c1", "c2"],
+        "center_of_mass": list(AXES),
+    }
     if head in unit and tail:
         if tail not in unit[head]:
-            raise UnknownNameError("parameter", base, [f"{head}.{t}" for t in unit[head]], where="--set")
-        table, prefix = (data["actuator"], "actuator.") if head in ("thrust", "torque") else (data, "")
+            raise UnknownNameError(
+                "parameter", base, [f"{head}.{t}" for t in unit[head]], where="--set"
+            )
+        table, prefix = (
+            (data["actuator"], "actuator.") if head in ("thrust", "torque") else (data, "")
+        )
         number = _number(key, value)
         i = unit[head].index(tail) if head != "inertia" else AXES.index(tail[0])
         silent = [default_sigma(f"{head}.{t}", 0.0, _arm(data)) for t in unit[head][:3]]
         sigmas = table.setdefault(f"{head}_sigma", silent)
         if wants_sigma:
             if head == "inertia" and tail[0] != tail[1]:
-                raise VehicleError("products of inertia have no sigma", where=f"--set {key}", fix="leave it out")
+                raise VehicleError(
+                    "products of inertia have no sigma", where=f"--set {key}", fix="leave it out"
+                )
             sigmas[i] = number
         elif head == "inertia":
             j = AXES.index(tail[1])
@@ -167,7 +204,11 @@ def _assign(data: dict[str, Any], key: str, value: Any, notes: dict[str, str]) -
             raise UnknownNameError("key", key, _keys(data), where="--set")
     old = table.get(last)
     if wants_sigma or (isinstance(old, dict) and isinstance(value, int | float)):
-        was = old if isinstance(old, dict) else {"value": old if old is not None else 0.0, "sigma": 0.0}
+        was = (
+            old
+            if isinstance(old, dict)
+            else {"value": old if old is not None else 0.0, "sigma": 0.0}
+        )
         number = _number(key, value)
         ratio = was["sigma"] / was["value"] if was["value"] else 0.0
         table[last] = (
@@ -182,13 +223,17 @@ def _assign(data: dict[str, Any], key: str, value: Any, notes: dict[str, str]) -
 
 def _number(key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise VehicleError("a number is needed here", where=f"--set {key}", got=repr(value), fix=f"--set {key}=0.1")
+        raise VehicleError(
+            "a number is needed here", where=f"--set {key}", got=repr(value), fix=f"--set {key}=0.1"
+        )
     return float(value)
 
 
 def _keys(data: Mapping[str, Any], prefix: str = "") -> list[str]:
     return [
-        k for n, v in data.items() for k in (_keys(v, f"{prefix}{n}.") if isinstance(v, dict) else [f"{prefix}{n}"])
+        k
+        for n, v in data.items()
+        for k in (_keys(v, f"{prefix}{n}.") if isinstance(v, dict) else [f"{prefix}{n}"])
     ]
 
 
@@ -217,7 +262,8 @@ def _toml(value: Any) -> str:
 
 
 def written(text: str, place: str, value: Any, note: str) -> str:
-    """`text` with the value of one key replaced, or added at the end of its table. Every key of a template is one line."""
+    """`text` with the value of one key replaced, or added at the end of its table. Every key of a
+    template is one line."""
     path, _, key = place.rpartition(".")
     line = f"{key} = {_toml(value)}  # {note}"
     lines = text.splitlines()

@@ -1,4 +1,5 @@
-"""Planning: which flights to fly so that the parameters become known, within limits, before anything has flown."""
+"""Planning: which flights to fly so that the parameters become known, within limits, before
+anything has flown."""
 
 from greybox.planning.plan import plan
 from greybox.planning.result import Plan

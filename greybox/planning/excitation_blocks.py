@@ -59,7 +59,9 @@ class Flown:
     log: Dataset
 
 
-def sequence(steps: Sequence[tuple[ExcitationBlock, float]], limits: Limits, name: str = "plan") -> Manoeuvre:
+def sequence(
+    steps: Sequence[tuple[ExcitationBlock, float]], limits: Limits, name: str = "plan"
+) -> Manoeuvre:
     """Pieces with amplitudes, one after the other, as one manoeuvre from home to home."""
     ends = np.cumsum([p.seconds for p, _ in steps])
 
@@ -84,7 +86,9 @@ def sequence(steps: Sequence[tuple[ExcitationBlock, float]], limits: Limits, nam
         shape = steps[k][0].voltage
         return shape(since) if shape else 1.0
 
-    return Manoeuvre(name=name, text=name, unit="", amplitudes=(1.0,), path=path, twist=twist, voltage=voltage)
+    return Manoeuvre(
+        name=name, text=name, unit="", amplitudes=(1.0,), path=path, twist=twist, voltage=voltage
+    )
 
 
 def fit_in(model: IdentifiedModel, piece: ExcitationBlock, limits: Limits) -> Flown | None:
@@ -92,12 +96,19 @@ def fit_in(model: IdentifiedModel, piece: ExcitationBlock, limits: Limits) -> Fl
 
     def flies(a: float) -> Flown | None:
         log = flown(model, sequence([(piece, a)], limits, piece.name), 1.0, seconds=piece.seconds)
-        return Flown(piece=piece, amplitude=a, log=log) if log is not None and not limits.broken(log) else None
+        return (
+            Flown(piece=piece, amplitude=a, log=log)
+            if log is not None and not limits.broken(log)
+            else None
+        )
 
     best = flies(LEVELS[0])
     if best is not None or piece.kind == "hover":
         return best
-    low, high = 0, len(LEVELS)  # LEVELS[low] does not fly, LEVELS[high] does (beyond the last: none does)
+    low, high = (
+        0,
+        len(LEVELS),
+    )  # LEVELS[low] does not fly, LEVELS[high] does (beyond the last: none does)
     while high - low > 1:
         middle = (low + high) // 2
         tried = flies(LEVELS[middle])
@@ -117,21 +128,35 @@ def authority(model: IdentifiedModel, limits: Limits) -> FloatArray:
     spare = min(high - weight / n, weight / n - low)
     if not spare > 0.02 * weight / n:
         raise FitError(
-            "the craft cannot hover inside the command range", expected=f"below {weight / n:.3g} N and above it per rotor",
-            got=f"{low:.3g} to {high:.3g} N", fix="greybox vehicle check; widen --command",
-        )  # fmt: skip
+            "the craft cannot hover inside the command range",
+            expected=f"below {weight / n:.3g} N and above it per rotor",
+            got=f"{low:.3g} to {high:.3g} N",
+            fix="greybox vehicle check; widen --command",
+        )
     place = np.abs([r.position for r in vehicle.rotors])
-    lever = abs(v["torque.c2"] / v["thrust.c2"]) if v["thrust.c2"] else abs(v["torque.c1"] / v["thrust.c1"])
+    lever = (
+        abs(v["torque.c2"] / v["thrust.c2"])
+        if v["thrust.c2"]
+        else abs(v["torque.c1"] / v["thrust.c1"])
+    )
     moments = spare * np.array([place[:, 1].sum(), place[:, 0].sum(), n * lever])
     inertia = np.array([v[f"inertia.{a}{a}"] for a in "xyz"])
     return np.append(moments / inertia, n * spare / weight)
 
 
 def excitation_blocks(
-    model: IdentifiedModel, limits: Limits, *, seconds: float, seed: int = 0, setpoints_only: bool = False
+    model: IdentifiedModel,
+    limits: Limits,
+    *,
+    seconds: float,
+    seed: int = 0,
+    setpoints_only: bool = False,
 ) -> list[ExcitationBlock]:
     """The pieces of `seconds` each that suit the limits. `seed` draws the phases of the multi-sines."""
-    reach = np.array([0.5 * limits.box[0], 0.5 * limits.box[1], 0.5 * (limits.box[2] - limits.floor)]) * 0.85
+    reach = (
+        np.array([0.5 * limits.box[0], 0.5 * limits.box[1], 0.5 * (limits.box[2] - limits.floor)])
+        * 0.85
+    )
     g = float(model.physics.vehicle.gravity)
 
     def gate(t: float) -> float:
@@ -164,29 +189,57 @@ def excitation_blocks(
     out: list[ExcitationBlock] = []
 
     def add(
-        name: str, text: str, kind: str, *moves: tuple[int, Callable[[float], float]], twist: Shape | None = None
+        name: str,
+        text: str,
+        kind: str,
+        *moves: tuple[int, Callable[[float], float]],
+        twist: Shape | None = None,
     ) -> None:
         offset = along(*moves) if moves else None
-        out.append(ExcitationBlock(name=name, text=text, kind=kind, seconds=seconds, offset=offset, twist=twist))
+        out.append(
+            ExcitationBlock(
+                name=name, text=text, kind=kind, seconds=seconds, offset=offset, twist=twist
+            )
+        )
 
     add("hover", "hover", "hover")
     add("surge_slow", "to and fro along x, slowly", "speed", (0, sine(0, slow)))
     add("surge_fast", "to and fro along x, fast", "speed", (0, sine(0, fast)))
     add("sway_slow", "to and fro along y, slowly", "speed", (1, sine(1, slow)))
     add("sway_fast", "to and fro along y, fast", "speed", (1, sine(1, fast)))
-    add("speed_sweep", "to and fro along x, faster and faster", "speed", (0, _growing(sine(0, fast), seconds)))
+    add(
+        "speed_sweep",
+        "to and fro along x, faster and faster",
+        "speed",
+        (0, _growing(sine(0, fast), seconds)),
+    )
     add("climb_and_sink", "climb and sink", "height", (2, sine(2, fast)))
     add("height_sweep", "sink to the floor and rise again", "height", (2, sink))
     climb = ((0, sine(0, slow, 0.8)), (2, sine(2, fast, 0.6)))
     add("climb_at_speed", "climb and sink while flying to and fro", "coupled", *climb)
     three = ((0, sine(0, fast, 0.65)), (1, sine(1, fast - 1, 0.65)), (2, sine(2, slow + 1, 0.5)))
     add("lissajous", "x, y and height at once at three frequencies", "coupled", *three)
-    add("figure_eight", "figure of eight", "coupled", (0, sine(0, slow, 0.8)), (1, sine(1, 2 * slow, 0.6)))
+    add(
+        "figure_eight",
+        "figure of eight",
+        "coupled",
+        (0, sine(0, slow, 0.8)),
+        (1, sine(1, 2 * slow, 0.6)),
+    )
     add("turns", "turn on the spot, left and right", "yaw", (3, turn(1.0)))
-    add("turns_at_speed", "to and fro while turning", "coupled", (0, sine(0, fast, 0.9)), (3, turn(1.0)))
+    add(
+        "turns_at_speed",
+        "to and fro while turning",
+        "coupled",
+        (0, sine(0, fast, 0.9)),
+        (3, turn(1.0)),
+    )
     if "vbat" in model.dynamics.inputs.names:
         add(
-            "full_and_empty_pack", "climb and sink on a full, then on an empty pack", "battery", (2, sine(2, fast, 0.6))
+            "full_and_empty_pack",
+            "climb and sink on a full, then on an empty pack",
+            "battery",
+            (2, sine(2, fast, 0.6)),
         )
         out[-1] = replace(out[-1], voltage=lambda t: 1.08 if t < 0.5 * seconds else 0.92)
     if setpoints_only:
@@ -212,9 +265,20 @@ def excitation_blocks(
     for i, n in enumerate(("roll", "pitch", "yaw", "thrust")):
         add(f"{n}_multisine", f"multi-sine in {n}", "multisine", twist=inject((i, tones[i], 1.0)))
     every = inject(*((i, tones[i], 0.5) for i in range(4)))
-    add("all_multisine", "orthogonal multi-sines in roll, pitch, yaw and thrust", "multisine", twist=every)
+    add(
+        "all_multisine",
+        "orthogonal multi-sines in roll, pitch, yaw and thrust",
+        "multisine",
+        twist=every,
+    )
     moving = ((0, sine(0, slow, 0.8)), (1, sine(1, slow + 1, 0.5)))
-    add("multisine_at_speed", "orthogonal multi-sines while flying to and fro", "coupled", *moving, twist=every)
+    add(
+        "multisine_at_speed",
+        "orthogonal multi-sines while flying to and fro",
+        "coupled",
+        *moving,
+        twist=every,
+    )
     both = inject((0, quick, 1.0), (1, later(quick, 0.5), 1.0))
     add("roll_and_pitch_doublets", "roll and pitch doublets", "doublets", twist=both)
     add("yaw_doublets", "yaw doublets", "doublets", twist=inject((2, wide, 1.0)))
@@ -230,7 +294,9 @@ def _growing(shape: Callable[[float], float], seconds: float) -> Callable[[float
     return lambda t: shape(t) * min(t / (0.85 * seconds), 1.0)
 
 
-def _centred(shape: Callable[[float], float], gate: Callable[[float], float]) -> Callable[[float], float]:
+def _centred(
+    shape: Callable[[float], float], gate: Callable[[float], float]
+) -> Callable[[float], float]:
     return lambda t: shape(t) if gate(t) > 0.3 else 0.0
 
 

@@ -48,21 +48,32 @@ class Separation:
     @property
     def seconds_to_clear(self) -> float:
         """Time to BIC 10 [s]."""
-        return float("inf") if self.expected <= 0 else self.seconds * CLEAR_LOG_RATIO / self.expected
+        return (
+            float("inf") if self.expected <= 0 else self.seconds * CLEAR_LOG_RATIO / self.expected
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """As in discovery.json."""
         return {
-            "name": self.manoeuvre.name, "text": self.manoeuvre.text, "amplitude": self.amplitude,
-            "unit": self.manoeuvre.unit, "seconds": self.seconds, "expected_log_likelihood_ratio": self.expected,
-            "seconds_to_bic_10": self.seconds_to_clear if np.isfinite(self.seconds_to_clear) else None,
-        }  # fmt: skip
+            "name": self.manoeuvre.name,
+            "text": self.manoeuvre.text,
+            "amplitude": self.amplitude,
+            "unit": self.manoeuvre.unit,
+            "seconds": self.seconds,
+            "expected_log_likelihood_ratio": self.expected,
+            "seconds_to_bic_10": self.seconds_to_clear
+            if np.isfinite(self.seconds_to_clear)
+            else None,
+        }
 
 
 def separations(
-    rivals: Mapping[str, Fit], *, library: Sequence[Manoeuvre] = LIBRARY, seconds: float = SECONDS,
+    rivals: Mapping[str, Fit],
+    *,
+    library: Sequence[Manoeuvre] = LIBRARY,
+    seconds: float = SECONDS,
     say: Callable[[str], None] | None = None,
-) -> list[Separation]:  # fmt: skip
+) -> list[Separation]:
     """Every manoeuvre that all rivals can fly, the most telling first. `rivals`: name -> fit, two or more."""
     out = []
     known = {n: _information(f) for n, f in rivals.items()}
@@ -86,7 +97,11 @@ def separations(
                 ]
             except GreyboxError:
                 continue
-            out.append(Separation(manoeuvre=manoeuvre, amplitude=amplitude, seconds=seconds, expected=min(told)))
+            out.append(
+                Separation(
+                    manoeuvre=manoeuvre, amplitude=amplitude, seconds=seconds, expected=min(told)
+                )
+            )
     return sorted(out, key=lambda s: -s.expected)
 
 
@@ -96,8 +111,13 @@ def separating_manoeuvre(rivals: Mapping[str, Fit], **options: Any) -> dict[str,
     if not found:
         return None
     # One amplitude of every manoeuvre is enough among the runners-up.
-    best = [next(g) for _, g in itertools.groupby(sorted(found, key=lambda s: (s.manoeuvre.name, -s.expected)),
-                                                  key=lambda s: s.manoeuvre.name)]  # fmt: skip
+    best = [
+        next(g)
+        for _, g in itertools.groupby(
+            sorted(found, key=lambda s: (s.manoeuvre.name, -s.expected)),
+            key=lambda s: s.manoeuvre.name,
+        )
+    ]
     best.sort(key=lambda s: -s.expected)
     return best[0].to_dict() | {"runners_up": [s.to_dict() for s in best[1 : 1 + OTHERS]]}
 
@@ -106,15 +126,25 @@ def divergence(fitted: Fit, log: Dataset, known: Mapping[str, Mapping[str, float
     """Expected log likelihood ratio against `fitted` on a noise-free `log`; `known` is what it was fitted with."""
     names = [n for n in fitted.parameters if fitted.parameters[n].scope != "flight"]
     problem = make_problem(
-        fitted.model.dynamics, log, predictor=Innovation(), criterion=Gaussian(), free=list(fitted.parameters),
-        values=dict(fitted.model.values), noise=noise_of(fitted.model), estimate_noise=False,
+        fitted.model.dynamics,
+        log,
+        predictor=Innovation(),
+        criterion=Gaussian(),
+        free=list(fitted.parameters),
+        values=dict(fitted.model.values),
+        noise=noise_of(fitted.model),
+        estimate_noise=False,
         per_flight=[n for n in fitted.parameters if n not in names],
-    )  # fmt: skip
+    )
     value = problem.evaluate(problem.start)
     assert value.gradient is not None
     assert value.hessian is not None
     prior = np.zeros((problem.n, problem.n))
-    place = {u.name: i for i, u in enumerate(problem.unknowns) if u.kind == "parameter" and u.flight is None}
+    place = {
+        u.name: i
+        for i, u in enumerate(problem.unknowns)
+        if u.kind == "parameter" and u.flight is None
+    }
     for a, row in known.items():
         for b, h in row.items():
             if a in place and b in place:
@@ -145,14 +175,22 @@ def _information(fitted: Fit) -> dict[str, dict[str, float]]:
     value = fitted.problem.evaluate(fitted.theta)
     assert value.hessian is not None
     h: FloatArray = value.hessian
-    shared = [i for i, u in enumerate(fitted.problem.unknowns) if u.kind == "parameter" and u.flight is None]
+    shared = [
+        i
+        for i, u in enumerate(fitted.problem.unknowns)
+        if u.kind == "parameter" and u.flight is None
+    ]
     rest = [i for i in range(len(h)) if i not in set(shared)]
     scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
     h = h / np.outer(scale, scale)
     own = h[np.ix_(shared, shared)]
     if rest:
         cross = h[np.ix_(shared, rest)]
-        own = own - cross @ np.linalg.solve(h[np.ix_(rest, rest)] + 1e-9 * np.eye(len(rest)), cross.T)
+        own = own - cross @ np.linalg.solve(
+            h[np.ix_(rest, rest)] + 1e-9 * np.eye(len(rest)), cross.T
+        )
     own = own * np.outer(scale[shared], scale[shared])
     names = [fitted.problem.unknowns[i].name for i in shared]
-    return {a: dict(zip(names, row, strict=True)) for a, row in zip(names, own.tolist(), strict=True)}
+    return {
+        a: dict(zip(names, row, strict=True)) for a, row in zip(names, own.tolist(), strict=True)
+    }

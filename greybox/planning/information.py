@@ -1,9 +1,11 @@
-"""Information: what a flight says about the parameters, through the predictor of the fit, and choices that make it large.
+"""Information: what a flight says about the parameters, through the predictor of the fit, and
+choices that make it large.
 
-The Fisher information of the innovation form (sum of J' S^-1 J and the part of the noise levels; Ljung 1999, ch. 7 and
-13) is evaluated along a noise-free closed-loop flight; initial states are eliminated. Its inverse is the Cramer-Rao
-bound, which maximum likelihood reaches for long records. D-optimal choice (Kiefer and Wolfowitz 1960, Canadian Journal of
-Mathematics 12; Fedorov 1972, Theory of Optimal Experiments, ch. 3): the determinant of the information about the wanted
+The Fisher information of the innovation form (sum of J' S^-1 J and the part of the noise levels;
+Ljung 1999, ch. 7 and 13) is evaluated along a noise-free closed-loop flight; initial states are
+eliminated. Its inverse is the Cramer-Rao bound, which maximum likelihood reaches for long records.
+D-optimal choice (Kiefer and Wolfowitz 1960, Canadian Journal of Mathematics 12; Fedorov 1972,
+Theory of Optimal Experiments, ch. 3): the determinant of the information about the wanted
 parameters, all others eliminated (D_s), is made large by greedy choice and exchange.
 """
 
@@ -32,7 +34,8 @@ GAIN = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Information:
-    """`matrix` (m, m) about `names`: free parameters of the model, then the logarithms of the noise levels."""
+    """`matrix` (m, m) about `names`: free parameters of the model, then the logarithms of the noise
+    levels."""
 
     names: tuple[str, ...]
     matrix: FloatArray
@@ -42,19 +45,28 @@ class Information:
 
 
 def information(subject: Estimated, data: Dataset) -> Information:
-    """Information of noise-free flights; a per-flight parameter counts as shared, as within one flight.
+    """Information of noise-free flights; a per-flight parameter counts as shared, as within one
+    flight.
 
     Raises `FitError` where the predictor's numbers are not finite along the flight.
     """
     d = subject.dynamics
     problem = make_problem(
-        d, data, predictor=Innovation(), criterion=Gaussian(), free=subject.free, values=subject.values, noise=subject.noise,
-        shared=[p.name for p in d.parameters], estimate_noise=True,
-    )  # fmt: skip
+        d,
+        data,
+        predictor=Innovation(),
+        criterion=Gaussian(),
+        free=subject.free,
+        values=subject.values,
+        noise=subject.noise,
+        shared=[p.name for p in d.parameters],
+        estimate_noise=True,
+    )
     value = problem.evaluate(problem.start)
     if value.data_hessian is None:
         raise FitError(
-            "the predictor's numbers are not finite along the planned flight", fix="check the values of the effects"
+            "the predictor's numbers are not finite along the planned flight",
+            fix="check the values of the effects",
         )
     initial = np.array([u.sigma**-2 if u.kind == "initial" else 0.0 for u in problem.unknowns])
     keep = [i for i, u in enumerate(problem.unknowns) if u.kind != "initial"]
@@ -73,9 +85,11 @@ def prior(subject: Estimated, names: Sequence[str]) -> FloatArray:
 
 
 def errors(subject: Estimated, found: Information) -> dict[str, tuple[float, float]]:
-    """Expected standard error of every free parameter: (with what is known before, from the flights alone).
+    """Expected standard error of every free parameter: (with what is known before, from the flights
+    alone).
 
-    Infinite where nothing is said (more than a million times the size of a typical change counts as nothing).
+    Infinite where nothing is said (more than a million times the size of a typical change counts as
+    nothing).
     """
     place = {n: i for i, n in enumerate(found.names)}
     declared = subject.declared
@@ -86,7 +100,9 @@ def errors(subject: Estimated, found: Information) -> dict[str, tuple[float, flo
         blind = empty | (np.diag(h) <= 0)
         columns.append(
             [
-                np.inf if blind[place[n]] or std[place[n]] > 1e6 * declared[n].scale else std[place[n]]
+                np.inf
+                if blind[place[n]] or std[place[n]] > 1e6 * declared[n].scale
+                else std[place[n]]
                 for n in subject.free
             ]
         )
@@ -94,7 +110,8 @@ def errors(subject: Estimated, found: Information) -> dict[str, tuple[float, flo
 
 
 class Score:
-    """log det of the information about the wanted parameters, all else eliminated; a vague prior keeps it finite.
+    """log det of the information about the wanted parameters, all else eliminated; a vague prior
+    keeps it finite.
 
     `known` False leaves out what is known before.
     """
@@ -114,9 +131,11 @@ class Score:
 
 
 def choose(candidates: Mapping[str, Information], count: int, score: Score) -> list[str]:
-    """`count` names whose summed information scores highest (greedy, then exchange until nothing gains).
+    """`count` names whose summed information scores highest (greedy, then exchange until nothing
+    gains).
 
-    No name more often than a third of `count`: a design that trusts its model entirely is worth little where that is wrong.
+    No name more often than a third of `count`: a design that trusts its model entirely is worth
+    little where that is wrong.
     """
     names = list(candidates)
     most = max(-(-count // 3), -(-count // len(names)))
@@ -144,7 +163,8 @@ def choose(candidates: Mapping[str, Information], count: int, score: Score) -> l
 
 
 def efficiency(subject: Estimated, better: Information, other: Information) -> float:
-    """How many times as long the `other` flight would have to last for the same volume of the confidence region.
+    """How many times as long the `other` flight would have to last for the same volume of the
+    confidence region.
 
     (det ratio)^(1/k) of the information that the flights alone give about the k wanted parameters.
     """
@@ -154,10 +174,12 @@ def efficiency(subject: Estimated, better: Information, other: Information) -> f
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """Two effects: how much less likely the data are expected to be if one is true and the other is fitted in its place.
+    """Two effects: how much less likely the data are expected to be if one is true and the other is
+    fitted in its place.
 
-    `expected` is that log likelihood ratio, the less of both ways; `overlap` the share of the one's trace that the other
-    can imitate, the larger of both ways; `unseen` the effects that would not even be told from nothing.
+    `expected` is that log likelihood ratio, the less of both ways; `overlap` the share of the one's
+    trace that the other can imitate, the larger of both ways; `unseen` the effects that would not
+    even be told from nothing.
     """
 
     effects: tuple[str, str]
@@ -183,8 +205,9 @@ class Pair:
 def pairs(subject: PlanningCase, found: Information) -> list[Pair]:
     """Every pair of effects with free parameters, linearised at the values that are taken for true.
 
-    For A true with sizes a: L = a' (H_aa - H_ab H_bb^-1 H_ba) a / 2, all other unknowns eliminated before (the expected log
-    likelihood ratio; Atkinson and Fedorov 1975, Biometrika 62(1)). Against nothing: a' H_aa a / 2.
+    For A true with sizes a: L = a' (H_aa - H_ab H_bb^-1 H_ba) a / 2, all other unknowns eliminated
+    before (the expected log likelihood ratio; Atkinson and Fedorov 1975, Biometrika 62(1)). Against
+    nothing: a' H_aa a / 2.
     """
     whole = found.matrix + prior(subject, found.names)
     place = {n: i for i, n in enumerate(found.names)}
@@ -197,13 +220,19 @@ def pairs(subject: PlanningCase, found: Information) -> list[Pair]:
         cut = len(names[0])
         blocks = [np.arange(cut), np.arange(cut, len(h))]
         expected, overlap, unseen = np.inf, 0.0, []
-        for effect, ns, own, other in zip((first, second), names, blocks, blocks[::-1], strict=True):
+        for effect, ns, own, other in zip(
+            (first, second), names, blocks, blocks[::-1], strict=True
+        ):
             a = np.array([size[n] for n in ns])
             alone = 0.5 * float(a @ h[np.ix_(own, own)] @ a)
             order = np.r_[own, other]
-            left = 0.5 * float(a @ marginal_information(h[np.ix_(order, order)], list(range(own.size))) @ a)
+            left = 0.5 * float(
+                a @ marginal_information(h[np.ix_(order, order)], list(range(own.size))) @ a
+            )
             expected = min(expected, max(left, 0.0))
             overlap = max(overlap, float(np.clip(1 - left / alone, 0.0, 1.0)) if alone > 0 else 1.0)
             unseen += [effect] if alone <= CLEAR_LOG_RATIO else []
-        out.append(Pair(effects=(first, second), overlap=overlap, expected=expected, unseen=tuple(unseen)))
+        out.append(
+            Pair(effects=(first, second), overlap=overlap, expected=expected, unseen=tuple(unseen))
+        )
     return out

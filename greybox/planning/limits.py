@@ -1,4 +1,5 @@
-"""Limits: the room, speed, tilt and command range that a planned flight must keep, and what a flown one used of them."""
+"""Limits: the room, speed, tilt and command range that a planned flight must keep, and what a flown
+one used of them."""
 
 from __future__ import annotations
 
@@ -20,8 +21,9 @@ OUTSIDE = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """`box` (length along x, width along y, height above the floor) [m], centred on the origin; `floor` is the lowest height
-    [m] that the craft may sink to, `speed` [m/s], `tilt` [rad], `command` (lowest, highest).
+    """`box` (length along x, width along y, height above the floor) [m], centred on the origin;
+    `floor` is the lowest height [m] that the craft may sink to, `speed` [m/s], `tilt` [rad],
+    `command` (lowest, highest).
 
     Raises `GreyboxError` for limits that leave no room.
     """
@@ -34,16 +36,22 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value, low, high in (
-            ("the box's length", self.box[0], 0.2, 1e4), ("the box's width", self.box[1], 0.2, 1e4),
-            ("the box's height", self.box[2], self.floor + 0.2, 1e4), ("the floor", self.floor, 0.0, 1e4),
-            ("the speed", self.speed, 0.05, 100.0), ("the tilt", self.tilt, 0.02, TILT + 1e-9),
+            ("the box's length", self.box[0], 0.2, 1e4),
+            ("the box's width", self.box[1], 0.2, 1e4),
+            ("the box's height", self.box[2], self.floor + 0.2, 1e4),
+            ("the floor", self.floor, 0.0, 1e4),
+            ("the speed", self.speed, 0.05, 100.0),
+            ("the tilt", self.tilt, 0.02, TILT + 1e-9),
             ("the highest command", self.command[1], self.command[0] + 1e-6, 1e4),
-        ):  # fmt: skip
+        ):
             if not low <= value <= high:
                 raise GreyboxError(
-                    f"{name} leaves no room to fly", expected=f"{low:.3g} to {high:.3g}", got=f"{value:.3g}",
-                    fix="check --box L,W,H [m], --floor [m], --speed [m/s], --tilt [degrees, at most 35] and --command",
-                )  # fmt: skip
+                    f"{name} leaves no room to fly",
+                    expected=f"{low:.3g} to {high:.3g}",
+                    got=f"{value:.3g}",
+                    fix="check --box L,W,H [m], --floor [m], --speed [m/s], --tilt [degrees, at "
+                    "most 35] and --command",
+                )
 
     @property
     def home(self) -> tuple[float, float, float]:
@@ -51,23 +59,33 @@ class Limits:
         return 0.0, 0.0, 0.5 * (self.floor + self.box[2])
 
     def used(self, data: Dataset) -> dict[str, float]:
-        """The most that noise-free flights took: m, m/s, rad, share of the samples with a command outside its range."""
+        """The most that noise-free flights took: m, m/s, rad, share of the samples with a command
+        outside its range."""
         c = _columns(data)
         return {
-            "x": float(np.abs(c["x"]).max()), "y": float(np.abs(c["y"]).max()), "lowest": float(c["z"].min()),
-            "highest": float(c["z"].max()), "speed": float(_speed(c).max()), "tilt": float(_tilt(c).max()),
+            "x": float(np.abs(c["x"]).max()),
+            "y": float(np.abs(c["y"]).max()),
+            "lowest": float(c["z"].min()),
+            "highest": float(c["z"].max()),
+            "speed": float(_speed(c).max()),
+            "tilt": float(_tilt(c).max()),
             "commands_outside": float(self._outside(c).mean()),
-        }  # fmt: skip
+        }
 
     def breaches(self, data: Dataset) -> dict[str, BoolArray]:
-        """Where (n,) the flights, one after the other, are outside of which limit; commands may be for a short while."""
+        """Where (n,) the flights, one after the other, are outside of which limit; commands may be
+        for a short while."""
         c = _columns(data)
         outside = self._outside(c)
         rules = {
-            "x": np.abs(c["x"]) > 0.5 * self.box[0], "y": np.abs(c["y"]) > 0.5 * self.box[1], "floor": c["z"] < self.floor,
-            "height": c["z"] > self.box[2], "speed": _speed(c) > self.speed, "tilt": _tilt(c) > self.tilt,
+            "x": np.abs(c["x"]) > 0.5 * self.box[0],
+            "y": np.abs(c["y"]) > 0.5 * self.box[1],
+            "floor": c["z"] < self.floor,
+            "height": c["z"] > self.box[2],
+            "speed": _speed(c) > self.speed,
+            "tilt": _tilt(c) > self.tilt,
             "command range": outside if outside.mean() > OUTSIDE else np.zeros_like(outside),
-        }  # fmt: skip
+        }
         return {name: where for name, where in rules.items() if where.any()}
 
     def broken(self, data: Dataset) -> list[str]:
@@ -81,9 +99,12 @@ class Limits:
     def to_dict(self) -> dict[str, Any]:
         """As in plan.json."""
         return {
-            "box_m": list(self.box), "floor_m": self.floor, "speed_m_s": self.speed, "tilt_rad": self.tilt,
+            "box_m": list(self.box),
+            "floor_m": self.floor,
+            "speed_m_s": self.speed,
+            "tilt_rad": self.tilt,
             "command": list(self.command),
-        }  # fmt: skip
+        }
 
 
 def _columns(data: Dataset) -> dict[str, FloatArray]:

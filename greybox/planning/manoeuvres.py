@@ -41,7 +41,12 @@ class Manoeuvre:
     unit: str
     amplitudes: tuple[float, ...]
     path: Callable[[float, float], tuple[float, float, float, float]] = lambda t, a: (*START, 0.0)
-    twist: Callable[[float, float], tuple[float, float, float, float]] = lambda t, a: (0.0, 0.0, 0.0, 0.0)
+    twist: Callable[[float, float], tuple[float, float, float, float]] = lambda t, a: (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     voltage: Callable[[float], float] = lambda t: 1.0
     needs_battery: bool = False
 
@@ -67,34 +72,100 @@ def _chirp(t: float, low: float = 0.6, high: float = 8.0) -> float:
 X, Y, Z = START
 LIBRARY = (
     Manoeuvre(name="hover", text="hover", unit="", amplitudes=(0.0,)),
-    Manoeuvre(name="forward_and_back", text="fly forward and back, nose fixed", unit="m/s", amplitudes=(1.5, 4.0),
-              path=lambda t, a: (X + _swing(t, a), Y, Z, 0.0)),
-    Manoeuvre(name="sideways", text="fly sideways to and fro, nose fixed", unit="m/s", amplitudes=(1.5, 4.0),
-              path=lambda t, a: (X, Y + _swing(t, a), Z, 0.0)),
-    Manoeuvre(name="climb_and_sink", text="climb and sink", unit="m/s", amplitudes=(0.5, 2.0),
-              path=lambda t, a: (X, Y, Z + 2 + _swing(t, a), 0.0)),
-    Manoeuvre(name="climb_at_speed", text="climb and sink while flying to and fro", unit="m/s", amplitudes=(1.0, 2.0),
-              path=lambda t, a: (X + _swing(t, 1.5 * a, 5.3), Y, Z + 2 + _swing(t, a), 0.0)),
-    Manoeuvre(name="turn_on_the_spot", text="turn on the spot", unit="rad/s", amplitudes=(1.0, 2.5),
-              path=lambda t, a: (X, Y, Z, a * t)),
-    Manoeuvre(name="turn_at_speed", text="fly to and fro while turning", unit="rad/s", amplitudes=(1.0, 2.0),
-              path=lambda t, a: (X + _swing(t, 2.5), Y, Z, a * t)),
-    Manoeuvre(name="roll_and_pitch_doublets", text="roll and pitch doublets", unit="rad/s^2", amplitudes=(15.0, 40.0),
-              twist=lambda t, a: (a * _doublet(t), a * _doublet(t - 0.8 if t > 0.8 else 1.5), 0.0, 0.0)),
-    Manoeuvre(name="roll_and_pitch_chirp", text="roll and pitch chirp, 0.6 to 8 Hz", unit="rad/s^2", amplitudes=(10.0, 25.0),
-              twist=lambda t, a: (a * _chirp(t), a * _chirp(0.83 * t), 0.0, 0.0)),
-    Manoeuvre(name="yaw_doublets", text="yaw doublets", unit="rad/s^2", amplitudes=(3.0, 10.0),
-              twist=lambda t, a: (0.0, 0.0, a * _doublet(t, width=0.25), 0.0)),
-    Manoeuvre(name="yaw_doublets_at_speed", text="yaw doublets while flying to and fro", unit="rad/s^2",
-              amplitudes=(3.0, 10.0), path=lambda t, a: (X + _swing(t, 2.5), Y, Z, 0.0),
-              twist=lambda t, a: (0.0, 0.0, a * _doublet(t, width=0.25), 0.0)),
-    Manoeuvre(name="throttle_doublets", text="throttle doublets in hover", unit="of the thrust", amplitudes=(0.15, 0.3),
-              twist=lambda t, a: (0.0, 0.0, 0.0, a * _doublet(t, width=0.2))),
-    Manoeuvre(name="low_pass", text="sink to the floor and rise again", unit="m", amplitudes=(0.1, 0.2),
-              path=lambda t, a: (X, Y, a + 0.65 * (1 + np.cos(2 * np.pi * t / SECONDS)), 0.0)),
-    Manoeuvre(name="full_and_empty_pack", text="hover on a full and then on an empty pack", unit="", amplitudes=(0.0,),
-              voltage=lambda t: 1.08 if t < SECONDS / 2 else 0.9, needs_battery=True),
-)  # fmt: skip
+    Manoeuvre(
+        name="forward_and_back",
+        text="fly forward and back, nose fixed",
+        unit="m/s",
+        amplitudes=(1.5, 4.0),
+        path=lambda t, a: (X + _swing(t, a), Y, Z, 0.0),
+    ),
+    Manoeuvre(
+        name="sideways",
+        text="fly sideways to and fro, nose fixed",
+        unit="m/s",
+        amplitudes=(1.5, 4.0),
+        path=lambda t, a: (X, Y + _swing(t, a), Z, 0.0),
+    ),
+    Manoeuvre(
+        name="climb_and_sink",
+        text="climb and sink",
+        unit="m/s",
+        amplitudes=(0.5, 2.0),
+        path=lambda t, a: (X, Y, Z + 2 + _swing(t, a), 0.0),
+    ),
+    Manoeuvre(
+        name="climb_at_speed",
+        text="climb and sink while flying to and fro",
+        unit="m/s",
+        amplitudes=(1.0, 2.0),
+        path=lambda t, a: (X + _swing(t, 1.5 * a, 5.3), Y, Z + 2 + _swing(t, a), 0.0),
+    ),
+    Manoeuvre(
+        name="turn_on_the_spot",
+        text="turn on the spot",
+        unit="rad/s",
+        amplitudes=(1.0, 2.5),
+        path=lambda t, a: (X, Y, Z, a * t),
+    ),
+    Manoeuvre(
+        name="turn_at_speed",
+        text="fly to and fro while turning",
+        unit="rad/s",
+        amplitudes=(1.0, 2.0),
+        path=lambda t, a: (X + _swing(t, 2.5), Y, Z, a * t),
+    ),
+    Manoeuvre(
+        name="roll_and_pitch_doublets",
+        text="roll and pitch doublets",
+        unit="rad/s^2",
+        amplitudes=(15.0, 40.0),
+        twist=lambda t, a: (a * _doublet(t), a * _doublet(t - 0.8 if t > 0.8 else 1.5), 0.0, 0.0),
+    ),
+    Manoeuvre(
+        name="roll_and_pitch_chirp",
+        text="roll and pitch chirp, 0.6 to 8 Hz",
+        unit="rad/s^2",
+        amplitudes=(10.0, 25.0),
+        twist=lambda t, a: (a * _chirp(t), a * _chirp(0.83 * t), 0.0, 0.0),
+    ),
+    Manoeuvre(
+        name="yaw_doublets",
+        text="yaw doublets",
+        unit="rad/s^2",
+        amplitudes=(3.0, 10.0),
+        twist=lambda t, a: (0.0, 0.0, a * _doublet(t, width=0.25), 0.0),
+    ),
+    Manoeuvre(
+        name="yaw_doublets_at_speed",
+        text="yaw doublets while flying to and fro",
+        unit="rad/s^2",
+        amplitudes=(3.0, 10.0),
+        path=lambda t, a: (X + _swing(t, 2.5), Y, Z, 0.0),
+        twist=lambda t, a: (0.0, 0.0, a * _doublet(t, width=0.25), 0.0),
+    ),
+    Manoeuvre(
+        name="throttle_doublets",
+        text="throttle doublets in hover",
+        unit="of the thrust",
+        amplitudes=(0.15, 0.3),
+        twist=lambda t, a: (0.0, 0.0, 0.0, a * _doublet(t, width=0.2)),
+    ),
+    Manoeuvre(
+        name="low_pass",
+        text="sink to the floor and rise again",
+        unit="m",
+        amplitudes=(0.1, 0.2),
+        path=lambda t, a: (X, Y, a + 0.65 * (1 + np.cos(2 * np.pi * t / SECONDS)), 0.0),
+    ),
+    Manoeuvre(
+        name="full_and_empty_pack",
+        text="hover on a full and then on an empty pack",
+        unit="",
+        amplitudes=(0.0,),
+        voltage=lambda t: 1.08 if t < SECONDS / 2 else 0.9,
+        needs_battery=True,
+    ),
+)
 """What is tried; amplitudes that the vehicle cannot fly are left out by `flown`."""
 
 
@@ -103,7 +174,10 @@ def flying_model(model: IdentifiedModel) -> IdentifiedModel:
     physics = physics_of(model.dynamics)
     if "position" in {n.split(".")[0] for n in model.dynamics.states.names} or physics is None:
         return model
-    whole = replace(physics, sensors=(*physics.sensors, *(s for s in SENSORS if s.shows and s not in physics.sensors)))
+    whole = replace(
+        physics,
+        sensors=(*physics.sensors, *(s for s in SENSORS if s.shows and s not in physics.sensors)),
+    )
     return replace(model, dynamics=whole)
 
 
@@ -131,7 +205,10 @@ def flown(
     volts = model.reference_inputs[voltage] if voltage is not None else 0.0
     pilot = _Pilot(model)
     u = np.zeros((n + engine.past + engine.future, len(columns)))
-    x = np.asarray(dynamics.reference(dict(zip(columns, model.reference_inputs.tolist(), strict=True))), dtype=float)
+    x = np.asarray(
+        dynamics.reference(dict(zip(columns, model.reference_inputs.tolist(), strict=True))),
+        dtype=float,
+    )
     x[at["position"]] = manoeuvre.path(0.0, amplitude)[:3]
     y = np.zeros((n, engine.ny))
     clipped = 0
@@ -148,12 +225,21 @@ def flown(
         if voltage is not None:
             u[here, voltage] = volts * manoeuvre.voltage(t)
         seen, states = engine.rollout(
-            starts=x[None], rows=np.array([k]), horizon=2 if k < n - 1 else 1, inputs=u, p=p, dt=dt, want_states=True
-        )  # fmt: skip
+            starts=x[None],
+            rows=np.array([k]),
+            horizon=2 if k < n - 1 else 1,
+            inputs=u,
+            p=p,
+            dt=dt,
+            want_states=True,
+        )
         assert states is not None
         y[k] = seen[0, 0]
         x = states[0, -1]
-        if not np.isfinite(x).all() or abs(x[at["position"]] - np.array(manoeuvre.path(t, amplitude)[:3])).max() > 3.0:
+        if (
+            not np.isfinite(x).all()
+            or abs(x[at["position"]] - np.array(manoeuvre.path(t, amplitude)[:3])).max() > 3.0
+        ):
             return None
     if clipped > CLIPPED * n or float(values["mass"]) <= 0:
         return None
@@ -179,15 +265,26 @@ class _Pilot:
         self.dt = model.sample_time
 
     def command(
-        self, x: FloatArray, at: dict[str, list[int]], manoeuvre: Manoeuvre, amplitude: float, t: float
+        self,
+        x: FloatArray,
+        at: dict[str, list[int]],
+        manoeuvre: Manoeuvre,
+        amplitude: float,
+        t: float,
     ) -> tuple[FloatArray, bool]:
         """(u (n,), whether a rotor stands at its limit)."""
         q, omega = x[at["attitude"]], x[at["rate"]]
-        before, here, after = (np.array(manoeuvre.path(max(t + s, 0.0), amplitude)) for s in (-self.dt, 0.0, self.dt))
+        before, here, after = (
+            np.array(manoeuvre.path(max(t + s, 0.0), amplitude)) for s in (-self.dt, 0.0, self.dt)
+        )
         velocity, push = (after - before) / (2 * self.dt), (after - 2 * here + before) / self.dt**2
         if t < 2 * self.dt:
             velocity, push = (after - here) / self.dt, 0 * push
-        wanted = push[:3] + POSITION * (here[:3] - x[at["position"]]) + VELOCITY * (velocity[:3] - x[at["velocity"]])
+        wanted = (
+            push[:3]
+            + POSITION * (here[:3] - x[at["position"]])
+            + VELOCITY * (velocity[:3] - x[at["velocity"]])
+        )
         wanted[2] += self.gravity
         wanted[2] = max(wanted[2], 0.3 * self.gravity)
         side = float(np.hypot(wanted[0], wanted[1]))
@@ -200,7 +297,11 @@ class _Pilot:
         error = turn.T @ np.cross(up, wanted / np.linalg.norm(wanted))
         yaw = float(np.arctan2(nose[1], nose[0]))
         error[2] = 0.25 * float(np.arctan2(np.sin(here[3] - yaw), np.cos(here[3] - yaw)))
-        turning = ATTITUDE * error + RATE * (np.array([0.0, 0.0, velocity[3]]) - omega) * [1.0, 1.0, 0.5] + twist[:3]
+        turning = (
+            ATTITUDE * error
+            + RATE * (np.array([0.0, 0.0, velocity[3]]) - omega) * [1.0, 1.0, 0.5]
+            + twist[:3]
+        )
         force = self.unmix @ np.array([thrust, *(self.inertia * turning)])
         c0, c1, c2 = self.thrust
         root = np.sqrt(np.maximum(c1 * c1 - 4 * c2 * (c0 - np.maximum(force, 0.0)), 0.0))

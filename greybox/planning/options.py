@@ -41,7 +41,8 @@ class PlanOptions:
     flights: int = 1
     """Number of flights that the manoeuvres are split over."""
     limits: Limits | None = None
-    """What may not be left; None: a box of 4 x 4 x 2.5 m, 3 m/s, 35 degrees, the command range less 2 %."""
+    """What may not be left; None: a box of 4 x 4 x 2.5 m, 3 m/s, 35 degrees, the command range less
+    2 %."""
     free: tuple[str, ...] | None = None
     """Exactly these parameters are estimated; None: as in a fit."""
     values: Mapping[str, float] = field(default_factory=dict)
@@ -49,7 +50,8 @@ class PlanOptions:
     noise: Mapping[str, float] = field(default_factory=dict)
     """Noise levels by name, in SI units, as in a fit."""
     sensors: tuple[str, ...] | None = None
-    """Sensors of the craft; None: those of the model, or position, attitude, gyro and accelerometer."""
+    """Sensors of the craft; None: those of the model, or position, attitude, gyro and
+    accelerometer."""
     sample_time: float | None = None
     """Sample time [s]; None: that of the model."""
     setpoints_only: bool = False
@@ -66,7 +68,8 @@ class PlanOptions:
 
     @classmethod
     def of(cls, options: PlanOptions | None, choices: PlanChoices) -> PlanOptions:
-        """`options` (None: the defaults) with the `choices` in place of its own. Raises `UnknownNameError`."""
+        """`options` (None: the defaults) with the `choices` in place of its own. Raises
+        `UnknownNameError`."""
         return chosen("option of a plan", options or cls(), choices)
 
     def but(self, **choices: Unpack[PlanChoices]) -> PlanOptions:

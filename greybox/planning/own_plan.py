@@ -28,7 +28,8 @@ from greybox.symbolic import FloatArray
 
 SCHEMA = "greybox.own_plan/1"
 HOLDS = (0.01, 0.03, 0.1, 0.25, 0.5)
-"""Steps between the ends of a range, and between random levels, are held for these shares of a piece."""
+"""Steps between the ends of a range, and between random levels, are held for these shares of a
+piece."""
 SMALLER, TRIES = 0.7, 12
 """Factor, and how often, by which a piece that leaves a limit is made smaller."""
 Range = tuple[float, float]
@@ -36,7 +37,8 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class OwnSubject:
-    """What is planned for: as `greybox.planning.planning_case.PlanningCase`, for a model of any kind."""
+    """What is planned for: as `greybox.planning.planning_case.PlanningCase`, for a model of any
+    kind."""
 
     dynamics: Dynamics
     free: tuple[str, ...]
@@ -58,10 +60,10 @@ class OwnSubject:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OwnPlan:
-    """Which inputs to play. `pieces` are names with the share of the range that each uses, in order;
-    `log` the noise-free record; `errors` and `naive` parameter -> expected standard error (with what
-    is known before, from the record alone) of the plan and of steps between the ends of the ranges
-    of the same length."""
+    """Which inputs to play. `pieces` are names with the share of the range that each uses, in
+    order; `log` the noise-free record; `errors` and `naive` parameter -> expected standard error
+    (with what is known before, from the record alone) of the plan and of steps between the ends of
+    the ranges of the same length."""
 
     subject: OwnSubject
     ranges: Mapping[str, Range]
@@ -82,7 +84,9 @@ class OwnPlan:
         """The content of plan.json (schema "greybox.own_plan/1")."""
         declared = self.subject.declared
         return {
-            "schema": SCHEMA, "model": self.subject.dynamics.name, "sample_time": self.subject.sample_time,
+            "schema": SCHEMA,
+            "model": self.subject.dynamics.name,
+            "sample_time": self.subject.sample_time,
             "seconds": self.piece * len(self.pieces),
             "ranges": {n: list(r) for n, r in self.ranges.items()},
             "pieces": [
@@ -90,26 +94,38 @@ class OwnPlan:
                 for k, (n, a) in enumerate(self.pieces)
             ],
             "parameters": {
-                n: {"value": self.subject.values[n], "unit": declared[n].unit, "std": std, "std_record_alone": alone,
-                    "std_naive": self.naive[n][0]}
+                n: {
+                    "value": self.subject.values[n],
+                    "unit": declared[n].unit,
+                    "std": std,
+                    "std_record_alone": alone,
+                    "std_naive": self.naive[n][0],
+                }
                 for n, (std, alone) in self.errors.items()
             },
-            "efficiency": self.efficiency, "warnings": list(self.warnings), "versions": library_versions(),
-        }  # fmt: skip
+            "efficiency": self.efficiency,
+            "warnings": list(self.warnings),
+            "versions": library_versions(),
+        }
 
     def summary(self) -> str:
         """The plan as text."""
         lines = [f"{self.piece * len(self.pieces):g} s for {self.subject.dynamics.name}:"]
-        lines += [f"  {k * self.piece:6.4g} s  {n}  ({100 * a:.0f} %)" for k, (n, a) in enumerate(self.pieces)]
+        lines += [
+            f"  {k * self.piece:6.4g} s  {n}  ({100 * a:.0f} %)"
+            for k, (n, a) in enumerate(self.pieces)
+        ]
         width = max(len(n) for n in self.errors)
         lines.append(f"{'':{width}}  {'value':>12} {'std after':>10} {'naive':>10}")
         declared = self.subject.declared
         for n, (std, _) in self.errors.items():
             lines.append(
-                f"{n:{width}}  {self.subject.values[n]:12.5g} {std:10.2g} {self.naive[n][0]:10.2g} {declared[n].unit}"
+                f"{n:{width}}  {self.subject.values[n]:12.5g} {std:10.2g} {self.naive[n][0]:10.2g} "
+                f"{declared[n].unit}"
             )
         lines.append(
-            f"steps between the ends of the ranges would have to last {self.efficiency:.1f} times as long for the same "
+            f"steps between the ends of the ranges would have to last {self.efficiency:.1f} times "
+            "as long for the same "
             "confidence region"
         )
         return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
@@ -128,7 +144,8 @@ def plan_own(
     sample_time: float | None = None,
     seed: int = 0,
 ) -> OwnPlan:
-    """Choose `seconds` of pieces of `piece` seconds of input signals that tell most about the parameters.
+    """Choose `seconds` of pieces of `piece` seconds of input signals that tell most about the
+    parameters.
 
     `ranges` gives (lowest, highest) of every input, `limits` of outputs that must not leave theirs.
     A fitted model brings its values, noise levels, covariance and sample time; of a plain one
@@ -140,9 +157,11 @@ def plan_own(
     _demand_ranges(subject.dynamics, ranges, limits or {})
     if not 0 < piece <= seconds < np.inf or piece < 20 * subject.sample_time:
         raise GreyboxError(
-            "too short an experiment", expected="20 samples <= --piece <= --seconds",
-            got=f"{piece:g} s and {seconds:g} s", fix="--seconds 60 --piece 5",
-        )  # fmt: skip
+            "too short an experiment",
+            expected="20 samples <= --piece <= --seconds",
+            got=f"{piece:g} s and {seconds:g} s",
+            fix="--seconds 60 --piece 5",
+        )
     count, n = int(seconds / piece + 1e-9), round(piece / subject.sample_time)
     run = _Runner(subject, ranges, limits or {})
     with threadpool_limits(limits=1):
@@ -151,69 +170,108 @@ def plan_own(
             if (share := run.fitting([shape])) is not None:
                 candidates[name] = (shape, share)
         if not candidates:
-            raise FitError("no input signal keeps the limits", fix="wider --limit, or smaller --range")
-        told = {name: information(subject, run.record([s], a)) for name, (s, a) in candidates.items()}
+            raise FitError(
+                "no input signal keeps the limits", fix="wider --limit, or smaller --range"
+            )
+        told = {
+            name: information(subject, run.record([s], a)) for name, (s, a) in candidates.items()
+        }
         names = next(iter(told.values())).names
         chosen = choose(told, count, Score(subject, names))
         shapes = [candidates[c][0] * candidates[c][1] for c in chosen]
         whole = run.fitting(shapes) or 0.0
         log = run.record(shapes, whole)
         found = information(subject, log)
-        ends = [np.where(np.arange(n)[:, None] < n // 2, 1.0, -1.0) * np.ones((1, len(ranges)))] * count
+        ends = [
+            np.where(np.arange(n)[:, None] < n // 2, 1.0, -1.0) * np.ones((1, len(ranges)))
+        ] * count
         naive = information(subject, run.record(ends, run.fitting(ends) or 0.0))
     expected = errors(subject, found)
-    warnings = [f"nothing will be known of {p}" for p, (std, _) in expected.items() if not np.isfinite(std)]
+    warnings = [
+        f"nothing will be known of {p}" for p, (std, _) in expected.items() if not np.isfinite(std)
+    ]
     return OwnPlan(
-        subject=subject, ranges=dict(ranges), piece=piece,
-        pieces=tuple((c, candidates[c][1] * whole) for c in chosen), log=log, errors=expected,
-        naive=errors(subject, naive), efficiency=efficiency(subject, found, naive), warnings=tuple(warnings),
-    )  # fmt: skip
+        subject=subject,
+        ranges=dict(ranges),
+        piece=piece,
+        pieces=tuple((c, candidates[c][1] * whole) for c in chosen),
+        log=log,
+        errors=expected,
+        naive=errors(subject, naive),
+        efficiency=efficiency(subject, found, naive),
+        warnings=tuple(warnings),
+    )
 
 
 def _subject(
-    model: StateSpaceModel | IdentifiedModel, free: Iterable[str] | None, values: Mapping[str, float] | None,
-    noise: Mapping[str, float] | None, sample_time: float | None,
-) -> OwnSubject:  # fmt: skip
+    model: StateSpaceModel | IdentifiedModel,
+    free: Iterable[str] | None,
+    values: Mapping[str, float] | None,
+    noise: Mapping[str, float] | None,
+    sample_time: float | None,
+) -> OwnSubject:
     fitted = model if isinstance(model, IdentifiedModel) else None
     core = fitted.core if fitted is not None else model
     if not isinstance(core, StateSpaceModel):
-        raise ModelError("not a model of your own", got=type(core).__name__, fix="--vehicle plans for vehicles")
+        raise ModelError(
+            "not a model of your own", got=type(core).__name__, fix="--vehicle plans for vehicles"
+        )
     dt = sample_time or (fitted.sample_time if fitted is not None else None)
     if dt is None:
-        raise GreyboxError("no sample time", expected="the rate at which the experiment is logged", fix="--rate 100")
+        raise GreyboxError(
+            "no sample time",
+            expected="the rate at which the experiment is logged",
+            fix="--rate 100",
+        )
     declared = {d.name: d for d in core.parameters}
     for n in (*(free or ()), *(values or ())):
         if n not in declared:
             raise UnknownNameError("parameter", n, declared)
-    names = tuple(n for n, d in declared.items() if (n in set(free) if free is not None else d.sigma > 0))
+    names = tuple(
+        n for n, d in declared.items() if (n in set(free) if free is not None else d.sigma > 0)
+    )
     if not names:
         raise GreyboxError("nothing to estimate: every number is exact", fix="--free a,b")
     known = {} if fitted is None else {n: v for n, v in fitted.values.items() if n in declared}
     levels = {} if fitted is None else noise_of(fitted)
-    here = {f"noise.process.{n}" for n in core.noises.names} | {f"noise.sensor.{n}" for n in core.innovations.names}
+    here = {f"noise.process.{n}" for n in core.noises.names} | {
+        f"noise.sensor.{n}" for n in core.innovations.names
+    }
     return OwnSubject(
-        dynamics=core, free=names,
+        dynamics=core,
+        free=names,
         values={**{n: d.nominal for n, d in declared.items()}, **known, **(values or {})},
         noise={**{n: v for n, v in levels.items() if n in here}, **(noise or {})},
-        precision=precision_of(declared, names, fitted), sample_time=dt,
-    )  # fmt: skip
+        precision=precision_of(declared, names, fitted),
+        sample_time=dt,
+    )
 
 
-def _demand_ranges(dynamics: Dynamics, ranges: Mapping[str, Range], limits: Mapping[str, Range]) -> None:
-    for what, given, known in (("input", ranges, dynamics.inputs.names), ("output", limits, dynamics.outputs.names)):
+def _demand_ranges(
+    dynamics: Dynamics, ranges: Mapping[str, Range], limits: Mapping[str, Range]
+) -> None:
+    for what, given, known in (
+        ("input", ranges, dynamics.inputs.names),
+        ("output", limits, dynamics.outputs.names),
+    ):
         for n, (low, high) in given.items():
             if n not in known:
                 raise UnknownNameError(what, n, known)
             if not low < high:
-                raise GreyboxError(f"the range of {n} is empty", expected="LOW,HIGH", got=f"{low:g},{high:g}")
+                raise GreyboxError(
+                    f"the range of {n} is empty", expected="LOW,HIGH", got=f"{low:g},{high:g}"
+                )
     if missing := [n for n in dynamics.inputs.names if n not in ranges]:
         raise GreyboxError(
-            f"no range of the input {missing[0]}", expected="one for every input", fix=f"--range {missing[0]}=-1,1"
+            f"no range of the input {missing[0]}",
+            expected="one for every input",
+            fix=f"--range {missing[0]}=-1,1",
         )
 
 
 def _shapes(inputs: Sequence[str], n: int, seed: int) -> Iterator[tuple[str, FloatArray]]:
-    """(name, signal (n, n_u) within -1 .. 1) of every candidate piece: each input alone, and all together."""
+    """(name, signal (n, n_u) within -1 .. 1) of every candidate piece: each input alone, and all
+    together."""
     rng = np.random.default_rng(seed)
     t = np.arange(n) / n
     for column, name in [*enumerate(inputs), *([(-1, "all inputs")] if len(inputs) > 1 else [])]:
@@ -222,12 +280,18 @@ def _shapes(inputs: Sequence[str], n: int, seed: int) -> Iterator[tuple[str, Flo
         for share in HOLDS:
             hold = max(1, round(share * n))
             count = (-(-n // hold), len(at))
-            ends = np.where(np.arange(count[0])[:, None] % 2, -1.0, 1.0) * rng.choice([-1.0, 1.0], count[1])
+            ends = np.where(np.arange(count[0])[:, None] % 2, -1.0, 1.0) * rng.choice(
+                [-1.0, 1.0], count[1]
+            )
             for kind, levels in (("ends", ends), ("levels", rng.uniform(-1.0, 1.0, count))):
-                signals[f"steps between {kind}, {hold} samples each, on {name}"] = np.repeat(levels, hold, axis=0)[:n]
+                signals[f"steps between {kind}, {hold} samples each, on {name}"] = np.repeat(
+                    levels, hold, axis=0
+                )[:n]
         phases = rng.uniform(0, 2 * np.pi, (8, len(at)))
         cycles = np.unique(np.round(np.geomspace(1, max(2, n / 10), 8)))
-        waves = np.sum([np.sin(2 * np.pi * c * t[:, None] + phases[i]) for i, c in enumerate(cycles)], axis=0)
+        waves = np.sum(
+            [np.sin(2 * np.pi * c * t[:, None] + phases[i]) for i, c in enumerate(cycles)], axis=0
+        )
         signals[f"multi-sine on {name}"] = waves / np.abs(waves).max()
         chirp = scipy.signal.chirp(t, 1.0, 1.0, n / 10, method="logarithmic")
         signals[f"chirp on {name}"] = chirp[:, None] * np.ones((1, len(at)))
@@ -238,9 +302,12 @@ def _shapes(inputs: Sequence[str], n: int, seed: int) -> Iterator[tuple[str, Flo
 
 
 class _Runner:
-    """Runs input signals through the model without noise, and says whether outputs keep their limits."""
+    """Runs input signals through the model without noise, and says whether outputs keep their
+    limits."""
 
-    def __init__(self, subject: OwnSubject, ranges: Mapping[str, Range], limits: Mapping[str, Range]) -> None:
+    def __init__(
+        self, subject: OwnSubject, ranges: Mapping[str, Range], limits: Mapping[str, Range]
+    ) -> None:
         d = subject.dynamics
         self.subject, self.limits = subject, {d.outputs[n]: r for n, r in limits.items()}
         low, high = np.array([ranges[n] for n in d.inputs.names]).T
@@ -262,11 +329,15 @@ class _Runner:
         return self.centre + share * self.half * np.concatenate(list(shapes))
 
     def fitting(self, shapes: Sequence[FloatArray]) -> float | None:
-        """The largest share of the range at which the outputs keep their limits; None where none does."""
+        """The largest share of the range at which the outputs keep their limits; None where none
+        does."""
         share = 1.0
         for _ in range(TRIES):
             y = self.outputs(self.commands(shapes, share))
-            kept = all(low <= y[:, i].min() and y[:, i].max() <= high for i, (low, high) in self.limits.items())
+            kept = all(
+                low <= y[:, i].min() and y[:, i].max() <= high
+                for i, (low, high) in self.limits.items()
+            )
             if np.isfinite(y).all() and kept:
                 return share
             share *= SMALLER
@@ -276,5 +347,9 @@ class _Runner:
         """The noise-free record, t [s], inputs and outputs."""
         u = self.commands(shapes, share)
         y, d = self.outputs(u), self.subject.dynamics
-        columns = {n: u[:, i] for i, n in enumerate(d.inputs.names)} | {n: y[:, i] for i, n in enumerate(d.outputs.names)}
-        return dataset_from_arrays(self.subject.sample_time * np.arange(len(u)), columns, name="experiment_1")
+        columns = {n: u[:, i] for i, n in enumerate(d.inputs.names)} | {
+            n: y[:, i] for i, n in enumerate(d.outputs.names)
+        }
+        return dataset_from_arrays(
+            self.subject.sample_time * np.arange(len(u)), columns, name="experiment_1"
+        )

@@ -60,16 +60,27 @@ def plan(
     count = int(seconds / piece + 1e-9)
     if not 1 <= flights <= count:
         raise GreyboxError(
-            "every flight needs a manoeuvre", expected=f"1 to {count} flights", got=str(flights), fix="--flights 1"
+            "every flight needs a manoeuvre",
+            expected=f"1 to {count} flights",
+            got=str(flights),
+            fix="--flights 1",
         )
     with threadpool_limits(limits=1):
         wish, limits, notes = _hovering(
             lambda assumed: planning_case(
-                vehicle, model, effects=o.effects, free=o.free, values=o.values, noise=o.noise, sensors=o.sensors,
-                sample_time=o.sample_time, assumed=assumed,
+                vehicle,
+                model,
+                effects=o.effects,
+                free=o.free,
+                values=o.values,
+                noise=o.noise,
+                sensors=o.sensors,
+                sample_time=o.sample_time,
+                assumed=assumed,
             ),
-            o.limits, piece,
-        )  # fmt: skip
+            o.limits,
+            piece,
+        )
         candidates, left_out = _flyable(wish, limits, piece, o.seed, o.setpoints_only, say)
         told = {}
         for name, f in candidates.items():
@@ -78,28 +89,43 @@ def plan(
         names = next(iter(told.values())).names
         chosen = choose(told, count, Score(wish, names))
         steps = [(candidates[n].piece, candidates[n].amplitude) for n in chosen]
-        split = tuple(tuple(steps[i] for i in part) for part in np.array_split(np.arange(count), flights))
+        split = tuple(
+            tuple(steps[i] for i in part) for part in np.array_split(np.arange(count), flights)
+        )
         split, log = _kept(wish, limits, split)
         found = information(wish, log)
         naive = information(wish, _naive(wish, limits, candidates, count * piece))
     places = [i for i, n in enumerate(names) if n in wish.free]
     warnings = [f"the whole flight breaks the limit of {b}" for b in limits.broken(log)]
     expected = errors(wish, found)
-    warnings += [f"nothing will be known of {n}" for n, (std, _) in expected.items() if not np.isfinite(std)]
+    warnings += [
+        f"nothing will be known of {n}" for n, (std, _) in expected.items() if not np.isfinite(std)
+    ]
     warnings += notes
     return Plan(
-        subject=wish, limits=limits, flights=split, log=log, information=found, errors=expected,
-        naive=errors(wish, naive), efficiency=efficiency(wish, found, naive), pairs=tuple(pairs(wish, found)),
+        subject=wish,
+        limits=limits,
+        flights=split,
+        log=log,
+        information=found,
+        errors=expected,
+        naive=errors(wish, naive),
+        efficiency=efficiency(wish, found, naive),
+        pairs=tuple(pairs(wish, found)),
         unidentified=unidentified(
-            marginal_information(found.matrix, places), [names[i] for i in places], [wish.values[names[i]] for i in places]
+            marginal_information(found.matrix, places),
+            [names[i] for i in places],
+            [wish.values[names[i]] for i in places],
         ),
-        left_out=tuple(left_out), warnings=tuple(warnings), seed=o.seed,
-    )  # fmt: skip
+        left_out=tuple(left_out),
+        warnings=tuple(warnings),
+        seed=o.seed,
+    )
 
 
 def _hovering(
     make: Callable[[float], PlanningCase], limits: Limits | None, seconds: float
-) -> tuple[PlanningCase, Limits, list[str]]:  # fmt: skip
+) -> tuple[PlanningCase, Limits, list[str]]:
     """The subject, with effects of assumed size made smaller until the craft hovers within the limits."""
     for assumed in (1.0, 0.5, 0.25, 0.1, 0.05):
         wish = make(assumed)
@@ -109,10 +135,11 @@ def _hovering(
             note = f"effects without a stated size are taken at {assumed:g} of their typical one"
             return wish, room, [] if assumed == 1.0 else [note]
     raise FitError(
-        "the craft cannot hover within the limits", expected="a vehicle that carries itself, and effects that it can trim",
+        "the craft cannot hover within the limits",
+        expected="a vehicle that carries itself, and effects that it can trim",
         got="rotors at their limits or a lost path",
         fix="greybox vehicle check; smaller --value of the effects; wider --box",
-    )  # fmt: skip
+    )
 
 
 def _say(say: Callable[[str], None] | None, text: str) -> None:
@@ -121,11 +148,18 @@ def _say(say: Callable[[str], None] | None, text: str) -> None:
 
 
 def _flyable(
-    wish: PlanningCase, limits: Limits, seconds: float, seed: int, setpoints_only: bool, say: Callable[[str], None] | None
-) -> tuple[dict[str, Flown], list[str]]:  # fmt: skip
+    wish: PlanningCase,
+    limits: Limits,
+    seconds: float,
+    seed: int,
+    setpoints_only: bool,
+    say: Callable[[str], None] | None,
+) -> tuple[dict[str, Flown], list[str]]:
     """The pieces that keep the limits, by name, and the texts of those that do not. Raises `FitError` where none does."""
     out, left_out = {}, []
-    for p in excitation_blocks(wish.flying, limits, seconds=seconds, seed=seed, setpoints_only=setpoints_only):
+    for p in excitation_blocks(
+        wish.flying, limits, seconds=seconds, seed=seed, setpoints_only=setpoints_only
+    ):
         done = fit_in(wish.flying, p, limits)
         if done is None:
             left_out.append(p.text)
@@ -135,10 +169,11 @@ def _flyable(
             _say(say, f"flown: {p.text} ({100 * done.amplitude:.0f} %)")
     if "hover" not in out or len(out) < 2:
         raise FitError(
-            "no manoeuvre keeps the limits", expected="at least hover and one manoeuvre",
+            "no manoeuvre keeps the limits",
+            expected="at least hover and one manoeuvre",
             got=f"{len(out)} of {len(out) + len(left_out)}",
             fix="widen --box, --speed, --tilt or --command; greybox vehicle check; smaller --value of the effects",
-        )  # fmt: skip
+        )
     return out, left_out
 
 
@@ -153,7 +188,8 @@ def _kept(
     seconds = split[0][0][0].seconds
     for _ in range(ROUNDS):
         smaller = tuple(
-            tuple((p, a) for (p, _), a in zip(steps, own, strict=True)) for steps, own in zip(split, sizes, strict=True)
+            tuple((p, a) for (p, _), a in zip(steps, own, strict=True))
+            for steps, own in zip(split, sizes, strict=True)
         )
         log = _fly(wish, limits, smaller)
         hurt = np.zeros(sum(s.n for f in log.flights for s in f.segments), dtype=bool)
@@ -175,8 +211,11 @@ def _fly(wish: PlanningCase, limits: Limits, split: Sequence[Sequence[Step]]) ->
     logs = []
     for k, steps in enumerate(split):
         log = flown(
-            wish.flying, sequence(list(steps), limits, f"flight_{k + 1}"), 1.0, seconds=sum(p.seconds for p, _ in steps)
-        )  # fmt: skip
+            wish.flying,
+            sequence(list(steps), limits, f"flight_{k + 1}"),
+            1.0,
+            seconds=sum(p.seconds for p, _ in steps),
+        )
         if log is None:
             raise FitError(
                 f"flight {k + 1} of the plan saturates the rotors or loses its path",
@@ -186,9 +225,15 @@ def _fly(wish: PlanningCase, limits: Limits, split: Sequence[Sequence[Step]]) ->
     return sum(logs[1:], start=logs[0])
 
 
-def _naive(wish: PlanningCase, limits: Limits, candidates: Mapping[str, Flown], seconds: float) -> Dataset:
+def _naive(
+    wish: PlanningCase, limits: Limits, candidates: Mapping[str, Flown], seconds: float
+) -> Dataset:
     """Half hover, half figure of eight, as a pilot would who is asked for data (to and fro, where it cannot be flown)."""
-    eight = candidates.get("figure_eight") or max(candidates.values(), key=lambda f: f.piece.kind == "speed")
+    eight = candidates.get("figure_eight") or max(
+        candidates.values(), key=lambda f: f.piece.kind == "speed"
+    )
     n = max(round(seconds / eight.piece.seconds), 1)
-    steps = [(candidates["hover"].piece, 1.0)] * ((n + 1) // 2) + [(eight.piece, eight.amplitude)] * (n // 2)
+    steps = [(candidates["hover"].piece, 1.0)] * ((n + 1) // 2) + [
+        (eight.piece, eight.amplitude)
+    ] * (n // 2)
     return _fly(wish, limits, [steps])

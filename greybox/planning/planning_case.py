@@ -1,4 +1,5 @@
-"""PlanningCase: the model that a plan is made for, what is to be estimated in it, and what is known of that before."""
+"""PlanningCase: the model that a plan is made for, what is to be estimated in it, and what is known
+of that before."""
 
 from __future__ import annotations
 
@@ -58,10 +59,12 @@ class Estimated(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class PlanningCase:
-    """`dynamics` is what will be fitted, `flying` the same craft with all sensors, `free` the parameters to estimate.
+    """`dynamics` is what will be fitted, `flying` the same craft with all sensors, `free` the
+    parameters to estimate.
 
-    `values` are taken for true, `noise` are levels by name, `precision` (k, k) is what is known of `free` before.
-    `wanted` are the parameters that the plan is for; `groups` maps effects to their free parameters.
+    `values` are taken for true, `noise` are levels by name, `precision` (k, k) is what is known of
+    `free` before. `wanted` are the parameters that the plan is for; `groups` maps effects to their
+    free parameters.
     """
 
     dynamics: PhysicsModel
@@ -76,7 +79,8 @@ class PlanningCase:
 
     @property
     def known_before(self) -> dict[str, float]:
-        """Standard deviations of what is known before; parameters of which nothing is known are left out."""
+        """Standard deviations of what is known before; parameters of which nothing is known are
+        left out."""
         seen = np.diag(self.precision) > 0
         spread = np.linalg.pinv(self.precision, hermitian=True)
         return {n: float(np.sqrt(spread[i, i])) for i, n in enumerate(self.free) if seen[i]}
@@ -88,17 +92,24 @@ class PlanningCase:
 
 
 def planning_case(
-    vehicle: Vehicle | None = None, model: IdentifiedModel | None = None, *, effects: Iterable[str | Effect] = (),
-    free: Iterable[str] | None = None, values: Mapping[str, float] | None = None, noise: Mapping[str, float] | None = None,
-    sensors: Iterable[str] | None = None, sample_time: float | None = None,
+    vehicle: Vehicle | None = None,
+    model: IdentifiedModel | None = None,
+    *,
+    effects: Iterable[str | Effect] = (),
+    free: Iterable[str] | None = None,
+    values: Mapping[str, float] | None = None,
+    noise: Mapping[str, float] | None = None,
+    sensors: Iterable[str] | None = None,
+    sample_time: float | None = None,
     assumed: float = 1.0,
-) -> PlanningCase:  # fmt: skip
+) -> PlanningCase:
     """What `vehicle`, or the fitted `model` of it, is to be planned for.
 
-    `effects` are what the plan is for: their parameters are estimated, at the size that vehicle, model or `values` give
-    them, else at `assumed` times their typical one. Everything with a sigma in the vehicle file is estimated beside
-    them, or exactly `free`. With a model, its covariance is what is known before, and its noise levels are used.
-    Raises `ModelError`, `UnknownNameError`, `GreyboxError`.
+    `effects` are what the plan is for: their parameters are estimated, at the size that vehicle,
+    model or `values` give them, else at `assumed` times their typical one. Everything with a sigma
+    in the vehicle file is estimated beside them, or exactly `free`. With a model, its covariance is
+    what is known before, and its noise levels are used. Raises `ModelError`, `UnknownNameError`,
+    `GreyboxError`.
     """
     asked = tuple(effect_by_name(e) if isinstance(e, str) else e for e in effects)
     if model is not None:
@@ -112,17 +123,33 @@ def planning_case(
         dt, known = sample_time or model.sample_time, dict(model.values)
         have = {e.name for e in physics.effects}
         physics = replace(
-            physics, effects=(*physics.effects, *(e for e in asked if e.name not in have)), sample_time=dt
+            physics,
+            effects=(*physics.effects, *(e for e in asked if e.name not in have)),
+            sample_time=dt,
         )
     elif vehicle is not None:
         dt, known = sample_time or 0.01, {}
-        names = tuple(sensors or (s for s in (x.name for x in USUAL) if s in vehicle.noise)) or DEFAULT_SENSORS
-        own = [e for e in (effect_by_name(n) for n in vehicle.effects) if e.name not in {a.name for a in asked}]
-        physics = PhysicsModel(vehicle=vehicle, effects=(*own, *asked), sensors=_sensors(names), sample_time=dt)
+        names = (
+            tuple(sensors or (s for s in (x.name for x in USUAL) if s in vehicle.noise))
+            or DEFAULT_SENSORS
+        )
+        own = [
+            e
+            for e in (effect_by_name(n) for n in vehicle.effects)
+            if e.name not in {a.name for a in asked}
+        ]
+        physics = PhysicsModel(
+            vehicle=vehicle, effects=(*own, *asked), sensors=_sensors(names), sample_time=dt
+        )
     else:
-        raise GreyboxError("nothing to plan for", expected="a vehicle or a model", fix="--vehicle V.toml")
+        raise GreyboxError(
+            "nothing to plan for", expected="a vehicle or a model", fix="--vehicle V.toml"
+        )
     if physics.input != "command":
-        raise ModelError("a model driven by measured rotor speeds cannot be flown", fix="fit it with --input command")
+        raise ModelError(
+            "a model driven by measured rotor speeds cannot be flown",
+            fix="fit it with --input command",
+        )
     if sensors and model is not None:
         physics = replace(physics, sensors=_sensors(tuple(sensors)))
     declared = {d.name: d for d in physics.parameters}
@@ -140,14 +167,20 @@ def planning_case(
                 fix="check the unit",
             )
         numbers[n] = v
-    groups = {e.name: tuple(n for n in declared if n.startswith(f"{e.name}.")) for e in physics.effects}
+    groups = {
+        e.name: tuple(n for n in declared if n.startswith(f"{e.name}.")) for e in physics.effects
+    }
     wanted = tuple(n for e in asked for n in groups[e.name])
     if free is not None:
         chosen = set(free)
         for n in chosen - set(declared):
             raise UnknownNameError("parameter", n, declared)
     else:
-        before = set(model.covariance_names) if model is not None else {n for n, d in declared.items() if d.sigma > 0}
+        before = (
+            set(model.covariance_names)
+            if model is not None
+            else {n for n, d in declared.items() if d.sigma > 0}
+        )
         chosen = before | set(wanted)
     names = tuple(n for n in declared if n in chosen)
     if not names:
@@ -160,7 +193,9 @@ def planning_case(
         flying=_flying(physics, numbers, dt),
         free=names,
         wanted=tuple(n for n in wanted if n in names) or names,
-        groups={e: inside for e, ns in groups.items() if (inside := tuple(n for n in ns if n in names))},
+        groups={
+            e: inside for e, ns in groups.items() if (inside := tuple(n for n in ns if n in names))
+        },
         values=numbers,
         noise=_noise(physics, model, noise),
         precision=precision_of(declared, names, model),
@@ -184,7 +219,8 @@ def _typical(
     known: Mapping[str, float],
     assumed: float,
 ) -> None:
-    """An effect that nobody gave a size is taken at the size of a typical change, not at its null."""
+    """An effect that nobody gave a size is taken at the size of a typical change, not at its
+    null."""
     stated = vehicle.effects.get(effect.name, {})
     for n, d in declared.items():
         head, _, short = n.partition(".")
@@ -223,7 +259,9 @@ def _flying(physics: PhysicsModel, numbers: Mapping[str, float], dt: float) -> I
     )
 
 
-def _noise(physics: PhysicsModel, model: IdentifiedModel | None, given: Mapping[str, float] | None) -> dict[str, float]:
+def _noise(
+    physics: PhysicsModel, model: IdentifiedModel | None, given: Mapping[str, float] | None
+) -> dict[str, float]:
     """Levels of the model's filter (where it has them), then the given ones."""
     levels = noise_of(model) if model is not None else {}
     here = {f"noise.process.{n}" for n in physics.noises.names} | {
@@ -232,13 +270,18 @@ def _noise(physics: PhysicsModel, model: IdentifiedModel | None, given: Mapping[
     return {n: v for n, v in levels.items() if n in here} | dict(given or {})
 
 
-def precision_of(declared: Mapping[str, Parameter], names: tuple[str, ...], model: IdentifiedModel | None) -> FloatArray:
-    """What is known before: the priors of the vehicle file, or the covariance of the fitted model."""
+def precision_of(
+    declared: Mapping[str, Parameter], names: tuple[str, ...], model: IdentifiedModel | None
+) -> FloatArray:
+    """What is known before: the priors of the vehicle file, or the covariance of the fitted
+    model."""
     sigma = np.array([declared[n].sigma for n in names])
     out = np.diag([s**-2 if 0 < s < np.inf else 0.0 for s in sigma])
     if model is not None and model.covariance_names:
         at = [i for i, n in enumerate(model.covariance_names) if n in names]
         places = [names.index(model.covariance_names[i]) for i in at]
         out[places, :] = 0.0
-        out[np.ix_(places, places)] = np.linalg.pinv(model.covariance[np.ix_(at, at)], hermitian=True)
+        out[np.ix_(places, places)] = np.linalg.pinv(
+            model.covariance[np.ix_(at, at)], hermitian=True
+        )
     return out

@@ -1,4 +1,5 @@
-"""Plan: what to fly, what it is expected to tell, and how much better that is than flying without a plan."""
+"""Plan: what to fly, what it is expected to tell, and how much better that is than flying without a
+plan."""
 
 from __future__ import annotations
 
@@ -26,10 +27,12 @@ Step = tuple[ExcitationBlock, float]
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Plan(Shown):
-    """What to fly and what it is expected to tell. `flights` are lists of (piece, amplitude), `log` their noise-free logs.
+    """What to fly and what it is expected to tell. `flights` are lists of (piece, amplitude), `log`
+    their noise-free logs.
 
-    `errors` and `naive` map parameters to (standard error, the same without what is known before) of the plan and of hover
-    plus figure of eight of the same length; `efficiency` compares the two (`information.efficiency`).
+    `errors` and `naive` map parameters to (standard error, the same without what is known before)
+    of the plan and of hover plus figure of eight of the same length; `efficiency` compares the two
+    (`information.efficiency`).
     """
 
     subject: PlanningCase
@@ -59,53 +62,89 @@ class Plan(Shown):
         for n, (std, alone) in self.errors.items():
             d = declared[n]
             rows[n] = {
-                "value": s.values[n], "unit": d.unit, "scope": d.scope, "wanted": n in s.wanted, "std": std,
-                "std_before": known.get(n), "std_flights_alone": alone, "std_naive": self.naive[n][0],
-            }  # fmt: skip
+                "value": s.values[n],
+                "unit": d.unit,
+                "scope": d.scope,
+                "wanted": n in s.wanted,
+                "std": std,
+                "std_before": known.get(n),
+                "std_flights_alone": alone,
+                "std_naive": self.naive[n][0],
+            }
         flights = []
         for k, steps in enumerate(self.flights):
             starts = np.cumsum([0.0, *(p.seconds for p, _ in steps)])
             flights.append(
                 {
-                    "file": f"flight_{k + 1}.csv", "seconds": float(starts[-1]),
+                    "file": f"flight_{k + 1}.csv",
+                    "seconds": float(starts[-1]),
                     "manoeuvres": [
-                        {"name": p.name, "text": p.text, "kind": p.kind, "start": float(t), "seconds": p.seconds,
-                         "amplitude": a, "injected": p.injected}
+                        {
+                            "name": p.name,
+                            "text": p.text,
+                            "kind": p.kind,
+                            "start": float(t),
+                            "seconds": p.seconds,
+                            "amplitude": a,
+                            "injected": p.injected,
+                        }
                         for (p, a), t in zip(steps, starts, strict=False)
                     ],
                 }
-            )  # fmt: skip
+            )
         return {
-            "schema": SCHEMA, "vehicle": s.dynamics.vehicle.name, "effects": [e.name for e in s.dynamics.effects],
-            "sensors": [x.name for x in s.dynamics.sensors], "sample_time": s.sample_time, "seconds": self.seconds,
-            "seed": self.seed, "limits": self.limits.to_dict(), "used": self.limits.used(self.log),
-            "home": list(self.limits.home), "flights": flights, "parameters": rows,
+            "schema": SCHEMA,
+            "vehicle": s.dynamics.vehicle.name,
+            "effects": [e.name for e in s.dynamics.effects],
+            "sensors": [x.name for x in s.dynamics.sensors],
+            "sample_time": s.sample_time,
+            "seconds": self.seconds,
+            "seed": self.seed,
+            "limits": self.limits.to_dict(),
+            "used": self.limits.used(self.log),
+            "home": list(self.limits.home),
+            "flights": flights,
+            "parameters": rows,
             "efficiency": {
                 "against": "hover and figure of eight of the same length",
                 "as_long": None if self.naive_blind else self.efficiency,
                 "median_std_ratio": None if self.naive_blind else self.median_ratio,
-                "not_seen_by_it": list(self.naive_blind), "text": self.comparison,
+                "not_seen_by_it": list(self.naive_blind),
+                "text": self.comparison,
             },
             "pairs": [
-                {"effects": list(p.effects), "overlap": p.overlap, "expected_log_likelihood_ratio": p.expected,
-                 "separated": p.separated, "verdict": p.verdict}
+                {
+                    "effects": list(p.effects),
+                    "overlap": p.overlap,
+                    "expected_log_likelihood_ratio": p.expected,
+                    "separated": p.separated,
+                    "verdict": p.verdict,
+                }
                 for p in self.pairs
             ],
-            "unidentifiable": [c.text for c in self.unidentified], "cannot_be_flown": list(self.left_out),
-            "warnings": list(self.warnings), "noise": dict(s.noise), "versions": library_versions(),
-        }  # fmt: skip
+            "unidentifiable": [c.text for c in self.unidentified],
+            "cannot_be_flown": list(self.left_out),
+            "warnings": list(self.warnings),
+            "noise": dict(s.noise),
+            "versions": library_versions(),
+        }
 
     @property
     def median_ratio(self) -> float:
-        """Median over the wanted parameters that the flights see of the naive flight's standard error over the plan's."""
-        seen = [n for n in self.subject.wanted if np.isfinite(self.errors[n][1])] or list(self.subject.wanted)
+        """Median over the wanted parameters that the flights see of the naive flight's standard
+        error over the plan's."""
+        seen = [n for n in self.subject.wanted if np.isfinite(self.errors[n][1])] or list(
+            self.subject.wanted
+        )
         return float(np.median([self.naive[n][0] / self.errors[n][0] for n in seen]))
 
     @property
     def naive_blind(self) -> tuple[str, ...]:
         """Wanted parameters that the plan sees and the naive flight does not see at all."""
         return tuple(
-            n for n in self.subject.wanted if np.isfinite(self.errors[n][1]) and not np.isfinite(self.naive[n][1])
+            n
+            for n in self.subject.wanted
+            if np.isfinite(self.errors[n][1]) and not np.isfinite(self.naive[n][1])
         )
 
     def _shown_text(self) -> str:
@@ -138,14 +177,18 @@ class Plan(Shown):
         declared, known = s.declared, s.known_before
         for k, steps in enumerate(self.flights):
             lines.append(
-                f"flight {k + 1}, {sum(p.seconds for p, _ in steps):g} s from hover at {self.limits.home[2]:.2f} m:"
+                f"flight {k + 1}, {sum(p.seconds for p, _ in steps):g} s from hover at "
+                f"{self.limits.home[2]:.2f} m:"
             )
             t = 0.0
             for p, a in steps:
                 lines.append(f"  {t:5.1f} s  {p.text}  ({100 * a:.0f} %)")
                 t += p.seconds
         width = max(len(n) for n in self.errors)
-        lines += ["", f"{'':{width}}  {'value':>12} {'std before':>10} {'std after':>10} {'naive':>10}"]
+        lines += [
+            "",
+            f"{'':{width}}  {'value':>12} {'std before':>10} {'std after':>10} {'naive':>10}",
+        ]
         for n, (std, alone) in self.errors.items():
             mark = "" if np.isfinite(alone) else "  (not seen by itself)"
             spread = f"{known.get(n, np.inf):10.2g} {std:10.2g} {self.naive[n][0]:10.2g}"
@@ -162,9 +205,14 @@ class Plan(Shown):
     def comparison(self) -> str:
         """The plan against hover and figure of eight, in words."""
         if self.naive_blind:
-            return f"hover and figure of eight of the same length say nothing about {', '.join(self.naive_blind)}"
+            return (
+                "hover and figure of eight of the same length say nothing about "
+                f"{', '.join(self.naive_blind)}"
+            )
         return (
-            f"hover and figure of eight would have to last {self.efficiency:.1f} times as long for the same confidence "
+            f"hover and figure of eight would have to last {self.efficiency:.1f} times as long for "
+            "the same confidence "
             f"region; "
-            f"of the same length their standard errors are {self.median_ratio:.1f} times as large (median)"
+            f"of the same length their standard errors are {self.median_ratio:.1f} times as large "
+            "(median)"
         )

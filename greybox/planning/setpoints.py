@@ -1,8 +1,9 @@
 """Setpoints: a planned flight as a table for an autopilot, one row per sample.
 
-`t` [s]; `sp_x, sp_y, sp_z` [m] and `sp_vx ..`, `sp_ax ..` world (the derivatives for feed-forward); `sp_yaw` [rad],
-`sp_yaw_rate` [rad/s]; `inj_roll, inj_pitch, inj_yaw` angular accelerations [rad/s^2] and `inj_thrust` specific thrust
-[m/s^2] to add behind the attitude controller; `manoeuvre` counts the manoeuvres from 1.
+`t` [s]; `sp_x, sp_y, sp_z` [m] and `sp_vx ..`, `sp_ax ..` world (the derivatives for feed-forward);
+`sp_yaw` [rad], `sp_yaw_rate` [rad/s]; `inj_roll, inj_pitch, inj_yaw` angular accelerations
+[rad/s^2] and `inj_thrust` specific thrust [m/s^2] to add behind the attitude controller;
+`manoeuvre` counts the manoeuvres from 1.
 """
 
 from __future__ import annotations
@@ -42,5 +43,8 @@ def setpoints(
 def csv(columns: dict[str, FloatArray]) -> str:
     """The table as CSV text, a header row first, to a millionth."""
     rows = np.stack(list(columns.values()), axis=1)
-    body = "\n".join(",".join(f"{v:.6g}" if abs(v) < 1e6 else repr(v) for v in row) for row in np.round(rows, 6) + 0.0)
+    body = "\n".join(
+        ",".join(f"{v:.6g}" if abs(v) < 1e6 else repr(v) for v in row)
+        for row in np.round(rows, 6) + 0.0
+    )
     return ",".join(columns) + "\n" + body + "\n"

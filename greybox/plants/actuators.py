@@ -1,4 +1,5 @@
-"""From logged commands to rotor speeds: delay, shaping, supply voltage, first-order lag solved exactly."""
+"""From logged commands to rotor speeds: delay, shaping, supply voltage, first-order lag solved
+exactly."""
 
 from __future__ import annotations
 
@@ -72,7 +73,8 @@ class Actuators:
         return speeds
 
     def pieces(self, start: float, length: float) -> Iterator[tuple[float, float, list[Number]]]:
-        """Tiles (start, length, command at the motor) of [start, start + length], split where commands switch."""
+        """Tiles (start, length, command at the motor) of [start, start + length], split where
+        commands switch."""
         end = start + length
         marks = [t + self.delay for t, _ in self._history]
         inner = [m for m in marks if start + _SAME_INSTANT < m < end - _SAME_INSTANT]
@@ -98,7 +100,8 @@ class Actuators:
             left = self._decay(self._up, duration)
             return [s + (n - s) * left for n, s in zip(nu, self.target)]
         return [
-            s + (n - s) * self._decay(where(s > n, self._up, self._down), duration) for n, s in zip(nu, self.target)
+            s + (n - s) * self._decay(where(s > n, self._up, self._down), duration)
+            for n, s in zip(nu, self.target)
         ]
 
     @staticmethod

@@ -1,7 +1,8 @@
-"""What a simulated vehicle is made of: mass, inertia, rotors, thrust and torque maps. Plain numbers, SI units.
+"""What a simulated vehicle is made of: mass, inertia, rotors, thrust and torque maps. Plain
+numbers, SI units.
 
-Every number may also be an array of shape (B,), one value per member of a batch, so that a Monte Carlo over true
-parameters runs as one flight of the batch.
+Every number may also be an array of shape (B,), one value per member of a batch, so that a Monte
+Carlo over true parameters runs as one flight of the batch.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from greybox.plants.vectors import ZERO, Matrix, Number, Vector
 
 @dataclass(frozen=True)
 class Rotor:
-    """One rotor: hub position from the body origin [m], forward-left-up; spin +1 counter-clockwise from above."""
+    """One rotor: hub position from the body origin [m], forward-left-up; spin +1 counter-clockwise
+    from above."""
 
     position: Vector
     spin: int
@@ -23,10 +25,11 @@ class Rotor:
 class Airframe:
     """A rigid body with n rotors.
 
-    mass [kg]; inertia = (xx, yy, zz) and products = (xy, xz, yz), the elements of the inertia matrix about the
-    centre of mass [kg m^2]; center_of_mass and imu_position from the body origin [m]; thrust = (c0, c1, c2) with
-    T = c0 + c1 nu + c2 nu^2 [N] per rotor, torque likewise [N m], nu the normalised rotor speed; speed_max [rad/s] is
-    the speed at nu = 1 (None: speeds are reported as nu times 1 rad/s); gravity [m/s^2].
+    mass [kg]; inertia = (xx, yy, zz) and products = (xy, xz, yz), the elements of the inertia
+    matrix about the centre of mass [kg m^2]; center_of_mass and imu_position from the body origin
+    [m]; thrust = (c0, c1, c2) with T = c0 + c1 nu + c2 nu^2 [N] per rotor, torque likewise [N m],
+    nu the normalised rotor speed; speed_max [rad/s] is the speed at nu = 1 (None: speeds are
+    reported as nu times 1 rad/s); gravity [m/s^2].
     """
 
     name: str
@@ -50,7 +53,9 @@ class Airframe:
             raise ValueError("airframe without rotors: give at least one Rotor(position, spin)")
         for number, rotor in enumerate(self.rotors, 1):
             if rotor.spin not in (-1, 1):
-                raise ValueError(f"rotor {number}: spin must be +1 (counter-clockwise) or -1, got {rotor.spin}")
+                raise ValueError(
+                    f"rotor {number}: spin must be +1 (counter-clockwise) or -1, got {rotor.spin}"
+                )
 
     @property
     def inertia_matrix(self) -> Matrix:
@@ -60,7 +65,8 @@ class Airframe:
         return (xx, xy, xz, xy, yy, yz, xz, yz, zz)
 
     def command_for_thrust(self, thrust: Number) -> Number:
-        """Normalised rotor speed nu at which one rotor gives `thrust` [N] (the map inverted on its rising branch)."""
+        """Normalised rotor speed nu at which one rotor gives `thrust` [N] (the map inverted on its
+        rising branch)."""
         c0, c1, c2 = self.thrust
         if isinstance(c2, float) and c2 == 0.0:
             return (thrust - c0) / c1
@@ -78,12 +84,15 @@ class Airframe:
         names |= dict(zip(("inertia.xy", "inertia.xz", "inertia.yz"), self.products))
         names |= {f"thrust.c{k}": c for k, c in enumerate(self.thrust)}
         names |= {f"torque.c{k}": c for k, c in enumerate(self.torque)}
-        names |= dict(zip(("center_of_mass.x", "center_of_mass.y", "center_of_mass.z"), self.center_of_mass))
+        names |= dict(
+            zip(("center_of_mass.x", "center_of_mass.y", "center_of_mass.z"), self.center_of_mass)
+        )
         return {"mass": self.mass, **names}
 
 
 def x_layout(arm_x: float, arm_y: float) -> tuple[Rotor, ...]:
-    """Four rotors in X: front right (CCW), rear right (CW), rear left (CCW), front left (CW); half distances [m]."""
+    """Four rotors in X: front right (CCW), rear right (CW), rear left (CCW), front left (CW); half
+    distances [m]."""
     return (
         Rotor((arm_x, -arm_y, 0.0), 1),
         Rotor((-arm_x, -arm_y, 0.0), -1),

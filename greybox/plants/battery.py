@@ -11,8 +11,9 @@ from greybox.plants.vectors import Number
 class Battery:
     """Open-circuit voltage linear in the charge used, minus internal resistance times current.
 
-    full and empty: open-circuit voltages [V]; capacity [A s]; resistance [ohm]; idle_current [A]; full_current [A] is
-    what all rotors together draw at nu = 1 (current grows with the cube of rotor speed, as shaft power does).
+    full and empty: open-circuit voltages [V]; capacity [A s]; resistance [ohm]; idle_current [A];
+    full_current [A] is what all rotors together draw at nu = 1 (current grows with the cube of
+    rotor speed, as shaft power does).
     """
 
     full: float = 4.15
@@ -29,4 +30,6 @@ class Battery:
 
     def voltage(self, used: Number, current: Number) -> Number:
         """Terminal voltage [V] after `used` [A s] at `current` [A]."""
-        return self.full - (self.full - self.empty) * used / self.capacity - self.resistance * current
+        return (
+            self.full - (self.full - self.empty) * used / self.capacity - self.resistance * current
+        )

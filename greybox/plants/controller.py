@@ -28,11 +28,13 @@ from greybox.plants.vectors import (
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Loop gains, horizontal and vertical position [1/s^2, 1/s, 1/s^3], attitude [1/s], rates [1/s, 1/s^2], and limits.
+    """Loop gains, horizontal and vertical position [1/s^2, 1/s, 1/s^3], attitude [1/s], rates [1/s,
+    1/s^2], and limits.
 
-    position, velocity, position_integral act on the position error, velocity error and integral of the position error;
-    attitude turns the attitude error into a rate setpoint; rate and rate_integral turn the rate error into angular
-    acceleration. yaw and yaw_rate replace attitude and rate about z. tilt_max [rad], rate_max [rad/s].
+    position, velocity, position_integral act on the position error, velocity error and integral of
+    the position error; attitude turns the attitude error into a rate setpoint; rate and
+    rate_integral turn the rate error into angular acceleration. yaw and yaw_rate replace attitude
+    and rate about z. tilt_max [rad], rate_max [rad/s].
     """
 
     position: float = 4.0
@@ -52,7 +54,8 @@ class Gains:
 
 @dataclass(frozen=True, kw_only=True)
 class Setpoint:
-    """What to do now: position [m], velocity [m/s], acceleration [m/s^2], world; yaw [rad], yaw_rate [rad/s]."""
+    """What to do now: position [m], velocity [m/s], acceleration [m/s^2], world; yaw [rad],
+    yaw_rate [rad/s]."""
 
     position: Vector
     velocity: Vector = ZERO
@@ -64,11 +67,14 @@ class Setpoint:
 class CascadeController:
     """Position to tilt and thrust, attitude to rates, rates to moments, moments to rotor commands.
 
-    airframe: what the controller believes the vehicle to be (the plant's may differ). feedback: "measured" uses the
-    noisy measurements, "truth" the true state. Integrators carry what the belief gets wrong.
+    airframe: what the controller believes the vehicle to be (the plant's may differ). feedback:
+    "measured" uses the noisy measurements, "truth" the true state. Integrators carry what the
+    belief gets wrong.
     """
 
-    def __init__(self, airframe: Airframe, gains: Gains | None = None, *, feedback: str = "measured") -> None:
+    def __init__(
+        self, airframe: Airframe, gains: Gains | None = None, *, feedback: str = "measured"
+    ) -> None:
         if feedback not in ("measured", "truth"):
             raise ValueError(f'feedback is "measured" or "truth", got {feedback!r}')
         self.airframe = airframe
@@ -96,12 +102,16 @@ class CascadeController:
         self._turn: Vector = ZERO
 
     def __call__(
-        self, seen: dict[str, Any], goal: Setpoint, dt: float, inject: tuple[Number, Number, Number, Number]
+        self,
+        seen: dict[str, Any],
+        goal: Setpoint,
+        dt: float,
+        inject: tuple[Number, Number, Number, Number],
     ) -> list[Number]:
         """Rotor commands in [u_min, u_max] from measurements by column name.
 
-        inject: excitation added at the mixer's inputs: specific thrust [m/s^2] and angular accelerations about x, y, z
-        [rad/s^2].
+        inject: excitation added at the mixer's inputs: specific thrust [m/s^2] and angular
+        accelerations about x, y, z [rad/s^2].
         """
         frame = self.airframe
         turn = rotation((seen["qw"], seen["qx"], seen["qy"], seen["qz"]))
@@ -132,7 +142,9 @@ class CascadeController:
             a + kp * clip(e, -1.5, 1.5) + kv * s + ki * i
             for a, e, s, i, (kp, kv, ki) in zip(goal.acceleration, away, slip, self._place, gains)
         )
-        up = clip(az + self.airframe.gravity, 0.3 * self.airframe.gravity, 2.0 * self.airframe.gravity)
+        up = clip(
+            az + self.airframe.gravity, 0.3 * self.airframe.gravity, 2.0 * self.airframe.gravity
+        )
         side = (ax * ax + ay * ay) ** 0.5
         limit = up * math.tan(g.tilt_max)
         shrink = clip(limit / (side + 1e-9), 0.0, 1.0)
@@ -140,28 +152,41 @@ class CascadeController:
 
     @staticmethod
     def _attitude(turn: Any, wanted: Vector, yaw: Number) -> tuple[Number, Vector]:
-        """Specific thrust along the present body z, and the attitude error that remains (body axes, about [rad])."""
+        """Specific thrust along the present body z, and the attitude error that remains (body axes,
+        about [rad])."""
         specific = wanted[0] * turn[2] + wanted[1] * turn[5] + wanted[2] * turn[8]
         size = norm(wanted)
         zx, zy, zz = wanted[0] / size, wanted[1] / size, wanted[2] / size
-        cosine, sine = (math.cos(yaw), math.sin(yaw)) if isinstance(yaw, float) else (np.cos(yaw), np.sin(yaw))
+        cosine, sine = (
+            (math.cos(yaw), math.sin(yaw)) if isinstance(yaw, float) else (np.cos(yaw), np.sin(yaw))
+        )
         y_axis = cross((zx, zy, zz), (cosine, sine, 0.0))
         length = norm(y_axis)
         y_axis = (y_axis[0] / length, y_axis[1] / length, y_axis[2] / length)
         x_axis = cross(y_axis, (zx, zy, zz))
-        # sum of the cross products of present and wanted axes, in world, is twice the sine of the error
-        now = ((turn[0], turn[3], turn[6]), (turn[1], turn[4], turn[7]), (turn[2], turn[5], turn[8]))
+        # sum of the cross products of present and wanted axes, in world, is twice the sine of the
+        # error
+        now = (
+            (turn[0], turn[3], turn[6]),
+            (turn[1], turn[4], turn[7]),
+            (turn[2], turn[5], turn[8]),
+        )
         error = ZERO
         for have, want in zip(now, (x_axis, y_axis, (zx, zy, zz))):
             error = add(error, cross(have, want))
         ex, ey, ez = apply_transposed(turn, error)
         return specific, (0.5 * ex, 0.5 * ey, 0.5 * ez)
 
-    def _angular(self, seen: dict[str, Any], turn: Any, error: Vector, yaw_rate: Number, dt: float) -> Vector:
+    def _angular(
+        self, seen: dict[str, Any], turn: Any, error: Vector, yaw_rate: Number, dt: float
+    ) -> Vector:
         """Wanted angular acceleration, body [rad/s^2]."""
         g = self.gains
         goal = (g.attitude * error[0], g.attitude * error[1], g.yaw * error[2] + yaw_rate)
         slip = tuple(clip(w, -g.rate_max, g.rate_max) - seen[name] for w, name in zip(goal, "pqr"))
         self._turn = tuple(clip(s + dt * e, -3.0, 3.0) for s, e in zip(self._turn, slip))
-        px, py, pz = (k * e + g.rate_integral * s for k, e, s in zip((g.rate, g.rate, g.yaw_rate), slip, self._turn))
+        px, py, pz = (
+            k * e + g.rate_integral * s
+            for k, e, s in zip((g.rate, g.rate, g.yaw_rate), slip, self._turn)
+        )
         return (px, py, clip(pz, -25.0, 25.0))

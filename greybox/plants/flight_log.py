@@ -1,4 +1,5 @@
-"""Fly a simulated plant in closed loop and keep the log, in memory or as the flight-log CSV of the file contract."""
+"""Fly a simulated plant in closed loop and keep the log, in memory or as the flight-log CSV of the
+file contract."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ CLEAN = "clean."
 
 
 class Plant(Protocol):
-    """A vehicle that can be flown: `greybox.plants.quadrotor.Quadrotor`, or one of another simulator."""
+    """A vehicle that can be flown: `greybox.plants.quadrotor.Quadrotor`, or one of another
+    simulator."""
 
     @property
     def batch(self) -> int | None:
@@ -99,11 +101,12 @@ def fly(
 ) -> Log:
     """Fly `duration` s from the start of the reference and return the log.
 
-    dt [s]: sample time of controller and log. seed: an integer, or a sequence of B integers, which flies B vehicles at
-    once, each with its own noise, reference and excitation. warm_up [s]: flown before the log begins (its time starts
-    at zero all the same). charge_used [A s]: what the battery has given before. record_truth: add the true states as
-    columns `true.<state>`; record_clean: add `clean.<column>`, what the sensors would have said without noise. Row k
-    holds the measurement at t_k and the command held from t_k to t_k+1.
+    dt [s]: sample time of controller and log. seed: an integer, or a sequence of B integers, which
+    flies B vehicles at once, each with its own noise, reference and excitation. warm_up [s]: flown
+    before the log begins (its time starts at zero all the same). charge_used [A s]: what the
+    battery has given before. record_truth: add the true states as columns `true.<state>`;
+    record_clean: add `clean.<column>`, what the sensors would have said without noise. Row k holds
+    the measurement at t_k and the command held from t_k to t_k+1.
     """
     single = isinstance(seed, int | np.integer)
     lead, rows = round(warm_up / dt), round(duration / dt)
@@ -111,7 +114,11 @@ def fly(
     plan = _Plan(reference, excitation, time, [seed] if single else list(seed), single)  # type: ignore[arg-type,list-item]
     goal = plan.setpoint(0)
     plant.reset(
-        seed, position=goal.position, velocity=goal.velocity, attitude=_facing(goal.yaw), charge_used=charge_used
+        seed,
+        position=goal.position,
+        velocity=goal.velocity,
+        attitude=_facing(goal.yaw),
+        charge_used=charge_used,
     )
     controller.reset()
     use_truth = controller.feedback == "truth"
@@ -120,11 +127,19 @@ def fly(
     for k in range(lead + rows):
         seen = plant.states() if use_truth else plant.measure()
         command = controller(seen, plan.setpoint(k), dt, plan.injection(k))
-        u = command if single else np.column_stack([np.broadcast_to(c, (plant.batch or 1,)) for c in command])
+        u = (
+            command
+            if single
+            else np.column_stack([np.broadcast_to(c, (plant.batch or 1,)) for c in command])
+        )
         if k >= lead:
             row = plant.measure(u)
             if record_clean:
-                row |= {CLEAN + name: value for name, value in plant.measure(u, noise=False).items() if name != "t"}
+                row |= {
+                    CLEAN + name: value
+                    for name, value in plant.measure(u, noise=False).items()
+                    if name != "t"
+                }
             if record_truth:
                 row |= {TRUTH + name: value for name, value in plant.states().items()}
             if not names:
@@ -142,24 +157,33 @@ def member(log: Mapping[str, NDArray[np.float64]], index: int) -> Log:
 
 
 def write_log(
-    path: str | Path, log: Mapping[str, NDArray[np.float64]], *, drop: Iterable[str] = (), truth: bool = False
+    path: str | Path,
+    log: Mapping[str, NDArray[np.float64]],
+    *,
+    drop: Iterable[str] = (),
+    truth: bool = False,
 ) -> Path:
-    """Write a log as flight-log CSV: a header row, one row per sample, missing values as empty cells.
+    """Write a log as flight-log CSV: a header row, one row per sample, missing values as empty
+    cells.
 
-    drop: columns to leave out, a name or a prefix of numbered ones ("omega" drops omega1..n); truth: keep the
-    `true.` and `clean.` columns.
+    drop: columns to leave out, a name or a prefix of numbered ones ("omega" drops omega1..n);
+    truth: keep the `true.` and `clean.` columns.
     """
     left_out = set(drop)
     names = [
         name
         for name in log
         if not (
-            name in left_out or name.rstrip("0123456789") in left_out or (name.startswith((TRUTH, CLEAN)) and not truth)
+            name in left_out
+            or name.rstrip("0123456789") in left_out
+            or (name.startswith((TRUTH, CLEAN)) and not truth)
         )
     ]
     for name in names:
         if log[name].ndim != 1:
-            raise ValueError(f"column {name} holds a batch {log[name].shape}: take one with member(log, index)")
+            raise ValueError(
+                f"column {name} holds a batch {log[name].shape}: take one with member(log, index)"
+            )
     columns = [["" if np.isnan(v) else repr(v) for v in log[name].tolist()] for name in names]
     lines = [",".join(names), *(",".join(row) for row in zip(*columns))]
     path = Path(path)
@@ -174,10 +198,16 @@ def _facing(yaw: Any) -> tuple[Any, Any, Any, Any]:
 
 
 class _Plan:
-    """Reference and excitation of all members, ready to be read row by row: floats, or arrays (B,)."""
+    """Reference and excitation of all members, ready to be read row by row: floats, or arrays
+    (B,)."""
 
     def __init__(
-        self, reference: Reference, excitation: Excitation | None, time: Any, seeds: list[int], single: bool
+        self,
+        reference: Reference,
+        excitation: Excitation | None,
+        time: Any,
+        seeds: list[int],
+        single: bool,
     ) -> None:
         tables = []
         for seed in seeds:

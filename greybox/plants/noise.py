@@ -1,4 +1,5 @@
-"""Random inputs of a simulated plant: sensor noise, process noise, slow disturbances, and the seeded draws behind."""
+"""Random inputs of a simulated plant: sensor noise, process noise, slow disturbances, and the
+seeded draws behind."""
 
 from __future__ import annotations
 
@@ -12,8 +13,9 @@ from greybox.plants.vectors import ZERO, Number, Vector, exponential
 
 ROTORS_MAX = 8
 COLUMNS = 6 + 6 + 3 + 3 + 3 + 3 + 3 + 1 + ROTORS_MAX
-"""Standard normals per sample: force, torque | drift force, torque | gyro, accelerometer, attitude, position, velocity,
-voltage, rotor speeds. The layout is fixed, so that turning one source off leaves every other sequence as it was."""
+"""Standard normals per sample: force, torque | drift force, torque | gyro, accelerometer, attitude,
+position, velocity, voltage, rotor speeds. The layout is fixed, so that turning one source off
+leaves every other sequence as it was."""
 _NUMBERS_AHEAD = 2_000_000
 
 
@@ -26,8 +28,8 @@ def axes(value: Number | Vector) -> Vector:
 class SensorNoise:
     """White Gaussian noise, one standard deviation per sensor.
 
-    gyro [rad/s], accelerometer [m/s^2], attitude [rad, small rotation in body axes], position [m], velocity [m/s],
-    voltage [V], rotor_speed [rad/s]; a single number or one per axis.
+    gyro [rad/s], accelerometer [m/s^2], attitude [rad, small rotation in body axes], position [m],
+    velocity [m/s], voltage [V], rotor_speed [rad/s]; a single number or one per axis.
     """
 
     gyro: Number | Vector = 0.0
@@ -41,11 +43,13 @@ class SensorNoise:
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessNoise:
-    """White force and torque, and slow (Gauss-Markov) force and torque, all in body axes and constant over one sample.
+    """White force and torque, and slow (Gauss-Markov) force and torque, all in body axes and
+    constant over one sample.
 
-    force [N s^0.5] and torque [N m s^0.5] are spectral levels q: over a sample of length dt the discrete standard
-    deviation is q / sqrt(dt). drift_force [N / s^0.5] and drift_torque [N m / s^0.5] drive first-order Gauss-Markov
-    disturbances with correlation time drift_time [s] (infinite: random walks). Forces also reach the accelerometer.
+    force [N s^0.5] and torque [N m s^0.5] are spectral levels q: over a sample of length dt the
+    discrete standard deviation is q / sqrt(dt). drift_force [N / s^0.5] and drift_torque [N m /
+    s^0.5] drive first-order Gauss-Markov disturbances with correlation time drift_time [s]
+    (infinite: random walks). Forces also reach the accelerometer.
     """
 
     force: Number | Vector = 0.0
@@ -56,7 +60,8 @@ class ProcessNoise:
 
 
 class Draws:
-    """Standard normals, one row of COLUMNS numbers per sample and member; each member has its own generator.
+    """Standard normals, one row of COLUMNS numbers per sample and member; each member has its own
+    generator.
 
     A member of a batch gets exactly the numbers that a single plant with the same seed gets.
     """
@@ -71,7 +76,9 @@ class Draws:
         """The next sample's numbers: COLUMNS floats, or COLUMNS arrays of shape (B,)."""
         if self._next == len(self._rows):
             rows = max(1, min(256, _NUMBERS_AHEAD // (COLUMNS * len(self._generators))))
-            block = np.stack([g.standard_normal((rows, COLUMNS)) for g in self._generators], axis=-1)
+            block = np.stack(
+                [g.standard_normal((rows, COLUMNS)) for g in self._generators], axis=-1
+            )
             self._rows = block[:, :, 0].tolist() if self._single else [list(row) for row in block]
             self._next = 0
         self._next += 1
@@ -79,7 +86,8 @@ class Draws:
 
 
 class Disturbance:
-    """Force and torque on the body during the present sample; `advance` moves on to the next one."""
+    """Force and torque on the body during the present sample; `advance` moves on to the next
+    one."""
 
     def __init__(self, process: ProcessNoise, sample_time: float) -> None:
         scale = sample_time**-0.5
@@ -89,7 +97,9 @@ class Disturbance:
         else:
             self._keep = exponential(-sample_time / process.drift_time)
             spread = 0.5 * process.drift_time * (1.0 - self._keep**2)
-        self._drift_steps = [spread**0.5 * v for v in (*axes(process.drift_force), *axes(process.drift_torque))]
+        self._drift_steps = [
+            spread**0.5 * v for v in (*axes(process.drift_force), *axes(process.drift_torque))
+        ]
         self._drift: list[Number] = [0.0] * 6
         self.force: Vector = ZERO
         self.torque: Vector = ZERO
@@ -97,7 +107,9 @@ class Disturbance:
     def advance(self, row: list[Number]) -> None:
         """Set force [N] and torque [N m] from one row of standard normals."""
         white = self._white
-        drift = self._drift = [self._keep * d + s * n for d, s, n in zip(self._drift, self._drift_steps, row[6:12])]
+        drift = self._drift = [
+            self._keep * d + s * n for d, s, n in zip(self._drift, self._drift_steps, row[6:12])
+        ]
         total = [w * n + d for w, n, d in zip(white, row, drift)]
         self.force = (total[0], total[1], total[2])
         self.torque = (total[3], total[4], total[5])

@@ -1,7 +1,9 @@
-"""Newton-Euler equations of a rigid body with n rotors and whatever effects act on it, written from first principles.
+"""Newton-Euler equations of a rigid body with n rotors and whatever effects act on it, written from
+first principles.
 
-State: position and velocity of the centre of mass (world), attitude quaternion (body to world), body rates, then the
-hidden states of effects. Rotor speeds are not part of it: between command changes they are known in closed form.
+State: position and velocity of the centre of mass (world), attitude quaternion (body to world),
+body rates, then the hidden states of effects. Rotor speeds are not part of it: between command
+changes they are known in closed form.
 """
 
 from __future__ import annotations
@@ -69,9 +71,18 @@ class Physics:
         self.size = start
         per_rotor = (self._thrust_factors, self._torque_factors, self._thrust_increments)
         self._any_hub = any((*per_rotor, self._hub_forces, self._hub_moments))
-        self._any_effect = bool(self._any_hub or self._body_forces or self._body_moments or self._winds or self._slices)
+        self._any_effect = bool(
+            self._any_hub or self._body_forces or self._body_moments or self._winds or self._slices
+        )
 
-    def _see(self, time: Number, state: list[Number], nu: list[Number], nu_rate: list[Number], voltage: Number) -> Body:
+    def _see(
+        self,
+        time: Number,
+        state: list[Number],
+        nu: list[Number],
+        nu_rate: list[Number],
+        voltage: Number,
+    ) -> Body:
         body = Body()
         body.time = time
         body.position = (state[0], state[1], state[2])
@@ -118,7 +129,11 @@ class Physics:
                 for hook in self._hub_forces:
                     hx, hy, hz = hook(hub)
                     fx, fy, fz = fx + hx, fy + hy, fz + hz
-                    mx, my, mz = mx + ry * hz - rz * hy, my + rz * hx - rx * hz, mz + rx * hy - ry * hx
+                    mx, my, mz = (
+                        mx + ry * hz - rz * hy,
+                        my + rz * hx - rx * hz,
+                        mz + rx * hy - ry * hx,
+                    )
                 for hook in self._hub_moments:
                     hx, hy, hz = hook(hub)
                     mx, my, mz = mx + hx, my + hy, mz + hz
@@ -138,7 +153,8 @@ class Physics:
         push: Vector,
         twist: Vector,
     ) -> tuple[Body, Vector, Vector]:
-        """The vehicle as effects see it, its specific force (force but gravity over mass, body [m/s^2]) and domega/dt.
+        """The vehicle as effects see it, its specific force (force but gravity over mass, body
+        [m/s^2]) and domega/dt.
 
         push [N] and twist [N m] are the disturbance force and torque on the body.
         """

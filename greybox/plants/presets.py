@@ -1,7 +1,8 @@
-"""Ready-made vehicles and controllers: `nano()`, `x250()`, `duckiedrone()` give a plant, `controller_for` flies it.
+"""Ready-made vehicles and controllers: `nano()`, `x250()`, `duckiedrone()` give a plant,
+`controller_for` flies it.
 
-Numbers are of the size that public data sheets and papers give for vehicles of the class; none is a measurement of a
-particular one.
+Numbers are of the size that public data sheets and papers give for vehicles of the class; none is a
+measurement of a particular one.
 """
 
 from __future__ import annotations
@@ -63,13 +64,31 @@ DUCKIEDRONE = Airframe(
 )
 
 NANO_SENSORS = SensorNoise(
-    gyro=0.015, accelerometer=0.08, attitude=0.002, position=0.001, velocity=0.01, voltage=0.002, rotor_speed=5.0
+    gyro=0.015,
+    accelerometer=0.08,
+    attitude=0.002,
+    position=0.001,
+    velocity=0.01,
+    voltage=0.002,
+    rotor_speed=5.0,
 )
 LARGE_SENSORS = SensorNoise(
-    gyro=0.01, accelerometer=0.1, attitude=0.003, position=0.003, velocity=0.02, voltage=0.005, rotor_speed=3.0
+    gyro=0.01,
+    accelerometer=0.1,
+    attitude=0.003,
+    position=0.003,
+    velocity=0.02,
+    voltage=0.005,
+    rotor_speed=3.0,
 )
 MEMS = SensorNoise(
-    gyro=0.01, accelerometer=0.05, attitude=0.003, position=0.003, velocity=0.02, voltage=0.005, rotor_speed=3.0
+    gyro=0.01,
+    accelerometer=0.05,
+    attitude=0.003,
+    position=0.003,
+    velocity=0.02,
+    voltage=0.005,
+    rotor_speed=3.0,
 )
 """A small IMU on a soft mount; what a low-cost estimator makes of attitude and position."""
 CALM = ProcessNoise(force=0.0005 * 0.9, torque=(0.01 * 8.0e-3, 0.01 * 8.5e-3, 0.01 * 1.45e-2))
@@ -90,8 +109,12 @@ EVERYDAY: tuple[PlantEffect, ...] = (
 """What a home-made `DUCKIEDRONE` has besides a rigid body: see docs/studies/paper_experiment.md."""
 
 DEFAULT = Gains()
-SOFT = Gains(position=2.0, velocity=2.4, position_integral=0.3, attitude=5.0, rate=12.0, rate_integral=6.0)
-STIFF = Gains(position=6.0, velocity=4.5, position_integral=1.2, attitude=9.0, rate=24.0, rate_integral=20.0)
+SOFT = Gains(
+    position=2.0, velocity=2.4, position_integral=0.3, attitude=5.0, rate=12.0, rate_integral=6.0
+)
+STIFF = Gains(
+    position=6.0, velocity=4.5, position_integral=1.2, attitude=9.0, rate=24.0, rate_integral=20.0
+)
 PROPORTIONAL = Gains(position_integral=0.0, height_integral=0.0, rate_integral=0.0)
 """No integrators: trim errors stay visible in the flight path."""
 
@@ -109,28 +132,58 @@ def _process(airframe: Airframe) -> ProcessNoise:
 
 
 def nano(
-    effects: Sequence[PlantEffect] = (), *, sensors: SensorNoise | None = None, process: ProcessNoise | None = None
+    effects: Sequence[PlantEffect] = (),
+    *,
+    sensors: SensorNoise | None = None,
+    process: ProcessNoise | None = None,
 ) -> Quadrotor:
     """A 28 g quadrotor in X, hovering at u = 0.69, with a single-cell battery."""
-    battery = Battery(full=4.15, empty=3.3, capacity=900.0, resistance=0.03, idle_current=0.1, full_current=9.0)
-    return Quadrotor(NANO, effects, battery=battery, sensors=sensors or NANO_SENSORS, process=process or _process(NANO))
+    battery = Battery(
+        full=4.15, empty=3.3, capacity=900.0, resistance=0.03, idle_current=0.1, full_current=9.0
+    )
+    return Quadrotor(
+        NANO,
+        effects,
+        battery=battery,
+        sensors=sensors or NANO_SENSORS,
+        process=process or _process(NANO),
+    )
 
 
 def x250(
-    effects: Sequence[PlantEffect] = (), *, sensors: SensorNoise | None = None, process: ProcessNoise | None = None
+    effects: Sequence[PlantEffect] = (),
+    *,
+    sensors: SensorNoise | None = None,
+    process: ProcessNoise | None = None,
 ) -> Quadrotor:
     """A 0.5 kg quadrotor with 250 mm between opposite motors, hovering at u = 0.54, three cells."""
-    battery = Battery(full=12.5, empty=10.2, capacity=4700.0, resistance=0.03, idle_current=0.4, full_current=60.0)
+    battery = Battery(
+        full=12.5, empty=10.2, capacity=4700.0, resistance=0.03, idle_current=0.4, full_current=60.0
+    )
     return Quadrotor(
-        X250, effects, battery=battery, sensors=sensors or LARGE_SENSORS, process=process or _process(X250)
+        X250,
+        effects,
+        battery=battery,
+        sensors=sensors or LARGE_SENSORS,
+        process=process or _process(X250),
     )
 
 
 def duckiedrone(
-    effects: Sequence[PlantEffect] = (), *, sensors: SensorNoise | None = None, process: ProcessNoise | None = None
+    effects: Sequence[PlantEffect] = (),
+    *,
+    sensors: SensorNoise | None = None,
+    process: ProcessNoise | None = None,
 ) -> Quadrotor:
     """A 0.9 kg quadrotor in plus, rotor 1 in front, hovering at u = 0.59, three cells."""
-    battery = Battery(full=12.5, empty=10.2, capacity=7900.0, resistance=0.025, idle_current=0.8, full_current=55.0)
+    battery = Battery(
+        full=12.5,
+        empty=10.2,
+        capacity=7900.0,
+        resistance=0.025,
+        idle_current=0.8,
+        full_current=55.0,
+    )
     return Quadrotor(
         DUCKIEDRONE,
         effects,
@@ -140,6 +193,8 @@ def duckiedrone(
     )
 
 
-def controller_for(plant: Quadrotor, gains: Gains | None = None, *, feedback: str = "measured") -> CascadeController:
+def controller_for(
+    plant: Quadrotor, gains: Gains | None = None, *, feedback: str = "measured"
+) -> CascadeController:
     """A cascade controller that knows the plant's airframe but none of its effects."""
     return CascadeController(plant.airframe, gains, feedback=feedback)

@@ -1,9 +1,10 @@
-"""A simulated multirotor, independent of every model that is fitted to it: state, time stepping, sensors, truth.
+"""A simulated multirotor, independent of every model that is fitted to it: state, time stepping,
+sensors, truth.
 
-Timing. `measure()` reports the state at t_k; `step(u, dt)` holds u from t_k to t_k + dt. The accelerometer at t_k sees
-the rotor speeds at t_k and the disturbance force of the step that begins at t_k. Rotors without lag jump at t_k: pass
-the command, `measure(u)`, to see the instant just after the jump, which is what a log row (measurement at t_k, u_k)
-holds.
+Timing. `measure()` reports the state at t_k; `step(u, dt)` holds u from t_k to t_k + dt. The
+accelerometer at t_k sees the rotor speeds at t_k and the disturbance force of the step that begins
+at t_k. Rotors without lag jump at t_k: pass the command, `measure(u)`, to see the instant just
+after the jump, which is what a log row (measurement at t_k, u_k) holds.
 """
 
 from __future__ import annotations
@@ -19,7 +20,15 @@ from greybox.plants.airframe import Airframe
 from greybox.plants.battery import Battery
 from greybox.plants.effects.base import PlantEffect, hooks
 from greybox.plants.memory import Memory
-from greybox.plants.noise import COLUMNS, ROTORS_MAX, Disturbance, Draws, ProcessNoise, SensorNoise, axes
+from greybox.plants.noise import (
+    COLUMNS,
+    ROTORS_MAX,
+    Disturbance,
+    Draws,
+    ProcessNoise,
+    SensorNoise,
+    axes,
+)
 from greybox.plants.physics import CORE, Physics
 from greybox.plants.vectors import (
     ZERO,
@@ -35,7 +44,8 @@ from greybox.plants.vectors import (
 )
 
 DELAYED_SUBSTEP = 0.001
-"""Longest integration step [s] of a plant with late sensors, whose readings are linear inside a step."""
+"""Longest integration step [s] of a plant with late sensors, whose readings are linear inside a
+step."""
 
 STATES = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")
 
@@ -43,13 +53,14 @@ STATES = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r"
 class Quadrotor:
     """A multirotor that can be flown: `reset(seed)`, `step(u, dt)`, `measure()`, `truth()`.
 
-    airframe: the body; effects: what acts on it besides thrust and gravity; battery: None means constant voltage and no
-    `vbat` channel; sensors, process: noise levels; sample_time [s]: the interval over which process noise is constant;
-    substep [s]: the longest Runge-Kutta step inside a sample.
+    airframe: the body; effects: what acts on it besides thrust and gravity; battery: None means
+    constant voltage and no `vbat` channel; sensors, process: noise levels; sample_time [s]: the
+    interval over which process noise is constant; substep [s]: the longest Runge-Kutta step inside
+    a sample.
 
-    `reset` with a sequence of seeds makes it a batch of B independent vehicles: commands then have shape (B, n) and
-    every measured value shape (B,). Member b repeats bit for bit, up to rounding of elementary functions, the single
-    plant with the same seed.
+    `reset` with a sequence of seeds makes it a batch of B independent vehicles: commands then have
+    shape (B, n) and every measured value shape (B,). Member b repeats bit for bit, up to rounding
+    of elementary functions, the single plant with the same seed.
     """
 
     def __init__(
@@ -85,7 +96,9 @@ class Quadrotor:
         self._attitude = hooks(self.effects, "attitude")
         sizes = {np.size(v) for v in self.parameters().values()} - {1}
         if len(sizes) > 1:
-            raise ValueError(f"parameter values of a batch must have one length, got {sorted(sizes)}")
+            raise ValueError(
+                f"parameter values of a batch must have one length, got {sorted(sizes)}"
+            )
         self._members = sizes.pop() if sizes else None
         self.reset(0 if self._members is None else range(self._members))
 
@@ -113,14 +126,16 @@ class Quadrotor:
     ) -> None:
         """Start anew at t = 0 with the rotors turning at hover speed, or at nu.
 
-        seed: an integer, or a sequence of B integers for a batch. position [m] and velocity [m/s] are those of the
-        centre of mass, world; attitude (w, x, y, z); rates [rad/s]; charge_used [A s] is what the battery has already
-        given. nu: speed of each rotor, where it is not that of hover; sent: commands that were sent before, as pairs
-        (time < 0 [s], command), oldest first.
+        seed: an integer, or a sequence of B integers for a batch. position [m] and velocity [m/s]
+        are those of the centre of mass, world; attitude (w, x, y, z); rates [rad/s]; charge_used [A
+        s] is what the battery has already given. nu: speed of each rotor, where it is not that of
+        hover; sent: commands that were sent before, as pairs (time < 0 [s], command), oldest first.
         """
         self._batch = None if isinstance(seed, int | np.integer) else len(seed)
         if self._members is not None and self._batch != self._members:
-            raise ValueError(f"this plant's parameters have {self._members} values each: give as many seeds")
+            raise ValueError(
+                f"this plant's parameters have {self._members} values each: give as many seeds"
+            )
         self.time = 0.0
         state = [*position, *velocity, *attitude, *rates, *[0.0] * (self.physics.size - CORE)]
         self._state: list[Number] = [self._spread(v) for v in state]
@@ -140,7 +155,10 @@ class Quadrotor:
         self._disturbance.advance(self._row)
         self._memory: Memory | None = None
         if self._late:
-            self._memory = Memory(max(self._pose_delay, self._imu_delay), self._reading(self.time, *self._speeds_now()))
+            self._memory = Memory(
+                max(self._pose_delay, self._imu_delay),
+                self._reading(self.time, *self._speeds_now()),
+            )
 
     def _spread(self, value: Number) -> Number:
         if self._batch is None:
@@ -149,7 +167,11 @@ class Quadrotor:
 
     def _voltage(self) -> Number:
         if self.battery is None:
-            return self.airframe.nominal_voltage if self.airframe.nominal_voltage is not None else math.nan
+            return (
+                self.airframe.nominal_voltage
+                if self.airframe.nominal_voltage is not None
+                else math.nan
+            )
         return self.battery.voltage(self._charge, self.battery.current(self._actuators.nu))
 
     def _columns(self, u: Any) -> list[Number]:
@@ -158,10 +180,15 @@ class Quadrotor:
         else:
             array = np.asarray(u, dtype=float)
             if array.shape != (self._batch, self.rotors):
-                raise ValueError(f"commands of a batch have shape {(self._batch, self.rotors)}, got {array.shape}")
+                raise ValueError(
+                    f"commands of a batch have shape {(self._batch, self.rotors)}, got "
+                    f"{array.shape}"
+                )
             command = list(array.T)
         if len(command) != self.rotors:
-            raise ValueError(f"{self.rotors} rotors need {self.rotors} commands, got {len(command)}")
+            raise ValueError(
+                f"{self.rotors} rotors need {self.rotors} commands, got {len(command)}"
+            )
         return command
 
     def step(self, u: Any, dt: float | None = None) -> None:
@@ -185,7 +212,8 @@ class Quadrotor:
         self._disturbance.advance(self._row)
 
     def _parts(self, duration: float) -> list[tuple[float, float, float]]:
-        """Parts (offset, length, longest step) of a piece: a lag much shorter than a step gets steps of its own."""
+        """Parts (offset, length, longest step) of a piece: a lag much shorter than a step gets
+        steps of its own."""
         tau = self._actuators.shortest_lag
         if tau == 0.0 or 0.25 * tau >= self.substep:
             return [(0.0, duration, self.substep)]
@@ -199,7 +227,12 @@ class Quadrotor:
         target, begin = act.target, act.nu
         half, end = act.relax(begin, 0.5 * h), act.relax(begin, h)
         at_begin, at_half, at_end = (
-            (speeds, [act.speed_rate(n, s) for n, s in zip(speeds, target)] if self._needs_speed_rate else [])
+            (
+                speeds,
+                [act.speed_rate(n, s) for n, s in zip(speeds, target)]
+                if self._needs_speed_rate
+                else [],
+            )
             for speeds in (begin, half, end)
         )
         f = self.physics.derivative
@@ -219,7 +252,8 @@ class Quadrotor:
             self._memory.keep(time, time + h, first, self._reading(time + h, *at_end))
 
     def _speeds_now(self, u: Any | None = None) -> tuple[list[Number], list[Number]]:
-        """Rotor speeds and their rates of change just after the present instant, if the command u begins now."""
+        """Rotor speeds and their rates of change just after the present instant, if the command u
+        begins now."""
         act = self._actuators
         if u is not None:
             act.hold(self.time, self._columns(u))
@@ -228,21 +262,27 @@ class Quadrotor:
         return nu, [act.speed_rate(n, s) for n, s in zip(nu, target)]
 
     def _reading(self, time: float, nu: list[Number], nu_rate: list[Number]) -> list[Number]:
-        """Undelayed noise-free gyro, specific force, attitude, position, velocity (16 values) at the present state."""
+        """Undelayed noise-free gyro, specific force, attitude, position, velocity (16 values) at
+        the present state."""
         physics, disturbance = self.physics, self._disturbance
         body, specific, turning = physics.accelerations(
             time, self._state, nu, nu_rate, self.voltage, disturbance.force, disturbance.torque
         )
-        felt = add(specific, add(cross(turning, physics.imu), cross(body.rates, cross(body.rates, physics.imu))))
+        felt = add(
+            specific,
+            add(cross(turning, physics.imu), cross(body.rates, cross(body.rates, physics.imu))),
+        )
         position = add(body.position, apply(body.rotation, physics.origin))
         velocity = add(body.velocity, apply(body.rotation, cross(body.rates, physics.origin)))
         return [*body.rates, *felt, *body.attitude, *position, *velocity]
 
     def measure(self, u: Any | None = None, *, noise: bool = True) -> dict[str, Number]:
-        """Measurements at the present time by flight-log column; floats, or arrays (B,) for a batch.
+        """Measurements at the present time by flight-log column; floats, or arrays (B,) for a
+        batch.
 
-        u: the command that begins now, if already known (see the module's note on timing). Repeating the call gives
-        the same noise: it is drawn once per step. noise=False leaves it out; sensors keep their bias, scale and delay.
+        u: the command that begins now, if already known (see the module's note on timing).
+        Repeating the call gives the same noise: it is drawn once per step. noise=False leaves it
+        out; sensors keep their bias, scale and delay.
         """
         row = self._row if noise else [0.0] * COLUMNS
         sensors, act = self.sensors, self._actuators
@@ -275,11 +315,15 @@ class Quadrotor:
         out |= dict(zip(("qw", "qx", "qy", "qz"), attitude))
         out |= dict(zip(("p", "q", "r", "ax", "ay", "az"), (*gyro, *felt)))
         out |= dict(zip(("x", "y", "z", "vx", "vy", "vz"), (*position, *velocity)))
-        out |= {f"omega{i}": self.physics.scale * n + sensors.rotor_speed * row[27 + i] for i, n in enumerate(nu, 1)}
+        out |= {
+            f"omega{i}": self.physics.scale * n + sensors.rotor_speed * row[27 + i]
+            for i, n in enumerate(nu, 1)
+        }
         return out
 
     def states(self) -> dict[str, Number]:
-        """True state now: centre of mass, attitude, rates, nu1..n, voltage, disturbances, hidden states."""
+        """True state now: centre of mass, attitude, rates, nu1..n, voltage, disturbances, hidden
+        states."""
         out: dict[str, Number] = dict(zip(STATES, self._state))
         out |= {f"nu{i}": n for i, n in enumerate(self._actuators.nu, 1)}
         out["voltage"] = self.voltage
@@ -296,7 +340,8 @@ class Quadrotor:
         return out
 
     def truth(self) -> dict[str, Any]:
-        """Everything a log does not say: `parameters`, `effects` (names), `states`, `process_noise`, `sensor_noise`."""
+        """Everything a log does not say: `parameters`, `effects` (names), `states`,
+        `process_noise`, `sensor_noise`."""
         return {
             "parameters": self.parameters(),
             "effects": [e.name for e in self.effects],
@@ -309,4 +354,8 @@ class Quadrotor:
 def _noisy(value: Vector, level: Number | Vector, row: list[Number], column: int) -> Vector:
     """Value plus white noise from three columns of the row of standard normals."""
     sx, sy, sz = axes(level)
-    return (value[0] + sx * row[column], value[1] + sy * row[column + 1], value[2] + sz * row[column + 2])
+    return (
+        value[0] + sx * row[column],
+        value[1] + sy * row[column + 1],
+        value[2] + sz * row[column + 2],
+    )

@@ -1,8 +1,10 @@
-"""Vector and quaternion algebra on components that are floats (one plant) or arrays of shape (B,) (B plants at once).
+"""Vector and quaternion algebra on components that are floats (one plant) or arrays of shape (B,)
+(B plants at once).
 
-A vector is a tuple of three components, a quaternion a tuple (w, x, y, z) that maps body to world, a rotation matrix
-the tuple of its nine elements row by row. Writing physics on components lets the same lines run on Python floats,
-which is fast for one flight, and on arrays, which is fast for hundreds.
+A vector is a tuple of three components, a quaternion a tuple (w, x, y, z) that maps body to world,
+a rotation matrix the tuple of its nine elements row by row. Writing physics on components lets the
+same lines run on Python floats, which is fast for one flight, and on arrays, which is fast for
+hundreds.
 """
 
 from __future__ import annotations
@@ -63,13 +65,21 @@ def rotation(q: Quaternion) -> Matrix:
 def apply(m: Matrix, v: Vector) -> Vector:
     """m v; with m = R(q), from body to world."""
     x, y, z = v
-    return (m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z)
+    return (
+        m[0] * x + m[1] * y + m[2] * z,
+        m[3] * x + m[4] * y + m[5] * z,
+        m[6] * x + m[7] * y + m[8] * z,
+    )
 
 
 def apply_transposed(m: Matrix, v: Vector) -> Vector:
     """m^T v; with m = R(q), from world to body."""
     x, y, z = v
-    return (m[0] * x + m[3] * y + m[6] * z, m[1] * x + m[4] * y + m[7] * z, m[2] * x + m[5] * y + m[8] * z)
+    return (
+        m[0] * x + m[3] * y + m[6] * z,
+        m[1] * x + m[4] * y + m[7] * z,
+        m[2] * x + m[5] * y + m[8] * z,
+    )
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
@@ -121,7 +131,9 @@ def where(condition: Any, a: Number, b: Number) -> Number:
     return np.where(condition, a, b)
 
 
-def inverse_symmetric(xx: Number, yy: Number, zz: Number, xy: Number, xz: Number, yz: Number) -> Matrix:
+def inverse_symmetric(
+    xx: Number, yy: Number, zz: Number, xy: Number, xz: Number, yz: Number
+) -> Matrix:
     """Inverse of a symmetric 3 x 3 matrix given by its elements."""
     a = yy * zz - yz * yz
     b = xz * yz - xy * zz

@@ -1,4 +1,5 @@
-"""The vehicle file of a simulated plant: what a ruler and a data sheet would say, which need not be what is true."""
+"""The vehicle file of a simulated plant: what a ruler and a data sheet would say, which need not be
+what is true."""
 
 from __future__ import annotations
 
@@ -34,17 +35,20 @@ def write_vehicle(
 ) -> Path:
     """Write a vehicle TOML of the file contract for this plant.
 
-    errors: factors by which the nominal values are off (1.15 = the file says 15 % too much); sigma: their standard
-    deviations relative to the nominal value. Keys of both: "mass", "inertia", "inertia.xx", "inertia.yy", "inertia.zz",
-    "thrust", "thrust.c0" to "thrust.c2", "torque", "torque.c0" to "torque.c2"; a full name wins over its group.
-    Without a sigma a value is bare: exact in schema /1, believed within the default of its quantity in "greybox.vehicle/2",
-    where the file is what a stranger writes. known: names of effects that the file declares with their true parameters.
-    noise: write the sensor noise; speed: write speed_max.
+    errors: factors by which the nominal values are off (1.15 = the file says 15 % too much); sigma:
+    their standard deviations relative to the nominal value. Keys of both: "mass", "inertia",
+    "inertia.xx", "inertia.yy", "inertia.zz", "thrust", "thrust.c0" to "thrust.c2", "torque",
+    "torque.c0" to "torque.c2"; a full name wins over its group. Without a sigma a value is bare:
+    exact in schema /1, believed within the default of its quantity in "greybox.vehicle/2", where
+    the file is what a stranger writes. known: names of effects that the file declares with their
+    true parameters. noise: write the sensor noise; speed: write speed_max.
     """
     frame = plant.airframe
     used = _Nominal(errors or {}, sigma or {})
     mass, mass_sigma = used.pair("mass", frame.mass)
-    moments = [used.pair(f"inertia.{axis}", v) for axis, v in zip(("xx", "yy", "zz"), frame.inertia)]
+    moments = [
+        used.pair(f"inertia.{axis}", v) for axis, v in zip(("xx", "yy", "zz"), frame.inertia)
+    ]
     thrust = [used.pair(f"thrust.c{k}", v) for k, v in enumerate(frame.thrust)]
     torque = [used.pair(f"torque.c{k}", v) for k, v in enumerate(frame.torque)]
     used.refuse_unused()
@@ -53,7 +57,9 @@ def write_vehicle(
         f'schema = "{schema}"',
         f'name = "{frame.name}"',
         f"gravity = {frame.gravity!r}",
-        f"mass = {{ value = {mass!r}, sigma = {mass_sigma!r} }}" if mass_sigma else f"mass = {mass!r}",
+        f"mass = {{ value = {mass!r}, sigma = {mass_sigma!r} }}"
+        if mass_sigma
+        else f"mass = {mass!r}",
         f"inertia = [[{moments[0][0]!r}, {xy!r}, {xz!r}], [{xy!r}, {moments[1][0]!r}, {yz!r}], "
         f"[{xz!r}, {yz!r}, {moments[2][0]!r}]]",
         *_sigmas("inertia", moments, schema),
@@ -61,8 +67,19 @@ def write_vehicle(
         f"imu_position = {_numbers(frame.imu_position)!r}",
     ]
     for rotor in frame.rotors:
-        lines += ["", "[[rotor]]", f"position = {_numbers(rotor.position)!r}", f"spin = {rotor.spin}"]
-    lines += ["", "[actuator]", f"u_min = {frame.u_min!r}", f"u_max = {frame.u_max!r}", 'hold = "previous"']
+        lines += [
+            "",
+            "[[rotor]]",
+            f"position = {_numbers(rotor.position)!r}",
+            f"spin = {rotor.spin}",
+        ]
+    lines += [
+        "",
+        "[actuator]",
+        f"u_min = {frame.u_min!r}",
+        f"u_max = {frame.u_max!r}",
+        'hold = "previous"',
+    ]
     if frame.rotor_radius is not None:
         lines.append(f"rotor_radius = {frame.rotor_radius!r}")
     if frame.speed_max is not None and speed:
@@ -74,7 +91,11 @@ def write_vehicle(
         lines += ["", "[battery]", f"nominal_voltage = {frame.nominal_voltage!r}"]
     if noise:
         levels = {key: _level(getattr(plant.sensors, field)) for key, field in _SENSORS.items()}
-        lines += ["", "[noise]", *(f"{key} = {value!r}" for key, value in levels.items() if value > 0.0)]
+        lines += [
+            "",
+            "[noise]",
+            *(f"{key} = {value!r}" for key, value in levels.items() if value > 0.0),
+        ]
     path = Path(path)
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
@@ -83,7 +104,9 @@ def write_vehicle(
 def _sigmas(name: str, pairs: Sequence[tuple[float, float]], schema: str) -> list[str]:
     """The line of a triple's sigmas; none where schema /2 is to believe its defaults."""
     sigmas = [s for _, s in pairs]
-    return [] if schema != "greybox.vehicle/1" and not any(sigmas) else [f"{name}_sigma = {sigmas!r}"]
+    return (
+        [] if schema != "greybox.vehicle/1" and not any(sigmas) else [f"{name}_sigma = {sigmas!r}"]
+    )
 
 
 class _Nominal:
@@ -107,7 +130,10 @@ class _Nominal:
         """Complain about keys that name no parameter."""
         unknown = sorted((set(self._errors) | set(self._sigma)) - self._asked)
         if unknown:
-            raise ValueError(f"no such parameter: {', '.join(unknown)}; there are {', '.join(sorted(self._asked))}")
+            raise ValueError(
+                f"no such parameter: {', '.join(unknown)}; there are "
+                f"{', '.join(sorted(self._asked))}"
+            )
 
 
 def _known_effects(plant: Quadrotor, known: tuple[str, ...]) -> list[str]:
@@ -115,9 +141,14 @@ def _known_effects(plant: Quadrotor, known: tuple[str, ...]) -> list[str]:
     present = {effect.name: effect for effect in plant.effects}
     for name in known:
         if name not in present:
-            raise ValueError(f"the plant has no effect {name!r}; it has {', '.join(present) or 'none'}")
+            raise ValueError(
+                f"the plant has no effect {name!r}; it has {', '.join(present) or 'none'}"
+            )
         lines += ["", f"[effects.{name}]"]
-        lines += [f"{key.split('.', 1)[1]} = {_number(v)!r}" for key, v in present[name].parameters().items()]
+        lines += [
+            f"{key.split('.', 1)[1]} = {_number(v)!r}"
+            for key, v in present[name].parameters().items()
+        ]
     return lines
 
 

@@ -48,7 +48,9 @@ def format_table(content: Mapping[str, Any]) -> str:
     """The one-step and multi-step tables as text."""
     width = max(len(m["method"]) for m in content["methods"])
     heads = "".join(f"{title.split(',')[0]:>15}" for _, title, _ in COLUMNS)
-    lines = [f"one step ahead, means over {', '.join(content['channels'])} in units of their training spread"]
+    lines = [
+        f"one step ahead, means over {', '.join(content['channels'])} in units of their training spread"
+    ]
     lines.append(f"{'':{width}}{heads}{'train [s]':>11}{'us/sample':>11}{'parameters':>12}")
     for m in content["methods"]:
         if m["status"] != "done":
@@ -62,13 +64,16 @@ def format_table(content: Mapping[str, Any]) -> str:
     for g, unit, rows in _ahead(content):
         lines += ["", f"{g} [{unit}], mean absolute error{seconds}"]
         lines += [
-            f"  {name:{width + 26}}"[: width + 28] + "".join(f"{'-' if v is None else f'{v:.4f}':>10}" for v in cells)
+            f"  {name:{width + 26}}"[: width + 28]
+            + "".join(f"{'-' if v is None else f'{v:.4f}':>10}" for v in cells)
             for name, cells in rows
         ]
     return "\n".join(lines)
 
 
-def _ahead(content: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str, list[float | None]]]]]:
+def _ahead(
+    content: Mapping[str, Any],
+) -> list[tuple[str, str, list[tuple[str, list[float | None]]]]]:
     """(group, unit, [(row, mean absolute error at every horizon)]) of the multi-step tables."""
     tables = {m["method"]: m["multi_step"] for m in content["methods"] if m.get("multi_step")}
     if content.get("dead_reckoning"):
@@ -79,7 +84,9 @@ def _ahead(content: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str, l
         for name, table in tables.items():
             cells = {h["h"]: h["groups"].get(g) for h in table["horizons"]}
             if any(cells.values()):
-                rows.append((name, [c["mae"] if (c := cells.get(h)) else None for h in content["horizons"]]))
+                rows.append(
+                    (name, [c["mae"] if (c := cells.get(h)) else None for h in content["horizons"]])
+                )
                 unit = next(c["unit"] for c in cells.values() if c)
         if rows:
             out.append((g, unit, rows))
@@ -90,7 +97,9 @@ def compare_report(content: Mapping[str, Any]) -> str:
     """The page. `content` follows schemas/compare.json. Raises `KeyError` where a required field is missing."""
     content = to_plain(dict(content))
     count = len(content["train"]), len(content["test"])
-    report = Report("Methods compared", f"{content['vehicle']}, {count[0]} training and {count[1]} test flights")
+    report = Report(
+        "Methods compared", f"{content['vehicle']}, {count[0]} training and {count[1]} test flights"
+    )
     for m in content["methods"]:
         if m["status"] != "done":
             report.warning(f"{m['method']}: {m['error']}")
@@ -106,22 +115,37 @@ def compare_report(content: Mapping[str, Any]) -> str:
     return report.html()
 
 
-def _one_step(report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]) -> None:
+def _one_step(
+    report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]
+) -> None:
     report.section("One step ahead")
     body: list[list[Cell]] = []
     for m in done:
-        cells: list[Cell] = [None if m["mean"][k] is None else format(m["mean"][k], form) for k, _, form in COLUMNS]
+        cells: list[Cell] = [
+            None if m["mean"][k] is None else format(m["mean"][k], form) for k, _, form in COLUMNS
+        ]
         cost: list[Cell] = [
-            number(m["train_seconds"], 3), number(m["microseconds_per_sample"], 3), _rate(m), m["parameters"],
-        ]  # fmt: skip
+            number(m["train_seconds"], 3),
+            number(m["microseconds_per_sample"], 3),
+            _rate(m),
+            m["parameters"],
+        ]
         body.append([m["method"], *cells, *cost])
     report.table(
-        ["method", *(t for _, t, _ in COLUMNS), "training [s]", "\N{MICRO SIGN}s per sample", "samples per ms",
-         "parameters"], body, numeric=range(1, 13),
+        [
+            "method",
+            *(t for _, t, _ in COLUMNS),
+            "training [s]",
+            "\N{MICRO SIGN}s per sample",
+            "samples per ms",
+            "parameters",
+        ],
+        body,
+        numeric=range(1, 13),
         caption=f"Means over {', '.join(content['channels'])}, in units of their standard deviation on the training "
         "flights. Spectral error: share of the signal's power at 0.1-20 Hz that is left. Training includes every candidate. "
         "Time in Python over a whole flight, many samples at once; exported C has its own.",
-    )  # fmt: skip
+    )
     names = content["channels"]
     for key, title in (
         ("mse", "MSE"),
@@ -131,21 +155,34 @@ def _one_step(report: Report, content: Mapping[str, Any], done: Sequence[Mapping
     ):
         with report.details(f"{title} per channel", open=key == "mse"):
             heads = [f"{n} [{content['units'][n]}]" for n in names]
-            rows: list[list[Cell]] = [[m["method"], *(number(m["channels"][n][key]) for n in names)] for m in done]
+            rows: list[list[Cell]] = [
+                [m["method"], *(number(m["channels"][n][key]) for n in names)] for m in done
+            ]
             report.table(["method", *heads], rows, numeric=range(1, len(names) + 1))
     with report.details("what is left in the errors: correlation in time, and with past commands"):
         rows = [
-            [m["method"], *(number(m["channels"][n][k], 2) for k in ("whiteness", "input_correlation") for n in names)]
+            [
+                m["method"],
+                *(
+                    number(m["channels"][n][k], 2)
+                    for k in ("whiteness", "input_correlation")
+                    for n in names
+                ),
+            ]
             for m in done
         ]
         heads = [*(f"{n}, time" for n in names), *(f"{n}, commands" for n in names)]
         report.table(
-            ["method", *heads], rows, numeric=range(1, 2 * len(names) + 1),
+            ["method", *heads],
+            rows,
+            numeric=range(1, 2 * len(names) + 1),
             caption="Share of lags whose correlation lies outside the band of independence (5 % and 1 % by chance).",
-        )  # fmt: skip
+        )
 
 
-def _multi_step(report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]) -> None:
+def _multi_step(
+    report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]
+) -> None:
     tables = _ahead(content)
     if not tables:
         return
@@ -171,15 +208,20 @@ def _multi_step(report: Report, content: Mapping[str, Any], done: Sequence[Mappi
                 )
             )
     if panels:
-        report.figures(panels, key=[Key(text=n, colour=LOOK[n][2], stroke=LOOK[n][3]) for n in shown])
+        report.figures(
+            panels, key=[Key(text=n, colour=LOOK[n][2], stroke=LOOK[n][3]) for n in shown]
+        )
     seconds_of = [number(content["sample_time"] * h) for h in content["horizons"]]
     with report.columns():
         for g, unit, rows in tables:
             body: list[list[Cell]] = [
-                [name, *(number(v) if v is not None else None for v in cells)] for name, cells in rows
+                [name, *(number(v) if v is not None else None for v in cells)]
+                for name, cells in rows
             ]
             report.table(
-                [f"{g} [{unit}]", *(f"{s} s" for s in seconds_of)], body, numeric=range(1, len(seconds_of) + 1)
+                [f"{g} [{unit}]", *(f"{s} s" for s in seconds_of)],
+                body,
+                numeric=range(1, len(seconds_of) + 1),
             )
     _stated(report, content, done)
 
@@ -191,16 +233,30 @@ def _stated(report: Report, content: Mapping[str, Any], done: Sequence[Mapping[s
         for h in (m["multi_step"] or {"horizons": []})["horizons"]:
             for g, cell in h["groups"].items():
                 if cell.get("coverage95") is not None:
-                    inside: list[Cell] = [f"{cell[f'coverage{level}']:.0%}" for level in (50, 68, 95)]
-                    rows.append([m["method"], g, number(content["sample_time"] * h["h"]), *inside, number(cell["nlpd"])])
+                    inside: list[Cell] = [
+                        f"{cell[f'coverage{level}']:.0%}" for level in (50, 68, 95)
+                    ]
+                    rows.append(
+                        [
+                            m["method"],
+                            g,
+                            number(content["sample_time"] * h["h"]),
+                            *inside,
+                            number(cell["nlpd"]),
+                        ]
+                    )
     if rows:
         with report.details("what the methods say about their own uncertainty ahead"):
             report.table(
-                ["method", "group", "ahead [s]", "in 50 %", "in 68 %", "in 95 %", "NLPD"], rows, numeric=range(2, 7)
+                ["method", "group", "ahead [s]", "in 50 %", "in 68 %", "in 95 %", "NLPD"],
+                rows,
+                numeric=range(2, 7),
             )
 
 
-def _uncertainty(report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]) -> None:
+def _uncertainty(
+    report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]
+) -> None:
     report.section("Can the stated uncertainty be trusted?")
     panels = []
     for m in done:
@@ -217,15 +273,25 @@ def _uncertainty(report: Report, content: Mapping[str, Any], done: Sequence[Mapp
     bands = []
     for m in (m for m in done if m["method"] in BANDS):
         rows = {
-            n: (_floats(measured["channels"][n]), _floats(s["mean"]), _floats(s["std"])) for n, s in m["series"].items()
+            n: (_floats(measured["channels"][n]), _floats(s["mean"]), _floats(s["std"]))
+            for n, s in m["series"].items()
         }
-        bands.append((band_figure(t, rows, title=m["method"]), f"predictions of {m['method']} with 2-sigma bands"))
+        bands.append(
+            (
+                band_figure(t, rows, title=m["method"]),
+                f"predictions of {m['method']} with 2-sigma bands",
+            )
+        )
     if bands:
         with report.details("predictions with 2-sigma bands", open=True):
             report.figures(
-                bands, caption=f"One step ahead, first seconds of {measured['flight']}.",
-                key=[Key(text="measured", colour="ink"), Key(text="predicted, with 2 sigma", colour="c1")],
-            )  # fmt: skip
+                bands,
+                caption=f"One step ahead, first seconds of {measured['flight']}.",
+                key=[
+                    Key(text="measured", colour="ink"),
+                    Key(text="predicted, with 2 sigma", colour="c1"),
+                ],
+            )
 
 
 def _errors(report: Report, done: Sequence[Mapping[str, Any]]) -> None:
@@ -233,24 +299,36 @@ def _errors(report: Report, done: Sequence[Mapping[str, Any]]) -> None:
     done = [m for m in done if all("histogram" in c for c in m["channels"].values())]
     if not done:
         return
-    bars = [(m["method"], np.mean([c["histogram"] for c in m["channels"].values()], axis=0)) for m in done]
+    bars = [
+        (m["method"], np.mean([c["histogram"] for c in m["channels"].values()], axis=0))
+        for m in done
+    ]
     report.figures(
         [(error_histogram(b, title=n), f"histogram of the errors of {n}") for n, b in bars],
         caption="Errors one step ahead over their root mean square, mean over channels; dashed: normal distribution.",
     )
     names = list(done[0]["channels"])
     rows: list[list[Cell]] = [
-        [m["method"], *(None if (v := m["channels"][n][k]) is None else f"{v:+.2f}" for k in FOLLOWS for n in names)]
+        [
+            m["method"],
+            *(
+                None if (v := m["channels"][n][k]) is None else f"{v:+.2f}"
+                for k in FOLLOWS
+                for n in names
+            ),
+        ]
         for m in done
     ]
     heads = [*(f"{n}, error" for n in names), *(f"{n}, manoeuvre" for n in names)]
     with report.details("does the stated deviation follow the error, and the manoeuvre?"):
         report.table(
-            ["method", *heads], rows, numeric=range(1, 2 * len(names) + 1),
+            ["method", *heads],
+            rows,
+            numeric=range(1, 2 * len(names) + 1),
             caption="Rank correlation with the size of the error and with the distance of the commands from their mean. "
             "Empty: one deviation for all samples. It is weak where most of the deviation is sensor noise, which is the "
             "same everywhere.",
-        )  # fmt: skip
+        )
 
 
 def _rate(m: Mapping[str, Any]) -> Cell:
@@ -268,9 +346,13 @@ def _search(report: Report, content: Mapping[str, Any], done: Sequence[Mapping[s
         if not (m["search"] or m["settings"]):
             continue
         with report.details(m["method"]):
-            report.bullets([", ".join(f"{k}: {_text(v)}" for k, v in one.items()) for one in m["search"]])
+            report.bullets(
+                [", ".join(f"{k}: {_text(v)}" for k, v in one.items()) for one in m["search"]]
+            )
             if m["settings"]:
-                report.paragraph("used: " + ", ".join(f"{k}: {_text(v)}" for k, v in m["settings"].items()))
+                report.paragraph(
+                    "used: " + ", ".join(f"{k}: {_text(v)}" for k, v in m["settings"].items())
+                )
 
 
 def _how(report: Report, content: Mapping[str, Any]) -> None:
@@ -280,7 +362,10 @@ def _how(report: Report, content: Mapping[str, Any]) -> None:
         [
             ("training", ", ".join(content["train"])),
             ("test", ", ".join(content["test"])),
-            ("adapted on", "nothing" if adapt is None else f"the first {adapt:g} s of every test flight"),
+            (
+                "adapted on",
+                "nothing" if adapt is None else f"the first {adapt:g} s of every test flight",
+            ),
             ("seed", str(content["seed"])),
             ("origins", f"every {content['origin_spacing']:g} s"),
         ]
@@ -306,7 +391,9 @@ def pit_histogram(shares: npt.ArrayLike, *, title: str) -> Figure:
     figure, axes = _panel(1.7)
     values = np.asarray(shares, dtype=np.float64)
     width = 1.0 / len(values)
-    axes.bar((np.arange(len(values)) + 0.5) * width, values / width, width=0.9 * width, color=SERIES[0])
+    axes.bar(
+        (np.arange(len(values)) + 0.5) * width, values / width, width=0.9 * width, color=SERIES[0]
+    )
     axes.axhline(1.0, color=MUTED, linewidth=1.0, linestyle="--")
     axes.set_xlim(0.0, 1.0)
     _label(axes, x="probability below the measurement", y="density", title=title)
@@ -321,7 +408,9 @@ def error_histogram(shares: npt.ArrayLike, *, title: str) -> Figure:
     middle = -WIDEST + (np.arange(len(values)) + 0.5) * width
     axes.bar(middle, values / width, width=0.9 * width, color=SERIES[0])
     x = np.linspace(-WIDEST, WIDEST, 100)
-    axes.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=MUTED, linewidth=1.0, linestyle="--")
+    axes.plot(
+        x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=MUTED, linewidth=1.0, linestyle="--"
+    )
     axes.set_xlim(-WIDEST, WIDEST)
     _label(axes, x="error / its root mean square", y="density", title=title)
     return figure
@@ -329,7 +418,9 @@ def error_histogram(shares: npt.ArrayLike, *, title: str) -> Figure:
 
 def band_figure(
     t: npt.NDArray[np.float64],
-    rows: Mapping[str, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]],
+    rows: Mapping[
+        str, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    ],
     *,
     title: str,
 ) -> Figure:
@@ -339,7 +430,9 @@ def band_figure(
     last = len(rows) - 1
     for i, (name, (measured, mean, std)) in enumerate(rows.items()):
         axes = _axes(figure, left, bottom + (last - i) * (each + space), WIDTH - left - right, each)
-        axes.fill_between(t, mean - 2 * std, mean + 2 * std, color=SERIES[0], alpha=0.3, linewidth=0)
+        axes.fill_between(
+            t, mean - 2 * std, mean + 2 * std, color=SERIES[0], alpha=0.3, linewidth=0
+        )
         axes.plot(t, measured, color=INK, linewidth=0.7)
         axes.plot(t, mean, color=SERIES[0], linewidth=0.9)
         axes.set_xlim(float(t[0]), float(t[-1]))

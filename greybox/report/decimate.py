@@ -9,11 +9,14 @@ from greybox.errors import DataError
 from greybox.symbolic import FloatArray
 
 
-def min_max(t: npt.ArrayLike, values: npt.ArrayLike, *, buckets: int = 300) -> tuple[FloatArray, FloatArray]:
-    """(t, values) with at most about two points per bucket: the least and the greatest, in their order in time.
+def min_max(
+    t: npt.ArrayLike, values: npt.ArrayLike, *, buckets: int = 300
+) -> tuple[FloatArray, FloatArray]:
+    """(t, values) with at most about two points per bucket: the least and the greatest, in their
+    order in time.
 
-    `t` (N,) increasing [s], `values` (N,). NaN breaks the line and so does a time step above three median ones: a row
-    of NaN marks each break. Raises `DataError` for arrays that do not match.
+    `t` (N,) increasing [s], `values` (N,). NaN breaks the line and so does a time step above three
+    median ones: a row of NaN marks each break. Raises `DataError` for arrays that do not match.
     """
     x, y = np.asarray(t, dtype=np.float64), np.asarray(values, dtype=np.float64)
     if x.ndim != 1 or x.shape != y.shape:
@@ -24,7 +27,11 @@ def min_max(t: npt.ArrayLike, values: npt.ArrayLike, *, buckets: int = 300) -> t
     if not seen.any():
         return np.zeros(0), np.zeros(0)
     steps = np.diff(x)
-    gap = np.concatenate([[False], steps > 3.0 * np.median(steps)]) if len(steps) else np.zeros(len(x), dtype=bool)
+    gap = (
+        np.concatenate([[False], steps > 3.0 * np.median(steps)])
+        if len(steps)
+        else np.zeros(len(x), dtype=bool)
+    )
     # A stretch ends at a missing sample and at a gap; every sample knows its stretch.
     stretch = np.cumsum(gap | ~seen)
     index = np.flatnonzero(seen)

@@ -1,4 +1,5 @@
-"""Figures of the discovery report: where the discrepancy is, how strong the evidence for every candidate is."""
+"""Figures of the discovery report: where the discrepancy is, how strong the evidence for every
+candidate is."""
 
 from __future__ import annotations
 
@@ -16,7 +17,9 @@ DECIBEL = 15.0
 """Density [dB above white] that is drawn at full depth."""
 
 
-def paired_bars(names: Sequence[str], before: npt.ArrayLike, after: npt.ArrayLike, *, unit: str, title: str) -> Figure:
+def paired_bars(
+    names: Sequence[str], before: npt.ArrayLike, after: npt.ArrayLike, *, unit: str, title: str
+) -> Figure:
     """Two bars per name: `before` (K,) above `after` (K,) [unit]; NaN = no bar."""
     old, new = np.asarray(before, dtype=np.float64), np.asarray(after, dtype=np.float64)
     height = 0.36 * len(names) + 0.9
@@ -29,9 +32,14 @@ def paired_bars(names: Sequence[str], before: npt.ArrayLike, after: npt.ArrayLik
         for y, v in zip(rows, values, strict=True):
             if np.isfinite(v):
                 axes.annotate(
-                    number(float(v), 2), (v, y + shift), xytext=(3, 0), textcoords="offset points", fontsize=7.5,
-                    color=MUTED, va="center",
-                )  # fmt: skip
+                    number(float(v), 2),
+                    (v, y + shift),
+                    xytext=(3, 0),
+                    textcoords="offset points",
+                    fontsize=7.5,
+                    color=MUTED,
+                    va="center",
+                )
     top = float(np.nanmax(np.concatenate([old, new]), initial=0.0))
     axes.set_xlim(0, 1.05 * top if top > 0 else 1.0)
     axes.set_yticks(rows, [_plain(n) for n in names])
@@ -46,8 +54,8 @@ def paired_bars(names: Sequence[str], before: npt.ArrayLike, after: npt.ArrayLik
 def evidence(
     names: Sequence[str], strength: npt.ArrayLike, looks: Sequence[str], *, title: str
 ) -> Figure:
-    """Predicted gain in log evidence (K,) of every candidate as bars on a logarithmic axis, in the colours `looks`
-    (c1, c3, muted)."""
+    """Predicted gain in log evidence (K,) of every candidate as bars on a logarithmic axis, in the
+    colours `looks` (c1, c3, muted)."""
     values = np.maximum(np.asarray(strength, dtype=np.float64), 0.11)
     height = 0.2 * len(names) + 0.95
     figure = _figure(height)
@@ -64,5 +72,7 @@ def evidence(
     axes.set_ylim(-0.7, len(names) - 0.3)
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("gain in log evidence", fontsize=8.5, color=MUTED, labelpad=2)
-    figure.text(0.06 / WIDTH, 1 - 0.17 / height, _plain(title), fontsize=9.5, color=INK, va="center")
+    figure.text(
+        0.06 / WIDTH, 1 - 0.17 / height, _plain(title), fontsize=9.5, color=INK, va="center"
+    )
     return figure

@@ -20,7 +20,8 @@ from greybox.shown import in_degrees
 from greybox.validation.gap import closed_in_words
 
 ANSWERS = {
-    "bad_data": "The data have faults that block the search. They would be read as physics, so nothing was searched.",
+    "bad_data": "The data have faults that block the search. They would be read as physics, so "
+    "nothing was searched.",
     "stopped": "The search was stopped before its end. What it had found until then is not judged.",
     "named": "Something was missing, and it has a name.",
     "ambiguous": "Something is missing. These data cannot say which of several effects it is.",
@@ -90,7 +91,9 @@ def _answer(report: Report, content: Mapping[str, Any]) -> None:
     if best:
         texts.append(
             "share of the gap that closed half a second ahead: "
-            + ", ".join(f"{g.replace('_', ' ')} {closed_in_words(r['closed'])}" for g, r in best.items())
+            + ", ".join(
+                f"{g.replace('_', ' ')} {closed_in_words(r['closed'])}" for g, r in best.items()
+            )
         )
     report.bullets(texts)
 
@@ -129,14 +132,18 @@ def _names(report: Report, content: Mapping[str, Any]) -> None:
     if not content["effects"]:
         return
     report.section("What has a name")
-    where = "flights that did not propose it" if content["gap_on"] == "test" else (
-        "halves of the flights, each judging what the other taught"
+    where = (
+        "flights that did not propose it"
+        if content["gap_on"] == "test"
+        else ("halves of the flights, each judging what the other taught")
     )
     report.paragraph(
         f"Each name stands on {where}: its e-value says how much likelier they are with the name "
         "than with the strongest thing that could stand in its place, everything else free. If it "
-        "were not there, an e-value of 100 or more would come up in one search of a hundred at most. "
-        f"A name needs 10 to the power of {number(content['bar_log10_e'], 2)}, as many were offered."
+        "were not there, an e-value of 100 or more would come up in one search of a hundred at "
+        "most. "
+        f"A name needs 10 to the power of {number(content['bar_log10_e'], 2)}, as many were "
+        "offered."
     )
     rows: list[list[Cell]] = []
     for e in content["effects"]:
@@ -159,9 +166,13 @@ def _names(report: Report, content: Mapping[str, Any]) -> None:
             own = {n: p for n, p in e["parameters"].items() if p["unit"] == unit}
             values, errors = zip(*((p["value"], p["std"]) for p in own.values()), strict=True)
             figure = figures.dot_plot(
-                list(own), [*map(_float, values)], [*map(_float, errors)],
-                title=e["name"], unit=unit, mark=0.0,
-            )  # fmt: skip
+                list(own),
+                [*map(_float, values)],
+                [*map(_float, errors)],
+                title=e["name"],
+                unit=unit,
+                mark=0.0,
+            )
             panels.append((figure, f"Estimates of {e['name']} with 95 % intervals"))
     if panels:
         report.figures(panels, caption="95 % intervals; the dashed line is no effect.")
@@ -184,7 +195,8 @@ def _alike(report: Report, content: Mapping[str, Any]) -> None:
 def _manoeuvre(report: Report, fly: Mapping[str, Any]) -> None:
     """What to fly so that the candidates part."""
     report.paragraph(
-        "What tells them apart: every manoeuvre below was flown in simulation with each candidate as "
+        "What tells them apart: every manoeuvre below was flown in simulation with each candidate "
+        "as "
         "the truth. Listed is the log likelihood ratio that the other candidates are expected to "
         "lose, whatever they bend within what these flights allow."
     )
@@ -242,12 +254,15 @@ def _where(report: Report, content: Mapping[str, Any]) -> None:
 
 
 def _which(report: Report, content: Mapping[str, Any]) -> None:
-    steps = [s for s in content["steps"] if any(v > 0 for v in s["predicted"].values()) or s["tried"]]
+    steps = [
+        s for s in content["steps"] if any(v > 0 for v in s["predicted"].values()) or s["tried"]
+    ]
     if not steps:
         return
     report.section("How the search went")
     report.paragraph(
-        "At every step each absent cause says what the flights would gain in log evidence by it, to "
+        "At every step each absent cause says what the flights would gain in log evidence by it, "
+        "to "
         "second order. Those that promise most are fitted; what gains most is taken."
     )
     panels: list[tuple[Figure, str]] = []
@@ -278,20 +293,31 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
     if not rows:
         return
     report.section("How far the gap closed")
-    where = "flights that were not searched in" if content["gap_on"] == "test" else "the training flights themselves"
+    where = (
+        "flights that were not searched in"
+        if content["gap_on"] == "test"
+        else "the training flights themselves"
+    )
     report.paragraph(
-        f"Open-loop prediction from the filtered state, on {where}, by physics alone: the unmodelled force and torque are "
-        "zero from the start of every prediction. The floor is dead reckoning with the measured gyro and "
-        "accelerometer. It feels gusts as they come, which no model of commands can foresee, so a complete model may stay "
-        "above it; and it has the noise of its sensors, so that a model can also lie below. Rates have no floor."
+        f"Open-loop prediction from the filtered state, on {where}, by physics alone: the "
+        "unmodelled force and torque are "
+        "zero from the start of every prediction. The floor is dead reckoning with the measured "
+        "gyro and "
+        "accelerometer. It feels gusts as they come, which no model of commands can foresee, so a "
+        "complete model may stay "
+        "above it; and it has the noise of its sensors, so that a model can also lie below. Rates "
+        "have no floor."
     )
     caption = "RMS of the error's vector norm (rotation: geodesic angle)."
     _closing(report, content, list(dict.fromkeys(r["group"] for r in rows)), caption)
     _gap_table(report, rows)
 
 
-def _closing(report: Report, content: Mapping[str, Any], groups: Sequence[str], caption: str = "") -> None:
-    """Error against horizon of some groups: before, after, floor. Nothing where there is no group."""
+def _closing(
+    report: Report, content: Mapping[str, Any], groups: Sequence[str], caption: str = ""
+) -> None:
+    """Error against horizon of some groups: before, after, floor. Nothing where there is no
+    group."""
     rows = content["gap"]
     first = float(content["settings"].get("sample_time", 0.01))
     looks = (("before", SERIES[3], "--"), ("after", SERIES[0], "-"), ("floor", SERIES[2], ":"))
@@ -301,11 +327,19 @@ def _closing(report: Report, content: Mapping[str, Any], groups: Sequence[str], 
         unit, factor = in_degrees(own[0]["unit"])
         seconds = [r["horizon_s"] or first for r in own]
         curves = {
-            n: ([None if r[n] is None else factor * r[n] for r in own], colour, style) for n, colour, style in looks
+            n: ([None if r[n] is None else factor * r[n] for r in own], colour, style)
+            for n, colour, style in looks
         }
         curves = {n: c for n, c in curves.items() if any(v is not None for v in c[0])}
-        figure = figures.error_growth(seconds, curves, unit=unit, title=g.replace("_", " "), measure="RMS error")
-        panels.append((figure, f"RMS {g} error against the horizon before and after the additions, with the floor"))
+        figure = figures.error_growth(
+            seconds, curves, unit=unit, title=g.replace("_", " "), measure="RMS error"
+        )
+        panels.append(
+            (
+                figure,
+                f"RMS {g} error against the horizon before and after the additions, with the floor",
+            )
+        )
     if not panels:
         return
     report.figures(
@@ -321,26 +355,50 @@ def _closing(report: Report, content: Mapping[str, Any], groups: Sequence[str], 
 
 def _gap_table(report: Report, rows: Sequence[Mapping[str, Any]]) -> None:
     body: list[list[Cell]] = []
-    more = {"with_proposals": "closed with the proposed laws", "attainable": "closed by a learned part alone"}
+    more = {
+        "with_proposals": "closed with the proposed laws",
+        "attainable": "closed by a learned part alone",
+    }
     more = {k: text for k, text in more.items() if any(r.get(k) is not None for r in rows)}
     for r in rows:
         unit, factor = in_degrees(r["unit"])
-        before, after, floor = (number(None if r[k] is None else factor * r[k]) for k in ("before", "after", "floor"))
+        before, after, floor = (
+            number(None if r[k] is None else factor * r[k]) for k in ("before", "after", "floor")
+        )
         interval = "" if r["ci95"] is None else " .. ".join(_percent(v) for v in r["ci95"])
         body.append(
             [
-                r["group"].replace("_", " "), "1 sample" if r["horizon_s"] == 0 else f"{r['horizon_s']:g} s",
-                before, after, floor, unit,
-                None if r["closed"] is None else closed_in_words(r["closed"]), interval,
+                r["group"].replace("_", " "),
+                "1 sample" if r["horizon_s"] == 0 else f"{r['horizon_s']:g} s",
+                before,
+                after,
+                floor,
+                unit,
+                None if r["closed"] is None else closed_in_words(r["closed"]),
+                interval,
                 *(None if r.get(k) is None else closed_in_words(r[k]) for k in more),
             ]
-        )  # fmt: skip
-    heads = ["group", "ahead", "before", "after", "floor", "unit", "closed", "95 % interval", *more.values()]
+        )
+    heads = [
+        "group",
+        "ahead",
+        "before",
+        "after",
+        "floor",
+        "unit",
+        "closed",
+        "95 % interval",
+        *more.values(),
+    ]
     report.table(
-        heads, body, numeric=(1, 2, 3, 4, *range(6, len(heads))),
-        caption="closed = 1 - (after\N{SUPERSCRIPT TWO} - floor\N{SUPERSCRIPT TWO}) / (before\N{SUPERSCRIPT TWO} - "
-        "floor\N{SUPERSCRIPT TWO}); empty where the model was at the floor before. Block bootstrap.",
-    )  # fmt: skip
+        heads,
+        body,
+        numeric=(1, 2, 3, 4, *range(6, len(heads))),
+        caption="closed = 1 - (after\N{SUPERSCRIPT TWO} - floor\N{SUPERSCRIPT TWO}) / "
+        "(before\N{SUPERSCRIPT TWO} - "
+        "floor\N{SUPERSCRIPT TWO}); empty where the model was at the floor before. Block "
+        "bootstrap.",
+    )
 
 
 def _power(report: Report, content: Mapping[str, Any]) -> None:
@@ -348,7 +406,8 @@ def _power(report: Report, content: Mapping[str, Any]) -> None:
     if sizes:
         report.section("What would have been seen")
         report.paragraph(
-            "The smallest size of every parameter, alone, that is expected to be certified on flights like these. What is "
+            "The smallest size of every parameter, alone, that is expected to be certified on "
+            "flights like these. What is "
             "smaller may be there."
         )
         rows: list[list[Cell]] = [[f"{n}.{p}", number(v, 3)] for n, p, v in sorted(sizes)]
@@ -364,11 +423,18 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
     report.heading("What to do next")
     verdict, texts = content["verdict"], []
     if verdict == "bad_data":
-        texts.append("Mend the faults above; greybox check LOG --vehicle V.toml lists every finding with its fix.")
-    if content["effects"]:
-        texts.append("Use model.json wherever a model file is taken: greybox validate model.json --log NEW.csv")
         texts.append(
-            f"If you can, measure {_list([e['name'] for e in content['effects']])} by other means: a name with a number can "
+            "Mend the faults above; greybox check LOG --vehicle V.toml lists every finding with "
+            "its fix."
+        )
+    if content["effects"]:
+        texts.append(
+            "Use model.json wherever a model file is taken: greybox validate model.json --log "
+            "NEW.csv"
+        )
+        texts.append(
+            f"If you can, measure {_list([e['name'] for e in content['effects']])} by other means: "
+            "a name with a number can "
             "be wrong, and then it can be shown to be wrong."
         )
     for a in content["ambiguous"]:
@@ -378,30 +444,45 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
             texts.append(f"Fly what tells the candidates apart: {fly['text']}.")
         else:
             texts.append(
-                f"No flight of the library tells {names} apart: measure one of them by itself (a delay from a command to "
-                "the rotor speed, a bias at rest, a mass on a scale) and put it into the vehicle file."
+                f"No flight of the library tells {names} apart: measure one of them by itself (a "
+                "delay from a command to "
+                "the rotor speed, a bias at rest, a mass on a scale) and put it into the vehicle "
+                "file."
             )
     own = list(content.get("effects_files", ()))
     files = [u["file"] for u in content["unnamed"] if u.get("file")]
     if files:
         texts.append(
-            f"The laws that were found are proposals, effect files beside this page ({', '.join(files)}): copy one, "
-            "edit what makes sense (docs/own_effect.md), and run again with --effects-file and another --out."
+            "The laws that were found are proposals, effect files beside this page "
+            f"({', '.join(files)}): copy one, "
+            "edit what makes sense (docs/own_effect.md), and run again with --effects-file and "
+            "another --out."
         )
     if files and content.get("model_with_laws"):
-        command = f"greybox learn {content['model_with_laws']} --train LOGS --effects-file {' '.join([*own, *files])}"
+        command = (
+            f"greybox learn {content['model_with_laws']} --train LOGS --effects-file "
+            f"{' '.join([*own, *files])}"
+        )
         texts.append(f"What laws leave can be learned: {command}")
     if lawless := [u["channel"] for u in content["unnamed"] if not u.get("file")]:
         more = f" --effects-file {' '.join(own)}" if own else ""
         command = f"greybox learn model.json --train LOGS{more}"
         texts.append(
-            f"No law was found for {_list(lawless)}: no signal of the log explains it, as with gusts, noise of force and "
-            f"torque that lasts, or a state that nobody measured. {command} learns what can be learned of it."
+            f"No law was found for {_list(lawless)}: no signal of the log explains it, as with "
+            "gusts, noise of force and "
+            f"torque that lasts, or a state that nobody measured. {command} learns what can be "
+            "learned of it."
         )
     if content["gap_on"] == "train":
-        texts.append("Give flights of their own with --test: errors on the flights searched in look too good.")
+        texts.append(
+            "Give flights of their own with --test: errors on the flights searched in look too "
+            "good."
+        )
     if verdict == "nothing_missing":
-        texts.append("For a sharper answer fly longer, faster and more varied: sizes shrink with the root of the time.")
+        texts.append(
+            "For a sharper answer fly longer, faster and more varied: sizes shrink with the root "
+            "of the time."
+        )
     report.bullets(texts)
 
 

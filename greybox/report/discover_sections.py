@@ -1,4 +1,5 @@
-"""Sections of the page of a discovery beside the names: what only the sensors do, and what each flight says alone."""
+"""Sections of the page of a discovery beside the names: what only the sensors do, and what each
+flight says alone."""
 
 from __future__ import annotations
 
@@ -9,9 +10,12 @@ from greybox.report.html import Cell, Report
 from greybox.report.words import number
 
 KINDS = {
-    "coloured": "correlated noise", "line": "a line in the spectrum", "low_pass": "a low-pass filter",
-    "delay": "a delay", "drift": "a drifting bias",
-}  # fmt: skip
+    "coloured": "correlated noise",
+    "line": "a line in the spectrum",
+    "low_pass": "a low-pass filter",
+    "delay": "a delay",
+    "drift": "a drifting bias",
+}
 UNITS = {
     "T": ("time constant", "s"),
     "cutoff": ("cut-off", "Hz"),
@@ -19,23 +23,29 @@ UNITS = {
     "delay": ("delay", "s"),
 }
 ADVICE = {
-    "low_pass": "log the IMU with a higher cut-off; what would look like a slower rotor is the filter.",
-    "line": "a line is a vibration or its alias: balance the rotors, mount the IMU softly, or log it faster.",
+    "low_pass": "log the IMU with a higher cut-off; what would look like a slower rotor is the "
+    "filter.",
+    "line": "a line is a vibration or its alias: balance the rotors, mount the IMU softly, or log "
+    "it faster.",
     "delay": "compare it with the data sheet of the tracking system or with the time stamps.",
-    "coloured": "correlated noise makes naive error bars too small; those of this page allow for it.",
+    "coloured": "correlated noise makes naive error bars too small; those of this page allow for "
+    "it.",
     "drift": "let the sensor warm up, or leave the bias free per flight.",
 }
 
 
 def sensors_section(report: Report, content: Mapping[str, Any]) -> None:
-    """One row per sensor and kind of `content["sensors"]` that is not white; nothing where all are."""
+    """One row per sensor and kind of `content["sensors"]` that is not white; nothing where all
+    are."""
     rows = [s for s in content.get("sensors", ()) if s["kind"] != "white"]
     if not rows:
         return
     report.section("What only the sensors do")
     report.paragraph(
-        "These are not forces or torques: each stays in the channels of its sensor, while a force or torque reaches every "
-        "channel that the motion couples. They are part of the noise that the names above were tested against."
+        "These are not forces or torques: each stays in the channels of its sensor, while a force "
+        "or torque reaches every "
+        "channel that the motion couples. They are part of the noise that the names above were "
+        "tested against."
     )
     groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for s in rows:
@@ -51,7 +61,9 @@ def sensors_section(report: Report, content: Mapping[str, Any]) -> None:
 def _numbers(members: Sequence[Mapping[str, Any]]) -> str:
     out = []
     for key, (word, unit) in UNITS.items():
-        values = [float(s["parameters"][key]) for s in members if s["parameters"].get(key) is not None]
+        values = [
+            float(s["parameters"][key]) for s in members if s["parameters"].get(key) is not None
+        ]
         if values:
             low, high = number(min(values), 3), number(max(values), 3)
             out.append(f"{word} {low if low == high else f'{low} to {high}'} {unit}")

@@ -1,7 +1,8 @@
-"""The figures of reports: small panels that read alike, on a phone and on a desk, in light and in dark.
+"""The figures of reports: small panels that read alike, on a phone and on a desk, in light and in
+dark.
 
-Every function returns a matplotlib Figure of one column's width without touching pyplot. Colours are the stand-ins of
-`greybox.report.svg`; keys (legends) are part of the page, not of the figure.
+Every function returns a matplotlib Figure of one column's width without touching pyplot. Colours
+are the stand-ins of `greybox.report.svg`; keys (legends) are part of the page, not of the figure.
 """
 
 from __future__ import annotations
@@ -78,10 +79,14 @@ def _panel(height: float = 2.5) -> tuple[Figure, Axes]:
     return figure, _axes(figure, _LEFT, _BOTTOM, WIDTH - _LEFT - _RIGHT, height - _TOP - _BOTTOM)
 
 
-def time_series(t: npt.ArrayLike, rows: Mapping[str, Sequence[Line]], *, title: str = "", buckets: int = 300) -> Figure:
-    """Rows of curves over a common time axis `t` (N,) [s]; the key of `rows` is the label of its vertical axis.
+def time_series(
+    t: npt.ArrayLike, rows: Mapping[str, Sequence[Line]], *, title: str = "", buckets: int = 300
+) -> Figure:
+    """Rows of curves over a common time axis `t` (N,) [s]; the key of `rows` is the label of its
+    vertical axis.
 
-    Long records are thinned out to `buckets` cells; peaks are kept. Raises `DataError` for no row or unequal lengths.
+    Long records are thinned out to `buckets` cells; peaks are kept. Raises `DataError` for no row
+    or unequal lengths.
     """
     if not rows:
         raise DataError("a time series figure needs at least one row")
@@ -90,11 +95,15 @@ def time_series(t: npt.ArrayLike, rows: Mapping[str, Sequence[Line]], *, title: 
     last = len(rows) - 1
     times = np.asarray(t, dtype=np.float64)
     for i, (name, lines) in enumerate(rows.items()):
-        axes = _axes(figure, _LEFT, _BOTTOM + (last - i) * (each + space), WIDTH - _LEFT - _RIGHT, each)
+        axes = _axes(
+            figure, _LEFT, _BOTTOM + (last - i) * (each + space), WIDTH - _LEFT - _RIGHT, each
+        )
         for line in lines:
             x, y = min_max(times, line.values, buckets=buckets)
             axes.plot(x, y, color=line.colour, linestyle=line.style, linewidth=line.width)
-        axes.set_xlim(float(times[0]), float(times[-1]) if times[-1] > times[0] else float(times[0]) + 1.0)
+        axes.set_xlim(
+            float(times[0]), float(times[-1]) if times[-1] > times[0] else float(times[0]) + 1.0
+        )
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_formatter(_SHORT)
         if i < last:
@@ -113,17 +122,29 @@ def error_growth(
 ) -> Figure:
     """Error (by `measure`) against the horizon, both axes logarithmic.
 
-    `curves`: label -> (values (H,), colour, line style) at `seconds` (H,). Values that are not positive are left out.
+    `curves`: label -> (values (H,), colour, line style) at `seconds` (H,). Values that are not
+    positive are left out.
     """
     figure, axes = _panel()
     x = np.asarray(seconds, dtype=np.float64)
     for values, colour, style in curves.values():
-        y = np.array([np.nan if v is None else float(v) for v in np.atleast_1d(np.asarray(values, dtype=object))])
+        y = np.array(
+            [
+                np.nan if v is None else float(v)
+                for v in np.atleast_1d(np.asarray(values, dtype=object))
+            ]
+        )
         good = np.isfinite(y) & (y > 0)
         if good.any():
             marker = "o" if good.sum() < 5 else None
             axes.plot(
-                x[: len(y)][good], y[good], color=colour, linestyle=style, linewidth=1.6, marker=marker, markersize=3
+                x[: len(y)][good],
+                y[good],
+                color=colour,
+                linestyle=style,
+                linewidth=1.6,
+                marker=marker,
+                markersize=3,
             )
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -140,12 +161,20 @@ def error_growth(
 
 
 def correlogram(
-    lags: npt.ArrayLike, r: npt.ArrayLike, band: npt.ArrayLike, *, title: str, unit: str = "lag [samples]"
+    lags: npt.ArrayLike,
+    r: npt.ArrayLike,
+    band: npt.ArrayLike,
+    *,
+    title: str,
+    unit: str = "lag [samples]",
 ) -> Figure:
-    """Correlations `r` (L,) at `lags` (L,) as stems; those outside +-`band` ((L,) or a number) stand out."""
+    """Correlations `r` (L,) at `lags` (L,) as stems; those outside +-`band` ((L,) or a number)
+    stand out."""
     figure, axes = _panel(1.9)
     x, y = np.asarray(lags, dtype=np.float64), np.asarray(r, dtype=np.float64)
-    width = np.array([np.nan if b is None else float(b) for b in np.atleast_1d(np.asarray(band, dtype=object))])
+    width = np.array(
+        [np.nan if b is None else float(b) for b in np.atleast_1d(np.asarray(band, dtype=object))]
+    )
     width = np.broadcast_to(width, y.shape)
     axes.fill_between(x, -width, width, color=SERIES[3], alpha=0.22, linewidth=0)
     out = np.abs(y) > width
@@ -154,7 +183,11 @@ def correlogram(
     axes.axhline(0.0, color=MUTED, linewidth=0.7)
     if x.min() < 0 < x.max():
         axes.axvline(0.0, color=MUTED, linewidth=0.7, linestyle=":")
-    top = max(1.3 * float(np.nanmax(np.abs(y))), 2.0 * float(np.nanmax(np.where(np.isfinite(width), width, 0.0))), 1e-3)
+    top = max(
+        1.3 * float(np.nanmax(np.abs(y))),
+        2.0 * float(np.nanmax(np.where(np.isfinite(width), width, 0.0))),
+        1e-3,
+    )
     axes.set_ylim(-top, top)
     axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_formatter(_SHORT)
@@ -163,8 +196,8 @@ def correlogram(
 
 
 def cumulated(share: npt.ArrayLike, band: float, *, sample_time: float, title: str) -> Figure:
-    """Cumulated periodogram: `share` (F,) of the variance below the frequencies up to half the sample rate, between the
-    lines `band` above and below that of white noise."""
+    """Cumulated periodogram: `share` (F,) of the variance below the frequencies up to half the
+    sample rate, between the lines `band` above and below that of white noise."""
     figure, axes = _panel(1.9)
     y = np.asarray(share, dtype=np.float64)
     x = np.linspace(0.0, 0.5 / sample_time, len(y))
@@ -190,7 +223,8 @@ def dot_plot(
     unit: str,
     mark: float | None = None,
 ) -> Figure:
-    """One row per name: `values` (K,) as dots with bars of 1.96 `stds` (K,), NaN = no bar; `mark` is a dashed line."""
+    """One row per name: `values` (K,) as dots with bars of 1.96 `stds` (K,), NaN = no bar; `mark`
+    is a dashed line."""
     centre, spread = np.asarray(values, dtype=np.float64), np.asarray(stds, dtype=np.float64)
     height = 0.19 * len(names) + 0.9
     longest = max((len(n) for n in names), default=1)
@@ -198,8 +232,18 @@ def dot_plot(
     figure = _figure(height)
     axes = _axes(figure, left, _BOTTOM, WIDTH - left - 0.28, height - _TOP - _BOTTOM)
     rows = np.arange(len(names))[::-1]
-    axes.hlines(rows, centre - 1.96 * spread, centre + 1.96 * spread, color=SERIES[0], linewidth=1.6)
-    axes.plot(centre, rows, "o", color=SERIES[0], markersize=4, markeredgecolor=GROUND, markeredgewidth=0.6)
+    axes.hlines(
+        rows, centre - 1.96 * spread, centre + 1.96 * spread, color=SERIES[0], linewidth=1.6
+    )
+    axes.plot(
+        centre,
+        rows,
+        "o",
+        color=SERIES[0],
+        markersize=4,
+        markeredgecolor=GROUND,
+        markeredgewidth=0.6,
+    )
     if mark is not None:
         axes.axvline(mark, color=MUTED, linewidth=1.0, linestyle="--")
     short = [n if len(n) <= 26 else n[:12] + "\N{HORIZONTAL ELLIPSIS}" + n[-13:] for n in names]
@@ -210,12 +254,15 @@ def dot_plot(
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("" if unit == "-" else _plain(unit), fontsize=8.5, color=MUTED, labelpad=2)
     # The title starts at the left edge: next to long names there is no room above the axes alone.
-    figure.text(0.06 / WIDTH, 1 - 0.17 / height, _plain(title), fontsize=9.5, color=INK, va="center")
+    figure.text(
+        0.06 / WIDTH, 1 - 0.17 / height, _plain(title), fontsize=9.5, color=INK, va="center"
+    )
     return figure
 
 
 def heat_map(names: Sequence[str], matrix: npt.ArrayLike) -> Figure:
-    """Correlation matrix (K, K) of parameters: blue positive, orange negative, the deeper the stronger."""
+    """Correlation matrix (K, K) of parameters: blue positive, orange negative, the deeper the
+    stronger."""
     r = np.asarray(matrix, dtype=np.float64)
     k = len(names)
     if r.shape != (k, k):
@@ -231,12 +278,27 @@ def heat_map(names: Sequence[str], matrix: npt.ArrayLike) -> Figure:
             if i != j and np.isfinite(r[i, j]) and abs(r[i, j]) >= 0.03:
                 colour = SERIES[0] if r[i, j] > 0 else SERIES[1]
                 axes.add_patch(
-                    Rectangle((j, k - 1 - i), 1, 1, facecolor=colour, alpha=min(1.0, abs(r[i, j])), linewidth=0)
+                    Rectangle(
+                        (j, k - 1 - i),
+                        1,
+                        1,
+                        facecolor=colour,
+                        alpha=min(1.0, abs(r[i, j])),
+                        linewidth=0,
+                    )
                 )
                 if k <= 24 and abs(r[i, j]) >= 0.3:
                     text = f"{abs(r[i, j]):.2f}".lstrip("0") if abs(r[i, j]) < 0.995 else "1"
                     colour = GROUND if abs(r[i, j]) > 0.6 else INK
-                    axes.text(j + 0.5, k - 0.5 - i, text, fontsize=7, color=colour, ha="center", va="center")
+                    axes.text(
+                        j + 0.5,
+                        k - 0.5 - i,
+                        text,
+                        fontsize=7,
+                        color=colour,
+                        ha="center",
+                        va="center",
+                    )
         axes.add_patch(Rectangle((i, k - 1 - i), 1, 1, facecolor=GRID, linewidth=0))
     axes.set_xlim(0, k)
     axes.set_ylim(0, k)
@@ -244,17 +306,33 @@ def heat_map(names: Sequence[str], matrix: npt.ArrayLike) -> Figure:
         axes.axhline(line, color=GRID, linewidth=0.4)
         axes.axvline(line, color=GRID, linewidth=0.4)
     axes.set_yticks(np.arange(k) + 0.5, [_plain(n) for n in names[::-1]])
-    axes.set_xticks(np.arange(k) + 0.5, [_plain(n) for n in names], rotation=50, ha="left", rotation_mode="anchor")
-    axes.tick_params(length=0, labelcolor=INK, top=False, labeltop=True, labelbottom=False, bottom=False)
+    axes.set_xticks(
+        np.arange(k) + 0.5,
+        [_plain(n) for n in names],
+        rotation=50,
+        ha="left",
+        rotation_mode="anchor",
+    )
+    axes.tick_params(
+        length=0, labelcolor=INK, top=False, labeltop=True, labelbottom=False, bottom=False
+    )
     for side in ("left", "bottom"):
         axes.spines[side].set_visible(False)
     return figure
 
 
 def rise(
-    x: npt.ArrayLike, y: npt.ArrayLike, *, limit: float, marks: Sequence[float], label: str, unit: str, title: str
+    x: npt.ArrayLike,
+    y: npt.ArrayLike,
+    *,
+    limit: float,
+    marks: Sequence[float],
+    label: str,
+    unit: str,
+    title: str,
 ) -> Figure:
-    """A curve y (N,) over x (N,) with its points, a level `limit`, and upright `marks`; the part far above is cut off."""
+    """A curve y (N,) over x (N,) with its points, a level `limit`, and upright `marks`; the part
+    far above is cut off."""
     figure, axes = _panel()
     at, values = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     axes.plot(at, values, color=SERIES[0], marker="o", markersize=3, linewidth=1.2)

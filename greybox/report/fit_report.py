@@ -1,4 +1,5 @@
-"""The report of a fit: from fit.json (greybox.fit/1), time series and a validation result to one HTML page."""
+"""The report of a fit: from fit.json (greybox.fit/1), time series and a validation result to one
+HTML page."""
 
 from __future__ import annotations
 
@@ -10,12 +11,18 @@ from greybox.report import figures
 from greybox.report.flight_section import FlightSeries, flight_section
 from greybox.report.html import Cell, Key, Report, Share, Span, Tag
 from greybox.report.response_section import Responses, response_section
-from greybox.report.validation_sections import first_line, headline_figure, horizon_section, residual_section
+from greybox.report.validation_sections import (
+    first_line,
+    headline_figure,
+    horizon_section,
+    residual_section,
+)
 from greybox.report.words import interval, number, rounded, strong_correlations, whiteness_verdict
 
 _SHOWN = 40
 _BESIDE = 4
-"""Flights in one table of per-flight parameters: names are long, and more would be cut off on a desk."""
+"""Flights in one table of per-flight parameters: names are long, and more would be cut off on a
+desk."""
 
 
 def fit_report(
@@ -26,16 +33,18 @@ def fit_report(
     responses: Responses | None = None,
     title: str | None = None,
 ) -> str:
-    """The page of a fit. `fit` follows schemas/fit.json, `validation` schemas/validate.json; both may lack options.
+    """The page of a fit. `fit` follows schemas/fit.json, `validation` schemas/validate.json; both
+    may lack options.
 
-    `flights` maps flight names to their time series; `responses` is how outputs follow commands. Raises
-    `KeyError` where a required field of `fit` is missing.
+    `flights` maps flight names to their time series; `responses` is how outputs follow commands.
+    Raises `KeyError` where a required field of `fit` is missing.
     """
     model, status = fit["model"], fit["status"]
     seconds = sum(f.get("seconds") or 0.0 for f in fit["flights"])
     count = len(fit["flights"])
     subtitle = (
-        f"{count} flight{'s' * (count != 1)}, {number(seconds, 3)} s of data, {len(fit['parameters'])} parameters"
+        f"{count} flight{'s' * (count != 1)}, {number(seconds, 3)} s of data, "
+        f"{len(fit['parameters'])} parameters"
     )
     report = Report(title or f"Fit of {model['name']}", subtitle)
     first_line(report, fit.get("verdict"))
@@ -47,7 +56,11 @@ def fit_report(
         _next(report, fit, validation)
     if not status["converged"]:
         report.warning(f"The fit did not converge: {status['advice']}")
-    texts = [*fit.get("warnings", []), *fit.get("unidentifiable", []), *(validation or {}).get("warnings", [])]
+    texts = [
+        *fit.get("warnings", []),
+        *fit.get("unidentifiable", []),
+        *(validation or {}).get("warnings", []),
+    ]
     for text in dict.fromkeys(texts):
         report.warning(text)
     if validation:
@@ -72,19 +85,34 @@ def _what(report: Report, fit: Mapping[str, Any]) -> None:
     else:
         report.paragraph(status["advice"])
     settings = fit.get("settings", {})
-    names = {"predictor": "Predictor", "criterion": "Criterion", "solver": "Solver", "initialisation": "Started from"}
+    names = {
+        "predictor": "Predictor",
+        "criterion": "Criterion",
+        "solver": "Solver",
+        "initialisation": "Started from",
+    }
     rows = [("Model", model["name"]), ("Effects", ", ".join(model.get("effects", [])) or "none")]
     for key, label in (("states", "States"), ("inputs", "Inputs"), ("outputs", "Outputs")):
         if model.get(key):
             rows.append((label, ", ".join(model[key])))
-    rows += [(names.get(k, k.replace("_", " ").capitalize()), _plain(v)) for k, v in settings.items()]
+    rows += [
+        (names.get(k, k.replace("_", " ").capitalize()), _plain(v)) for k, v in settings.items()
+    ]
     effort = [f"{status['iterations']} iterations" if status.get("iterations") is not None else ""]
     effort.append(f"{number(status['seconds'], 3)} s" if status.get("seconds") is not None else "")
     rows.append(("Solver's end", ", ".join(t for t in [str(status.get("code", "")), *effort] if t)))
     if cost:
-        labels = {"loglik": "log likelihood", "n_samples": "samples", "n_parameters": "free parameters"}
+        labels = {
+            "loglik": "log likelihood",
+            "n_samples": "samples",
+            "n_parameters": "free parameters",
+        }
         labels |= {"aic": "AIC", "bic": "BIC"}
-        known = {labels.get(k, k.replace("_", " ")): v for k, v in cost.items() if isinstance(v, (int, float))}
+        known = {
+            labels.get(k, k.replace("_", " ")): v
+            for k, v in cost.items()
+            if isinstance(v, (int, float))
+        }
         rows.append(("Cost", ", ".join(f"{k} {number(v, 7)}" for k, v in known.items())))
     report.facts(rows)
     body: list[list[Cell]] = [
@@ -113,7 +141,11 @@ def _prior(parameter: Mapping[str, Any]) -> str:
     sigma = prior.get("sigma")
     if sigma is None or not math.isfinite(sigma):
         return f"{number(prior['value'])}, free"
-    return f"{number(prior['value'])} ± {number(sigma, 2)}" if sigma > 0 else f"{number(prior['value'])}, exact"
+    return (
+        f"{number(prior['value'])} ± {number(sigma, 2)}"
+        if sigma > 0
+        else f"{number(prior['value'])}, exact"
+    )
 
 
 def _span(parameter: Mapping[str, Any], std: float | None) -> Cell:
@@ -149,19 +181,43 @@ def _parameters(report: Report, fit: Mapping[str, Any]) -> None:
         t = number(p["value"] / std, 3) if std else None
         within = interval(p["value"], std)
         body.append(
-            [name, value, spread, t, within, p.get("unit", ""), _prior(p), _span(p, std), share, _notes(p)]
+            [
+                name,
+                value,
+                spread,
+                t,
+                within,
+                p.get("unit", ""),
+                _prior(p),
+                _span(p, std),
+                share,
+                _notes(p),
+            ]
         )
     heads = [
-        "parameter", "estimate", "std", "t", "95 % interval", "unit", "prior", "prior, estimate", "by prior", "",
-    ]  # fmt: skip
+        "parameter",
+        "estimate",
+        "std",
+        "t",
+        "95 % interval",
+        "unit",
+        "prior",
+        "prior, estimate",
+        "by prior",
+        "",
+    ]
     report.table(
         heads,
         body,
         numeric=(1, 2, 3, 4, 8),
-        caption="t: the estimate over its standard deviation; where zero means that an effect is not there, below 2 the "
-        "flights hardly show it. Bars: grey, what the vehicle file allows (95 %); blue, what the flights leave of it. "
-        "By prior: the share of the estimate's precision that the prior brought, 0 % = the data alone. "
-        "A parameter at its bound has no standard deviation: its interval is one-sided. Of per-flight parameters the "
+        caption="t: the estimate over its standard deviation; where zero means that an effect is "
+        "not there, below 2 the "
+        "flights hardly show it. Bars: grey, what the vehicle file allows (95 %); blue, what the "
+        "flights leave of it. "
+        "By prior: the share of the estimate's precision that the prior brought, 0 % = the data "
+        "alone. "
+        "A parameter at its bound has no standard deviation: its interval is one-sided. Of "
+        "per-flight parameters the "
         "mean over flights is shown.",
     )
     if lag := fit.get("effective_lag"):
@@ -172,8 +228,12 @@ def _parameters(report: Report, fit: Mapping[str, Any]) -> None:
             rows: list[list[Cell]] = []
             for name, p in noise.items():
                 value, spread = rounded(p["value"], p.get("std"))
-                rows.append([name, value, spread, interval(p["value"], p.get("std")), p.get("unit", "")])
-            report.table(["noise", "estimate", "std", "95 % interval", "unit"], rows, numeric=(1, 2, 3))
+                rows.append(
+                    [name, value, spread, interval(p["value"], p.get("std")), p.get("unit", "")]
+                )
+            report.table(
+                ["noise", "estimate", "std", "95 % interval", "unit"], rows, numeric=(1, 2, 3)
+            )
 
 
 def _per_flight(report: Report, fit: Mapping[str, Any]) -> None:
@@ -187,10 +247,19 @@ def _per_flight(report: Report, fit: Mapping[str, Any]) -> None:
         values = [v["value"] for v in p["per_flight"].values()]
         stds = [math.nan if v.get("std") is None else v["std"] for v in p["per_flight"].values()]
         mark = p["prior"]["value"] if p.get("prior") else None
-        figure = figures.dot_plot(names, values, stds, title=name, unit=p.get("unit", ""), mark=mark)
+        figure = figures.dot_plot(
+            names, values, stds, title=name, unit=p.get("unit", ""), mark=mark
+        )
         panels.append((figure, f"{name} of each flight with 95 % intervals"))
-    key = [Key(text="estimate with 95 % interval", colour="c1"), Key(text="prior", colour="muted", stroke="dash")]
-    report.figures(panels, caption="One value per flight; a spread beyond the bars is a real difference.", key=key)
+    key = [
+        Key(text="estimate with 95 % interval", colour="c1"),
+        Key(text="prior", colour="muted", stroke="dash"),
+    ]
+    report.figures(
+        panels,
+        caption="One value per flight; a spread beyond the bars is a real difference.",
+        key=key,
+    )
     with report.details("The numbers"):
         flights = list(dict.fromkeys(f for p in chosen.values() for f in p["per_flight"]))
         for first in range(0, len(flights), _BESIDE):
@@ -198,7 +267,10 @@ def _per_flight(report: Report, fit: Mapping[str, Any]) -> None:
             rows: list[list[Cell]] = []
             for name, p in chosen.items():
                 own = [p["per_flight"].get(flight) for flight in part]
-                cells = [None if v is None else " ± ".join(rounded(v["value"], v.get("std"))) for v in own]
+                cells = [
+                    None if v is None else " ± ".join(rounded(v["value"], v.get("std")))
+                    for v in own
+                ]
                 rows.append([f"{name} [{p.get('unit', '')}]", *cells])
             report.table(["parameter", *part], rows, numeric=range(1, len(part) + 1))
 
@@ -208,7 +280,9 @@ def _identifiability(report: Report, fit: Mapping[str, Any]) -> None:
     texts = list(fit.get("unidentifiable", []))
     bound = [n for n, p in fit["parameters"].items() if p.get("at_bound")]
     if bound:
-        texts.append(f"At a bound: {', '.join(bound)}. The data would move it further than its bounds allow.")
+        texts.append(
+            f"At a bound: {', '.join(bound)}. The data would move it further than its bounds allow."
+        )
     prior = [n for n, p in fit["parameters"].items() if (p.get("prior_influence") or 0.0) >= 0.5]
     if prior:
         texts.append(f"Mostly decided by the prior, not by these flights: {', '.join(prior)}.")
@@ -221,12 +295,15 @@ def _identifiability(report: Report, fit: Mapping[str, Any]) -> None:
     if texts:
         report.bullets(texts)
     else:
-        report.verdict("Every free parameter is determined by the data, and no two are hard to tell apart.")
+        report.verdict(
+            "Every free parameter is determined by the data, and no two are hard to tell apart."
+        )
     if len(names) > 1:
         filled = [[math.nan if v is None else v for v in row] for row in matrix]
         report.figure(
             figures.heat_map(names, filled),
-            caption="Correlations of the estimates; blue positive, orange negative, numbers from 0.3 upward.",
+            caption="Correlations of the estimates; blue positive, orange negative, numbers from "
+            "0.3 upward.",
             alt="Matrix of the correlations between parameter estimates",
         )
 
@@ -235,30 +312,45 @@ def _next(report: Report, fit: Mapping[str, Any], validation: Mapping[str, Any] 
     report.heading("What to do next")
     parameters = fit["parameters"]
     bound = [n for n, p in parameters.items() if p.get("at_bound")]
-    prior = [n for n, p in parameters.items() if (p.get("prior_influence") or 0.0) >= 0.5 and not p.get("at_bound")]
+    prior = [
+        n
+        for n, p in parameters.items()
+        if (p.get("prior_influence") or 0.0) >= 0.5 and not p.get("at_bound")
+    ]
     texts = []
     verdict = fit.get("verdict") or {}
     if verdict.get("action"):
         reason = verdict["reason"]
-        texts.append(f"{reason[:1].upper()}{reason[1:]}. Next: {verdict['action']} ({verdict['anchor']}).")
+        texts.append(
+            f"{reason[:1].upper()}{reason[1:]}. Next: {verdict['action']} ({verdict['anchor']})."
+        )
     if not fit["status"]["converged"]:
-        texts.append("Do not use these numbers yet: follow the advice above until the fit converges.")
+        texts.append(
+            "Do not use these numbers yet: follow the advice above until the fit converges."
+        )
     if bound:
         texts.append(
-            f"At a bound: {', '.join(bound)}. Leave the effect out, or ask greybox discover what else the data may mean."
+            f"At a bound: {', '.join(bound)}. Leave the effect out, or ask greybox discover what "
+            "else the data may mean."
         )
     if prior:
         texts.append(
-            f"Decided by the vehicle file rather than by the flights: {', '.join(prior)}. Measure them, or let greybox plan "
+            f"Decided by the vehicle file rather than by the flights: {', '.join(prior)}. Measure "
+            "them, or let greybox plan "
             "propose a flight that shows them."
         )
     if not validation:
-        texts.append("Give flights of their own with --test: errors on the flights of the fit look too good.")
+        texts.append(
+            "Give flights of their own with --test: errors on the flights of the fit look too good."
+        )
     texts.append(
-        "What the model still misses has a name or none: greybox discover says which. What has none can be learned: "
+        "What the model still misses has a name or none: greybox discover says which. What has "
+        "none can be learned: "
         "greybox learn model.json --train LOG ..."
     )
-    texts.append("For a controller: greybox export model.json --out DIR writes C and CasADi with a verifier.")
+    texts.append(
+        "For a controller: greybox export model.json --out DIR writes C and CasADi with a verifier."
+    )
     report.bullets(texts)
 
 

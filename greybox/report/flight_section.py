@@ -27,9 +27,11 @@ PANELS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelSeries:
-    """One channel of a flight, arrays (N,), NaN = missing: measured, predicted one step and some seconds ahead.
+    """One channel of a flight, arrays (N,), NaN = missing: measured, predicted one step and some
+    seconds ahead.
 
-    `ahead[k]` is the prediction of sample k that was made `FlightSeries.ahead_seconds` earlier. None = not computed.
+    `ahead[k]` is the prediction of sample k that was made `FlightSeries.ahead_seconds` earlier.
+    None = not computed.
     """
 
     measured: FloatArray
@@ -40,8 +42,8 @@ class ChannelSeries:
 
 @dataclass(frozen=True, kw_only=True)
 class FlightSeries:
-    """The time series of one flight: `t` (N,) [s] and its channels by name; `role` is "train" or "test"; `replay` where
-    position and attitude are known."""
+    """The time series of one flight: `t` (N,) [s] and its channels by name; `role` is "train" or
+    "test"; `replay` where position and attitude are known."""
 
     t: FloatArray
     channels: Mapping[str, ChannelSeries]
@@ -56,7 +58,8 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 def _with_angles(flight: FlightSeries) -> FlightSeries:
-    """Roll, pitch and yaw [deg] in place of a quaternion; without jumps from 180 to -180 degrees."""
+    """Roll, pitch and yaw [deg] in place of a quaternion; without jumps from 180 to -180
+    degrees."""
     if not set(QUATERNION) <= set(flight.channels):
         return flight
     parts = [flight.channels[n] for n in QUATERNION]
@@ -80,7 +83,8 @@ def _with_angles(flight: FlightSeries) -> FlightSeries:
 
 
 def _beside(measured: FloatArray, quaternion: Sequence[FloatArray | None]) -> FloatArray | None:
-    """Angles (N, 3) [deg] of predictions, on the turn on which they are nearest to the measured ones."""
+    """Angles (N, 3) [deg] of predictions, on the turn on which they are nearest to the measured
+    ones."""
     parts = [q for q in quaternion if q is not None]
     if len(parts) < len(QUATERNION):
         return None
@@ -89,7 +93,8 @@ def _beside(measured: FloatArray, quaternion: Sequence[FloatArray | None]) -> Fl
 
 
 def _angles(quaternion: Sequence[FloatArray]) -> FloatArray:
-    """(N, 3) roll, pitch, yaw [deg] of the columns of a quaternion; NaN where a part of it is missing."""
+    """(N, 3) roll, pitch, yaw [deg] of the columns of a quaternion; NaN where a part of it is
+    missing."""
     q = np.column_stack([np.asarray(c, dtype=np.float64) for c in quaternion])
     angles: FloatArray = np.degrees(numeric("euler", q))
     angles[~np.isfinite(q).all(axis=1)] = np.nan
@@ -111,12 +116,15 @@ def _lines(series: ChannelSeries, part: slice) -> list[figures.Line]:
     if series.ahead is not None:
         lines.append(figures.Line(values=series.ahead[part], colour=SERIES[1], width=1.1))
     if series.one_step is not None:
-        lines.append(figures.Line(values=series.one_step[part], colour=SERIES[0], width=0.9, style="--"))
+        lines.append(
+            figures.Line(values=series.one_step[part], colour=SERIES[0], width=0.9, style="--")
+        )
     return lines
 
 
 def _liveliest(flight: FlightSeries, seconds: float) -> slice:
-    """The stretch of that length in which the channels move most, each in units of its own spread."""
+    """The stretch of that length in which the channels move most, each in units of its own
+    spread."""
     step = float(np.median(np.diff(flight.t)))
     n, width = len(flight.t), max(2, round(seconds / step))
     if width >= n:
@@ -135,11 +143,17 @@ def _liveliest(flight: FlightSeries, seconds: float) -> slice:
 
 
 def flight_section(
-    report: Report, flights: Mapping[str, FlightSeries], *, max_flights: int = 6, zoom_seconds: float = 4.0
+    report: Report,
+    flights: Mapping[str, FlightSeries],
+    *,
+    max_flights: int = 6,
+    zoom_seconds: float = 4.0,
 ) -> None:
-    """Each flight folds open: its liveliest seconds in full resolution, then the whole flight, thinned out.
+    """Each flight folds open: its liveliest seconds in full resolution, then the whole flight,
+    thinned out.
 
-    At most `max_flights` are drawn, test flights first; the rest is named. Nothing where there is no flight.
+    At most `max_flights` are drawn, test flights first; the rest is named. Nothing where there is
+    no flight.
     """
     if not flights:
         return
@@ -154,11 +168,13 @@ def flight_section(
         Key(text=f"open loop, {number(ahead)} s ahead", colour="c2"),
     ]
     report.paragraph(
-        f"Orange at each instant is what the model said {number(ahead)} s before, from the commands alone; blue dashed "
+        f"Orange at each instant is what the model said {number(ahead)} s before, from the "
+        "commands alone; blue dashed "
         "is the filter's prediction for the next sample. Select a flight to open it."
     )
     lines = sum(3 * len(flights[name].channels) for name in shown)
-    # About 1.4 MB of curves in all: each cell of a curve costs some 24 characters in each of two windows.
+    # About 1.4 MB of curves in all: each cell of a curve costs some 24 characters in each of two
+    # windows.
     buckets = int(np.clip(0.7e6 / (24 * max(lines, 1)), 60, 300))
     for i, name in enumerate(shown):
         flight = flights[name]
@@ -167,12 +183,26 @@ def flight_section(
             if flight.replay is not None and i < MOST_REPLAYS:
                 replay(report, name, flight.replay)
             part = _liveliest(flight, zoom_seconds)
-            for what, window in (("the liveliest seconds", part), ("the whole flight", slice(0, len(flight.t)))):
+            for what, window in (
+                ("the liveliest seconds", part),
+                ("the whole flight", slice(0, len(flight.t))),
+            ):
                 panels = []
                 for title, members in _panels(list(flight.channels)).items():
-                    rows = {f"{m} [{flight.channels[m].unit}]": _lines(flight.channels[m], window) for m in members}
-                    figure = figures.time_series(flight.t[window], rows, title=title, buckets=buckets)
-                    panels.append((figure, f"{title} of flight {name} against time, {what}: measured and predicted"))
+                    rows = {
+                        f"{m} [{flight.channels[m].unit}]": _lines(flight.channels[m], window)
+                        for m in members
+                    }
+                    figure = figures.time_series(
+                        flight.t[window], rows, title=title, buckets=buckets
+                    )
+                    panels.append(
+                        (
+                            figure,
+                            f"{title} of flight {name} against time, {what}: measured and "
+                            "predicted",
+                        )
+                    )
                 report.figures(panels, caption=f"{name}, {what}.", key=key)
                 if window.stop - window.start == len(flight.t):
                     break

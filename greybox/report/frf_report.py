@@ -59,11 +59,13 @@ def frf_report(content: Mapping[str, Any]) -> str:
             ),
             (
                 "windows",
-                f"Hann, {windows[0]:.3g} s at {content['frequency'][0]:.2g} Hz to {windows[-1]:.3g} s, overlap one half",
+                f"Hann, {windows[0]:.3g} s at {content['frequency'][0]:.2g} Hz to "
+                f"{windows[-1]:.3g} s, overlap one half",
             ),
             (
                 "averages",
-                f"{content['averages'][0]:.0f} at the lowest frequency, {content['averages'][-1]:.0f} at the highest",
+                f"{content['averages'][0]:.0f} at the lowest frequency, "
+                f"{content['averages'][-1]:.0f} at the highest",
             ),
             ("sample time", f"{content['sample_time']:g} s"),
         ]
@@ -94,6 +96,8 @@ def _gains(report: Report, pairs: list[Mapping[str, Any]]) -> None:
         report.table(
             ["response", "lag [ms]", "std", "gain", "std", "integrators", "fitted to"],
             rows,
-            caption="gain exp(-lag s) / s^integrators, with a corner of the last integrator and part of the lag of first "
-            "order. Gain: output unit per second to the number of integrators, per unit of the input.",
+            caption="gain exp(-lag s) / s^integrators, with a corner of the last integrator and "
+            "part of the lag of first "
+            "order. Gain: output unit per second to the number of integrators, per unit of the "
+            "input.",
         )

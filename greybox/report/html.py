@@ -1,9 +1,11 @@
-"""A small document builder: sections, paragraphs, warnings, tables and figures in one self-contained HTML file.
+"""A small document builder: sections, paragraphs, warnings, tables and figures in one
+self-contained HTML file.
 
-The page needs no network and no other file (a content security policy in it says so). Every text is escaped. The only
-scripts in it are ours, and run by their hashes alone: page.js where there are curves to zoom into, and what a report
-brings (`live`). Without them the page is complete, and still.
-The source is well-formed XML as well as HTML, so that tests and other tools can parse it strictly.
+The page needs no network and no other file (a content security policy in it says so). Every text is
+escaped. The only scripts in it are ours, and run by their hashes alone: page.js where there are
+curves to zoom into, and what a report brings (`live`). Without them the page is complete, and
+still. The source is well-formed XML as well as HTML, so that tests and other tools can parse it
+strictly.
 """
 
 from __future__ import annotations
@@ -75,7 +77,8 @@ def script(name: str) -> str:
 
 
 def embedded_json(data: object) -> str:
-    """JSON of `data` as the text of a script element: no sign in it ends the element or starts another."""
+    """JSON of `data` as the text of a script element: no sign in it ends the element or starts
+    another."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     for sign, code in (("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026")):
         text = text.replace(sign, code)
@@ -93,7 +96,9 @@ def _cell(value: Cell) -> str:
         return f'<span class="tag">{escape(value.text)}</span>'
     if isinstance(value, Share):
         width = 100.0 * min(1.0, max(0.0, value.value))
-        return f'{100 * value.value:.0f} %<span class="bar"><i style="width: {width:.0f}%"></i></span>'
+        return (
+            f'{100 * value.value:.0f} %<span class="bar"><i style="width: {width:.0f}%"></i></span>'
+        )
     if isinstance(value, Span):
         return _span(value)
     if isinstance(value, float):
@@ -175,9 +180,12 @@ class Report:
             self._parts.append("<ul>" + "".join(f"<li>{escape(t)}</li>" for t in texts) + "</ul>")
 
     def links(self, places: Sequence[tuple[str, str]]) -> None:
-        """Links to files beside the page, (text, path from the page) each; nothing where there are none."""
+        """Links to files beside the page, (text, path from the page) each; nothing where there are
+        none."""
         if places:
-            listed = (f'<a href="{escape(quote(path))}">{escape(text)}</a>' for text, path in places)
+            listed = (
+                f'<a href="{escape(quote(path))}">{escape(text)}</a>' for text, path in places
+            )
             self._parts.append(f"<p>{', '.join(listed)}</p>")
 
     def code(self, text: str) -> None:
@@ -201,24 +209,38 @@ class Report:
 
     def facts(self, rows: Sequence[tuple[str, str]]) -> None:
         """A table of name and text."""
-        body = "".join(f'<tr><th scope="row">{escape(k)}</th><td>{escape(v)}</td></tr>' for k, v in rows)
-        self._parts.append(f'<div class="scroll"><table class="facts"><tbody>{body}</tbody></table></div>')
+        body = "".join(
+            f'<tr><th scope="row">{escape(k)}</th><td>{escape(v)}</td></tr>' for k, v in rows
+        )
+        self._parts.append(
+            f'<div class="scroll"><table class="facts"><tbody>{body}</tbody></table></div>'
+        )
 
     def table(
-        self, headers: Sequence[str], rows: Sequence[Sequence[Cell]], *, caption: str = "", numeric: Sequence[int] = ()
+        self,
+        headers: Sequence[str],
+        rows: Sequence[Sequence[Cell]],
+        *,
+        caption: str = "",
+        numeric: Sequence[int] = (),
     ) -> None:
-        """A table; `numeric` are the columns to align to the right, in addition to those that hold numbers only.
+        """A table; `numeric` are the columns to align to the right, in addition to those that hold
+        numbers only.
 
-        The first column names the row. Raises `DataError` for a row of another length than the headers.
+        The first column names the row. Raises `DataError` for a row of another length than the
+        headers.
         """
         for row in rows:
             if len(row) != len(headers):
-                raise DataError(f"table row has {len(row)} cells", expected=str(len(headers)), got=repr(row))
+                raise DataError(
+                    f"table row has {len(row)} cells", expected=str(len(headers)), got=repr(row)
+                )
         columns = [[r[i] for r in rows] for i in range(len(headers))]
         right = {
             i
             for i, cells in enumerate(columns)
-            if i in numeric or (cells and all(isinstance(c, (int, float)) or c is None for c in cells))
+            if i in numeric
+            or (cells and all(isinstance(c, (int, float)) or c is None for c in cells))
         }
         mark = [' class="n"' if i in right else "" for i in range(len(headers))]
         head = "".join(f'<th scope="col"{mark[i]}>{escape(h)}</th>' for i, h in enumerate(headers))
@@ -226,8 +248,13 @@ class Report:
         for row in rows:
             first = f'<th scope="row"{mark[0]}>{_cell(row[0])}</th>'
             # Long texts may wrap, numbers and names may not.
-            long = [' class="t"' if isinstance(c, str) and len(c) > 40 else mark[i] for i, c in enumerate(row)]
-            body.append(f"<tr>{first}{''.join(f'<td{long[i]}>{_cell(c)}</td>' for i, c in enumerate(row) if i)}</tr>")
+            long = [
+                ' class="t"' if isinstance(c, str) and len(c) > 40 else mark[i]
+                for i, c in enumerate(row)
+            ]
+            body.append(
+                f"<tr>{first}{''.join(f'<td{long[i]}>{_cell(c)}</td>' for i, c in enumerate(row) if i)}</tr>"
+            )
         # A region that scrolls must be reachable by keyboard.
         region = f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption or headers[0])}">'
         kind = ' class="wide"' if len(headers) >= WIDE else ""
@@ -235,12 +262,17 @@ class Report:
         below = f'<p class="caption">{escape(caption)}</p>' if caption else ""
         self._parts.append(f"{region}{table}</div>{below}")
 
-    def figure(self, figure: Figure, *, caption: str = "", alt: str, key: Sequence[Key] = ()) -> None:
+    def figure(
+        self, figure: Figure, *, caption: str = "", alt: str, key: Sequence[Key] = ()
+    ) -> None:
         """One figure with its caption; `alt` describes it to who cannot see it."""
         self.figures([(figure, alt)], caption=caption, key=key)
 
-    def figures(self, panels: Sequence[tuple[Figure, str]], *, caption: str = "", key: Sequence[Key] = ()) -> None:
-        """Several panels (figure, alt text) side by side as far as the screen is wide, with one key and caption."""
+    def figures(
+        self, panels: Sequence[tuple[Figure, str]], *, caption: str = "", key: Sequence[Key] = ()
+    ) -> None:
+        """Several panels (figure, alt text) side by side as far as the screen is wide, with one key
+        and caption."""
         drawn = []
         for figure, alt in panels:
             self._figures += 1
@@ -248,7 +280,9 @@ class Report:
             if "data-axes" in drawn[-1][:2000]:
                 self._run(script("page"))
         entries = "".join(
-            f'<li><span class="{k.stroke}" style="color: var(--{k.colour})"></span>{escape(k.text)}</li>' for k in key
+            f'<li><span class="{k.stroke}" style="color: '
+            f'var(--{k.colour})"></span>{escape(k.text)}</li>'
+            for k in key
         )
         legend = f'<ul class="key">{entries}</ul>' if entries else ""
         body = f'<div class="panels">{"".join(drawn)}</div>' if len(drawn) > 1 else "".join(drawn)
@@ -256,7 +290,8 @@ class Report:
         self._parts.append(f"<figure>{legend}{body}{below}</figure>")
 
     def live(self, markup: str, script: str, css: str = "") -> None:
-        """Markup, the script that moves it and its style, all ours: nothing of a user's may stand in them unescaped.
+        """Markup, the script that moves it and its style, all ours: nothing of a user's may stand
+        in them unescaped.
 
         Script and style stand on the page once, however many parts bring them.
         """
@@ -280,13 +315,17 @@ class Report:
             warnings = f'<section class="warnings" aria-label="Warnings"><h2>{head}</h2><ul>{items}</ul></section>'
         if len(self._sections) > 1:
             links = "".join(
-                f'<li><a href="#section-{i}">{escape(s)}</a></li>' for i, s in enumerate(self._sections, start=1)
+                f'<li><a href="#section-{i}">{escape(s)}</a></li>'
+                for i, s in enumerate(self._sections, start=1)
             )
             contents = f'<nav aria-label="Contents"><ul>{links}</ul></nav>'
         subtitle = f'<p class="subtitle">{escape(self._subtitle)}</p>' if self._subtitle else ""
         policy = "default-src 'none'; style-src 'unsafe-inline'"
         if self._scripts:
-            hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in self._scripts)
+            hashes = (
+                base64.b64encode(hashlib.sha256(s.encode()).digest()).decode()
+                for s in self._scripts
+            )
             policy += "; script-src " + " ".join(f"'sha256-{h}'" for h in hashes)
         scripts = "".join(f"\n<script>{s}</script>" for s in self._scripts)
         return (

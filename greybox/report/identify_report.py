@@ -58,13 +58,22 @@ def identify_report(
 def _next(outcome: Mapping[str, Any], command: str) -> list[str]:
     verdict = outcome["verdict"] or {}
     if outcome["stopped"]:
-        return [f"Mend what the first line says; then the same command goes on with that stage: {command}"]
+        return [
+            "Mend what the first line says; then the same command goes on with that stage: "
+            f"{command}"
+        ]
     texts = []
     if verdict.get("action"):
-        texts.append(f"{verdict['reason'][:1].upper()}{verdict['reason'][1:]}. Next: {verdict['action']}.")
-    texts.append("Every stage below has a page of its own: what is missing stands on that of discover.")
+        texts.append(
+            f"{verdict['reason'][:1].upper()}{verdict['reason'][1:]}. Next: {verdict['action']}."
+        )
+    texts.append(
+        "Every stage below has a page of its own: what is missing stands on that of discover."
+    )
     if outcome["exit_code"] == 0:
-        texts.append(f"On flights that nobody fitted: greybox validate {outcome['model']} --log NEW.csv")
+        texts.append(
+            f"On flights that nobody fitted: greybox validate {outcome['model']} --log NEW.csv"
+        )
     return texts
 
 

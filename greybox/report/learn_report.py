@@ -16,7 +16,8 @@ from greybox.report.words import number
 from greybox.shown import in_degrees
 
 HONEST = (0.88, 0.99)
-"""Coverage of a 95 % region that passes without a mark: few flights, whose errors are alike within each of them."""
+"""Coverage of a 95 % region that passes without a mark: few flights, whose errors are alike within
+each of them."""
 LOUD = 0.5
 """A calibration factor below this or above its inverse is worth a sentence."""
 
@@ -29,11 +30,15 @@ LEARNED = {
     "tcn": "The Bayesian last layer of a convolution over earlier commands",
 }
 FAR = "Far from the training flights it fades to nothing and the physics remains."
-BEYOND = "Far from the training flights it goes on as its features do: look at its variance and at the domain there."
+BEYOND = (
+    "Far from the training flights it goes on as its features do: look at its variance and "
+    "at the domain there."
+)
 
 
 def learn_report(content: Mapping[str, Any], *, title: str | None = None) -> str:
-    """The page of a learned model. `content` follows schemas/learn.json; `validation` may be missing, empty or partial.
+    """The page of a learned model. `content` follows schemas/learn.json; `validation` may be
+    missing, empty or partial.
 
     Raises `KeyError` where a required field is missing.
     """
@@ -43,11 +48,17 @@ def learn_report(content: Mapping[str, Any], *, title: str | None = None) -> str
     with report.headline():
         _answer(report, content)
         after = validation.get("after") or {}
-        _curves(report, validation, headline_groups([g for h in after.get("horizons", []) for g in h["groups"]]))
+        _curves(
+            report,
+            validation,
+            headline_groups([g for h in after.get("horizons", []) for g in h["groups"]]),
+        )
         _next(report, content, validation)
     texts = [*content.get("warnings", [])]
     texts += [f"{label}: {w}" for label, v in validation.items() for w in v.get("warnings", [])]
-    texts += [f"{t['candidate']}: {w}" for t in content.get("training", []) for w in t.get("warnings", [])]
+    texts += [
+        f"{t['candidate']}: {w}" for t in content.get("training", []) for w in t.get("warnings", [])
+    ]
     for text in dict.fromkeys(texts):
         report.warning(text)
     _learned(report, content)
@@ -67,7 +78,9 @@ def learned_by(content: Mapping[str, Any]) -> str:
 
 def _subtitle(content: Mapping[str, Any]) -> str:
     count = len(content.get("trained_on", []))
-    return f"learned from {count} flight{'s' * (count != 1)}, {content['points']} {_counted(content)}"
+    return (
+        f"learned from {count} flight{'s' * (count != 1)}, {content['points']} {_counted(content)}"
+    )
 
 
 def _counted(content: Mapping[str, Any]) -> str:
@@ -82,15 +95,22 @@ def _answer(report: Report, content: Mapping[str, Any]) -> None:
     """What was learned, in a sentence or two."""
     if content["null"]:
         report.paragraph(
-            "Nothing was learned. No candidate lowers the multi-step errors of flights that it has not seen, so the model "
+            "Nothing was learned. No candidate lowers the multi-step errors of flights that it has "
+            "not seen, so the model "
             "stays the physics alone; only its uncertainty was calibrated."
         )
         return
     silent = _channels(content, False)
-    rest = f" Nothing held up for {', '.join(silent)}, which the model leaves to the physics." if silent else ""
+    rest = (
+        f" Nothing held up for {', '.join(silent)}, which the model leaves to the physics."
+        if silent
+        else ""
+    )
     report.paragraph(
-        f"{learned_by(content)} of {', '.join(content['features'])} adds to {', '.join(_channels(content, True))}. It "
-        f"saves {number(100 * content['fit']['held_out_gain'], 3)} % of the squared multi-step errors of flights that were "
+        f"{learned_by(content)} of {', '.join(content['features'])} adds to "
+        f"{', '.join(_channels(content, True))}. It "
+        f"saves {number(100 * content['fit']['held_out_gain'], 3)} % of the squared multi-step "
+        "errors of flights that were "
         f"left out of its fit.{rest}"
     )
 
@@ -100,7 +120,8 @@ def _learned(report: Report, content: Mapping[str, Any]) -> None:
     fit, learner = content["fit"], content.get("learner", "gp")
     if not content["null"]:
         report.paragraph(
-            "The learned push acts like a force or torque in body axes on top of the physics and is held over each "
+            "The learned push acts like a force or torque in body axes on top of the physics and "
+            "is held over each "
             "sample. " + (FAR if learner == "gp" else BEYOND)
         )
     before, after = fit["cost_before"], fit["cost_after"]
@@ -113,7 +134,10 @@ def _learned(report: Report, content: Mapping[str, Any]) -> None:
             ("Learned", ", ".join(_channels(content, True)) or "none"),
             (_counted(content).capitalize(), str(content["points"])),
             ("Solver's end", end),
-            ("Training error saved", f"{number(100 * saved, 3)} % of the weighted squared multi-step errors"),
+            (
+                "Training error saved",
+                f"{number(100 * saved, 3)} % of the weighted squared multi-step errors",
+            ),
             ("Time", f"{number(content['seconds'], 3)} s"),
         ]
     )
@@ -122,17 +146,25 @@ def _learned(report: Report, content: Mapping[str, Any]) -> None:
 def _candidates(report: Report, content: Mapping[str, Any]) -> None:
     report.section("What competed")
     dt = ((content.get("validation") or {}).get("after") or {}).get("sample_time")
-    ahead = f"{number(2 * dt)} to {number(50 * dt)} s ahead" if dt else "over the horizon of its training"
+    ahead = (
+        f"{number(2 * dt)} to {number(50 * dt)} s ahead"
+        if dt
+        else "over the horizon of its training"
+    )
     body: list[list[Cell]] = []
     for c in sorted(content["candidates"], key=lambda c: -c["held_out_gain"]):
         chosen = c["name"] == content["chosen"] and not content["null"]
-        body.append([c["name"], f"{number(100 * c['held_out_gain'], 3)} %", "chosen" if chosen else None])
+        body.append(
+            [c["name"], f"{number(100 * c['held_out_gain'], 3)} %", "chosen" if chosen else None]
+        )
     report.table(
         ["candidate", "held-out gain", ""],
         body,
         numeric=(1,),
-        caption=f"Share of the squared errors {ahead} that a candidate saves on flights left out of its fit "
-        "(one flight after the other; stretches of a flight where there are few). 0 %: no output was worth switching on.",
+        caption=f"Share of the squared errors {ahead} that a candidate saves on flights left out "
+        "of its fit "
+        "(one flight after the other; stretches of a flight where there are few). 0 %: no output "
+        "was worth switching on.",
     )
 
 
@@ -150,20 +182,37 @@ def _ahead(report: Report, validation: Mapping[str, Any]) -> None:
         return
     flights = [f["name"] for f in validation["after"].get("flights", [])]
     adapted = validation["after"].get("adapted_on")
-    text = f"Open loop from every sample of {', '.join(flights)}. Before: the physics model as it was fitted."
+    text = (
+        f"Open loop from every sample of {', '.join(flights)}. Before: the physics model as it "
+        "was fitted."
+    )
     if adapted:
-        text += f" Per-flight parameters were adapted on the first {number(adapted['seconds'])} s and frozen."
+        text += (
+            f" Per-flight parameters were adapted on the first {number(adapted['seconds'])} s "
+            "and frozen."
+        )
     report.paragraph(text)
     groups = list(dict.fromkeys(g for g, _ in after))
     _curves(report, validation, groups)
     seconds = {h["h"]: h["seconds"] for h in validation["after"]["horizons"]}
-    heads = ["seconds ahead", "RMSE before", "after", "change", "NLPD before", "after", "inside 50 %", "inside 95 %"]
+    heads = [
+        "seconds ahead",
+        "RMSE before",
+        "after",
+        "change",
+        "NLPD before",
+        "after",
+        "inside 50 %",
+        "inside 95 %",
+    ]
     for g in groups:
         body: list[list[Cell]] = []
         unit, factor = in_degrees(next(e["unit"] for (n, _), e in after.items() if n == g))
         for h in (h for name, h in after if name == g):
             new, old = after[g, h], before.get((g, h))
-            change = None if old is None or not old["rmse"] else 100 * (new["rmse"] / old["rmse"] - 1)
+            change = (
+                None if old is None or not old["rmse"] else 100 * (new["rmse"] / old["rmse"] - 1)
+            )
             body.append(
                 [
                     number(seconds[h]),
@@ -179,8 +228,10 @@ def _ahead(report: Report, validation: Mapping[str, Any]) -> None:
         report.heading(f"{g.replace('_', ' ')} [{unit}]")
         report.table(heads, body, numeric=range(len(heads)))
     report.paragraph(
-        "NLPD is the mean negative log density of the error vectors in SI units [nat], lower is better. Inside 50 % and "
-        f"95 %: share of the error vectors within the region that the learned model states; marked outside "
+        "NLPD is the mean negative log density of the error vectors in SI units [nat], lower is "
+        "better. Inside 50 % and "
+        "95 %: share of the error vectors within the region that the learned model states; marked "
+        "outside "
         f"{100 * HONEST[0]:g} to {100 * HONEST[1]:g} %."
     )
 
@@ -200,7 +251,9 @@ def _curves(report: Report, validation: Mapping[str, Any], groups: Sequence[str]
         if not curves or not dt:
             continue
         steps = max(len(v) for v, *_ in curves.values())
-        unit, factor = in_degrees(next(e["unit"] for (n, _), e in _cells(validation, "after").items() if n == g))
+        unit, factor = in_degrees(
+            next(e["unit"] for (n, _), e in _cells(validation, "after").items() if n == g)
+        )
         shown = {
             n: ([None if v is None else factor * v for v in own], colour, style)
             for n, (own, colour, style) in curves.items()
@@ -208,10 +261,20 @@ def _curves(report: Report, validation: Mapping[str, Any], groups: Sequence[str]
         figure = figures.error_growth(
             [dt * (i + 1) for i in range(steps)], shown, unit=unit, title=g.replace("_", " ")
         )
-        panels.append((figure, f"Mean {g} error against the horizon, logarithmic axes, for {' and '.join(curves)}"))
+        panels.append(
+            (
+                figure,
+                f"Mean {g} error against the horizon, logarithmic axes, for {' and '.join(curves)}",
+            )
+        )
     if panels:
-        key = [Key(text="with the learned part", colour="c1"), Key(text="physics alone", colour="c4", stroke="dash")]
-        report.figures(panels, caption="Mean of the error's vector norm (rotation: geodesic angle).", key=key)
+        key = [
+            Key(text="with the learned part", colour="c1"),
+            Key(text="physics alone", colour="c4", stroke="dash"),
+        ]
+        report.figures(
+            panels, caption="Mean of the error's vector norm (rotation: geodesic angle).", key=key
+        )
 
 
 def _share(value: float | None, honest: tuple[float, float]) -> Cell:
@@ -225,32 +288,43 @@ def _uncertainty(report: Report, content: Mapping[str, Any], validation: Mapping
     report.section("How sure it says it is")
     factors = content["calibration"]["factors"]
     report.paragraph(
-        "Every prediction carries a covariance: of the filter's state, of the physical parameters, of the learned push "
-        "(the same error over a whole prediction), of disturbances that are correlated in time and of white noise. The "
-        "process noise that a prediction collects over a horizon was scaled by one factor per group, so that the errors of "
+        "Every prediction carries a covariance: of the filter's state, of the physical parameters, "
+        "of the learned push "
+        "(the same error over a whole prediction), of disturbances that are correlated in time and "
+        "of white noise. The "
+        "process noise that a prediction collects over a horizon was scaled by one factor per "
+        "group, so that the errors of "
         "the training flights up to half a second ahead are as likely as they can be."
     )
     body: list[list[Cell]] = [[name, number(value, 3)] for name, value in factors.items()]
     report.table(
-        ["process noise", "factor"], body, numeric=(1,), caption="1: one-step noise explains the long horizons."
+        ["process noise", "factor"],
+        body,
+        numeric=(1,),
+        caption="1: one-step noise explains the long horizons.",
     )
     large = [n for n, v in factors.items() if v > 1 / LOUD]
     small = [n for n, v in factors.items() if v < LOUD]
     texts = [
-        f"Log density gained by the calibration: {number(content['calibration']['gain'], 3)} nat per error vector."
+        f"Log density gained by the calibration: {number(content['calibration']['gain'], 3)} nat "
+        "per error vector."
     ]
     if large:
         texts.append(
-            f"Errors of {', '.join(large)} grow faster than one-step errors say: something slow is still missing."
+            f"Errors of {', '.join(large)} grow faster than one-step errors say: something slow is "
+            "still missing."
         )
     if small:
         texts.append(
-            f"Errors of {', '.join(small)} grow more slowly than one-step errors say: much of that noise averages out."
+            f"Errors of {', '.join(small)} grow more slowly than one-step errors say: much of that "
+            "noise averages out."
         )
     cells = _cells(validation, "after")
     stated = {k: e["coverage95"] for k, e in cells.items() if e.get("coverage95") is not None}
     outside = [
-        f"{g} at {h} samples ({100 * v:.0f} %)" for (g, h), v in stated.items() if not HONEST[0] <= v <= HONEST[1]
+        f"{g} at {h} samples ({100 * v:.0f} %)"
+        for (g, h), v in stated.items()
+        if not HONEST[0] <= v <= HONEST[1]
     ]
     report.bullets(texts)
     if outside:
@@ -258,7 +332,8 @@ def _uncertainty(report: Report, content: Mapping[str, Any], validation: Mapping
     elif stated:
         low, high = min(stated.values()), max(stated.values())
         report.verdict(
-            f"On the validated flights the stated 95 % regions hold {100 * low:.0f} to {100 * high:.0f} % of the errors."
+            f"On the validated flights the stated 95 % regions hold {100 * low:.0f} to "
+            f"{100 * high:.0f} % of the errors."
         )
 
 
@@ -267,14 +342,21 @@ def _training(report: Report, content: Mapping[str, Any]) -> None:
     for t in content.get("training", []):
         for o in t["outputs"]:
             gain = None if o.get("gain") is None else number(o["gain"], 3)
-            cells: list[Cell] = [o["status"], number(o["signal_std"], 3), number(o["noise_std"], 3), gain]
+            cells: list[Cell] = [
+                o["status"],
+                number(o["signal_std"], 3),
+                number(o["noise_std"], 3),
+                gain,
+            ]
             body.append([f"{t['candidate']}: {o['name']}", *cells])
     if not body:
         return
     report.section("Marginal likelihood on the smoothed disturbances")
     report.paragraph(
-        "These processes give the kernels; their weights were then fitted again by multi-step errors. Where a held-out gain "
-        "is stated, above zero means that the smoothed disturbances of held-out flights are predicted better than by a "
+        "These processes give the kernels; their weights were then fitted again by multi-step "
+        "errors. Where a held-out gain "
+        "is stated, above zero means that the smoothed disturbances of held-out flights are "
+        "predicted better than by a "
         "constant."
     )
     with report.details(f"All outputs of all candidates ({len(body)})"):
@@ -292,17 +374,24 @@ def _next(report: Report, content: Mapping[str, Any], validation: Mapping[str, A
         if (g, h) in before and e["rmse"] > 1.01 * before[g, h]["rmse"]
     ]
     if not after:
-        texts.append("Validate on flights that nobody fitted: greybox validate hybrid.json --log NEW.csv")
+        texts.append(
+            "Validate on flights that nobody fitted: greybox validate hybrid.json --log NEW.csv"
+        )
     elif worse:
-        texts.append(f"Errors grew for {', '.join(worse)}: keep the physics model, or learn from more varied flights.")
+        texts.append(
+            f"Errors grew for {', '.join(worse)}: keep the physics model, or learn from more "
+            "varied flights."
+        )
     if content["null"]:
         texts.append(
-            "Where you expected something to learn: fly faster or more varied, give --inputs that the missing effect "
+            "Where you expected something to learn: fly faster or more varied, give --inputs that "
+            "the missing effect "
             "depends on, or look for an effect by name with greybox effects."
         )
     else:
         texts.append(
-            "What depends smoothly on few inputs may have a name: an effect of the catalogue extrapolates, a learned push "
+            "What depends smoothly on few inputs may have a name: an effect of the catalogue "
+            "extrapolates, a learned push "
             "does not. Compare with greybox effects."
         )
         if not worse and after:

@@ -11,11 +11,24 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from greybox.linear.uncertainty import ComplexEstimate
-from greybox.report.figures import _BOTTOM, _LEFT, _RIGHT, _TOP, MUTED, SERIES, WIDTH, _axes, _figure, _label, _panel
+from greybox.report.figures import (
+    _BOTTOM,
+    _LEFT,
+    _RIGHT,
+    _TOP,
+    MUTED,
+    SERIES,
+    WIDTH,
+    _axes,
+    _figure,
+    _label,
+    _panel,
+)
 
 
 def singular_values(values: npt.ArrayLike, order: int) -> Figure:
-    """Singular values of the subspace start on a logarithmic axis; those that the chosen order keeps are filled."""
+    """Singular values of the subspace start on a logarithmic axis; those that the chosen order
+    keeps are filled."""
     figure, axes = _panel(2.2)
     s = np.asarray(values, dtype=np.float64)[:20]
     n = np.arange(1, len(s) + 1)
@@ -32,7 +45,9 @@ def criteria(table: Sequence[Mapping[str, Any]], order: int) -> Figure:
     n = [r["order"] for r in table]
     for name, colour in (("aic", SERIES[1]), ("aicc", SERIES[2]), ("bic", SERIES[0])):
         v = np.array([r[name] for r in table], dtype=float)
-        axes.semilogy(n, v - np.nanmin(v) + 1.0, marker="o", color=colour, markersize=4, linewidth=1.2)
+        axes.semilogy(
+            n, v - np.nanmin(v) + 1.0, marker="o", color=colour, markersize=4, linewidth=1.2
+        )
     axes.axvline(order, color=MUTED, linestyle=":", linewidth=1.0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     _label(axes, x="order", title="criterion above its smallest value, plus 1")
@@ -40,7 +55,8 @@ def criteria(table: Sequence[Mapping[str, Any]], order: int) -> Figure:
 
 
 def pole_map(poles: ComplexEstimate, zeros: ComplexEstimate) -> Figure:
-    """Poles (crosses) and zeros (circles) with 95 % ellipses in the complex plane, and the unit circle."""
+    """Poles (crosses) and zeros (circles) with 95 % ellipses in the complex plane, and the unit
+    circle."""
     figure = _figure(_TOP + _BOTTOM + 3.6)
     axes = _axes(figure, _LEFT, _BOTTOM, 3.8, 3.6)
     angle = np.linspace(0, 2 * np.pi, 181)
@@ -51,7 +67,14 @@ def pole_map(poles: ComplexEstimate, zeros: ComplexEstimate) -> Figure:
                 continue
             edge = estimate.ellipse(i)
             axes.plot(edge.real, edge.imag, color=colour, linewidth=0.9)
-            axes.plot([value.real], [value.imag], marker, color=colour, markersize=5, markerfacecolor="none")
+            axes.plot(
+                [value.real],
+                [value.imag],
+                marker,
+                color=colour,
+                markersize=5,
+                markerfacecolor="none",
+            )
     axes.set_xlim(-1.3, 1.3)
     axes.set_ylim(-1.3, 1.3)
     axes.set_aspect("equal")
@@ -60,17 +83,28 @@ def pole_map(poles: ComplexEstimate, zeros: ComplexEstimate) -> Figure:
 
 
 def bode(
-    frequency: npt.ArrayLike, data: Mapping[str, npt.NDArray[np.float64]], i: int, j: int, *, title: str
+    frequency: npt.ArrayLike,
+    data: Mapping[str, npt.NDArray[np.float64]],
+    i: int,
+    j: int,
+    *,
+    title: str,
 ) -> Figure:
-    """Magnitude and phase [deg] of channel (output i, input j) over `frequency` [Hz] with 95 % bands."""
+    """Magnitude and phase [deg] of channel (output i, input j) over `frequency` [Hz] with 95 %
+    bands."""
     f = np.asarray(frequency, dtype=np.float64)
     each, space = 1.25, 0.2
     figure = _figure(_TOP + _BOTTOM + 2 * each + space)
     upper = _axes(figure, _LEFT, _BOTTOM + each + space, WIDTH - _LEFT - _RIGHT, each)
     lower = _axes(figure, _LEFT, _BOTTOM, WIDTH - _LEFT - _RIGHT, each)
-    size, spread = data["magnitude"][:, i, j], np.minimum(1.96 * data["log_magnitude_std"][:, i, j], 5.0)
+    size, spread = (
+        data["magnitude"][:, i, j],
+        np.minimum(1.96 * data["log_magnitude_std"][:, i, j], 5.0),
+    )
     upper.loglog(f, size, color=SERIES[0], linewidth=1.4)
-    upper.fill_between(f, size * np.exp(-spread), size * np.exp(spread), color=SERIES[0], alpha=0.2, linewidth=0)
+    upper.fill_between(
+        f, size * np.exp(-spread), size * np.exp(spread), color=SERIES[0], alpha=0.2, linewidth=0
+    )
     phase = np.degrees(data["phase"][:, i, j])
     band = np.minimum(np.degrees(1.96 * data["phase_std"][:, i, j]), 180.0)
     lower.semilogx(f, phase, color=SERIES[0], linewidth=1.4)
@@ -85,7 +119,13 @@ def bode(
 
 
 def spectra(
-    frequency: npt.ArrayLike, output: npt.ArrayLike, error: npt.ArrayLike, *, low: float, high: float, title: str
+    frequency: npt.ArrayLike,
+    output: npt.ArrayLike,
+    error: npt.ArrayLike,
+    *,
+    low: float,
+    high: float,
+    title: str,
 ) -> Figure:
     """Spectra of output and innovation of one channel between `low` and `high` Hz."""
     figure, axes = _panel(2.2)

@@ -17,19 +17,31 @@ from greybox.report.words import p_value
 
 
 def linear_report(
-    content: Mapping[str, Any], results: Sequence[Identified], train: Sequence[Record], test: Sequence[Record]
+    content: Mapping[str, Any],
+    results: Sequence[Identified],
+    train: Sequence[Record],
+    test: Sequence[Record],
 ) -> str:
-    """The page for the content of fit.json, the fits behind it and the records they were scored on."""
+    """The page for the content of fit.json, the fits behind it and the records they were scored
+    on."""
     names = ", ".join(s["name"] for s in content["outputs"])
-    report = Report("Linear model", f"{names} from {', '.join(s['name'] for s in content['inputs']) or 'nothing'}")
+    report = Report(
+        "Linear model",
+        f"{names} from {', '.join(s['name'] for s in content['inputs']) or 'nothing'}",
+    )
     for r in results:
         for w in r.fit.warnings:
             report.warning(f"{r.fit.model.name}: {w}" if len(results) > 1 else w)
         if r.whiteness is not None and any(c.test.p_value < 0.01 for c in r.whiteness.channels):
             bad = ", ".join(c.name for c in r.whiteness.channels if c.test.p_value < 0.01)
-            kind = "robust standard errors are given" if r.fit.robust is not None else "standard errors are too small"
+            kind = (
+                "robust standard errors are given"
+                if r.fit.robust is not None
+                else "standard errors are too small"
+            )
             report.warning(
-                f"innovations of {bad} are not white: something is not linear, not constant or not measured; {kind}"
+                f"innovations of {bad} are not white: something is not linear, not constant or not "
+                f"measured; {kind}"
             )
     report.section("What was fitted")
     report.facts(
@@ -58,7 +70,8 @@ def _model(report: Report, r: Identified) -> None:
     report.section(f"Model {fit.model.name}")
     report.paragraph(
         "x[k+1] = A x[k] + B (u[k] - u0) + K e[k],  y[k] = y0 + C x[k] + D (u[k] - u0) + e[k]; "
-        f"order {fit.order}, {fit.parameters} free parameters, {fit.samples} samples. {fit.status.value}."
+        f"order {fit.order}, {fit.parameters} free parameters, {fit.samples} samples. "
+        f"{fit.status.value}."
     )
     if any(fit.model.delays):
         pairs = ", ".join(f"{n} {d}" for n, d in zip(fit.model.inputs.names, fit.model.delays))
@@ -69,7 +82,16 @@ def _model(report: Report, r: Identified) -> None:
         report.bullets(list(choice.reasons))
         table = [vars(row) for row in choice.rows]
         report.table(
-            ["order", "\N{MINUS SIGN}2 log L", "parameters", "AIC", "AICc", "BIC", "whiteness p", "held-out"],
+            [
+                "order",
+                "\N{MINUS SIGN}2 log L",
+                "parameters",
+                "AIC",
+                "AICc",
+                "BIC",
+                "whiteness p",
+                "held-out",
+            ],
             [
                 [
                     f"{row['order']}" + (" (chosen)" if row["order"] == choice.order else ""),
@@ -83,14 +105,19 @@ def _model(report: Report, r: Identified) -> None:
                 ]
                 for row in table
             ],
-            caption="held-out: e' Lambda^-1 e + log det Lambda on data that the compared fit did not see (trimmed mean)",
+            caption="held-out: e' Lambda^-1 e + log det Lambda on data that the compared fit did "
+            "not see (trimmed mean)",
         )
         report.figures(
             [
                 (linear_figures.singular_values(fit.singular_values, fit.order), "singular values"),
                 (linear_figures.criteria(table, choice.order), "criteria against order"),
             ],
-            key=[Key(text="BIC", colour="c1"), Key(text="AIC", colour="c2"), Key(text="AICc", colour="c3")],
+            key=[
+                Key(text="BIC", colour="c1"),
+                Key(text="AIC", colour="c2"),
+                Key(text="AICc", colour="c3"),
+            ],
         )
     report.heading("Poles and zeros")
     poles, zeros = fit.uncertainty.poles(), fit.uncertainty.zeros()
@@ -101,7 +128,9 @@ def _model(report: Report, r: Identified) -> None:
             continue
         rate = -np.log(max(abs(value), 1e-12)) / fit.model.dt
         hertz = np.abs(np.log(value if value != 0 else 1e-12)) / (2 * np.pi * fit.model.dt)
-        text = f"{value.real:.5f}" + (f" \N{PLUS-MINUS SIGN} {value.imag:.5f}j" if value.imag > 0 else "")
+        text = f"{value.real:.5f}" + (
+            f" \N{PLUS-MINUS SIGN} {value.imag:.5f}j" if value.imag > 0 else ""
+        )
         rows.append(
             [
                 text,
@@ -115,14 +144,21 @@ def _model(report: Report, r: Identified) -> None:
     report.table(
         ["pole", "std real", "std imaginary", "frequency [Hz]", "time constant [s]", "strength"],
         rows,
-        caption=f"{fit.errors} standard errors; strength: Wald statistic of the mode per degree of freedom "
-        "(1 is noise); the error of a weak mode, or of one with a close neighbour, is larger than its standard error",
+        caption=f"{fit.errors} standard errors; strength: Wald statistic of the mode per degree of "
+        "freedom "
+        "(1 is noise); the error of a weak mode, or of one with a close neighbour, is larger than "
+        "its standard error",
     )
     if r.intervals:
         report.table(
             ["pole", "quantity", "lower", "upper"],
             [
-                [f"{i.pole.real:.5f} {i.pole.imag:+.5f}j", i.quantity, _none(i.lower), _none(i.upper)]
+                [
+                    f"{i.pole.real:.5f} {i.pole.imag:+.5f}j",
+                    i.quantity,
+                    _none(i.lower),
+                    _none(i.upper),
+                ]
                 for i in r.intervals
             ],
             caption="95 % profile likelihood intervals; an empty end is open",
@@ -141,13 +177,20 @@ def _model(report: Report, r: Identified) -> None:
             for j, name in enumerate(fit.model.inputs.names):
                 if len(panels) < 12:
                     panels.append(
-                        (linear_figures.bode(f, data, i, j, title=f"{name} to {output}"), f"Bode {name} to {output}")
+                        (
+                            linear_figures.bode(f, data, i, j, title=f"{name} to {output}"),
+                            f"Bode {name} to {output}",
+                        )
                     )
         with report.details("Bode diagrams with 95 % bands", open=len(panels) <= 4):
             report.figures(panels)
     with report.details("matrices"):
-        parts = [f"{w} =\n{np.array2string(v, precision=6)}" for w, v in zip("ABCDK", fit.model.matrices)]
-        report.code("\n".join([*parts, f"Lambda =\n{np.array2string(fit.model.noise, precision=6)}"]))
+        parts = [
+            f"{w} =\n{np.array2string(v, precision=6)}" for w, v in zip("ABCDK", fit.model.matrices)
+        ]
+        report.code(
+            "\n".join([*parts, f"Lambda =\n{np.array2string(fit.model.noise, precision=6)}"])
+        )
 
 
 def _residuals(report: Report, r: Identified) -> None:
@@ -156,12 +199,17 @@ def _residuals(report: Report, r: Identified) -> None:
     if r.whiteness is not None:
         report.table(
             ["output", "lags outside the 99 % band", "predictable share", "Ljung-Box p"],
-            [[c.name, c.outside, c.predictable, p_value(c.test.p_value)] for c in r.whiteness.channels],
+            [
+                [c.name, c.outside, c.predictable, p_value(c.test.p_value)]
+                for c in r.whiteness.channels
+            ],
         )
         report.figures(
             [
                 (
-                    figures.correlogram(np.arange(1, len(c.r) + 1), c.r, c.band, title=f"e of {c.name}"),
+                    figures.correlogram(
+                        np.arange(1, len(c.r) + 1), c.r, c.band, title=f"e of {c.name}"
+                    ),
                     f"autocorrelation {c.name}",
                 )
                 for c in r.whiteness.channels
@@ -179,7 +227,9 @@ def _residuals(report: Report, r: Identified) -> None:
             report.figures(
                 [
                     (
-                        figures.correlogram(lags, p.r, p.band, title=f"e of {p.innovation} after {p.input}"),
+                        figures.correlogram(
+                            lags, p.r, p.band, title=f"e of {p.innovation} after {p.input}"
+                        ),
                         "cross-correlation",
                     )
                     for p in worst[:6]
@@ -196,7 +246,12 @@ def _residuals(report: Report, r: Identified) -> None:
             [
                 (
                     linear_figures.spectra(
-                        s.frequency, s.output_spectrum[:, i], s.error_spectrum[:, i], low=s.low, high=s.high, title=n
+                        s.frequency,
+                        s.output_spectrum[:, i],
+                        s.error_spectrum[:, i],
+                        low=s.low,
+                        high=s.high,
+                        title=n,
                     ),
                     f"spectra {n}",
                 )
@@ -222,10 +277,16 @@ def _test(report: Report, r: Identified, test: Sequence[Record]) -> None:
     if spectral_radius(fit.model.matrices.a) >= 1.0:
         report.paragraph("The model is unstable, so that there is no free run.")
         return
-    record = Record(u=test[0].u[:, list(r.columns)], y=test[0].y[:, list(r.outputs)], name=test[0].name)
+    record = Record(
+        u=test[0].u[:, list(r.columns)], y=test[0].y[:, list(r.outputs)], name=test[0].name
+    )
     known = adapt(fit.model, record, r.adapted_on)
     moved = delayed(record, fit.model.delays)
-    y = simulate(fit.model, record.u, x0=known.x0)[len(record) - len(moved) :] + known.offset - fit.model.output_offset
+    y = (
+        simulate(fit.model, record.u, x0=known.x0)[len(record) - len(moved) :]
+        + known.offset
+        - fit.model.output_offset
+    )
     time = np.arange(len(moved)) * fit.model.dt
     lines = {
         n: [

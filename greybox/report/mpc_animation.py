@@ -1,7 +1,9 @@
-"""The animation of `greybox mpc`: flights packed as numbers, and the markup that mpc_animation.js moves.
+"""The animation of `greybox mpc`: flights packed as numbers, and the markup that mpc_animation.js
+moves.
 
-Four views (from above and from the side, each whole and close up) and the distance to the nearest limit over time. The
-tube is the plan that stands at the moment, with 95 % ellipses of its covariance and, in the distance, its back-off.
+Four views (from above and from the side, each whole and close up) and the distance to the nearest
+limit over time. The tube is the plan that stands at the moment, with 95 % ellipses of its
+covariance and, in the distance, its back-off.
 """
 
 from __future__ import annotations
@@ -13,9 +15,14 @@ from typing import Any
 from greybox.report.html import embedded_json
 
 LOOKS: Mapping[str, tuple[str, str]] = {
-    "tube": ("c1", "line"), "hybrid": ("c2", "line"), "mean": ("c2", "line"), "constant": ("c3", "line"),
-    "nominal": ("c4", "dash"), "pem": ("c5", "dash"), "cascade": ("ink", "dots"),
-}  # fmt: skip
+    "tube": ("c1", "line"),
+    "hybrid": ("c2", "line"),
+    "mean": ("c2", "line"),
+    "constant": ("c3", "line"),
+    "nominal": ("c4", "dash"),
+    "pem": ("c5", "dash"),
+    "cascade": ("ink", "dots"),
+}
 """Colour and stroke of every controller, in all figures of the report."""
 
 CSS = """
@@ -71,9 +78,12 @@ def look(name: str) -> tuple[str, str]:
 
 
 def packed(
-    content: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], traces: Mapping[int, Mapping[str, Any]]
+    content: Mapping[str, Any],
+    rows: Sequence[Mapping[str, Any]],
+    traces: Mapping[int, Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """Numbers of the animation from mpc.json, rows of flights and {seed: {controller: trace}}; positions in metres."""
+    """Numbers of the animation from mpc.json, rows of flights and {seed: {controller: trace}};
+    positions in metres."""
     course = content["course"]
     by_flight = {(r["controller"], r["seed"]): r for r in rows}
     flights: list[dict[str, Any]] = []
@@ -87,11 +97,16 @@ def packed(
                 continue
             step = trace["time"][1] - trace["time"][0]
             found[name] = {
-                "path": [[round(v, 3) for v in p] for p in trace["path"]], "near": trace["nearest"],
-                "crossings": row["crossings"], "crashed": row["crashed"],
-            }  # fmt: skip
+                "path": [[round(v, 3) for v in p] for p in trace["path"]],
+                "near": trace["nearest"],
+                "crossings": row["crossings"],
+                "crashed": row["crashed"],
+            }
             if name == "tube":
-                plans = [{k: p[k] for k in ("time", "place", "spread", "left", "backoff")} for p in trace["plans"]]
+                plans = [
+                    {k: p[k] for k in ("time", "place", "spread", "left", "backoff")}
+                    for p in trace["plans"]
+                ]
         if found:
             flights.append({"seed": seed, "runs": found, "plans": plans})
         if plans:
@@ -99,61 +114,93 @@ def packed(
             times = [course["plan_time"] * round(course["horizon"] * i / (n - 1)) for i in range(n)]
     names = [n for n in content["controllers"] if any(n in f["runs"] for f in flights)]
     return {
-        "step": step, "ahead": course["horizon"] * course["plan_time"], "times": times, "stages": len(times),
+        "step": step,
+        "ahead": course["horizon"] * course["plan_time"],
+        "times": times,
+        "stages": len(times),
         "plain": content["what"]["plain"],
         "course": {
-            "planes": course["planes"], "path": course["path"],
+            "planes": course["planes"],
+            "path": course["path"],
             "step": course["duration"] / max(1, len(course["path"]) - 1),
         },
         "controllers": [
-            {"name": n, "text": content["controllers"][n]["text"], "colour": look(n)[0], "stroke": look(n)[1]} for n in names
+            {
+                "name": n,
+                "text": content["controllers"][n]["text"],
+                "colour": look(n)[0],
+                "stroke": look(n)[1],
+            }
+            for n in names
         ],
         "flights": flights,
-    }  # fmt: skip
+    }
 
 
 def who_flies(controllers: Sequence[Mapping[str, Any]], said: str) -> str:
-    """Items of a list: a box, the stroke, and the place `said`-NAME for the words of every controller."""
+    """Items of a list: a box, the stroke, and the place `said`-NAME for the words of every
+    controller."""
     return "".join(
         f'<li><label><input type="checkbox" checked="checked" value="{escape(c["name"])}"/>'
         f'<span class="stroke {c["stroke"]}" style="color: var(--{c["colour"]})"></span>'
-        f'<span>{escape(c["name"])}: {escape(c["text"])} <b id="{said}-{escape(c["name"])}"></b></span></label></li>'
+        f"<span>{escape(c['name'])}: {escape(c['text'])} <b "
+        f'id="{said}-{escape(c["name"])}"></b></span></label></li>'
         for c in controllers
     )
 
 
 def which_flight(flights: Sequence[Mapping[str, Any]]) -> str:
     """Options of a choice, one for every flight."""
-    return "".join(f'<option value="{i}">Flight {i + 1} (seed {f["seed"]})</option>' for i, f in enumerate(flights))
+    return "".join(
+        f'<option value="{i}">Flight {i + 1} (seed {f["seed"]})</option>'
+        for i, f in enumerate(flights)
+    )
 
 
 def markup(data: Mapping[str, Any]) -> str:
-    """The animation's frame with its data; shown by the script alone, so that without one the figures below stand for it."""
+    """The animation's frame with its data; shown by the script alone, so that without one the
+    figures below stand for it."""
     text = embedded_json(data)
     who, choices = who_flies(data["controllers"], "said"), which_flight(data["flights"])
     views = "".join(
         f'<div><h4>{title}</h4><svg id="{name}" role="img" aria-label="{label}"></svg></div>'
         for name, title, label in (
             ("above", "From above", "The course, its limits and the flown paths, from above"),
-            ("above-close", "From above, with the vehicle", "Tube and paths near the vehicle, from above"),
+            (
+                "above-close",
+                "From above, with the vehicle",
+                "Tube and paths near the vehicle, from above",
+            ),
             ("side", "From the side", "The course, its limits and the flown paths, from the side"),
-            ("side-close", "From the side, with the vehicle", "Tube and paths near the vehicle, from the side"),
+            (
+                "side-close",
+                "From the side, with the vehicle",
+                "Tube and paths near the vehicle, from the side",
+            ),
         )
     )
     paces = "".join(
         f'<option value="{v}"{" selected=" + chr(34) + "selected" + chr(34) if v == 0.25 else ""}>{t}</option>'
-        for v, t in ((0.1, "1/10 speed"), (0.25, "1/4 speed"), (0.5, "half speed"), (1, "full speed"))
+        for v, t in (
+            (0.1, "1/10 speed"),
+            (0.25, "1/4 speed"),
+            (0.5, "half speed"),
+            (1, "full speed"),
+        )
     )
     return (
         '<div class="flight" id="flight" hidden="hidden"><div class="controls">'
         '<button type="button" id="flight-play" aria-pressed="false">Play</button>'
-        '<input type="range" id="flight-time" min="0" max="1" step="0.02" value="0" aria-label="Time in the flight"/>'
+        '<input type="range" id="flight-time" min="0" max="1" step="0.02" value="0" '
+        'aria-label="Time in the flight"/>'
         f'<select id="flight-pace" aria-label="Speed of the animation">{paces}</select>'
         f'<select id="flight-choice" aria-label="Flight">{choices}</select>'
         '<output id="flight-readout" for="flight-time"></output>'
-        '<span id="flight-still" hidden="hidden">Your system asks for less motion: move the slider.</span></div>'
+        '<span id="flight-still" hidden="hidden">Your system asks for less motion: move the '
+        "slider.</span></div>"
         f'<ul class="who" aria-label="Controllers">{who}</ul><div class="views">{views}</div>'
         "<h4>Distance to the nearest limit [cm]</h4>"
-        '<svg id="distance" role="img" aria-label="Distance to the nearest limit over time, and what the tube plans"></svg>'
+        '<svg id="distance" role="img" aria-label="Distance to the nearest limit over time, and '
+        'what the tube plans"></svg>'
         f'</div><script type="application/json" id="flight-data">{text}</script>'
     )

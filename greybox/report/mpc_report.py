@@ -21,7 +21,10 @@ Row = Mapping[str, Any]
 Traces = Mapping[int, Mapping[str, Any]]
 AXES = ("c1", "c2", "c3")
 """Colours of x, y and z."""
-MARGIN_KEY = (Key(text="worst flight", colour="ink"), Key(text="median flight", colour="ink", stroke="dash"))
+MARGIN_KEY = (
+    Key(text="worst flight", colour="ink"),
+    Key(text="median flight", colour="ink", stroke="dash"),
+)
 CELL = 0.1
 """Length of the cells of a row's `nearest` [s]."""
 
@@ -70,7 +73,9 @@ def _kept(content: Mapping[str, Any]) -> bool:
     return bool(tube.get("flights")) and tube["p_value"] >= 0.05 and not tube["crashed"]
 
 
-def _flight(report: Report, content: Mapping[str, Any], rows: Sequence[Row], traces: Traces) -> None:
+def _flight(
+    report: Report, content: Mapping[str, Any], rows: Sequence[Row], traces: Traces
+) -> None:
     data = packed(content, rows, traces)
     if not data["flights"]:
         return
@@ -88,7 +93,12 @@ def _flight(report: Report, content: Mapping[str, Any], rows: Sequence[Row], tra
 
 def _passages(report: Report, content: Mapping[str, Any], data: Mapping[str, Any]) -> None:
     """What the animation shows, for paper: paths past every limit."""
-    runs = [(name, run["path"]) for f in data["flights"] for name, run in f["runs"].items() if not run["crashed"]]
+    runs = [
+        (name, run["path"])
+        for f in data["flights"]
+        for name, run in f["runs"].items()
+        if not run["crashed"]
+    ]
     # The tube is drawn over the others.
     drawn = [(path, *look(name)) for name, path in sorted(runs, key=lambda r: r[0] == "tube")]
     panels = []
@@ -101,7 +111,9 @@ def _passages(report: Report, content: Mapping[str, Any], data: Mapping[str, Any
         key=[
             Key(text=c["name"], colour=c["colour"], stroke=c["stroke"])
             for c in data["controllers"]
-            if not all(f["runs"].get(c["name"], {"crashed": True})["crashed"] for f in data["flights"])
+            if not all(
+                f["runs"].get(c["name"], {"crashed": True})["crashed"] for f in data["flights"]
+            )
         ],
         caption=f"Paths past every limit in {count} flight{'s' * (count != 1)}, crashed ones left out; the "
         f"limit is at 0 cm, "
@@ -137,19 +149,36 @@ def _table(report: Report, content: Mapping[str, Any]) -> None:
             continue
         body.append(
             [
-                name, c["text"], f"{c['crossed']['count']} of {c['flights']}", _counted(c["crossed"]), c["crashed"],
-                c["tilted"], f"{100 * c['rmse']:.1f}", number(c["cost"], 3), _cost(name, content),
+                name,
+                c["text"],
+                f"{c['crossed']['count']} of {c['flights']}",
+                _counted(c["crossed"]),
+                c["crashed"],
+                c["tilted"],
+                f"{100 * c['rmse']:.1f}",
+                number(c["cost"], 3),
+                _cost(name, content),
             ]
-        )  # fmt: skip
+        )
     report.table(
-        ["controller", "what it flies with", "beyond", "95 % interval", "crashed", "tilted", "RMSE [cm]", "cost",
-         "against tube"],
-        body, numeric=(2, 3, 4, 5, 6, 7, 8),
+        [
+            "controller",
+            "what it flies with",
+            "beyond",
+            "95 % interval",
+            "crashed",
+            "tilted",
+            "RMSE [cm]",
+            "cost",
+            "against tube",
+        ],
+        body,
+        numeric=(2, 3, 4, 5, 6, 7, 8),
         caption="Beyond: the true centre of mass crossed a plane, or the flight crashed. Interval: exact (Clopper and "
         "Pearson). Tilted: further than allowed. Cost: tracking cost per sample with the controller's own "
         "weights, 100 for a "
         "crash; against the tube: paired by seed, with one standard error.",
-    )  # fmt: skip
+    )
     planes = [p["name"] for p in content["course"]["planes"]]
     body = []
     for name in _names(content):
@@ -158,15 +187,21 @@ def _table(report: Report, content: Mapping[str, Any]) -> None:
         for p in planes:
             margin = c["margins"][p]
             hits = c["crossed_planes"][p]
-            nearest = "\N{EN DASH}" if margin is None else f"{100 * margin:.1f}".replace("-", "\N{MINUS SIGN}")
+            nearest = (
+                "\N{EN DASH}"
+                if margin is None
+                else f"{100 * margin:.1f}".replace("-", "\N{MINUS SIGN}")
+            )
             cells.append(nearest + (f" ({hits})" if hits else ""))
         body.append(cells)
     with report.details("Which limit, and how far"):
         report.table(
-            ["controller", *(f"{p} [cm]" for p in planes)], body, numeric=range(1, 1 + len(planes)),
+            ["controller", *(f"{p} [cm]" for p in planes)],
+            body,
+            numeric=range(1, 1 + len(planes)),
             caption="Least distance of all flights to every limit, negative beyond it; in brackets how many "
-                    "flights crossed it.",
-        )  # fmt: skip
+            "flights crossed it.",
+        )
 
 
 def _what(report: Report, content: Mapping[str, Any]) -> None:
@@ -185,31 +220,50 @@ def _what(report: Report, content: Mapping[str, Any]) -> None:
     seeds = content["seeds"]
     rows = [
         ("Model", what["model"]),
-        ("Learned part", ", ".join(what["learned"]) or "none: the tube knows noise and parameter errors alone"),
+        (
+            "Learned part",
+            ", ".join(what["learned"]) or "none: the tube knows noise and parameter errors alone",
+        ),
         ("Identified from", ", ".join(what["trained_on"]) or "not said"),
-        ("Course", f"{number(course['duration'], 3)} s, {len(course['planes'])} planes, tilt up to "
-                   f"{np.degrees(course['tilt_max']):.0f}°, commands {course['command_min']:g} to "
-                   f"{course['command_max']:g}"),
-        ("Pace", "as designed" if course["pace"] == 1 else f"{number(course['pace'], 3)} times the time it was "
-                                                           f"designed for"),
-        ("Controller", f"plans every {1e3 * course['plan_time']:.0f} ms over {course['horizon']} stages, one real-time "
-                       "iteration a plan; the identified filter estimates the state from measurements"),
+        (
+            "Course",
+            f"{number(course['duration'], 3)} s, {len(course['planes'])} planes, tilt up to "
+            f"{np.degrees(course['tilt_max']):.0f}°, commands {course['command_min']:g} to "
+            f"{course['command_max']:g}",
+        ),
+        (
+            "Pace",
+            "as designed"
+            if course["pace"] == 1
+            else f"{number(course['pace'], 3)} times the time it was designed for",
+        ),
+        (
+            "Controller",
+            f"plans every {1e3 * course['plan_time']:.0f} ms over {course['horizon']} stages, one real-time "
+            "iteration a plan; the identified filter estimates the state from measurements",
+        ),
         ("Tube", _tightened(tuning)),
-        ("Constant back-off", f"{1e3 * tuning['moved']:.1f} mm, from {tuning['flights']} training flights on this course"),
-        ("Gusts", f"seeds {seeds['first']} to {seeds['first'] + seeds['count'] - 1}, the same for every "
-                  "controller; training seeds are others"),
-    ]  # fmt: skip
+        (
+            "Constant back-off",
+            f"{1e3 * tuning['moved']:.1f} mm, from {tuning['flights']} training flights on this course",
+        ),
+        (
+            "Gusts",
+            f"seeds {seeds['first']} to {seeds['first'] + seeds['count'] - 1}, the same for every "
+            "controller; training seeds are others",
+        ),
+    ]
     report.facts(rows)
 
 
 def _tightened(tuning: Mapping[str, Any]) -> str:
     """Where the tube's back-off comes from."""
-    touched = (
-        f"{number(tuning['pairs'], 3)} limits that a flight without tightening touches ({tuning['flights']} flights)"
-    )
+    touched = f"{number(tuning['pairs'], 3)} limits that a flight without tightening touches ({tuning['flights']} flights)"
     if tuning["risk"] == "boole":
         return f"{number(tuning['kappa'], 3)} standard deviations, by Boole's inequality over {touched}"
-    tried = ", ".join(f"{r['crossed']} of {r['flights']} at {r['kappa']:g}" for r in tuning["rehearsed"])
+    tried = ", ".join(
+        f"{r['crossed']} of {r['flights']} at {r['kappa']:g}" for r in tuning["rehearsed"]
+    )
     return (
         f"{number(tuning['kappa'], 3)} standard deviations, rehearsed on the model itself (beyond a limit: {tried}); "
         f"Boole's inequality over {touched} would ask for {number(tuning['boole'], 3)}"
@@ -238,7 +292,9 @@ def _margin_panels(
         mine = [r["nearest"] for r in rows if r["controller"] == name]
         crashes = content["controllers"][name]["crashed"]
         title = f"{name}, {len(mine)} flights" + (f", {crashes} crashed" if crashes else "")
-        figure = mpc_figures.margins(mine, CELL, content["course"]["duration"], title=title, colour=look(name)[0])
+        figure = mpc_figures.margins(
+            mine, CELL, content["course"]["duration"], title=title, colour=look(name)[0]
+        )
         panels.append((figure, f"Distance to the nearest limit over time, {name}"))
     return panels
 
@@ -261,13 +317,18 @@ def _unsure(report: Report, content: Mapping[str, Any], traces: Traces) -> None:
         if sd.any():
             looks = [COLOURS[AXES["xyz".index(what["learned"][k][-1])]] for k in at]
             rows[f"{kind} [{unit}]"] = [
-                figures.Line(values=v, colour=c, width=1.3) for v, c in zip(sd.T, looks, strict=True) if v.any()
+                figures.Line(values=v, colour=c, width=1.3)
+                for v, c in zip(sd.T, looks, strict=True)
+                if v.any()
             ]
     wide = 100 * np.sqrt([[s[0], s[3], s[5]] for s in (p["spread"][-1] for p in plans)])
     rows["plan's end [cm]"] = [
-        figures.Line(values=v, colour=COLOURS[c], width=1.3) for v, c in zip(wide.T, AXES, strict=True)
+        figures.Line(values=v, colour=COLOURS[c], width=1.3)
+        for v, c in zip(wide.T, AXES, strict=True)
     ]
-    rows["outside data"] = [figures.Line(values=[p["outside"] for p in plans], colour=COLOURS["ink"], width=1.1)]
+    rows["outside data"] = [
+        figures.Line(values=[p["outside"] for p in plans], colour=COLOURS["ink"], width=1.1)
+    ]
     figure = figures.time_series(times, rows, title="First flight of the tube")
     place = np.array([p["place"][0] for p in plans])
     above = mpc_figures.sureness(
@@ -281,8 +342,16 @@ def _unsure(report: Report, content: Mapping[str, Any], traces: Traces) -> None:
             (figure, "Uncertainty of the model along the first flight"),
             (above, "Flown path from above, wide where the plan was unsure"),
         ],
-        key=[Key(text="x", colour="c1"), Key(text="y, outside data", colour="c2"), Key(text="z", colour="c3")],
-        caption=("Force and torque: standard deviation of the learned part, body axes. " if len(rows) > 2 else "")
+        key=[
+            Key(text="x", colour="c1"),
+            Key(text="y, outside data", colour="c2"),
+            Key(text="z", colour="c3"),
+        ],
+        caption=(
+            "Force and torque: standard deviation of the learned part, body axes. "
+            if len(rows) > 2
+            else ""
+        )
         + "Plan's end: standard deviation of the position at the end of every plan, world axes. Outside data: how far state "
         "and command lie beyond what the training flights covered (0: inside).",
     )
@@ -334,9 +403,15 @@ def _limits(report: Report, content: Mapping[str, Any], traces: Traces) -> None:
             ],
         }
         panels.append(
-            (figures.time_series(times, rows, title=name), f"Tilt and commands of {name} in the first flight")
+            (
+                figures.time_series(times, rows, title=name),
+                f"Tilt and commands of {name} in the first flight",
+            )
         )
-    report.figures(panels, caption="First flight. Dashed: the limits; one colour per rotor. Command limits are hard.")
+    report.figures(
+        panels,
+        caption="First flight. Dashed: the limits; one colour per rotor. Command limits are hard.",
+    )
 
 
 def _times(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> None:
@@ -362,16 +437,25 @@ def _times(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> N
         c = content["controllers"][n]
         t = c["solve_ms"]
         body.append(
-            [n, t["count"], f"{t['median']:.1f}", f"{t['p99']:.1f}", f"{t['worst']:.1f}",
-             f"{c['late']['count']} of {c['late']['samples']}"]
-        )  # fmt: skip
+            [
+                n,
+                t["count"],
+                f"{t['median']:.1f}",
+                f"{t['p99']:.1f}",
+                f"{t['worst']:.1f}",
+                f"{c['late']['count']} of {c['late']['samples']}",
+            ]
+        )
     jobs = content["jobs"]
     report.table(
         ["controller", "plans", "median [ms]", "99 % below [ms]", "worst [ms]", "late answers"],
-        body, numeric=(1, 2, 3, 4, 5),
+        body,
+        numeric=(1, 2, 3, 4, 5),
         caption="Late answers: samples whose command took longer than a sample, filter, transfer and Python included."
-        + (f" {jobs} flights ran at a time, which spoils these times a little." if jobs > 1 else ""),
-    )  # fmt: skip
+        + (
+            f" {jobs} flights ran at a time, which spoils these times a little." if jobs > 1 else ""
+        ),
+    )
 
 
 def _events(report: Report, content: Mapping[str, Any]) -> None:
@@ -386,11 +470,13 @@ def _events(report: Report, content: Mapping[str, Any]) -> None:
         return
     report.section("What went wrong, and what the controller did")
     report.table(
-        ["controller", "event", "times", "flights with a declared descent"], body, numeric=(2, 3),
+        ["controller", "event", "times", "flights with a declared descent"],
+        body,
+        numeric=(2, 3),
         caption="No solution: the plan before goes on with the ancillary gain. Not believed, doubted: a measurement that "
         "the filter leaves out, or lets count in part. No measurement, calls did not come: the filter predicts. Descent "
         "declared: the path is given up, straight down at half a metre a second.",
-    )  # fmt: skip
+    )
 
 
 def _reproduce(report: Report, content: Mapping[str, Any]) -> None:

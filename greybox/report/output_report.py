@@ -1,4 +1,5 @@
-"""The report of an output residual: from learn.json (greybox.output_residual/1) to one HTML page."""
+"""The report of an output residual: from learn.json (greybox.output_residual/1) to one HTML
+page."""
 
 from __future__ import annotations
 
@@ -15,11 +16,13 @@ from greybox.report.words import number
 
 
 def output_report(content: Mapping[str, Any]) -> str:
-    """The page. `content` follows schemas/output_residual.json. Raises `KeyError` where a required field is missing."""
+    """The page. `content` follows schemas/output_residual.json. Raises `KeyError` where a required
+    field is missing."""
     content = to_plain(dict(content))
     count = len(content["trained_on"])
     report = Report(
-        f"What {content['model'].split(' + ')[0]} misses", f"learned from {count} flight{'s' * (count != 1)}"
+        f"What {content['model'].split(' + ')[0]} misses",
+        f"learned from {count} flight{'s' * (count != 1)}",
     )
     for w in content["warnings"]:
         report.warning(w)
@@ -27,16 +30,20 @@ def output_report(content: Mapping[str, Any]) -> str:
     learned = [o["name"] for o in content["outputs"] if o["learned"]]
     if learned:
         report.verdict(
-            f"{learned_by(content)} of {', '.join(content['features'])} foretells the one-step errors of "
+            f"{learned_by(content)} of {', '.join(content['features'])} foretells the one-step "
+            "errors of "
             f"{', '.join(learned)}."
         )
     else:
         report.paragraph(
-            "Nothing was learned: on held-out flights no output prefers a learned part to the model alone."
+            "Nothing was learned: on held-out flights no output prefers a learned part to the "
+            "model alone."
         )
     report.paragraph(
-        "It looks at what is known before the predicted sample: the model's own prediction, and log columns at least one "
-        "sample old. What it foretells moves the model's state as a measured error would, so that it works in free runs too."
+        "It looks at what is known before the predicted sample: the model's own prediction, and "
+        "log columns at least one "
+        "sample old. What it foretells moves the model's state as a measured error would, so that "
+        "it works in free runs too."
     )
     report.facts(
         [
@@ -68,27 +75,59 @@ def _validation(report: Report, content: Mapping[str, Any]) -> None:
         old = before["one_step"]["channels"][name]
         pair: list[Cell] = [number(v) for c in (old, new) for v in (c["mse"] ** 0.5, c["nlpd"])]
         inside: list[Cell] = [f"{new[f'coverage{level}']:.1%}" for level in (50, 68, 95)]
-        body.append([f"{name} [{new['unit']}]", pair[0], pair[2], number(new["r2"]), pair[1], pair[3], *inside])
+        body.append(
+            [
+                f"{name} [{new['unit']}]",
+                pair[0],
+                pair[2],
+                number(new["r2"]),
+                pair[1],
+                pair[3],
+                *inside,
+            ]
+        )
     report.table(
-        ["one step ahead", "RMSE before", "after", "R\N{SUPERSCRIPT TWO}", "NLPD before", "after", "in 50 %", "in 68 %",
-         "in 95 %"], body, numeric=range(1, 9),
-    )  # fmt: skip
+        [
+            "one step ahead",
+            "RMSE before",
+            "after",
+            "R\N{SUPERSCRIPT TWO}",
+            "NLPD before",
+            "after",
+            "in 50 %",
+            "in 68 %",
+            "in 95 %",
+        ],
+        body,
+        numeric=range(1, 9),
+    )
     rows: list[list[Cell]] = []
     for old, new in zip(before["horizons"], after["horizons"], strict=True):
         for name, cell in new["channels"].items():
             was = old["channels"][name]
             rows.append(
-                [f"{name} [{cell['unit']}]", number(new["seconds"]), number(was["rmse"]), number(cell["rmse"]),
-                 number(was["nlpd"]), number(cell["nlpd"]), f"{cell['coverage95']:.0%}"]
-            )  # fmt: skip
+                [
+                    f"{name} [{cell['unit']}]",
+                    number(new["seconds"]),
+                    number(was["rmse"]),
+                    number(cell["rmse"]),
+                    number(was["nlpd"]),
+                    number(cell["nlpd"]),
+                    f"{cell['coverage95']:.0%}",
+                ]
+            )
     report.table(
-        ["free run", "seconds ahead", "RMSE before", "after", "NLPD before", "after", "in 95 %"], rows, numeric=range(1, 7),
+        ["free run", "seconds ahead", "RMSE before", "after", "NLPD before", "after", "in 95 %"],
+        rows,
+        numeric=range(1, 7),
         caption="Recorded commands, no measurement after the origin.",
-    )  # fmt: skip
+    )
     panels = [
         (pit_histogram(np.array(c["pit"]), title=n), f"PIT histogram of {n}")
         for n, c in after["one_step"]["channels"].items()
     ]
     report.figures(
-        panels, caption="Probability integral transform, one step ahead: flat where the stated spread is right."
+        panels,
+        caption="Probability integral transform, one step ahead: flat where the stated spread is "
+        "right.",
     )

@@ -1,4 +1,5 @@
-"""The report of `greybox profile`: per unknown the rise of the likelihood ratio and the interval that it gives."""
+"""The report of `greybox profile`: per unknown the rise of the likelihood ratio and the interval
+that it gives."""
 
 from __future__ import annotations
 
@@ -15,32 +16,71 @@ from greybox.report.html import Cell, Report, Tag
 def profile_report(content: Mapping[str, Any]) -> str:
     """The page for profile.json."""
     level = float(content["level"])
-    report = Report(f"Profile likelihood of {content['model']}", f"{len(content['profiles'])} unknown(s)")
+    report = Report(
+        f"Profile likelihood of {content['model']}", f"{len(content['profiles'])} unknown(s)"
+    )
     report.section("Intervals")
     rows: list[list[Cell]] = []
     for p in content["profiles"]:
         std = p["std"]
-        symmetric = None if std is None else f"{p['estimate'] - 1.96 * std:.4g} .. {p['estimate'] + 1.96 * std:.4g}"
+        symmetric = (
+            None
+            if std is None
+            else f"{p['estimate'] - 1.96 * std:.4g} .. {p['estimate'] + 1.96 * std:.4g}"
+        )
         notes = [f"{side} end is its bound" for side in p["at_bound"]]
-        notes += [f"no {side} end" for side in ("lower", "upper") if p[side] is None or not np.isfinite(p[side])]
+        notes += [
+            f"no {side} end"
+            for side in ("lower", "upper")
+            if p[side] is None or not np.isfinite(p[side])
+        ]
         note: Cell = Tag(text=", ".join(notes)) if notes else ""
-        rows.append([p["name"], p["estimate"], _end(p["lower"]), _end(p["upper"]), p["unit"], symmetric, note])
+        rows.append(
+            [
+                p["name"],
+                p["estimate"],
+                _end(p["lower"]),
+                _end(p["upper"]),
+                p["unit"],
+                symmetric,
+                note,
+            ]
+        )
     report.table(
-        ["unknown", "estimate", "lower", "upper", "unit", "estimate ± 1.96 std", ""], rows, numeric=(1, 2, 3),
-        caption=f"The {100 * level:g} % interval: values at which twice the negative log likelihood, all other unknowns "
-        "fitted again, lies less than a quantile of chi-square above its minimum. Where it differs from the symmetric one, "
+        ["unknown", "estimate", "lower", "upper", "unit", "estimate ± 1.96 std", ""],
+        rows,
+        numeric=(1, 2, 3),
+        caption=f"The {100 * level:g} % interval: values at which twice the negative log "
+        "likelihood, all other unknowns "
+        "fitted again, lies less than a quantile of chi-square above its minimum. Where it differs "
+        "from the symmetric one, "
         "it is the one to believe.",
-    )  # fmt: skip
+    )
     limit = float(scipy.stats.chi2.ppf(level, 1))
     panels = []
     for p in content["profiles"]:
         cost = np.asarray(p["cost"], dtype=np.float64)
         ratio = 2 * (cost - cost.min())
-        marks = [p["estimate"], *(v for v in (p["lower"], p["upper"]) if v is not None and np.isfinite(v))]
+        marks = [
+            p["estimate"],
+            *(v for v in (p["lower"], p["upper"]) if v is not None and np.isfinite(v)),
+        ]
         figure = figures.rise(
-            p["grid"], ratio, limit=limit, marks=marks, label="likelihood ratio", unit=p["unit"], title=p["name"]
+            p["grid"],
+            ratio,
+            limit=limit,
+            marks=marks,
+            label="likelihood ratio",
+            unit=p["unit"],
+            title=p["name"],
         )
-        panels.append((figure, f"Likelihood ratio of {p['name']}: a parabola where the symmetric interval is right."))
+        panels.append(
+            (
+                figure,
+                f"Likelihood ratio of {p['name']}: a parabola where the symmetric interval is "
+                "right.",
+            )
+        )
     report.figures(panels, caption="Dashed: the level. Dotted: estimate and ends of the interval.")
     report.section("How to get this again")
     report.code(content["command"])

@@ -1,4 +1,5 @@
-"""The page of `greybox mpc rates`: from mpc_rates.json (greybox.mpc_rates/1), rows of flights and their traces."""
+"""The page of `greybox mpc rates`: from mpc_rates.json (greybox.mpc_rates/1), rows of flights and
+their traces."""
 
 from __future__ import annotations
 
@@ -14,9 +15,12 @@ from greybox.report.mpc_animation import CSS, which_flight, who_flies
 from greybox.report.mpc_figures import COLOURS
 
 LOOKS = {
-    "tube": ("c1", "line"), "hybrid": ("c2", "line"), "linear-tube": ("c3", "line"), "linear": ("c5", "dash"),
+    "tube": ("c1", "line"),
+    "hybrid": ("c2", "line"),
+    "linear-tube": ("c3", "line"),
+    "linear": ("c5", "dash"),
     "pid": ("ink", "dots"),
-}  # fmt: skip
+}
 """Colour and stroke of every controller."""
 STYLES = {"line": "-", "dash": "--", "dots": ":"}
 AHEAD = 15
@@ -25,30 +29,39 @@ Traces = Mapping[int, Mapping[str, Any]]
 
 
 def rates_report(content: Mapping[str, Any], traces: Traces, *, stage: float) -> str:
-    """The page; `stage` [s] lies between the stages of a plan. Traces may be few or none (an interrupted run)."""
+    """The page; `stage` [s] lies between the stages of a plan. Traces may be few or none (an
+    interrupted run)."""
     found = content["controllers"]
     tube = found["tube"]
     report = Report(
         "A rate controller on a linear model with a Gaussian process",
-        f"{sum(c['flights'] for c in found.values())} flights, {len(found)} controllers, body rates within "
+        f"{sum(c['flights'] for c in found.values())} flights, {len(found)} controllers, body "
+        "rates within "
         f"{content['limit']:g} rad/s",
     )
     report.first_line(
-        content["verdict"], good=bool(tube["flights"]) and tube["p_value"] >= 0.05 and not tube["crashed"]
+        content["verdict"],
+        good=bool(tube["flights"]) and tube["p_value"] >= 0.05 and not tube["crashed"],
     )
     with report.headline():
         panels = _panels(content, traces)
         if panels:
-            report.figures(panels, key=_key(content), caption="Body rates of the first flight where they are highest. "
-                           "Dashed lines: the limits.")  # fmt: skip
+            report.figures(
+                panels,
+                key=_key(content),
+                caption="Body rates of the first flight where they are highest. "
+                "Dashed lines: the limits.",
+            )
         report.heading("What to do next")
         report.bullets(content["next"])
     data = _packed(content, traces, stage)
     if data["flights"]:
         report.section("One flight, and what the tube planned")
         report.paragraph(
-            "Every controller flies the same path in the same gusts, below the same outer loops. The blue band is the plan "
-            "of the moment: where the rates will be in 95 of 100 cases. A plan keeps the limits by its tightening, not by "
+            "Every controller flies the same path in the same gusts, below the same outer loops. "
+            "The blue band is the plan "
+            "of the moment: where the rates will be in 95 of 100 cases. A plan keeps the limits by "
+            "its tightening, not by "
             "its middle. Dotted: what the outer loops ask of the tube."
         )
         report.live(_markup(data), script("rates_animation"), CSS)
@@ -57,7 +70,10 @@ def rates_report(content: Mapping[str, Any], traces: Traces, *, stage: float) ->
     report.section("How to reproduce this")
     report.code(content["command"])
     report.facts(
-        [("Model file", content["model_sha256"]), *((k, str(v)) for k, v in content["versions"].items())]
+        [
+            ("Model file", content["model_sha256"]),
+            *((k, str(v)) for k, v in content["versions"].items()),
+        ]
     )
     return report.html()
 
@@ -85,42 +101,66 @@ def _panels(content: Mapping[str, Any], traces: Traces) -> list[tuple[Figure, st
         for n in sorted(runs, key=lambda n: n == "tube"):
             colour, stroke = LOOKS[n]
             values = np.array(runs[n]["rates"])[first : first + width, axis]
-            lines.append(figures.Line(values=values, colour=COLOURS[colour], style=STYLES[stroke], width=1.3))
+            lines.append(
+                figures.Line(values=values, colour=COLOURS[colour], style=STYLES[stroke], width=1.3)
+            )
         for sign in (-1.0, 1.0):
             edge = np.full(width, sign * content["limit"])
             lines.append(figures.Line(values=edge, colour=COLOURS["ink"], style="--", width=0.8))
         times = step * (first + np.arange(width))
-        panels.append((figures.time_series(times, {f"{name} [rad/s]": lines}), f"Rate {name} of every controller"))
+        panels.append(
+            (
+                figures.time_series(times, {f"{name} [rad/s]": lines}),
+                f"Rate {name} of every controller",
+            )
+        )
     return panels
 
 
 def _packed(content: Mapping[str, Any], traces: Traces, stage: float) -> dict[str, Any]:
-    flights: list[dict[str, Any]] = [{"seed": s, "runs": dict(runs)} for s, runs in traces.items() if runs]
+    flights: list[dict[str, Any]] = [
+        {"seed": s, "runs": dict(runs)} for s, runs in traces.items() if runs
+    ]
     step = next((t["step"] for f in flights for t in f["runs"].values()), 1.0)
-    stages = next((len(t["plans"][0]["y"]) for f in flights for t in f["runs"].values() if t["plans"]), AHEAD)
+    stages = next(
+        (len(t["plans"][0]["y"]) for f in flights for t in f["runs"].values() if t["plans"]), AHEAD
+    )
     return {
-        "limit": content["limit"], "axes": content["outputs"], "step": step, "stage": stage,
+        "limit": content["limit"],
+        "axes": content["outputs"],
+        "step": step,
+        "stage": stage,
         "ahead": round(stages * stage, 3),
         "controllers": [
             {"name": n, "text": c["text"], "colour": LOOKS[n][0], "stroke": LOOKS[n][1]}
-            for n, c in content["controllers"].items() if any(n in f["runs"] for f in flights)
+            for n, c in content["controllers"].items()
+            if any(n in f["runs"] for f in flights)
         ],
         "flights": [
-            {"seed": f["seed"], "runs": {
-                n: {"rates": t["rates"], "asked": t["asked"], "plans": t["plans"] if n == "tube" else []}
-                for n, t in f["runs"].items()
-            }}
+            {
+                "seed": f["seed"],
+                "runs": {
+                    n: {
+                        "rates": t["rates"],
+                        "asked": t["asked"],
+                        "plans": t["plans"] if n == "tube" else [],
+                    }
+                    for n, t in f["runs"].items()
+                },
+            }
             for f in flights
         ],
-    }  # fmt: skip
+    }
 
 
 def _markup(data: Mapping[str, Any]) -> str:
-    """The frame with its data; the script shows it, so that without one the figure above stands for it."""
+    """The frame with its data; the script shows it, so that without one the figure above stands for
+    it."""
     text = embedded_json(data)
     who, choices = who_flies(data["controllers"], "rates-said"), which_flight(data["flights"])
     strips = "".join(
-        f'<h4>{n} [rad/s]</h4><svg id="rates-{n}" role="img" aria-label="Rate {n} over time, its limits and the plan"></svg>'
+        f'<h4>{n} [rad/s]</h4><svg id="rates-{n}" role="img" aria-label="Rate {n} over time, its '
+        'limits and the plan"></svg>'
         for n in data["axes"]
     )
     paces = "".join(
@@ -130,11 +170,13 @@ def _markup(data: Mapping[str, Any]) -> str:
     return (
         '<div class="flight" id="rates" hidden="hidden"><div class="controls">'
         '<button type="button" id="rates-play" aria-pressed="false">Play</button>'
-        '<input type="range" id="rates-time" min="0" max="1" step="0.02" value="0" aria-label="Time in the flight"/>'
+        '<input type="range" id="rates-time" min="0" max="1" step="0.02" value="0" '
+        'aria-label="Time in the flight"/>'
         f'<select id="rates-pace" aria-label="Speed of the animation">{paces}</select>'
         f'<select id="rates-choice" aria-label="Flight">{choices}</select>'
         '<output id="rates-readout" for="rates-time"></output>'
-        '<span id="rates-still" hidden="hidden">Your system asks for less motion: move the slider.</span></div>'
+        '<span id="rates-still" hidden="hidden">Your system asks for less motion: move the '
+        "slider.</span></div>"
         f'<ul class="who" aria-label="Controllers">{who}</ul>{strips}</div>'
         f'<script type="application/json" id="rates-data">{text}</script>'
     )
@@ -150,32 +192,64 @@ def _table(report: Report, content: Mapping[str, Any]) -> None:
         low, high = (100 * v for v in c["beyond"]["interval"])
         body.append(
             [
-                name, c["text"], f"{c['beyond']['count']} of {c['flights']}", f"{low:.0f} .. {high:.0f} %",
-                f"{100 * c['samples_beyond']:.1f} %", f"{c['worst']:.2f}", f"{c['rmse']:.3f}", f"{c['away']:.2f}",
+                name,
+                c["text"],
+                f"{c['beyond']['count']} of {c['flights']}",
+                f"{low:.0f} .. {high:.0f} %",
+                f"{100 * c['samples_beyond']:.1f} %",
+                f"{c['worst']:.2f}",
+                f"{c['rmse']:.3f}",
+                f"{c['away']:.2f}",
                 f"{c['solve_ms']['median']:.1f} / {c['solve_ms']['p99']:.1f}",
             ]
-        )  # fmt: skip
+        )
     report.table(
-        ["controller", "what it flies with", "beyond", "95 % interval", "time beyond", "worst [rad/s]", "RMSE [rad/s]",
-         "off path [m]", "time [ms]"],
-        body, numeric=(2, 3, 4, 5, 6, 7, 8),
-        caption="Beyond: flights in which a true body rate passed the limit, or the craft was lost. Interval: exact "
-        "(Clopper and Pearson). RMSE: true rates against what the outer loops asked. Time: median and 99 % of one answer, "
+        [
+            "controller",
+            "what it flies with",
+            "beyond",
+            "95 % interval",
+            "time beyond",
+            "worst [rad/s]",
+            "RMSE [rad/s]",
+            "off path [m]",
+            "time [ms]",
+        ],
+        body,
+        numeric=(2, 3, 4, 5, 6, 7, 8),
+        caption="Beyond: flights in which a true body rate passed the limit, or the craft was "
+        "lost. Interval: exact "
+        "(Clopper and Pearson). RMSE: true rates against what the outer loops asked. Time: median "
+        "and 99 % of one answer, "
         "Python included.",
-    )  # fmt: skip
+    )
 
 
 def _what(report: Report, content: Mapping[str, Any]) -> None:
     report.section("What was flown")
     report.paragraph(
-        "The plant is an independent simulated vehicle: thrust with the square of rotor speed, motor lag, rotor drag, a "
-        "centre of mass beside the middle, gusts and sensor noise. A linear model of p, q, r was identified from flights "
+        "The plant is an independent simulated vehicle: thrust with the square of rotor speed, "
+        "motor lag, rotor drag, a "
+        "centre of mass beside the middle, gusts and sensor noise. A linear model of p, q, r was "
+        "identified from flights "
         "of it, and a Gaussian process learned what it leaves, as in the paper."
     )
     rows = [("Model", content["model"]), ("Inputs of the process", ", ".join(content["features"]))]
     rows += [
-        (f"Tightening of {n}", f"{t['kappa']:.2f} standard deviations, by Boole's inequality over {t['touched']:.0f} limits "
-         f"that a flight without it touches ({t['flights']} training flights)")
+        (
+            f"Tightening of {n}",
+            f"{t['kappa']:.2f} standard deviations, by Boole's inequality over {t['touched']:.0f} "
+            "limits "
+            f"that a flight without it touches ({t['flights']} training flights)",
+        )
         for n, t in content["tuning"].items()
-    ]  # fmt: skip
-    report.facts([*rows, ("Flight", f"{content['seconds']:g} s between random waypoints, another path for every seed")])
+    ]
+    report.facts(
+        [
+            *rows,
+            (
+                "Flight",
+                f"{content['seconds']:g} s between random waypoints, another path for every seed",
+            ),
+        ]
+    )

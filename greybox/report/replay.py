@@ -1,4 +1,5 @@
-"""The replay of a flight in three dimensions: what was measured, and as a ghost what the model said before."""
+"""The replay of a flight in three dimensions: what was measured, and as a ghost what the model said
+before."""
 
 from __future__ import annotations
 
@@ -36,8 +37,9 @@ ORIGINS = 600
 class Replay:
     """Poses: position (x, y, z) [m] in the world, attitude (qw, qx, qy, qz), z up.
 
-    `measured` (n, 7) every `step` s from `begin` [s]; `predicted` (m, k + 1, 7) from moments `stride` s apart, the
-    first at `begin`, at 0, 1, .. k steps after each. `arm` [m] is the length of the arms that are drawn.
+    `measured` (n, 7) every `step` s from `begin` [s]; `predicted` (m, k + 1, 7) from moments
+    `stride` s apart, the first at `begin`, at 0, 1, .. k steps after each. `arm` [m] is the length
+    of the arms that are drawn.
     """
 
     begin: float
@@ -55,32 +57,45 @@ def replay(report: Report, name: str, flight: Replay) -> None:
     # A ghost that flew away is drawn at the edge of four times the room.
     size = 2.0 * max(float(np.ptp(position, axis=0).max()), 1.0)
     data = {
-        "begin": round(flight.begin, 4), "step": flight.step, "stride": flight.stride, "arm": flight.arm,
-        "steps": flight.predicted.shape[1] - 1, "origins": len(flight.predicted), "middle": middle.tolist(), "size": size,
-        "measured": _packed(flight.measured, middle, size), "predicted": _packed(flight.predicted, middle, size),
-    }  # fmt: skip
+        "begin": round(flight.begin, 4),
+        "step": flight.step,
+        "stride": flight.stride,
+        "arm": flight.arm,
+        "steps": flight.predicted.shape[1] - 1,
+        "origins": len(flight.predicted),
+        "middle": middle.tolist(),
+        "size": size,
+        "measured": _packed(flight.measured, middle, size),
+        "predicted": _packed(flight.predicted, middle, size),
+    }
     report.live(
         '<div class="replay" hidden="hidden">'
-        '<canvas tabindex="0" role="img" aria-label="The flight in three dimensions and the prediction of the model as a '
-        'ghost; arrow keys turn the view"></canvas><div class="controls"><button type="button">Play</button>'
+        '<canvas tabindex="0" role="img" aria-label="The flight in three dimensions and the '
+        "prediction of the model as a "
+        'ghost; arrow keys turn the view"></canvas><div class="controls"><button '
+        'type="button">Play</button>'
         '<select aria-label="Speed of the replay"><option value="0.25">1/4 speed</option>'
-        '<option value="1" selected="selected">full speed</option><option value="4">4 times</option></select>'
+        '<option value="1" selected="selected">full speed</option><option value="4">4 '
+        "times</option></select>"
         '<button type="button">Close up</button>'
         '<label>time <input type="range" min="0" max="1" step="0.01" value="0"/></label>'
-        '<label>ghost <input type="range" min="0.05" max="1" step="0.05" value="0.5"/><span class="ahead"></span></label>'
+        '<label>ghost <input type="range" min="0.05" max="1" step="0.05" value="0.5"/><span '
+        'class="ahead"></span></label>'
         f"</div><output></output>"
         f'<script type="application/json">{embedded_json(data)}</script></div>',
         script("replay"),
         CSS,
     )
     report.note(
-        f"{name}: dark, the craft as it was measured, with its last two seconds; orange, dashed, where the model said "
+        f"{name}: dark, the craft as it was measured, with its last two seconds; orange, dashed, "
+        "where the model said "
         "before that it would be, from the commands alone. Drag to turn the view."
     )
 
 
 def _packed(poses: FloatArray, middle: FloatArray, size: float) -> str:
-    """Poses (..., 7) as whole numbers of 16 bit in base64: positions as shares of `size` about `middle`."""
+    """Poses (..., 7) as whole numbers of 16 bit in base64: positions as shares of `size` about
+    `middle`."""
     scaled = np.array(poses, dtype=np.float64)
     scaled[..., :3] = (scaled[..., :3] - middle) / size
     whole = np.clip(np.rint(32767 * np.nan_to_num(scaled)), -32767, 32767).astype("<i2")

@@ -1,4 +1,5 @@
-"""The section that shows how outputs follow commands: Bode figures with coherence, and step responses of the model."""
+"""The section that shows how outputs follow commands: Bode figures with coherence, and step
+responses of the model."""
 
 from __future__ import annotations
 
@@ -30,13 +31,17 @@ from greybox.report.html import Key, Report
 from greybox.report.words import number
 from greybox.symbolic import FloatArray
 
-PALE = f"Where coherence is too low for use the curve is pale and without a band. Dashed: coherence {TRUSTED:g}."
+PALE = (
+    "Where coherence is too low for use the curve is pale and without a band. Dashed: "
+    f"coherence {TRUSTED:g}."
+)
 MEASURED = Key(text="flights, with 95 % band", colour="c1")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """What a model answers to a step of `size` [unit of the input] at zero: `values` (N,) in `unit` at `t` (N,) [s]."""
+    """What a model answers to a step of `size` [unit of the input] at zero: `values` (N,) in `unit`
+    at `t` (N,) [s]."""
 
     input: str
     output: str
@@ -48,7 +53,8 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class Responses:
-    """`measured`: the pairs that are drawn, in the form of frf.json; None where the flights tell none, and `why` not."""
+    """`measured`: the pairs that are drawn, in the form of frf.json; None where the flights tell
+    none, and `why` not."""
 
     steps: Sequence[Step]
     measured: Mapping[str, Any] | None = None
@@ -56,7 +62,8 @@ class Responses:
 
 
 def response_section(report: Report, responses: Responses | None) -> None:
-    """Bode figures with coherence, model over flights, and step responses; nothing where there is no response."""
+    """Bode figures with coherence, model over flights, and step responses; nothing where there is
+    no response."""
     if responses is None:
         return
     report.section("How it answers to commands")
@@ -69,14 +76,19 @@ def response_section(report: Report, responses: Responses | None) -> None:
         panels = []
         for s in responses.steps:
             figure = time_series(
-                s.t, {f"{s.output} [{s.unit}]": [Line(values=s.values, colour=SERIES[1], width=1.4)]},
+                s.t,
+                {f"{s.output} [{s.unit}]": [Line(values=s.values, colour=SERIES[1], width=1.4)]},
                 title=f"{s.output} after a step of {s.input} by {number(s.size, 2)}",
-            )  # fmt: skip
-            panels.append((figure, f"{s.output} of the model after a step of {s.input} at time zero"))
+            )
+            panels.append(
+                (figure, f"{s.output} of the model after a step of {s.input} at time zero")
+            )
         report.figures(
             panels,
-            caption="Deviation from the mean state of the flights, by the model linearised there; each step is as large as "
-            "the command's standard deviation in the flights. The flat beginning is delay, the bend lag of the motors.",
+            caption="Deviation from the mean state of the flights, by the model linearised there; "
+            "each step is as large as "
+            "the command's standard deviation in the flights. The flat beginning is delay, the "
+            "bend lag of the motors.",
         )
 
 
@@ -85,7 +97,8 @@ def _measured(report: Report, content: Mapping[str, Any]) -> None:
     seconds = sum(content["flights"].values())
     count = len(content["flights"])
     report.paragraph(
-        f"From {number(seconds, 3)} s of {count} flight{'s' * (count != 1)}, without a model; the model's own response "
+        f"From {number(seconds, 3)} s of {count} flight{'s' * (count != 1)}, without a model; the "
+        "model's own response "
         "lies over it."
     )
     # What must be known before the figures are believed.
@@ -93,19 +106,32 @@ def _measured(report: Report, content: Mapping[str, Any]) -> None:
     if pairs:
         alt = "Magnitude, phase and coherence of"
         report.figures(
-            [(bode_with_coherence(content["frequency"], p), f"{alt} {p['output']} over {p['input']}") for p in pairs],
+            [
+                (
+                    bode_with_coherence(content["frequency"], p),
+                    f"{alt} {p['output']} over {p['input']}",
+                )
+                for p in pairs
+            ],
             key=[MEASURED, Key(text="model", colour="c2")],
             caption=PALE,
         )
         with report.details("In words"):
-            report.bullets([f"{p['output']} over {p['input']}: {line}" for p in pairs for line in p["lines"][1:]])
+            report.bullets(
+                [
+                    f"{p['output']} over {p['input']}: {line}"
+                    for p in pairs
+                    for line in p["lines"][1:]
+                ]
+            )
     pale = [p for p in content["pairs"] if p not in pairs]
     if rest := [f"{p['output']} over {p['input']} ({max(p['coherence']):.2f})" for p in pale]:
         report.paragraph(f"Too low a coherence at every frequency (highest): {', '.join(rest)}.")
 
 
 def bode_with_coherence(frequency: Sequence[float], p: Mapping[str, Any]) -> Figure:
-    """Magnitude (logarithmic), phase and coherence of a pair of frf.json over `frequency` [Hz], one above the other."""
+    """Magnitude (logarithmic), phase and coherence of a pair of frf.json over `frequency` [Hz], one
+    above the other."""
     heights, space = (1.5, 1.2, 0.8), 0.14
     figure = _figure(_TOP + _BOTTOM + sum(heights) + 2 * space)
     f, good = np.asarray(frequency), np.asarray(p["usable"], dtype=bool)
@@ -121,13 +147,16 @@ def bode_with_coherence(frequency: Sequence[float], p: Mapping[str, Any]) -> Fig
         if i < 2:
             name, _, end = what.partition("_")
             low, high = (
-                np.array(p["_".join(x for x in (name, s, end) if x)], dtype=float) for s in ("lower", "upper")
+                np.array(p["_".join(x for x in (name, s, end) if x)], dtype=float)
+                for s in ("lower", "upper")
             )
             shown = np.where(good, values, np.nan)
             axes.plot(f, shown, color=SERIES[0], linewidth=1.4, marker="o", markersize=2)
             axes.fill_between(f, low, high, where=good, color=SERIES[0], alpha=0.25, linewidth=0)
             if p["model"] is not None:
-                axes.plot(f, np.array(p["model"][what], dtype=float), color=SERIES[1], linewidth=1.3)
+                axes.plot(
+                    f, np.array(p["model"][what], dtype=float), color=SERIES[1], linewidth=1.3
+                )
             if i == 0:
                 axes.set_yscale("log")
                 axes.yaxis.set_major_locator(LogLocator(numticks=5))

@@ -1,7 +1,9 @@
-"""Turn a matplotlib Figure into inline SVG that follows the page: its colours are CSS variables, its font the page's.
+"""Turn a matplotlib Figure into inline SVG that follows the page: its colours are CSS variables,
+its font the page's.
 
-Figures are drawn with the stand-in colours below; `to_svg` replaces each by a CSS variable, so that one drawing reads
-well on light and on dark ground. Nothing of pyplot is touched, and a figure leaves no global state behind.
+Figures are drawn with the stand-in colours below; `to_svg` replaces each by a CSS variable, so that
+one drawing reads well on light and on dark ground. Nothing of pyplot is touched, and a figure
+leaves no global state behind.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from matplotlib.figure import Figure
 
 INK, MUTED, GRID, GROUND = "#0b0101", "#0b0202", "#0b0303", "#0b0404"
 SERIES = ("#0b1001", "#0b1002", "#0b1003", "#0b1004", "#0b1005")
-"""Stand-in colours of data: 1 the model, 2 the second prediction, 3 the floor, 4 the ceiling, 5 spare."""
+"""Stand-in colours of data: 1 the model, 2 the second prediction, 3 the floor, 4 the ceiling, 5
+spare."""
 
 _VARIABLES = {
     INK: "--ink",
@@ -40,15 +43,22 @@ def _short(match: re.Match[str]) -> str:
 
 
 def to_svg(figure: Figure, *, name: str, label: str) -> str:
-    """Inline `<svg>` of a figure. `name` prefixes all ids (unique in the page), `label` is read to who cannot see it.
+    """Inline `<svg>` of a figure. `name` prefixes all ids (unique in the page), `label` is read to
+    who cannot see it.
 
     The result is well-formed XML without namespaces, scripts, style sheets or links.
     """
     canvas = FigureCanvasSVG(figure)
     stream = io.StringIO()
-    settings = {"svg.fonttype": "none", "svg.hashsalt": name, "path.simplify": True, "axes.unicode_minus": True}
+    settings = {
+        "svg.fonttype": "none",
+        "svg.hashsalt": name,
+        "path.simplify": True,
+        "axes.unicode_minus": True,
+    }
     with matplotlib.rc_context(settings), warnings.catch_warnings():
-        # Text is drawn with the page's fonts; that matplotlib's own lacks a letter of a flight's name is no matter.
+        # Text is drawn with the page's fonts; that matplotlib's own lacks a letter of a flight's
+        # name is no matter.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         canvas.print_svg(stream, metadata={"Date": None})
     text = stream.getvalue()
@@ -76,25 +86,38 @@ def to_svg(figure: Figure, *, name: str, label: str) -> str:
     body = _TAG.sub(lambda m: _NUMBER.sub(_short, m.group()), body)
     body = re.sub(r"\n\s*", "\n", body)
     width = float(box.group(1).split()[2])
-    # Points of the drawing, times 1.36, are CSS pixels at the largest size that a figure is shown at.
+    # Points of the drawing, times 1.36, are CSS pixels at the largest size that a figure is shown
+    # at.
     style = f"max-width: {1.36 * width:.0f}px"
     live = f' data-axes="{escape(json.dumps(found))}"' if (found := _zoomable(figure)) else ""
     return f'<svg viewBox="{box.group(1)}" role="img" aria-label="{escape(label)}"{live} style="{style}">{body}'.strip()
 
 
-_MARKED = (("axes_", "axes"), ("xtick_", "tx"), ("ytick_", "ty"), ("line2d_", "curve"),
-           ("PolyCollection_", "band"), ("FillBetweenPolyCollection_", "band"))  # fmt: skip
-"""Groups of matplotlib's SVG that page.js looks for, by the beginning of their id, with their class."""
+_MARKED = (
+    ("axes_", "axes"),
+    ("xtick_", "tx"),
+    ("ytick_", "ty"),
+    ("line2d_", "curve"),
+    ("PolyCollection_", "band"),
+    ("FillBetweenPolyCollection_", "band"),
+)
+"""Groups of matplotlib's SVG that page.js looks for, by the beginning of their id, with their
+class."""
 
 
 def _zoomable(figure: Figure) -> list[dict[str, object]]:
-    """For page.js, of every axes: its box (left, top, right, bottom) on the drawing, its ranges and scales, what its
-    axes are called. Empty where anything but curves and bands is drawn: such a figure stays as it is."""
+    """For page.js, of every axes: its box (left, top, right, bottom) on the drawing, its ranges and
+    scales, what its axes are called. Empty where anything but curves and bands is drawn: such a
+    figure stays as it is."""
     width, height = (72.0 * float(v) for v in figure.get_size_inches())
     found: list[dict[str, object]] = []
     for axes in figure.axes:
         bands = all(isinstance(c, PolyCollection) for c in axes.collections)
-        if not any(np.size(line.get_xdata()) > 2 for line in axes.lines) or not bands or axes.patches:
+        if (
+            not any(np.size(line.get_xdata()) > 2 for line in axes.lines)
+            or not bands
+            or axes.patches
+        ):
             return []
         place = axes.get_position()
         box = (place.x0 * width, (1 - place.y1) * height, place.x1 * width, (1 - place.y0) * height)
@@ -104,10 +127,12 @@ def _zoomable(figure: Figure) -> list[dict[str, object]]:
         found.append(
             {
                 "box": [round(float(v), 2) for v in box],
-                "x": [float(v) for v in x], "y": [float(v) for v in y],
-                "logx": axes.get_xscale() == "log", "logy": axes.get_yscale() == "log",
+                "x": [float(v) for v in x],
+                "y": [float(v) for v in y],
+                "logx": axes.get_xscale() == "log",
+                "logy": axes.get_yscale() == "log",
                 "name": axes.get_ylabel() or axes.get_title(loc="left"),
             }
-        )  # fmt: skip
+        )
     title = next((a.get_xlabel() for a in reversed(figure.axes) if a.get_xlabel()), "")
     return [{**a, "title": title} for a in found]

@@ -1,4 +1,5 @@
-"""Sections of a report that show a validation result (greybox.validate/1): errors against horizon, residual tests."""
+"""Sections of a report that show a validation result (greybox.validate/1): errors against horizon,
+residual tests."""
 
 from __future__ import annotations
 
@@ -43,7 +44,8 @@ ROWS = (
 
 
 def first_line(report: Report, verdict: Mapping[str, Any] | None) -> None:
-    """The verdict on a model (as in model.json) as the first line of its report; that there is none where there is none."""
+    """The verdict on a model (as in model.json) as the first line of its report; that there is none
+    where there is none."""
     if verdict is None:
         report.first_line(NOT_JUDGED, good=False)
     else:
@@ -51,7 +53,8 @@ def first_line(report: Report, verdict: Mapping[str, Any] | None) -> None:
 
 
 def skill_in_words(report: Report, verdict: Mapping[str, Any] | None) -> None:
-    """What the model covers of the way from the last value to the measured IMU, a sentence per group."""
+    """What the model covers of the way from the last value to the measured IMU, a sentence per
+    group."""
     if verdict is not None:
         report.bullets(in_words(Verdict.from_dict(verdict)))
 
@@ -63,10 +66,17 @@ def _tables(validation: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     return found
 
 
-def _curve(validation: Mapping[str, Any], row: str, group: str) -> tuple[list[float], list[float | None]]:
-    """(seconds, mean absolute error) of one row: the full curve where it was kept, else the listed horizons."""
+def _curve(
+    validation: Mapping[str, Any], row: str, group: str
+) -> tuple[list[float], list[float | None]]:
+    """(seconds, mean absolute error) of one row: the full curve where it was kept, else the listed
+    horizons."""
     table = _tables(validation)[row]
-    listed = [(h["h"], h["seconds"], h["groups"][group]["mae"]) for h in table["horizons"] if group in h["groups"]]
+    listed = [
+        (h["h"], h["seconds"], h["groups"][group]["mae"])
+        for h in table["horizons"]
+        if group in h["groups"]
+    ]
     curve = validation.get("curves", {}).get(row.replace("_", " "), {}).get(group)
     if curve and listed:
         dt = listed[0][1] / listed[0][0]
@@ -79,10 +89,12 @@ HEADLINE = (("position", "velocity"), ("rotation",), ("rate",))
 
 
 def headline_groups(groups: Sequence[str]) -> list[str]:
-    """Those of the channel groups that stand in a headline: where a craft is and how it turns; of other models the
-    first three."""
+    """Those of the channel groups that stand in a headline: where a craft is and how it turns; of
+    other models the first three."""
     unique = list(dict.fromkeys(groups))
-    return [g for names in HEADLINE if (g := next((n for n in names if n in unique), None))] or unique[:3]
+    return [
+        g for names in HEADLINE if (g := next((n for n in names if n in unique), None))
+    ] or unique[:3]
 
 
 def headline_figure(report: Report, validation: Mapping[str, Any]) -> None:
@@ -93,15 +105,24 @@ def headline_figure(report: Report, validation: Mapping[str, Any]) -> None:
 
 
 def horizon_section(report: Report, validation: Mapping[str, Any]) -> None:
-    """Error against horizon for every group, with persistence as ceiling and dead reckoning as floor, and the table."""
+    """Error against horizon for every group, with persistence as ceiling and dead reckoning as
+    floor, and the table."""
     report.section("How far ahead it predicts")
     flights = [f["name"] for f in validation.get("flights", [])]
     adapted = validation.get("adapted_on")
-    text = f"Open loop from every sample of {len(flights)} flight{'s' * (len(flights) != 1)} ({', '.join(flights)}): "
-    text += "the recorded commands drive the model, and nothing that was measured after the start is used."
+    text = (
+        f"Open loop from every sample of {len(flights)} flight{'s' * (len(flights) != 1)} "
+        f"({', '.join(flights)}): "
+    )
+    text += (
+        "the recorded commands drive the model, and nothing that was measured after the start "
+        "is used."
+    )
     if adapted:
         spent = number(adapted["seconds"])
-        text += f" Per-flight parameters were adapted on the first {spent} s of each flight and frozen."
+        text += (
+            f" Per-flight parameters were adapted on the first {spent} s of each flight and frozen."
+        )
     report.paragraph(text)
     skill_in_words(report, validation.get("verdict"))
     groups = _groups(validation)
@@ -109,7 +130,8 @@ def horizon_section(report: Report, validation: Mapping[str, Any]) -> None:
     if panels:
         report.figures(
             panels,
-            caption="Mean of the error's vector norm (rotation: geodesic angle) over all origins that have every step.",
+            caption="Mean of the error's vector norm (rotation: geodesic angle) over all origins "
+            "that have every step.",
             key=key,
         )
     with report.columns():
@@ -125,7 +147,9 @@ def _groups(validation: Mapping[str, Any]) -> list[str]:
 
 def _units(validation: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
     """Group -> (unit as it is shown, factor to it)."""
-    return {g: in_degrees(e["unit"]) for h in validation["horizons"] for g, e in h["groups"].items()}
+    return {
+        g: in_degrees(e["unit"]) for h in validation["horizons"] for g, e in h["groups"].items()
+    }
 
 
 def _growth(
@@ -144,12 +168,20 @@ def _growth(
         for name, label, colour, style, _ in rows:
             x, y = drawn[name]
             if y:
-                # A row of which only some horizons are known stands at those, not at the first steps of another.
+                # A row of which only some horizons are known stands at those, not at the first
+                # steps of another.
                 shown = [None if v is None else v * units[g][1] for v in y]
                 known = dict(zip(np.round(x, 9).tolist(), shown, strict=True))
-                curves[label] = ([known.get(s) for s in np.round(seconds, 9).tolist()], colour, style)
+                curves[label] = (
+                    [known.get(s) for s in np.round(seconds, 9).tolist()],
+                    colour,
+                    style,
+                )
         title = g.replace("_", " ")
-        alt = f"Mean absolute {title} error against the prediction horizon, logarithmic axes, for {', '.join(curves)}"
+        alt = (
+            f"Mean absolute {title} error against the prediction horizon, logarithmic axes, for "
+            f"{', '.join(curves)}"
+        )
         panels.append((figures.error_growth(seconds, curves, unit=units[g][0], title=title), alt))
     return panels, [r[4] for r in rows]
 
@@ -173,7 +205,11 @@ def _horizon_tables(report: Report, validation: Mapping[str, Any], groups: list[
             total = number(None if simerr is None else factor * simerr)
             body.append([label, *cells, total if g in tables[name]["simerr"] else None])
         seconds_of = {h["h"]: h["seconds"] for h in validation["horizons"]}
-        heads = [f"{g.replace('_', ' ')} [{units[g][0]}]", *(f"{number(seconds_of[h])} s" for h in horizons), "SimErr"]
+        heads = [
+            f"{g.replace('_', ' ')} [{units[g][0]}]",
+            *(f"{number(seconds_of[h])} s" for h in horizons),
+            "SimErr",
+        ]
         report.table(heads, body, numeric=range(1, len(heads)))
 
 
@@ -191,17 +227,34 @@ def _one_step(report: Report, validation: Mapping[str, Any]) -> None:
         for level in levels:
             c = inside.get(level)
             text = None if c is None else f"{100 * c['fraction']:.1f} %"
-            cells.append(Tag(text=text) if c is not None and text and not c.get("honest", True) else text)
+            cells.append(
+                Tag(text=text) if c is not None and text and not c.get("honest", True) else text
+            )
         unit = m.get("unit") or ""
-        body.append([name, unit, number(m["rmse"]), number(m["r2"]), number(m["fit"], 3), number(m["vaf"], 3), *cells])
+        body.append(
+            [
+                name,
+                unit,
+                number(m["rmse"]),
+                number(m["r2"]),
+                number(m["fit"], 3),
+                number(m["vaf"], 3),
+                *cells,
+            ]
+        )
     heads = ["channel", "unit", "RMSE", "R\N{SUPERSCRIPT TWO}", "fit [%]", "VAF [%]"]
     heads += [f"inside {100 * level:g} %" for level in levels]
-    caption = "Marked where the stated interval covers more or fewer samples than chance allows." if levels else ""
+    caption = (
+        "Marked where the stated interval covers more or fewer samples than chance allows."
+        if levels
+        else ""
+    )
     report.table(heads, body, numeric=range(2, len(heads)), caption=caption)
 
 
 def residual_section(report: Report, validation: Mapping[str, Any], *, worst: int = 6) -> None:
-    """Autocorrelation with bands, correlation with past inputs, and the tests; nothing where none was computed."""
+    """Autocorrelation with bands, correlation with past inputs, and the tests; nothing where none
+    was computed."""
     whiteness, cross = validation.get("whiteness"), validation.get("cross_correlation")
     if not whiteness and not cross:
         return
@@ -213,13 +266,15 @@ def residual_section(report: Report, validation: Mapping[str, Any], *, worst: in
         panels = [
             (
                 figures.correlogram(lags, c["r"], c["band"], title=name),
-                f"Autocorrelation of the innovation {name}, {100 * c['outside']:.0f} % of lags outside the band",
+                f"Autocorrelation of the innovation {name}, {100 * c['outside']:.0f} % of lags "
+                "outside the band",
             )
             for name, c in whiteness["channels"].items()
         ]
         report.figures(
             panels,
-            caption=f"Autocorrelation of the innovations; grey: where {100 * whiteness['level']:g} % of the lags of "
+            caption=f"Autocorrelation of the innovations; grey: where {100 * whiteness['level']:g} "
+            "% of the lags of "
             "white noise lie; orange: outside.",
         )
         _spectra(report, whiteness, validation.get("sample_time"))
@@ -240,13 +295,24 @@ def residual_section(report: Report, validation: Mapping[str, Any], *, worst: in
         if joint:
             joint_cells = [number(joint["q"]), joint["dof"], p_value(joint["p_value"])]
             body.append(["all together", joint["n"], None, None, None, *joint_cells])
-        heads = ["innovation", "samples", "normalised std", "lags outside", "predictable", "Q", "dof", "p"]
+        heads = [
+            "innovation",
+            "samples",
+            "normalised std",
+            "lags outside",
+            "predictable",
+            "Q",
+            "dof",
+            "p",
+        ]
         report.table(
             heads,
             body,
             numeric=range(1, len(heads)),
-            caption="Ljung-Box test per channel, Hosking's for all channels. The normalised standard deviation is 1 "
-            "for the right noise model; 'predictable' is the share of variance that the past of the channel explains.",
+            caption="Ljung-Box test per channel, Hosking's for all channels. The normalised "
+            "standard deviation is 1 "
+            "for the right noise model; 'predictable' is the share of variance that the past of "
+            "the channel explains.",
         )
     if cross:
         _cross(report, cross, worst)
@@ -254,20 +320,29 @@ def residual_section(report: Report, validation: Mapping[str, Any], *, worst: in
 
 def _spectra(report: Report, whiteness: Mapping[str, Any], sample_time: float | None) -> None:
     """Cumulated periodograms; nothing where they were not kept."""
-    kept = {n: c for n, c in whiteness["channels"].items() if c.get("periodogram") and c.get("periodogram_band")}
+    kept = {
+        n: c
+        for n, c in whiteness["channels"].items()
+        if c.get("periodogram") and c.get("periodogram_band")
+    }
     if not kept or not sample_time:
         return
     panels = [
         (
-            figures.cumulated(c["periodogram"], c["periodogram_band"], sample_time=sample_time, title=name),
-            f"Share of the variance of innovation {name} below each frequency, with the band of white noise",
+            figures.cumulated(
+                c["periodogram"], c["periodogram_band"], sample_time=sample_time, title=name
+            ),
+            f"Share of the variance of innovation {name} below each frequency, with the band of "
+            "white noise",
         )
         for name, c in kept.items()
     ]
     report.figures(
         panels,
-        caption="Cumulated periodograms: white noise rises straight and stays between the dashed lines "
-        f"{100 * whiteness['level']:g} % of the time. Early rise (orange): slow errors are left, as of drag or wind; late "
+        caption="Cumulated periodograms: white noise rises straight and stays between the dashed "
+        "lines "
+        f"{100 * whiteness['level']:g} % of the time. Early rise (orange): slow errors are left, "
+        "as of drag or wind; late "
         "rise: vibration or noise that a sensor adds.",
     )
 
@@ -279,13 +354,22 @@ def _cross(report: Report, cross: Mapping[str, Any], worst: int) -> None:
     shown = sorted(cross["pairs"], key=lambda p: p["p_value"])[:worst]
     panels = [
         (
-            figures.correlogram(cross["lags"], p["r"], p["band"], title=f"{p['innovation']} and {p['input']}"),
+            figures.correlogram(
+                cross["lags"], p["r"], p["band"], title=f"{p['innovation']} and {p['input']}"
+            ),
             f"Correlation of innovation {p['innovation']} with input {p['input']} over lags",
         )
         for p in shown
     ]
-    more = f" The {len(shown)} most suspicious of {len(cross['pairs'])} pairs." if len(cross["pairs"]) > worst else ""
-    caption = f"Input before innovation at positive lags; grey: {100 * cross['level']:g} % band if independent.{more} "
+    more = (
+        f" The {len(shown)} most suspicious of {len(cross['pairs'])} pairs."
+        if len(cross["pairs"]) > worst
+        else ""
+    )
+    caption = (
+        f"Input before innovation at positive lags; grey: {100 * cross['level']:g} % band "
+        f"if independent.{more} "
+    )
     report.figures(panels, caption=caption + cross["note"])
     inputs = list(dict.fromkeys(p["input"] for p in cross["pairs"]))
     table = {(p["innovation"], p["input"]): p["p_value"] for p in cross["pairs"]}
@@ -293,10 +377,19 @@ def _cross(report: Report, cross: Mapping[str, Any], worst: int) -> None:
     for name in dict.fromkeys(p["innovation"] for p in cross["pairs"]):
         values = [table.get((name, i)) for i in inputs]
         limit = 0.01 / len(cross["pairs"])
-        rows.append([name, *(Tag(text=p_value(v)) if v is not None and v < limit else p_value(v) for v in values)])
+        rows.append(
+            [
+                name,
+                *(
+                    Tag(text=p_value(v)) if v is not None and v < limit else p_value(v)
+                    for v in values
+                ),
+            ]
+        )
     report.table(
         ["innovation", *inputs],
         rows,
         numeric=range(1, len(inputs) + 1),
-        caption="p-values over all positive lags; marked where significant after correction for the number of pairs.",
+        caption="p-values over all positive lags; marked where significant after correction for "
+        "the number of pairs.",
     )

@@ -1,4 +1,5 @@
-"""Numbers and findings as text: estimates with the digits that their spread leaves, p-values, statements in words."""
+"""Numbers and findings as text: estimates with the digits that their spread leaves, p-values,
+statements in words."""
 
 from __future__ import annotations
 
@@ -13,7 +14,9 @@ _EXPONENT = re.compile(r"e([+-])0*(\d+)")
 
 def _minus(text: str) -> str:
     """True minus signs, and exponents without leading zeros."""
-    return _EXPONENT.sub(lambda m: f"e{m.group(1).replace('+', '')}{m.group(2)}", text).replace("-", MINUS)
+    return _EXPONENT.sub(lambda m: f"e{m.group(1).replace('+', '')}{m.group(2)}", text).replace(
+        "-", MINUS
+    )
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -23,11 +26,13 @@ def number(value: float | None, digits: int = 4) -> str:
     return _minus(f"{value:.{digits}g}")
 
 
-def rounded(value: float | None, std: float | None, *, like: float | None = None) -> tuple[str, str]:
+def rounded(
+    value: float | None, std: float | None, *, like: float | None = None
+) -> tuple[str, str]:
     """(value, std) as text, both to the second significant digit of the standard deviation.
 
-    A spread that is missing or zero leaves five significant digits and a dash. Numbers below 0.001 have an exponent;
-    `like` is the number that decides so (default: the larger of the two).
+    A spread that is missing or zero leaves five significant digits and a dash. Numbers below 0.001
+    have an exponent; `like` is the number that decides so (default: the larger of the two).
     """
     if value is None or not math.isfinite(value):
         return "\N{EN DASH}", "\N{EN DASH}"
@@ -44,7 +49,13 @@ def rounded(value: float | None, std: float | None, *, like: float | None = None
 
 def interval(value: float | None, std: float | None) -> str:
     """The 95 % interval value -+ 1.96 std as text."""
-    if value is None or std is None or not math.isfinite(value) or not math.isfinite(std) or std <= 0:
+    if (
+        value is None
+        or std is None
+        or not math.isfinite(value)
+        or not math.isfinite(std)
+        or std <= 0
+    ):
         return "\N{EN DASH}"
     like = max(abs(value), std)
     low, high = (rounded(value + side * std, std, like=like)[0] for side in (-1.96, 1.96))
@@ -71,9 +82,13 @@ def strong_correlations(
     lines = []
     for _, a, b, r in sorted(found, key=lambda f: (-f[0], f[1], f[2])):
         sense = (
-            "the data fix their difference better than either" if r > 0 else "the data fix their sum better than either"
+            "the data fix their difference better than either"
+            if r > 0
+            else "the data fix their sum better than either"
         )
-        lines.append(f"{a} and {b} are correlated by {number(r, 3)}: in units of their spread, {sense}.")
+        lines.append(
+            f"{a} and {b} are correlated by {number(r, 3)}: in units of their spread, {sense}."
+        )
     return lines
 
 
@@ -84,18 +99,23 @@ def whiteness_verdict(whiteness: Mapping[str, Any]) -> str:
     bad = {n: c for n, c in channels.items() if c["p_value"] < limit}
     if not bad:
         return (
-            "No innovation channel differs from white noise: the model leaves nothing that its own past could predict."
+            "No innovation channel differs from white noise: the model leaves nothing that its "
+            "own past could predict."
         )
     worst = max(bad, key=lambda n: bad[n]["predictable"])
     share = bad[worst]["predictable"]
     text = (
-        f"{len(bad)} of {len(channels)} innovation channels {'is' if len(bad) == 1 else 'are'} not white "
+        f"{len(bad)} of {len(channels)} innovation channels {'is' if len(bad) == 1 else 'are'} not "
+        "white "
         f"({', '.join(bad)}). Largest: {worst}, of "
         f"whose variance {100 * share:.0f} % could be predicted from its own past."
     )
     if share < 0.05:
         return text + " That is small: long records make the test sensitive."
-    return text + " Standard errors that assume white innovations are too small; something is still missing."
+    return (
+        text + " Standard errors that assume white innovations are too small; something is still "
+        "missing."
+    )
 
 
 def cross_verdict(cross: Mapping[str, Any]) -> str:
@@ -107,4 +127,6 @@ def cross_verdict(cross: Mapping[str, Any]) -> str:
         return "Past inputs explain no innovation: the path from input to output is captured."
     first = ", ".join(f"{p['innovation']} after {p['input']}" for p in bad[:5])
     rest = f" and {len(bad) - 5} more" if len(bad) > 5 else ""
-    return f"Past inputs still explain innovations in {len(bad)} of {len(pairs)} pairs: {first}{rest}."
+    return (
+        f"Past inputs still explain innovations in {len(bad)} of {len(pairs)} pairs: {first}{rest}."
+    )

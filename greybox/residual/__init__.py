@@ -1,1 +1,2 @@
-"""What the physics leaves over: residuals to learn, the Gaussian process that learns them, and hybrid models."""
+"""What the physics leaves over: residuals to learn, the Gaussian process that learns them, and
+hybrid models."""

@@ -19,7 +19,12 @@ class AsFunction:
     inputs: Layout
 
     def expressions(
-        self, z: Expr, which: Iterable[str], *, noise: bool | str = False, weights: Expr | None = None
+        self,
+        z: Expr,
+        which: Iterable[str],
+        *,
+        noise: bool | str = False,
+        weights: Expr | None = None,
     ) -> dict[str, Expr]:
         """Several quantities of one z (n_in, 1)."""
         raise NotImplementedError
@@ -32,17 +37,22 @@ class AsFunction:
         noise: bool | str = False,
         symbol: Any = ca.MX,
     ) -> Any:
-        """A CasADi function z -> the quantities in `which` (named in- and outputs); `symbol` is casadi.MX or casadi.SX."""
+        """A CasADi function z -> the quantities in `which` (named in- and outputs); `symbol` is
+        casadi.MX or casadi.SX."""
         names = list(which)
         z = symbol.sym("z", len(self.inputs))
         values = self.expressions(z, names, noise=noise)
-        return ca.Function(name or self.called, [z], [ca.densify(values[n]) for n in names], ["z"], names)
+        return ca.Function(
+            name or self.called, [z], [ca.densify(values[n]) for n in names], ["z"], names
+        )
 
     @cached_property
     def _moments(self) -> Any:
         z = ca.MX.sym("z", len(self.inputs))
         values = self.expressions(z, ("mean", "variance"))
-        return ca.Function("moments", [z], [ca.densify(ca.vertcat(values["mean"], values["variance"]))])
+        return ca.Function(
+            "moments", [z], [ca.densify(ca.vertcat(values["mean"], values["variance"]))]
+        )
 
     @cached_property
     def _distance(self) -> Any:

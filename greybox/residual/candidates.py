@@ -1,4 +1,5 @@
-"""What competes to be learned: Gaussian processes of every set of features, or what another learner offers.
+"""What competes to be learned: Gaussian processes of every set of features, or what another learner
+offers.
 
 Their weights are still open; `greybox.residual.open_loop_fit` fits and judges them.
 """
@@ -24,9 +25,11 @@ from greybox.residual.weight_space import Candidate
 from greybox.symbolic import BoolArray, FloatArray, evaluate
 
 BROAD = 3.0
-"""Length-scale of the broad kernel in standard deviations of a feature; its linear part reaches twice as far."""
+"""Length-scale of the broad kernel in standard deviations of a feature; its linear part reaches
+twice as far."""
 SUBSET = 300
-"""Rows of the exact marginal likelihood. It only shapes kernels: weights and judgement come from multi-step errors."""
+"""Rows of the exact marginal likelihood. It only shapes kernels: weights and judgement come from
+multi-step errors."""
 SLOPES = 200
 """Rows at which the slopes of a learner's features are looked at."""
 Say = Callable[[str, float], None]
@@ -35,15 +38,25 @@ Say = Callable[[str, float], None]
 def gp_candidates(
     sets: Mapping[str, Discrepancy], *, kernel: str, points: int | str, seed: int, say: Say
 ) -> tuple[dict[str, GPPosterior], list[Mapping[str, Any]]]:
-    """Of every set of features a process by marginal likelihood and one with a broad kernel, and how they were trained."""
+    """Of every set of features a process by marginal likelihood and one with a broad kernel, and
+    how they were trained."""
     found: dict[str, GPPosterior] = {}
     reports: list[Mapping[str, Any]] = []
     for i, (label, seen) in enumerate(sets.items()):
         say(f"marginal likelihood: {label}", i / len(sets))
         trained = train_gp(
-            seen.z, seen.y, inputs=seen.inputs, outputs=seen.outputs, kernel=kernel, points=points, seed=seed,
-            groups=seen.flights, noise_inflation=1.0, hold_out=0.25 if points == "auto" else 0.0, subset=SUBSET,
-        )  # fmt: skip
+            seen.z,
+            seen.y,
+            inputs=seen.inputs,
+            outputs=seen.outputs,
+            kernel=kernel,
+            points=points,
+            seed=seed,
+            groups=seen.flights,
+            noise_inflation=1.0,
+            hold_out=0.25 if points == "auto" else 0.0,
+            subset=SUBSET,
+        )
         reports.append({"candidate": label, **trained.report.to_dict()})
         size = trained.posterior.points if points == "auto" else int(points)
         if any(trained.posterior.active):
@@ -67,7 +80,8 @@ class FeatureMaker:
         return next(iter(self.sets.values())).flights
 
     def candidates(self, say: Say) -> dict[str, Candidate]:
-        """Every candidate by its name. Raises `ModelError` (as `feature_candidates`; none at all)."""
+        """Every candidate by its name. Raises `ModelError` (as `feature_candidates`; none at
+        all)."""
         found: dict[str, Candidate] = {}
         for i, (label, seen) in enumerate(self.sets.items()):
             say(f"{self.learner.name}: {label}", i / len(self.sets))
@@ -83,18 +97,28 @@ class FeatureMaker:
         """The candidate of this name from `rows` (N,) alone."""
         of = next(n for n in sorted(self.sets, key=len, reverse=True) if label.startswith(f"{n}, "))
         offered = feature_candidates(
-            self.learner, self.sets[of].take(rows), points=self.points, seed=self.seed, scaled_as=self.sets[of]
+            self.learner,
+            self.sets[of].take(rows),
+            points=self.points,
+            seed=self.seed,
+            scaled_as=self.sets[of],
         )
         return offered.get(label.removeprefix(f"{of}, "))
 
 
 def feature_candidates(
-    learner: Learner, seen: Discrepancy, *, points: int, seed: int, scaled_as: Discrepancy | None = None
+    learner: Learner,
+    seen: Discrepancy,
+    *,
+    points: int,
+    seed: int,
+    scaled_as: Discrepancy | None = None,
 ) -> dict[str, FeaturePosterior]:
-    """What a learner offers for the rows of `seen`, ready for `fit_open_loop`; inputs and outputs in units of the spread
-    of `scaled_as` (default `seen`).
+    """What a learner offers for the rows of `seen`, ready for `fit_open_loop`; inputs and outputs
+    in units of the spread of `scaled_as` (default `seen`).
 
-    Raises `ModelError` for features that are no column or not finite on the rows, and for a learner that fails.
+    Raises `ModelError` for features that are no column or not finite on the rows, and for a learner
+    that fails.
     """
     of = scaled_as or seen
     centred = bool(getattr(learner, "centred", True))
@@ -110,8 +134,9 @@ def feature_candidates(
     except Exception as error:  # a user's own code may raise anything
         raise ModelError(
             f"the learner {learner.name} failed: {type(error).__name__}: {error}",
-            expected="features(x, y, points, seed) -> {name: column of a CasADi column}", fix="see docs/own_learner.md",
-        ) from None  # fmt: skip
+            expected="features(x, y, points, seed) -> {name: column of a CasADi column}",
+            fix="see docs/own_learner.md",
+        ) from None
     out: dict[str, FeaturePosterior] = {}
     members = len(columns) if getattr(learner, "ensemble", False) else 1
     if members > 1:
@@ -119,19 +144,27 @@ def feature_candidates(
     for label, phi in columns.items():
         if phi.size2_out(0) != 1 or not phi.numel_out(0):
             raise ModelError(
-                f"learner {learner.name}: {label} is no column", expected="(M, 1)", got=str(phi.size_out(0))
+                f"learner {learner.name}: {label} is no column",
+                expected="(M, 1)",
+                got=str(phi.size_out(0)),
             )
         if not _finite(phi, x):
             raise ModelError(
                 f"learner {learner.name}: {label} is not finite on the training flights",
                 expected="finite features and slopes at standardised inputs",
                 fix="bound what it divides by or takes the root of",
-            )  # fmt: skip
+            )
         out[label] = silent_features(
-            phi, method=learner.name, inputs=seen.inputs, outputs=seen.outputs, input_mean=middle, input_scale=spread,
-            output_scale=size, members=members,
+            phi,
+            method=learner.name,
+            inputs=seen.inputs,
+            outputs=seen.outputs,
+            input_mean=middle,
+            input_scale=spread,
+            output_scale=size,
+            members=members,
             domain=Domain(lower=of.z.min(axis=0), upper=of.z.max(axis=0), samples=len(of.z)),
-        )  # fmt: skip
+        )
     return out
 
 
@@ -142,7 +175,8 @@ def _column(made: Callable[[Any], Any], inputs: int) -> Any:
 
 
 def _finite(phi: Any, x: FloatArray) -> bool:
-    """Whether features are finite at all rows x (N, n_in), and their slopes at some of them and in the middle."""
+    """Whether features are finite at all rows x (N, n_in), and their slopes at some of them and in
+    the middle."""
     s = ca.SX.sym("x", x.shape[1])
     slope = ca.Function("slope", [s], [ca.densify(ca.vec(ca.jacobian(phi(s), s)))])
     some = np.vstack([np.zeros(x.shape[1]), x[:: max(1, len(x) // SLOPES)]])
@@ -150,13 +184,15 @@ def _finite(phi: Any, x: FloatArray) -> bool:
 
 
 def _side_by_side(learner: Learner, members: list[Any]) -> Any:
-    """The features of all members of an ensemble as one column. Raises `ModelError` where they are not alike."""
+    """The features of all members of an ensemble as one column. Raises `ModelError` where they are
+    not alike."""
     sizes = sorted({phi.numel_out(0) for phi in members})
     if len(sizes) > 1:
         raise ModelError(
-            f"learner {learner.name}: members of an ensemble of different size", expected="as many features each",
+            f"learner {learner.name}: members of an ensemble of different size",
+            expected="as many features each",
             got=" and ".join(map(str, sizes)),
-        )  # fmt: skip
+        )
     s = ca.SX.sym("x", members[0].numel_in(0))
     return ca.Function("phi", [s], [ca.vertcat(*(phi(s) for phi in members))])
 
@@ -167,22 +203,36 @@ def _spread(values: FloatArray) -> FloatArray:
 
 
 def broad_posterior(seen: Discrepancy, *, points: int, seed: int) -> GPPosterior:
-    """A Gaussian process with a broad linear-plus-SE kernel, ready for `fit_open_loop` (its weights are still zero)."""
+    """A Gaussian process with a broad linear-plus-SE kernel, ready for `fit_open_loop` (its weights
+    are still zero)."""
     mean, scale = seen.z.mean(axis=0), seen.z.std(axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     n_in, n_out = seen.z.shape[1], seen.y.shape[1]
     kernel = Kernel(
-        family="se", lengthscales=np.full(n_in, BROAD), variance=1.0, slopes=np.ones(n_in),
+        family="se",
+        lengthscales=np.full(n_in, BROAD),
+        variance=1.0,
+        slopes=np.ones(n_in),
         reach=np.full(n_in, 2 * BROAD),
-    )  # fmt: skip
+    )
     x = (seen.z - mean) / scale
     support = place_points([kernel] * n_out, np.full(n_out, 0.1), x, points, seed=seed)
     m = len(support)
     size = seen.y.std(axis=0)
     size = np.where(size > 0, size, 1.0)
     return GPPosterior(
-        inputs=seen.inputs, outputs=seen.outputs, method="svgp", kernels=(kernel,) * n_out, input_mean=mean,
-        input_scale=scale, output_mean=np.zeros(n_out), output_scale=size, support=support,
-        weights=np.zeros((m, n_out)), explained=np.zeros((n_out, m, m)), uncertain=np.zeros((n_out, m, m)),
-        noise=size**2, domain=Domain(lower=seen.z.min(axis=0), upper=seen.z.max(axis=0), samples=len(x)),
-    )  # fmt: skip
+        inputs=seen.inputs,
+        outputs=seen.outputs,
+        method="svgp",
+        kernels=(kernel,) * n_out,
+        input_mean=mean,
+        input_scale=scale,
+        output_mean=np.zeros(n_out),
+        output_scale=size,
+        support=support,
+        weights=np.zeros((m, n_out)),
+        explained=np.zeros((n_out, m, m)),
+        uncertain=np.zeros((n_out, m, m)),
+        noise=size**2,
+        domain=Domain(lower=seen.z.min(axis=0), upper=seen.z.max(axis=0), samples=len(x)),
+    )

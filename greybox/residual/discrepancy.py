@@ -1,9 +1,11 @@
-"""What the physics misses, sample by sample: smoothed disturbance force and torque with the features they may depend on.
+"""What the physics misses, sample by sample: smoothed disturbance force and torque with the
+features they may depend on.
 
-The model's filter carries the discrepancy as disturbance states; the smoothed states given the whole flight are the
-targets of a residual Gaussian process, never differentiated signals (Kristensen, Madsen and Jorgensen 2004). Smoothed
-values of neighbouring samples are almost copies of each other, so targets and features are averaged over blocks of about
-the correlation time of the disturbance; what is faster than that the disturbance states do not resolve anyway.
+The model's filter carries the discrepancy as disturbance states; the smoothed states given the
+whole flight are the targets of a residual Gaussian process, never differentiated signals
+(Kristensen, Madsen and Jorgensen 2004). Smoothed values of neighbouring samples are almost copies
+of each other, so targets and features are averaged over blocks of about the correlation time of the
+disturbance; what is faster than that the disturbance states do not resolve anyway.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ GROUPS = ("force", "torque")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Discrepancy:
-    """Features z (N, n_in) and targets y (N, n_out) [N, N m], block means in time order, with the flight of every row."""
+    """Features z (N, n_in) and targets y (N, n_out) [N, N m], block means in time order, with the
+    flight of every row."""
 
     inputs: Layout
     outputs: Layout
@@ -60,17 +63,19 @@ def feature_function(dynamics: Dynamics, names: Sequence[str]) -> Any:
 
 
 def disturbed_model(model: IdentifiedModel, data: Dataset) -> IdentifiedModel:
-    """`model` with disturbance states whose levels and time constants are fitted to `data`: for force and torque, of a
-    model of the user's own for every group of its process noise.
+    """`model` with disturbance states whose levels and time constants are fitted to `data`: for
+    force and torque, of a model of the user's own for every group of its process noise.
 
-    A model that has disturbance states already is returned as it is. Shared physical parameters keep their estimates and
-    covariance; per-flight ones are fitted along. Raises `ModelError` for a vehicle whose noises are neither, and for a
-    model without process noise.
+    A model that has disturbance states already is returned as it is. Shared physical parameters
+    keep their estimates and covariance; per-flight ones are fitted along. Raises `ModelError` for a
+    vehicle whose noises are neither, and for a model without process noise.
     """
     if disturbances(model.dynamics):
         return model
     heads = tuple(dict.fromkeys(n.split(".")[0] for n in model.dynamics.noises.names))
-    groups = tuple(g for g in GROUPS if g in heads) if physics_of(model.dynamics) is not None else heads
+    groups = (
+        tuple(g for g in GROUPS if g in heads) if physics_of(model.dynamics) is not None else heads
+    )
     if not groups:
         raise ModelError(
             "the model has no process noise that a disturbance could enter by",
@@ -79,17 +84,30 @@ def disturbed_model(model: IdentifiedModel, data: Dataset) -> IdentifiedModel:
         )
     own = tuple(n for n in model.flight_spread)
     result = fit(
-        model.dynamics, data, disturbance=groups, free=(*own, *(f"disturbance.{g}.T" for g in groups)), per_flight=own,
-        values=dict(model.values), noise=noise_of(model), estimate_noise="process", initialisation="nominal",
-    ).model  # fmt: skip
+        model.dynamics,
+        data,
+        disturbance=groups,
+        free=(*own, *(f"disturbance.{g}.T" for g in groups)),
+        per_flight=own,
+        values=dict(model.values),
+        noise=noise_of(model),
+        estimate_noise="process",
+        initialisation="nominal",
+    ).model
     return replace(
-        result, covariance_names=model.covariance_names, covariance=model.covariance, considered=model.considered,
-        source=model.source, trained_on=model.trained_on, data_hash=model.data_hash,
-    )  # fmt: skip
+        result,
+        covariance_names=model.covariance_names,
+        covariance=model.covariance,
+        considered=model.considered,
+        source=model.source,
+        trained_on=model.trained_on,
+        data_hash=model.data_hash,
+    )
 
 
 def smoothed_features(runner: Filter, segment: Segment, look: Any) -> tuple[FloatArray, FloatArray]:
-    """Smoothed states (n, n_x) of one segment, and there the features (n, m) of `look`, a `feature_function`."""
+    """Smoothed states (n, n_x) of one segment, and there the features (n, m) of `look`, a
+    `feature_function`."""
     found = smooth(runner, runner.run(segment))
     n, width = len(found.states), sum(runner.model.dynamics.window) + 1
     window = found.filtered.record.inputs[np.arange(n)[:, None] + np.arange(width)].reshape(n, -1)
@@ -97,9 +115,11 @@ def smoothed_features(runner: Filter, segment: Segment, look: Any) -> tuple[Floa
 
 
 def discrepancy(model: IdentifiedModel, data: Dataset, names: Sequence[str]) -> Discrepancy:
-    """Smoothed disturbances of all flights with the features `names`. `model` has disturbance states (`disturbed_model`).
+    """Smoothed disturbances of all flights with the features `names`. `model` has disturbance
+    states (`disturbed_model`).
 
-    Where features look back rows are single samples, one per block: means would mix what lags tell apart.
+    Where features look back rows are single samples, one per block: means would mix what lags tell
+    apart.
     """
     dynamics = model.dynamics
     rows = [i for i, n in enumerate(dynamics.states.names) if n.startswith("disturbance.")]
@@ -108,7 +128,9 @@ def discrepancy(model: IdentifiedModel, data: Dataset, names: Sequence[str]) -> 
     channels = [dynamics.states.names[i].removeprefix("disturbance.") for i in rows]
     runner = Filter(model)
     look = feature_function(dynamics, names)
-    times = [model.values[n] for n in model.values if n.startswith("disturbance.") and n.endswith(".T")]
+    times = [
+        model.values[n] for n in model.values if n.startswith("disturbance.") and n.endswith(".T")
+    ]
     block = max(1, round(min(max(times, default=0.1), 0.5) / model.sample_time))
     z: list[FloatArray] = []
     y: list[FloatArray] = []
@@ -124,9 +146,15 @@ def discrepancy(model: IdentifiedModel, data: Dataset, names: Sequence[str]) -> 
                 found.append(blocks[:, block // 2] if reach(names) else blocks.mean(axis=1))
             flights += [flight.name] * (n // block)
     if not z:
-        raise ModelError("no flight is long enough to see its disturbances", expected=f"more than {block} samples")
+        raise ModelError(
+            "no flight is long enough to see its disturbances",
+            expected=f"more than {block} samples",
+        )
     outputs = Layout([dynamics.noises.signals[dynamics.noises[c]] for c in channels])
     return Discrepancy(
-        inputs=feature_layout(dynamics, names), outputs=outputs, z=np.concatenate(z), y=np.concatenate(y),
+        inputs=feature_layout(dynamics, names),
+        outputs=outputs,
+        z=np.concatenate(z),
+        y=np.concatenate(y),
         flights=tuple(flights),
-    )  # fmt: skip
+    )

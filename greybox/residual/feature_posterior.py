@@ -1,10 +1,12 @@
-"""FeaturePosterior: a learned part that is linear in features, as plain numbers, with its predictions as CasADi expressions.
+"""FeaturePosterior: a learned part that is linear in features, as plain numbers, with its
+predictions as CasADi expressions.
 
     x = (z - input_mean)/input_scale,   mean_j = output_scale_j w_j'phi(x),   variance_j = output_scale_j^2 |F_j phi(x)|^2
 
-It is to a learner's features (`greybox.residual.learners`) what `GPPosterior` is to a kernel and its support points, and
-answers the same questions. phi is kept operation by operation (`greybox.model.expressions`), so that a file needs nothing
-of the learner that made it. `method` is the learner's name.
+It is to a learner's features (`greybox.residual.learners`) what `GPPosterior` is to a kernel and
+its support points, and answers the same questions. phi is kept operation by operation
+(`greybox.model.expressions`), so that a file needs nothing of the learner that made it. `method` is
+the learner's name.
 """
 
 from __future__ import annotations
@@ -32,9 +34,10 @@ _ARRAYS = ("weights", "root")
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FeaturePosterior(AsFunction, Shown):
-    """Shapes: n_in inputs, n_out outputs, M features. `phi`: SX function x (n_in) -> (M,); `weights` (M, n_out); `root`
-    (n_out, M, M), F with F'F the covariance of the weights; `prior` (n_out,) their variance before the data, in whose unit
-    `distance` is told; `noise` (n_out,) variance of a new sample. Raises `ModelError`."""
+    """Shapes: n_in inputs, n_out outputs, M features. `phi`: SX function x (n_in) -> (M,);
+    `weights` (M, n_out); `root` (n_out, M, M), F with F'F the covariance of the weights; `prior`
+    (n_out,) their variance before the data, in whose unit `distance` is told; `noise` (n_out,)
+    variance of a new sample. Raises `ModelError`."""
 
     called: ClassVar[str] = "learned"
 
@@ -51,27 +54,46 @@ class FeaturePosterior(AsFunction, Shown):
     noise: FloatArray
     domain: Domain
     members: int = 1
-    """How many equal blocks of features were fitted each on its own (an ensemble); a file does not need it."""
+    """How many equal blocks of features were fitted each on its own (an ensemble); a file does not
+    need it."""
 
     def __post_init__(self) -> None:
         n_in, n_out, m = len(self.inputs), len(self.outputs), self.phi.numel_out(0)
         shapes = {
-            "input_mean": (n_in,), "input_scale": (n_in,), "output_scale": (n_out,), "noise": (n_out,), "prior": (n_out,),
-            "weights": (m, n_out), "root": (n_out, m, m),
-        }  # fmt: skip
+            "input_mean": (n_in,),
+            "input_scale": (n_in,),
+            "output_scale": (n_out,),
+            "noise": (n_out,),
+            "prior": (n_out,),
+            "weights": (m, n_out),
+            "root": (n_out, m, m),
+        }
         for name, shape in shapes.items():
             value = np.array(getattr(self, name), dtype=np.float64)
             value.setflags(write=False)
             if value.shape != shape or not np.isfinite(value).all():
-                raise ModelError(f"FeaturePosterior.{name}", expected=f"finite numbers {shape}", got=str(value.shape))
+                raise ModelError(
+                    f"FeaturePosterior.{name}",
+                    expected=f"finite numbers {shape}",
+                    got=str(value.shape),
+                )
             object.__setattr__(self, name, value)
-        if self.phi.numel_in(0) != n_in or not (self.input_scale > 0).all() or not (self.output_scale > 0).all():
-            raise ModelError("the features do not fit the inputs", expected=f"{n_in} inputs, positive scales")
+        if (
+            self.phi.numel_in(0) != n_in
+            or not (self.input_scale > 0).all()
+            or not (self.output_scale > 0).all()
+        ):
+            raise ModelError(
+                "the features do not fit the inputs", expected=f"{n_in} inputs, positive scales"
+            )
 
     def _shown_text(self) -> str:
         """What is learned of what."""
         learned = [n for n, on in zip(self.outputs.names, self.active, strict=True) if on]
-        return f"{self.method}, {self.points} features of {', '.join(self.inputs.names)}: {', '.join(learned) or 'nothing'}"
+        return (
+            f"{self.method}, {self.points} features of {', '.join(self.inputs.names)}: "
+            f"{', '.join(learned) or 'nothing'}"
+        )
 
     def _shown_rows(self) -> list[dict[str, Cell]]:
         """One row per output."""
@@ -105,13 +127,20 @@ class FeaturePosterior(AsFunction, Shown):
         return self.expressions(z, ("mean",))["mean"]
 
     def variance(self, z: Expr, noise: bool = False) -> Expr:
-        """Variance (n_out, 1) in output units squared: of the function; with `noise` of a new sample."""
+        """Variance (n_out, 1) in output units squared: of the function; with `noise` of a new
+        sample."""
         return self.expressions(z, ("variance",), noise=noise)["variance"]
 
     def expressions(
-        self, z: Expr, which: Iterable[str], *, noise: bool | str = False, weights: Expr | None = None
+        self,
+        z: Expr,
+        which: Iterable[str],
+        *,
+        noise: bool | str = False,
+        weights: Expr | None = None,
     ) -> dict[str, Expr]:
-        """Several quantities (of `greybox.residual.posterior.QUANTITIES`) of one z, as `GPPosterior.expressions`."""
+        """Several quantities (of `greybox.residual.posterior.QUANTITIES`) of one z, as
+        `GPPosterior.expressions`."""
         wanted = set(which)
         for name in wanted - {*QUANTITIES, "distances"}:
             raise UnknownNameError("quantity of a learned part", name, (*QUANTITIES, "distances"))
@@ -126,16 +155,23 @@ class FeaturePosterior(AsFunction, Shown):
         if "mean" in wanted:
             out["mean"] = self.output_scale * (own.T @ phi)
         if "variance" in wanted:
-            out["variance"] = square * ca.vertcat(*(ca.sumsqr(s) for s in spread)) + (self.noise if noise else 0.0)
+            out["variance"] = square * ca.vertcat(*(ca.sumsqr(s) for s in spread)) + (
+                self.noise if noise else 0.0
+            )
         if "mean_jacobian" in wanted:
             out["mean_jacobian"] = (self.output_scale[:, None] / self.input_scale) * (own.T @ slope)
         if "variance_jacobian" in wanted:
-            rows = [2 * (ca.sparsify(ca.DM(f)).T @ s).T @ slope for f, s in zip(self.root, spread, strict=True)]
+            rows = [
+                2 * (ca.sparsify(ca.DM(f)).T @ s).T @ slope
+                for f, s in zip(self.root, spread, strict=True)
+            ]
             out["variance_jacobian"] = (square[:, None] / self.input_scale) * ca.vertcat(*rows)
         if wanted & {"distance", "distances"}:
             before = [p * ca.sumsqr(phi) + 1e-12 for p in self.prior]
             shares = [ca.fmin(ca.sumsqr(s) / b, 1.0) for s, b in zip(spread, before, strict=True)]
-            out["distances"] = ca.vertcat(*(s if i in on else ca.DM(1.0) for i, s in enumerate(shares)))
+            out["distances"] = ca.vertcat(
+                *(s if i in on else ca.DM(1.0) for i, s in enumerate(shares))
+            )
             out["distance"] = ca.mmax(ca.vertcat(*(shares[i] for i in on))) if on else ca.DM(1.0)
         return {n: out[n] for n in wanted}
 
@@ -155,7 +191,9 @@ class FeaturePosterior(AsFunction, Shown):
         """The same, knowing which `distance` is usual at its training inputs z (N, n_in)."""
         seen = evaluate(self._distance, np.ascontiguousarray(z)).ravel()
         usual = tuple(float(v) for v in np.quantile(seen, [0.5, 0.95, 0.99, 1.0]))
-        return replace(self, domain=replace(self.domain, distance=(usual[0], usual[1], usual[2], usual[3])))
+        return replace(
+            self, domain=replace(self.domain, distance=(usual[0], usual[1], usual[2], usual[3]))
+        )
 
     def with_spread(self, factor: float) -> FeaturePosterior:
         """The same mean with `factor` > 0 times the standard deviation."""
@@ -164,14 +202,19 @@ class FeaturePosterior(AsFunction, Shown):
     def to_dict(self) -> dict[str, Any]:
         """All of it as plain JSON values."""
         return {
-            "schema": SCHEMA, "inputs": [vars(s) for s in self.inputs], "outputs": [vars(s) for s in self.outputs],
-            "method": self.method, "features": write_function(self.phi),
+            "schema": SCHEMA,
+            "inputs": [vars(s) for s in self.inputs],
+            "outputs": [vars(s) for s in self.outputs],
+            "method": self.method,
+            "features": write_function(self.phi),
             **{n: getattr(self, n).tolist() for n in (*_VECTORS, *_ARRAYS, "prior")},
             "domain": {
-                "lower": self.domain.lower.tolist(), "upper": self.domain.upper.tolist(),
-                "distance": list(self.domain.distance), "samples": self.domain.samples,
+                "lower": self.domain.lower.tolist(),
+                "upper": self.domain.upper.tolist(),
+                "distance": list(self.domain.distance),
+                "samples": self.domain.samples,
             },
-        }  # fmt: skip
+        }
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> FeaturePosterior:
@@ -193,17 +236,37 @@ class FeaturePosterior(AsFunction, Shown):
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             if isinstance(error, GreyboxError) and not isinstance(error, ModelError):
                 raise
-            raise FileFormatError(f"not a learned part ({error})", fix="pass what greybox wrote") from None
+            raise FileFormatError(
+                f"not a learned part ({error})", fix="pass what greybox wrote"
+            ) from None
 
 
 def silent_features(
-    phi: Any, *, method: str, inputs: Layout, outputs: Layout, input_mean: FloatArray, input_scale: FloatArray,
-    output_scale: FloatArray, domain: Domain, members: int = 1,
-) -> FeaturePosterior:  # fmt: skip
+    phi: Any,
+    *,
+    method: str,
+    inputs: Layout,
+    outputs: Layout,
+    input_mean: FloatArray,
+    input_scale: FloatArray,
+    output_scale: FloatArray,
+    domain: Domain,
+    members: int = 1,
+) -> FeaturePosterior:
     """Features ready for `fit_open_loop`, their weights still zero."""
     m, n_out = phi.numel_out(0), len(outputs)
     return FeaturePosterior(
-        inputs=inputs, outputs=outputs, method=method, phi=phi, input_mean=input_mean, input_scale=input_scale,
-        output_scale=output_scale, weights=np.zeros((m, n_out)), root=np.zeros((n_out, m, m)), prior=np.ones(n_out),
-        noise=output_scale**2, domain=domain, members=members,
-    )  # fmt: skip
+        inputs=inputs,
+        outputs=outputs,
+        method=method,
+        phi=phi,
+        input_mean=input_mean,
+        input_scale=input_scale,
+        output_scale=output_scale,
+        weights=np.zeros((m, n_out)),
+        root=np.zeros((n_out, m, m)),
+        prior=np.ones(n_out),
+        noise=output_scale**2,
+        domain=domain,
+        members=members,
+    )

@@ -1,4 +1,5 @@
-"""Features: the model signals that a Gaussian process may look at, by name, as CasADi expressions of state and command.
+"""Features: the model signals that a Gaussian process may look at, by name, as CasADi expressions
+of state and command.
 
 | name | meaning | unit |
 |---|---|---|
@@ -71,13 +72,15 @@ def available(dynamics: Dynamics) -> Mapping[str, str]:
 
 
 def default_features(dynamics: Dynamics) -> tuple[str, ...]:
-    """What forces and torques of a multirotor depend on: body velocity, rates, rotor speeds (commands, where there is no
-    rotor state); of any other model the states and inputs."""
+    """What forces and torques of a multirotor depend on: body velocity, rates, rotor speeds
+    (commands, where there is no rotor state); of any other model the states and inputs."""
     there = available(dynamics)
     if "p" not in there or "rate" not in _blocks(dynamics):
         noise = noise_states(dynamics)
         return (*(n for n in dynamics.states.names if n not in noise), *dynamics.inputs.names)
-    rotors = [n for n in there if n[:2] == "nu"] or [n for n in dynamics.inputs.names if n != "vbat"]
+    rotors = [n for n in there if n[:2] == "nu"] or [
+        n for n in dynamics.inputs.names if n != "vbat"
+    ]
     return (*(n for n in there if n.split(".")[0] == "body_velocity"), "p", "q", "r", *rotors)
 
 
@@ -99,17 +102,23 @@ def feature_layout(dynamics: Dynamics, names: Sequence[str]) -> Layout:
 
 
 def features(dynamics: Dynamics, names: Sequence[str], x: Expr, window: Expr) -> Expr:
-    """The features `names` (m,) at state x (n_x) and command window (n_u x (past + 1 + future)), whose past may be longer
-    than that of the model. Raises `UnknownNameError`, `ModelError` where a feature looks further back than that."""
+    """The features `names` (m,) at state x (n_x) and command window (n_u x (past + 1 + future)),
+    whose past may be longer than that of the model. Raises `UnknownNameError`, `ModelError` where a
+    feature looks further back than that."""
     feature_layout(dynamics, names)
     blocks = _blocks(dynamics)
     table: dict[str, Expr] = {n: x[i] for i, n in enumerate(dynamics.states.names)}
-    now, place = window.shape[1] - 1 - dynamics.window[1], {n: i for i, n in enumerate(dynamics.inputs.names)}
+    now, place = (
+        window.shape[1] - 1 - dynamics.window[1],
+        {n: i for i, n in enumerate(dynamics.inputs.names)},
+    )
     table |= {n: window[i, now] for n, i in place.items()}
     lagged = {n: lag_of(n) for n in names if n not in table and lag_of(n)[0] in place}
     if (far := reach(tuple(lagged))) > now:
         raise ModelError(
-            "features look further back than the command window", expected=f"{far} earlier samples", got=f"{now}"
+            "features look further back than the command window",
+            expected=f"{far} earlier samples",
+            got=f"{now}",
         )
     table |= {n: window[place[of], now - lag] for n, (of, lag) in lagged.items()}
     if "attitude" in blocks:

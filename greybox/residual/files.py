@@ -1,7 +1,9 @@
-"""Model files of every kind: `load_model` reads what `greybox fit` and `greybox learn` wrote, `save_model` writes it.
+"""Model files of every kind: `load_model` reads what `greybox fit` and `greybox learn` wrote,
+`save_model` writes it.
 
-A hybrid is one JSON file (schema "greybox.model/1", kind "hybrid"): the physics model's own file inside, the Gaussian
-process with all its arrays, and a checksum. One file, so that a write is all or nothing. Numbers only: nothing is executed.
+A hybrid is one JSON file (schema "greybox.model/1", kind "hybrid"): the physics model's own file
+inside, the Gaussian process with all its arrays, and a checksum. One file, so that a write is all
+or nothing. Numbers only: nothing is executed.
 """
 
 from __future__ import annotations
@@ -23,51 +25,68 @@ from greybox.residual.posterior import GPPosterior
 
 
 def save_model(model: IdentifiedModel, path: str | os.PathLike[str]) -> Path:
-    """Write a model file atomically. Returns the path. Raises `ModelError` for a model not made of catalogue parts."""
+    """Write a model file atomically. Returns the path. Raises `ModelError` for a model not made of
+    catalogue parts."""
     return write_json(path, model_to_dict(model))
 
 
 def model_to_dict(model: IdentifiedModel) -> dict[str, Any]:
-    """Plain values of a model file of either kind. Raises `ModelError` for a model not made of catalogue parts."""
+    """Plain values of a model file of either kind. Raises `ModelError` for a model not made of
+    catalogue parts."""
     dynamics = model.dynamics
     if not isinstance(dynamics, HybridModel):
         return model.to_dict()
     body: dict[str, Any] = {
-        "schema": SCHEMA, "kind": "hybrid", "name": model.name,
-        "base": replace(model, dynamics=dynamics.inner).to_dict(), _key(dynamics.posterior): dynamics.posterior.to_dict(),
+        "schema": SCHEMA,
+        "kind": "hybrid",
+        "name": model.name,
+        "base": replace(model, dynamics=dynamics.inner).to_dict(),
+        _key(dynamics.posterior): dynamics.posterior.to_dict(),
         "versions": library_versions(),
-    }  # fmt: skip
+    }
     return {**body, "checksum": _checksum(body)}
 
 
 def load_model(
     path: str | os.PathLike[str], *, effects: Iterable[Effect] = (), sensors: Iterable[Sensor] = ()
 ) -> IdentifiedModel:
-    """Read a model file, physics or hybrid; `effects` and `sensors` are those of the user's own (`load_effects`).
+    """Read a model file, physics or hybrid; `effects` and `sensors` are those of the user's own
+    (`load_effects`).
 
-    Raises `FileFormatError` (schema, checksum, sizes), `VehicleError`, `UnknownNameError`, `ModelError`.
+    Raises `FileFormatError` (schema, checksum, sizes), `VehicleError`, `UnknownNameError`,
+    `ModelError`.
     """
     where = str(path)
     data: Mapping[str, Any] = read_json(path, schema=SCHEMA)
     if data.get("kind") == "output-hybrid":
         raise FileFormatError(
-            "a predictor of outputs, not a model of motion", where=where, fix="read it with OutputHybrid.load"
+            "a predictor of outputs, not a model of motion",
+            where=where,
+            fix="read it with OutputHybrid.load",
         )
     if data.get("kind") != "hybrid":
         return IdentifiedModel.from_dict(data, where=where, effects=effects, sensors=sensors)
     if _checksum(data) != data.get("checksum"):
         raise FileFormatError(
-            "the checksum does not fit", where=where, fix="the file was edited or cut off; write it again"
+            "the checksum does not fit",
+            where=where,
+            fix="the file was edited or cut off; write it again",
         )
     try:
-        base = IdentifiedModel.from_dict(data["base"], where=where, effects=effects, sensors=sensors)
+        base = IdentifiedModel.from_dict(
+            data["base"], where=where, effects=effects, sensors=sensors
+        )
         posterior: GPPosterior | FeaturePosterior = (
-            GPPosterior.from_dict(data["gp"]) if "gp" in data else FeaturePosterior.from_dict(data["learned"])
+            GPPosterior.from_dict(data["gp"])
+            if "gp" in data
+            else FeaturePosterior.from_dict(data["learned"])
         )
     except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         if isinstance(error, GreyboxError):
             raise
-        raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="write the file again") from None
+        raise FileFormatError(
+            f"incomplete or wrong ({error})", where=where, fix="write the file again"
+        ) from None
     return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
 
 

@@ -58,10 +58,10 @@ def from_gpytorch(
     also on inducing points) or an ApproximateGP (VariationalStrategy or
     UnwhitenedVariationalStrategy; independent outputs, LMC). Lists of such models
     (IndependentModelList, BoTorch's ModelListGP) and a BoTorch SingleTaskGP with its input and
-    outcome transforms are taken, too. `likelihood` defaults to `model.likelihood`. `inputs` and `outputs` name
-    the signals (or give a `Layout` with units). Models that were trained on standardised data take
-    `input_transform` = (mean, scale) (n_in,), x = (z - mean)/scale, and `output_transform` =
-    (mean, scale) (n_out,), y = mean + scale f. The model is not changed.
+    outcome transforms are taken, too. `likelihood` defaults to `model.likelihood`. `inputs` and
+    `outputs` name the signals (or give a `Layout` with units). Models that were trained on
+    standardised data take `input_transform` = (mean, scale) (n_in,), x = (z - mean)/scale, and
+    `output_transform` = (mean, scale) (n_out,), y = mean + scale f. The model is not changed.
 
     Raises `ModelError` that names what is not supported and where ("SpectralMixtureKernel in
     covar_module.kernels.1"), for a noise that is not positive and for sizes that do not fit;

@@ -378,8 +378,8 @@ def _multitask(model: Any, likelihood: Any, covar: Any) -> Posterior:
 
 
 def _strategy(outer: Any) -> tuple[Any, FloatArray | None, int, float]:
-    """(the inner strategy, LMC's mixing (n_out, n_f) or None, how often one process is repeated, the
-    variance that LMC adds). Raises `ModelError` that names another strategy."""
+    """(the inner strategy, LMC's mixing (n_out, n_f) or None, how often one process is repeated,
+    the variance that LMC adds). Raises `ModelError` that names another strategy."""
     names, where = kinds(outer), "variational_strategy"
     mixing: FloatArray | None = None
     inner, repeats, offset = outer, 0, 0.0

@@ -1,9 +1,11 @@
-"""Noise inflation: what time correlation of the errors costs in information, and noise levels by group.
+"""Noise inflation: what time correlation of the errors costs in information, and noise levels by
+group.
 
-The closed-form posteriors take the noise of neighbouring samples for independent. Errors of a flight are correlated in time,
-so that N samples hold only N/tau of them, tau = 1 + 2 sum_k rho_k, the integrated autocorrelation time (Bartlett 1946;
-Geyer, Practical Markov chain Monte Carlo, 1992, for where to stop the sum). The noise variance times tau in the posterior
-gives a mean of a smooth function the variance that it really has. The noise of a single new sample stays as it is.
+The closed-form posteriors take the noise of neighbouring samples for independent. Errors of a
+flight are correlated in time, so that N samples hold only N/tau of them, tau = 1 + 2 sum_k rho_k,
+the integrated autocorrelation time (Bartlett 1946; Geyer, Practical Markov chain Monte Carlo, 1992,
+for where to stop the sum). The noise variance times tau in the posterior gives a mean of a smooth
+function the variance that it really has. The noise of a single new sample stays as it is.
 """
 
 from __future__ import annotations
@@ -20,9 +22,10 @@ IntArray = npt.NDArray[np.int64]
 def autocorrelation_time(e: FloatArray, place: IntArray, group: IntArray) -> float:
     """Integrated autocorrelation time of e (N,), at least 1, pooled over groups.
 
-    `place` (N,) is the row of each sample in the record before rows were dropped (gaps count as gaps), `group` (N,) the
-    number of its flight. The sum is cut where the sum of two neighbouring lags first is not positive, and at a third of
-    the longest group: a constant error inside flights counts as correlation, so the mean is not taken out.
+    `place` (N,) is the row of each sample in the record before rows were dropped (gaps count as
+    gaps), `group` (N,) the number of its flight. The sum is cut where the sum of two neighbouring
+    lags first is not positive, and at a third of the longest group: a constant error inside flights
+    counts as correlation, so the mean is not taken out.
     """
     products: dict[int, FloatArray] = {}
     counts: dict[int, FloatArray] = {}
@@ -57,7 +60,8 @@ def group_variances(e: FloatArray, group: IntArray) -> dict[int, float]:
 
 
 def groups_differ(e: FloatArray, group: IntArray, tau: float) -> bool:
-    """Whether a noise level per group beats one for all, by the BIC at the effective sample size N/tau."""
+    """Whether a noise level per group beats one for all, by the BIC at the effective sample size
+    N/tau."""
     levels = group_variances(e, group)
     if len(levels) < 2 or min(levels.values()) <= 0:
         return False

@@ -1,4 +1,5 @@
-"""Held-out judgement of a trained GP: does it beat a constant, and how many support points does it need?"""
+"""Held-out judgement of a trained GP: does it beat a constant, and how many support points does it
+need?"""
 
 from __future__ import annotations
 
@@ -9,7 +10,15 @@ import numpy as np
 
 from greybox.residual import sparse
 from greybox.residual.posterior import GPPosterior
-from greybox.residual.selection import SIZES, Curve, IntArray, blocks_of, choose, mean_and_error, timed
+from greybox.residual.selection import (
+    SIZES,
+    Curve,
+    IntArray,
+    blocks_of,
+    choose,
+    mean_and_error,
+    timed,
+)
 from greybox.residual.training_rows import Rows
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -34,11 +43,13 @@ def _thin(rows: Rows) -> Rows:
 
 
 def better_by_chance(gain: FloatArray, block: IntArray) -> float:
-    """Probability that gains (N,) without a preference would come out as good, judged by their means over `block` (N,).
+    """Probability that gains (N,) without a preference would come out as good, judged by their
+    means over `block` (N,).
 
-    Share of all signs of the block means whose sum is at least the observed one (Fisher's paired randomisation test, The
-    Design of Experiments, 1935, section 21). A standard error would refuse a gain that sits in few blocks, such as that of
-    ground effect in a record that flies low twice, however large it is.
+    Share of all signs of the block means whose sum is at least the observed one (Fisher's paired
+    randomisation test, The Design of Experiments, 1935, section 21). A standard error would refuse
+    a gain that sits in few blocks, such as that of ground effect in a record that flies low twice,
+    however large it is.
     """
     names, counts = np.unique(block, return_counts=True)
     means = np.array([gain[block == b].mean() for b in names]) * counts
@@ -51,10 +62,14 @@ def better_by_chance(gain: FloatArray, block: IntArray) -> float:
     return float(np.mean(signs @ means >= total - 1e-9 * np.abs(means).sum()))
 
 
-def judge(posterior: GPPosterior, train: Rows, test: Rows) -> tuple[dict[int, dict[str, float]], BoolArray]:
-    """(held-out scores by output, mask (n_out,) of the outputs that lose against the constant of the training part).
+def judge(
+    posterior: GPPosterior, train: Rows, test: Rows
+) -> tuple[dict[int, dict[str, float]], BoolArray]:
+    """(held-out scores by output, mask (n_out,) of the outputs that lose against the constant of
+    the training part).
 
-    An output keeps its GP only if its NLPD is better than chance would have it (`better_by_chance`).
+    An output keeps its GP only if its NLPD is better than chance would have it
+    (`better_by_chance`).
     """
     test = _thin(test)
     mean, variance = posterior.evaluate(test.z, noise=True)
@@ -71,17 +86,23 @@ def judge(posterior: GPPosterior, train: Rows, test: Rows) -> tuple[dict[int, di
         gain, error = mean_and_error(flat - gp, block)
         null[j] = better_by_chance(flat - gp, block) > CHANCE
         scores[j] = {
-            "nlpd": float(gp.mean()), "nlpd_constant": float(flat.mean()), "gain": gain, "gain_error": error,
-            "rmse": _rms(y - mean[:, j]), "rmse_constant": _rms(y - centre),
-        }  # fmt: skip
+            "nlpd": float(gp.mean()),
+            "nlpd_constant": float(flat.mean()),
+            "gain": gain,
+            "gain_error": error,
+            "rmse": _rms(y - mean[:, j]),
+            "rmse_constant": _rms(y - centre),
+        }
     return scores, null
 
 
-def points_curve(full: GPPosterior, noise: Sequence[float], train: Rows, test: Rows, null: BoolArray) -> Curve:
+def points_curve(
+    full: GPPosterior, noise: Sequence[float], train: Rows, test: Rows, null: BoolArray
+) -> Curve:
     """Held-out quality for the beginnings of the list of support points of `full`, all else held.
 
-    noise (n_out,): the noise variance, inflation included, in standardised units. Outputs in `null` do not count; a curve
-    without trials comes back where none is left.
+    noise (n_out,): the noise variance, inflation included, in standardised units. Outputs in `null`
+    do not count; a curve without trials comes back where none is left.
     """
     test = _thin(test)
     live = np.flatnonzero(~null)
@@ -93,7 +114,10 @@ def points_curve(full: GPPosterior, noise: Sequence[float], train: Rows, test: R
     nlpd, rmse, seconds = [], [], []
     for m in sizes:
         support = full.support[:m]
-        numbers = [sparse.collapsed(kernel, support.T, x.T, y[:, j], noise[j]) for j, kernel in enumerate(full.kernels)]
+        numbers = [
+            sparse.collapsed(kernel, support.T, x.T, y[:, j], noise[j])
+            for j, kernel in enumerate(full.kernels)
+        ]
         posterior = replace(
             full,
             support=support,
@@ -107,4 +131,12 @@ def points_curve(full: GPPosterior, noise: Sequence[float], train: Rows, test: R
         nlpd.append(_nlpd(test.y, mean, variance + posterior.noise)[:, live].mean(1))
         rmse.append(_rms(((test.y - mean) / full.output_scale)[:, live]))
         seconds.append(taken / len(test.z))
-    return choose(sizes, nlpd, rmse, blocks_of(test.group), inputs=x.shape[1], outputs=live.size, seconds=seconds)
+    return choose(
+        sizes,
+        nlpd,
+        rmse,
+        blocks_of(test.group),
+        inputs=x.shape[1],
+        outputs=live.size,
+        seconds=seconds,
+    )

@@ -1,7 +1,9 @@
-"""Covariance functions of the residual GP, each formula written once for NumPy arrays and for CasADi expressions.
+"""Covariance functions of the residual GP, each formula written once for NumPy arrays and for
+CasADi expressions.
 
-Samples are columns here, (n_in, N), so that one expression serves a NumPy batch and a single symbolic column. All inputs
-are in standardised units. Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), chapter 4.
+Samples are columns here, (n_in, N), so that one expression serves a NumPy batch and a single
+symbolic column. All inputs are in standardised units. Rasmussen and Williams, Gaussian Processes
+for Machine Learning (2006), chapter 4.
 """
 
 from __future__ import annotations
@@ -39,16 +41,18 @@ def _frozen(values: npt.ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Kernel:
-    """Stationary kernel with one length-scale per input (ARD), plus a faded linear part if `slopes` is given.
+    """Stationary kernel with one length-scale per input (ARD), plus a faded linear part if `slopes`
+    is given.
 
-    k(x, b) = variance c(r), r^2 = sum_d ((x_d - b_d)/lengthscales_d)^2, c by `family`: exp(-r^2/2) for se,
-    (1 + a) exp(-a) with a = sqrt(3) r for matern32, (1 + a + a^2/3) exp(-a) with a = sqrt(5) r for matern52.
-    The linear part is sum_d slopes_d phi_d(x) phi_d(b) with phi(x) = x/(1 + sum_d (x_d/reach_d)^8): x itself inside the
-    training domain and zero far outside, so that the posterior mean returns to the prior mean and the variance stays
-    bounded there. It is a kernel like any other (a linear kernel of features), and so the posterior stays consistent.
+    k(x, b) = variance c(r), r^2 = sum_d ((x_d - b_d)/lengthscales_d)^2, c by `family`: exp(-r^2/2)
+    for se, (1 + a) exp(-a) with a = sqrt(3) r for matern32, (1 + a + a^2/3) exp(-a) with a =
+    sqrt(5) r for matern52. The linear part is sum_d slopes_d phi_d(x) phi_d(b) with phi(x) = x/(1 +
+    sum_d (x_d/reach_d)^8): x itself inside the training domain and zero far outside, so that the
+    posterior mean returns to the prior mean and the variance stays bounded there. It is a kernel
+    like any other (a linear kernel of features), and so the posterior stays consistent.
 
-    `variance` and `slopes` (n_in,) are in standardised output units squared; `lengthscales` and `reach` (n_in,) in
-    standardised input units.
+    `variance` and `slopes` (n_in,) are in standardised output units squared; `lengthscales` and
+    `reach` (n_in,) in standardised input units.
     """
 
     family: str
@@ -79,12 +83,14 @@ class Kernel:
         return self.family if self.slopes is None else f"linear+{self.family}"
 
     def covariance(self, support: FloatArray, x: Any, xp: Any = np) -> Any:
-        """k(support, x): (M, N) for support (n_in, M) and x (n_in, N); a column for a CasADi column with xp=casadi."""
+        """k(support, x): (M, N) for support (n_in, M) and x (n_in, N); a column for a CasADi column
+        with xp=casadi."""
         k, _ = self.covariance_and_slope(support, x, xp)
         return k
 
     def covariance_and_slope(self, support: FloatArray, x: Any, xp: Any = np) -> tuple[Any, Any]:
-        """(k, g): k(support, x) (M, N), and g = d(stationary part)/d(r^2) (M, N), which the Jacobian needs."""
+        """(k, g): k(support, x) (M, N), and g = d(stationary part)/d(r^2) (M, N), which the
+        Jacobian needs."""
         w = self.lengthscales**-2
         # |x - b|^2 expanded: one matrix product instead of M differences.
         square = (w[None, :] @ (x * x)) + (w @ support**2)[:, None] - 2.0 * ((support.T * w) @ x)
@@ -107,11 +113,14 @@ class Kernel:
         return x / (1.0 + (self.reach ** -float(FADE_POWER))[None, :] @ x**FADE_POWER)
 
     def contract(self, support: FloatArray, x: Expr, g: Expr, c: Expr) -> Expr:
-        """sum_i c_i dk(b_i, x)/dx as a row (1, n_in), for a column c (M, 1) and g of `covariance_and_slope`."""
+        """sum_i c_i dk(b_i, x)/dx as a row (1, n_in), for a column c (M, 1) and g of
+        `covariance_and_slope`."""
         cg = c * g
         row = 2.0 * (self.lengthscales**-2)[None, :] * (x.T * ca.sum1(cg) - (ca.DM(support) @ cg).T)
         if self.slopes is not None:
-            row += self._through_features((ca.DM(self.slopes[:, None] * self.features(support)) @ c).T, x)
+            row += self._through_features(
+                (ca.DM(self.slopes[:, None] * self.features(support)) @ c).T, x
+            )
         return row
 
     def prior_variance_slope(self, x: Expr) -> Expr:
@@ -125,7 +134,9 @@ class Kernel:
         assert self.reach is not None
         scale = self.reach ** -float(FADE_POWER)
         fade = 1.0 / (1.0 + scale[None, :] @ x**FADE_POWER)
-        return fade * row - (row @ x) * fade**2 * (FADE_POWER * ca.DM(scale) * x ** (FADE_POWER - 1)).T
+        return (
+            fade * row - (row @ x) * fade**2 * (FADE_POWER * ca.DM(scale) * x ** (FADE_POWER - 1)).T
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON values."""
@@ -147,7 +158,8 @@ class Kernel:
 
 
 def correlation(family: str, square: Any, xp: Any) -> tuple[Any, Any]:
-    """(c(r), dc/d(r^2)) for square = r^2, elementwise; `xp` is numpy, torch or casadi. Smooth through r = 0."""
+    """(c(r), dc/d(r^2)) for square = r^2, elementwise; `xp` is numpy, torch or casadi. Smooth
+    through r = 0."""
     if family == "se":
         c = xp.exp(-0.5 * square)
         return c, -0.5 * c

@@ -1,13 +1,16 @@
-"""learn: from an identified model and its training flights to a hybrid model with calibrated uncertainty.
+"""learn: from an identified model and its training flights to a hybrid model with calibrated
+uncertainty.
 
-1. Disturbance states take up what the physics misses (fitted, where the model has none); smoothing gives its time series.
-2. Candidates (`greybox.residual.candidates`): of every set of features a Gaussian process with hyper-parameters by
-   marginal likelihood (GPyTorch) on the smoothed discrepancy, and one with a broad kernel that knows nothing but the
-   scales of the data; or what another learner offers.
-3. Their weights are fitted by multi-step prediction errors; the candidate and the strength of its prior are those that
-   lower the errors of left-out flights most. Where none does, the result is the physics alone and says so.
-4. The filter's noise levels are refitted with the learned part in place, and the growth of the uncertainty over the
-   horizon is calibrated on the training flights.
+1. Disturbance states take up what the physics misses (fitted, where the model has none); smoothing
+   gives its time series.
+2. Candidates (`greybox.residual.candidates`): of every set of features a Gaussian process with
+   hyper-parameters by marginal likelihood (GPyTorch) on the smoothed discrepancy, and one with a
+   broad kernel that knows nothing but the scales of the data; or what another learner offers.
+3. Their weights are fitted by multi-step prediction errors; the candidate and the strength of its
+   prior are those that lower the errors of left-out flights most. Where none does, the result is
+   the physics alone and says so.
+4. The filter's noise levels are refitted with the learned part in place, and the growth of the
+   uncertainty over the horizon is calibrated on the training flights.
 """
 
 from __future__ import annotations
@@ -42,8 +45,9 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Learned(Shown):
-    """The hybrid `model` (the physics with its disturbance states, where nothing could be learned: `null`), and how:
-    the open-loop fit, the candidates with their share of held-out cost saved, the calibration factors, seconds."""
+    """The hybrid `model` (the physics with its disturbance states, where nothing could be learned:
+    `null`), and how: the open-loop fit, the candidates with their share of held-out cost saved, the
+    calibration factors, seconds."""
 
     model: IdentifiedModel
     base: IdentifiedModel
@@ -68,18 +72,29 @@ class Learned(Shown):
             "chosen": self.chosen,
             "features": list(posterior.inputs.names),
             "outputs": [
-                {"name": s.name, "unit": s.unit, "learned": bool(np.isfinite(self.fit.strengths[s.name]))}
+                {
+                    "name": s.name,
+                    "unit": s.unit,
+                    "learned": bool(np.isfinite(self.fit.strengths[s.name])),
+                }
                 for s in posterior.outputs
             ],
             "points": posterior.points,
             "fit": {
-                "status": self.fit.status, "iterations": self.fit.iterations, "cost_before": self.fit.cost_before,
-                "cost_after": self.fit.cost_after, "held_out_gain": self.fit.held_out_gain,
-                "strengths": {n: s if np.isfinite(s) else None for n, s in self.fit.strengths.items()},
+                "status": self.fit.status,
+                "iterations": self.fit.iterations,
+                "cost_before": self.fit.cost_before,
+                "cost_after": self.fit.cost_after,
+                "held_out_gain": self.fit.held_out_gain,
+                "strengths": {
+                    n: s if np.isfinite(s) else None for n, s in self.fit.strengths.items()
+                },
             },
             "calibration": {
-                "factors": dict(self.calibration.factors), "learned": self.calibration.learned,
-                "gain": self.calibration.gain, "new_flight": self.calibration.new_flight,
+                "factors": dict(self.calibration.factors),
+                "learned": self.calibration.learned,
+                "gain": self.calibration.gain,
+                "new_flight": self.calibration.new_flight,
             },
             "training": [dict(t) for t in self.training],
             "trained_on": list(self.model.trained_on),
@@ -87,7 +102,7 @@ class Learned(Shown):
             "seconds": self.seconds,
             "warnings": [],
             "versions": library_versions(),
-        }  # fmt: skip
+        }
 
     def _shown_text(self) -> str:
         """The summary."""
@@ -104,33 +119,46 @@ class Learned(Shown):
         """What was learned, as text."""
         saved = 1 - self.fit.cost_after / self.fit.cost_before if self.fit.cost_before else 0.0
         lines = [
-            "nothing was learned: no candidate lowers the multi-step errors of flights it has not seen"
+            "nothing was learned: no candidate lowers the multi-step errors of flights it has not "
+            "seen"
             if self.null
-            else f"learned {', '.join(n for n, s in self.fit.strengths.items() if np.isfinite(s))} from {self.chosen}"
+            else f"learned {', '.join(n for n, s in self.fit.strengths.items() if np.isfinite(s))} "
+            f"from {self.chosen}"
         ]
         if not self.null:
             lines.append(
-                f"multi-step cost: {saved:.1%} lower on the training flights, {self.fit.held_out_gain:.1%} on left-out ones"
+                f"multi-step cost: {saved:.1%} lower on the training flights, "
+                f"{self.fit.held_out_gain:.1%} on left-out ones"
             )
-        lines += [f"  candidate {n}: {g:+.2%} on left-out flights" for n, g in self.candidates.items()]
+        lines += [
+            f"  candidate {n}: {g:+.2%} on left-out flights" for n, g in self.candidates.items()
+        ]
         factors = ", ".join(f"{n} x {f:.2f}" for n, f in self.calibration.factors.items())
         lines.append(
-            f"uncertainty ahead, process noise: {factors}; learned part x {self.calibration.learned:.2f}; of this for "
+            f"uncertainty ahead, process noise: {factors}; learned part x "
+            f"{self.calibration.learned:.2f}; of this for "
             f"flights not seen: x {self.calibration.new_flight:.2f}"
         )
         return "\n".join(lines)
 
 
 def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tuple[str, ...]]:
-    """Sets of features to try, by name: body velocity, motion, motion with the direction of gravity, with the rotors; on
-    request the `place` alone and with the motion. Of a model that is not a vehicle's: its states, and states with inputs.
-    Raises `ModelError` for the place where no position is measured."""
+    """Sets of features to try, by name: body velocity, motion, motion with the direction of
+    gravity, with the rotors; on request the `place` alone and with the motion. Of a model that is
+    not a vehicle's: its states, and states with inputs. Raises `ModelError` for the place where no
+    position is measured."""
     full = default_features(model.dynamics)
     if physics_of(model.dynamics) is None:
         if place:
-            raise ModelError("the place is a feature of vehicles", got=model.name, fix="leave place out")
+            raise ModelError(
+                "the place is a feature of vehicles", got=model.name, fix="leave place out"
+            )
         states = tuple(n for n in full if n not in model.dynamics.inputs)
-        return {"states": states, "states and inputs": full} if len(model.dynamics.inputs) else {"states": states}
+        return (
+            {"states": states, "states and inputs": full}
+            if len(model.dynamics.inputs)
+            else {"states": states}
+        )
     motion = tuple(n for n in full if n.startswith("body_velocity.") or n in ("p", "q", "r"))
     sets = {"velocity": tuple(n for n in motion if n.startswith("body_velocity."))}
     sets |= {"motion": motion, "motion and rotors": full}
@@ -139,7 +167,10 @@ def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tu
         sets["motion and attitude"] = (*motion, *gravity)
     if place:
         if "position" not in model.sensors:
-            raise ModelError("no position is measured: what depends on the place cannot be learned", fix="leave place out")
+            raise ModelError(
+                "no position is measured: what depends on the place cannot be learned",
+                fix="leave place out",
+            )
         where = tuple(f"position.{a}" for a in "xyz")
         sets |= {"place": where, "place and motion": (*where, *motion, *gravity)}
     return {n: s for n, s in sets.items() if s}
@@ -160,33 +191,48 @@ def learn(
 ) -> Learned:
     """Learn what `model` misses on the flights of `train` (those it was fitted on).
 
-    `features` names the inputs of the Gaussian process (default: the sets of `feature_sets` compete; with `place` also those
-    of what stands in the room, which do not carry over to another room). kernel: "se",
-    "matern32", "matern52", or "linear+" one of these. `points`: number of support points, or "auto". `learner`: what is
-    learned, "gp" or another name of `greybox.residual.learners`, a file of the user's own ("own.py:Name", which is run), or
-    a `Learner`; `points` are then its features. Raises `MissingExtraError` without the extra `gp`, `UnknownNameError`,
-    `DataError`, `ModelError` (a learner that returns what is not finite, too).
+    `features` names the inputs of the Gaussian process (default: the sets of `feature_sets`
+    compete; with `place` also those of what stands in the room, which do not carry over to another
+    room). kernel: "se", "matern32", "matern52", or "linear+" one of these. `points`: number of
+    support points, or "auto". `learner`: what is learned, "gp" or another name of
+    `greybox.residual.learners`, a file of the user's own ("own.py:Name", which is run), or a
+    `Learner`; `points` are then its features. Raises `MissingExtraError` without the extra `gp`,
+    `UnknownNameError`, `DataError`, `ModelError` (a learner that returns what is not finite, too).
     """
     began = time.perf_counter()
     say = progress or (lambda _text, _share: None)
     if isinstance(model.dynamics, HybridModel):
-        raise ModelError("the model has a learned part already", fix="learn from the model file of the fit")
+        raise ModelError(
+            "the model has a learned part already", fix="learn from the model file of the fit"
+        )
     split_name(kernel)
     other = learner_for(learner, points, kernel)
     if place:
         if features is not None:
-            raise ModelError("place competes with other sets, features are the only one", fix="one of the two")
+            raise ModelError(
+                "place competes with other sets, features are the only one", fix="one of the two"
+            )
         feature_sets(model, place=True)
     if features is not None:
         feature_layout(model.dynamics, features)
     say("disturbance states", 0.0)
-    base = replace(disturbed_model(model, train), verdict=None)  # what is learned changes what was judged
-    names = {"the given features": tuple(features)} if features is not None else feature_sets(base, place=place)
+    base = replace(
+        disturbed_model(model, train), verdict=None
+    )  # what is learned changes what was judged
+    names = (
+        {"the given features": tuple(features)}
+        if features is not None
+        else feature_sets(base, place=place)
+    )
     if isinstance(other, LooksBack) and (lags := other.lags(base.sample_time)):
         names = {label: with_lags(base.dynamics, own, lags) for label, own in names.items()}
     every = tuple(dict.fromkeys(n for own in names.values() for n in own))
     # Who looks back sees more commands than the physics does.
-    seeing = replace(base, dynamics=LongerWindow(inner=base.dynamics, past=reach(every))) if reach(every) else base
+    seeing = (
+        replace(base, dynamics=LongerWindow(inner=base.dynamics, past=reach(every)))
+        if reach(every)
+        else base
+    )
     whole = discrepancy(seeing, train, every)
     sets = {label: whole.select(own) for label, own in names.items()}
     found: Mapping[str, Candidate]
@@ -194,7 +240,11 @@ def learn(
     maker: FeatureMaker | None = None
     if other is None:
         found, reports = gp_candidates(
-            sets, kernel=kernel, points=points, seed=seed, say=lambda text, share: say(text, 0.1 + 0.3 * share)
+            sets,
+            kernel=kernel,
+            points=points,
+            seed=seed,
+            say=lambda text, share: say(text, 0.1 + 0.3 * share),
         )
     else:
         maker = FeatureMaker(learner=other, sets=sets, points=int(points), seed=seed)
@@ -209,14 +259,25 @@ def learn(
     hybrid = base
     if not null:
         say("noise levels", 0.85)
-        hybrid = refit_noise(replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior)), train)
+        hybrid = refit_noise(
+            replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior)), train
+        )
     say("calibration", 0.9)
     calibration = calibrate_horizons(hybrid, train, left_out=result.left_out)
     final = calibration.model
     if not null:
         posterior = posterior.with_spread(calibration.learned)
-        final = replace(calibration.model, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
+        final = replace(
+            calibration.model, dynamics=HybridModel(inner=base.dynamics, posterior=posterior)
+        )
     return Learned(
-        model=final, base=base, null=null, fit=result, candidates=gains, chosen=chosen,
-        calibration=calibration, seconds=time.perf_counter() - began, training=tuple(reports),
-    )  # fmt: skip
+        model=final,
+        base=base,
+        null=null,
+        fit=result,
+        candidates=gains,
+        chosen=chosen,
+        calibration=calibration,
+        seconds=time.perf_counter() - began,
+        training=tuple(reports),
+    )

@@ -1,4 +1,5 @@
-"""An output residual judged and calibrated as it will be used: on flights that its weights did not see.
+"""An output residual judged and calibrated as it will be used: on flights that its weights did not
+see.
 
 Kernels and support points stay, weights are projected again without each fold (a flight, or a
 stretch of a single one), in closed form. The noise of a new sample is the level that makes the
@@ -26,7 +27,8 @@ STRETCHES = 4
 """A single flight is cut into so many stretches, which are left out in turn."""
 Seen = tuple[FloatArray, FloatArray]
 WIDEST = 10.0
-"""The noise level is looked for within this factor of the root mean square of the left-out errors."""
+"""The noise level is looked for within this factor of the root mean square of the left-out
+errors."""
 
 
 def judged_on_left_out(
@@ -34,7 +36,10 @@ def judged_on_left_out(
 ) -> tuple[GPPosterior, tuple[dict[str, float], ...]]:
     """As `judged_on_errors`, for the weights of a process. z (N, n_in)."""
     fold = folds_of_rows(flights)
-    seen = [_left_out(posterior, j, z, y[:, j], fold) if a else None for j, a in enumerate(posterior.active)]
+    seen = [
+        _left_out(posterior, j, z, y[:, j], fold) if a else None
+        for j, a in enumerate(posterior.active)
+    ]
     found, scores = judged_on_errors(replace(posterior, group_noise={}), seen, y, flights, own)
     assert isinstance(found, GPPosterior)
     return found, scores
@@ -47,7 +52,8 @@ def judged_on_errors(
     flights: IntArray,
     own: FloatArray,
 ) -> tuple[Candidate, tuple[dict[str, float], ...]]:
-    """(the posterior, calibrated, with the outputs switched off that lose; held-out scores by output).
+    """(the posterior, calibrated, with the outputs switched off that lose; held-out scores by
+    output).
 
     `seen`: per output the errors (N,) and variances (N,) of its function on rows that its weights
     did not see, None where it is off already; y (N, n_out) one-step errors of the model, `flights`
@@ -73,7 +79,8 @@ def judged_on_errors(
 
 
 def folds_of_rows(flights: IntArray) -> IntArray:
-    """Number of the fold of every row: its flight, or its stretch of a single flight. flights (N,)."""
+    """Number of the fold of every row: its flight, or its stretch of a single flight. flights
+    (N,)."""
     if np.unique(flights).size > 1:
         return flights
     return np.arange(len(flights)) * STRETCHES // len(flights)
@@ -82,7 +89,8 @@ def folds_of_rows(flights: IntArray) -> IntArray:
 def _left_out(
     posterior: GPPosterior, j: int, z: FloatArray, y: FloatArray, fold: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Errors (N,) and variances (N,) of the function of output j, each fold by the weights of the others."""
+    """Errors (N,) and variances (N,) of the function of output j, each fold by the weights of the
+    others."""
     kernel, support = posterior.kernels[j], posterior.support.T
     scale, centre = posterior.output_scale[j], posterior.output_mean[j]
     x = ((z - posterior.input_mean) / posterior.input_scale).T
@@ -92,9 +100,16 @@ def _left_out(
         out = fold == f
         numbers = sparse.collapsed(kernel, support, x[:, ~out], (y[~out] - centre) / scale, level)
         k = kernel.covariance(support, x[:, out])
-        left = np.maximum(kernel.prior_variance(x[:, out]).ravel() - ((numbers.explained @ k) ** 2).sum(axis=0), 0.0)
+        left = np.maximum(
+            kernel.prior_variance(x[:, out]).ravel() - ((numbers.explained @ k) ** 2).sum(axis=0),
+            0.0,
+        )
         error[out] = y[out] - centre - scale * (numbers.weights @ k)
-        variance[out] = scale**2 * posterior.variance_factor[j] * (left + ((numbers.uncertain @ k) ** 2).sum(axis=0))
+        variance[out] = (
+            scale**2
+            * posterior.variance_factor[j]
+            * (left + ((numbers.uncertain @ k) ** 2).sum(axis=0))
+        )
     return error, variance
 
 
@@ -103,7 +118,8 @@ def _nlpd(square: FloatArray, variance: FloatArray) -> FloatArray:
 
 
 def _likeliest(square: FloatArray, variance: FloatArray) -> float:
-    """The noise variance that makes errors with these squares (N,) and function variances (N,) most likely."""
+    """The noise variance that makes errors with these squares (N,) and function variances (N,) most
+    likely."""
     middle = np.log(np.mean(square))
     ends = (middle - 2 * np.log(WIDEST), middle + 2 * np.log(WIDEST))
     found = scipy.optimize.minimize_scalar(

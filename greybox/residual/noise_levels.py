@@ -1,10 +1,12 @@
 """Noise levels of the filter with the learned part in place, by the likelihood of the innovations.
 
-The levels of a fit without the learned part hold what the learned part now explains: the filter would follow disturbances
-that are no longer there and state too wide an error of its own. One factor per group (white force, torque, ..., and the
-driving noise of the disturbances of each) is refitted; axes keep their ratios, everything else keeps its value
-(Astrom 1980, Automatica 16(5): noise levels as parameters of the predictor). With `each` every level is refitted alone: one
-that a fit without the learned part drove to nothing, because a slow disturbance took its place, comes back.
+The levels of a fit without the learned part hold what the learned part now explains: the filter
+would follow disturbances that are no longer there and state too wide an error of its own. One
+factor per group (white force, torque, ..., and the driving noise of the disturbances of each) is
+refitted; axes keep their ratios, everything else keeps its value (Astrom 1980, Automatica 16(5):
+noise levels as parameters of the predictor). With `each` every level is refitted alone: one that a
+fit without the learned part drove to nothing, because a slow disturbance took its place, comes
+back.
 """
 
 from __future__ import annotations
@@ -33,8 +35,9 @@ WIDE = (1e-3, 50.0)
 def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) -> IdentifiedModel:
     """`model` with the process-noise levels that make the innovations of `data` most likely.
 
-    each: refit every level by itself, one after the other (20 s for a minute of flight at 100 Hz). Flights use their own
-    per-flight values. Never less likely than before: where no level helps, the model comes back.
+    each: refit every level by itself, one after the other (20 s for a minute of flight at 100 Hz).
+    Flights use their own per-flight values. Never less likely than before: where no level helps,
+    the model comes back.
     """
     heads = [n.rpartition(".")[0] or n for n in model.dynamics.noises.names]
     groups = list(dict.fromkeys(heads))
@@ -45,7 +48,9 @@ def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) ->
 
     def cost(levels: FloatArray) -> float:
         try:
-            settling = Settling(values=linear, q=levels**2, r=model.sensor_noise**2, weak=model.weak**2)
+            settling = Settling(
+                values=linear, q=levels**2, r=model.sensor_noise**2, weak=model.weak**2
+            )
             filters = [settling.gains(record, record.spread) for record, _ in runs]
         except FitError:
             return np.inf
@@ -53,14 +58,22 @@ def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) ->
         for (record, p), found in zip(runs, filters, strict=True):
             gains, covariance, _ = found.tables()
             run = engine.run(
-                x0=record.x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=found.pattern,
-                gains=gains, p=p, dt=record.dt,
-            )  # fmt: skip
+                x0=record.x0,
+                inputs=record.inputs,
+                outputs=record.outputs,
+                mask=record.mask,
+                pattern=found.pattern,
+                gains=gains,
+                p=p,
+                dt=record.dt,
+            )
             if run.failed_at is not None or run.innovations is None:
                 return np.inf
             for k, s in enumerate(covariance):
                 e = run.innovations[found.pattern == k]
-                total += 0.5 * float(np.sum(e @ np.linalg.inv(s) * e)) + 0.5 * len(e) * float(np.linalg.slogdet(s)[1])
+                total += 0.5 * float(np.sum(e @ np.linalg.inv(s) * e)) + 0.5 * len(e) * float(
+                    np.linalg.slogdet(s)[1]
+                )
                 count += len(e)
         return total / max(count, 1)
 
@@ -71,15 +84,20 @@ def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) ->
     if each:
         return replace(model, process_noise=_one_by_one(cost, own, before))
     best = scipy.optimize.minimize(
-        lambda v: cost(own * np.exp(v)[members]), np.zeros(len(groups)), method="Powell",
-        bounds=[tuple(np.log(LIMITS))] * len(groups), options={"xtol": 0.01, "ftol": 1e-6, "maxiter": 6},
-    )  # fmt: skip
+        lambda v: cost(own * np.exp(v)[members]),
+        np.zeros(len(groups)),
+        method="Powell",
+        bounds=[tuple(np.log(LIMITS))] * len(groups),
+        options={"xtol": 0.01, "ftol": 1e-6, "maxiter": 6},
+    )
     if not best.fun < before:
         return model
     return replace(model, process_noise=own * np.exp(best.x)[members])
 
 
-def _one_by_one(cost: Callable[[FloatArray], float], levels: FloatArray, value: float) -> FloatArray:
+def _one_by_one(
+    cost: Callable[[FloatArray], float], levels: FloatArray, value: float
+) -> FloatArray:
     """`levels` (of cost `value`) after Powell's method on their logarithms; never worse."""
     free = np.flatnonzero(levels > 0)
 
@@ -89,7 +107,10 @@ def _one_by_one(cost: Callable[[FloatArray], float], levels: FloatArray, value: 
         return out
 
     best = scipy.optimize.minimize(
-        lambda v: cost(moved(v)), np.zeros(len(free)), method="Powell", bounds=[tuple(np.log(WIDE))] * len(free),
+        lambda v: cost(moved(v)),
+        np.zeros(len(free)),
+        method="Powell",
+        bounds=[tuple(np.log(WIDE))] * len(free),
         options={"xtol": 0.02, "ftol": 1e-7, "maxiter": 6},
-    )  # fmt: skip
+    )
     return moved(best.x) if best.fun < value else levels

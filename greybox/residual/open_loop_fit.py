@@ -121,7 +121,9 @@ class WeightedHybrid(HybridModel):
         """Outputs under the weighted push."""
         push = self._spread @ self._weighted(x, window, p)
         own = p[: len(self.inner.parameters)]
-        return self.inner.output(t, x, own_window(self.inner, window), own, w + push, dt, *given(lasting))
+        return self.inner.output(
+            t, x, own_window(self.inner, window), own, w + push, dt, *given(lasting)
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -174,7 +176,9 @@ class Paths:
     `engine` runs the model itself, or a `WeightedHybrid` of it; `extra` are the parameters after the model's own.
     """
 
-    def __init__(self, model: IdentifiedModel, data: Dataset, *, horizons: Sequence[int], stride: int) -> None:
+    def __init__(
+        self, model: IdentifiedModel, data: Dataset, *, horizons: Sequence[int], stride: int
+    ) -> None:
         self.model, self.stride = model, stride
         self.runner = Filter(model)
         self.engine: Engine = self.runner.engine
@@ -186,7 +190,10 @@ class Paths:
         records = [make_record(self.engine, s) for f in data for s in f.segments]
         self.records = [r for r in records if r.n > max(horizons) + stride]
         if not self.records:
-            raise DataError("no flight is long enough for multi-step errors", expected=f"over {max(horizons)} samples")
+            raise DataError(
+                "no flight is long enough for multi-step errors",
+                expected=f"over {max(horizons)} samples",
+            )
         _, self.push, _, self.through = self.runner.linear
         total: FloatArray = np.zeros((self.chosen.size, self.engine.ne))
         count = np.zeros_like(total)
@@ -195,25 +202,43 @@ class Paths:
             total, count = total + (e * e * mask).sum(axis=0), count + mask.sum(axis=0)
         # Every horizon and channel weighs alike; errors of overlapping windows share what caused them.
         share = stride / (self.chosen.size * (int(self.chosen[-1]) + 1))
-        self.scales = np.where(total > 0, share * np.maximum(count, 1) / np.where(total > 0, total, 1.0), 0.0)
+        self.scales = np.where(
+            total > 0, share * np.maximum(count, 1) / np.where(total > 0, total, 1.0), 0.0
+        )
 
-    def errors(self, record: Record) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
+    def errors(
+        self, record: Record
+    ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
         """(p, rows (m,), filter's states (n, n_x), errors (m, H, n_e), mask alike) of one record."""
         p = np.concatenate([self.model.flight_vector(record.flight), self.extra])
         found = self.gains(record)
         run = self.engine.run(
-            x0=record.x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=found.pattern,
-            gains=found.tables()[0], p=p, dt=record.dt, want=frozenset({"states"}),
-        )  # fmt: skip
+            x0=record.x0,
+            inputs=record.inputs,
+            outputs=record.outputs,
+            mask=record.mask,
+            pattern=found.pattern,
+            gains=found.tables()[0],
+            p=p,
+            dt=record.dt,
+            want=frozenset({"states"}),
+        )
         if run.failed_at is not None or run.states is None:
             raise FitError(f"the prediction of flight {record.flight} is not finite")
         length = int(self.chosen[-1]) + 1
         rows = np.arange(min(self.stride, record.n - length), record.n - length + 1, self.stride)
         whole = np.full(rows.size, length)
         ahead = self.engine.windows(
-            starts=run.states[rows], rows=rows, lengths=whole, tails=whole, inputs=record.inputs,
-            outputs=record.outputs, mask=record.mask, p=p, dt=record.dt,
-        )  # fmt: skip
+            starts=run.states[rows],
+            rows=rows,
+            lengths=whole,
+            tails=whole,
+            inputs=record.inputs,
+            outputs=record.outputs,
+            mask=record.mask,
+            p=p,
+            dt=record.dt,
+        )
         if ahead.failed_in is not None:
             raise FitError(f"the prediction of flight {record.flight} is not finite")
         e = ahead.innovations.reshape(rows.size, length, self.engine.ne)[:, self.chosen]
@@ -224,7 +249,12 @@ class Paths:
         return self.runner.settling.gains(record, record.spread)
 
     def filtered(
-        self, record: Record, p: FloatArray, states: FloatArray, rows: IntArray, bases: Sequence[Basis]
+        self,
+        record: Record,
+        p: FloatArray,
+        states: FloatArray,
+        rows: IntArray,
+        bases: Sequence[Basis],
     ) -> list[FloatArray]:
         """Per basis the sensitivity (m, n_d, P) of the filter's state at `rows` (m,) to the whitened weights."""
         found = self.gains(record)
@@ -255,7 +285,12 @@ class Paths:
     def cost(self) -> float:
         """Weighted square errors; infinite where a prediction is not finite."""
         try:
-            return float(sum((e * e * k * self.scales).sum() for _, _, _, e, k in map(self.errors, self.records)))
+            return float(
+                sum(
+                    (e * e * k * self.scales).sum()
+                    for _, _, _, e, k in map(self.errors, self.records)
+                )
+            )
         except FitError:
             return np.inf
 
@@ -295,10 +330,16 @@ class Paths:
             x = step.ends
         weighed = e * e * mask * self.scales
         weighed = weighed if by_horizon else weighed.sum(axis=1, keepdims=True)
-        cost = np.stack([weighed[:, :, members].sum(axis=2) for members in self.groups], axis=2).reshape(rows.size, -1)
+        cost = np.stack(
+            [weighed[:, :, members].sum(axis=2) for members in self.groups], axis=2
+        ).reshape(rows.size, -1)
         return [
             [
-                Normal(cost=cost[part == b].sum(axis=0), gradient=gradient[k][b], hessian=_symmetric(hessian[k][b]))
+                Normal(
+                    cost=cost[part == b].sum(axis=0),
+                    gradient=gradient[k][b],
+                    hessian=_symmetric(hessian[k][b]),
+                )
                 for b in range(blocks)
             ]
             for k in range(len(bases))
@@ -311,7 +352,9 @@ class Paths:
         parts: dict[str, list[Normal]] = {label: [] for label in bases}
         for i, record in enumerate(self.records):
             say(f"sensitivities of {record.flight}", i / len(self.records))
-            for label, normals in zip(bases, self.normal(record, list(bases.values()), blocks), strict=True):
+            for label, normals in zip(
+                bases, self.normal(record, list(bases.values()), blocks), strict=True
+            ):
                 parts[label] += normals
         return parts
 
@@ -336,7 +379,9 @@ class Paths:
             }
             table = np.array([np.concatenate([v.mean(axis=0), v.std(axis=0)]) for v in z.values()])
             tree = scipy.cluster.hierarchy.linkage(table, method="average")
-            found = scipy.cluster.hierarchy.fcluster(tree, max(3, -(-len(flights) // 2)), criterion="maxclust")
+            found = scipy.cluster.hierarchy.fcluster(
+                tree, max(3, -(-len(flights) // 2)), criterion="maxclust"
+            )
             if len(set(found.tolist())) > 1:  # of one kind only nothing could be left out
                 numbers = dict(zip(flights, found.tolist(), strict=True))
         return [numbers[r.flight] for r in self.records]
@@ -370,12 +415,20 @@ def fit_open_loop(
         blocks = 1 if len({r.flight for r in paths.records}) >= FEW else BLOCKS
         kinds = paths.kinds(next(iter(bases.values())))
         owners = [
-            str(kinds[i]) if blocks == 1 else f"{i} {b}" for i in range(len(paths.records)) for b in range(blocks)
+            str(kinds[i]) if blocks == 1 else f"{i} {b}"
+            for i in range(len(paths.records))
+            for b in range(blocks)
         ]
         folds = folds_of(owners)
         parts = paths.all_normal(bases, blocks, lambda text, share: say(text, 0.6 * share))
         found = {
-            label: choose(judged(own, folds), by_channel(own, "cost"), outputs, strengths, bases[label].members)
+            label: choose(
+                judged(own, folds),
+                by_channel(own, "cost"),
+                outputs,
+                strengths,
+                bases[label].members,
+            )
             for label, own in parts.items()
         }
         best = max(found, key=lambda label: found[label][1])
@@ -385,20 +438,34 @@ def fit_open_loop(
         chosen, gain = found[best]
         factor = _dispersion(parts[best], folds, bases[best], chosen)
         result, theta = _iterate(
-            paths, bases[best], parts[best], chosen, factor, gain, iterations,
+            paths,
+            bases[best],
+            parts[best],
+            chosen,
+            factor,
+            gain,
+            iterations,
             lambda text, s: say(text, 0.6 + 0.3 * s),
-        )  # fmt: skip
+        )
         if result.status != "null":
             say("errors of kinds of flight left out", 0.9)
             del parts
-            result = replace(result, left_out=_left_out(paths, bases[best], theta, chosen, owners, blocks))
+            result = replace(
+                result, left_out=_left_out(paths, bases[best], theta, chosen, owners, blocks)
+            )
     return result, best, gains
 
 
 def _judged_apart(
-    paths: Paths, maker: Maker, found: dict[str, tuple[FloatArray, float]], kinds: Sequence[int], blocks: int,
-    folds: Sequence[Sequence[int]], strengths: Sequence[float], say: Progress,
-) -> str:  # fmt: skip
+    paths: Paths,
+    maker: Maker,
+    found: dict[str, tuple[FloatArray, float]],
+    kinds: Sequence[int],
+    blocks: int,
+    folds: Sequence[Sequence[int]],
+    strengths: Sequence[float],
+    say: Progress,
+) -> str:
     """The best candidate that stands with features made without the flights that judge it.
 
     Changes `found` (strengths, share saved) of those that were asked to what they saved so; a candidate that the half of the
@@ -406,7 +473,11 @@ def _judged_apart(
     """
     flights = [r.flight for r in paths.records]
     halves = Halves.of(
-        flights, dict(zip(flights, kinds, strict=True)), blocks, [r.n for r in paths.records], maker.flights
+        flights,
+        dict(zip(flights, kinds, strict=True)),
+        blocks,
+        [r.n for r in paths.records],
+        maker.flights,
     )
     order = sorted(found, key=lambda label: found[label][1], reverse=True)
     for label in order:
@@ -422,16 +493,24 @@ def _judged_apart(
             parts = paths.all_normal(bases, blocks, lambda _text, _share: None)
             outputs = next(iter(bases.values())).posterior.outputs.names
             both = halves.judged([parts[h] for h in made], folds)
-            found[label] = choose(both, by_channel(parts["0"], "cost"), outputs, strengths, bases["0"].members)
+            found[label] = choose(
+                both, by_channel(parts["0"], "cost"), outputs, strengths, bases["0"].members
+            )
         if np.isfinite(found[label][0]).any():
             return label
     return order[0]
 
 
 def _iterate(
-    paths: Paths, basis: Basis, parts: list[Normal], chosen: FloatArray, factor: FloatArray, gain: float,
-    iterations: int, say: Progress,
-) -> tuple[OpenLoopFit, FloatArray]:  # fmt: skip
+    paths: Paths,
+    basis: Basis,
+    parts: list[Normal],
+    chosen: FloatArray,
+    factor: FloatArray,
+    gain: float,
+    iterations: int,
+    say: Progress,
+) -> tuple[OpenLoopFit, FloatArray]:
     """Gauss-Newton with step control from zero weights: (fit, whitened weights (P,))."""
     before = value = float(total(parts, "cost"))
     strengths = dict(zip(basis.posterior.outputs.names, chosen.tolist(), strict=True))
@@ -439,18 +518,27 @@ def _iterate(
     prior = np.repeat(chosen, basis.m)[on]
     if not on.any():
         null = OpenLoopFit(
-            posterior=silent(basis.posterior), strengths=strengths, cost_before=before, cost_after=before,
-            held_out_gain=0.0, iterations=0, status="null",
-        )  # fmt: skip
+            posterior=silent(basis.posterior),
+            strengths=strengths,
+            cost_before=before,
+            cost_after=before,
+            held_out_gain=0.0,
+            iterations=0,
+            status="null",
+        )
         return null, np.zeros(basis.size)
     say("compiling the weighted model", 0.0)
-    paths.engine = engine_for(WeightedHybrid(inner=paths.model.dynamics, posterior=basis.posterior), ())
+    paths.engine = engine_for(
+        WeightedHybrid(inner=paths.model.dynamics, posterior=basis.posterior), ()
+    )
     theta = np.zeros(basis.size)
     status, done = "iteration limit", 0
     for done in range(1, iterations + 1):
         step = np.zeros(basis.size)
         at = np.ix_(on, on)
-        step[on], g = _newton(total(parts, "hessian")[at], total(parts, "gradient")[on], prior, theta[on], basis)
+        step[on], g = _newton(
+            total(parts, "hessian")[at], total(parts, "gradient")[on], prior, theta[on], basis
+        )
         moved, new = theta, np.inf
         for share in (1.0, 0.5, 0.25, 0.125):
             moved = theta + share * step
@@ -473,9 +561,14 @@ def _iterate(
     hessian = alone(total(parts, "hessian"), basis.members, basis.m)
     hessian = hessian + np.diag(np.repeat(np.where(np.isfinite(chosen), chosen, 1.0), basis.m))
     found = OpenLoopFit(
-        posterior=fitted(basis.posterior, theta, _inverse(hessian), chosen, factor), strengths=strengths, cost_before=before,
-        cost_after=paths.cost(), held_out_gain=gain, iterations=done, status=status,
-    )  # fmt: skip
+        posterior=fitted(basis.posterior, theta, _inverse(hessian), chosen, factor),
+        strengths=strengths,
+        cost_before=before,
+        cost_after=paths.cost(),
+        held_out_gain=gain,
+        iterations=done,
+        status=status,
+    )
     return found, theta
 
 
@@ -494,7 +587,12 @@ def _newton(
 
 
 def _left_out(
-    paths: Paths, basis: Basis, theta: FloatArray, chosen: FloatArray, owners: Sequence[str], blocks: int
+    paths: Paths,
+    basis: Basis,
+    theta: FloatArray,
+    chosen: FloatArray,
+    owners: Sequence[str],
+    blocks: int,
 ) -> dict[tuple[str, int, str], float]:
     """As `OpenLoopFit.left_out`, in the quadratic model of the cost around the fitted weights."""
     parts = [n for r in paths.records for n in paths.normal(r, [basis], blocks, by_horizon=True)[0]]
@@ -511,7 +609,9 @@ def _left_out(
         for i in fold:
             g, h = parts[i].gradient[:, on], parts[i].hessian[:, on][:, :, on]
             seen[flights[i]] = seen.get(flights[i], 0.0) + parts[i].cost
-            unseen[flights[i]] = unseen.get(flights[i], 0.0) + parts[i].cost + 2 * g @ d + (h @ d) @ d
+            unseen[flights[i]] = (
+                unseen.get(flights[i], 0.0) + parts[i].cost + 2 * g @ d + (h @ d) @ d
+            )
     names = list(itertools.product((paths.chosen + 1).tolist(), paths.labels))
     return {
         (flight, h, label): max(1.0, float(after / before)) if before > 0 else 1.0
@@ -535,14 +635,20 @@ def _dispersion(
     if not on.any():
         return out
     at, prior = np.ix_(on, on), np.diag(np.repeat(chosen, basis.m)[on])
-    h, g = alone(total(parts, "hessian")[at], basis.members, basis.m) + prior, total(parts, "gradient")[on]
+    h, g = (
+        alone(total(parts, "hessian")[at], basis.members, basis.m) + prior,
+        total(parts, "gradient")[on],
+    )
     theta, whole = -np.linalg.solve(h, g), np.linalg.inv(h)
     groups = np.repeat([n.split(".")[0] for n in basis.posterior.outputs.names], basis.m)[on]
     kinds = list(dict.fromkeys(groups.tolist()))
     moved, expected = dict.fromkeys(kinds, 0.0), dict.fromkeys(kinds, 0.0)
     for fold in folds:
         own = [parts[i] for i in fold]
-        hf, gf = alone(total(own, "hessian")[at], basis.members, basis.m), total(own, "gradient")[on]
+        hf, gf = (
+            alone(total(own, "hessian")[at], basis.members, basis.m),
+            total(own, "gradient")[on],
+        )
         without = np.linalg.inv(h - hf)
         d = without @ (gf + hf @ theta)
         for kind in kinds:

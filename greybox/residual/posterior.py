@@ -112,20 +112,33 @@ class GPPosterior(AsFunction, Shown):
     def __post_init__(self) -> None:
         for name in (*_VECTORS, *_ARRAYS):
             object.__setattr__(self, name, _frozen(getattr(self, name)))
-        object.__setattr__(self, "group_noise", MappingProxyType({k: _frozen(v) for k, v in self.group_noise.items()}))
+        object.__setattr__(
+            self,
+            "group_noise",
+            MappingProxyType({k: _frozen(v) for k, v in self.group_noise.items()}),
+        )
         object.__setattr__(self, "kernels", tuple(self.kernels))
         n_in, n_out = len(self.inputs), len(self.outputs)
         for name, default in (("noise_inflation", 1.0), ("jitter", 0.0), ("variance_factor", 1.0)):
             given = tuple(float(v) for v in getattr(self, name)) or (default,) * n_out
             if len(given) != n_out:
-                raise ModelError(f"GPPosterior.{name} has {len(given)} values", expected=f"{n_out}, one per output")
+                raise ModelError(
+                    f"GPPosterior.{name} has {len(given)} values",
+                    expected=f"{n_out}, one per output",
+                )
             object.__setattr__(self, name, given)
         m = len(self.support)
         shapes = {
-            "input_mean": (n_in,), "input_scale": (n_in,), "output_mean": (n_out,), "output_scale": (n_out,),
-            "noise": (n_out,), "support": (m, n_in), "weights": (m, n_out), "explained": (n_out, m, m),
+            "input_mean": (n_in,),
+            "input_scale": (n_in,),
+            "output_mean": (n_out,),
+            "output_scale": (n_out,),
+            "noise": (n_out,),
+            "support": (m, n_in),
+            "weights": (m, n_out),
+            "explained": (n_out, m, m),
             "uncertain": (n_out, m, m),
-        }  # fmt: skip
+        }
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value.shape != shape:
@@ -135,9 +148,18 @@ class GPPosterior(AsFunction, Shown):
         if self.method not in METHODS:
             raise UnknownNameError("GP method", self.method, METHODS)
         if len(self.kernels) != n_out or any(len(k.lengthscales) != n_in for k in self.kernels):
-            raise ModelError("GPPosterior.kernels do not fit the layouts", expected=f"{n_out} kernels of {n_in} inputs")
-        if not (self.input_scale > 0).all() or not (self.output_scale > 0).all() or not (self.noise >= 0).all():
-            raise ModelError("GPPosterior: scales must be positive and noise variances not negative")
+            raise ModelError(
+                "GPPosterior.kernels do not fit the layouts",
+                expected=f"{n_out} kernels of {n_in} inputs",
+            )
+        if (
+            not (self.input_scale > 0).all()
+            or not (self.output_scale > 0).all()
+            or not (self.noise >= 0).all()
+        ):
+            raise ModelError(
+                "GPPosterior: scales must be positive and noise variances not negative"
+            )
 
     # ------------------------------------------------------------------------------------------- predictions
 
@@ -190,7 +212,12 @@ class GPPosterior(AsFunction, Shown):
         return self.expressions(z, ("distances",))["distances"]
 
     def expressions(
-        self, z: Expr, which: Iterable[str], *, noise: bool | str = False, weights: Expr | None = None
+        self,
+        z: Expr,
+        which: Iterable[str],
+        *,
+        noise: bool | str = False,
+        weights: Expr | None = None,
     ) -> dict[str, Expr]:
         """Several quantities (of `QUANTITIES`, and "distances") of one z, sharing all common work.
 
@@ -203,10 +230,14 @@ class GPPosterior(AsFunction, Shown):
             z = ca.DM(np.asarray(z, dtype=np.float64))
         n_in = len(self.inputs)
         if z.numel() != n_in:
-            raise ModelError("the GP's input has the wrong length", expected=f"{n_in} values", got=str(z.numel()))
+            raise ModelError(
+                "the GP's input has the wrong length", expected=f"{n_in} values", got=str(z.numel())
+            )
         x = (ca.reshape(z, n_in, 1) - self.input_mean) / self.input_scale
         variance_scale = self.output_scale**2 * self.variance_factor
-        rows: dict[str, list[Expr]] = {name: [] for name in ("mean", "variance", "jm", "jv", "distances")}
+        rows: dict[str, list[Expr]] = {
+            name: [] for name in ("mean", "variance", "jm", "jv", "distances")
+        }
         shared: dict[int, _Common] = {}
         for j, kernel in enumerate(self.kernels):
             if self.active[j] and id(kernel) not in shared:
@@ -220,21 +251,33 @@ class GPPosterior(AsFunction, Shown):
         if "mean" in wanted:
             out["mean"] = self.output_mean + self.output_scale * ca.vertcat(*rows["mean"])
         if "variance" in wanted:
-            out["variance"] = variance_scale * ca.vertcat(*rows["variance"]) + self.noise_variance(noise)
+            out["variance"] = variance_scale * ca.vertcat(*rows["variance"]) + self.noise_variance(
+                noise
+            )
         # Rows are per output (scale from the left), columns per input (scale from the right).
         if "mean_jacobian" in wanted:
-            out["mean_jacobian"] = (self.output_scale[:, None] / self.input_scale) * ca.vertcat(*rows["jm"])
+            out["mean_jacobian"] = (self.output_scale[:, None] / self.input_scale) * ca.vertcat(
+                *rows["jm"]
+            )
         if "variance_jacobian" in wanted:
-            out["variance_jacobian"] = (variance_scale[:, None] / self.input_scale) * ca.vertcat(*rows["jv"])
+            out["variance_jacobian"] = (variance_scale[:, None] / self.input_scale) * ca.vertcat(
+                *rows["jv"]
+            )
         if wanted & {"distance", "distances"}:
             if "distances" in wanted:
                 out["distances"] = ca.vertcat(*rows["distances"])
             if "distance" in wanted:
                 active = [j for j, is_active in enumerate(self.active) if is_active]
-                out["distance"] = ca.mmax(ca.vertcat(*(rows["distances"][j] for j in active))) if active else ca.DM(1.0)
+                out["distance"] = (
+                    ca.mmax(ca.vertcat(*(rows["distances"][j] for j in active)))
+                    if active
+                    else ca.DM(1.0)
+                )
         return out
 
-    def _output(self, j: int, x: Expr, common: _Common | None, wanted: set[str], weights: Expr) -> dict[str, Expr]:
+    def _output(
+        self, j: int, x: Expr, common: _Common | None, wanted: set[str], weights: Expr
+    ) -> dict[str, Expr]:
         """Standardised quantities of output j at the standardised column x."""
         kernel = self.kernels[j]
         prior = kernel.prior_variance(x, ca)
@@ -254,7 +297,10 @@ class GPPosterior(AsFunction, Shown):
             out["jm"] = kernel.contract(support, x, g, weights)
         if need_variance:
             if common.factor is None or not np.array_equal(common.factor, self.explained[j]):
-                common.factor, common.first = self.explained[j], ca.sparsify(ca.DM(self.explained[j]))
+                common.factor, common.first = (
+                    self.explained[j],
+                    ca.sparsify(ca.DM(self.explained[j])),
+                )
                 common.explained = common.first @ k
             first, explained = common.first, common.explained
             conditional = prior - ca.sumsqr(explained)
@@ -266,7 +312,9 @@ class GPPosterior(AsFunction, Shown):
                 out["variance"] = ca.fmax(conditional, 0.0) + ca.sumsqr(uncertain)
             if "variance_jacobian" in wanted:
                 cut = conditional > 0.0
-                slope = kernel.contract(support, x, g, second.T @ uncertain - cut * (first.T @ explained))
+                slope = kernel.contract(
+                    support, x, g, second.T @ uncertain - cut * (first.T @ explained)
+                )
                 out["jv"] = 2.0 * slope + cut * kernel.prior_variance_slope(x)
         return out
 
@@ -288,7 +336,9 @@ class GPPosterior(AsFunction, Shown):
     def _mean(self) -> Any:
         return self.function("mean", ("mean",))
 
-    def evaluate(self, z: npt.ArrayLike, *, noise: bool | str = False) -> tuple[FloatArray, FloatArray]:
+    def evaluate(
+        self, z: npt.ArrayLike, *, noise: bool | str = False
+    ) -> tuple[FloatArray, FloatArray]:
         """(mean, variance), each (N, n_out), at the rows of z (N, n_in): the expressions above over many samples."""
         both = evaluate(self._moments, self._rows(z))
         n = len(self.outputs)
@@ -315,16 +365,25 @@ class GPPosterior(AsFunction, Shown):
         """One row per output: kernel and noise."""
         return [
             {
-                "output": s.name, "unit": s.unit, "kernel": k.family, "noise std": float(np.sqrt(v)),
+                "output": s.name,
+                "unit": s.unit,
+                "kernel": k.family,
+                "noise std": float(np.sqrt(v)),
                 "mean far from the data": float(m),
             }
-            for s, k, v, m in zip(self.outputs, self.kernels, self.noise, self.output_mean, strict=True)
-        ]  # fmt: skip
+            for s, k, v, m in zip(
+                self.outputs, self.kernels, self.noise, self.output_mean, strict=True
+            )
+        ]
 
     def plot(
-        self, along: str, outputs: Sequence[str] | None = None, *, at: Mapping[str, float] | None = None,
+        self,
+        along: str,
+        outputs: Sequence[str] | None = None,
+        *,
+        at: Mapping[str, float] | None = None,
         ax: Sequence[Axes] | None = None,
-    ) -> list[Axes]:  # fmt: skip
+    ) -> list[Axes]:
         """A slice: mean and two standard deviations of `outputs` (all) along the input `along` over its training range,
         the other inputs at the middle of theirs or `at` given values. Matplotlib axes, one panel per output.
 
@@ -345,7 +404,9 @@ class GPPosterior(AsFunction, Shown):
             if name not in self.outputs:
                 raise UnknownNameError("output of the GP", name, self.outputs.names)
             j = self.outputs[name]
-            curve = Curve(label="", x=z[:, column], y=mean[:, j], spread=2.0 * np.sqrt(variance[:, j]))
+            curve = Curve(
+                label="", x=z[:, column], y=mean[:, j], spread=2.0 * np.sqrt(variance[:, j])
+            )
             rows[f"{name} [{self.outputs.signals[j].unit}]"] = [curve]
         return panels(rows, x=f"{along} [{self.inputs.signals[column].unit}]", ax=ax)
 
@@ -353,7 +414,9 @@ class GPPosterior(AsFunction, Shown):
         rows = np.ascontiguousarray(z, dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != len(self.inputs):
             raise ModelError(
-                "the GP's inputs have the wrong shape", expected=f"(N, {len(self.inputs)})", got=str(rows.shape)
+                "the GP's inputs have the wrong shape",
+                expected=f"(N, {len(self.inputs)})",
+                got=str(rows.shape),
             )
         return rows
 
@@ -395,17 +458,24 @@ class GPPosterior(AsFunction, Shown):
         return plain, arrays
 
     @classmethod
-    def from_parts(cls, plain: Mapping[str, Any], arrays: Mapping[str, npt.ArrayLike]) -> GPPosterior:
+    def from_parts(
+        cls, plain: Mapping[str, Any], arrays: Mapping[str, npt.ArrayLike]
+    ) -> GPPosterior:
         """Inverse of `parts`. Raises `FileFormatError` where something is missing or does not fit."""
         try:
             kernels = [Kernel.from_dict(k) for k in plain["kernels"]]
             m = int(plain["points"])
             n_out = len(plain["outputs"])
             values: dict[str, Any] = {"support": arrays["support"], "weights": arrays["weights"]}
-            given = {name: np.asarray(arrays[name], dtype=np.float64) for name in ("explained", "uncertain")}
+            given = {
+                name: np.asarray(arrays[name], dtype=np.float64)
+                for name in ("explained", "uncertain")
+            }
             for name, packed in given.items():  # before anything of size M^2 is made
                 if m < 0 or packed.size != n_out * (m * (m + 1) // 2):
-                    raise ValueError(f"{name} has {packed.size} numbers, not those of {m} points and {n_out} outputs")
+                    raise ValueError(
+                        f"{name} has {packed.size} numbers, not those of {m} points and {n_out} outputs"
+                    )
             lower = np.tril_indices(m if n_out else 0)
             for name, packed in given.items():
                 full = np.zeros((n_out, m, m))
@@ -424,8 +494,17 @@ class GPPosterior(AsFunction, Shown):
                 **{name: plain[name] for name in _VECTORS},
                 **values,
             )
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
-            raise FileFormatError(f"not a GP posterior: {error!r}", fix="pass what greybox wrote") from None
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            IndexError,
+            AttributeError,
+            ArithmeticError,
+        ) as error:
+            raise FileFormatError(
+                f"not a GP posterior: {error!r}", fix="pass what greybox wrote"
+            ) from None
 
     def to_dict(self) -> dict[str, Any]:
         """All of it as plain JSON values, large arrays included (packed, row by row)."""
@@ -443,7 +522,12 @@ class GPPosterior(AsFunction, Shown):
         """Write `path` (JSON) and the arrays beside it (same stem, .npz), each atomically. Returns the path."""
         target = Path(path)
         plain, arrays = self.parts()
-        body = {"schema": SCHEMA, **plain, "arrays": target.with_suffix(".npz").name, "arrays_sha256": _digest(arrays)}
+        body = {
+            "schema": SCHEMA,
+            **plain,
+            "arrays": target.with_suffix(".npz").name,
+            "arrays_sha256": _digest(arrays),
+        }
         buffer = io.BytesIO()
         np.savez(buffer, **arrays)  # type: ignore[arg-type]
         write_atomic(target.with_suffix(".npz"), buffer.getvalue())
@@ -455,7 +539,9 @@ class GPPosterior(AsFunction, Shown):
         where = str(path)
         body = read_json(path, schema=SCHEMA)
         if body.pop("checksum", None) != checksum(body):
-            raise FileFormatError("the checksum does not match", where=where, fix="the file was edited or is damaged")
+            raise FileFormatError(
+                "the checksum does not match", where=where, fix="the file was edited or is damaged"
+            )
         beside = Path(path).parent / Path(str(body.get("arrays"))).name
         stored = load_arrays(beside)
         if missing := [name for name in _ARRAYS if name not in stored]:
@@ -464,7 +550,9 @@ class GPPosterior(AsFunction, Shown):
         arrays = {name: stored[name] for name in _ARRAYS}
         if _digest(arrays) != body.get("arrays_sha256"):
             raise FileFormatError(
-                "these are not the arrays of that file", where=str(beside), fix="copy both files together"
+                "these are not the arrays of that file",
+                where=str(beside),
+                fix="copy both files together",
             )
         return cls.from_parts(body, arrays)
 

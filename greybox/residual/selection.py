@@ -1,6 +1,8 @@
-"""Which samples stand for the others: support points, subsets, held-out groups, and how many support points pay.
+"""Which samples stand for the others: support points, subsets, held-out groups, and how many
+support points pay.
 
-Everything here is deterministic by its seed. Inputs are standardised, samples are rows unless said otherwise.
+Everything here is deterministic by its seed. Inputs are standardised, samples are rows unless said
+otherwise.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ TOLERANCE = 0.01
 
 
 def stratified(group: IntArray, size: int, seed: int) -> IntArray:
-    """`size` rows without replacement, each group in proportion to its length; all rows if there are no more."""
+    """`size` rows without replacement, each group in proportion to its length; all rows if there
+    are no more."""
     n = len(group)
     if size >= n:
         return np.arange(n)
@@ -41,7 +44,8 @@ def stratified(group: IntArray, size: int, seed: int) -> IntArray:
 
 
 def held_out(group: IntArray, share: float, seed: int) -> BoolArray:
-    """Mask (N,) of held-out samples: whole groups, about `share` of them; with one group its last part in time."""
+    """Mask (N,) of held-out samples: whole groups, about `share` of them; with one group its last
+    part in time."""
     names, sizes = np.unique(group, return_counts=True)
     mask = np.zeros(len(group), dtype=bool)
     if names.size == 1:
@@ -66,14 +70,18 @@ def place_points(
     seed: int,
     group: IntArray | None = None,
 ) -> FloatArray:
-    """Support points (M, n_in) for all outputs, the best first, so that every shorter list is its beginning.
+    """Support points (M, n_in) for all outputs, the best first, so that every shorter list is its
+    beginning.
 
-    Greedy choice of the sample with the largest sum over outputs of (conditional variance given the points so
-    far)/(noise variance): a pivoted Cholesky factorisation (Burt, Rasmussen and van der Wilk, JMLR 21, 2020, section 4),
-    which works down the trace term of the Titsias bound. x (N, n_in); noise (n_out,). Fewer than `points` come back where
-    the samples hold no more than that many different ones.
+    Greedy choice of the sample with the largest sum over outputs of (conditional variance given the
+    points so far)/(noise variance): a pivoted Cholesky factorisation (Burt, Rasmussen and van der
+    Wilk, JMLR 21, 2020, section 4), which works down the trace term of the Titsias bound. x (N,
+    n_in); noise (n_out,). Fewer than `points` come back where the samples hold no more than that
+    many different ones.
     """
-    rows = stratified(np.zeros(len(x), dtype=np.int64) if group is None else group, CANDIDATES, seed)
+    rows = stratified(
+        np.zeros(len(x), dtype=np.int64) if group is None else group, CANDIDATES, seed
+    )
     candidates = np.ascontiguousarray(x[rows].T)
     m = min(points, candidates.shape[1])
     unique = list({id(k): k for k in kernels}.values())
@@ -93,7 +101,9 @@ def place_points(
             if v[best] <= 1e-10 * p[best]:
                 v[best] = 0.0
                 continue
-            row = u.covariance(candidates[:, [best]], candidates).ravel() - c[:step, best] @ c[:step]
+            row = (
+                u.covariance(candidates[:, [best]], candidates).ravel() - c[:step, best] @ c[:step]
+            )
             c[step] = row / np.sqrt(v[best])
             v -= c[step] ** 2
             np.maximum(v, 0.0, out=v)
@@ -103,8 +113,9 @@ def place_points(
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """One number of support points: held-out NLPD (mean over samples and active outputs, nats), its standard error
-    against the best trial, RMSE in training standard deviations, cost of one prediction of mean and variance."""
+    """One number of support points: held-out NLPD (mean over samples and active outputs, nats), its
+    standard error against the best trial, RMSE in training standard deviations, cost of one
+    prediction of mean and variance."""
 
     points: int
     nlpd: float
@@ -128,7 +139,8 @@ class Curve:
 
 
 def blocks_of(group: IntArray, at_least: int = 10) -> IntArray:
-    """Block number of each held-out sample: the groups, or stretches of time where there are few groups."""
+    """Block number of each held-out sample: the groups, or stretches of time where there are few
+    groups."""
     names = np.unique(group)
     if names.size >= at_least:
         return np.searchsorted(names, group)
@@ -148,10 +160,17 @@ def mean_and_error(values: FloatArray, block: IntArray) -> tuple[float, float]:
 
 
 def choose(
-    sizes: Sequence[int], nlpd: Sequence[FloatArray], rmse: Sequence[float], block: IntArray, *, inputs: int, outputs: int,
+    sizes: Sequence[int],
+    nlpd: Sequence[FloatArray],
+    rmse: Sequence[float],
+    block: IntArray,
+    *,
+    inputs: int,
+    outputs: int,
     seconds: Sequence[float],
-) -> Curve:  # fmt: skip
-    """The smallest number of points whose NLPD is within one standard error (paired, by block), or `TOLERANCE`, of the best.
+) -> Curve:
+    """The smallest number of points whose NLPD is within one standard error (paired, by block), or
+    `TOLERANCE`, of the best.
 
     `nlpd[i]` (N,) per held-out sample, averaged over outputs, for `sizes[i]` points.
     """

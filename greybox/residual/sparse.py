@@ -1,12 +1,14 @@
-"""Posteriors in closed form: hyper-parameters and data go in, the numbers of a predictor come out. NumPy and SciPy only.
+"""Posteriors in closed form: hyper-parameters and data go in, the numbers of a predictor come out.
+NumPy and SciPy only.
 
-Every posterior has one form, with L1 = `explained` and L2 = `uncertain` (both lower triangular, M x M, inverses already
-taken, so that a prediction is matrix products):
+Every posterior has one form, with L1 = `explained` and L2 = `uncertain` (both lower triangular, M x
+M, inverses already taken, so that a prediction is matrix products):
 
     mean(x) = w'k(x),    variance(x) = [k(x, x) - |L1 k(x)|^2] + |L2 k(x)|^2,    k(x) = k(Z, x).
 
-The bracket is a conditional prior variance and cannot be negative but for rounding, which is cut off at zero; the last
-term is a sum of squares. Samples are columns, (n_in, N); inputs and outputs are standardised and the prior mean is zero.
+The bracket is a conditional prior variance and cannot be negative but for rounding, which is cut
+off at zero; the last term is a sum of squares. Samples are columns, (n_in, N); inputs and outputs
+are standardised and the prior mean is zero.
 """
 
 from __future__ import annotations
@@ -26,14 +28,15 @@ GUARD_SAMPLES = 3000
 """Samples whose exact posterior judges the variance of a sparse one."""
 PROBES = 1000
 JITTERS = (0.0, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
-"""Shares of the mean diagonal that are added to it in turn until the Cholesky factorisation exists."""
+"""Shares of the mean diagonal that are added to it in turn until the Cholesky factorisation
+exists."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Numbers:
-    """weights (M,), explained and uncertain (M, M) lower triangular, the jitter added to the diagonal of K(Z, Z), and
-    the log marginal likelihood of the data (of a sparse posterior: of its approximate prior, or without correction the lower
-    bound; None where it is not known)."""
+    """weights (M,), explained and uncertain (M, M) lower triangular, the jitter added to the
+    diagonal of K(Z, Z), and the log marginal likelihood of the data (of a sparse posterior: of its
+    approximate prior, or without correction the lower bound; None where it is not known)."""
 
     weights: FloatArray
     explained: FloatArray
@@ -43,7 +46,8 @@ class Numbers:
 
 
 def safe_cholesky(matrix: FloatArray, jitter: float | None = None) -> tuple[FloatArray, float]:
-    """(lower factor, jitter that was added to the diagonal). With `jitter` that one and no other is tried.
+    """(lower factor, jitter that was added to the diagonal). With `jitter` that one and no other is
+    tried.
 
     Raises `FitError` where even the largest of `JITTERS` does not help.
     """
@@ -66,9 +70,15 @@ def inverse_factor(factor: FloatArray) -> FloatArray:
 
 
 def exact(
-    kernel: Kernel, x: FloatArray, y: FloatArray, noise: FloatArray | float, *, jitter: float | None = None
+    kernel: Kernel,
+    x: FloatArray,
+    y: FloatArray,
+    noise: FloatArray | float,
+    *,
+    jitter: float | None = None,
 ) -> Numbers:
-    """The exact posterior: every sample is a support point. x (n_in, N), y (N,), noise variance (N,) or one for all.
+    """The exact posterior: every sample is a support point. x (n_in, N), y (N,), noise variance
+    (N,) or one for all.
 
     Rasmussen and Williams (2006), algorithm 2.1. O(N^3).
     """
@@ -77,7 +87,11 @@ def exact(
     matrix[np.diag_indices(n)] += noise
     factor, added = safe_cholesky(matrix, jitter)
     half = solve_triangular(factor, y, lower=True)
-    likelihood = -0.5 * float(half @ half) - float(np.log(np.diag(factor)).sum()) - 0.5 * n * np.log(2.0 * np.pi)
+    likelihood = (
+        -0.5 * float(half @ half)
+        - float(np.log(np.diag(factor)).sum())
+        - 0.5 * n * np.log(2.0 * np.pi)
+    )
     return Numbers(
         weights=solve_triangular(factor, half, lower=True, trans="T"),
         explained=inverse_factor(factor),
@@ -99,11 +113,12 @@ def collapsed(
 ) -> Numbers:
     """The sparse posterior in closed form: all data projected on `support` (n_in, M).
 
-    Titsias, Variational learning of inducing variables in sparse Gaussian processes (AISTATS 2009). With `correction` each
-    sample's noise grows by the variance that the support points leave unexplained there, as in Snelson and Ghahramani
-    (NIPS 2005) and as GPyTorch predicts by default (`sgpr_diagonal_correction`): samples that are badly represented count
-    less. Without, it is the optimal q(u) of the Titsias bound. x (n_in, N), y (N,), noise variance (N,) or one for all.
-    O(N M^2) time, O(CHUNK M) memory beyond the data.
+    Titsias, Variational learning of inducing variables in sparse Gaussian processes (AISTATS 2009).
+    With `correction` each sample's noise grows by the variance that the support points leave
+    unexplained there, as in Snelson and Ghahramani (NIPS 2005) and as GPyTorch predicts by default
+    (`sgpr_diagonal_correction`): samples that are badly represented count less. Without, it is the
+    optimal q(u) of the Titsias bound. x (n_in, N), y (N,), noise variance (N,) or one for all. O(N
+    M^2) time, O(CHUNK M) memory beyond the data.
     """
     n, m = len(y), support.shape[1]
     level = np.broadcast_to(np.asarray(noise, dtype=np.float64), (n,))
@@ -157,10 +172,11 @@ def variance_guard(
 ) -> float:
     """Factor of at least 1 that brings the variance of `collapsed` up to the full GP's.
 
-    A sparse posterior takes what the support points do not determine for zero when it weighs the data, and so its variance
-    can fall below the exact one (by up to a tenth here and there, where the points are few). The factor is the largest
-    ratio of the two over `PROBES` training inputs and as many around them. x (n_in, N) and noise as in `collapsed`; of
-    more than `GUARD_SAMPLES` samples a random part stands for all, its noise scaled so that it weighs as much.
+    A sparse posterior takes what the support points do not determine for zero when it weighs the
+    data, and so its variance can fall below the exact one (by up to a tenth here and there, where
+    the points are few). The factor is the largest ratio of the two over `PROBES` training inputs
+    and as many around them. x (n_in, N) and noise as in `collapsed`; of more than `GUARD_SAMPLES`
+    samples a random part stands for all, its noise scaled so that it weighs as much.
     """
     n = x.shape[1]
     rng = np.random.default_rng(seed)
@@ -173,7 +189,9 @@ def variance_guard(
     matrix = kernel.covariance(x[:, rows], x[:, rows])
     matrix[np.diag_indices(rows.size)] += level
     factor, _ = safe_cholesky(matrix)
-    full = prior - (solve_triangular(factor, kernel.covariance(x[:, rows], probes), lower=True) ** 2).sum(0)
+    full = prior - (
+        solve_triangular(factor, kernel.covariance(x[:, rows], probes), lower=True) ** 2
+    ).sum(0)
     k = kernel.covariance(support, probes)
     conditional = np.maximum(prior - ((numbers.explained @ k) ** 2).sum(0), 0.0)
     variance = conditional + ((numbers.uncertain @ k) ** 2).sum(0)
@@ -181,11 +199,18 @@ def variance_guard(
 
 
 def variational(
-    kernel: Kernel, support: FloatArray, mean: FloatArray, root: FloatArray, *, jitter: float | None = None
+    kernel: Kernel,
+    support: FloatArray,
+    mean: FloatArray,
+    root: FloatArray,
+    *,
+    jitter: float | None = None,
 ) -> Numbers:
-    """The posterior of a whitened q(v) = N(mean, root root'), u = L v with K(Z, Z) + jitter I = L L' (SVGP).
+    """The posterior of a whitened q(v) = N(mean, root root'), u = L v with K(Z, Z) + jitter I = L
+    L' (SVGP).
 
-    Hensman, Fusi and Lawrence, Gaussian processes for big data (UAI 2013). support (n_in, M), mean (M,), root (M, M).
+    Hensman, Fusi and Lawrence, Gaussian processes for big data (UAI 2013). support (n_in, M), mean
+    (M,), root (M, M).
     """
     factor, added = safe_cholesky(kernel.covariance(support, support), jitter)
     explained = inverse_factor(factor)

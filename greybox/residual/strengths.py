@@ -1,8 +1,10 @@
-"""How strong the prior of a learned part is: chosen on kinds of flight that its weights did not see.
+"""How strong the prior of a learned part is: chosen on kinds of flight that its weights did not
+see.
 
-Everything happens in the quadratic model of the multi-step cost around zero weights, from the normal equations of stretches
-of flight. Where the features themselves were made from flights (a network, a law), they are made again without the
-judged ones (`Maker`): features that have seen what they foretell foretell it anyhow.
+Everything happens in the quadratic model of the multi-step cost around zero weights, from the
+normal equations of stretches of flight. Where the features themselves were made from flights (a
+network, a law), they are made again without the judged ones (`Maker`): features that have seen what
+they foretell foretell it anyhow.
 """
 
 from __future__ import annotations
@@ -34,8 +36,8 @@ class Maker(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Normal:
-    """Normal equations of a stretch of flight by channel group (rate, rotation, ...): cost (C,), gradient g (C, P) and
-    Gauss-Newton Hessian h (C, P, P) in theta."""
+    """Normal equations of a stretch of flight by channel group (rate, rotation, ...): cost (C,),
+    gradient g (C, P) and Gauss-Newton Hessian h (C, P, P) in theta."""
 
     cost: FloatArray
     gradient: FloatArray
@@ -44,7 +46,8 @@ class Normal:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judged:
-    """One left-out fold: Hessian (P, P) and gradient (P,) of all other stretches, and its own by channel group."""
+    """One left-out fold: Hessian (P, P) and gradient (P,) of all other stretches, and its own by
+    channel group."""
 
     left_hessian: FloatArray
     left_gradient: FloatArray
@@ -63,7 +66,8 @@ def by_channel(parts: Sequence[Normal], what: str) -> FloatArray:
 
 
 def folds_of(owners: Sequence[str]) -> list[list[int]]:
-    """Which parts are left out together: those of one owner (a kind of flight; a stretch, where there are few flights)."""
+    """Which parts are left out together: those of one owner (a kind of flight; a stretch, where
+    there are few flights)."""
     return [[i for i, o in enumerate(owners) if o == n] for n in dict.fromkeys(owners)]
 
 
@@ -75,24 +79,36 @@ def judged(parts: Sequence[Normal], folds: Sequence[Sequence[int]]) -> list[Judg
         own = [parts[i] for i in fold]
         h, g = by_channel(own, "hessian"), by_channel(own, "gradient")
         out.append(
-            Judged(left_hessian=whole_h - h.sum(axis=0), left_gradient=whole_g - g.sum(axis=0), hessian=h, gradient=g)
+            Judged(
+                left_hessian=whole_h - h.sum(axis=0),
+                left_gradient=whole_g - g.sum(axis=0),
+                hessian=h,
+                gradient=g,
+            )
         )
     return out
 
 
 def choose(
-    found: Sequence[Judged], cost: FloatArray, outputs: Sequence[str], strengths: Sequence[float], members: int = 1
+    found: Sequence[Judged],
+    cost: FloatArray,
+    outputs: Sequence[str],
+    strengths: Sequence[float],
+    members: int = 1,
 ) -> tuple[FloatArray, float]:
-    """Prior strength per output by leaving kinds of flight out, in the quadratic model of the cost; share of it saved.
+    """Prior strength per output by leaving kinds of flight out, in the quadratic model of the cost;
+    share of it saved.
 
-    `cost` (C,) of the channel groups without a learned part. Outputs of a group (force, torque) share one strength. A
-    choice must not raise the left-out errors of any channel group, whatever it saves elsewhere. Among choices within one
-    standard error of the best the strongest prior wins. Of an ensemble of `members` it is the mean that is judged.
+    `cost` (C,) of the channel groups without a learned part. Outputs of a group (force, torque)
+    share one strength. A choice must not raise the left-out errors of any channel group, whatever
+    it saves elsewhere. Among choices within one standard error of the best the strongest prior
+    wins. Of an ensemble of `members` it is the mean that is judged.
     """
     groups = [n.split(".")[0] for n in outputs]
     kinds = list(dict.fromkeys(groups))
     results: dict[tuple[float, ...], FloatArray] = {}
-    # Features that are made again without some flights may be more or fewer: terms of a law, for one.
+    # Features that are made again without some flights may be more or fewer: terms of a law, for
+    # one.
     features = [fold.left_gradient.size // len(groups) for fold in found]
     left = [alone(fold.left_hessian, members, m) for fold, m in zip(found, features, strict=True)]
     for choice in itertools.product(strengths, repeat=len(kinds)):
@@ -103,7 +119,9 @@ def choose(
             if not on.any():
                 continue
             at = np.ix_(on, on)
-            theta = -np.linalg.solve(left[i][at] + np.diag(prior[on]), fold.left_gradient[on]) / members
+            theta = (
+                -np.linalg.solve(left[i][at] + np.diag(prior[on]), fold.left_gradient[on]) / members
+            )
             bent = fold.hessian[:, on][:, :, on] @ theta
             saved[i] = -(2 * fold.gradient[:, on] @ theta + bent @ theta)
         if (saved.sum(axis=0) >= -HARM * cost).all():
@@ -115,23 +133,32 @@ def choose(
         for c, saved in results.items()
         if (margin - saved).sum() <= np.sqrt(len(found)) * (margin - saved).std(ddof=1) + 1e-12
     ]
-    strongest = max(keep, key=lambda c: (sum(np.log10(min(v, 1e6)) for v in c), float(results[c].sum())))
+    strongest = max(
+        keep, key=lambda c: (sum(np.log10(min(v, 1e6)) for v in c), float(results[c].sum()))
+    )
     share = float(results[strongest].sum() / cost.sum())
     return np.array([strongest[kinds.index(g)] for g in groups]), share
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Halves:
-    """The flights in two halves: `of_part` says the half of every part, `rows` (2, N) the rows of a maker by half."""
+    """The flights in two halves: `of_part` says the half of every part, `rows` (2, N) the rows of a
+    maker by half."""
 
     of_part: list[int]
     rows: BoolArray
 
     @classmethod
     def of(
-        cls, flights: Sequence[str], kinds: Mapping[str, int], blocks: int, lengths: Sequence[int], rows: Sequence[str]
+        cls,
+        flights: Sequence[str],
+        kinds: Mapping[str, int],
+        blocks: int,
+        lengths: Sequence[int],
+        rows: Sequence[str],
     ) -> Halves:
-        """Kinds of flight in turn into one half and the other; a single flight is cut in the middle.
+        """Kinds of flight in turn into one half and the other; a single flight is cut in the
+        middle.
 
         `flights` and `lengths`: name and samples of every record, each of which is `blocks` parts.
         """
@@ -151,7 +178,10 @@ class Halves:
             first = np.arange(len(rows)) < len(rows) / 2
         return cls(of_part=of_part, rows=np.stack([first, ~first]))
 
-    def judged(self, parts: Sequence[Sequence[Normal]], folds: Sequence[Sequence[int]]) -> list[Judged]:
-        """`parts[h]` are of features made from half h: every fold is judged by those that were not made from it."""
+    def judged(
+        self, parts: Sequence[Sequence[Normal]], folds: Sequence[Sequence[int]]
+    ) -> list[Judged]:
+        """`parts[h]` are of features made from half h: every fold is judged by those that were not
+        made from it."""
         both = [judged(own, folds) for own in parts]
         return [both[1 - self.of_part[fold[0]]][i] for i, fold in enumerate(folds)]

@@ -1,8 +1,10 @@
-"""The part of training that runs in GPyTorch: marginal likelihoods, polish of support points, SVGP with mini-batches.
+"""The part of training that runs in GPyTorch: marginal likelihoods, polish of support points, SVGP
+with mini-batches.
 
-The only file of the GP that imports PyTorch and GPyTorch (the extra `gp`). Arrays in and out are NumPy, samples are rows,
-inputs and outputs standardised, prior mean zero. Everything is float64 with exact Cholesky settings. All of it is one file,
-though long, because PyTorch shall have one door.
+The only file of the GP that imports PyTorch and GPyTorch (the extra `gp`). Arrays in and out are
+NumPy, samples are rows, inputs and outputs standardised, prior mean zero. Everything is float64
+with exact Cholesky settings. All of it is one file, though long, because PyTorch shall have one
+door.
 """
 
 from __future__ import annotations
@@ -26,10 +28,17 @@ from greybox.residual import sparse
 from greybox.residual.kernels import FADE_POWER, Kernel, correlation, split_name
 from greybox.symbolic import FloatArray
 
-BOUNDS = {"lengthscale": (0.05, 100.0), "variance": (1e-6, 1e3), "slope": (1e-8, 1e2), "noise": (1e-6, 4.0)}
-"""In standardised units; the noise floor (a thousandth of the output's size) keeps condition numbers in float64's reach."""
+BOUNDS = {
+    "lengthscale": (0.05, 100.0),
+    "variance": (1e-6, 1e3),
+    "slope": (1e-8, 1e2),
+    "noise": (1e-6, 4.0),
+}
+"""In standardised units; the noise floor (a thousandth of the output's size) keeps condition
+numbers in float64's reach."""
 GRADIENT = 0.05
-"""Largest projected gradient of the log likelihood [nats per unit of a log parameter] that counts as converged."""
+"""Largest projected gradient of the log likelihood [nats per unit of a log parameter] that counts
+as converged."""
 ITERATIONS = 200
 COARSE = 200
 """Samples of the subset on which the starts compete before the best is polished on all of it."""
@@ -53,7 +62,8 @@ def one_thread() -> Iterator[None]:
 
 @dataclass(frozen=True, kw_only=True)
 class Hyper:
-    """Hyper-parameters of outputs that share `kernel`: noise variances (n,), and how the search for them ended."""
+    """Hyper-parameters of outputs that share `kernel`: noise variances (n,), and how the search for
+    them ended."""
 
     kernel: Kernel
     noise: FloatArray
@@ -90,7 +100,9 @@ def gpytorch_kernel(kernel: Kernel) -> gpytorch.kernels.Kernel:
         base = gpytorch.kernels.RBFKernel(ard_num_dims=n, lengthscale_constraint=_positive())
     else:
         nu = {"matern32": 1.5, "matern52": 2.5}[kernel.family]
-        base = gpytorch.kernels.MaternKernel(nu=nu, ard_num_dims=n, lengthscale_constraint=_positive())
+        base = gpytorch.kernels.MaternKernel(
+            nu=nu, ard_num_dims=n, lengthscale_constraint=_positive()
+        )
     module = gpytorch.kernels.ScaleKernel(base, outputscale_constraint=_positive()).double()
     base.lengthscale = torch.tensor(np.array(kernel.lengthscales))
     module.outputscale = torch.tensor(kernel.variance, dtype=torch.float64)
@@ -102,7 +114,8 @@ def gpytorch_kernel(kernel: Kernel) -> gpytorch.kernels.Kernel:
 
 
 def gpytorch_likelihood(noise: float) -> gpytorch.likelihoods.GaussianLikelihood:
-    """A Gaussian likelihood with that noise variance (float64), its raw parameter being the logarithm."""
+    """A Gaussian likelihood with that noise variance (float64), its raw parameter being the
+    logarithm."""
     likelihood = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=_positive()).double()
     likelihood.noise = torch.tensor(noise, dtype=torch.float64)
     return likelihood
@@ -122,7 +135,8 @@ class ExactModel(gpytorch.models.ExactGP):
 
 
 class VariationalModel(gpytorch.models.ApproximateGP):
-    """GPyTorch's SVGP (whitened) with zero mean, fixed inducing points and the given covariance module."""
+    """GPyTorch's SVGP (whitened) with zero mean, fixed inducing points and the given covariance
+    module."""
 
     def __init__(self, support: torch.Tensor, covariance: Any, jitter: float = 1e-8) -> None:
         q = gpytorch.variational.CholeskyVariationalDistribution(support.shape[0]).double()
@@ -139,7 +153,7 @@ class VariationalModel(gpytorch.models.ApproximateGP):
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
 
 
-# ------------------------------------------------------------------------------------------------ hyper-parameters
+# ------------------------------------------------------------------------------- hyper-parameters
 
 
 def _pack(kernel: Kernel, noise: FloatArray) -> FloatArray:
@@ -164,8 +178,11 @@ def _bounds(like: Kernel, outputs: int) -> FloatArray:
     return np.log(np.array(rows))
 
 
-def _likelihood_of(x: FloatArray, y: FloatArray, like: Kernel) -> Callable[[FloatArray], tuple[float, FloatArray]]:
-    """theta -> (minus log marginal likelihood of y (N, n) at x (N, n_in) summed over columns, gradient)."""
+def _likelihood_of(
+    x: FloatArray, y: FloatArray, like: Kernel
+) -> Callable[[FloatArray], tuple[float, FloatArray]]:
+    """theta -> (minus log marginal likelihood of y (N, n) at x (N, n_in) summed over columns,
+    gradient)."""
     inputs, n = torch.tensor(x), len(x)
     covariance = gpytorch_kernel(like)
     likelihoods = [gpytorch_likelihood(0.1) for _ in range(y.shape[1])]
@@ -189,10 +206,16 @@ def _likelihood_of(x: FloatArray, y: FloatArray, like: Kernel) -> Callable[[Floa
             tensor.grad = None
             at += tensor.numel()
         try:
-            # A jitter in a corner of the search is no news; the posterior says which jitter it needed.
-            with warnings.catch_warnings(), gpytorch.settings.fast_computations(False, False, False):
+            # A jitter in a corner of the search is no news; the posterior says which jitter it
+            # needed.
+            with (
+                warnings.catch_warnings(),
+                gpytorch.settings.fast_computations(False, False, False),
+            ):
                 warnings.simplefilter("ignore", NumericalWarning)
-                loss = sum(-n * mll(model(inputs), model.train_targets) for mll, model in zip(mlls, models))
+                loss = sum(
+                    -n * mll(model(inputs), model.train_targets) for mll, model in zip(mlls, models)
+                )
             loss.backward()
         except (NanError, NotPSDError, RuntimeError) as error:
             raise TrainingAborted(str(error).splitlines()[0]) from None
@@ -204,11 +227,17 @@ def _likelihood_of(x: FloatArray, y: FloatArray, like: Kernel) -> Callable[[Floa
     return value
 
 
-def _search(x: FloatArray, y: FloatArray, like: Kernel, start: FloatArray, iterations: int) -> Hyper:
+def _search(
+    x: FloatArray, y: FloatArray, like: Kernel, start: FloatArray, iterations: int
+) -> Hyper:
     """L-BFGS-B from one start. "converged" only if the projected gradient really is small."""
     bounds = _bounds(like, y.shape[1])
     function = _likelihood_of(x, y, like)
-    best: list[Any] = [math.inf, np.clip(start, bounds[:, 0], bounds[:, 1]), np.full(start.shape, np.inf)]
+    best: list[Any] = [
+        math.inf,
+        np.clip(start, bounds[:, 0], bounds[:, 1]),
+        np.full(start.shape, np.inf),
+    ]
     count = 0
 
     def value(theta: FloatArray) -> tuple[float, FloatArray]:
@@ -222,9 +251,19 @@ def _search(x: FloatArray, y: FloatArray, like: Kernel, start: FloatArray, itera
     status, message = "iteration limit", ""
     try:
         done = minimize(
-            value, best[1], jac=True, method="L-BFGS-B", bounds=bounds,
-            options={"maxiter": iterations, "maxfun": 2 * iterations, "gtol": 0.5 * GRADIENT, "ftol": 1e-12, "maxcor": 20},
-        )  # fmt: skip
+            value,
+            best[1],
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={
+                "maxiter": iterations,
+                "maxfun": 2 * iterations,
+                "gtol": 0.5 * GRADIENT,
+                "ftol": 1e-12,
+                "maxcor": 20,
+            },
+        )
         message = str(done.message)
     except TrainingAborted as error:
         status, message = "diverged", str(error)
@@ -234,16 +273,26 @@ def _search(x: FloatArray, y: FloatArray, like: Kernel, start: FloatArray, itera
         status = "converged"
     kernel, noise = _unpack(theta, like)
     return Hyper(
-        kernel=kernel, noise=noise, log_likelihood=-f, status=status, message=message, evaluations=count,
+        kernel=kernel,
+        noise=noise,
+        log_likelihood=-f,
+        status=status,
+        message=message,
+        evaluations=count,
         at_bound=_at_bound(theta, bounds, like),
-    )  # fmt: skip
+    )
 
 
 def _at_bound(theta: FloatArray, bounds: FloatArray, like: Kernel) -> tuple[str, ...]:
-    """Names of parameters at their bounds; a length-scale at its upper bound only says that the input does not matter."""
+    """Names of parameters at their bounds; a length-scale at its upper bound only says that the
+    input does not matter."""
     n = len(like.lengthscales)
     slopes = n if like.slopes is not None else 0
-    names = [f"lengthscale {i}" for i in range(n)] + ["variance"] + [f"slope {i}" for i in range(slopes)]
+    names = (
+        [f"lengthscale {i}" for i in range(n)]
+        + ["variance"]
+        + [f"slope {i}" for i in range(slopes)]
+    )
     names += ["noise"] * (len(theta) - len(names))
     low, high = theta <= bounds[:, 0] + 1e-6, theta >= bounds[:, 1] - 1e-6
     high[:n] = False
@@ -261,17 +310,22 @@ def fit_hyper(
     restarts: int,
     start: Hyper | None = None,
 ) -> Hyper:
-    """Hyper-parameters of one kernel for the columns of y (N, n), by marginal likelihood. x (N, n_in), standardised.
+    """Hyper-parameters of one kernel for the columns of y (N, n), by marginal likelihood. x (N,
+    n_in), standardised.
 
-    `restarts` starts compete on `COARSE` samples; the best goes on with all. With `start` only that one is polished.
-    Raises `FitError` where the likelihood is not finite at any start.
+    `restarts` starts compete on `COARSE` samples; the best goes on with all. With `start` only that
+    one is polished. Raises `FitError` where the likelihood is not finite at any start.
     """
     family, linear = split_name(kernel)
     n_in, n_out = x.shape[1], y.shape[1]
     rng = np.random.default_rng(seed)
     slopes = np.full(n_in, 0.1) if linear else None
     like = Kernel(
-        family=family, lengthscales=np.ones(n_in), variance=1.0, slopes=slopes, reach=reach if linear else None
+        family=family,
+        lengthscales=np.ones(n_in),
+        variance=1.0,
+        slopes=slopes,
+        reach=reach if linear else None,
     )
     if start is not None:
         starts = [_pack(replace(start.kernel, reach=like.reach), start.noise)]
@@ -282,9 +336,14 @@ def fit_hyper(
             if i < len(first):
                 scale, variance, noise = np.full(n_in, first[i][0]), first[i][1], first[i][2]
             else:
-                scale, variance = np.exp(rng.uniform(0.0, np.log(10.0), n_in)), float(np.exp(rng.uniform(-2.0, 1.0)))
+                scale, variance = (
+                    np.exp(rng.uniform(0.0, np.log(10.0), n_in)),
+                    float(np.exp(rng.uniform(-2.0, 1.0))),
+                )
                 noise = float(np.exp(rng.uniform(np.log(0.01), 0.0)))
-            starts.append(_pack(replace(like, lengthscales=scale, variance=variance), np.full(n_out, noise)))
+            starts.append(
+                _pack(replace(like, lengthscales=scale, variance=variance), np.full(n_out, noise))
+            )
     rows = np.sort(rng.permutation(len(x))[:COARSE])
     used = 0
     if len(starts) > 1 or len(x) > 2 * COARSE:
@@ -296,18 +355,24 @@ def fit_hyper(
             starts = [_pack(best.kernel, best.noise)]
     final = _search(x, y, like, starts[0], ITERATIONS)
     if not math.isfinite(final.log_likelihood):
-        raise FitError("the GP's likelihood is not finite", got=final.message, fix="look for infinite or huge inputs")
+        raise FitError(
+            "the GP's likelihood is not finite",
+            got=final.message,
+            fix="look for infinite or huge inputs",
+        )
     return replace(final, evaluations=final.evaluations + used)
 
 
-# ------------------------------------------------------------------------------------------------ sparse objectives
+# ------------------------------------------------------------------------------ sparse objectives
 
 
 def _features(x: torch.Tensor, reach: torch.Tensor) -> torch.Tensor:
     return x / (1.0 + ((x / reach) ** FADE_POWER).sum(-1, keepdim=True))
 
 
-def _covariance(family: str, raw: dict[str, torch.Tensor], a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+def _covariance(
+    family: str, raw: dict[str, torch.Tensor], a: torch.Tensor, b: torch.Tensor
+) -> torch.Tensor:
     u, v = a / raw["lengthscale"].exp(), b / raw["lengthscale"].exp()
     square = (u * u).sum(-1)[:, None] + (v * v).sum(-1)[None, :] - 2.0 * u @ v.T
     k = raw["variance"].exp() * correlation(family, square, torch)[0]
@@ -317,12 +382,20 @@ def _covariance(family: str, raw: dict[str, torch.Tensor], a: torch.Tensor, b: t
 
 
 def polish(
-    x: FloatArray, y: FloatArray, kernels: Sequence[Kernel], noise: FloatArray, support: FloatArray, *, iterations: int
+    x: FloatArray,
+    y: FloatArray,
+    kernels: Sequence[Kernel],
+    noise: FloatArray,
+    support: FloatArray,
+    *,
+    iterations: int,
 ) -> tuple[list[Kernel], FloatArray, FloatArray, str]:
-    """Move support points, kernels and noise up the gradient of the Titsias bound, summed over outputs (L-BFGS).
+    """Move support points, kernels and noise up the gradient of the Titsias bound, summed over
+    outputs (L-BFGS).
 
-    x (N, n_in), y (N, n_out), support (M, n_in). Returns (kernels, noise, support, status); outputs that shared a kernel
-    still do. The start comes back, with status "diverged", where the bound is not finite.
+    x (N, n_in), y (N, n_out), support (M, n_in). Returns (kernels, noise, support, status); outputs
+    that shared a kernel still do. The start comes back, with status "diverged", where the bound is
+    not finite.
     """
     inputs, targets = torch.tensor(x), torch.tensor(y)
     n, m = len(x), len(support)
@@ -330,7 +403,10 @@ def polish(
     places = [next(i for i, u in enumerate(unique) if u is k) for k in kernels]
     thetas = [_pack(k, np.empty(0)) for k in unique]
     start = np.concatenate([support.ravel(), *thetas, np.log(noise)])
-    low, high = (np.log([BOUNDS[b][i] for b in ("lengthscale", "variance", "slope", "noise")]) for i in (0, 1))
+    low, high = (
+        np.log([BOUNDS[b][i] for b in ("lengthscale", "variance", "slope", "noise")])
+        for i in (0, 1)
+    )
     n_in = x.shape[1]
     span = np.abs(x).max(0)
     bounds = [(-s, s) for _ in range(m) for s in 1.2 * span + 1e-9]
@@ -359,10 +435,17 @@ def polish(
             prior = raw["variance"].exp()
             diagonal = n * prior
             if "slope" in raw:
-                diagonal = diagonal + (_features(inputs, raw["reach"]) ** 2 @ raw["slope"].exp()).sum()
+                diagonal = (
+                    diagonal + (_features(inputs, raw["reach"]) ** 2 @ raw["slope"].exp()).sum()
+                )
             kmm = _covariance(family, raw, z, z) + 1e-8 * prior * torch.eye(m, dtype=torch.float64)
             factor = torch.linalg.cholesky(kmm)
-            a = torch.linalg.solve_triangular(factor, _covariance(family, raw, z, inputs), upper=False) / level.sqrt()
+            a = (
+                torch.linalg.solve_triangular(
+                    factor, _covariance(family, raw, z, inputs), upper=False
+                )
+                / level.sqrt()
+            )
             inner = torch.linalg.cholesky(torch.eye(m, dtype=torch.float64) + a @ a.T)
             target = targets[:, j] / level.sqrt()
             c = torch.linalg.solve_triangular(inner, (a @ target)[:, None], upper=False)
@@ -383,9 +466,13 @@ def polish(
 
     try:
         done = minimize(
-            value, start, jac=True, method="L-BFGS-B", bounds=box,
+            value,
+            start,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=box,
             options={"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": 20, "ftol": 1e-10},
-        )  # fmt: skip
+        )
     except (TrainingAborted, torch.linalg.LinAlgError):
         return list(kernels), noise, support, "diverged"
     theta = done.x
@@ -396,7 +483,12 @@ def polish(
         moved.append(_unpack(theta[at : at + length], k)[0])
         at += length
     status = "converged" if done.success else "iteration limit"
-    return [moved[i] for i in places], np.exp(theta[at:]), theta[: m * n_in].reshape(m, n_in), status
+    return (
+        [moved[i] for i in places],
+        np.exp(theta[at:]),
+        theta[: m * n_in].reshape(m, n_in),
+        status,
+    )
 
 
 def train_svgp(
@@ -412,22 +504,28 @@ def train_svgp(
     batch: int = 1024,
     rate: float = 0.01,
 ) -> tuple[Kernel, float, sparse.Numbers, str]:
-    """SVGP of one output with mini-batches: kernel, noise and q(u) by Adam on GPyTorch's evidence bound.
+    """SVGP of one output with mini-batches: kernel, noise and q(u) by Adam on GPyTorch's evidence
+    bound.
 
-    Starts at the closed-form q(u) of the given hyper-parameters, so that a few epochs refine rather than search. x (N,
-    n_in), y (N,), support (M, n_in). `tau` divides the weight of the data (noise inflation). Returns (kernel, noise
-    variance, numbers, status); where the bound falls below its start by more than it may scatter, or is not finite, the
-    start comes back with status "diverged".
+    Starts at the closed-form q(u) of the given hyper-parameters, so that a few epochs refine rather
+    than search. x (N, n_in), y (N,), support (M, n_in). `tau` divides the weight of the data (noise
+    inflation). Returns (kernel, noise variance, numbers, status); where the bound falls below its
+    start by more than it may scatter, or is not finite, the start comes back with status
+    "diverged".
     """
     torch.manual_seed(seed)
-    closed = sparse.collapsed(kernel, support.T, x.T, y, noise * tau, correction=False, jitter=SVGP_JITTER)
+    closed = sparse.collapsed(
+        kernel, support.T, x.T, y, noise * tau, correction=False, jitter=SVGP_JITTER
+    )
     factor, _ = sparse.safe_cholesky(kernel.covariance(support.T, support.T), SVGP_JITTER)
     inverse_root = closed.uncertain @ factor
     covariance, likelihood = gpytorch_kernel(kernel), gpytorch_likelihood(noise)
     model = VariationalModel(torch.tensor(support), covariance, SVGP_JITTER)
     q = model.variational_strategy._variational_distribution
     q.variational_mean.data = torch.tensor(factor.T @ closed.weights)
-    q.chol_variational_covar.data = torch.tensor(sparse.safe_cholesky(inverse_root.T @ inverse_root)[0])
+    q.chol_variational_covar.data = torch.tensor(
+        sparse.safe_cholesky(inverse_root.T @ inverse_root)[0]
+    )
     model.variational_strategy.variational_params_initialized.fill_(1)
     model.train()
     bound = gpytorch.mlls.VariationalELBO(likelihood, model, num_data=len(y) / tau)
@@ -457,11 +555,17 @@ def train_svgp(
         if not math.isfinite(history[-1]) or history[-1] > history[0] + 1.0:
             return kernel, noise, closed, "diverged"
     # With the step size gone to zero, an unchanged bound means an optimum rather than a pause.
-    if len(history) > 2 and abs(history[-1] - history[-2]) < 1e-3 and history[-1] <= history[0] + 1e-3:
+    if (
+        len(history) > 2
+        and abs(history[-1] - history[-2]) < 1e-3
+        and history[-1] <= history[0] + 1e-3
+    ):
         status = "converged"
     trained = kernel_of(covariance, kernel)
     root = torch.tril(q.chol_variational_covar).detach().numpy()
-    numbers = sparse.variational(trained, support.T, q.variational_mean.detach().numpy(), root, jitter=SVGP_JITTER)
+    numbers = sparse.variational(
+        trained, support.T, q.variational_mean.detach().numpy(), root, jitter=SVGP_JITTER
+    )
     return trained, float(likelihood.noise.item()), numbers, status
 
 

@@ -1,8 +1,10 @@
-"""Training of the residual GP: rows of inputs and outputs go in, a `GPPosterior` and a report come out.
+"""Training of the residual GP: rows of inputs and outputs go in, a `GPPosterior` and a report come
+out.
 
-Hyper-parameters come from the exact marginal likelihood of a subset (greybox/residual/torch_gp.py), the posterior then
-from all data in closed form (greybox/residual/sparse.py). On held-out samples, by group and never by sample, every output
-has to beat a constant, and the number of support points can be chosen there. PyTorch is imported only when training runs.
+Hyper-parameters come from the exact marginal likelihood of a subset (greybox/residual/torch_gp.py),
+the posterior then from all data in closed form (greybox/residual/sparse.py). On held-out samples,
+by group and never by sample, every output has to beat a constant, and the number of support points
+can be chosen there. PyTorch is imported only when training runs.
 """
 
 from __future__ import annotations
@@ -94,37 +96,44 @@ def train_gp(
     progress: Progress | None = None,
     **choices: Unpack[GPChoices],
 ) -> TrainedGP:
-    """Train one independent GP per output on rows Z (N, n_in) -> Y (N, n_out), in the units of the layouts.
+    """Train one independent GP per output on rows Z (N, n_in) -> Y (N, n_out), in the units of the
+    layouts.
 
-    The choices are keywords, fields of `GPOptions` with its defaults, or `options` as a whole. groups (N,): the flight of
-    each row, None for one flight; rows of a group are in time order.
+    The choices are keywords, fields of `GPOptions` with its defaults, or `options` as a whole.
+    groups (N,): the flight of each row, None for one flight; rows of a group are in time order.
 
-    kernel: "se" (ARD), "matern32", "matern52", or "linear+" one of these. method: "sgpr" (all data projected on `points`
-    support points), "svgp" (the same start, then `epochs` of mini-batches), "exact" (every sample a support point). points:
-    a number, or "auto" for the smallest number whose held-out NLPD is as good as the best. noise: "white", "per-group",
-    or "auto" (per group where the
-    BIC says so). noise_inflation: "auto" (integrated autocorrelation time of the standardised errors within groups), or a
-    factor. share_kernel: one kernel for all outputs, which is cheaper to evaluate. prior_mean: "zero" (what is far from the
-    data is left to the physics) or "constant" (the training mean). subset: samples of the exact likelihood. hold_out: share
-    of the samples, in whole groups, that judges whether the GP beats a constant; 0 for no judgement. polish: gradient
-    polish of support points and hyper-parameters. guard: raise a sparse variance to the full GP's
-    (`sparse.variance_guard`); else it is the posterior's own.
+    kernel: "se" (ARD), "matern32", "matern52", or "linear+" one of these. method: "sgpr" (all data
+    projected on `points` support points), "svgp" (the same start, then `epochs` of mini-batches),
+    "exact" (every sample a support point). points: a number, or "auto" for the smallest number
+    whose held-out NLPD is as good as the best. noise: "white", "per-group", or "auto" (per group
+    where the BIC says so). noise_inflation: "auto" (integrated autocorrelation time of the
+    standardised errors within groups), or a factor. share_kernel: one kernel for all outputs, which
+    is cheaper to evaluate. prior_mean: "zero" (what is far from the data is left to the physics) or
+    "constant" (the training mean). subset: samples of the exact likelihood. hold_out: share of the
+    samples, in whole groups, that judges whether the GP beats a constant; 0 for no judgement.
+    polish: gradient polish of support points and hyper-parameters. guard: raise a sparse variance
+    to the full GP's (`sparse.variance_guard`); else it is the posterior's own.
 
-    Rows with a NaN are dropped and counted. Raises `ModelError` (shapes, too few rows), `UnknownNameError`, `FitError`, and
-    `MissingExtraError` without the extra `gp`.
+    Rows with a NaN are dropped and counted. Raises `ModelError` (shapes, too few rows),
+    `UnknownNameError`, `FitError`, and `MissingExtraError` without the extra `gp`.
     """
     settings = GPOptions.of(options, choices)
     points, seed, hold_out = settings.points, settings.seed, settings.hold_out
     rows, names, dropped = complete_rows(Z, Y, groups, inputs, outputs)
     if points == "auto" and (settings.method == "exact" or hold_out <= 0):
-        raise ModelError('points="auto" needs a sparse method and a hold-out', fix="pass a number of points")
+        raise ModelError(
+            'points="auto" needs a sparse method and a hold-out', fix="pass a number of points"
+        )
     torch_gp = _torch()
     report = progress or (lambda _text, _share: None)
     seconds: dict[str, float] = {}
     warnings: list[str] = []
     constant = np.ptp(rows.z, axis=0) == 0
     if constant.any():
-        warnings.append(f"constant inputs say nothing: {', '.join(n for n, c in zip(inputs.names, constant) if c)}")
+        warnings.append(
+            "constant inputs say nothing: "
+            f"{', '.join(n for n, c in zip(inputs.names, constant) if c)}"
+        )
     with threadpool_limits(limits=1), torch_gp.one_thread():
         judged: dict[int, dict[str, float]] = {}
         start: list[Hyper] | None = None
@@ -133,7 +142,11 @@ def train_gp(
         out_names: tuple[str, ...] = ()
         if hold_out > 0:
             mask = held_out(rows.group, hold_out, seed)
-            out_names = tuple(names[g] for g in np.unique(rows.group[mask])) if len(names) > 1 else ("last part",)
+            out_names = (
+                tuple(names[g] for g in np.unique(rows.group[mask]))
+                if len(names) > 1
+                else ("last part",)
+            )
             most = max(SIZES) if points == "auto" else int(points)
             tick = time.perf_counter()
             first = _train(
@@ -154,44 +167,73 @@ def train_gp(
             if points == "auto":
                 tick = time.perf_counter()
                 levels = [o.noise * o.tau for o in first.outputs]
-                curve = points_curve(first.posterior, levels, rows.take(~mask), rows.take(mask), null)
+                curve = points_curve(
+                    first.posterior, levels, rows.take(~mask), rows.take(mask), null
+                )
                 seconds["curve"] = time.perf_counter() - tick
                 points = curve.chosen if curve.trials else SIZES[0]
         tick = time.perf_counter()
-        final = _train(rows, inputs, outputs, names, int(points), settings, start, null, report, (0.5, 1.0))
+        final = _train(
+            rows, inputs, outputs, names, int(points), settings, start, null, report, (0.5, 1.0)
+        )
         seconds["on all data"] = time.perf_counter() - tick
     posterior = final.posterior
     for name, is_null in zip(outputs.names, null):
         if is_null:
-            warnings.append(f"{name}: the held-out samples do not prefer the GP to a constant; its mean is set to zero")
+            warnings.append(
+                f"{name}: the held-out samples do not prefer the GP to a constant; its mean is set "
+                "to zero"
+            )
     if final.polish == "diverged":
         warnings.append("the polish diverged; the result is without it")
     report("done", 1.0)
     return TrainedGP(
         posterior=posterior,
         report=TrainingReport(
-            method=settings.method, kernel=settings.kernel, points=posterior.points, subset=final.subset,
-            rows_used=len(rows.z), rows_dropped=dropped, groups=len(names), held_out=out_names, curve=curve, seconds=seconds,
+            method=settings.method,
+            kernel=settings.kernel,
+            points=posterior.points,
+            subset=final.subset,
+            rows_used=len(rows.z),
+            rows_dropped=dropped,
+            groups=len(names),
+            held_out=out_names,
+            curve=curve,
+            seconds=seconds,
             warnings=tuple(warnings),
             outputs=tuple(
-                _report_output(posterior, j, o, bool(null[j]), judged.get(j, {})) for j, o in enumerate(final.outputs)
+                _report_output(posterior, j, o, bool(null[j]), judged.get(j, {}))
+                for j, o in enumerate(final.outputs)
             ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _train(
-    rows: Rows, inputs: Layout, outputs: Layout, names: Sequence[str], points: int, s: GPOptions,
-    start: Sequence[Hyper] | None, null: BoolArray, progress: Progress, share: tuple[float, float],
-) -> _Trained:  # fmt: skip
-    """Hyper-parameters on a subset, then the posterior from all of `rows`; statistics from these rows alone."""
+    rows: Rows,
+    inputs: Layout,
+    outputs: Layout,
+    names: Sequence[str],
+    points: int,
+    s: GPOptions,
+    start: Sequence[Hyper] | None,
+    null: BoolArray,
+    progress: Progress,
+    share: tuple[float, float],
+) -> _Trained:
+    """Hyper-parameters on a subset, then the posterior from all of `rows`; statistics from these
+    rows alone."""
     torch_gp = _torch()
     z_mean, z_scale = rows.z.mean(0), _scale(rows.z.std(0))
     y_mean = rows.y.mean(0) if s.prior_mean == "constant" else np.zeros(len(outputs))
     y_scale = _scale(np.sqrt(np.mean((rows.y - y_mean) ** 2, axis=0)))
     x, y = (rows.z - z_mean) / z_scale, (rows.y - y_mean) / y_scale
     reach = REACH * np.maximum(np.abs(x).max(0), 1.0)
-    sub = np.arange(len(x)) if s.method == "exact" and len(x) <= s.subset else stratified(rows.group, s.subset, s.seed)
+    sub = (
+        np.arange(len(x))
+        if s.method == "exact" and len(x) <= s.subset
+        else stratified(rows.group, s.subset, s.seed)
+    )
     live = [j for j in range(len(outputs)) if not null[j]]
     hypers: dict[int, Hyper] = {}
     jobs = [live] if s.share_kernel and live else [[j] for j in live]
@@ -199,9 +241,19 @@ def _train(
     for i, job in enumerate(jobs):
         text = "all outputs" if s.share_kernel else outputs.names[job[0]]
         progress(f"hyper-parameters of {text}", share[0] + 0.8 * span * i / len(jobs))
-        given = None if start is None else replace(start[job[0]], noise=np.concatenate([start[j].noise for j in job]))
+        given = (
+            None
+            if start is None
+            else replace(start[job[0]], noise=np.concatenate([start[j].noise for j in job]))
+        )
         found = torch_gp.fit_hyper(
-            x[sub], y[sub][:, job], kernel=s.kernel, reach=reach, seed=s.seed, restarts=s.restarts, start=given
+            x[sub],
+            y[sub][:, job],
+            kernel=s.kernel,
+            reach=reach,
+            seed=s.seed,
+            restarts=s.restarts,
+            start=given,
         )
         for at, j in enumerate(job):
             hypers[j] = replace(found, noise=found.noise[at : at + 1])
@@ -212,7 +264,9 @@ def _train(
     if s.method != "exact" and live:
         progress("support points", share[0] + 0.8 * span)
         noise = np.array([levels[j] for j in live])
-        support = place_points([kernels[j] for j in live], noise, x, points, seed=s.seed, group=rows.group)
+        support = place_points(
+            [kernels[j] for j in live], noise, x, points, seed=s.seed, group=rows.group
+        )
         if s.polish:
             few = stratified(rows.group, POLISH_SAMPLES, s.seed + 1)
             new, noise, support, polished = torch_gp.polish(
@@ -223,12 +277,16 @@ def _train(
         support = x[:1]
     done = []
     for j in range(len(outputs)):
-        progress(f"posterior of {outputs.names[j]}", share[0] + span * (0.9 + 0.1 * j / len(outputs)))
+        progress(
+            f"posterior of {outputs.names[j]}", share[0] + span * (0.9 + 0.1 * j / len(outputs))
+        )
         if null[j]:
             assert start is not None
             done.append(_null_output(start[j], float(np.mean(y[:, j] ** 2)), len(support)))
             continue
-        done.append(_output(replace(hypers[j], kernel=kernels[j]), levels[j], support, x, y[:, j], rows, s))
+        done.append(
+            _output(replace(hypers[j], kernel=kernels[j]), levels[j], support, x, y[:, j], rows, s)
+        )
     flights = np.unique(rows.group)
     group_noise = {
         names[g]: np.array([o.by_group.get(int(g), o.noise) for o in done]) * y_scale**2
@@ -237,17 +295,31 @@ def _train(
     }
     m = len(support)
     posterior = GPPosterior(
-        inputs=inputs, outputs=outputs, method=s.method, kernels=tuple(o.hyper.kernel for o in done), input_mean=z_mean,
-        input_scale=z_scale, output_mean=y_mean, output_scale=y_scale, support=support,
-        weights=np.stack([np.zeros(m) if o.numbers is None else o.numbers.weights for o in done], axis=1),
-        explained=np.stack([np.zeros((m, m)) if o.numbers is None else o.numbers.explained for o in done]),
-        uncertain=np.stack([np.zeros((m, m)) if o.numbers is None else o.numbers.uncertain for o in done]),
-        noise=np.array([o.noise for o in done]) * y_scale**2, group_noise=group_noise,
+        inputs=inputs,
+        outputs=outputs,
+        method=s.method,
+        kernels=tuple(o.hyper.kernel for o in done),
+        input_mean=z_mean,
+        input_scale=z_scale,
+        output_mean=y_mean,
+        output_scale=y_scale,
+        support=support,
+        weights=np.stack(
+            [np.zeros(m) if o.numbers is None else o.numbers.weights for o in done], axis=1
+        ),
+        explained=np.stack(
+            [np.zeros((m, m)) if o.numbers is None else o.numbers.explained for o in done]
+        ),
+        uncertain=np.stack(
+            [np.zeros((m, m)) if o.numbers is None else o.numbers.uncertain for o in done]
+        ),
+        noise=np.array([o.noise for o in done]) * y_scale**2,
+        group_noise=group_noise,
         noise_inflation=tuple(o.tau for o in done),
         variance_factor=tuple(o.guard for o in done),
         jitter=tuple(0.0 if o.numbers is None else o.numbers.jitter for o in done),
         domain=Domain(lower=rows.z.min(0), upper=rows.z.max(0), samples=len(x)),
-    )  # fmt: skip
+    )
     seen = posterior.evaluate_distance(rows.z[stratified(rows.group, POLISH_SAMPLES, s.seed)])
     quantiles = np.quantile(seen, [0.5, 0.95, 0.99, 1.0])
     posterior = replace(posterior, domain=replace(posterior.domain, distance=tuple(quantiles)))
@@ -259,19 +331,32 @@ def _scale(values: FloatArray) -> FloatArray:
 
 
 def _null_output(hyper: Hyper, mean_square: float, points: int) -> _Output:
-    """Zero mean; the kernel's variance is the leftover, at most what the data show, and the rest is noise."""
+    """Zero mean; the kernel's variance is the leftover, at most what the data show, and the rest is
+    noise."""
     kernel = hyper.kernel
     leftover = min(kernel.variance, mean_square)
     plain = Kernel(family=kernel.family, lengthscales=kernel.lengthscales, variance=leftover)
     return _Output(
-        hyper=replace(hyper, kernel=plain), numbers=None, noise=mean_square - leftover, tau=1.0, guard=1.0, by_group={}
+        hyper=replace(hyper, kernel=plain),
+        numbers=None,
+        noise=mean_square - leftover,
+        tau=1.0,
+        guard=1.0,
+        by_group={},
     )
 
 
 def _output(
-    hyper: Hyper, noise: float, support: FloatArray, x: FloatArray, y: FloatArray, rows: Rows, s: GPOptions
+    hyper: Hyper,
+    noise: float,
+    support: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    rows: Rows,
+    s: GPOptions,
 ) -> _Output:
-    """The posterior of one output from all rows, with its noise inflated for correlation in time."""
+    """The posterior of one output from all rows, with its noise inflated for correlation in
+    time."""
     kernel = hyper.kernel
     tau = 1.0 if s.noise_inflation == "auto" else float(s.noise_inflation)
     level: FloatArray | float = noise
@@ -299,11 +384,15 @@ def _output(
         kernel, noise, numbers, status = _torch().train_svgp(
             x, y, kernel, noise, support, tau=tau, seed=s.seed, epochs=s.epochs
         )
-        hyper = replace(hyper, kernel=kernel, status=status if hyper.status == "converged" else hyper.status)
+        hyper = replace(
+            hyper, kernel=kernel, status=status if hyper.status == "converged" else hyper.status
+        )
     guard = 1.0
     if s.method != "exact" and s.guard:
         guard = sparse.variance_guard(kernel, support.T, numbers, x.T, level * tau, seed=s.seed)
-    return _Output(hyper=hyper, numbers=numbers, noise=noise, tau=tau, guard=guard, by_group=by_group)
+    return _Output(
+        hyper=hyper, numbers=numbers, noise=noise, tau=tau, guard=guard, by_group=by_group
+    )
 
 
 def _closed(
@@ -322,7 +411,8 @@ def _closed(
 
 def _mean_at(kernel: Kernel, support: FloatArray, x: FloatArray, weights: FloatArray) -> FloatArray:
     parts = [
-        weights @ kernel.covariance(support.T, x[at : at + sparse.CHUNK].T) for at in range(0, len(x), sparse.CHUNK)
+        weights @ kernel.covariance(support.T, x[at : at + sparse.CHUNK].T)
+        for at in range(0, len(x), sparse.CHUNK)
     ]
     return np.concatenate(parts)
 
@@ -332,9 +422,16 @@ def _report_output(
 ) -> OutputReport:
     hyper, scale = output.hyper, float(posterior.output_scale[j])
     return OutputReport(
-        name=posterior.outputs.names[j], status="null" if null else hyper.status, message=hyper.message,
-        log_likelihood=hyper.log_likelihood, evaluations=hyper.evaluations, at_bound=hyper.at_bound,
+        name=posterior.outputs.names[j],
+        status="null" if null else hyper.status,
+        message=hyper.message,
+        log_likelihood=hyper.log_likelihood,
+        evaluations=hyper.evaluations,
+        at_bound=hyper.at_bound,
         lengthscales=tuple((hyper.kernel.lengthscales * posterior.input_scale).tolist()),
-        signal_std=scale * math.sqrt(hyper.kernel.variance), noise_std=scale * math.sqrt(output.noise),
-        noise_inflation=output.tau, noise_per_group=bool(output.by_group), **scores,
-    )  # fmt: skip
+        signal_std=scale * math.sqrt(hyper.kernel.variance),
+        noise_std=scale * math.sqrt(output.noise),
+        noise_inflation=output.tau,
+        noise_per_group=bool(output.by_group),
+        **scores,
+    )

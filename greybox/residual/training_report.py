@@ -1,4 +1,5 @@
-"""What training a GP did, in numbers: one report per output, the curve over support points, times and warnings."""
+"""What training a GP did, in numbers: one report per output, the curve over support points, times
+and warnings."""
 
 from __future__ import annotations
 
@@ -13,10 +14,11 @@ from greybox.residual.selection import Curve
 class OutputReport:
     """Training of one output.
 
-    `status` is "converged", "iteration limit", "diverged" or "null" (the held-out samples do not prefer the GP to a
-    constant; its mean is zero and its prior variance is the leftover). `log_likelihood` is of the exact subset.
-    lengthscales in input units, signal_std and noise_std in output units. nlpd and nlpd_constant [nats per sample], their
-    difference `gain` with its standard error, and the RMSE of both, are of held-out samples; None without a hold-out.
+    `status` is "converged", "iteration limit", "diverged" or "null" (the held-out samples do not
+    prefer the GP to a constant; its mean is zero and its prior variance is the leftover).
+    `log_likelihood` is of the exact subset. lengthscales in input units, signal_std and noise_std
+    in output units. nlpd and nlpd_constant [nats per sample], their difference `gain` with its
+    standard error, and the RMSE of both, are of held-out samples; None without a hold-out.
     """
 
     name: str
@@ -40,7 +42,8 @@ class OutputReport:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingReport:
-    """Training of all outputs. `seconds` by stage; `held_out` names the groups that judged (or "last part")."""
+    """Training of all outputs. `seconds` by stage; `held_out` names the groups that judged (or
+    "last part")."""
 
     method: str
     kernel: str

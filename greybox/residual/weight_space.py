@@ -1,11 +1,14 @@
-"""A learned part in weight space: what `fit_open_loop` asks of a candidate, whatever its features are.
+"""A learned part in weight space: what `fit_open_loop` asks of a candidate, whatever its features
+are.
 
-g_j(z) = s_j psi_j(x)'theta_j with theta ~ N(0, I) before the data. Of a Gaussian process psi_j = L_j^-1 k_j(support, x) with
-K = L L'; of a learner's features psi = phi for every output. The two kinds differ in this file and nowhere else.
+g_j(z) = s_j psi_j(x)'theta_j with theta ~ N(0, I) before the data. Of a Gaussian process psi_j =
+L_j^-1 k_j(support, x) with K = L L'; of a learner's features psi = phi for every output. The two
+kinds differ in this file and nowhere else.
 
-The K members of an ensemble stand side by side as one wide column of features. Each is fitted on its own, theta_k from its
-own block of the Hessian (`alone`); the ensemble is their mean, with weights theta_k/K, and how much they disagree is part
-of its variance: a quadratic form of the same features (Lakshminarayanan, Pritzel and Blundell 2017, NIPS).
+The K members of an ensemble stand side by side as one wide column of features. Each is fitted on
+its own, theta_k from its own block of the Hessian (`alone`); the ensemble is their mean, with
+weights theta_k/K, and how much they disagree is part of its variance: a quadratic form of the same
+features (Lakshminarayanan, Pritzel and Blundell 2017, NIPS).
 """
 
 from __future__ import annotations
@@ -31,8 +34,8 @@ def members_of(post: Candidate) -> int:
 
 
 def alone(matrix: FloatArray, members: int, features: int) -> FloatArray:
-    """A matrix (P, P) over the whitened weights of outputs with `features` each, without what couples one member with
-    another; the matrix itself where there is one."""
+    """A matrix (P, P) over the whitened weights of outputs with `features` each, without what
+    couples one member with another; the matrix itself where there is one."""
     if members == 1:
         return matrix
     owner = np.arange(len(matrix)) % features // (features // members)
@@ -40,7 +43,8 @@ def alone(matrix: FloatArray, members: int, features: int) -> FloatArray:
 
 
 def learned_numbers(post: Candidate) -> int:
-    """How many numbers were learned: weights, and of a Gaussian process its support points and hyper-parameters."""
+    """How many numbers were learned: weights, and of a Gaussian process its support points and
+    hyper-parameters."""
     if isinstance(post, FeaturePosterior):
         return int(post.weights.size)
     return int(post.support.size + post.weights.size) + len(post.outputs) * (len(post.inputs) + 2)
@@ -55,7 +59,8 @@ def factors(post: Candidate) -> list[FloatArray]:
 
 
 def whitened(post: Candidate, lower: list[FloatArray], x: FloatArray) -> list[FloatArray]:
-    """psi_j (N, M) of every output at standardised inputs x (n_in, N); outputs that share share the array."""
+    """psi_j (N, M) of every output at standardised inputs x (n_in, N); outputs that share share the
+    array."""
     if isinstance(post, FeaturePosterior):
         return [evaluate(post.phi, np.ascontiguousarray(x.T))] * len(post.outputs)
     known: dict[int, FloatArray] = {}
@@ -78,7 +83,12 @@ def weighted(post: Candidate, z: Expr, weights: Expr) -> Expr:
     x, m = (z - post.input_mean) / post.input_scale, post.points
     if isinstance(post, FeaturePosterior):
         phi = post.phi(x)
-        return ca.vertcat(*(s * ca.dot(weights[j * m : (j + 1) * m], phi) for j, s in enumerate(post.output_scale)))
+        return ca.vertcat(
+            *(
+                s * ca.dot(weights[j * m : (j + 1) * m], phi)
+                for j, s in enumerate(post.output_scale)
+            )
+        )
     known: dict[int, Expr] = {}
     out = []
     for j, kernel in enumerate(post.kernels):
@@ -92,33 +102,49 @@ def silent(post: Candidate) -> Candidate:
     """The same with no weights: it says nothing."""
     if isinstance(post, FeaturePosterior):
         return replace(post, weights=np.zeros_like(post.weights), root=np.zeros_like(post.root))
-    zero = {k: np.zeros_like(getattr(post, k)) for k in ("weights", "explained", "uncertain", "output_mean")}
+    zero = {
+        k: np.zeros_like(getattr(post, k))
+        for k in ("weights", "explained", "uncertain", "output_mean")
+    }
     return replace(post, **zero)
 
 
 def without(post: Candidate, off: BoolArray, noise: FloatArray) -> Candidate:
-    """The same whose outputs in `off` (n_out,) say nothing: no mean, no variance but their `noise` (n_out,)."""
+    """The same whose outputs in `off` (n_out,) say nothing: no mean, no variance but their `noise`
+    (n_out,)."""
     on, level = ~off, np.where(off, noise, post.noise)
     if isinstance(post, FeaturePosterior):
-        return replace(post, weights=post.weights * on, root=post.root * on[:, None, None], noise=level)
+        return replace(
+            post, weights=post.weights * on, root=post.root * on[:, None, None], noise=level
+        )
     kernels = tuple(
         Kernel(family=k.family, lengthscales=k.lengthscales, variance=0.0) if o else k
         for k, o in zip(post.kernels, off, strict=True)
     )
     return replace(
-        post, kernels=kernels, weights=post.weights * on, output_mean=post.output_mean * on,
-        explained=post.explained * on[:, None, None], uncertain=post.uncertain * on[:, None, None], noise=level,
-    )  # fmt: skip
+        post,
+        kernels=kernels,
+        weights=post.weights * on,
+        output_mean=post.output_mean * on,
+        explained=post.explained * on[:, None, None],
+        uncertain=post.uncertain * on[:, None, None],
+        noise=level,
+    )
 
 
 def fitted(
-    post: Candidate, theta: FloatArray, covariance: FloatArray, prior: FloatArray, factor: FloatArray
+    post: Candidate,
+    theta: FloatArray,
+    covariance: FloatArray,
+    prior: FloatArray,
+    factor: FloatArray,
 ) -> Candidate:
-    """Plain numbers of the fitted part from whitened theta (P,) and its covariance (P, P); an output that is off is empty.
-    Of an ensemble: theta of the mean, covariance of the members.
+    """Plain numbers of the fitted part from whitened theta (P,) and its covariance (P, P); an
+    output that is off is empty. Of an ensemble: theta of the mean, covariance of the members.
 
-    A prior of strength lambda is the process with its variance divided by lambda, so that the variance far from the data is
-    that of the prior which the left-out flights chose; `factor` (n_out,) multiplies both.
+    A prior of strength lambda is the process with its variance divided by lambda, so that the
+    variance far from the data is that of the prior which the left-out flights chose; `factor`
+    (n_out,) multiplies both.
     """
     m = post.points
     on = [j for j in range(len(post.outputs)) if np.isfinite(prior[j])]
@@ -128,7 +154,11 @@ def fitted(
         block = covariance[rows, rows]
         roots[j] = np.asarray(np.linalg.cholesky(0.5 * (block + block.T)), dtype=np.float64)
     if isinstance(post, FeaturePosterior):
-        weights, root, before = np.zeros_like(post.weights), np.zeros_like(post.root), post.prior.copy()
+        weights, root, before = (
+            np.zeros_like(post.weights),
+            np.zeros_like(post.root),
+            post.prior.copy(),
+        )
         for j in on:
             weights[:, j] = theta[j * m : (j + 1) * m]
             root[j] = np.sqrt(factor[j] / post.members) * roots[j].T
@@ -141,17 +171,25 @@ def fitted(
     arrays = {k: np.zeros_like(getattr(post, k)) for k in ("weights", "explained", "uncertain")}
     for j in on:
         rows, size = slice(j * m, (j + 1) * m), np.sqrt(prior[j] / factor[j])
-        numbers = variational(post.kernels[j], post.support.T, size * theta[rows], np.sqrt(prior[j]) * roots[j])
+        numbers = variational(
+            post.kernels[j], post.support.T, size * theta[rows], np.sqrt(prior[j]) * roots[j]
+        )
         arrays["weights"][:, j] = numbers.weights
         arrays["explained"][j], arrays["uncertain"][j] = numbers.explained, numbers.uncertain
         scale[j] /= size
     return replace(
-        post, method="svgp", output_scale=scale, output_mean=np.zeros(len(post.outputs)), variance_factor=(), **arrays
+        post,
+        method="svgp",
+        output_scale=scale,
+        output_mean=np.zeros(len(post.outputs)),
+        variance_factor=(),
+        **arrays,
     )
 
 
 def _disagreement(mean: FloatArray, members: int) -> FloatArray:
-    """D (M, M) with phi'D phi the mean square distance of the members from their mean, from the weights (M,) of the mean."""
+    """D (M, M) with phi'D phi the mean square distance of the members from their mean, from the
+    weights (M,) of the mean."""
     own = np.zeros((members, mean.size))
     width = mean.size // members
     for k in range(members):

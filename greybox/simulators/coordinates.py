@@ -137,8 +137,9 @@ class Coordinates:
 
 
 def _above_zero(mean: FloatArray, c: FloatArray, i: int) -> tuple[FloatArray, FloatArray]:
-    """Mean (d,) and covariance (d, d) of what a normal distribution has where its number i is positive
-    (Tallis 1961, JRSS B 23(1)): the others go along as far as they are correlated with it."""
+    """Mean (d,) and covariance (d, d) of what a normal distribution has where its number i is
+    positive (Tallis 1961, JRSS B 23(1)): the others go along as far as they are correlated with
+    it."""
     sigma = math.sqrt(max(c[i, i], 1e-300))
     away = mean[i] / sigma
     above = math.exp(norm.logpdf(away) - norm.logcdf(away))

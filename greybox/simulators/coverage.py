@@ -2,11 +2,11 @@
 
 From instants of flights that no fit saw, all draws fly on under the recorded commands, in the very
 module that is written (simulate.py): own parameters, own pushes, own sensor noise, started from the
-filter's state within its covariance. The band holds the central 95 % of them: once for a new flight,
-whose own parameters are drawn from the spread between flights, and once after its first seconds,
-which these were adapted on. Beside it stand the customary box, every parameter of the craft evenly
-within 30 % of its value and no pushes, and the width that would hold 95 % of the real values about
-the middle of ours: no band is honest below it.
+filter's state within its covariance. The band holds the central 95 % of them: once for a new
+flight, whose own parameters are drawn from the spread between flights, and once after its first
+seconds, which these were adapted on. Beside it stand the customary box, every parameter of the
+craft evenly within 30 % of its value and no pushes, and the width that would hold 95 % of the real
+values about the middle of ours: no band is honest below it.
 """
 
 from __future__ import annotations
@@ -93,7 +93,9 @@ def format_table(rows: tuple[Covered, ...]) -> str:
                 f"  {r.box_width / r.needed:.1f}"
             )
         held = {n: np.mean([r.by_flight[n] for r in own if n in r.by_flight]) for n in _names(own)}
-        said = ", ".join(f"{n} {100 * v:.0f} %" for n, v in sorted(held.items(), key=lambda i: i[1]))
+        said = ", ".join(
+            f"{n} {100 * v:.0f} %" for n, v in sorted(held.items(), key=lambda i: i[1])
+        )
         lines.append(f"  {'of each flight':20} {said}")
     return "\n".join(lines)
 
@@ -145,8 +147,8 @@ def adapted_draws(draws: Draws, adapted: Adaptation | None, seed: int) -> FloatA
 
 
 def module_of(model: IdentifiedModel, draws: Draws) -> dict[str, Any]:
-    """The written module, loaded. Raises `DataError` for too few draws, and where the model does not
-    carry position, velocity, attitude and rate."""
+    """The written module, loaded. Raises `DataError` for too few draws, and where the model does
+    not carry position, velocity, attitude and rate."""
     if len(draws) < FEWEST_DRAWS:
         raise DataError(
             "too few draws for bands",
@@ -351,7 +353,9 @@ def _keep(sums: _Sums, seen: Seen, which: int, flight: str) -> None:
 
 def _rows(sums: _Sums, adapted: bool) -> tuple[Covered, ...]:
     rows = []
-    for (g, h), flights in sorted(sums.items(), key=lambda i: (list(GROUPS).index(i[0][0]), i[0][1])):
+    for (g, h), flights in sorted(
+        sums.items(), key=lambda i: (list(GROUPS).index(i[0][0]), i[0][1])
+    ):
         inside, width, box_inside, box_width, away = (
             np.concatenate(parts) for parts in zip(*flights.values(), strict=True)
         )

@@ -5,8 +5,8 @@ between the training flights, the posterior of what was learned (`greybox.residu
 what remains unexplained, which is not a number of the craft but a push in flight (`pushes` has its
 level and time).
 
-Every draw is a craft that can be: parameters are drawn in coordinates of which every point is a body
-(`greybox.simulators.coordinates`). What no coordinates keep is drawn again, which keeps all
+Every draw is a craft that can be: parameters are drawn in coordinates of which every point is a
+body (`greybox.simulators.coordinates`). What no coordinates keep is drawn again, which keeps all
 correlations: inertia of which only a part varies, thrust that falls while the command rises, rotors
 that cannot hover.
 """
@@ -42,7 +42,8 @@ IN_MJX = ("motor_lag", "rotor_asymmetry")
 """Effects of rotors that MuJoCo's model has arrays for."""
 MOST_DRAWS = 1_000_000
 SHIFT = 0.1
-"""Distance of a mean from the identified value, over the standard deviation, above which it is said."""
+"""Distance of a mean from the identified value, over the standard deviation, above which it is
+said."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,14 +151,18 @@ class Draws:
         return "\n".join(lines) + "\n"
 
     def _shift(self, name: str) -> str:
-        """In words, where the draws' mean is off by more than chance (3 standard errors) and SHIFT."""
+        """In words, where the draws' mean is off by more than chance (3 standard errors) and
+        SHIFT."""
         v, identified = self.column(name), float(self.craft.source.values[name])
         away = float(v.mean()) - identified
         sigma = float(v.std())
         if abs(away) <= max(SHIFT, 3.0 / math.sqrt(len(v))) * sigma:
             return ""
         side = "above" if away > 0 else "below"
-        return f", {abs(away) / sigma:.1f} sigma {side} the identified {identified:.4g}: cut to what can be"
+        return (
+            f", {abs(away) / sigma:.1f} sigma {side} the identified {identified:.4g}: cut to "
+            "what can be"
+        )
 
     def summary(self) -> str:
         """One line per parameter that varies; with how far its mean is from the identified value,
@@ -167,7 +172,9 @@ class Draws:
             v = self.column(name)
             mean = float(v.mean())
             share = f" ({100 * float(v.std()) / abs(mean):.1f} %)" if mean else ""
-            lines.append(f"  {name:28} {mean:.4g} +- {float(v.std()):.2g}{share}{self._shift(name)}")
+            lines.append(
+                f"  {name:28} {mean:.4g} +- {float(v.std()):.2g}{share}{self._shift(name)}"
+            )
         lines += [*self.learned, *([self.pushes] if self.pushes else [])]
         return "\n".join(lines)
 
@@ -235,8 +242,8 @@ def _uncertain(model: IdentifiedModel) -> tuple[list[str], list[str]]:
 def _joint(
     model: IdentifiedModel, shared: list[str], between: list[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean (d,) and covariance (d, d): the posterior, and beside it the spread between flights; what
-    a held parameter is off by moves both."""
+    """Mean (d,) and covariance (d, d): the posterior, and beside it the spread between flights;
+    what a held parameter is off by moves both."""
     known, joint = model.joint_covariance
     at = np.array([known.index(n) for n in shared], dtype=int)
     spread = [model.flight_spread[n] for n in between]

@@ -28,7 +28,15 @@ import scipy.optimize
 from greybox.data import Dataset, Flight
 from greybox.errors import DataError
 from greybox.model.identified import IdentifiedModel
-from greybox.simulators.coverage import HORIZONS, START, Seen, adapted_draws, ahead, module_of, starts
+from greybox.simulators.coverage import (
+    HORIZONS,
+    START,
+    Seen,
+    adapted_draws,
+    ahead,
+    module_of,
+    starts,
+)
 from greybox.simulators.draws import Draws
 from greybox.symbolic import FloatArray
 
@@ -143,7 +151,8 @@ def _flown(
     parts = []
     for axis in dict.fromkeys(axes):
         pushed = flights(np.array([a == axis for a in axes]))
-        # what the push alone does: beside the same craft with the same errors, not a difference of variances
+        # what the push alone does: beside the same craft with the same errors, not a difference of
+        # variances
         apart = {
             k: [replace(s, craft=s.craft - c.craft) for s, c in zip(v, calm[k], strict=True)]
             for k, v in pushed.items()
@@ -165,7 +174,8 @@ def _flown(
 def _mean(
     seen: Mapping[str, list[Seen]], of: Callable[[FloatArray, FloatArray], FloatArray]
 ) -> FloatArray:
-    """Mean (c,) over instants of a number `of` distances from the middle; nan where none is seen."""
+    """Mean (c,) over instants of a number `of` distances from the middle; nan where none is
+    seen."""
     means = []
     for pieces in seen.values():
         each = np.concatenate([of(*s.about_the_middle()) for s in pieces])

@@ -1,4 +1,5 @@
-"""Betting: an e-process for the mean of bounded numbers (Waudby-Smith and Ramdas 2024, JRSS B 86(1))."""
+"""Betting: an e-process for the mean of bounded numbers (Waudby-Smith and Ramdas 2024, JRSS B
+86(1))."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Whether a signal follows what is new in others: feedback, found without a model of the loop.
 
 First what the past of both does not foretell of the others, their innovations; then whether past
-innovations foretell more of the signal than its own past does. In an open loop they do not, whatever
-the signal is (C. W. J. Granger, Econometrica 37(3), 1969; L. D. Haugh, J. Am. Stat. Assoc. 71, 1976, on
-using innovations).
+innovations foretell more of the signal than its own past does. In an open loop they do not,
+whatever the signal is (C. W. J. Granger, Econometrica 37(3), 1969; L. D. Haugh, J. Am. Stat. Assoc.
+71, 1976, on using innovations).
 """
 
 from __future__ import annotations

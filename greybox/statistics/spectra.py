@@ -5,8 +5,9 @@ Welch's method (P. D. Welch, IEEE Trans. Audio Electroacoust. 15(2), 1967) at an
 windows that overlap by half, a straight line taken out of each, averaged over all stretches of all
 flights. Low frequencies need long windows, high ones have more averages with short ones ("composite
 windows": Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., 2012, chapter
-10). Here the window holds `CYCLES` periods where it can: window lengths are octaves, and the spectra
-of the two nearest are mixed, so that the matrix stays positive and coherences stay within 0..1.
+10). Here the window holds `CYCLES` periods where it can: window lengths are octaves, and the
+spectra of the two nearest are mixed, so that the matrix stays positive and coherences stay within
+0..1.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ FEWEST_CYCLES = 3.0
 """Periods of the lowest frequency in the longest window: the straight line that is taken out of
 each window must not look like it."""
 SHORTEST = 2.0
-"""Shortest window [s]: input and late output must stand under the same part of it. With 1 s and a delay
-of 60 ms the circles at high frequencies hold the truth in 75 % instead of 95 %."""
+"""Shortest window [s]: input and late output must stand under the same part of it. With 1 s and a
+delay of 60 ms the circles at high frequencies hold the truth in 75 % instead of 95 %."""
 BANDWIDTH = 1.5
 """Equivalent noise bandwidth of the Hann window, in frequencies of one period per window."""
 NEIGHBOURS = 1 / 6
@@ -51,10 +52,10 @@ class Spectra:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
     """Responses (K, p, q) of p outputs to q inputs and, of each, `error` (standard deviation of its
-    real and of its imaginary part), `coherence` (partial: of output and input, what the other inputs
-    explain taken out); `dof` (K,) degrees of freedom of the errors; `shared` (K, q) coherence of an
-    input with all others; `instrument` (K, q): F statistic of what the references explain of an
-    input, infinite without references."""
+    real and of its imaginary part), `coherence` (partial: of output and input, what the other
+    inputs explain taken out); `dof` (K,) degrees of freedom of the errors; `shared` (K, q)
+    coherence of an input with all others; `instrument` (K, q): F statistic of what the references
+    explain of an input, infinite without references."""
 
     value: ComplexArray
     error: FloatArray
@@ -116,7 +117,8 @@ def response(
     inputs counts (the joint input-output estimate, S_yr / S_ur, of a loop that is closed: Pintelon
     and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 2012, section 2.5);
     more references than inputs are weighed as two-stage least squares does. Errors are those of
-    averaged spectra of Gaussian noise (Bendat and Piersol, Random Data, 4th ed., 2010, section 9.2).
+    averaged spectra of Gaussian noise (Bendat and Piersol, Random Data, 4th ed., 2010, section
+    9.2).
     """
     y, u, z = list(outputs), list(inputs), list(references or inputs)
     q = len(u)
@@ -173,7 +175,8 @@ def circle(r: Response, level: float = 0.95) -> FloatArray:
 
 
 def by_chance(averages: FloatArray, others: int, level: float = 0.95) -> FloatArray:
-    """Coherence (K,) that two independent signals stay below at `level`; `others` inputs besides."""
+    """Coherence (K,) that two independent signals stay below at `level`; `others` inputs
+    besides."""
     left = np.maximum(averages - 1 - others, 1e-9)
     return np.asarray(1 - (1 - level) ** (1 / left))
 

@@ -74,13 +74,17 @@ PERIODOGRAM_POINTS = 51
 """Frequencies at which a cumulated periodogram is given: as many as a figure shows."""
 
 
-def cumulated_periodogram(columns: Sequence[FloatArray], *, level: float = 0.95) -> tuple[FloatArray, float]:
-    """(share (PERIODOGRAM_POINTS,) of the variance below the frequencies from 0 to half the sample rate, half-width of
-    the band in which the whole curve of white noise stays with probability `level`) of one channel.
+def cumulated_periodogram(
+    columns: Sequence[FloatArray], *, level: float = 0.95
+) -> tuple[FloatArray, float]:
+    """(share (PERIODOGRAM_POINTS,) of the variance below the frequencies from 0 to half the sample
+    rate, half-width of the band in which the whole curve of white noise stays with probability
+    `level`) of one channel.
 
-    `columns` are records (N_i, 1), NaN = missing: those count as the mean, which leaves white noise white. The curve of
-    white noise is a straight line, with the band of Kolmogorov and Smirnov (G. E. P. Box and G. M. Jenkins, Time Series
-    Analysis, 1976, section 8.2.5). Zeros where nothing varies.
+    `columns` are records (N_i, 1), NaN = missing: those count as the mean, which leaves white noise
+    white. The curve of white noise is a straight line, with the band of Kolmogorov and Smirnov (G.
+    E. P. Box and G. M. Jenkins, Time Series Analysis, 1976, section 8.2.5). Zeros where nothing
+    varies.
     """
     values, _ = centred(columns, each=False)
     grid = np.linspace(0.0, 0.5, PERIODOGRAM_POINTS)
@@ -90,12 +94,16 @@ def cumulated_periodogram(columns: Sequence[FloatArray], *, level: float = 0.95)
         if len(v) % 2 == 0:
             power[-1:] /= 2.0  # the highest frequency has no mirror image
         frequencies = np.arange(1, len(power) + 1) / len(v)
-        share += np.interp(grid, np.append(0.0, frequencies), np.append(0.0, np.cumsum(power))) / len(v)
+        share += np.interp(
+            grid, np.append(0.0, frequencies), np.append(0.0, np.cumsum(power))
+        ) / len(v)
         pieces += float(power.sum()) / len(v)
         ordinates += len(power)
     if not pieces > 0:
         return share, float("inf")
-    return share / pieces, float(scipy.stats.kstwobign.ppf(level)) / float(np.sqrt(max(ordinates, 1)))
+    return share / pieces, float(scipy.stats.kstwobign.ppf(level)) / float(
+        np.sqrt(max(ordinates, 1))
+    )
 
 
 def ljung_box(seen: Autocorrelation, *, fitted: int = 0) -> Portmanteau:

@@ -1,7 +1,9 @@
-"""Adaptation of a model to one flight: per-flight parameters and the start, from the flight's first seconds.
+"""Adaptation of a model to one flight: per-flight parameters and the start, from the flight's first
+seconds.
 
-Maximum a posteriori in innovation form with the model's own filter: shared parameters and noise levels fixed, the
-training flights' mean and spread as prior of each per-flight parameter (Ljung 1999, System Identification, sec. 7.4).
+Maximum a posteriori in innovation form with the model's own filter: shared parameters and noise
+levels fixed, the training flights' mean and spread as prior of each per-flight parameter (Ljung
+1999, System Identification, sec. 7.4).
 """
 
 from __future__ import annotations
@@ -27,8 +29,8 @@ from greybox.symbolic import FloatArray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Adaptation:
-    """What the first `seconds` of a flight said: `values` and `std` of its per-flight parameters, its start `x0` (n_x)
-    with the standard errors `x0_sigma` (n_d).
+    """What the first `seconds` of a flight said: `values` and `std` of its per-flight parameters,
+    its start `x0` (n_x) with the standard errors `x0_sigma` (n_d).
 
     `x0` belongs to the first segment of the flight. `warnings` say what did not work.
     """
@@ -44,13 +46,17 @@ class Adaptation:
 
     def to_dict(self) -> dict[str, dict[str, float | str]]:
         """Name -> value, std, unit."""
-        return {n: {"value": v, "std": self.std[n], "unit": self.units[n]} for n, v in self.values.items()}
+        return {
+            n: {"value": v, "std": self.std[n], "unit": self.units[n]}
+            for n, v in self.values.items()
+        }
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FixedGain(StationaryGain[None]):
-    """Innovation form whose gain is given: per-flight parameters do not move it, and noise levels are fixed."""
+    """Innovation form whose gain is given: per-flight parameters do not move it, and noise levels
+    are fixed."""
 
     solution: Riccati
     name: str = "innovation"
@@ -72,10 +78,11 @@ def adapt_to_flight(
     use_compiler: bool = True,
     max_iterations: int = 30,
 ) -> Adaptation:
-    """Fit the per-flight parameters of `model` and the initial state on the first `seconds` of `flight`.
+    """Fit the per-flight parameters of `model` and the initial state on the first `seconds` of
+    `flight`.
 
-    `riccati` is that of the model's filter, where it is at hand. Raises `DataError` for a flight that has no samples
-    there, or is not sampled at the model's rate.
+    `riccati` is that of the model's filter, where it is at hand. Raises `DataError` for a flight
+    that has no samples there, or is not sampled at the model's rate.
     """
     if not seconds > 0:
         raise DataError(f"adaptation on {seconds:g} s", expected="a positive number of seconds")
@@ -86,18 +93,40 @@ def adapt_to_flight(
     declared = {d.name: d for d in model.dynamics.parameters}
     names = [n for n in declared if n in model.flight_spread]
     # A parameter that did not vary between the training flights keeps its mean.
-    priors = {n: (m, s) for n, (m, s) in model.flight_spread.items() if n in declared and s > 0 and np.isfinite(s)}
+    priors = {
+        n: (m, s)
+        for n, (m, s) in model.flight_spread.items()
+        if n in declared and s > 0 and np.isfinite(s)
+    }
     free = [n for n in names if n in priors]
-    levels = dict(zip((f"noise.process.{n}" for n in model.dynamics.noises.names), model.process_noise, strict=True))
+    levels = dict(
+        zip(
+            (f"noise.process.{n}" for n in model.dynamics.noises.names),
+            model.process_noise,
+            strict=True,
+        )
+    )
     levels |= dict(
-        zip((f"noise.sensor.{n}" for n in model.dynamics.innovations.names), model.sensor_noise, strict=True)
+        zip(
+            (f"noise.sensor.{n}" for n in model.dynamics.innovations.names),
+            model.sensor_noise,
+            strict=True,
+        )
     )
     gain = riccati or Filter(model, use_compiler=use_compiler).riccati
     problem = make_problem(
-        model.dynamics, Dataset(flights=(window,)), predictor=FixedGain(solution=gain), criterion=Gaussian(), free=free,
-        per_flight=free, values=dict(model.values), flight_priors=priors, noise=levels, estimate_noise=False,
+        model.dynamics,
+        Dataset(flights=(window,)),
+        predictor=FixedGain(solution=gain),
+        criterion=Gaussian(),
+        free=free,
+        per_flight=free,
+        values=dict(model.values),
+        flight_priors=priors,
+        noise=levels,
+        estimate_noise=False,
         use_compiler=use_compiler,
-    )  # fmt: skip
+    )
     theta, status = LevenbergMarquardt(max_iterations=max_iterations).solve(problem, problem.start)
     value = problem.evaluate(theta)
     warnings = []
@@ -108,12 +137,15 @@ def adapt_to_flight(
         std = np.sqrt(np.maximum(np.diag(np.linalg.pinv(value.hessian, hermitian=True)), 0.0))
     places = {n: problem.place(n, flight.name) for n in free}
     return Adaptation(
-        flight=flight.name, seconds=seconds,
+        flight=flight.name,
+        seconds=seconds,
         values={n: float(theta[i]) for n, i in places.items() if i is not None},
         std={n: float(std[i]) for n, i in places.items() if i is not None},
         units={n: declared[n].unit for n in free},
-        x0=problem.initial_state(theta, 0), x0_sigma=_spread(problem, std), warnings=tuple(warnings),
-    )  # fmt: skip
+        x0=problem.initial_state(theta, 0),
+        x0_sigma=_spread(problem, std),
+        warnings=tuple(warnings),
+    )
 
 
 def _spread(problem: Problem, std: FloatArray) -> FloatArray:

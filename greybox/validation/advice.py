@@ -1,7 +1,8 @@
-"""From what was seen around a fit to the likely reason of a bad model, the next step, and the section that explains it.
+"""From what was seen around a fit to the likely reason of a bad model, the next step, and the
+section that explains it.
 
-Whoever sees something (the checks of a log, a solver's end, a test of physics) says it as a `Hint`; `likely` picks the
-one that most often is the cause of the others. One table, in that order.
+Whoever sees something (the checks of a log, a solver's end, a test of physics) says it as a `Hint`;
+`likely` picks the one that most often is the cause of the others. One table, in that order.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ from greybox.validation.sanity import Sanity
 PAGE = "docs/bad_fit.md"
 """The page whose sections the anchors name."""
 LATE = 0.025
-"""Lag [s] of the motion behind the commands from which a model without motor lag is expected to fail: at 5 Hz, where a
-small multirotor turns, 25 ms are 45 degrees of phase."""
+"""Lag [s] of the motion behind the commands from which a model without motor lag is expected to
+fail: at 5 Hz, where a small multirotor turns, 25 ms are 45 degrees of phase."""
 WANDER = 2.0
-"""Samples by which gyro and attitude wander against each other from which `check` warns (greybox.data.checks.alignment)."""
+"""Samples by which gyro and attitude wander against each other from which `check` warns
+(greybox.data.checks.alignment)."""
 LAG_EFFECTS = ("motor_lag", "command_delay")
 """Effects that let the motion follow the commands late."""
 
@@ -56,7 +58,8 @@ class Symptom(enum.Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Hint:
-    """One thing seen: `detail` says it in words (with names and numbers), "" where the table's words do."""
+    """One thing seen: `detail` says it in words (with names and numbers), "" where the table's
+    words do."""
 
     symptom: Symptom
     detail: str = ""
@@ -64,7 +67,8 @@ class Hint:
 
 @dataclass(frozen=True, kw_only=True)
 class Advice:
-    """The likely reason in words, and what to do next. Where a hint has a detail, it follows the reason in brackets."""
+    """The likely reason in words, and what to do next. Where a hint has a detail, it follows the
+    reason in brackets."""
 
     symptom: Symptom
     reason: str
@@ -84,7 +88,8 @@ ADVICE: tuple[Advice, ...] = (
     ),
     Advice(
         symptom=Symptom.IMPOSSIBLE,
-        reason="a parameter has a value that physics does not allow, so it stands for something that is missing",
+        reason="a parameter has a value that physics does not allow, so it stands for something "
+        "that is missing",
         action="leave that effect out, or add what is missing (greybox discover)",
     ),
     Advice(
@@ -95,7 +100,8 @@ ADVICE: tuple[Advice, ...] = (
     Advice(
         symptom=Symptom.BOUNDS,
         reason="several parameters ran to their bounds: the structure is wrong, not the numbers",
-        action="--effects motor_lag,gyro_bias,accelerometer_bias and --disturbance force,torque; hold with "
+        action="--effects motor_lag,gyro_bias,accelerometer_bias and --disturbance force,torque; "
+        "hold with "
         "--fixed what was weighed and what the flights do not show",
     ),
     Advice(
@@ -156,11 +162,12 @@ ADVICE: tuple[Advice, ...] = (
     Advice(
         symptom=Symptom.OWN_OUTPUT,
         reason="something that moves this output is missing in the model",
-        action="look at its errors in report.html, add the term to the model's program, or greybox learn",
+        action="look at its errors in report.html, add the term to the model's program, or greybox "
+        "learn",
     ),
 )
-"""Causes before consequences: a log that lies spoils everything, a missing lag sends parameters to their bounds, bounds
-keep a solver from converging; what only one group shows comes last."""
+"""Causes before consequences: a log that lies spoils everything, a missing lag sends parameters to
+their bounds, bounds keep a solver from converging; what only one group shows comes last."""
 
 _OF_GROUP = {
     "position": Symptom.POSITION,
@@ -172,15 +179,19 @@ _OF_GROUP = {
 
 
 def symptom_of_group(group: str) -> Symptom:
-    """What it is called when a channel group is worse than the last value. Raises `DataError` for another name."""
+    """What it is called when a channel group is worse than the last value. Raises `DataError` for
+    another name."""
     try:
         return _OF_GROUP[group]
     except KeyError:
-        raise DataError("no symptom for this group", expected=", ".join(_OF_GROUP), got=group) from None
+        raise DataError(
+            "no symptom for this group", expected=", ".join(_OF_GROUP), got=group
+        ) from None
 
 
 def likely(hints: Iterable[Hint], fallback: Symptom) -> tuple[str, str, str]:
-    """(reason, action, anchor) of the likeliest cause among `hints`; of `fallback` where there are none."""
+    """(reason, action, anchor) of the likeliest cause among `hints`; of `fallback` where there are
+    none."""
     given = list(hints)
     for advice in ADVICE:
         for hint in given:
@@ -235,7 +246,8 @@ def hints_of_fit(fit: Fit) -> tuple[Hint, ...]:
 
 
 def hints_of_sanity(sanity: Sanity) -> tuple[Hint, ...]:
-    """What physics says about the estimates: impossible values, measured numbers that were overruled."""
+    """What physics says about the estimates: impossible values, measured numbers that were
+    overruled."""
     return tuple(
         Hint(
             symptom=Symptom.IMPOSSIBLE if f.severity == "impossible" else Symptom.OVERRULED,

@@ -1,7 +1,9 @@
-"""The rows beside every multi-step table: persistence as ceiling, dead reckoning with the measured IMU as floor.
+"""The rows beside every multi-step table: persistence as ceiling, dead reckoning with the measured
+IMU as floor.
 
-A model that does not beat persistence knows nothing; one that comes near dead reckoning has nothing left to gain, since
-dead reckoning is told the specific force and the rate that the model has to predict.
+A model that does not beat persistence knows nothing; one that comes near dead reckoning has nothing
+left to gain, since dead reckoning is told the specific force and the rate that the model has to
+predict.
 """
 
 from __future__ import annotations
@@ -16,7 +18,14 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import DataError
-from greybox.frames import GRAVITY, numeric, quat_exp, quat_multiply, quat_normalize, rotation_matrix
+from greybox.frames import (
+    GRAVITY,
+    numeric,
+    quat_exp,
+    quat_multiply,
+    quat_normalize,
+    rotation_matrix,
+)
 from greybox.symbolic import FloatArray, evaluate
 from greybox.validation.groups import error_vectors
 from greybox.validation.samples import columns, complete_rows
@@ -24,11 +33,15 @@ from greybox.validation.samples import columns, complete_rows
 IntArray = npt.NDArray[np.int64]
 
 
-def persistence(references: Mapping[str, FloatArray], origins: npt.ArrayLike, *, steps: int) -> dict[str, FloatArray]:
-    """Predictions (n, steps, dimension) per group: the last measured value at or before each origin, held.
+def persistence(
+    references: Mapping[str, FloatArray], origins: npt.ArrayLike, *, steps: int
+) -> dict[str, FloatArray]:
+    """Predictions (n, steps, dimension) per group: the last measured value at or before each
+    origin, held.
 
-    It holds the reference channel itself, smoothed velocities included, as the naive row of the IDSIA benchmark does.
-    `references[group]` (N, dimension) of one stretch without gap; NaN where nothing was measured yet.
+    It holds the reference channel itself, smoothed velocities included, as the naive row of the
+    IDSIA benchmark does. `references[group]` (N, dimension) of one stretch without gap; NaN where
+    nothing was measured yet.
     """
     starts = np.asarray(origins, dtype=np.int64).ravel()
     held = {}
@@ -42,7 +55,8 @@ def persistence(references: Mapping[str, FloatArray], origins: npt.ArrayLike, *,
 
 @dataclass(frozen=True, kw_only=True)
 class ImuBias:
-    """Constant offsets of the IMU, measured = true + bias: gyro (3,) [rad/s] and accelerometer (3,) [m/s^2]."""
+    """Constant offsets of the IMU, measured = true + bias: gyro (3,) [rad/s] and accelerometer (3,)
+    [m/s^2]."""
 
     gyro: FloatArray
     accelerometer: FloatArray
@@ -55,9 +69,11 @@ class ImuBias:
 
 @dataclass(frozen=True, kw_only=True)
 class ImuRecord:
-    """Measured rate [rad/s] and specific force [m/s^2], (N, 3) each, uniform in time; `filled` samples were missing.
+    """Measured rate [rad/s] and specific force [m/s^2], (N, 3) each, uniform in time; `filled`
+    samples were missing.
 
-    Missing samples are interpolated linearly in time, since an integrator needs them all; `filled` counts them.
+    Missing samples are interpolated linearly in time, since an integrator needs them all; `filled`
+    counts them.
     """
 
     rate: FloatArray
@@ -66,8 +82,11 @@ class ImuRecord:
     filled: int = 0
 
     @classmethod
-    def of(cls, rate: npt.ArrayLike, specific_force: npt.ArrayLike, *, sample_time: float) -> ImuRecord:
-        """From measured arrays (N, 3), NaN = missing. Raises `DataError` where a whole column is missing."""
+    def of(
+        cls, rate: npt.ArrayLike, specific_force: npt.ArrayLike, *, sample_time: float
+    ) -> ImuRecord:
+        """From measured arrays (N, 3), NaN = missing. Raises `DataError` where a whole column is
+        missing."""
         parts, filled = [], 0
         for name, values in (("rate", rate), ("specific force", specific_force)):
             array = columns(values, what=name).copy()
@@ -77,18 +96,25 @@ class ImuRecord:
             for column in array.T:
                 seen = np.isfinite(column)
                 if not seen.any():
-                    raise DataError(f"dead reckoning needs all three axes of the {name}", fix="leave this row out")
+                    raise DataError(
+                        f"dead reckoning needs all three axes of the {name}",
+                        fix="leave this row out",
+                    )
                 filled += int(len(column) - seen.sum())
                 column[~seen] = np.interp(index[~seen], index[seen], column[seen])
             parts.append(array)
         if len(parts[0]) != len(parts[1]):
-            raise DataError("rate and specific force differ in length", got=f"{len(parts[0])} and {len(parts[1])}")
+            raise DataError(
+                "rate and specific force differ in length",
+                got=f"{len(parts[0])} and {len(parts[1])}",
+            )
         return cls(rate=parts[0], specific_force=parts[1], sample_time=sample_time, filled=filled)
 
 
 @functools.cache
 def _strapdown() -> Any:
-    """One step of inertial navigation: state (q, v, p), samples (w0, w1, f0, f1), (dt, g) -> state."""
+    """One step of inertial navigation: state (q, v, p), samples (w0, w1, f0, f1), (dt, g) ->
+    state."""
     x, samples, c = ca.SX.sym("x", 10), ca.SX.sym("samples", 12), ca.SX.sym("c", 2)
     q, v, p = x[:4], x[4:7], x[7:]
     w0, w1, f0, f1 = ca.vertsplit(samples, 3)
@@ -97,7 +123,9 @@ def _strapdown() -> Any:
     after = quat_normalize(quat_multiply(q, quat_exp(turn)))
     a0, a1 = rotation_matrix(q) @ f0 + down, rotation_matrix(after) @ f1 + down
     moved = p + dt * v + dt * dt / 6 * (2 * a0 + a1)
-    return ca.Function("strapdown", [x, samples, c], [ca.vertcat(after, v + dt * (a0 + a1) / 2, moved)])
+    return ca.Function(
+        "strapdown", [x, samples, c], [ca.vertcat(after, v + dt * (a0 + a1) / 2, moved)]
+    )
 
 
 def dead_reckoning(
@@ -112,22 +140,33 @@ def dead_reckoning(
     gravity: float = GRAVITY,
     attitude_record: FloatArray | None = None,
 ) -> dict[str, FloatArray]:
-    """Predictions (n, steps, dimension) of rotation, velocity and position from start states at n origins.
+    """Predictions (n, steps, dimension) of rotation, velocity and position from start states at n
+    origins.
 
-    `attitude` (n, 4), `velocity` (n, 3) and `position` (n, 3) are the states at the origins, known causally: measured
-    there, or a filter's. Without velocity only the rotation is predicted. Rates and world accelerations are taken as
-    linear between samples: the rotation vector of a step is dt (w0 + w1)/2 + dt^2/12 w0 x w1 (P. G. Savage, "Strapdown
-    inertial navigation integration algorithm design", J. Guidance 21(1), 1998, coning term), velocity and position
-    integrate exactly. `specific_force` is that at the point whose position is predicted; lever arms are ignored.
-    With `attitude_record` (N, 4), the measured attitude of all samples, the specific force is turned into the world by
-    that instead of by the integrated gyro: the tightest floor of velocity and position, which a causal predictor cannot
-    have; the rotation is integrated as before. Predictions past the end of the record are NaN. Raises `DataError` where
-    shapes do not match.
+    `attitude` (n, 4), `velocity` (n, 3) and `position` (n, 3) are the states at the origins, known
+    causally: measured there, or a filter's. Without velocity only the rotation is predicted. Rates
+    and world accelerations are taken as linear between samples: the rotation vector of a step is dt
+    (w0 + w1)/2 + dt^2/12 w0 x w1 (P. G. Savage, "Strapdown inertial navigation integration
+    algorithm design", J. Guidance 21(1), 1998, coning term), velocity and position integrate
+    exactly. `specific_force` is that at the point whose position is predicted; lever arms are
+    ignored. With `attitude_record` (N, 4), the measured attitude of all samples, the specific force
+    is turned into the world by that instead of by the integrated gyro: the tightest floor of
+    velocity and position, which a causal predictor cannot have; the rotation is integrated as
+    before. Predictions past the end of the record are NaN. Raises `DataError` where shapes do not
+    match.
     """
     starts = np.asarray(origins, dtype=np.int64).ravel()
-    for what, value, width in (("attitude", attitude, 4), ("velocity", velocity, 3), ("position", position, 3)):
+    for what, value, width in (
+        ("attitude", attitude, 4),
+        ("velocity", velocity, 3),
+        ("position", position, 3),
+    ):
         if value is not None and np.shape(value) != (len(starts), width):
-            raise DataError(f"dead reckoning: {what}", expected=f"({len(starts)}, {width})", got=str(np.shape(value)))
+            raise DataError(
+                f"dead reckoning: {what}",
+                expected=f"({len(starts)}, {width})",
+                got=str(np.shape(value)),
+            )
     offset = ImuBias.zero() if bias is None else bias
     rate, force = imu.rate - offset.gyro, imu.specific_force - offset.accelerometer
     last, dt = len(rate) - 1, imu.sample_time
@@ -143,13 +182,19 @@ def dead_reckoning(
     state[:, 4:7] = 0.0 if velocity is None else velocity
     state[:, 7:] = 0.0 if position is None else position
     columns_of = {"rotation": slice(0, 4), "velocity": slice(4, 7), "position": slice(7, 10)}
-    world = None if attitude_record is None else _world_acceleration(force, attitude_record, gravity)
+    world = (
+        None if attitude_record is None else _world_acceleration(force, attitude_record, gravity)
+    )
     for h in range(steps):
         now, later = np.minimum(starts + h, last), np.minimum(starts + h + 1, last)
         samples = np.concatenate([rate[now], rate[later], force[now], force[later]], axis=1)
         after = evaluate(_strapdown(), state, samples, np.array([dt, gravity]))
         if world is not None:
-            after[:, 7:] = state[:, 7:] + dt * state[:, 4:7] + dt * dt / 6.0 * (2.0 * world[now] + world[later])
+            after[:, 7:] = (
+                state[:, 7:]
+                + dt * state[:, 4:7]
+                + dt * dt / 6.0 * (2.0 * world[now] + world[later])
+            )
             after[:, 4:7] = state[:, 4:7] + 0.5 * dt * (world[now] + world[later])
         state = after
         inside = starts + h + 1 <= last
@@ -159,10 +204,13 @@ def dead_reckoning(
 
 
 def _world_acceleration(force: FloatArray, attitude: FloatArray, gravity: float) -> FloatArray:
-    """Acceleration (N, 3) in the world from specific force and measured attitude; missing ones are interpolated."""
+    """Acceleration (N, 3) in the world from specific force and measured attitude; missing ones are
+    interpolated."""
     seen = complete_rows(attitude)
     if attitude.shape != (len(force), 4) or not seen.any():
-        raise DataError("dead reckoning: attitude record", expected=f"({len(force)}, 4), not all missing")
+        raise DataError(
+            "dead reckoning: attitude record", expected=f"({len(force)}, 4), not all missing"
+        )
     index = np.arange(len(force))
     out = np.empty((len(force), 3))
     turned = numeric("rotate", attitude[seen], force[seen]) - np.array([0.0, 0.0, gravity])
@@ -181,12 +229,14 @@ def estimate_imu_bias(
     iterations: int = 3,
     with_attitude_record: bool = False,
 ) -> ImuBias:
-    """Biases that make dead reckoning over `horizon` steps agree with the measured pose of an adaptation window.
+    """Biases that make dead reckoning over `horizon` steps agree with the measured pose of an
+    adaptation window.
 
-    `attitude` (N, 4), `velocity` (N, 3) measured in the window, NaN = missing; the window lies before every origin that
-    the biases are used for, so that smoothed velocities are fair here. Without velocity the accelerometer bias stays 0.
-    `with_attitude_record` as in `dead_reckoning`. Gauss-Newton on the errors in units of their typical size. Raises
-    `DataError` for a window that is too short.
+    `attitude` (N, 4), `velocity` (N, 3) measured in the window, NaN = missing; the window lies
+    before every origin that the biases are used for, so that smoothed velocities are fair here.
+    Without velocity the accelerometer bias stays 0. `with_attitude_record` as in `dead_reckoning`.
+    Gauss-Newton on the errors in units of their typical size. Raises `DataError` for a window that
+    is too short.
     """
     starts = np.arange(len(imu.rate) - horizon)
     usable = complete_rows(attitude)
@@ -223,6 +273,8 @@ def estimate_imu_bias(
     value, free = np.zeros(6), 3 if velocity is None else 6
     for _ in range(iterations):
         at = errors(value)
-        jacobian = np.stack([(errors(value + 1e-4 * e) - at) / 1e-4 for e in np.eye(6)[:free]], axis=1)
+        jacobian = np.stack(
+            [(errors(value + 1e-4 * e) - at) / 1e-4 for e in np.eye(6)[:free]], axis=1
+        )
         value[:free] -= np.linalg.lstsq(jacobian, at, rcond=None)[0]
     return ImuBias(gyro=value[:3], accelerometer=value[3:])

@@ -1,10 +1,12 @@
-"""Confidence intervals of a statistic of flight data by resampling flights, then blocks of consecutive samples.
+"""Confidence intervals of a statistic of flight data by resampling flights, then blocks of
+consecutive samples.
 
-Samples of one flight are correlated and flights differ, so that an interval that counts samples is far too narrow.
-Blocks keep the correlation in time (H. R. Kuensch, "The jackknife and the bootstrap for general stationary
-observations", Annals of Statistics 17(3), 1989); drawing whole flights first keeps the difference between flights
-(A. C. Davison and D. V. Hinkley, "Bootstrap Methods and their Application", 1997, section 3.8). Drawing both counts the
-variation inside a flight twice, which errs on the wide side; with one flight only blocks are drawn.
+Samples of one flight are correlated and flights differ, so that an interval that counts samples is
+far too narrow. Blocks keep the correlation in time (H. R. Kuensch, "The jackknife and the bootstrap
+for general stationary observations", Annals of Statistics 17(3), 1989); drawing whole flights first
+keeps the difference between flights (A. C. Davison and D. V. Hinkley, "Bootstrap Methods and their
+Application", 1997, section 3.8). Drawing both counts the variation inside a flight twice, which
+errs on the wide side; with one flight only blocks are drawn.
 """
 
 from __future__ import annotations
@@ -49,9 +51,10 @@ def block_bootstrap(
 ) -> Interval:
     """Percentile interval of `statistic` of the rows of all flights together.
 
-    `flights`: one array (N_f,) or (N_f, d) each; rows with NaN are left out. `statistic` takes rows (n, d). `block` is
-    the number of consecutive samples that stay together: several times the correlation time.
-    Raises `DataError` for a block that is no positive number, a level outside (0, 1), or flights without data.
+    `flights`: one array (N_f,) or (N_f, d) each; rows with NaN are left out. `statistic` takes rows
+    (n, d). `block` is the number of consecutive samples that stay together: several times the
+    correlation time. Raises `DataError` for a block that is no positive number, a level outside (0,
+    1), or flights without data.
     """
     if block < 1 or draws < 20 or not 0.0 < level < 1.0:
         raise DataError("block bootstrap: block >= 1, draws >= 20 and 0 < level < 1 are needed")
@@ -79,8 +82,11 @@ def block_bootstrap(
     return Interval(low=float(low), high=float(high), level=level, method=method)
 
 
-def _drawn_means(parts: Sequence[FloatArray], block: int, draws: int, rng: np.random.Generator) -> FloatArray:
-    """Means of draws as in `block_bootstrap`, (draws,), from running sums instead of the drawn rows."""
+def _drawn_means(
+    parts: Sequence[FloatArray], block: int, draws: int, rng: np.random.Generator
+) -> FloatArray:
+    """Means of draws as in `block_bootstrap`, (draws,), from running sums instead of the drawn
+    rows."""
     total, count = np.zeros(draws), np.zeros(draws)
     times = rng.multinomial(len(parts), np.full(len(parts), 1.0 / len(parts)), size=draws)
     for part, often in zip(parts, times.T, strict=True):

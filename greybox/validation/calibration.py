@@ -1,18 +1,21 @@
-"""Calibration of multi-step uncertainty: how much process noise a prediction without measurements really collects.
+"""Calibration of multi-step uncertainty: how much process noise a prediction without measurements
+really collects.
 
-The filter's noise levels are those of one-step errors. Over a horizon the discrepancy is correlated in time in ways that a
-first-order disturbance does not catch, and an estimate of its level from one step ahead is too small (or too large) at
-half a second. The covariance h samples ahead is affine in the squared levels,
+The filter's noise levels are those of one-step errors. Over a horizon the discrepancy is correlated
+in time in ways that a first-order disturbance does not catch, and an estimate of its level from one
+step ahead is too small (or too large) at half a second. The covariance h samples ahead is affine in
+the squared levels,
 
-    Sigma_h = Sigma_h(filter error, parameters) + sum_g kappa_g^2 Sigma_h(noise of group g) + kappa_l^2 Sigma_h(learned)
+    Sigma_h = Sigma_h(filter error, parameters) + sum_g kappa_g^2 Sigma_h(noise of group g) +
+    kappa_l^2 Sigma_h(learned)
 
-so that the factors kappa_g of the groups (force, torque, ...) and, at most one, that of the learned part follow from the
-multi-step errors of the training flights by maximum likelihood at little cost. The filter keeps its own levels. Flights
-differ: one more factor, on all of these, makes the 95 % regions hold on a flight that was not seen
-(`greybox.validation.new_flight`).
+so that the factors kappa_g of the groups (force, torque, ...) and, at most one, that of the learned
+part follow from the multi-step errors of the training flights by maximum likelihood at little cost.
+The filter keeps its own levels. Flights differ: one more factor, on all of these, makes the 95 %
+regions hold on a flight that was not seen (`greybox.validation.new_flight`).
 
-(Kuleshov, Fenner and Ermon 2018, ICML, recalibrate quantiles after the fact; here the stated physics of the error growth
-stays.)
+(Kuleshov, Fenner and Ermon 2018, ICML, recalibrate quantiles after the fact; here the stated
+physics of the error growth stays.)
 """
 
 from __future__ import annotations
@@ -45,9 +48,10 @@ FEW, STRETCHES = 4, 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """The model with `horizon_noise`, the factor of every noise group, the mean density gained by maximum likelihood [nat
-    per error], and the factor on the standard deviation of the learned part, which is left to the caller (1 without one).
-    All factors hold `new_flight`, what a flight that was not seen asks for."""
+    """The model with `horizon_noise`, the factor of every noise group, the mean density gained by
+    maximum likelihood [nat per error], and the factor on the standard deviation of the learned
+    part, which is left to the caller (1 without one). All factors hold `new_flight`, what a flight
+    that was not seen asks for."""
 
     model: IdentifiedModel
     factors: Mapping[str, float]
@@ -58,7 +62,8 @@ class Calibration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Errors:
-    """Errors (N, d) of one channel block with the parts of their covariance: base (N, d, d), by group (G, N, d, d)."""
+    """Errors (N, d) of one channel block with the parts of their covariance: base (N, d, d), by
+    group (G, N, d, d)."""
 
     h: int
     label: str
@@ -81,12 +86,12 @@ def calibrate_horizons(
 ) -> Calibration:
     """Fit the factors on all flights of `data`, from origins `spacing` seconds apart.
 
-    `left_out`: (flight, horizon, channel group) -> factor on the squared errors, for models that were fitted more closely to
-    these flights than they will fit others.
+    `left_out`: (flight, horizon, channel group) -> factor on the squared errors, for models that
+    were fitted more closely to these flights than they will fit others.
 
-    Every channel block of the innovation (position, attitude, rate, ...) and every horizon counts the same. The
-    accelerometer, whose errors are its own noise, is left out where anything else is measured. Raises `DataError` where
-    no flight is long enough.
+    Every channel block of the innovation (position, attitude, rate, ...) and every horizon counts
+    the same. The accelerometer, whose errors are its own noise, is left out where anything else is
+    measured. Raises `DataError` where no flight is long enough.
     """
     work = _Parts(Filter(model), model.process_noise, split_learned=True)
     flights: list[list[_Errors]] = []
@@ -99,12 +104,16 @@ def calibrate_horizons(
             filtered = work.runner.run(segment)
             for stretch, part in zip(own, np.array_split(origins, pieces), strict=True):
                 if part.size:
-                    stretch += [f.scaled(flight.name, left_out or {}) for f in work.errors(filtered, part, horizons)]
+                    stretch += [
+                        f.scaled(flight.name, left_out or {})
+                        for f in work.errors(filtered, part, horizons)
+                    ]
         flights += [stretch for stretch in own if stretch]
     found = [f for flight in flights for f in flight]
     if not found:
         raise DataError(
-            "no flight is long enough to calibrate multi-step uncertainty", expected=f"{max(horizons)} samples"
+            "no flight is long enough to calibrate multi-step uncertainty",
+            expected=f"{max(horizons)} samples",
         )
 
     def cost(log_factors: FloatArray) -> float:
@@ -114,17 +123,22 @@ def calibrate_horizons(
     factors, best = _solve(cost, limits)
     gain = cost(np.zeros(factors.size)) - best
     squares = np.exp(2 * GRID)[:, None] * factors**2
-    wider = new_flight_factor(np.array([np.mean([_inside(f, squares) for f in own], axis=0) for own in flights]), LEVEL)
+    wider = new_flight_factor(
+        np.array([np.mean([_inside(f, squares) for f in own], axis=0) for own in flights]), LEVEL
+    )
     factors = wider * factors
     return Calibration(
         model=replace(model, horizon_noise=model.process_noise * factors[work.members]),
-        factors=dict(zip(work.groups, factors.tolist(), strict=False)), gain=gain,
-        learned=float(factors[-1]) if work.split_learned else 1.0, new_flight=wider,
-    )  # fmt: skip
+        factors=dict(zip(work.groups, factors.tolist(), strict=False)),
+        gain=gain,
+        learned=float(factors[-1]) if work.split_learned else 1.0,
+        new_flight=wider,
+    )
 
 
 class _Parts:
-    """Errors ahead of origins with the parts of their covariance: noise groups, then (`split_learned`) the learned part."""
+    """Errors ahead of origins with the parts of their covariance: noise groups, then
+    (`split_learned`) the learned part."""
 
     def __init__(
         self,
@@ -152,7 +166,9 @@ class _Parts:
         if self.split_learned:
             self.propagators.append(Propagator(runner, parameters=False, noise=none))
 
-    def errors(self, filtered: Filtered, origins: npt.NDArray[np.int_], horizons: Sequence[int]) -> list[_Errors]:
+    def errors(
+        self, filtered: Filtered, origins: npt.NDArray[np.int_], horizons: Sequence[int]
+    ) -> list[_Errors]:
         """Per horizon and channel block; nothing where a prediction is not finite."""
         try:
             runs = list(run_together(self.propagators, filtered, origins, max(horizons)))
@@ -167,20 +183,28 @@ class _Parts:
                 keep = seen[:, rows].all(axis=1)
                 if keep.any():
                     c = np.array([a.innovation_covariance[keep][:, rows][:, :, rows] for a in at])
-                    found.append(_Errors(h=h, label=label, e=e[keep][:, rows], base=c[0], parts=c[2:] - c[1]))
+                    found.append(
+                        _Errors(h=h, label=label, e=e[keep][:, rows], base=c[0], parts=c[2:] - c[1])
+                    )
         return found
 
 
-def _solve(cost: Callable[[FloatArray], float], limits: Sequence[tuple[float, float]]) -> tuple[FloatArray, float]:
+def _solve(
+    cost: Callable[[FloatArray], float], limits: Sequence[tuple[float, float]]
+) -> tuple[FloatArray, float]:
     """(factors, least cost) within limits, from one."""
     best = scipy.optimize.minimize(
-        cost, np.zeros(len(limits)), method="L-BFGS-B", bounds=[tuple(np.log(limit)) for limit in limits]
+        cost,
+        np.zeros(len(limits)),
+        method="L-BFGS-B",
+        bounds=[tuple(np.log(limit)) for limit in limits],
     )
     return np.exp(best.x), float(best.fun)
 
 
 def _blocks(model: IdentifiedModel) -> dict[str, list[int]]:
-    """Places of the innovation components that are judged together: those of one sensor (one channel, where unknown)."""
+    """Places of the innovation components that are judged together: those of one sensor (one
+    channel, where unknown)."""
     names = model.channel_groups
     blocks = {n: [i for i, m in enumerate(names) if m == n] for n in dict.fromkeys(names)}
     if len(blocks) > 1:
@@ -188,13 +212,22 @@ def _blocks(model: IdentifiedModel) -> dict[str, list[int]]:
     return blocks
 
 
-def _errors(runner: Filter, filtered: Filtered, states: FloatArray, rows: npt.NDArray[np.int_]) -> FloatArray:
+def _errors(
+    runner: Filter, filtered: Filtered, states: FloatArray, rows: npt.NDArray[np.int_]
+) -> FloatArray:
     """Innovations (m, n_e) of the measurements at `rows` (m,) against predicted states (m, n_x)."""
     record, one = filtered.record, np.ones(len(rows), dtype=np.int32)
     return runner.engine.windows(
-        starts=states, rows=rows, lengths=one, tails=one, inputs=record.inputs, outputs=record.outputs,
-        mask=record.mask, p=filtered.p, dt=record.dt,
-    ).innovations  # fmt: skip
+        starts=states,
+        rows=rows,
+        lengths=one,
+        tails=one,
+        inputs=record.inputs,
+        outputs=record.outputs,
+        mask=record.mask,
+        p=filtered.p,
+        dt=record.dt,
+    ).innovations
 
 
 def _density(errors: _Errors, squares: FloatArray) -> float:
@@ -203,11 +236,14 @@ def _density(errors: _Errors, squares: FloatArray) -> float:
 
 
 def _inside(errors: _Errors, squares: FloatArray) -> FloatArray:
-    """Share (n,) of the errors inside the region of probability `LEVEL` for each row of squared factors (n, G)."""
+    """Share (n,) of the errors inside the region of probability `LEVEL` for each row of squared
+    factors (n, G)."""
     edge = scipy.stats.chi2.ppf(LEVEL, errors.e.shape[1])
     shares = []
     for row in squares:
         covariance = errors.base + np.einsum("g,gnij->nij", row, errors.parts)
-        distance = np.einsum("ni,ni->n", errors.e, np.linalg.solve(covariance, errors.e[..., None])[..., 0])
+        distance = np.einsum(
+            "ni,ni->n", errors.e, np.linalg.solve(covariance, errors.e[..., None])[..., 0]
+        )
         shares.append(float(np.mean(distance <= edge)))
     return np.array(shares)

@@ -1,7 +1,9 @@
-"""Do the stated uncertainties hold? The fraction of errors inside the stated interval, with an interval of its own.
+"""Do the stated uncertainties hold? The fraction of errors inside the stated interval, with an
+interval of its own.
 
-A vector error is inside at level P where its squared Mahalanobis distance e' C^-1 e is below the P quantile of
-chi-square with d degrees of freedom; for one component at 68.27 % and 95.45 % these are the one- and two-sigma bands.
+A vector error is inside at level P where its squared Mahalanobis distance e' C^-1 e is below the P
+quantile of chi-square with d degrees of freedom; for one component at 68.27 % and 95.45 % these are
+the one- and two-sigma bands.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ LEVELS = (0.68, 0.95)
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """Fraction of `n` errors inside the band that is stated for `nominal`; `interval` is that of the fraction."""
+    """Fraction of `n` errors inside the band that is stated for `nominal`; `interval` is that of
+    the fraction."""
 
     nominal: float
     fraction: float
@@ -40,12 +43,18 @@ class Coverage:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values: nominal, fraction, n, missing, low, high, level, method, honest."""
-        plain = {"nominal": self.nominal, "fraction": self.fraction, "n": self.n, "missing": self.missing}
+        plain = {
+            "nominal": self.nominal,
+            "fraction": self.fraction,
+            "n": self.n,
+            "missing": self.missing,
+        }
         return {**plain, **self.interval.to_dict(), "honest": self.honest}
 
 
 def mahalanobis_squared(errors: npt.ArrayLike, covariance: npt.ArrayLike) -> FloatArray:
-    """e' C^-1 e, (N,), of errors (N, d) with covariances (N, d, d) or (d, d); NaN where an error component is NaN.
+    """e' C^-1 e, (N,), of errors (N, d) with covariances (N, d, d) or (d, d); NaN where an error
+    component is NaN.
 
     Raises `DataError` where a covariance is not positive definite.
     """
@@ -56,14 +65,17 @@ def mahalanobis_squared(errors: npt.ArrayLike, covariance: npt.ArrayLike) -> Flo
     try:
         root = np.linalg.cholesky(c[seen])
     except np.linalg.LinAlgError:
-        raise DataError("a predicted covariance is not positive definite", fix="check the noise levels") from None
+        raise DataError(
+            "a predicted covariance is not positive definite", fix="check the noise levels"
+        ) from None
     white = np.linalg.solve(root, e[seen][..., None])[..., 0]
     out[seen] = np.sum(white * white, axis=1)
     return out
 
 
 def binomial_interval(inside: int, n: int, level: float = 0.95) -> Interval:
-    """Exact interval of a fraction (C. J. Clopper and E. S. Pearson, Biometrika 26, 1934); independent samples only.
+    """Exact interval of a fraction (C. J. Clopper and E. S. Pearson, Biometrika 26, 1934);
+    independent samples only.
 
     Raises `DataError` unless 0 <= inside <= n and n >= 1.
     """
@@ -86,8 +98,9 @@ def coverage_of_distances(
 ) -> Coverage:
     """Coverage from squared Mahalanobis distances, one array (N_f,) per flight, NaN = missing.
 
-    Without `block` the interval is binomial (white innovations); with it a block bootstrap clustered by flight, which
-    is what correlated errors (multi-step ones, say) need. Raises `DataError` where nothing is left.
+    Without `block` the interval is binomial (white innovations); with it a block bootstrap
+    clustered by flight, which is what correlated errors (multi-step ones, say) need. Raises
+    `DataError` where nothing is left.
     """
     if not 0.0 < nominal < 1.0:
         raise DataError(f"coverage level {nominal:g}", expected="between 0 and 1")
@@ -116,10 +129,11 @@ def interval_coverage(
     level: float = 0.95,
     seed: int = 0,
 ) -> Coverage:
-    """Coverage of scalar errors, one array (N_f,) per flight, with stated standard deviations of the same shape.
+    """Coverage of scalar errors, one array (N_f,) per flight, with stated standard deviations of
+    the same shape.
 
-    `std` may be one number for all. NaN errors are missing and counted. Raises `DataError` for a std that is not
-    positive, or where nothing is left; see `coverage_of_distances` for `block`.
+    `std` may be one number for all. NaN errors are missing and counted. Raises `DataError` for a
+    std that is not positive, or where nothing is left; see `coverage_of_distances` for `block`.
     """
     spread = [std] * len(errors) if isinstance(std, (int, float)) else list(std)
     if len(spread) != len(errors):
@@ -131,4 +145,6 @@ def interval_coverage(
         if not np.all((sigma > 0) | np.isnan(value)):
             raise DataError("a stated standard deviation is not positive")
         distances.append((value / np.where(np.isnan(value), 1.0, sigma)) ** 2)
-    return coverage_of_distances(distances, dimension=1, nominal=nominal, block=block, level=level, seed=seed)
+    return coverage_of_distances(
+        distances, dimension=1, nominal=nominal, block=block, level=level, seed=seed
+    )

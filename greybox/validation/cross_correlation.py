@@ -1,12 +1,15 @@
-"""Do past inputs still explain the innovations? Cross-correlation with bands that know both signals' colour.
+"""Do past inputs still explain the innovations? Cross-correlation with bands that know both
+signals' colour.
 
-If innovation e and input u are independent, the estimated correlations at lags i and j have covariance
-sum_k r_e(k) r_u(k + i - j) / n (M. S. Bartlett, J. Royal Statistical Society Suppl. 8, 1946; L. Ljung, "System
-Identification", 2nd ed., 1999, section 16.6). Smooth inputs therefore give smooth chance correlations, which naive
-bands 1/sqrt(n) and lag-by-lag reading take for a finding. Lag tau pairs the innovation at t + tau with the input at t.
+If innovation e and input u are independent, the estimated correlations at lags i and j have
+covariance sum_k r_e(k) r_u(k + i - j) / n (M. S. Bartlett, J. Royal Statistical Society Suppl. 8,
+1946; L. Ljung, "System Identification", 2nd ed., 1999, section 16.6). Smooth inputs therefore give
+smooth chance correlations, which naive bands 1/sqrt(n) and lag-by-lag reading take for a finding.
+Lag tau pairs the innovation at t + tau with the input at t.
 
-Under feedback the controller answers past innovations: negative lags (and lag 0, where the command is computed from the
-same sample) are correlated for the right model too. The verdict therefore uses positive lags only.
+Under feedback the controller answers past innovations: negative lags (and lag 0, where the command
+is computed from the same sample) are correlated for the right model too. The verdict therefore uses
+positive lags only.
 """
 
 from __future__ import annotations
@@ -26,8 +29,10 @@ from greybox.symbolic import FloatArray
 from greybox.validation.samples import names_for, stretches
 
 NOTE = (
-    "Verdict from positive lags only (input before innovation): under feedback the commands answer past innovations, "
-    "so that lag 0 and negative lags are correlated for a perfect model too. Where the innovations are not white, "
+    "Verdict from positive lags only (input before innovation): under feedback the commands answer "
+    "past innovations, "
+    "so that lag 0 and negative lags are correlated for a perfect model too. Where the innovations "
+    "are not white, "
     "feedback reaches positive lags as well; read this test after the whiteness test."
 )
 
@@ -36,8 +41,9 @@ NOTE = (
 class CrossPair:
     """Correlation of one innovation component with one input.
 
-    `r` (2 max_lag + 1,) over lags -max_lag..max_lag, `band` the half-width if independent. `outside` is the share of
-    the positive lags outside; `q`, `dof`, `p_value` test all positive lags at once with their covariance.
+    `r` (2 max_lag + 1,) over lags -max_lag..max_lag, `band` the half-width if independent.
+    `outside` is the share of the positive lags outside; `q`, `dof`, `p_value` test all positive
+    lags at once with their covariance.
     """
 
     innovation: str
@@ -88,10 +94,16 @@ class CrossCorrelation:
 
     def format(self) -> str:
         """A table for the terminal: p-values, innovations down, inputs across."""
-        rows, heads = (list(dict.fromkeys(getattr(p, k) for p in self.pairs)) for k in ("innovation", "input"))
+        rows, heads = (
+            list(dict.fromkeys(getattr(p, k) for p in self.pairs)) for k in ("innovation", "input")
+        )
         width = max(len("innovation"), *(len(r) for r in rows))
         table = {(p.innovation, p.input): p for p in self.pairs}
-        lines = [f"{'innovation':<{width}}  " + "  ".join(f"{h:>8}" for h in heads) + "   (p-values, positive lags)"]
+        lines = [
+            f"{'innovation':<{width}}  "
+            + "  ".join(f"{h:>8}" for h in heads)
+            + "   (p-values, positive lags)"
+        ]
         for row in rows:
             cells = "  ".join(f"{table[row, h].p_value:>8.2g}" for h in heads)
             lines.append(f"{row:<{width}}  {cells}")
@@ -107,15 +119,19 @@ def _taper(m: int) -> FloatArray:
 
 
 def _auto(records: Sequence[FloatArray], m: int) -> FloatArray:
-    """Tapered autocorrelation at lags -m..m of one column of centred records (n, 1), positive semidefinite."""
+    """Tapered autocorrelation at lags -m..m of one column of centred records (n, 1), positive
+    semidefinite."""
     values, weights = centred(records, each=True)
     c, count = lagged(values, weights, values, weights, range(m + 1))
     r = c[:, 0, 0] * count[:, 0, 0] / (c[0, 0, 0] * count[0, 0, 0])
     return np.concatenate([r[:0:-1], r]) * _taper(m)
 
 
-def _joint(zeta: FloatArray, r_e: FloatArray, r_u: FloatArray, n: float) -> tuple[float, int, FloatArray]:
-    """(q, dof, first row of the covariance times n) of the correlations zeta at consecutive lags."""
+def _joint(
+    zeta: FloatArray, r_e: FloatArray, r_u: FloatArray, n: float
+) -> tuple[float, int, FloatArray]:
+    """(q, dof, first row of the covariance times n) of the correlations zeta at consecutive
+    lags."""
     m = len(zeta)
     # sum_k r_e(k) r_u(k + s): the correlation of two even sequences is their convolution.
     both = np.convolve(r_e, r_u)
@@ -138,22 +154,28 @@ def cross_correlation(
     memory: int | None = None,
     level: float = 0.99,
 ) -> CrossCorrelation:
-    """Cross-correlation of innovations (N_i, d) with inputs (N_i, m), one array of each per flight, NaN = missing.
+    """Cross-correlation of innovations (N_i, d) with inputs (N_i, m), one array of each per flight,
+    NaN = missing.
 
-    The mean of every flight is removed from both. `memory` is the number of lags over which the signals' own
-    correlation is estimated for the bands (4 max_lag, and at least 100, where the flights are long enough). `level` is
-    that of the bands (0.99). Raises `DataError` for arrays that do not match, too few samples, or when no input moves.
+    The mean of every flight is removed from both. `memory` is the number of lags over which the
+    signals' own correlation is estimated for the bands (4 max_lag, and at least 100, where the
+    flights are long enough). `level` is that of the bands (0.99). Raises `DataError` for arrays
+    that do not match, too few samples, or when no input moves.
     """
     e, u = stretches(innovations, what="innovations"), stretches(inputs, what="inputs")
     lengths = [len(a) for a in e], [len(b) for b in u]
     if lengths[0] != lengths[1]:
-        raise DataError("innovations and inputs differ in length", got=f"{lengths[0]} and {lengths[1]}")
+        raise DataError(
+            "innovations and inputs differ in length", got=f"{lengths[0]} and {lengths[1]}"
+        )
     labels = names_for(names, e[0].shape[1], what="e")
     heads = names_for(input_names, u[0].shape[1], what="u")
     if not 0.0 < level < 1.0:
         raise DataError(f"cross-correlation: level {level:g}", expected="between 0 and 1")
     check_lags(e, max_lag, what="innovations")
-    moving = [j for j in range(len(heads)) if any(np.nanmax(c) > np.nanmin(c) for c in _finite(u, j))]
+    moving = [
+        j for j in range(len(heads)) if any(np.nanmax(c) > np.nanmin(c) for c in _finite(u, j))
+    ]
     if not moving:
         raise DataError("no input moves: nothing to correlate with", got=", ".join(heads))
     inputs_kept = [b[:, moving] for b in u]

@@ -1,9 +1,11 @@
-"""Gap: how far simulation and measurement are apart, per channel group and horizon, before and after; with the floor.
+"""Gap: how far simulation and measurement are apart, per channel group and horizon, before and
+after; with the floor.
 
-E(h) is the RMSE of the open-loop prediction h ahead from the filtered state, pooled over all origins of the test flights;
-the floor E0(h) is dead reckoning with the measured IMU (no model that sees commands alone can do better). The share that
-was closed is 1 - (E_after^2 - E0^2)/(E_before^2 - E0^2), with a block bootstrap (blocks of one second, whole flights where
-there are at least four; Kunsch 1989, Annals of Statistics 17(3)).
+E(h) is the RMSE of the open-loop prediction h ahead from the filtered state, pooled over all
+origins of the test flights; the floor E0(h) is dead reckoning with the measured IMU (no model that
+sees commands alone can do better). The share that was closed is 1 - (E_after^2 - E0^2)/(E_before^2
+- E0^2), with a block bootstrap (blocks of one second, whole flights where there are at least four;
+Kunsch 1989, Annals of Statistics 17(3)).
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ TENTH = 0.1
 NOTHING = 1.2
 """Below this ratio of before^2 to floor^2 there is no gap to close."""
 START = 2.0
-"""Seconds that tell with which velocity, tilt and rates a log begins that does not measure them; they are not judged."""
+"""Seconds that tell with which velocity, tilt and rates a log begins that does not measure them;
+they are not judged."""
 STRIDE = 0.05
 """Seconds between origins."""
 Start = tuple[FloatArray | None, FloatArray | None]
@@ -44,9 +47,10 @@ Squares = dict[tuple[str, float], list[FloatArray]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GapRow:
-    """One group and horizon: RMSE before and after, the floor (None without an IMU or attitude), share closed (None where
-    there was no gap) and its 95 % interval; the share that the proposed laws close together with the names, and the share
-    that a learned part closes without a name (the attainable line)."""
+    """One group and horizon: RMSE before and after, the floor (None without an IMU or attitude),
+    share closed (None where there was no gap) and its 95 % interval; the share that the proposed
+    laws close together with the names, and the share that a learned part closes without a name (the
+    attainable line)."""
 
     group: str
     unit: str
@@ -62,31 +66,42 @@ class GapRow:
     def to_dict(self) -> dict[str, Any]:
         """As in discovery.json."""
         return {
-            "group": self.group, "unit": self.unit, "horizon_s": self.horizon_s, "before": self.before,
-            "after": self.after, "floor": self.floor, "closed": self.closed,
-            "ci95": None if self.ci95 is None else list(self.ci95), "with_proposals": self.with_proposals,
+            "group": self.group,
+            "unit": self.unit,
+            "horizon_s": self.horizon_s,
+            "before": self.before,
+            "after": self.after,
+            "floor": self.floor,
+            "closed": self.closed,
+            "ci95": None if self.ci95 is None else list(self.ci95),
+            "with_proposals": self.with_proposals,
             "attainable": self.attainable,
-        }  # fmt: skip
+        }
 
 
 def closed_in_words(share: float) -> str:
-    """How much of the gap was closed. All of it, or more, is being at the floor: what lies below the floor is the noise of
-    the sensors that the floor was made with."""
+    """How much of the gap was closed. All of it, or more, is being at the floor: what lies below
+    the floor is the noise of the sensors that the floor was made with."""
     return "all of it: at the floor" if share >= 0.995 else f"{100 * share:.0f} %"
 
 
 def outgrown(rows: Iterable[GapRow]) -> list[str]:
-    """Groups and horizons in which the proposed laws close clearly less (a tenth of the gap) than the names alone."""
+    """Groups and horizons in which the proposed laws close clearly less (a tenth of the gap) than
+    the names alone."""
     return [
-        f"{r.group} {r.horizon_s:g} s ahead" for r in rows
-        if r.closed is not None and r.with_proposals is not None and r.with_proposals < r.closed - TENTH
-    ]  # fmt: skip
+        f"{r.group} {r.horizon_s:g} s ahead"
+        for r in rows
+        if r.closed is not None
+        and r.with_proposals is not None
+        and r.with_proposals < r.closed - TENTH
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeldOutErrors:
-    """(group, horizon) -> one array of squared errors per second of flight, in order; the same of the `floor`. `reading`:
-    group -> mean squared error of one reading of its sensor, as the model knows it."""
+    """(group, horizon) -> one array of squared errors per second of flight, in order; the same of
+    the `floor`. `reading`: group -> mean squared error of one reading of its sensor, as the model
+    knows it."""
 
     own: Squares
     floor: Squares
@@ -94,19 +109,28 @@ class HeldOutErrors:
 
 
 def unknown_start(model: IdentifiedModel) -> bool:
-    """Whether readings do not tell with which velocity or rates a flight begins: no position and no velocity, or no
-    gyro."""
-    shown = {block: {s.name for s in SENSORS if s.shows == block} for block in ("position", "velocity", "rate")}
+    """Whether readings do not tell with which velocity or rates a flight begins: no position and no
+    velocity, or no gyro."""
+    shown = {
+        block: {s.name for s in SENSORS if s.shows == block}
+        for block in ("position", "velocity", "rate")
+    }
     if not model.sensors:
         return False
-    return not (shown["position"] | shown["velocity"]) & model.sensors or not shown["rate"] & model.sensors
+    return (
+        not (shown["position"] | shown["velocity"]) & model.sensors
+        or not shown["rate"] & model.sensors
+    )
 
 
-def predict_ahead(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> HeldOutErrors:
-    """Open-loop errors of `model` at all origins of `data`; per-flight parameters are adapted on the first `adapt` s.
+def predict_ahead(
+    model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
+) -> HeldOutErrors:
+    """Open-loop errors of `model` at all origins of `data`; per-flight parameters are adapted on
+    the first `adapt` s.
 
-    Physics alone foretells: force and torque that nobody named are zero from every origin on. Where readings do not
-    tell with which velocity or rates a segment begins, its first `START` s do.
+    Physics alone foretells: force and torque that nobody named are zero from every origin on. Where
+    readings do not tell with which velocity or rates a segment begins, its first `START` s do.
     Raises `DataError` where no flight is long enough, `FitError` where a prediction is not finite.
     """
     runner, reader = Filter(model), GroupReader(model)
@@ -125,10 +149,15 @@ def predict_ahead(model: IdentifiedModel, data: Dataset, *, adapt: float | None 
             # The same seconds are judged whether this model has something to adapt or not.
             begin += adapt
             if model.flight_spread:
-                p = model.parameter_vector(adapt_to_flight(model, flight, adapt, riccati=runner.riccati).values)
+                p = model.parameter_vector(
+                    adapt_to_flight(model, flight, adapt, riccati=runner.riccati).values
+                )
         for segment in flight.segments:
             # What was commanded before a segment is not known, nor is its state.
-            known = max(begin, float(segment.t[0]) + (_start(segment) if blind else 0.0)) + START_SECONDS
+            known = (
+                max(begin, float(segment.t[0]) + (_start(segment) if blind else 0.0))
+                + START_SECONDS
+            )
             late = np.flatnonzero(segment.t >= known)
             origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE / dt))]
             if not origins.size:
@@ -146,13 +175,15 @@ def predict_ahead(model: IdentifiedModel, data: Dataset, *, adapt: float | None 
             if dead is not None:
                 _collect(floor, dead, references, origins, steps, second)
     if not any(own.values()):
-        raise DataError("no flight is long enough for multi-step errors", expected=f"over {longest} samples")
+        raise DataError(
+            "no flight is long enough for multi-step errors", expected=f"over {longest} samples"
+        )
     return HeldOutErrors(own=own, floor=floor, reading=readings(model))
 
 
 def readings(model: IdentifiedModel) -> dict[str, float]:
-    """Group -> mean squared error of one reading, over all of its channels: white noise and what lasts of it. Empty for
-    a model that is no vehicle's."""
+    """Group -> mean squared error of one reading, over all of its channels: white noise and what
+    lasts of it. Empty for a model that is no vehicle's."""
     physics = physics_of(model.dynamics)
     if physics is None:
         return {}
@@ -164,7 +195,11 @@ def readings(model: IdentifiedModel) -> dict[str, float]:
         total = sum(white[n] ** 2 for n in names if n in white)
         for part in (p for p in sensor_parts(model.dynamics) if p.sensor == sensor.name):
             levels = [driven.get(f"{part.name}.c.{n.split('.')[-1]}", 0.0) for n in names]
-            total += sum(part.described(v, model.values, model.sample_time).get("sigma", 0.0) ** 2 for v in levels if v)
+            total += sum(
+                part.described(v, model.values, model.sample_time).get("sigma", 0.0) ** 2
+                for v in levels
+                if v
+            )
         out[sensor.group] = total
     return out
 
@@ -181,9 +216,13 @@ def _start(segment: Segment) -> float:
 
 
 def _collect(
-    into: Squares, predicted: dict[str, FloatArray], references: dict[str, FloatArray], origins: Any,
-    steps: dict[float, int], second: Any,
-) -> None:  # fmt: skip
+    into: Squares,
+    predicted: dict[str, FloatArray],
+    references: dict[str, FloatArray],
+    origins: Any,
+    steps: dict[float, int],
+    second: Any,
+) -> None:
     for (g, s), rows in into.items():
         if g not in predicted:
             continue
@@ -196,35 +235,56 @@ def _collect(
 
 
 def _floor(
-    model: IdentifiedModel, segment: Segment, filtered: Any, reader: GroupReader, origins: Any, steps: int,
+    model: IdentifiedModel,
+    segment: Segment,
+    filtered: Any,
+    reader: GroupReader,
+    origins: Any,
+    steps: int,
     references: dict[str, FloatArray],
-) -> dict[str, FloatArray] | None:  # fmt: skip
+) -> dict[str, FloatArray] | None:
     imu = [c for g in ("rate", "specific_force") for c in GROUPS[g].columns]
     if not all(c in segment.channels for c in imu) or "rotation" not in references:
         return None
     commands = filtered.record.inputs[origins + model.dynamics.window[0]]
     own = reader.values(filtered.outputs[origins], filtered.states[origins], filtered.p, commands)
     record = ImuRecord.of(
-        segment.matrix(GROUPS["rate"].columns), segment.matrix(GROUPS["specific_force"].columns),
+        segment.matrix(GROUPS["rate"].columns),
+        segment.matrix(GROUPS["specific_force"].columns),
         sample_time=segment.dt,
-    )  # fmt: skip
-    start = {g: references[g][origins].copy() if g in references else own.get(g) for g in ("rotation", "position")}
+    )
+    start = {
+        g: references[g][origins].copy() if g in references else own.get(g)
+        for g in ("rotation", "position")
+    }
     attitude = start["rotation"]
     assert attitude is not None
     attitude[~np.isfinite(attitude).all(axis=1)] = [1.0, 0.0, 0.0, 0.0]
     gravity = float(model.physics.vehicle.gravity)
     return dead_reckoning(
-        record, origins, attitude=attitude, velocity=own.get("velocity"), position=start["position"], steps=steps,
-        bias=ImuBias.zero(), gravity=gravity,
-    )  # fmt: skip
+        record,
+        origins,
+        attitude=attitude,
+        velocity=own.get("velocity"),
+        position=start["position"],
+        steps=steps,
+        bias=ImuBias.zero(),
+        gravity=gravity,
+    )
 
 
 def gap(
-    before: tuple[Squares, Squares], after: tuple[Squares, Squares], *, proposals: Squares | None = None,
-    attainable: Squares | None = None, draws: int = 500, seed: int = 0,
-) -> list[GapRow]:  # fmt: skip
-    """Rows for every group and horizon that both models predict, own and floor of `predict_ahead`; `proposals` and
-    `attainable` are squared errors of the model with the proposed laws and of the one with a learned part."""
+    before: tuple[Squares, Squares],
+    after: tuple[Squares, Squares],
+    *,
+    proposals: Squares | None = None,
+    attainable: Squares | None = None,
+    draws: int = 500,
+    seed: int = 0,
+) -> list[GapRow]:
+    """Rows for every group and horizon that both models predict, own and floor of `predict_ahead`;
+    `proposals` and `attainable` are squared errors of the model with the proposed laws and of the
+    one with a learned part."""
     rng = np.random.default_rng(seed)
     out = []
     for key, blocks in before[0].items():
@@ -239,7 +299,9 @@ def gap(
         others: list[float | None] = [None, None]
         if total[0] > NOTHING * (base or 0.0) and total[0] > 0:
             closed = _closed(total[0], total[1], base or 0.0)
-            others = [_other(o, key, len(blocks), total[0], base or 0.0) for o in (proposals, attainable)]
+            others = [
+                _other(o, key, len(blocks), total[0], base or 0.0) for o in (proposals, attainable)
+            ]
             drawn = []
             for _ in range(draws):
                 pick = rng.integers(0, len(blocks), len(blocks))
@@ -270,7 +332,9 @@ def _mean(sums: FloatArray) -> float:
     return float(sums[:, 0].sum() / max(sums[:, 1].sum(), 1.0))
 
 
-def _other(squares: Squares | None, key: tuple[str, float], count: int, before: float, floor: float) -> float | None:
+def _other(
+    squares: Squares | None, key: tuple[str, float], count: int, before: float, floor: float
+) -> float | None:
     """Share that another model closes; None where it did not predict the same."""
     blocks = (squares or {}).get(key, [])
     if len(blocks) != count:

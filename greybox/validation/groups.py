@@ -1,7 +1,8 @@
-"""Channel groups of the multi-step tables: which columns they hold, their unit, and the norm of their error.
+"""Channel groups of the multi-step tables: which columns they hold, their unit, and the norm of
+their error.
 
-The metric is that of the nano-drone benchmark of R. Busetto et al., 2026 ("IDSIA metric"): Euclidean norms, and for the
-rotation the geodesic angle between predicted and measured attitude.
+The metric is that of the nano-drone benchmark of R. Busetto et al., 2026 ("IDSIA metric"):
+Euclidean norms, and for the rotation the geodesic angle between predicted and measured attitude.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ from greybox.symbolic import FloatArray
 class Group:
     """A vector quantity: `columns` of the data, `dimension` of its values, unit of its error.
 
-    `error_dimension` is that of its covariance: 3 for the rotation, whose error is a rotation vector in body axes.
-    `own`: an output of a model of the user's own, of which nothing is known but its name and unit.
+    `error_dimension` is that of its covariance: 3 for the rotation, whose error is a rotation
+    vector in body axes. `own`: an output of a model of the user's own, of which nothing is known
+    but its name and unit.
     """
 
     name: str
@@ -57,8 +59,8 @@ Groups = Mapping[str, Group]
 
 
 def groups_of(dynamics: Dynamics) -> Groups:
-    """The groups that a model is judged in: of a vehicle `GROUPS`; of any other model the groups whose columns it has
-    all, and every other output as a group of its own."""
+    """The groups that a model is judged in: of a vehicle `GROUPS`; of any other model the groups
+    whose columns it has all, and every other output as a group of its own."""
     if physics_of(dynamics) is not None:
         return GROUPS
     names = set(dynamics.outputs.names)
@@ -92,11 +94,12 @@ def _check_quaternions(q: FloatArray, what: str) -> None:
 
 
 def error_vectors(which: str | Group, predicted: FloatArray, reference: FloatArray) -> FloatArray:
-    """reference - predicted, (..., error dimension); for the rotation the rotation vector [rad] from predicted to reference.
+    """reference - predicted, (..., error dimension); for the rotation the rotation vector [rad]
+    from predicted to reference.
 
-    `which` is a group or the name of a usual one. `predicted`, `reference`: (..., dimension); a row with NaN or infinity
-    gives NaN. q and -q are the same attitude. Raises `DataError` for quaternions that are not of unit norm,
-    `UnknownNameError` for an unknown group.
+    `which` is a group or the name of a usual one. `predicted`, `reference`: (..., dimension); a row
+    with NaN or infinity gives NaN. q and -q are the same attitude. Raises `DataError` for
+    quaternions that are not of unit norm, `UnknownNameError` for an unknown group.
     """
     kind = group(which) if isinstance(which, str) else which
     if kind.dimension == kind.error_dimension:
@@ -116,6 +119,7 @@ def error_vectors(which: str | Group, predicted: FloatArray, reference: FloatArr
 
 
 def error_norms(name: str, predicted: FloatArray, reference: FloatArray) -> FloatArray:
-    """Norm of `error_vectors`, (...): for the rotation the geodesic angle [rad], 0 .. pi. Raises as that does."""
+    """Norm of `error_vectors`, (...): for the rotation the geodesic angle [rad], 0 .. pi. Raises as
+    that does."""
     norms: FloatArray = np.linalg.norm(error_vectors(name, predicted, reference), axis=-1)
     return norms

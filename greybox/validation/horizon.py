@@ -1,8 +1,9 @@
 """Multi-step errors: open-loop predictions h = 1..H from every origin, in the IDSIA metric.
 
-From origin k the model predicts samples k+1..k+H with the recorded commands; the error is the norm per group
-(`groups`), pooled over all origins that have all `required` steps; origins never cross a gap. SimErr of a group is the
-sum over h = 1..required of its mean absolute error (R. Busetto et al., nano-drone benchmark, 2026).
+From origin k the model predicts samples k+1..k+H with the recorded commands; the error is the norm
+per group (`groups`), pooled over all origins that have all `required` steps; origins never cross a
+gap. SimErr of a group is the sum over h = 1..required of its mean absolute error (R. Busetto et
+al., nano-drone benchmark, 2026).
 
 Errors are summed while they are computed: one stretch of one flight at a time is in memory.
 """
@@ -29,35 +30,48 @@ IntArray = npt.NDArray[np.int64]
 REQUIRED = 50
 """Steps that an origin must have ahead of it, and over which SimErr sums."""
 BLOCK_SECONDS = 2.0
-"""Origins of so many seconds make one block: twice the longest horizon (1 s) that is judged by blocks, so that most
-errors of one block share no sample with those of the next but one, and a flight of 40 s still has twenty."""
+"""Origins of so many seconds make one block: twice the longest horizon (1 s) that is judged by
+blocks, so that most errors of one block share no sample with those of the next but one, and a
+flight of 40 s still has twenty."""
 
 
 def find_origins(
-    t: npt.ArrayLike, *, sample_time: float, required: int = REQUIRED, start: float | None = None, step: int = 1
+    t: npt.ArrayLike,
+    *,
+    sample_time: float,
+    required: int = REQUIRED,
+    start: float | None = None,
+    step: int = 1,
 ) -> list[IntArray]:
-    """Origins of a flight, one array per stretch without gap: indices k with k..k+required uninterrupted.
+    """Origins of a flight, one array per stretch without gap: indices k with k..k+required
+    uninterrupted.
 
-    `t` (N,) [s] increasing; a gap is a time difference above 1.5 `sample_time`. `start` [s]: origins only at
-    t >= t[0] + start (after the seconds that per-flight parameters were adapted on). `step`: every step-th origin.
-    Raises `DataError` for a clock that does not increase.
+    `t` (N,) [s] increasing; a gap is a time difference above 1.5 `sample_time`. `start` [s]:
+    origins only at t >= t[0] + start (after the seconds that per-flight parameters were adapted
+    on). `step`: every step-th origin. Raises `DataError` for a clock that does not increase.
     """
     clock = np.asarray(t, dtype=np.float64)
     if clock.ndim != 1 or not np.all(np.isfinite(clock)) or np.any(np.diff(clock) <= 0):
-        raise DataError("origins need an increasing clock without missing times", expected="t (N,) in seconds")
+        raise DataError(
+            "origins need an increasing clock without missing times", expected="t (N,) in seconds"
+        )
     if required < 1 or step < 1 or not sample_time > 0:
         raise DataError("origins: required >= 1, step >= 1 and sample_time > 0 are needed")
     first = 0 if start is None else int(np.searchsorted(clock, clock[0] + start - 1e-9))
     breaks = np.flatnonzero(np.diff(clock) > 1.5 * sample_time) + 1
     edges = [0, *breaks.tolist(), len(clock)]
-    found = [np.arange(max(a, first), b - required, step, dtype=np.int64) for a, b in itertools.pairwise(edges)]
+    found = [
+        np.arange(max(a, first), b - required, step, dtype=np.int64)
+        for a, b in itertools.pairwise(edges)
+    ]
     return [f for f in found if len(f)]
 
 
 def complete_origins(
     present: npt.NDArray[np.bool_], origins: IntArray, *, required: int = REQUIRED
 ) -> npt.NDArray[np.bool_]:
-    """Which origins k (n,) have a reference at each of k..k+required, (n,), where `present` (N,) says what is there."""
+    """Which origins k (n,) have a reference at each of k..k+required, (n,), where `present` (N,)
+    says what is there."""
     total = np.concatenate([[0], np.cumsum(present)])
     complete: npt.NDArray[np.bool_] = total[origins + required + 1] - total[origins] == required + 1
     return complete
@@ -95,11 +109,12 @@ class _Sums:
 class HorizonAccumulator:
     """Sums up multi-step errors stretch by stretch; `table()` gives the result so far.
 
-    `steps` H is the longest horizon, `required` the steps that an origin must have (SimErr sums over these); horizons
-    beyond `required` are pooled over the origins that reach that far. `missing="origin"` drops an origin from a group
-    where any reference sample of k..k+required is missing; `"step"` drops only the missing samples (for references that
-    are sampled more slowly than the model). `groups` are those that predictions may have; `block_seconds` [s] is the
-    length of the blocks that standard errors are made of.
+    `steps` H is the longest horizon, `required` the steps that an origin must have (SimErr sums
+    over these); horizons beyond `required` are pooled over the origins that reach that far.
+    `missing="origin"` drops an origin from a group where any reference sample of k..k+required is
+    missing; `"step"` drops only the missing samples (for references that are sampled more slowly
+    than the model). `groups` are those that predictions may have; `block_seconds` [s] is the length
+    of the blocks that standard errors are made of.
     """
 
     label: str
@@ -128,12 +143,13 @@ class HorizonAccumulator:
     ) -> None:
         """Add one stretch without gap.
 
-        `references[group]` (N, dimension), NaN = missing; `origins` (n,) indices into it; `predictions[group]`
-        (n, H, dimension) with [:, h - 1] the prediction of sample origin + h; `covariances[group]` (n, H, d, d) of the
-        prediction error including the reference's own noise (rotation: body axes), NaN where none is stated: those
-        samples take no part in coverage and density. Groups without reference are
-        omitted. A prediction that is not finite counts as diverged: its error is infinite. Raises `DataError` for
-        arrays that do not match and for origins without all their steps, `UnknownNameError` for an unknown group.
+        `references[group]` (N, dimension), NaN = missing; `origins` (n,) indices into it;
+        `predictions[group]` (n, H, dimension) with [:, h - 1] the prediction of sample origin + h;
+        `covariances[group]` (n, H, d, d) of the prediction error including the reference's own
+        noise (rotation: body axes), NaN where none is stated: those samples take no part in
+        coverage and density. Groups without reference are omitted. A prediction that is not finite
+        counts as diverged: its error is infinite. Raises `DataError` for arrays that do not match
+        and for origins without all their steps, `UnknownNameError` for an unknown group.
         """
         starts = np.asarray(origins, dtype=np.int64).ravel()
         sums = self._flights.setdefault(flight, {})
@@ -143,13 +159,19 @@ class HorizonAccumulator:
         for name in (g for g in self.groups if g in predictions and g in references):
             reference, predicted = np.asarray(references[name]), np.asarray(predictions[name])
             expected = (len(starts), self.steps, self.groups[name].dimension)
-            if predicted.shape != expected or reference.ndim != 2 or reference.shape[1] != expected[2]:
+            if (
+                predicted.shape != expected
+                or reference.ndim != 2
+                or reference.shape[1] != expected[2]
+            ):
                 raise DataError(
                     f"{flight}, {name}: arrays do not match",
                     expected=f"predictions {expected} and references (N, {expected[2]})",
                     got=f"{predicted.shape} and {reference.shape}",
                 )
-            if len(starts) and not (starts.min() >= 0 and starts.max() + self.required < len(reference)):
+            if len(starts) and not (
+                starts.min() >= 0 and starts.max() + self.required < len(reference)
+            ):
                 raise DataError(
                     f"{flight}: an origin lacks its {self.required} steps",
                     expected=f"0 <= origin < {len(reference) - self.required}",
@@ -164,11 +186,14 @@ class HorizonAccumulator:
             own.origins += int(keep.sum())
             if not keep.any():
                 continue
-            covariance = None if covariances is None or name not in covariances else covariances[name][keep]
+            covariance = (
+                None if covariances is None or name not in covariances else covariances[name][keep]
+            )
             self._sum(own, self.groups[name], predicted[keep], reference, starts[keep], covariance)
 
     def _usable(self, present: npt.NDArray[np.bool_], starts: IntArray) -> npt.NDArray[np.bool_]:
-        """Which origins count: the same ones for every predictor, so that rows of a table compare."""
+        """Which origins count: the same ones for every predictor, so that rows of a table
+        compare."""
         if self.missing == "step":
             return np.logical_or.accumulate(present)[starts]
         return complete_origins(present, starts, required=self.required)
@@ -184,7 +209,9 @@ class HorizonAccumulator:
     ) -> None:
         index = starts[:, None] + np.arange(1, self.steps + 1)
         inside = index < len(reference)
-        target = np.where(inside[..., None], reference[np.minimum(index, len(reference) - 1)], np.nan)
+        target = np.where(
+            inside[..., None], reference[np.minimum(index, len(reference) - 1)], np.nan
+        )
         wanted = np.isfinite(target).all(axis=2)
         errors = error_vectors(kind, predicted, target)
         norms = np.linalg.norm(errors, axis=2)
@@ -201,7 +228,10 @@ class HorizonAccumulator:
         if covariance is not None:
             stated = wanted & np.isfinite(covariance).all(axis=(2, 3))
             judged = stated & ~diverged
-            distance, density = np.full(norms.shape, np.inf), np.where(stated & diverged, np.inf, 0.0)
+            distance, density = (
+                np.full(norms.shape, np.inf),
+                np.where(stated & diverged, np.inf, 0.0),
+            )
             distance[judged] = mahalanobis_squared(errors[judged], covariance[judged])
             density[judged] = gaussian_nlpd(errors[judged], covariance[judged])
             own.judged += stated.sum(axis=0)
@@ -213,7 +243,8 @@ class HorizonAccumulator:
     def table(self) -> HorizonTable:
         """The table so far. Raises `DataError` where no origin was usable in any group."""
         flights = {
-            name: {g: _finish([s]) for g, s in groups.items() if s.origins} for name, groups in self._flights.items()
+            name: {g: _finish([s]) for g, s in groups.items() if s.origins}
+            for name, groups in self._flights.items()
         }
         if not any(flights.values()):
             raise DataError(
@@ -222,7 +253,9 @@ class HorizonAccumulator:
             )
         pooled: dict[str, GroupErrors] = {}
         for g in self.groups:
-            parts: Sequence[_Sums] = [f[g] for f in self._flights.values() if g in f and f[g].origins]
+            parts: Sequence[_Sums] = [
+                f[g] for f in self._flights.values() if g in f and f[g].origins
+            ]
             if parts:
                 pooled[g] = _finish(parts)
         measured = {g for f in self._flights.values() for g in f}
@@ -245,7 +278,9 @@ def _finish(parts: Sequence[_Sums]) -> GroupErrors:
     if judged.any():
         nlpd = np.where(judged > 0, sum(p.density for p in parts) / np.maximum(judged, 1.0), np.nan)
         coverage = {
-            level: np.where(judged > 0, sum(p.covered[level] for p in parts) / np.maximum(judged, 1.0), np.nan)
+            level: np.where(
+                judged > 0, sum(p.covered[level] for p in parts) / np.maximum(judged, 1.0), np.nan
+            )
             for level in LEVELS
         }
     return GroupErrors(

@@ -1,4 +1,5 @@
-"""The result of a multi-step evaluation: errors per group and horizon, pooled and per flight, as JSON and as text."""
+"""The result of a multi-step evaluation: errors per group and horizon, pooled and per flight, as
+JSON and as text."""
 
 from __future__ import annotations
 
@@ -25,13 +26,14 @@ IntArray = npt.NDArray[np.int64]
 class GroupErrors:
     """Errors of one group at h = 1..H, arrays (H,): index h - 1.
 
-    `mae` and `rmse` [unit of the group] are of the vector norm, `n` the errors behind them, `diverged` how many of
-    these predictions were not finite. NaN stands where n = 0. `origins` were used and `left_out` lacked reference
-    samples. `block_sums` (B, H) are sums of the error norm over the origins of one block of consecutive time, with
-    `block_counts` errors behind them: what a standard error is made of. Predictors that were given the same origins
-    have the same blocks. `coverage` maps a level to the fraction of error vectors inside the ellipsoid that the
-    stated covariance gives to that level, (H,); `nlpd` (H,) is the mean negative log density of the error vectors
-    [nat]. None: nothing stated.
+    `mae` and `rmse` [unit of the group] are of the vector norm, `n` the errors behind them,
+    `diverged` how many of these predictions were not finite. NaN stands where n = 0. `origins` were
+    used and `left_out` lacked reference samples. `block_sums` (B, H) are sums of the error norm
+    over the origins of one block of consecutive time, with `block_counts` errors behind them: what
+    a standard error is made of. Predictors that were given the same origins have the same blocks.
+    `coverage` maps a level to the fraction of error vectors inside the ellipsoid that the stated
+    covariance gives to that level, (H,); `nlpd` (H,) is the mean negative log density of the error
+    vectors [nat]. None: nothing stated.
     """
 
     mae: FloatArray
@@ -48,10 +50,11 @@ class GroupErrors:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class HorizonTable(Shown):
-    """Multi-step errors of one predictor: `groups` pooled over all flights, `flights` the same for each of them.
+    """Multi-step errors of one predictor: `groups` pooled over all flights, `flights` the same for
+    each of them.
 
-    `unjudged` groups were measured, but no origin had the references that it needs. `kinds` says of every group its unit
-    and columns.
+    `unjudged` groups were measured, but no origin had the references that it needs. `kinds` says of
+    every group its unit and columns.
     """
 
     label: str
@@ -68,14 +71,18 @@ class HorizonTable(Shown):
         return len(next(iter(self.groups.values())).mae)
 
     def simerr(self, flight: str | None = None) -> dict[str, float]:
-        """Sum over h = 1..required of the mean absolute error, per group [its unit]; of one flight if named."""
+        """Sum over h = 1..required of the mean absolute error, per group [its unit]; of one flight
+        if named."""
         groups = self.groups if flight is None else self.flights[flight]
         return {g: float(e.mae[: self.required].sum()) for g, e in groups.items()}
 
     def _shown_text(self) -> str:
         """The table at some horizons."""
         origins = max((e.origins for e in self.groups.values()), default=0)
-        first = f"{self.label}: errors up to {self.steps * self.sample_time:.3g} s ahead, {origins} origins"
+        first = (
+            f"{self.label}: errors up to {self.steps * self.sample_time:.3g} s ahead, "
+            f"{origins} origins"
+        )
         return f"{first}\n{format_tables([self])}" if self.groups else first
 
     def _shown_rows(self, horizons: Iterable[int] | None = None) -> list[dict[str, Cell]]:
@@ -104,12 +111,18 @@ class HorizonTable(Shown):
         """Mean absolute error at h = 1..H per group [unit of the group], for plots."""
         return {g: e.mae.tolist() for g, e in self.groups.items()}
 
-    def _rows(self, groups: Mapping[str, GroupErrors], horizons: Iterable[int]) -> list[dict[str, Any]]:
+    def _rows(
+        self, groups: Mapping[str, GroupErrors], horizons: Iterable[int]
+    ) -> list[dict[str, Any]]:
         return [
             {
                 "h": int(h),
                 "seconds": float(f"{h * self.sample_time:.9g}"),
-                "groups": {g: _cell(self.kinds[g].unit, e, h - 1) for g, e in groups.items() if e.n[h - 1] > 0},
+                "groups": {
+                    g: _cell(self.kinds[g].unit, e, h - 1)
+                    for g, e in groups.items()
+                    if e.n[h - 1] > 0
+                },
             }
             for h in horizons
         ]
@@ -117,13 +130,16 @@ class HorizonTable(Shown):
     def to_dict(self, horizons: Sequence[int] | None = None) -> dict[str, Any]:
         """Plain values: label, origins, horizons, simerr, per_flight {name: {horizons, simerr}}.
 
-        `horizons` are the steps to list (default 1, 10, 50 as far as they are there; the whole curve with
-        `range(1, table.steps + 1)`). Raises `DataError` for a horizon that was not computed.
+        `horizons` are the steps to list (default 1, 10, 50 as far as they are there; the whole
+        curve with `range(1, table.steps + 1)`). Raises `DataError` for a horizon that was not
+        computed.
         """
         wanted = self._check(horizons)
         return {
             "label": self.label,
-            "origins": {g: {"used": e.origins, "left_out": e.left_out} for g, e in self.groups.items()},
+            "origins": {
+                g: {"used": e.origins, "left_out": e.left_out} for g, e in self.groups.items()
+            },
             "horizons": self._rows(self.groups, wanted),
             "simerr": self.simerr(),
             "per_flight": {
@@ -133,10 +149,16 @@ class HorizonTable(Shown):
         }
 
     def _check(self, horizons: Sequence[int] | None) -> list[int]:
-        wanted = [h for h in (1, 10, 50) if h <= self.steps] if horizons is None else [int(h) for h in horizons]
+        wanted = (
+            [h for h in (1, 10, 50) if h <= self.steps]
+            if horizons is None
+            else [int(h) for h in horizons]
+        )
         bad = [h for h in wanted if not 1 <= h <= self.steps]
         if bad:
-            raise DataError(f"horizon {bad[0]} was not computed", expected=f"1 .. {self.steps}", got=str(bad[0]))
+            raise DataError(
+                f"horizon {bad[0]} was not computed", expected=f"1 .. {self.steps}", got=str(bad[0])
+            )
         return wanted
 
     @property
@@ -145,7 +167,8 @@ class HorizonTable(Shown):
         return int(sum(e.diverged.sum() for e in self.groups.values()))
 
     def format(self, horizons: Sequence[int] | None = None, *others: HorizonTable) -> str:
-        """A text table of the mean absolute error and SimErr; `others` (baselines) become rows below."""
+        """A text table of the mean absolute error and SimErr; `others` (baselines) become rows
+        below."""
         return format_tables([self, *others], horizons)
 
 
@@ -176,7 +199,8 @@ def plot_tables(tables: Sequence[HorizonTable], ax: Sequence[Axes] | None = None
 
 
 def format_tables(tables: Sequence[HorizonTable], horizons: Sequence[int] | None = None) -> str:
-    """Several predictors under each other: mean absolute error at each horizon and SimErr, a block per group.
+    """Several predictors under each other: mean absolute error at each horizon and SimErr, a block
+    per group.
 
     Raises `DataError` for no table, or a horizon that was not computed.
     """
@@ -192,6 +216,8 @@ def format_tables(tables: Sequence[HorizonTable], horizons: Sequence[int] | None
         for t in tables:
             if g not in t.groups:
                 continue
-            cells = "".join(f"{t.groups[g].mae[h - 1]:>10.4f}" if h <= t.steps else f"{'-':>10}" for h in wanted)
+            cells = "".join(
+                f"{t.groups[g].mae[h - 1]:>10.4f}" if h <= t.steps else f"{'-':>10}" for h in wanted
+            )
             lines.append(f"  {t.label:<{width}}{cells}{t.simerr()[g]:>10.3f}")
     return "\n".join(lines)

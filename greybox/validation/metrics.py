@@ -1,9 +1,10 @@
 """Error measures of predictions against measurements, with missing samples masked and counted.
 
-Definitions. With e = y - y_hat over n samples of d components: MSE = mean(e^2), RMSE = sqrt(MSE); R^2 = 1 - sum(e^2) /
-sum((y - mean y)^2), sums over samples and components with a mean per component; fit = 100 (1 - |e| / |y - mean y|), the
-NRMSE fit of L. Ljung, "System Identification: Theory for the User", 2nd ed., 1999; VAF = 100 (1 - var(e) / var(y)),
-which a constant offset does not lower. The mean absolute error of a vector is the mean of its Euclidean norm.
+Definitions. With e = y - y_hat over n samples of d components: MSE = mean(e^2), RMSE = sqrt(MSE);
+R^2 = 1 - sum(e^2) / sum((y - mean y)^2), sums over samples and components with a mean per
+component; fit = 100 (1 - |e| / |y - mean y|), the NRMSE fit of L. Ljung, "System Identification:
+Theory for the User", 2nd ed., 1999; VAF = 100 (1 - var(e) / var(y)), which a constant offset does
+not lower. The mean absolute error of a vector is the mean of its Euclidean norm.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ ArrayLike = npt.ArrayLike
 
 
 def mse(measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike | None = None) -> float:
-    """Mean squared error over samples and components [unit^2]; arrays (N,) or (N, d). Raises `DataError`."""
+    """Mean squared error over samples and components [unit^2]; arrays (N,) or (N, d). Raises
+    `DataError`."""
     y, p, _ = pairs(measured, predicted, mask)
     return float(np.mean((y - p) ** 2))
 
@@ -32,20 +34,25 @@ def rmse(measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike | None = 
     return math.sqrt(mse(measured, predicted, mask=mask))
 
 
-def norm_errors(measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike | None = None) -> FloatArray:
-    """Euclidean norm of the error of every compared sample, (n,) [unit]; arrays (N,) or (N, d). Raises `DataError`."""
+def norm_errors(
+    measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike | None = None
+) -> FloatArray:
+    """Euclidean norm of the error of every compared sample, (n,) [unit]; arrays (N,) or (N, d).
+    Raises `DataError`."""
     y, p, _ = pairs(measured, predicted, mask)
     norms: FloatArray = np.linalg.norm(y - p, axis=1)
     return norms
 
 
 def mae(measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike | None = None) -> float:
-    """Mean of the Euclidean norm of the error [unit]; for one column the mean absolute error. Raises `DataError`."""
+    """Mean of the Euclidean norm of the error [unit]; for one column the mean absolute error.
+    Raises `DataError`."""
     return float(norm_errors(measured, predicted, mask=mask).mean())
 
 
 def _spread(y: FloatArray) -> float:
-    """Sum of squares about the mean of each component; `DataError` where the measurement does not move at all."""
+    """Sum of squares about the mean of each component; `DataError` where the measurement does not
+    move at all."""
     total = float(np.sum((y - y.mean(axis=0)) ** 2))
     floor = np.finfo(np.float64).eps ** 2 * float(np.sum(y * y))
     if not total > 4.0 * floor * len(y):
@@ -57,7 +64,8 @@ def _spread(y: FloatArray) -> float:
 
 
 def r_squared(measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike | None = None) -> float:
-    """Coefficient of determination R^2 [-], 1 = perfect, 0 = as good as the mean, negative = worse than the mean.
+    """Coefficient of determination R^2 [-], 1 = perfect, 0 = as good as the mean, negative = worse
+    than the mean.
 
     Raises `DataError` where the measurement is constant.
     """
@@ -65,13 +73,17 @@ def r_squared(measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike | No
     return 1.0 - float(np.sum((y - p) ** 2)) / _spread(y)
 
 
-def fit_percentage(measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike | None = None) -> float:
-    """NRMSE fit [%]: 100 (1 - sqrt(1 - R^2)). Raises `DataError` where the measurement is constant."""
+def fit_percentage(
+    measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike | None = None
+) -> float:
+    """NRMSE fit [%]: 100 (1 - sqrt(1 - R^2)). Raises `DataError` where the measurement is
+    constant."""
     return 100.0 * (1.0 - math.sqrt(max(0.0, 1.0 - r_squared(measured, predicted, mask=mask))))
 
 
 def vaf(measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike | None = None) -> float:
-    """Variance accounted for [%]; blind to a constant offset. Raises `DataError` where the measurement is constant."""
+    """Variance accounted for [%]; blind to a constant offset. Raises `DataError` where the
+    measurement is constant."""
     y, p, _ = pairs(measured, predicted, mask)
     error = y - p
     return 100.0 * (1.0 - float(np.sum((error - error.mean(axis=0)) ** 2)) / _spread(y))
@@ -79,10 +91,11 @@ def vaf(measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike | None = N
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelMetrics:
-    """All error measures of one channel (or of one vector of channels). `r2`, `fit`, `vaf` are None for a constant one.
+    """All error measures of one channel (or of one vector of channels). `r2`, `fit`, `vaf` are None
+    for a constant one.
 
-    `n` samples were compared, `missing` were left out; `mse` in unit^2, `rmse`, `mae` and `bias` (the norm of the mean
-    error) in `unit`, `fit` and `vaf` in percent.
+    `n` samples were compared, `missing` were left out; `mse` in unit^2, `rmse`, `mae` and `bias`
+    (the norm of the mean error) in `unit`, `fit` and `vaf` in percent.
     """
 
     n: int

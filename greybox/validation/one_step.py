@@ -1,4 +1,5 @@
-"""One-step errors of a filter, collected over flights: metrics per channel, residual tests, coverage of intervals."""
+"""One-step errors of a filter, collected over flights: metrics per channel, residual tests,
+coverage of intervals."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 
 @dataclass(kw_only=True)
 class OneStep:
-    """Adds up what the filter predicted one sample ahead; `metrics`, `tests` and `coverage` give the results."""
+    """Adds up what the filter predicted one sample ahead; `metrics`, `tests` and `coverage` give
+    the results."""
 
     dynamics: Dynamics
     measured: list[FloatArray] = field(default_factory=list)
@@ -65,19 +67,24 @@ class OneStep:
         }
 
     def coverage(self) -> dict[str, Sequence[Coverage]]:
-        """Per innovation component the share inside the predicted intervals; the bands are block bootstraps."""
+        """Per innovation component the share inside the predicted intervals; the bands are block
+        bootstraps."""
         out: dict[str, Sequence[Coverage]] = {}
         for i, name in enumerate(self.dynamics.innovations.names):
             parts = [z[:, i] for z in self.normalised if np.isfinite(z[:, i]).any()]
             if parts:
-                out[name] = [interval_coverage(parts, 1.0, nominal=level, block=50) for level in LEVELS]
+                out[name] = [
+                    interval_coverage(parts, 1.0, nominal=level, block=50) for level in LEVELS
+                ]
         return out
 
     def tests(self) -> tuple[Whiteness | None, CrossCorrelation | None, list[str]]:
         """(whiteness, cross-correlation with the inputs, warnings why one of them is missing)."""
         said: list[str] = []
         names = self.dynamics.innovations.names
-        keep = [i for i in range(len(names)) if any(np.isfinite(z[:, i]).any() for z in self.normalised)]
+        keep = [
+            i for i in range(len(names)) if any(np.isfinite(z[:, i]).any() for z in self.normalised)
+        ]
         z = [v[:, keep] for v in self.normalised]
         white: Whiteness | None = None
         cross: CrossCorrelation | None = None
@@ -87,7 +94,10 @@ class OneStep:
             said.append(f"no whiteness test: {error}")
         try:
             cross = cross_correlation(
-                z, self.inputs, names=[names[i] for i in keep], input_names=self.dynamics.inputs.names
+                z,
+                self.inputs,
+                names=[names[i] for i in keep],
+                input_names=self.dynamics.inputs.names,
             )
         except DataError as error:
             said.append(f"no test of the innovations against the inputs: {error}")

@@ -1,8 +1,8 @@
 """Open-loop predictions of an identified model in the channel groups of the multi-step tables.
 
-From origin k the state is x_hat(k+1 | k), the filter's, from measurements up to k; recorded commands drive k+1 .. k+H.
-Groups that the filter does not measure but whose state it carries (velocity, where only the position is measured
-causally) are read from the predicted state.
+From origin k the state is x_hat(k+1 | k), the filter's, from measurements up to k; recorded
+commands drive k+1 .. k+H. Groups that the filter does not measure but whose state it carries
+(velocity, where only the position is measured causally) are read from the predicted state.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ class GroupReader:
         self.table = groups_of(model.dynamics)
         self._states = model.dynamics.states.names
         self._columns = {
-            name: [outputs[c] for c in g.columns] for name, g in self.table.items() if all(c in outputs for c in g.columns)
+            name: [outputs[c] for c in g.columns]
+            for name, g in self.table.items()
+            if all(c in outputs for c in g.columns)
         }
         self._velocity = None if "velocity" in self._columns else _velocity_reading(model)
 
@@ -48,7 +50,8 @@ class GroupReader:
         return tuple(g for g in self.table if g in own)
 
     def judged(self, channels: Iterable[str]) -> tuple[str, ...]:
-        """Groups with a reference among `channels`; the specific force only where no pose is there (IMU-only logs)."""
+        """Groups with a reference among `channels`; the specific force only where no pose is there
+        (IMU-only logs)."""
         have = set(channels)
         there = [g for g in self.groups if have.issuperset(self.table[g].columns)]
         posed = any(p in there and not self.table[p].own for p in POSE)
@@ -64,9 +67,14 @@ class GroupReader:
         return self._velocity is not None
 
     def values(
-        self, outputs: FloatArray, states: FloatArray | None, p: FloatArray, commands: FloatArray | None = None
+        self,
+        outputs: FloatArray,
+        states: FloatArray | None,
+        p: FloatArray,
+        commands: FloatArray | None = None,
     ) -> dict[str, FloatArray]:
-        """Group -> (..., dimension) from outputs (..., n_y), states (..., n_x) and commands (..., n_u) at p (n_p)."""
+        """Group -> (..., dimension) from outputs (..., n_y), states (..., n_x) and commands (...,
+        n_u) at p (n_p)."""
         read = {g: outputs[..., at] for g, at in self._columns.items()}
         if self._velocity is not None:
             assert states is not None
@@ -78,8 +86,11 @@ class GroupReader:
         return {g: read[g] for g in self.groups}
 
 
-def _velocity_reading(model: IdentifiedModel) -> tuple[Callable[[FloatArray], Any], list[int], list[int]] | None:
-    """How the velocity sensor would read: (p -> function of some states and commands, those states, those commands).
+def _velocity_reading(
+    model: IdentifiedModel,
+) -> tuple[Callable[[FloatArray], Any], list[int], list[int]] | None:
+    """How the velocity sensor would read: (p -> function of some states and commands, those states,
+    those commands).
 
     None where no state carries the velocity. The command is taken as held through the delay.
     """
@@ -88,13 +99,18 @@ def _velocity_reading(model: IdentifiedModel) -> tuple[Callable[[FloatArray], An
         return None
     sensor = next(s for s in SENSORS if s.name == "velocity")
     seeing = with_physics(model.dynamics, lambda own: replace(own, sensors=(*own.sensors, sensor)))
-    x, p = ca.SX.sym("x", len(model.dynamics.states)), ca.SX.sym("p", len(model.dynamics.parameters))
+    x, p = (
+        ca.SX.sym("x", len(model.dynamics.states)),
+        ca.SX.sym("p", len(model.dynamics.parameters)),
+    )
     u = ca.SX.sym("u", len(physics.inputs))
     window = ca.repmat(u, 1, sum(seeing.window) + 1)
     quiet = ca.DM.zeros(len(seeing.noises))
     y = seeing.output(0, x, window, p, quiet, model.sample_time)
     v = y[[seeing.outputs[c] for c in GROUPS["velocity"].columns]]
-    rows, moves = ([i for i in range(s.numel()) if any(ca.which_depends(v, s[i], 1, False))] for s in (x, u))
+    rows, moves = (
+        [i for i in range(s.numel()) if any(ca.which_depends(v, s[i], 1, False))] for s in (x, u)
+    )
 
     def at(values: FloatArray) -> Any:
         fixed = ca.substitute(v, p, ca.DM(values))
@@ -115,8 +131,9 @@ def predict_from(
 ) -> dict[str, FloatArray]:
     """Group -> predictions (m, steps, dimension) of samples k+1 .. k+steps from every origin k.
 
-    Past the end of the record the last command is held (those predictions have no reference). With `measured_start` the
-    state at k is the measured one (`references`, smoothed velocities included), rotors and disturbances the filter's.
+    Past the end of the record the last command is held (those predictions have no reference). With
+    `measured_start` the state at k is the measured one (`references`, smoothed velocities
+    included), rotors and disturbances the filter's.
     """
     record = filtered.record
     past = engine.past
@@ -141,17 +158,25 @@ def predict_from(
     ahead = first[:, None] + np.arange(1, steps + 1) + past
     if measured_start:
         outputs, states = outputs[:, 1:], None if states is None else states[:, 1:]
-    return reader.values(outputs, states, filtered.p, inputs[ahead] if reader.needs_states else None)
+    return reader.values(
+        outputs, states, filtered.p, inputs[ahead] if reader.needs_states else None
+    )
 
 
 def started_at_measurement(
-    filtered: Filtered, reader: GroupReader, origins: IntArray, references: Mapping[str, FloatArray], past: int = 0
+    filtered: Filtered,
+    reader: GroupReader,
+    origins: IntArray,
+    references: Mapping[str, FloatArray],
+    past: int = 0,
 ) -> FloatArray:
-    """States (m, n_x) at the origins whose outputs equal the measured pose, velocity and rate there.
+    """States (m, n_x) at the origins whose outputs equal the measured pose, velocity and rate
+    there.
 
-    The predicted state x_hat(k | k-1) is moved by the difference between measured and predicted values (constant sensor
-    offsets and turns stay as they are); a sample that is not measured leaves its part of the state as predicted. `past` is
-    the number of commands before the first sample in the record.
+    The predicted state x_hat(k | k-1) is moved by the difference between measured and predicted
+    values (constant sensor offsets and turns stay as they are); a sample that is not measured
+    leaves its part of the state as predicted. `past` is the number of commands before the first
+    sample in the record.
     """
     states, commands = filtered.states[origins].copy(), filtered.record.inputs[origins + past]
     predicted = reader.values(filtered.outputs[origins], states, filtered.p, commands)
@@ -169,7 +194,8 @@ def started_at_measurement(
         if not seen.any():
             continue
         if group == "rotation":
-            # q_meas = q * q_mis: carry the predicted sensor-to-body turn over to the measured attitude.
+            # q_meas = q * q_mis: carry the predicted sensor-to-body turn over to the measured
+            # attitude.
             conjugate = predicted[group][seen] * np.array([1.0, -1.0, -1.0, -1.0])
             turn = numeric("multiply", conjugate, states[np.ix_(seen, at)])
             moved = numeric("multiply", target[seen], turn)

@@ -1,7 +1,8 @@
 """Pieces of flights that are left out: how a model is judged where there are no test flights.
 
-Whoever has test flights should use them: neighbouring pieces of one flight share battery, trim and air. Pieces are long
-stretches with the seconds between them dropped, so that no error ahead reaches into what was fitted.
+Whoever has test flights should use them: neighbouring pieces of one flight share battery, trim and
+air. Pieces are long stretches with the seconds between them dropped, so that no error ahead reaches
+into what was fitted.
 """
 
 from __future__ import annotations
@@ -36,18 +37,21 @@ class Split:
 def leave_out(data: Dataset, *, share: float = 1 / 3) -> Split:
     """The last `share` of the time of every flight is left out.
 
-    Raises `DataError` for a share outside (0, 1), and where nothing long enough remains on either side.
+    Raises `DataError` for a share outside (0, 1), and where nothing long enough remains on either
+    side.
     """
     if not 0.0 < share < 1.0:
-        raise DataError("share of the flights to leave out", expected="between 0 and 1", got=f"{share:g}")
+        raise DataError(
+            "share of the flights to leave out", expected="between 0 and 1", got=f"{share:g}"
+        )
     return _split(data, lambda flight: [_span(flight, 1.0 - share, 1.0)])
 
 
 def folds(data: Dataset, *, count: int = 3) -> tuple[Split, ...]:
     """`count` splits: in the k-th, the k-th of `count` equal times of every flight is left out.
 
-    Together the left-out pieces cover the flights, apart from the seconds at the cuts. Raises `DataError` for fewer than
-    two, and for flights that are too short.
+    Together the left-out pieces cover the flights, apart from the seconds at the cuts. Raises
+    `DataError` for fewer than two, and for flights that are too short.
     """
     if count < 2:
         raise DataError("folds of the flights", expected="two or more", got=str(count))
@@ -59,13 +63,17 @@ def folds(data: Dataset, *, count: int = 3) -> tuple[Split, ...]:
 
 
 def alternating(data: Dataset, *, seconds: float = 5.0) -> Split:
-    """Every second stretch of `seconds` [s] of every flight is left out: both halves see the whole flight.
+    """Every second stretch of `seconds` [s] of every flight is left out: both halves see the whole
+    flight.
 
-    Raises `DataError` for stretches below `SHORTEST` and two cuts, and for flights that are too short.
+    Raises `DataError` for stretches below `SHORTEST` and two cuts, and for flights that are too
+    short.
     """
     if not seconds >= SHORTEST + 2 * GUARD:
         raise DataError(
-            "alternating pieces", expected=f"at least {SHORTEST + 2 * GUARD:g} s each", got=f"{seconds:g} s"
+            "alternating pieces",
+            expected=f"at least {SHORTEST + 2 * GUARD:g} s each",
+            got=f"{seconds:g} s",
         )
 
     def spans(flight: Flight) -> list[tuple[float, float]]:
@@ -83,7 +91,9 @@ def judge_pieces(
 
     The words of the verdict say so. Raises what `validate` raises.
     """
-    return validate(model, split.left_out, adapt=adapt, judged_on=LEFT_OUT, use_compiler=use_compiler)
+    return validate(
+        model, split.left_out, adapt=adapt, judged_on=LEFT_OUT, use_compiler=use_compiler
+    )
 
 
 def _span(flight: Flight, first: float, last: float) -> tuple[float, float]:
@@ -106,13 +116,18 @@ def _split(data: Dataset, spans: Spans) -> Split:
                 target.append(part)
     if not fitted or not left:
         raise DataError(
-            "the flights are too short to leave a piece out", expected=f"stretches of {SHORTEST:g} s", fix="--test"
+            "the flights are too short to leave a piece out",
+            expected=f"stretches of {SHORTEST:g} s",
+            fix="--test",
         )
     return Split(fitted=Dataset(flights=tuple(fitted)), left_out=Dataset(flights=tuple(left)))
 
 
-def _part(flight: Flight, stretches: list[tuple[float, float]], begin: float, end: float) -> Flight | None:
-    """The stretches of a flight, shortened by half the guard at every cut; None where none is long enough."""
+def _part(
+    flight: Flight, stretches: list[tuple[float, float]], begin: float, end: float
+) -> Flight | None:
+    """The stretches of a flight, shortened by half the guard at every cut; None where none is long
+    enough."""
     kept: list[Segment] = []
     for a, b in stretches:
         first = a if a <= begin + 1e-9 else a + 0.5 * GUARD

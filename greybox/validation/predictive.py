@@ -1,8 +1,9 @@
-"""Scores of a Gaussian prediction, mean and variance per sample: NLPD, CRPS, coverage, PIT, sharpness.
+"""Scores of a Gaussian prediction, mean and variance per sample: NLPD, CRPS, coverage, PIT,
+sharpness.
 
-Gneiting and Raftery 2007, Strictly proper scoring rules, prediction and estimation, JASA 102(477); Gneiting, Balabdaoui
-and Raftery 2007, Probabilistic forecasts, calibration and sharpness, JRSS B 69(2). Samples that are not measured (NaN)
-are left out of every score.
+Gneiting and Raftery 2007, Strictly proper scoring rules, prediction and estimation, JASA 102(477);
+Gneiting, Balabdaoui and Raftery 2007, Probabilistic forecasts, calibration and sharpness, JRSS B
+69(2). Samples that are not measured (NaN) are left out of every score.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ LEVELS = (0.50, 0.68, 0.95)
 """The levels at which the coverage of predictions is stated."""
 
 
-def _seen(y: npt.ArrayLike, mean: npt.ArrayLike, variance: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _seen(
+    y: npt.ArrayLike, mean: npt.ArrayLike, variance: npt.ArrayLike
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Measured samples: (error, variance, standardised error), flat."""
     value = np.asarray(y, dtype=np.float64)
     m, v = (np.broadcast_to(np.asarray(a, dtype=np.float64), value.shape) for a in (mean, variance))
@@ -47,7 +50,11 @@ def crps(y: npt.ArrayLike, mean: npt.ArrayLike, variance: npt.ArrayLike) -> floa
     """Mean continuous ranked probability score, unit of y (Gneiting and Raftery 2007, eq. 21)."""
     _, v, z = _seen(y, mean, variance)
     density = np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
-    return float(np.mean(np.sqrt(v) * (z * (2 * scipy.special.ndtr(z) - 1) + 2 * density - 1 / np.sqrt(np.pi))))
+    return float(
+        np.mean(
+            np.sqrt(v) * (z * (2 * scipy.special.ndtr(z) - 1) + 2 * density - 1 / np.sqrt(np.pi))
+        )
+    )
 
 
 def coverage(y: npt.ArrayLike, mean: npt.ArrayLike, variance: npt.ArrayLike, level: float) -> float:
@@ -61,8 +68,11 @@ def sharpness(y: npt.ArrayLike, mean: npt.ArrayLike, variance: npt.ArrayLike) ->
     return float(np.mean(np.sqrt(_seen(y, mean, variance)[1])))
 
 
-def pit(y: npt.ArrayLike, mean: npt.ArrayLike, variance: npt.ArrayLike, *, bins: int = 20) -> FloatArray:
-    """Histogram (bins,) of the probability integral transform; a calibrated prediction has 1/bins everywhere."""
+def pit(
+    y: npt.ArrayLike, mean: npt.ArrayLike, variance: npt.ArrayLike, *, bins: int = 20
+) -> FloatArray:
+    """Histogram (bins,) of the probability integral transform; a calibrated prediction has 1/bins
+    everywhere."""
     _, _, z = _seen(y, mean, variance)
     counts = np.histogram(scipy.special.ndtr(z), bins=bins, range=(0.0, 1.0))[0]
     return np.asarray(counts / counts.sum(), dtype=np.float64)
@@ -70,7 +80,8 @@ def pit(y: npt.ArrayLike, mean: npt.ArrayLike, variance: npt.ArrayLike, *, bins:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scores:
-    """All scores of one channel. `coverage` maps the levels of `LEVELS` to shares; `pit` is a histogram (20,)."""
+    """All scores of one channel. `coverage` maps the levels of `LEVELS` to shares; `pit` is a
+    histogram (20,)."""
 
     n: int
     mse: float
@@ -84,30 +95,45 @@ class Scores:
         """Plain values; coverage50, coverage68, coverage95 as in the result files."""
         covered = {f"coverage{round(100 * level)}": share for level, share in self.coverage.items()}
         return {
-            "n": self.n, "mse": self.mse, "nlpd": self.nlpd, "crps": self.crps, "sharpness": self.sharpness, **covered,
+            "n": self.n,
+            "mse": self.mse,
+            "nlpd": self.nlpd,
+            "crps": self.crps,
+            "sharpness": self.sharpness,
+            **covered,
             "pit": self.pit.tolist(),
-        }  # fmt: skip
+        }
 
 
 def score(y: npt.ArrayLike, mean: npt.ArrayLike, variance: npt.ArrayLike) -> Scores:
-    """All scores of predictions of one channel; arrays of one shape. Raises `DataError` where nothing was measured."""
+    """All scores of predictions of one channel; arrays of one shape. Raises `DataError` where
+    nothing was measured."""
     error, _, _ = _seen(y, mean, variance)
     return Scores(
-        n=len(error), mse=float(np.mean(error * error)), nlpd=nlpd(y, mean, variance), crps=crps(y, mean, variance),
+        n=len(error),
+        mse=float(np.mean(error * error)),
+        nlpd=nlpd(y, mean, variance),
+        crps=crps(y, mean, variance),
         sharpness=sharpness(y, mean, variance),
-        coverage={level: coverage(y, mean, variance, level) for level in LEVELS}, pit=pit(y, mean, variance),
-    )  # fmt: skip
+        coverage={level: coverage(y, mean, variance, level) for level in LEVELS},
+        pit=pit(y, mean, variance),
+    )
 
 
 def gaussian_nlpd(errors: FloatArray, covariance: FloatArray) -> FloatArray:
-    """-log N(error; 0, covariance) [nat], (...,), of error vectors (..., d) with covariances (..., d, d).
+    """-log N(error; 0, covariance) [nat], (...,), of error vectors (..., d) with covariances (...,
+    d, d).
 
     Raises `DataError` where a covariance is not positive definite.
     """
     try:
         root = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:
-        raise DataError("a predicted covariance is not positive definite", fix="check the noise levels") from None
+        raise DataError(
+            "a predicted covariance is not positive definite", fix="check the noise levels"
+        ) from None
     white = np.linalg.solve(root, errors[..., None])[..., 0]
     logdet = 2 * np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
-    return np.asarray(0.5 * (np.sum(white * white, axis=-1) + logdet + errors.shape[-1] * np.log(2 * np.pi)))
+    return np.asarray(
+        0.5 * (np.sum(white * white, axis=-1) + logdet + errors.shape[-1] * np.log(2 * np.pi))
+    )

@@ -1,4 +1,5 @@
-"""Validation: the result of `validate`, as a value that prints and saves (schema "greybox.validate/1")."""
+"""Validation: the result of `validate`, as a value that prints and saves (schema
+"greybox.validate/1")."""
 
 from __future__ import annotations
 
@@ -27,11 +28,12 @@ SCHEMA = "greybox.validate/1"
 class Validation(Shown):
     """Errors of a model on flights that it was not fitted to.
 
-    `table` holds the model's multi-step errors from the filter's state, `persistence` and `dead_reckoning` the rows
-    beside it, `measured_start` the model started from the measured state; None where there is nothing to compute.
-    `one_step`, `coverage` per channel; `whiteness` and `cross_correlation` of the normalised innovations.
-    `adaptation` per flight, where per-flight parameters were fitted on its first `adapted_seconds`. `horizons` are the
-    samples that are listed; `verdict` is None where the flights were too short to judge.
+    `table` holds the model's multi-step errors from the filter's state, `persistence` and
+    `dead_reckoning` the rows beside it, `measured_start` the model started from the measured state;
+    None where there is nothing to compute. `one_step`, `coverage` per channel; `whiteness` and
+    `cross_correlation` of the normalised innovations. `adaptation` per flight, where per-flight
+    parameters were fitted on its first `adapted_seconds`. `horizons` are the samples that are
+    listed; `verdict` is None where the flights were too short to judge.
     """
 
     model: str
@@ -66,13 +68,21 @@ class Validation(Shown):
         return plot_tables(self.tables, ax)
 
     def judged(self, *, hints: Iterable[Hint] = (), judged_on: str | None = None) -> Validation:
-        """The same errors, judged again with `hints` and other words for what the flights are to the model."""
+        """The same errors, judged again with `hints` and other words for what the flights are to
+        the model."""
         if self.verdict is None or self.table is None or self.persistence is None:
             return self
         words = self.verdict.judged_on if judged_on is None else judged_on
-        rule = standard_of(self.sample_time) if any(g.own for g in self.table.kinds.values()) else None
+        rule = (
+            standard_of(self.sample_time) if any(g.own for g in self.table.kinds.values()) else None
+        )
         verdict = judge(
-            self.table, self.persistence, self.dead_reckoning, judged_on=words, hints=hints, standard=rule
+            self.table,
+            self.persistence,
+            self.dead_reckoning,
+            judged_on=words,
+            hints=hints,
+            standard=rule,
         )
         return replace(self, verdict=verdict)
 
@@ -84,7 +94,11 @@ class Validation(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, schema "greybox.validate/1"."""
-        own = self.table.to_dict(self.horizons) if self.table is not None else {"horizons": [], "simerr": {}}
+        own = (
+            self.table.to_dict(self.horizons)
+            if self.table is not None
+            else {"horizons": [], "simerr": {}}
+        )
 
         def row(table: HorizonTable | None) -> dict[str, Any] | None:
             return None if table is None else table.to_dict(self.horizons)
@@ -92,8 +106,9 @@ class Validation(Shown):
         adapted = None
         if self.adapted_seconds is not None:
             adapted = {
-                "seconds": self.adapted_seconds, "flights": {n: a.to_dict() for n, a in self.adaptation.items()},
-            }  # fmt: skip
+                "seconds": self.adapted_seconds,
+                "flights": {n: a.to_dict() for n, a in self.adaptation.items()},
+            }
         return {
             "schema": SCHEMA,
             "verdict": None if self.verdict is None else self.verdict.to_dict(),
@@ -108,7 +123,9 @@ class Validation(Shown):
             "adapted_on": adapted,
             "one_step": {n: m.to_dict() for n, m in self.one_step.items()},
             "whiteness": None if self.whiteness is None else self.whiteness.to_dict(),
-            "cross_correlation": None if self.cross_correlation is None else self.cross_correlation.to_dict(),
+            "cross_correlation": None
+            if self.cross_correlation is None
+            else self.cross_correlation.to_dict(),
             "coverage": {n: [c.to_dict() for c in cs] for n, cs in self.coverage.items()},
             "warnings": list(self.warnings),
         }
@@ -118,21 +135,33 @@ class Validation(Shown):
         return format_tables(self.tables, self.horizons) if self.tables else ""
 
     def format(self) -> str:
-        """Text for the terminal: the verdict, warnings, the multi-step tables, one-step errors and residual tests."""
+        """Text for the terminal: the verdict, warnings, the multi-step tables, one-step errors and
+        residual tests."""
         lines = [NOT_JUDGED] if self.verdict is None else [self.verdict.line]
-        lines += [f"  {line}" for line in in_words(self.verdict)] if self.verdict is not None else []
+        lines += (
+            [f"  {line}" for line in in_words(self.verdict)] if self.verdict is not None else []
+        )
         lines += [f"warning: {w}" for w in self.warnings]
-        lines.append(f"{self.model}: {len(self.flights)} flight(s), {sum(f['seconds'] for f in self.flights):.0f} s")
+        lines.append(
+            f"{self.model}: {len(self.flights)} flight(s), "
+            f"{sum(f['seconds'] for f in self.flights):.0f} s"
+        )
         if self.adapted_seconds is not None:
             lines.append(
-                f"per-flight parameters adapted on the first {self.adapted_seconds:g} s of each flight, then frozen"
+                f"per-flight parameters adapted on the first {self.adapted_seconds:g} s of each "
+                "flight, then frozen"
             )
         if self.tables:
             lines += ["", self.table_text()]
         if self.one_step:
-            lines += ["", "one step ahead" + " " * 6 + f"{'RMSE':>11}  {'R2':>7}  {'inside 95 %':>11}"]
+            lines += [
+                "",
+                "one step ahead" + " " * 6 + f"{'RMSE':>11}  {'R2':>7}  {'inside 95 %':>11}",
+            ]
             for name, m in self.one_step.items():
-                covered = [c.fraction for c in self.coverage.get(name, ()) if abs(c.nominal - 0.95) < 1e-9]
+                covered = [
+                    c.fraction for c in self.coverage.get(name, ()) if abs(c.nominal - 0.95) < 1e-9
+                ]
                 r2 = f"{m.r2:>7.4f}" if m.r2 is not None else f"{'-':>7}"
                 inside = f"{covered[0]:>11.1%}" if covered else f"{'-':>11}"
                 lines.append(f"  {name:<12} {m.rmse:>11.4g} {m.unit:<5}{r2}  {inside}")

@@ -1,8 +1,9 @@
 """Sanity: what estimates say about the model when they are nothing that a craft has.
 
-A search that lacks a cause bends the parameters that it may move until they stand for it: masses that differ from the
-scale's, torques of the wrong sign, numbers at their bounds. Each finding is therefore a sentence about the structure of the
-model, with what to try. Whether the solver converged plays no part.
+A search that lacks a cause bends the parameters that it may move until they stand for it: masses
+that differ from the scale's, torques of the wrong sign, numbers at their bounds. Each finding is
+therefore a sentence about the structure of the model, with what to try. Whether the solver
+converged plays no part.
 """
 
 from __future__ import annotations
@@ -32,23 +33,37 @@ class Limit:
 
 
 LIMITS: Mapping[str, Limit] = {
-    "sigmas": Limit(value=4.0, source="a Gaussian prior is that wrong once in 16 000; bounds of schema /1 stand there"),
+    "sigmas": Limit(
+        value=4.0,
+        source="a Gaussian prior is that wrong once in 16 000; bounds of schema /1 stand there",
+    ),
     "sigmas, rounded": Limit(value=3.95, source="4, less what the search leaves at a bound"),
     "at bounds": Limit(
-        value=3, source="one is a wide prior, two a ratio that data leave open; three is a missing cause"
+        value=3,
+        source="one is a wide prior, two a ratio that data leave open; three is a missing cause",
     ),
     "inertia, rounded": Limit(
         value=-0.013, source="margin of 5 % beyond the triangle: the slack of the vehicle reader"
     ),
     "inertia, errors": Limit(
-        value=2.0, source="standard errors of the excess: within them a body is possible, and nothing is known to be wrong"
+        value=2.0,
+        source="standard errors of the excess: within them a body is possible, and nothing is "
+        "known to be wrong",
     ),
     "inertia, least": Limit(value=0.01, source="J / (m L^2); limit of greybox.model.plausibility"),
     "inertia, most": Limit(value=3.0, source="J / (m L^2); limit of greybox.model.plausibility"),
-    "density, least": Limit(value=5.0, source="m / L^3 [kg/m^3]; limit of greybox.model.plausibility"),
-    "density, most": Limit(value=6000.0, source="m / L^3 [kg/m^3]; limit of greybox.model.plausibility"),
-    "motor time": Limit(value=0.3, source="s; large propellers take 0.2 s (greybox.model.plausibility: 0.2 s)"),
-    "hover": Limit(value=1.3, source="share of the range of commands; effects may raise thrust by 30 %"),
+    "density, least": Limit(
+        value=5.0, source="m / L^3 [kg/m^3]; limit of greybox.model.plausibility"
+    ),
+    "density, most": Limit(
+        value=6000.0, source="m / L^3 [kg/m^3]; limit of greybox.model.plausibility"
+    ),
+    "motor time": Limit(
+        value=0.3, source="s; large propellers take 0.2 s (greybox.model.plausibility: 0.2 s)"
+    ),
+    "hover": Limit(
+        value=1.3, source="share of the range of commands; effects may raise thrust by 30 %"
+    ),
 }
 """Every number that decides a finding."""
 
@@ -81,7 +96,8 @@ class Estimated(Protocol):
 class Insane:
     """One finding: what the estimates say (`statement`), why that is probably so, and what to try.
 
-    "impossible": no craft has it, the model is not usable; "doubtful": it may predict and yet be wrong inside.
+    "impossible": no craft has it, the model is not usable; "doubtful": it may predict and yet be
+    wrong inside.
     """
 
     severity: Severity
@@ -116,8 +132,11 @@ class Sanity:
         return {"possible": self.possible, "findings": [asdict(f) for f in self.findings]}
 
 
-def sanity(estimates: Mapping[str, Estimated], vehicle: Vehicle, values: Mapping[str, float] | None = None) -> Sanity:
-    """Judge estimates by name. `values` are all parameters of the model, also those that were held (else the vehicle's)."""
+def sanity(
+    estimates: Mapping[str, Estimated], vehicle: Vehicle, values: Mapping[str, float] | None = None
+) -> Sanity:
+    """Judge estimates by name. `values` are all parameters of the model, also those that were held
+    (else the vehicle's)."""
     known = {n: q.value for n, q in vehicle.quantities.items()} | dict(values or {})
     known |= {n: e.value for n, e in estimates.items()}
     found: list[Insane] = []
@@ -133,11 +152,14 @@ def sanity_of(fit: Fit) -> Sanity:
         return Sanity(findings=())
     found = sanity(fit.parameters, physics.vehicle, fit.model.values)
     there = frozenset(fit.model.effects)
-    return Sanity(findings=tuple(replace(f, attempt=untried(f.attempt, there)) for f in found.findings))
+    return Sanity(
+        findings=tuple(replace(f, attempt=untried(f.attempt, there)) for f in found.findings)
+    )
 
 
 def untried(attempt: str, effects: Set[str]) -> str:
-    """An advice without what a model has already: "add A and B; C" is "C" where both are among its effects."""
+    """An advice without what a model has already: "add A and B; C" is "C" where both are among its
+    effects."""
     left = []
     for part in attempt.split("; "):
         names, _, rest = part.removeprefix("add ").partition(" where ")
@@ -166,9 +188,11 @@ def _curves(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[
             severity="impossible",
             kind="value",
             parameters=free or ("thrust.c2",),
-            statement=f"the thrust map carries {max(float(np.max(thrust)), 0.0) / weight:.0%} of the weight at most",
+            statement=f"the thrust map carries {max(float(np.max(thrust)), 0.0) / weight:.0%} of "
+            "the weight at most",
             likely="thrust per command or the mass stands for something else",
-            attempt="hold mass (--fixed mass); check thrust and the command columns of the vehicle file",
+            attempt="hold mass (--fixed mass); check thrust and the command columns of the vehicle "
+            "file",
         )
     hover = float(nu[enough[0]]) if enough.size else 0.6 * u_max
     torque = sum(values[f"torque.c{k}"] * hover**k for k in range(3))
@@ -179,8 +203,10 @@ def _curves(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[
             kind="value",
             parameters=free,
             statement=f"the rotors' drag torque is negative at hover ({torque:.2g} N m)",
-            likely="yaw is hardly excited, or spins or motor order are not those of the vehicle file",
-            attempt=f"check the spins and the order of the rotors; hold torque (--fixed {','.join(free)})",
+            likely="yaw is hardly excited, or spins or motor order are not those of the vehicle "
+            "file",
+            attempt="check the spins and the order of the rotors; hold torque (--fixed "
+            f"{','.join(free)})",
         )
 
 
@@ -195,8 +221,10 @@ def _times(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[I
                 kind="value",
                 parameters=(name,),
                 statement=f"{name} is negative ({e.value:.3g} s)",
-                likely="the craft would answer before the command: the stamps of commands and sensors are shifted",
-                attempt="look at the lead of the commands that `greybox check` measures; shift them in a mapping file",
+                likely="the craft would answer before the command: the stamps of commands and "
+                "sensors are shifted",
+                attempt="look at the lead of the commands that `greybox check` measures; shift "
+                "them in a mapping file",
             )
         elif name == "motor_lag.tau" and e.value > LIMITS["motor time"].value:
             yield Insane(
@@ -204,8 +232,10 @@ def _times(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[I
                 kind="value",
                 parameters=(name,),
                 statement=f"motors with a time constant of {e.value:.2g} s",
-                likely="the lag stands for another slow part: a filter of the gyro, late stamps, a wrong inertia",
-                attempt="add command_delay or sensor_delay; check which commands are logged (after the mixer?)",
+                likely="the lag stands for another slow part: a filter of the gyro, late stamps, a "
+                "wrong inertia",
+                attempt="add command_delay or sensor_delay; check which commands are logged (after "
+                "the mixer?)",
             )
 
 
@@ -240,7 +270,8 @@ def _inertia(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator
     least = float(margins(j)[-1])
     moments = ", ".join(f"{v:.3g}" for v in np.linalg.eigvalsh(j))
     rate = (
-        "the moments stand for a part of the rotors' torque: motor lag, arms, thrust per command, a clock that is late"
+        "the moments stand for a part of the rotors' torque: motor lag, arms, thrust per "
+        "command, a clock that is late"
     )
     if least <= 0:
         errors = [estimates[n].std for n in names if np.isfinite(estimates[n].std)]
@@ -248,11 +279,13 @@ def _inertia(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator
         excess = float(2 * principal[-1] - principal.sum())
         known = excess > LIMITS["inertia, errors"].value * float(np.linalg.norm(errors))
         yield Insane(
-            severity="impossible" if known and least < LIMITS["inertia, rounded"].value else "doubtful",
+            severity="impossible"
+            if known and least < LIMITS["inertia, rounded"].value
+            else "doubtful",
             kind="inertia",
             parameters=names,
-            statement=f"no body has the principal moments {moments} kg m^2 (the largest exceeds the sum of the others"
-            + (")" if known else ", by less than their errors)"),
+            statement=f"no body has the principal moments {moments} kg m^2 (the largest exceeds "
+            "the sum of the others" + (")" if known else ", by less than their errors)"),
             likely=rate,
             attempt="add motor_lag and command_delay; hold inertia.zz where yaw is hardly excited; "
             "write the vehicle file in schema greybox.vehicle/2",
@@ -266,7 +299,8 @@ def _inertia(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator
                 severity="impossible",
                 kind="inertia",
                 parameters=(name,),
-                statement=f"{name} of {values[name]:.3g} kg m^2 is {share:.2g} m L^2 (craft have {low:g} to {high:g})",
+                statement=f"{name} of {values[name]:.3g} kg m^2 is {share:.2g} m L^2 (craft have "
+                f"{low:g} to {high:g})",
                 likely=rate,
                 attempt=f"add motor_lag and command_delay; hold it (--fixed {name})",
             )
@@ -279,7 +313,8 @@ ADVICE: Mapping[str, tuple[str, str]] = {
     ),
     "thrust": (
         "battery, propellers or the logged commands are not those of the data sheet",
-        "compare the hover command with `greybox vehicle check`; add battery_sag; one value per flight (--per-flight)",
+        "compare the hover command with `greybox vehicle check`; add battery_sag; one value per "
+        "flight (--per-flight)",
     ),
     "torque": (
         "yaw moves by something else: yaw inertia, spins, or a heading reference that drifts",
@@ -294,12 +329,16 @@ ADVICE: Mapping[str, tuple[str, str]] = {
         "add rotor_asymmetry; --disturbance torque",
     ),
 }
-"""Group of a parameter -> (what probably is wrong with the model, what to try) where the flights overrule its prior."""
+"""Group of a parameter -> (what probably is wrong with the model, what to try) where the flights
+overrule its prior."""
 
 SCALES = ("mass", "inertia", "thrust", "torque")
 """Groups whose members are known within a factor."""
 
-OTHERS = ("another effect is missing, and this one stands for it", "run `greybox discover` on the flights")
+OTHERS = (
+    "another effect is missing, and this one stands for it",
+    "run `greybox discover` on the flights",
+)
 
 
 def _overruled(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[Insane]:
@@ -309,7 +348,9 @@ def _overruled(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterat
             continue
         mean, sigma = e.prior
         away = _away(name, e.value, mean, sigma)
-        if away <= LIMITS["sigmas"].value and not (e.at_bound and away >= LIMITS["sigmas, rounded"].value):
+        if away <= LIMITS["sigmas"].value and not (
+            e.at_bound and away >= LIMITS["sigmas, rounded"].value
+        ):
             continue
         likely, attempt = ADVICE.get(name.partition(".")[0], OTHERS)
         if name == "mass" and "thrust.c2" in estimates:
@@ -325,7 +366,8 @@ def _overruled(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterat
             severity="doubtful",
             kind="overruled",
             parameters=(name,),
-            statement=f"{name} {verb} ({stated}) but the flights want {wanted}, {away:.0f} sigma away",
+            statement=f"{name} {verb} ({stated}) but the flights want {wanted}, {away:.0f} sigma "
+            "away",
             likely=likely,
             attempt=attempt,
         )
@@ -347,7 +389,10 @@ def _away(name: str, value: float, mean: float, sigma: float) -> float:
 def _said(name: str, mean: float, sigma: float, value: float, unit: str) -> tuple[str, str]:
     """A prior and a value as people say them (grams below half a kilogram)."""
     factor, shown = (1e3, "g") if name == "mass" and mean < 0.5 else (1.0, unit)
-    return f"{mean * factor:.4g} +- {sigma * factor:.2g} {shown}".strip(), f"{value * factor:.4g} {shown}".strip()
+    return (
+        f"{mean * factor:.4g} +- {sigma * factor:.2g} {shown}".strip(),
+        f"{value * factor:.4g} {shown}".strip(),
+    )
 
 
 def _bounds(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[Insane]:
@@ -358,7 +403,10 @@ def _bounds(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[
             severity="doubtful",
             kind="bounds",
             parameters=stuck,
-            statement=f"{len(stuck)} of {len(estimates)} parameters ended at a bound at once ({', '.join(stuck)})",
-            likely="the model lacks a cause that is larger than they may be moved: motor lag, a delay, wind, wrong commands",
-            attempt="add motor_lag and command_delay; --disturbance force,torque; check motor order and commands",
+            statement=f"{len(stuck)} of {len(estimates)} parameters ended at a bound at once "
+            f"({', '.join(stuck)})",
+            likely="the model lacks a cause that is larger than they may be moved: motor lag, a "
+            "delay, wind, wrong commands",
+            attempt="add motor_lag and command_delay; --disturbance force,torque; check motor "
+            "order and commands",
         )

@@ -1,9 +1,11 @@
-"""What a model says about its own open-loop errors: the covariance of every channel group, h samples ahead.
+"""What a model says about its own open-loop errors: the covariance of every channel group, h
+samples ahead.
 
-Read off the propagated covariance (`greybox.estimation.propagation`): groups that the model measures carry the noise of
-their sensor, for the reference they are judged against is that sensor; a velocity that the model does not measure is read
-from the state, and its reference has the noise that the vehicle file states for it (0.02 m/s where it does not). World
-vectors are turned from body axes (where errors live) into the world; the rotation's error is a rotation vector in body axes.
+Read off the propagated covariance (`greybox.estimation.propagation`): groups that the model
+measures carry the noise of their sensor, for the reference they are judged against is that sensor;
+a velocity that the model does not measure is read from the state, and its reference has the noise
+that the vehicle file states for it (0.02 m/s where it does not). World vectors are turned from body
+axes (where errors live) into the world; the rotation's error is a rotation vector in body axes.
 """
 
 from __future__ import annotations
@@ -25,17 +27,25 @@ WORLD = ("position", "velocity")
 
 
 def stated_covariances(
-    propagator: Propagator, filtered: Filtered, origins: IntArray, *, steps: int, groups: Iterable[str]
+    propagator: Propagator,
+    filtered: Filtered,
+    origins: IntArray,
+    *,
+    steps: int,
+    groups: Iterable[str],
 ) -> dict[str, FloatArray]:
-    """Group -> covariance (m, steps, d, d), d its error dimension, of the error of `predict_from` at k+1 .. k+steps from
-    every origin k.
+    """Group -> covariance (m, steps, d, d), d its error dimension, of the error of `predict_from`
+    at k+1 .. k+steps from every origin k.
 
-    Origins near the end of the record get NaN: their path leaves it. Raises `FitError` where a prediction is not finite.
+    Origins near the end of the record get NaN: their path leaves it. Raises `FitError` where a
+    prediction is not finite.
     """
     dynamics = propagator.runner.model.dynamics
     kinds: Groups = groups_of(dynamics)
     wanted = [g for g in groups if _rows(dynamics, kinds[g]) is not None]
-    out = {g: np.full((len(origins), steps, *2 * (kinds[g].error_dimension,)), np.nan) for g in wanted}
+    out = {
+        g: np.full((len(origins), steps, *2 * (kinds[g].error_dimension,)), np.nan) for g in wanted
+    }
     inside = np.flatnonzero(np.asarray(origins) + 1 + steps <= filtered.record.n)
     if not inside.size or not wanted:
         return out
@@ -57,11 +67,14 @@ def stated_covariances(
 
 
 def _rows(dynamics: Dynamics, group: Group) -> tuple[bool, list[int]] | None:
-    """(measured?, places among the innovations or the error states) of a group; None where the model has neither."""
+    """(measured?, places among the innovations or the error states) of a group; None where the
+    model has neither."""
     columns = group.columns
     names = dynamics.outputs.names
     if all(c in names for c in columns):
-        rows = [i for i, needed in enumerate(dynamics.innovation_columns) if set(needed) <= set(columns)]
+        rows = [
+            i for i, needed in enumerate(dynamics.innovation_columns) if set(needed) <= set(columns)
+        ]
         return (True, rows) if len(rows) == group.error_dimension else None
     own = [i for i, n in enumerate(dynamics.error_states.names) if n.startswith(f"d_{group.name}.")]
     return (False, own) if group.name == "velocity" and len(own) == 3 else None

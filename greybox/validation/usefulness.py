@@ -1,8 +1,9 @@
-"""Is a model useful, and how far ahead? Its errors against holding the last value and against the measured IMU.
+"""Is a model useful, and how far ahead? Its errors against holding the last value and against the
+measured IMU.
 
-A model that does not beat the last measured value knows nothing (ceiling); one that comes near dead reckoning with the
-measured IMU has nothing left to gain (floor). `judge` turns the three multi-step tables of a validation into one
-`Verdict`, whose first line is the first line of every output.
+A model that does not beat the last measured value knows nothing (ceiling); one that comes near dead
+reckoning with the measured IMU has nothing left to gain (floor). `judge` turns the three multi-step
+tables of a validation into one `Verdict`, whose first line is the first line of every output.
 """
 
 from __future__ import annotations
@@ -31,62 +32,75 @@ LEFT_OUT = "pieces of the training flights that were left out"
 class Standard:
     """What "usable" means: every number that decides, with its reason.
 
-    A group is worse than the last value at a horizon where the mean error of the model is above that of the last value by
-    more than `equal` of it plus the smaller of one standard error and `noise` of it.
+    A group is worse than the last value at a horizon where the mean error of the model is above
+    that of the last value by more than `equal` of it plus the smaller of one standard error and
+    `noise` of it.
     """
 
     minimum: float = 0.1
-    """[s] No group may be worse up to here. Rotors answer within 0.1 s (lag 20 to 70 ms and a delay): a model that loses
-    to the last value before they have is worth nothing to a controller."""
+    """[s] No group may be worse up to here. Rotors answer within 0.1 s (lag 20 to 70 ms and a
+    delay): a model that loses to the last value before they have is worth nothing to a
+    controller."""
     look_ahead: float = 0.5
-    """[s] Where skill is stated, and up to where no group may be wrecked: what position controllers and the model
-    predictive controller of this package plan ahead."""
+    """[s] Where skill is stated, and up to where no group may be wrecked: what position controllers
+    and the model predictive controller of this package plan ahead."""
     look_ahead_imu: float = 0.3
-    """[s] The same where only the IMU was logged: there is no attitude or place to plan for, only rates to hold."""
+    """[s] The same where only the IMU was logged: there is no attitude or place to plan for, only
+    rates to hold."""
     longest: float = 1.0
-    """[s] Nothing is judged beyond: open loop, attitude errors of a second are those of the disturbances."""
+    """[s] Nothing is judged beyond: open loop, attitude errors of a second are those of the
+    disturbances."""
     wrecked: float = 2.0
-    """Times the error of the last value, from which a model misleads whoever plans to `look_ahead`."""
+    """Times the error of the last value, from which a model misleads whoever plans to
+    `look_ahead`."""
     better: float = 0.9
-    """Error over error of the last value, geometric mean over the groups of turning (rotation, rate) and over those of
-    moving (the others), below which both must come somewhere from `minimum` to `look_ahead`. A model that equals the last
-    value everywhere is not useful. (On-board IMU logs: 0.94 where motors never answered the commands in the model, 0.5
-    with their lag.)"""
+    """Error over error of the last value, geometric mean over the groups of turning (rotation,
+    rate) and over those of moving (the others), below which both must come somewhere from `minimum`
+    to `look_ahead`. A model that equals the last value everywhere is not useful. (On-board IMU
+    logs: 0.94 where motors never answered the commands in the model, 0.5 with their lag.)"""
     equal: float = 0.02
     """Share of the last value's error that nobody would notice."""
     noise: float = 0.1
-    """At most this share of the last value's error is forgiven as chance: few blocks must not excuse a bad model."""
+    """At most this share of the last value's error is forgiven as chance: few blocks must not
+    excuse a bad model."""
     short: float = 0.1
-    """[s] Up to here the error is that of the state estimate, and the last value is told the reference itself, smoothed
-    with later samples included. There dead reckoning, which starts from the same estimate, may take its place as rival,
-    up to `unfair` times the last value's error. (Real flights: rates one sample ahead equal the last value, .083 to
-    .090 against .090 rad/s.) The last specific force is itself the measured IMU, with every constant offset that no
-    filter corrects: its error at the end of this time is the rival all through it."""
+    """[s] Up to here the error is that of the state estimate, and the last value is told the
+    reference itself, smoothed with later samples included. There dead reckoning, which starts from
+    the same estimate, may take its place as rival, up to `unfair` times the last value's error.
+    (Real flights: rates one sample ahead equal the last value, .083 to .090 against .090 rad/s.)
+    The last specific force is itself the measured IMU, with every constant offset that no filter
+    corrects: its error at the end of this time is the rival all through it."""
     unfair: float = 2.0
     """See `short`."""
     reach: float = 0.3
-    """Share of the origins that must reach a horizon: a few at the end of a short flight are no sample of it."""
+    """Share of the origins that must reach a horizon: a few at the end of a short flight are no
+    sample of it."""
     sensor_sample: float = 0.02
     """[s] At sample times up to this the change of a value over one sample is mostly noise."""
     noise_motion: float = 2.0
-    """A group moves less than this many times its change over one sample within `look_ahead`: motion within noise."""
+    """A group moves less than this many times its change over one sample within `look_ahead`:
+    motion within noise."""
 
 
 def standard_of(sample_time: float) -> Standard:
-    """The standard of a model that is not a vehicle's, whose own time scale nobody knows: it counts samples, as many as the
-    seconds of a vehicle are at 100 Hz (10, 50 and 100). None of its outputs is called calm."""
+    """The standard of a model that is not a vehicle's, whose own time scale nobody knows: it counts
+    samples, as many as the seconds of a vehicle are at 100 Hz (10, 50 and 100). None of its outputs
+    is called calm."""
     plain = Standard()
     samples = {n: round(vars(plain)[n] / SPACING) for n in ("minimum", "look_ahead", "longest")}
-    return Standard(**{n: k * sample_time for n, k in samples.items()}, short=0.0, sensor_sample=0.0)
+    return Standard(
+        **{n: k * sample_time for n, k in samples.items()}, short=0.0, sensor_sample=0.0
+    )
 
 
 SPACING = 0.01
 """[s] Sample time at which the standard of a vehicle is told in samples."""
 
 CALM = {"position": 0.1, "velocity": 0.15, "rotation": 0.05, "rate": 0.2, "specific_force": 0.3}
-"""Mean change of a group [its unit] within half a second below which a flight is calm: a third of what an indoor flight
-of medium pace shows (NanoBench test flights: 0.44 m, 0.65 m/s, 0.15 rad, 0.77 rad/s). Below, holding the last value is
-nearly right whatever flies. A model whose own error is above twice this is bad in any flight, and is not excused."""
+"""Mean change of a group [its unit] within half a second below which a flight is calm: a third of
+what an indoor flight of medium pace shows (NanoBench test flights: 0.44 m, 0.65 m/s, 0.15 rad, 0.77
+rad/s). Below, holding the last value is nearly right whatever flies. A model whose own error is
+above twice this is bad in any flight, and is not excused."""
 
 KINDS = (("rotation", "rate"), ("position", "velocity", "specific_force"))
 """Turning and moving: a model that knows one of them says nothing of the other."""
@@ -124,12 +138,14 @@ def judge(
     hints: Iterable[Hint] = (),
     standard: Standard | None = None,
 ) -> Verdict:
-    """The verdict on a model from its multi-step errors, those of holding the last value, and of dead reckoning.
+    """The verdict on a model from its multi-step errors, those of holding the last value, and of
+    dead reckoning.
 
-    The tables are those of `greybox.validation.validate.Validation` (the same origins in all). Horizons are every sample
-    up to `standard.longest`, as far as the tables reach. A group that was measured and has no errors (`unjudged` of the
-    model's table) is named, and what is left is at best judged in part. `hints` are what else was seen
-    (`greybox.validation.advice`). Raises `DataError` where the tables share no group or end before `standard.minimum`.
+    The tables are those of `greybox.validation.validate.Validation` (the same origins in all).
+    Horizons are every sample up to `standard.longest`, as far as the tables reach. A group that was
+    measured and has no errors (`unjudged` of the model's table) is named, and what is left is at
+    best judged in part. `hints` are what else was seen (`greybox.validation.advice`). Raises
+    `DataError` where the tables share no group or end before `standard.minimum`.
     """
     rule = standard or Standard()
     dt = model.sample_time
@@ -151,9 +167,14 @@ def judge(
     at = _index(seconds, rule.look_ahead_imu if imu_only else rule.look_ahead)
     floors = {} if measured_imu is None else measured_imu.groups
     compared = [
-        _compare(model.kinds[g], model.groups[g], last_value.groups[g], floors.get(g), seconds, at, rule) for g in groups
+        _compare(
+            model.kinds[g], model.groups[g], last_value.groups[g], floors.get(g), seconds, at, rule
+        )
+        for g in groups
     ]
-    return _conclude(compared, model.unjudged, seconds, at, rule, judged_on, tuple(model.flights), list(hints))
+    return _conclude(
+        compared, model.unjudged, seconds, at, rule, judged_on, tuple(model.flights), list(hints)
+    )
 
 
 def _compare(
@@ -184,14 +205,24 @@ def _compare(
         scale = max(scale, rule.noise_motion * float(held[0]))
     calm = bool(held[at] < scale)
     excused = calm and bool(np.nanmax(own[: at + 1]) <= 2.0 * scale)
-    return _Comparison(name=kind.name, kind=kind, model=own, last=held, floor=best, worse=worse, calm=calm, excused=excused)
+    return _Comparison(
+        name=kind.name,
+        kind=kind,
+        model=own,
+        last=held,
+        floor=best,
+        worse=worse,
+        calm=calm,
+        excused=excused,
+    )
 
 
 def standard_error(model: GroupErrors, last: GroupErrors, steps: int) -> FloatArray:
-    """Standard error (steps,) of the difference between the two mean errors, from blocks of consecutive origins.
+    """Standard error (steps,) of the difference between the two mean errors, from blocks of
+    consecutive origins.
 
-    Ratio estimator over blocks of unequal size (W. G. Cochran, "Sampling Techniques", 1977, section 6.3). NaN where
-    fewer than two blocks are there or an error is not finite.
+    Ratio estimator over blocks of unequal size (W. G. Cochran, "Sampling Techniques", 1977, section
+    6.3). NaN where fewer than two blocks are there or an error is not finite.
     """
     out = np.full(steps, np.nan)
     if len(model.block_sums) != len(last.block_sums) or len(model.block_sums) < 2:
@@ -225,19 +256,27 @@ def _conclude(
     first = _index(seconds, rule.minimum)
     excused = [c for c in compared if c.excused and c.worse[: at + 1].any()]
     counted = [c for c in compared if c not in excused]
-    bad = np.any([c.worse for c in counted], axis=0) if counted else np.zeros(len(seconds), dtype=bool)
+    bad = (
+        np.any([c.worse for c in counted], axis=0)
+        if counted
+        else np.zeros(len(seconds), dtype=bool)
+    )
     ends = int(np.argmax(bad)) if bad.any() else len(seconds)
     useful = float(seconds[ends - 1]) if ends else 0.0
     groups = tuple(_skill(c, seconds, at) for c in compared)
     usual = [[c for c in counted if c.name in kind and not c.kind.own] for kind in KINDS]
     together = [*usual, *([c] for c in counted if c.kind.own)]
     idle = [c for kind in together for c in _no_better(kind, slice(first, at + 1), rule)]
-    wrecked = [c for c in counted if c.model[at] > rule.wrecked * c.last[at]]  # NaN: nothing to compare
+    wrecked = [
+        c for c in counted if c.model[at] > rule.wrecked * c.last[at]
+    ]  # NaN: nothing to compare
     reason = action = anchor = ""
     if ends <= first or wrecked or any(not c.calm for c in idle):
         outcome = Outcome.NOT_USABLE
         if ends <= first:
-            worst = min((c for c in counted if c.worse.any()), key=lambda c: int(np.argmax(c.worse)))
+            worst = min(
+                (c for c in counted if c.worse.any()), key=lambda c: int(np.argmax(c.worse))
+            )
         elif wrecked:
             worst = max(wrecked, key=lambda c: float(c.model[at] / c.last[at]))
         else:
@@ -246,7 +285,10 @@ def _conclude(
             hints.append(Hint(symptom=Symptom.DIVERGED))
         lost = ends <= first or bool(wrecked)
         reason, action, anchor = likely(hints, _symptom(worst.kind, lost))
-        line = f"NOT USABLE: {_failure(worst, lost, seconds, at)}. Likely: {reason}; next: {action} ({anchor})"
+        line = (
+            f"NOT USABLE: {_failure(worst, lost, seconds, at)}. Likely: {reason}; next: "
+            f"{action} ({anchor})"
+        )
     elif excused or idle:
         outcome = Outcome.TOO_CALM
         which = [c for c in compared if c in excused or c in idle]
@@ -256,7 +298,8 @@ def _conclude(
         anchor = Symptom.CALM.anchor
         moved = ", ".join(f"{_word(c.name)} {_value(c.last[at], c.kind)}" for c in which)
         line = (
-            f"too calm to judge {names}: within {seconds[at]:.2g} s the flights change by {moved}, where holding the "
+            f"too calm to judge {names}: within {seconds[at]:.2g} s the flights change by {moved}, "
+            "where holding the "
             f"last value is nearly right; {action} ({anchor})"
         )
         if len(which) < len(compared):
@@ -264,11 +307,14 @@ def _conclude(
     else:
         outcome = Outcome.USABLE
         line = (
-            f"{_useful(useful, len(seconds) == ends)}: {_claim(counted, (seconds > rule.short)[:ends])}; "
+            f"{_useful(useful, len(seconds) == ends)}: "
+            f"{_claim(counted, (seconds > rule.short)[:ends])}; "
             f"{seconds[at]:.2g} s ahead {', '.join(_compared(g) for g in groups)}"
         )
     if unjudged:
-        lost_groups = f"{' and '.join(map(_word, unjudged))} could not be judged: too many samples missing"
+        lost_groups = (
+            f"{' and '.join(map(_word, unjudged))} could not be judged: too many samples missing"
+        )
         if outcome is Outcome.USABLE:
             outcome = Outcome.PARTLY_JUDGED
             action, anchor = "greybox check names the gaps", Symptom.LOG_FAULT.anchor
@@ -315,13 +361,18 @@ def _useful(useful: float, whole: bool) -> str:
 
 
 def _claim(counted: Sequence[_Comparison], late: BoolArray) -> str:
-    """What holds up to the end of use, at the horizons that are `late` enough: below the last value, or not above it by
-    more than chance."""
+    """What holds up to the end of use, at the horizons that are `late` enough: below the last
+    value, or not above it by more than chance."""
     with np.errstate(invalid="ignore"):
-        above = [c.name for c in counted if (c.model[: len(late)] > c.last[: len(late)])[late].any()]
+        above = [
+            c.name for c in counted if (c.model[: len(late)] > c.last[: len(late)])[late].any()
+        ]
     if not above:
         return "errors stay below holding the last value"
-    return f"no error is above holding the last value by more than chance ({' and '.join(map(_word, above))}: level with it)"
+    return (
+        "no error is above holding the last value by more than chance "
+        f"({' and '.join(map(_word, above))}: level with it)"
+    )
 
 
 def _word(group: str) -> str:
@@ -343,7 +394,10 @@ def _symptom(kind: Group, lost: bool) -> Symptom:
 def _compared(g: GroupSkill) -> str:
     unit, factor = in_degrees(g.unit)
     floor = "" if g.measured_imu is None else f", measured IMU {factor * g.measured_imu:.2g}"
-    return f"{_word(g.name)} {factor * g.error:.2g} {unit} (last value {factor * g.last_value:.2g}{floor})"
+    return (
+        f"{_word(g.name)} {factor * g.error:.2g} {unit} (last value "
+        f"{factor * g.last_value:.2g}{floor})"
+    )
 
 
 def _no_better(kind: Sequence[_Comparison], span: slice, rule: Standard) -> list[_Comparison]:
@@ -352,7 +406,11 @@ def _no_better(kind: Sequence[_Comparison], span: slice, rule: Standard) -> list
         return []
     ratio = np.array([c.model[span] / np.maximum(c.last[span], 1e-300) for c in kind])
     known = ratio[:, np.isfinite(ratio).all(axis=0)]
-    best = float(np.exp(np.log(np.maximum(known, 1e-300)).mean(axis=0)).min()) if known.size else np.inf
+    best = (
+        float(np.exp(np.log(np.maximum(known, 1e-300)).mean(axis=0)).min())
+        if known.size
+        else np.inf
+    )
     return [] if best < rule.better else list(kind)
 
 
@@ -369,7 +427,8 @@ def _failure(worst: _Comparison, lost: bool, seconds: FloatArray, at: int) -> st
 
 
 def in_words(verdict: Verdict) -> list[str]:
-    """One plain sentence per group: how much of the way from the last value to the measured IMU the model covers."""
+    """One plain sentence per group: how much of the way from the last value to the measured IMU the
+    model covers."""
     lines = []
     for g in verdict.groups:
         aim = "no error at all" if g.measured_imu is None else "the measured IMU"
@@ -381,6 +440,10 @@ def in_words(verdict: Verdict) -> list[str]:
         else:
             said = f"{100 * min(g.covered, 1.0):.0f} % of the way from the last value to {aim}"
         calm = "; the flights hardly move in it" if g.calm else ""
-        worse = "" if g.worse_from is None else f"; the last value is better from {g.worse_from:.2g} s on"
+        worse = (
+            ""
+            if g.worse_from is None
+            else f"; the last value is better from {g.worse_from:.2g} s on"
+        )
         lines.append(f"{_word(g.name)} {g.seconds:.2g} s ahead: {said}{worse}{calm}")
     return lines

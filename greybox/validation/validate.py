@@ -1,9 +1,10 @@
 """validate: a model against flights that it was not fitted to.
 
-From every origin k the state uses measurements up to k only; recorded commands drive k .. k+h; errors are norms of the
-vector (rotation: geodesic angle), pooled over all origins that have all their steps; origins never cross a gap
-(metric of the nano-drone benchmark of R. Busetto et al., 2026). Channels that were smoothed with later samples may be
-a reference, never a measurement. The rows beside each table are persistence (ceiling) and dead reckoning (floor).
+From every origin k the state uses measurements up to k only; recorded commands drive k .. k+h;
+errors are norms of the vector (rotation: geodesic angle), pooled over all origins that have all
+their steps; origins never cross a gap (metric of the nano-drone benchmark of R. Busetto et al.,
+2026). Channels that were smoothed with later samples may be a reference, never a measurement. The
+rows beside each table are persistence (ceiling) and dead reckoning (floor).
 """
 
 from __future__ import annotations
@@ -26,7 +27,13 @@ from greybox.model.layer import physics_of
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import Adaptation, adapt_to_flight
 from greybox.validation.advice import Hint, Symptom
-from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning, estimate_imu_bias, persistence
+from greybox.validation.baselines import (
+    ImuBias,
+    ImuRecord,
+    dead_reckoning,
+    estimate_imu_bias,
+    persistence,
+)
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import BLOCK_SECONDS, REQUIRED, HorizonAccumulator, complete_origins
 from greybox.validation.horizon_table import HorizonTable
@@ -36,19 +43,28 @@ from greybox.validation.open_loop import GroupReader, IntArray, predict_from
 from greybox.validation.result import Validation
 from greybox.validation.samples import BoolArray, complete_rows
 from greybox.validation.stated import stated_covariances
-from greybox.validation.usefulness import FITTED_FLIGHTS, PARTLY_FITTED, TEST_FLIGHTS, Standard, judge, standard_of
+from greybox.validation.usefulness import (
+    FITTED_FLIGHTS,
+    PARTLY_FITTED,
+    TEST_FLIGHTS,
+    Standard,
+    judge,
+    standard_of,
+)
 
 Progress = Callable[[str], None]
 CHUNK = 200_000
 """Steps ahead, over all origins, that are rolled out at once (bounds the memory)."""
 SPACING = 0.01
-"""Seconds between origins unless told otherwise: every sample at 100 Hz, as the benchmark counts; at higher rates
-neighbours tell the same."""
+"""Seconds between origins unless told otherwise: every sample at 100 Hz, as the benchmark counts;
+at higher rates neighbours tell the same."""
 STATED = 0.1
-"""Seconds between the origins whose uncertainty is propagated and judged (neighbours tell the same)."""
+"""Seconds between the origins whose uncertainty is propagated and judged (neighbours tell the
+same)."""
 SURVIVING = 0.5
-"""Below this share of origins with every reference sample, in any group, horizons without a reference drop out instead of
-origins: lost samples that lie here and there empty the table (2 % leave a third of the origins of 51 samples, 10 % none)."""
+"""Below this share of origins with every reference sample, in any group, horizons without a
+reference drop out instead of origins: lost samples that lie here and there empty the table (2 %
+leave a third of the origins of 51 samples, 10 % none)."""
 
 
 def validate(
@@ -66,35 +82,47 @@ def validate(
     progress: Progress | None = None,
     use_compiler: bool = True,
 ) -> Validation:
-    """Multi-step and one-step errors of `model` on all flights of `dataset`, with residual tests, baselines and a verdict.
+    """Multi-step and one-step errors of `model` on all flights of `dataset`, with residual tests,
+    baselines and a verdict.
 
-    `horizons` [s] are listed (`horizon_samples` instead: numbers of samples; default: `HORIZONS`, of a model that is not a
-    vehicle's `SAMPLES`). `adapt` [s]: per flight, the
-    parameters with a value per flight and the initial state are fitted on its first seconds with everything
-    else fixed (prior: the training flights), then frozen; origins start after them, and dead reckoning takes
-    its IMU biases from the same seconds. `measured_start` adds the row that starts from the measured state,
-    smoothed velocities included, as the benchmark does. Origins are every `every`-th sample (default: every
-    `SPACING` seconds), `skip` seconds after the start of a segment at the earliest. `judged_on` says in words
-    what the flights are to the model (default: from the names of its training flights) and `hints` what else
-    was seen; the verdict uses both. `progress` gets a line per flight. Raises `DataError` (no usable flight,
-    another sample time), `ModelError` (a smoothed channel is a measurement of the filter), `FitError`.
+    `horizons` [s] are listed (`horizon_samples` instead: numbers of samples; default: `HORIZONS`,
+    of a model that is not a vehicle's `SAMPLES`). `adapt` [s]: per flight, the parameters with a
+    value per flight and the initial state are fitted on its first seconds with everything else
+    fixed (prior: the training flights), then frozen; origins start after them, and dead reckoning
+    takes its IMU biases from the same seconds. `measured_start` adds the row that starts from the
+    measured state, smoothed velocities included, as the benchmark does. Origins are every
+    `every`-th sample (default: every `SPACING` seconds), `skip` seconds after the start of a
+    segment at the earliest. `judged_on` says in words what the flights are to the model (default:
+    from the names of its training flights) and `hints` what else was seen; the verdict uses both.
+    `progress` gets a line per flight. Raises `DataError` (no usable flight, another sample time),
+    `ModelError` (a smoothed channel is a measurement of the filter), `FitError`.
     """
     dt = model.sample_time
     own = physics_of(model.dynamics) is None
     if own and horizons is None and horizon_samples is None:
         horizon_samples = SAMPLES
     wanted = horizons_of(
-        HORIZONS if horizons is None else horizons, samples=horizon_samples, sample_time=dt,
+        HORIZONS if horizons is None else horizons,
+        samples=horizon_samples,
+        sample_time=dt,
         longest=np.inf if own else LONGEST,
-    )  # fmt: skip
+    )
     if not len(dataset):
         raise DataError("no flight to validate on")
     _demand_causal(model, dataset)
     work = _Work(
-        model=model, dataset=dataset, wanted=wanted.steps, adapt=adapt, measured=measured_start,
-        every=max(1, round(SPACING / dt)) if every is None else every, skip=skip, use_compiler=use_compiler,
-        warnings=list(wanted.notes), judged_on=judged_on, hints=tuple(hints),
-    )  # fmt: skip
+        model=model,
+        dataset=dataset,
+        wanted=wanted.steps,
+        adapt=adapt,
+        measured=measured_start,
+        every=max(1, round(SPACING / dt)) if every is None else every,
+        skip=skip,
+        use_compiler=use_compiler,
+        warnings=list(wanted.notes),
+        judged_on=judged_on,
+        hints=tuple(hints),
+    )
     for flight in dataset:
         if progress:
             progress(f"validate: {flight.name}")
@@ -141,7 +169,8 @@ class _Work:
         missing = "origin" if share >= SURVIVING else "step"
         if missing == "step":
             self.warnings.append(
-                f"only {share:.0%} of the origins have a reference at every sample of {REQUIRED * dt:.3g} s: "
+                f"only {share:.0%} of the origins have a reference at every sample of "
+                f"{REQUIRED * dt:.3g} s: "
                 "horizons without one are left out"
             )
         self.rows = {
@@ -161,7 +190,10 @@ class _Work:
             fitted = set(self.dataset.names) <= set(self.model.trained_on)
             self.judged_on = FITTED_FLIGHTS if fitted else PARTLY_FITTED if used else TEST_FLIGHTS
             if used:
-                self.warnings.append(f"the model was fitted on {', '.join(used)}: errors there are not held-out errors")
+                self.warnings.append(
+                    f"the model was fitted on {', '.join(used)}: errors there are not held-out "
+                    "errors"
+                )
 
     # ------------------------------------------------------------ one flight
 
@@ -170,21 +202,35 @@ class _Work:
         dt = self.model.sample_time
         if abs(flight.dt - dt) > 1e-6 * dt:
             raise DataError(
-                f"sampled every {flight.dt:g} s, the model every {dt:g} s", where=f"flight {flight.name}",
+                f"sampled every {flight.dt:g} s, the model every {dt:g} s",
+                where=f"flight {flight.name}",
                 fix=f"read the log with --rate {1 / dt:g}",
-            )  # fmt: skip
+            )
         adapted = self._adapted(flight)
-        p = self.model.flight_vector(flight.name) if adapted is None else self.model.parameter_vector(adapted.values)
+        p = (
+            self.model.flight_vector(flight.name)
+            if adapted is None
+            else self.model.parameter_vector(adapted.values)
+        )
         bias = self._imu_bias(flight)
         spread = {} if adapted is None else adapted.std
         for i, segment in enumerate(flight.segments):
-            x0, sigma = (adapted.x0, adapted.x0_sigma) if adapted is not None and i == 0 else (None, None)
-            filtered = self.filter.run(segment.without(flight.noncausal), p=p, x0=x0, x0_sigma=sigma)
+            x0, sigma = (
+                (adapted.x0, adapted.x0_sigma) if adapted is not None and i == 0 else (None, None)
+            )
+            filtered = self.filter.run(
+                segment.without(flight.noncausal), p=p, x0=x0, x0_sigma=sigma
+            )
             late = self._late(flight, segment)
             self.one_step.add(flight.name, filtered, late)
             self._roll_out(flight.name, segment, filtered, late, bias, spread)
         self.flights.append(
-            {"name": flight.name, "samples": flight.n, "seconds": flight.duration, "notes": list(flight.notes)}
+            {
+                "name": flight.name,
+                "samples": flight.n,
+                "seconds": flight.duration,
+                "notes": list(flight.notes),
+            }
         )
         self._extrapolation(flight)
 
@@ -204,7 +250,8 @@ class _Work:
         return origins[origins < len(late) - REQUIRED][:: self.every]
 
     def _surviving(self, group: str) -> float:
-        """Share of the origins with a reference at each required step, where the group was measured at all."""
+        """Share of the origins with a reference at each required step, where the group was measured
+        at all."""
         complete, count = 0, 0
         for flight in self.dataset:
             for segment in flight.segments:
@@ -219,7 +266,11 @@ class _Work:
         if self.adapt is None:
             return None
         found = adapt_to_flight(
-            self.model, flight, self.adapt, riccati=self.filter.riccati, use_compiler=self.use_compiler
+            self.model,
+            flight,
+            self.adapt,
+            riccati=self.filter.riccati,
+            use_compiler=self.use_compiler,
         )
         self.adaptation[flight.name] = found
         self.warnings += found.warnings
@@ -234,7 +285,10 @@ class _Work:
         velocity = _matrix(window, "velocity") if _has(flight.channels, "velocity") else None
         try:
             return estimate_imu_bias(
-                _imu(window), attitude=_matrix(window, "rotation"), velocity=velocity, gravity=self._gravity
+                _imu(window),
+                attitude=_matrix(window, "rotation"),
+                velocity=velocity,
+                gravity=self._gravity,
             )
         except DataError as error:
             self.warnings.append(f"{flight.name}: dead reckoning without IMU biases ({error})")
@@ -246,8 +300,14 @@ class _Work:
         return float(physics.vehicle.gravity) if physics is not None else GRAVITY
 
     def _roll_out(
-        self, name: str, segment: Segment, filtered: Filtered, late: BoolArray, bias: ImuBias, spread: Mapping[str, float]
-    ) -> None:  # fmt: skip
+        self,
+        name: str,
+        segment: Segment,
+        filtered: Filtered,
+        late: BoolArray,
+        bias: ImuBias,
+        spread: Mapping[str, float],
+    ) -> None:
         origins = self._origins(late)
         references = {g: self._matrix(segment, g) for g in self.groups}
         references = {g: r for g, r in references.items() if np.isfinite(r).all(axis=1).any()}
@@ -259,13 +319,32 @@ class _Work:
         for at in range(0, len(origins), chunk):
             part = origins[at : at + chunk]
             predicted = predict_from(engine, self.reader, filtered, part, steps=self.steps)
-            self._row("model", name, predicted, references, part, self._stated(propagator, filtered, part, predicted))
+            self._row(
+                "model",
+                name,
+                predicted,
+                references,
+                part,
+                self._stated(propagator, filtered, part, predicted),
+            )
             if self.measured:
                 predicted = predict_from(
-                    engine, self.reader, filtered, part, steps=self.steps, measured_start=True, references=references
+                    engine,
+                    self.reader,
+                    filtered,
+                    part,
+                    steps=self.steps,
+                    measured_start=True,
+                    references=references,
                 )
                 self._row("measured start", name, predicted, references, part)
-            self._row("persistence", name, persistence(references, part, steps=self.steps), references, part)
+            self._row(
+                "persistence",
+                name,
+                persistence(references, part, steps=self.steps),
+                references,
+                part,
+            )
             posed = "rotation" in references and not self.reader.table["rotation"].own
             if posed and _has(segment.names, "rate", "specific_force"):
                 floor = self._dead_reckoning(segment, filtered, references, part, bias)
@@ -279,9 +358,12 @@ class _Work:
         origins: IntArray,
         bias: ImuBias,
     ) -> dict[str, FloatArray]:
-        """From the measured pose at the origin and the filter's velocity there (both known causally)."""
+        """From the measured pose at the origin and the filter's velocity there (both known
+        causally)."""
         commands = filtered.record.inputs[origins + self.filter.engine.past]
-        own = self.reader.values(filtered.outputs[origins], filtered.states[origins], filtered.p, commands)
+        own = self.reader.values(
+            filtered.outputs[origins], filtered.states[origins], filtered.p, commands
+        )
 
         def start(group: str) -> FloatArray | None:
             if group == "velocity" or group not in references:
@@ -296,9 +378,15 @@ class _Work:
         assert attitude is not None
         attitude[~np.isfinite(attitude).all(axis=1)] = [1.0, 0.0, 0.0, 0.0]
         return dead_reckoning(
-            _imu(segment), origins, attitude=attitude, velocity=start("velocity"), position=start("position"),
-            steps=self.steps, bias=bias, gravity=self._gravity,
-        )  # fmt: skip
+            _imu(segment),
+            origins,
+            attitude=attitude,
+            velocity=start("velocity"),
+            position=start("position"),
+            steps=self.steps,
+            bias=bias,
+            gravity=self._gravity,
+        )
 
     def _row(
         self,
@@ -313,12 +401,20 @@ class _Work:
         self.rows[label].add(flight, kept, references, origins, covariances=covariances)
 
     def _stated(
-        self, propagator: Propagator, filtered: Filtered, origins: IntArray, predicted: Mapping[str, FloatArray]
+        self,
+        propagator: Propagator,
+        filtered: Filtered,
+        origins: IntArray,
+        predicted: Mapping[str, FloatArray],
     ) -> dict[str, FloatArray]:
         """Covariances of the errors ahead of every so many origins, NaN for the others."""
-        chosen = np.arange(0, len(origins), max(1, round(STATED / self.model.sample_time / self.every)))
+        chosen = np.arange(
+            0, len(origins), max(1, round(STATED / self.model.sample_time / self.every))
+        )
         try:
-            some = stated_covariances(propagator, filtered, origins[chosen], steps=self.steps, groups=predicted)
+            some = stated_covariances(
+                propagator, filtered, origins[chosen], steps=self.steps, groups=predicted
+            )
         except FitError as error:
             self.warnings.append(f"uncertainty ahead not computed: {error}")
             return {}
@@ -341,7 +437,9 @@ class _Work:
                 if beyond > 0.01 and name not in self._unfelt:
                     out.append(f"{name} ({beyond:.0%})")
         if out:
-            self.warnings.append(f"{flight.name}: outside the training range: {', '.join(dict.fromkeys(out))}")
+            self.warnings.append(
+                f"{flight.name}: outside the training range: {', '.join(dict.fromkeys(out))}"
+            )
 
     @functools.cached_property
     def _unfelt(self) -> frozenset[str]:
@@ -365,11 +463,15 @@ class _Work:
         own = tables["model"]
         if own is not None:
             measured = [
-                g for g in self.groups if any(complete_rows(self._matrix(s, g)).any() for s in self.dataset.segments)
+                g
+                for g in self.groups
+                if any(complete_rows(self._matrix(s, g)).any() for s in self.dataset.segments)
             ]
             own = replace(own, unjudged=tuple(g for g in measured if g not in own.groups))
         if own is not None and own.diverged:
-            self.warnings.append(f"{own.diverged} open-loop predictions were not finite: their error is infinite")
+            self.warnings.append(
+                f"{own.diverged} open-loop predictions were not finite: their error is infinite"
+            )
         verdict = None
         held, floor = tables["persistence"], tables["dead reckoning"]
         if own is not None and held is not None:
@@ -378,7 +480,9 @@ class _Work:
             # Offsets of sensors differ from flight to flight too, but spoil no model by much.
             own_values = [n for n in self.model.flight_spread if "_bias." not in n]
             if self.adapt is None and own_values and self.judged_on == TEST_FLIGHTS:
-                hints.append(Hint(symptom=Symptom.FLIGHT_DIFFERS, detail="its own values were not adapted"))
+                hints.append(
+                    Hint(symptom=Symptom.FLIGHT_DIFFERS, detail="its own values were not adapted")
+                )
             try:
                 verdict = judge(
                     own, held, floor, judged_on=self.judged_on, hints=hints, standard=self.standard
@@ -413,9 +517,12 @@ def _has(channels: Sequence[str], *groups: str) -> bool:
 
 
 def _matrix(segment: Segment, group: str) -> FloatArray:
-    """Values (N, dimension) of a group; NaN where not measured, and everywhere where a column is absent."""
+    """Values (N, dimension) of a group; NaN where not measured, and everywhere where a column is
+    absent."""
     return segment.matrix(GROUPS[group].columns, missing_ok=True)
 
 
 def _imu(segment: Segment) -> ImuRecord:
-    return ImuRecord.of(_matrix(segment, "rate"), _matrix(segment, "specific_force"), sample_time=segment.dt)
+    return ImuRecord.of(
+        _matrix(segment, "rate"), _matrix(segment, "specific_force"), sample_time=segment.dt
+    )

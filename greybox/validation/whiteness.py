@@ -20,7 +20,13 @@ import scipy.stats
 
 from greybox.errors import DataError
 from greybox.statistics.correlation import check_lags, predictable_share
-from greybox.statistics.whiteness import Portmanteau, autocorrelation, cumulated_periodogram, hosking, ljung_box
+from greybox.statistics.whiteness import (
+    Portmanteau,
+    autocorrelation,
+    cumulated_periodogram,
+    hosking,
+    ljung_box,
+)
 from greybox.symbolic import FloatArray
 from greybox.validation.samples import names_for, stretches
 
@@ -58,8 +64,17 @@ class ChannelWhiteness:
             "outside": self.outside,
             "predictable": self.predictable,
         }
-        spectrum = {"periodogram": self.periodogram.tolist(), "periodogram_band": self.periodogram_band}
-        return {**plain, **self.test.to_dict(), "r": self.r.tolist(), "band": self.band.tolist(), **spectrum}
+        spectrum = {
+            "periodogram": self.periodogram.tolist(),
+            "periodogram_band": self.periodogram_band,
+        }
+        return {
+            **plain,
+            **self.test.to_dict(),
+            "r": self.r.tolist(),
+            "band": self.band.tolist(),
+            **spectrum,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +109,9 @@ class Whiteness:
             )
         if self.multivariate is not None:
             m = self.multivariate
-            lines.append(f"all channels together: Q = {m.q:.1f}, dof = {m.dof}, p = {m.p_value:.2g}, n = {m.n}")
+            lines.append(
+                f"all channels together: Q = {m.q:.1f}, dof = {m.dof}, p = {m.p_value:.2g}, n = {m.n}"
+            )
         return "\n".join(lines)
 
 
@@ -119,7 +136,10 @@ def whiteness(
     labels = names_for(names, d, what="e")
     check_lags(records, max_lag, what="innovations")
     if fitted < 0 or not 0.0 < level < 1.0:
-        raise DataError("whiteness: fitted >= 0 and 0 < level < 1 are needed", got=f"fitted={fitted}, level={level:g}")
+        raise DataError(
+            "whiteness: fitted >= 0 and 0 < level < 1 are needed",
+            got=f"fitted={fitted}, level={level:g}",
+        )
     z = float(scipy.stats.norm.ppf(0.5 + level / 2.0))
     channels = []
     for j, name in enumerate(labels):
@@ -147,4 +167,6 @@ def whiteness(
             )
         )
     joint = hosking(records, max_lag, fitted=fitted * d) if d > 1 else None
-    return Whiteness(channels=tuple(channels), multivariate=joint, max_lag=max_lag, fitted=fitted, level=level)
+    return Whiteness(
+        channels=tuple(channels), multivariate=joint, max_lag=max_lag, fitted=fitted, level=level
+    )

@@ -1,4 +1,5 @@
-"""Steer a displaced craft back to its reference with acados. Needs this bundle, casadi, numpy, acados and a C compiler.
+"""Steer a displaced craft back to its reference with acados. Needs this bundle, casadi, numpy,
+acados and a C compiler.
 
     python examples/acados_hover.py --acados DIR [--steps 20] [--json]
 
@@ -63,8 +64,12 @@ def problem(model: Any, task: Any, home: Path, work: Path, optimise: str) -> Any
 
 def main() -> None:
     """Build, solve, compare with IPOPT."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--acados", default=os.environ.get("ACADOS_SOURCE_DIR"), help="default: $ACADOS_SOURCE_DIR")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--acados", default=os.environ.get("ACADOS_SOURCE_DIR"), help="default: $ACADOS_SOURCE_DIR"
+    )
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--optimise", default="-O2", help="compiler flags of the generated code")
     parser.add_argument("--json", action="store_true", help="print numbers for a program")
@@ -91,9 +96,20 @@ def main() -> None:
         inputs = np.array([solver.get(k, "u") for k in range(task.steps)])
     difference = float(np.abs(inputs - solve(model, task)[1]).max())
     if arguments.json:
-        print(json.dumps({"status": int(status), "inputs": inputs.tolist(), "difference": difference, "built": built}))
+        print(
+            json.dumps(
+                {
+                    "status": int(status),
+                    "inputs": inputs.tolist(),
+                    "difference": difference,
+                    "built": built,
+                }
+            )
+        )
     else:
-        print(f"built in {built:.1f} s, solved in {1e3 * solved:.1f} ms, status {status} (0: solved)")
+        print(
+            f"built in {built:.1f} s, solved in {1e3 * solved:.1f} ms, status {status} (0: solved)"
+        )
         print("first command:", dict(zip(model.inputs, np.round(inputs[0], 4).tolist())))
         print(f"largest difference to IPOPT: {difference:.1e}")
     if status:

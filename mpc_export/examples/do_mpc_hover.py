@@ -1,4 +1,5 @@
-"""Close the loop with do-mpc: from a displaced state back towards the reference. Needs this bundle, casadi, numpy, do-mpc.
+"""Close the loop with do-mpc: from a displaced state back towards the reference. Needs this bundle,
+casadi, numpy, do-mpc.
 
 python examples/do_mpc_hover.py [--horizon 10] [--steps 5] [--json]
 """
@@ -23,7 +24,9 @@ from consumers.hover import final_cost, hover, solve, stage_cost  # noqa: E402
 
 def main() -> None:
     """Fly some steps and compare the first command with IPOPT's on the same problem."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--horizon", type=int, default=10)
     parser.add_argument("--steps", type=int, default=5, help="steps of the closed loop")
     parser.add_argument("--json", action="store_true", help="print numbers for a program")
@@ -33,7 +36,10 @@ def main() -> None:
     model = load(BUNDLE)
     task = hover(model, arguments.horizon)
     controller = do_mpc_controller(
-        model, task, lambda x, u: stage_cost(model, task, x, u), lambda x: final_cost(model, task, x)
+        model,
+        task,
+        lambda x, u: stage_cost(model, task, x, u),
+        lambda x: final_cost(model, task, x),
     )
     simulator = do_mpc_simulator(model, task.start)
     x, inputs, costs, solved = task.start, [], [float(final_cost(model, task, task.start))], True
@@ -49,7 +55,9 @@ def main() -> None:
         states = {"solved": solved, "inputs": np.array(inputs).tolist(), "state": x.tolist()}
         print(json.dumps({**states, "costs": costs, "difference": difference}))
     else:
-        print(f"every step solved: {solved}; cost of the state {', '.join(f'{c:.3g}' for c in costs)}")
+        print(
+            f"every step solved: {solved}; cost of the state {', '.join(f'{c:.3g}' for c in costs)}"
+        )
         print("first command:", dict(zip(model.inputs, np.round(inputs[0], 4).tolist())))
         print(f"its largest difference to IPOPT: {difference:.1e}")
 

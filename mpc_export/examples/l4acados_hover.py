@@ -1,9 +1,11 @@
-"""The learned residual as l4acados asks for it, in a sequential quadratic programme like its own. Needs casadi and numpy.
+"""The learned residual as l4acados asks for it, in a sequential quadratic programme like its own.
+Needs casadi and numpy.
 
     python examples/l4acados_hover.py [--steps 20] [--json]
 
-l4acados does with acados what is done here with a QP solver of CasADi: linearise the nominal step and the residual at every
-point of the horizon, solve the QP, repeat. The result must be that of IPOPT with the whole hybrid model.
+l4acados does with acados what is done here with a QP solver of CasADi: linearise the nominal step
+and the residual at every point of the horizon, solve the QP, repeat. The result must be that of
+IPOPT with the whole hybrid model.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from consumers.l4acados import LearnedResidual, nominal  # noqa: E402
 
 
 def sequence(model: Any, task: Any, learned: Any, iterations: int = 100) -> tuple[Any, list[float]]:
-    """(U (N, n_u), largest change of every iteration): Gauss-Newton on nominal step + B r, states eliminated from the QP."""
+    """(U (N, n_u), largest change of every iteration): Gauss-Newton on nominal step + B r, states
+    eliminated from the QP."""
     nx, nu, n = len(model.states), len(model.inputs), task.steps
     slopes = nominal(model)["f_d_jac_raw"]
     x, u = ca.MX.sym("x", nx), ca.MX.sym("u", nu)
@@ -36,12 +39,17 @@ def sequence(model: Any, task: Any, learned: Any, iterations: int = 100) -> tupl
     final = np.concatenate([task.final * task.state_weights, np.zeros(nu)])
     points, inputs = np.tile(task.start, (n + 1, 1)), np.tile(model.reference_inputs, (n, 1))
     shape = {"h": ca.Sparsity.dense(n * nu, n * nu), "a": ca.Sparsity(0, n * nu)}
-    solver = ca.conic("qp", "qrqp", shape, {"print_iter": False, "print_header": False, "print_info": False})
+    solver = ca.conic(
+        "qp", "qrqp", shape, {"print_iter": False, "print_header": False, "print_info": False}
+    )
     sizes: list[float] = []
     for _ in range(iterations):
         value, slope = learned.value_and_jacobian(np.hstack([points[:n], inputs]))
         hessian, gradient = np.zeros((n * nu, n * nu)), np.zeros(n * nu)
-        by_input, shift = np.zeros((nx, n * nu)), task.start - points[0]  # dx_k = by_input @ dU + shift
+        by_input, shift = (
+            np.zeros((nx, n * nu)),
+            task.start - points[0],
+        )  # dx_k = by_input @ dU + shift
         moves = []
         for k in range(n + 1):
             moves.append((by_input, shift))
@@ -53,7 +61,9 @@ def sequence(model: Any, task: Any, learned: Any, iterations: int = 100) -> tupl
             hessian += jacobian.T @ (weight[:, None] * jacobian)
             gradient += jacobian.T @ (weight * (error.ravel() + by_x @ shift))
             if k < n:
-                after, a, b, _ = (v.full() for v in slopes(points[k], inputs[k], model.parameter_values))
+                after, a, b, _ = (
+                    v.full() for v in slopes(points[k], inputs[k], model.parameter_values)
+                )
                 a, b = a + learned.B @ slope[:, k, :nx], b + learned.B @ slope[:, k, nx:]
                 shift = a @ shift + after.ravel() + learned.B @ value[k] - points[k + 1]
                 by_input = a @ by_input
@@ -70,7 +80,9 @@ def sequence(model: Any, task: Any, learned: Any, iterations: int = 100) -> tupl
 
 def main() -> None:
     """Iterate and compare with IPOPT."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--json", action="store_true", help="print numbers for a program")
     arguments = parser.parse_args()
@@ -83,7 +95,10 @@ def main() -> None:
     if arguments.json:
         print(json.dumps({"difference": difference, "iterations": len(sizes), "last": sizes[-1]}))
     else:
-        print(f"{len(sizes)} iterations, last change {sizes[-1]:.1e}; largest difference to IPOPT {difference:.1e}")
+        print(
+            f"{len(sizes)} iterations, last change {sizes[-1]:.1e}; largest difference to IPOPT "
+            f"{difference:.1e}"
+        )
         print(f"largest standard deviation of the residual along the horizon: {deviation:.2g}")
 
 

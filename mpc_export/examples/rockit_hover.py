@@ -1,4 +1,5 @@
-"""Steer a displaced craft back to its reference with rockit. Needs this bundle, casadi, numpy and rockit-meco.
+"""Steer a displaced craft back to its reference with rockit. Needs this bundle, casadi, numpy and
+rockit-meco.
 
 python examples/rockit_hover.py [--steps 20] [--json]
 """
@@ -22,14 +23,19 @@ from consumers.rockit import rockit_problem  # noqa: E402
 
 def main() -> None:
     """Solve and compare with plain IPOPT."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--json", action="store_true", help="print numbers for a program")
     arguments = parser.parse_args()
     model = load(BUNDLE)
     task = hover(model, arguments.steps)
     ocp, _, u = rockit_problem(
-        model, task, lambda x, u: stage_cost(model, task, x, u), lambda x: final_cost(model, task, x)
+        model,
+        task,
+        lambda x, u: stage_cost(model, task, x, u),
+        lambda x: final_cost(model, task, x),
     )
     inputs = np.asarray(ocp.solve().sample(u, grid="control")[1])[: task.steps]
     difference = float(np.abs(inputs - solve(model, task)[1]).max())

@@ -1,4 +1,5 @@
-"""Many flights of several controllers with the same seeds: one JSON line a flight, resumed, on one or two cores.
+"""Many flights of several controllers with the same seeds: one JSON line a flight, resumed, on one
+or two cores.
 
 OUT/flights.jsonl   a row per flight; a second run goes on where the first stopped, and flies anew what has changed
 OUT/tuning.jsonl    flights on training seeds, by which the tube's and the constant back-off are chosen
@@ -54,7 +55,8 @@ WATCHED = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """One controller: kind "tube" flies the model of a file, tightened by `kappa` standard deviations or `moved` [m]."""
+    """One controller: kind "tube" flies the model of a file, tightened by `kappa` standard
+    deviations or `moved` [m]."""
 
     name: str
     text: str
@@ -66,10 +68,11 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class Campaign:
-    """Where and against what: plant "model" or `module:attribute`; `model` is the file whose sample time and vehicle count.
+    """Where and against what: plant "model" or `module:attribute`; `model` is the file whose sample
+    time and vehicle count.
 
-    course: `module:attribute` too. disturbances: a file of resampled disturbances (an array) beside the model as the
-    plant.
+    course: `module:attribute` too. disturbances: a file of resampled disturbances (an array) beside
+    the model as the plant.
     """
 
     out: Path
@@ -86,7 +89,9 @@ class Campaign:
     def open_plant(self) -> Any:
         """The plant, checked against the model. Raises `PlantError`."""
         model = load_model(self.model)
-        plant = flown_with(self.plant, model, read_segments(self.disturbances) if self.disturbances else None)
+        plant = flown_with(
+            self.plant, model, read_segments(self.disturbances) if self.disturbances else None
+        )
         fitting(plant, model, self.mission().course.start)
         return plant
 
@@ -98,7 +103,8 @@ class Campaign:
 
 
 def write_segments(path: Path, segments: Sequence[FloatArray]) -> None:
-    """Resampled disturbances as one array, segments parted by a row of NaN: the same bytes for the same numbers."""
+    """Resampled disturbances as one array, segments parted by a row of NaN: the same bytes for the
+    same numbers."""
     parted = [v for s in segments for v in (s, np.full((1, s.shape[1]), np.nan))]
     stream = io.BytesIO()
     np.save(stream, np.concatenate(parted), allow_pickle=False)
@@ -109,7 +115,10 @@ def read_segments(path: str) -> list[FloatArray]:
     """What `write_segments` wrote."""
     found = np.load(path, allow_pickle=False)
     ends = np.flatnonzero(np.isnan(found).all(axis=1))
-    return [np.asarray(found[i + 1 : j], dtype=float) for i, j in zip([-1, *ends[:-1]], ends, strict=True)]
+    return [
+        np.asarray(found[i + 1 : j], dtype=float)
+        for i, j in zip([-1, *ends[:-1]], ends, strict=True)
+    ]
 
 
 @functools.lru_cache(maxsize=8)
@@ -128,7 +137,8 @@ class Hangar:
         self._pilots: dict[str, Any] = {}
 
     def pilot(self, entry: Entry) -> Any:
-        """The controller of an entry; those of one model are one, tightened anew. Raises what `TubeController` raises."""
+        """The controller of an entry; those of one model are one, tightened anew. Raises what
+        `TubeController` raises."""
         cascade = entry.kind == "cascade"
         if entry.model not in self._pilots:
             self._pilots[entry.model] = (
@@ -139,7 +149,9 @@ class Hangar:
         made = self._pilots[entry.model]
         return made if cascade else tightened(made, self.task, kappa=entry.kappa, moved=entry.moved)
 
-    def fly(self, entry: Entry, seed: int, *, near: float | None = None, watch: bool = False) -> dict[str, Any]:
+    def fly(
+        self, entry: Entry, seed: int, *, near: float | None = None, watch: bool = False
+    ) -> dict[str, Any]:
         """One flight as a row, with its controller and key."""
         row = fly(self.pilot(entry), self.plant, self.task, seed, near=near, watch=watch)
         return {"controller": entry.name, "key": self.campaign.key(entry), **row}
@@ -161,13 +173,21 @@ def _flown(entry: Entry, seed: int, near: float | None, watch: bool) -> dict[str
 
 
 def flights(
-    hangar: Hangar, entries: Sequence[Entry], seeds: Sequence[int], *, jobs: int = 1, log: str = "flights.jsonl",
-    near: float | None = None, watched: Sequence[int] = (), say: Callable[[str], None] = print,
-) -> list[dict[str, Any]]:  # fmt: skip
-    """Rows of all entries and seeds, those of an earlier run among them; every row is on the disk before the next flight.
+    hangar: Hangar,
+    entries: Sequence[Entry],
+    seeds: Sequence[int],
+    *,
+    jobs: int = 1,
+    log: str = "flights.jsonl",
+    near: float | None = None,
+    watched: Sequence[int] = (),
+    say: Callable[[str], None] = print,
+) -> list[dict[str, Any]]:
+    """Rows of all entries and seeds, those of an earlier run among them; every row is on the disk
+    before the next flight.
 
-    watched: seeds whose traces are kept in OUT/traces. Flights go seed by seed, so that controllers can be compared however
-    early the run is stopped.
+    watched: seeds whose traces are kept in OUT/traces. Flights go seed by seed, so that controllers
+    can be compared however early the run is stopped.
     """
     campaign = hangar.campaign
     path = campaign.out / log
@@ -177,7 +197,9 @@ def flights(
     by_name = {e.name: e for e in entries}
 
     def there(entry: Entry, seed: int) -> bool:
-        return (entry.name, seed) in rows and (seed not in watched or trace_path(campaign, entry, seed).exists())
+        return (entry.name, seed) in rows and (
+            seed not in watched or trace_path(campaign, entry, seed).exists()
+        )
 
     todo = [(e, s) for s in seeds for e in entries if not there(e, s)]
     done = len(entries) * len(seeds) - len(todo)
@@ -199,7 +221,11 @@ def flights(
 
 
 def kept(
-    campaign: Campaign, entries: Sequence[Entry], seeds: Sequence[int], *, log: str = "flights.jsonl"
+    campaign: Campaign,
+    entries: Sequence[Entry],
+    seeds: Sequence[int],
+    *,
+    log: str = "flights.jsonl",
 ) -> list[dict[str, Any]]:
     """Rows on the disk that these entries flew with these seeds and settings, by entry and seed."""
     order = {e.name: i for i, e in enumerate(entries)}
@@ -228,14 +254,20 @@ def make_folder(path: Path) -> None:
 
 
 def _run(
-    hangar: Hangar, todo: Sequence[tuple[Entry, int]], jobs: int, near: float | None, watched: Sequence[int]
+    hangar: Hangar,
+    todo: Sequence[tuple[Entry, int]],
+    jobs: int,
+    near: float | None,
+    watched: Sequence[int],
 ) -> Iterator[dict[str, Any]]:
     if jobs <= 1 or len(todo) < 2:
         for entry, seed in todo:
             yield hangar.fly(entry, seed, near=near, watch=seed in watched)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(hangar.campaign,)) as pool:
+    with ProcessPoolExecutor(
+        jobs, mp_context=context, initializer=_begin, initargs=(hangar.campaign,)
+    ) as pool:
         waiting = list(reversed(todo))
         running: set[Future[dict[str, Any]]] = set()
         try:
@@ -255,7 +287,9 @@ def told(row: dict[str, Any]) -> str:
     if row["crashed"]:
         return f"crashed after {row['seconds']:.1f} s"
     worst = min((m for m in row["margins"].values() if m is not None), default=float("inf"))
-    return f"{1e3 * abs(worst):.0f} mm {'beyond a limit' if worst < 0 else 'from the nearest limit'}"
+    return (
+        f"{1e3 * abs(worst):.0f} mm {'beyond a limit' if worst < 0 else 'from the nearest limit'}"
+    )
 
 
 def trace_path(campaign: Campaign, entry: Entry, seed: int) -> Path:
@@ -263,7 +297,9 @@ def trace_path(campaign: Campaign, entry: Entry, seed: int) -> Path:
     return campaign.out / "traces" / f"{entry.name}-{seed}-{campaign.key(entry)}.json"
 
 
-def read_traces(campaign: Campaign, entries: Sequence[Entry], seeds: Sequence[int]) -> dict[int, dict[str, Any]]:
+def read_traces(
+    campaign: Campaign, entries: Sequence[Entry], seeds: Sequence[int]
+) -> dict[int, dict[str, Any]]:
     """{seed: {controller: trace}} of what is there."""
     found: dict[int, dict[str, Any]] = {}
     for seed in seeds:
@@ -277,27 +313,53 @@ def read_traces(campaign: Campaign, entries: Sequence[Entry], seeds: Sequence[in
 def tuned(rows: Sequence[dict[str, Any]], level: float) -> dict[str, float]:
     """What flights without tightening on training seeds ask for.
 
-    `pairs` of limits touched in a flight, `boole`, the standard deviations that Boole's inequality over them asks for, and
-    `moved` [m], the constant that would have left at most `level` of these flights beyond a limit.
+    `pairs` of limits touched in a flight, `boole`, the standard deviations that Boole's inequality
+    over them asks for, and `moved` [m], the constant that would have left at most `level` of these
+    flights beyond a limit.
     """
     pairs = float(np.mean([r["pairs"] for r in rows]))
-    depth = sorted((max([c["depth"] for c in r["crossings"]], default=0.0) for r in rows), reverse=True)
+    depth = sorted(
+        (max([c["depth"] for c in r["crossings"]], default=0.0) for r in rows), reverse=True
+    )
     allowed = min(int(level * len(depth) + 1e-9), len(depth) - 1)
-    return {"pairs": pairs, "boole": kappa(level, max(pairs, 1.0)), "moved": round(float(depth[allowed]), 5)}
+    return {
+        "pairs": pairs,
+        "boole": kappa(level, max(pairs, 1.0)),
+        "moved": round(float(depth[allowed]), 5),
+    }
 
 
 def rehearsed(
-    hangar: Hangar, plain: Entry, level: float, *, tried: Sequence[float], count: int, jobs: int, say: Callable[[str], None]
-) -> tuple[float, list[dict[str, Any]]]:  # fmt: skip
-    """(standard deviations for `level`, what was rehearsed): `count` flights against the model itself at each of `tried`.
+    hangar: Hangar,
+    plain: Entry,
+    level: float,
+    *,
+    tried: Sequence[float],
+    count: int,
+    jobs: int,
+    say: Callable[[str], None],
+) -> tuple[float, list[dict[str, Any]]]:
+    """(standard deviations for `level`, what was rehearsed): `count` flights against the model
+    itself at each of `tried`.
 
-    Raises `ModelError` where they go beyond a limit too often for any of them (mpc_export/tube/risk.py).
+    Raises `ModelError` where they go beyond a limit too often for any of them
+    (mpc_export/tube/risk.py).
     """
     stage = Hangar(replace(hangar.campaign, plant="rehearsal", disturbances=""))
     entries = [replace(plain, name=f"{value:g}", kappa=value) for value in tried]
     rows = flights(
-        stage, entries, range(count), jobs=jobs, log="rehearsal.jsonl", say=lambda text: say(f"rehearsal: {text}")
+        stage,
+        entries,
+        range(count),
+        jobs=jobs,
+        log="rehearsal.jsonl",
+        say=lambda text: say(f"rehearsal: {text}"),
     )
-    beyond = [sum(bool(r["crashed"] or r["crossings"]) for r in rows if r["controller"] == e.name) for e in entries]
-    found = [{"kappa": k, "flights": count, "crossed": n} for k, n in zip(tried, beyond, strict=True)]
+    beyond = [
+        sum(bool(r["crashed"] or r["crossings"]) for r in rows if r["controller"] == e.name)
+        for e in entries
+    ]
+    found = [
+        {"kappa": k, "flights": count, "crossed": n} for k, n in zip(tried, beyond, strict=True)
+    ]
     return kappa_rehearsed(level, tried, beyond, [count] * len(beyond)), found

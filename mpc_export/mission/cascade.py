@@ -1,7 +1,9 @@
-"""A cascade of PID loops that knows only what a vehicle file says: the rival that every craft has on board.
+"""A cascade of PID loops that knows only what a vehicle file says: the rival that every craft has
+on board.
 
-Position errors ask for an acceleration, that for a tilt and a thrust, the attitude error for rates, rates for moments, and a
-mixer turns thrust and moments into rotor commands. Integrators carry what the vehicle file gets wrong.
+Position errors ask for an acceleration, that for a tilt and a thrust, the attitude error for rates,
+rates for moments, and a mixer turns thrust and moments into rotor commands. Integrators carry what
+the vehicle file gets wrong.
 """
 
 from __future__ import annotations
@@ -19,8 +21,9 @@ from mpc_export.mission.course import SampledPath
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Loop gains of position [1/s^2], velocity [1/s], integral of position [1/s^3], attitude [1/s], rates [1/s] and their
-    integral [1/s^2], each (3,) world or body axes; `tilt_max` [rad], `rate_max` [rad/s]."""
+    """Loop gains of position [1/s^2], velocity [1/s], integral of position [1/s^3], attitude [1/s],
+    rates [1/s] and their integral [1/s^2], each (3,) world or body axes; `tilt_max` [rad],
+    `rate_max` [rad/s]."""
 
     position: tuple[float, float, float] = (4.0, 4.0, 7.0)
     velocity: tuple[float, float, float] = (3.5, 3.5, 5.0)
@@ -39,7 +42,9 @@ class CascadeController:
         self.vehicle, self.gains = vehicle, gains or Gains()
         self.thrust = np.array([q.value for q in vehicle.actuator.thrust])
         torque = np.array([q.value for q in vehicle.actuator.torque])
-        self.hover = float(self._command(np.array([vehicle.mass.value * vehicle.gravity / vehicle.n_rotors]))[0])
+        self.hover = float(
+            self._command(np.array([vehicle.mass.value * vehicle.gravity / vehicle.n_rotors]))[0]
+        )
         powers = self.hover ** np.arange(3.0)
         ratio = float(torque @ powers) / float(self.thrust @ powers)
         center = np.array([q.value for q in vehicle.center_of_mass])
@@ -65,19 +70,24 @@ class CascadeController:
         actuator = self.vehicle.actuator
         return np.clip(self._command(forces), actuator.u_min, actuator.u_max)
 
-    def asked(self, seen: Mapping[str, float], goal: SampledPath, dt: float) -> tuple[float, FloatArray]:
-        """What the outer loops ask of a rate controller: specific thrust [m/s^2] and body rates (3,) [rad/s], each within
-        `rate_max`."""
+    def asked(
+        self, seen: Mapping[str, float], goal: SampledPath, dt: float
+    ) -> tuple[float, FloatArray]:
+        """What the outer loops ask of a rate controller: specific thrust [m/s^2] and body rates
+        (3,) [rad/s], each within `rate_max`."""
         quaternion = np.array([[seen[n] for n in ("qw", "qx", "qy", "qz")]])
         # Columns: the body's axes in the world.
         now = np.column_stack([numeric("rotate", quaternion, axis[None])[0] for axis in np.eye(3)])
         wanted = self._acceleration(seen, goal, dt)
         specific, error = _attitude(now, wanted, float(goal.yaw[0]))
-        rates = np.array(self.gains.attitude) * error + np.array([0.0, 0.0, float(goal.yaw_rate[0])])
+        rates = np.array(self.gains.attitude) * error + np.array(
+            [0.0, 0.0, float(goal.yaw_rate[0])]
+        )
         return specific, np.clip(rates, -self.gains.rate_max, self.gains.rate_max)
 
     def collective(self, specific: float) -> float:
-        """The command that every rotor needs for a specific thrust [m/s^2], within what the actuators can."""
+        """The command that every rotor needs for a specific thrust [m/s^2], within what the
+        actuators can."""
         thrust = float(np.clip(self.vehicle.mass.value * specific, 0.0, self.thrust_max))
         return float(self._command(np.array([thrust / self.vehicle.n_rotors]))[0])
 
@@ -96,9 +106,11 @@ class CascadeController:
         slip = goal.velocity[0] - np.array([seen[n] for n in ("vx", "vy", "vz")])
         self.place = np.clip(self.place + dt * away, -1.0, 1.0)
         wanted = (
-            goal.acceleration[0] + np.array(g.position) * np.clip(away, -1.5, 1.5) + np.array(g.velocity) * slip
+            goal.acceleration[0]
+            + np.array(g.position) * np.clip(away, -1.5, 1.5)
+            + np.array(g.velocity) * slip
             + np.array(g.integral) * self.place
-        )  # fmt: skip
+        )
         up = float(np.clip(wanted[2] + gravity, 0.3 * gravity, 2.0 * gravity))
         side = float(np.hypot(wanted[0], wanted[1]))
         shrink = float(np.clip(up * np.tan(g.tilt_max) / (side + 1e-9), 0.0, 1.0))
@@ -114,7 +126,8 @@ class CascadeController:
 
 
 def _attitude(now: FloatArray, wanted: FloatArray, yaw: float) -> tuple[float, FloatArray]:
-    """Specific thrust along the present body z, and the attitude error that remains (body axes, about [rad])."""
+    """Specific thrust along the present body z, and the attitude error that remains (body axes,
+    about [rad])."""
     z = wanted / np.linalg.norm(wanted)
     y = np.cross(z, [np.cos(yaw), np.sin(yaw), 0.0])
     y /= np.linalg.norm(y)

@@ -1,4 +1,5 @@
-"""What a course is: legs between points, planes that must not be crossed, limits of attitude and commands."""
+"""What a course is: legs between points, planes that must not be crossed, limits of attitude and
+commands."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ from greybox.symbolic import BoolArray, FloatArray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampledPath:
-    """Sampled reference: position, velocity, acceleration, each (n, 3), world [m, m/s, m/s^2]; yaw, yaw_rate (n,)."""
+    """Sampled reference: position, velocity, acceleration, each (n, 3), world [m, m/s, m/s^2]; yaw,
+    yaw_rate (n,)."""
 
     position: FloatArray
     velocity: FloatArray
@@ -24,10 +26,11 @@ class SampledPath:
 
 @dataclass(frozen=True, kw_only=True)
 class Plane:
-    """A limit on the centre of mass, normal . position <= offset [m], the vehicle's own size already taken off.
+    """A limit on the centre of mass, normal . position <= offset [m], the vehicle's own size
+    already taken off.
 
-    normal: unit vector, world. where: axis (0, 1, 2) -> (low, high) [m], the stretch along which the plane exists; a
-    wall without ends has none.
+    normal: unit vector, world. where: axis (0, 1, 2) -> (low, high) [m], the stretch along which
+    the plane exists; a wall without ends has none.
     """
 
     name: str
@@ -36,11 +39,15 @@ class Plane:
     where: Mapping[int, tuple[float, float]]
 
     def margin(self, position: FloatArray) -> FloatArray:
-        """Distance to the plane [m] of positions (..., 3): negative beyond it, infinite where it does not exist."""
-        return np.where(self.exists(position), self.offset - position @ np.array(self.normal), np.inf)
+        """Distance to the plane [m] of positions (..., 3): negative beyond it, infinite where it
+        does not exist."""
+        return np.where(
+            self.exists(position), self.offset - position @ np.array(self.normal), np.inf
+        )
 
     def exists(self, position: FloatArray, reach: float = 0.0) -> BoolArray:
-        """Whether the plane exists at positions (..., 3), its stretch lengthened by `reach` [m] at both ends."""
+        """Whether the plane exists at positions (..., 3), its stretch lengthened by `reach` [m] at
+        both ends."""
         inside = np.ones(position.shape[:-1], dtype=bool)
         for axis, (low, high) in self.where.items():
             inside &= (position[..., axis] >= low - reach) & (position[..., axis] <= high + reach)
@@ -49,7 +56,8 @@ class Plane:
 
 @dataclass(frozen=True, kw_only=True)
 class Leg:
-    """A minimum-jerk movement to `to` (x, y, z [m], yaw [rad]) within `time` s, then rest for `hold` s."""
+    """A minimum-jerk movement to `to` (x, y, z [m], yaw [rad]) within `time` s, then rest for
+    `hold` s."""
 
     to: tuple[float, float, float, float]
     time: float
@@ -58,10 +66,12 @@ class Leg:
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """Legs from `start` (x, y, z [m], yaw [rad]) after `wait` s of hover, and the limits along them.
+    """Legs from `start` (x, y, z [m], yaw [rad]) after `wait` s of hover, and the limits along
+    them.
 
-    tilt_max [rad] is the largest allowed angle between thrust and vertical; command_min and command_max bound the
-    commands. lost [m]: a flight farther than this from its reference counts as crashed.
+    tilt_max [rad] is the largest allowed angle between thrust and vertical; command_min and
+    command_max bound the commands. lost [m]: a flight farther than this from its reference counts
+    as crashed.
     """
 
     start: tuple[float, float, float, float]
@@ -79,7 +89,8 @@ class Course:
         return self.wait + sum(leg.time + leg.hold for leg in self.legs)
 
     def sample(self, time: FloatArray, rng: np.random.Generator | None = None) -> SampledPath:
-        """The reference at any times (N,) [s], at rest before the start and after the end; derivatives are exact.
+        """The reference at any times (N,) [s], at rest before the start and after the end;
+        derivatives are exact.
 
         rng is not used: every flight has the same reference.
         """

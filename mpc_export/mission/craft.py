@@ -1,13 +1,20 @@
-"""The craft that flies the obstacle course: gusts and hidden effects. Fixed before any controller was tuned.
+"""The craft that flies the obstacle course: gusts and hidden effects. Fixed before any controller
+was tuned.
 
-The 250 mm vehicle has what home-made ones have and a data sheet does not say: motor lag, rotor drag, drag of its body,
-blade flapping, and a centre of mass beside the middle. Its gusts are Gauss-Markov forces of 1 m/s^2 (rms per axis) with a
-correlation time of 0.4 s.
+The 250 mm vehicle has what home-made ones have and a data sheet does not say: motor lag, rotor
+drag, drag of its body, blade flapping, and a centre of mass beside the middle. Its gusts are
+Gauss-Markov forces of 1 m/s^2 (rms per axis) with a correlation time of 0.4 s.
 """
 
 from __future__ import annotations
 
-from greybox.plants.effects import BladeFlapping, CenterOfMassOffset, MotorLag, ParasiticDrag, RotorDrag
+from greybox.plants.effects import (
+    BladeFlapping,
+    CenterOfMassOffset,
+    MotorLag,
+    ParasiticDrag,
+    RotorDrag,
+)
 from greybox.plants.noise import ProcessNoise
 from greybox.plants.presets import X250, x250
 from greybox.plants.quadrotor import Quadrotor
@@ -26,7 +33,6 @@ GUSTS = ProcessNoise(
     drift_time=_GUST_TIME,
 )
 """White noise as in calm air, ten times the torque, and gusts."""
-
 
 
 def vehicle(process: ProcessNoise = GUSTS) -> Quadrotor:

@@ -1,4 +1,5 @@
-"""The demo of `greybox mpc`: the craft of the obstacle course flies once, and three models are identified from that flight.
+"""The demo of `greybox mpc`: the craft of the obstacle course flies once, and three models are
+identified from that flight.
 
     make demo-mpc      (or: python -m mpc_export.mission.demo --out demo_mpc_out)
 
@@ -37,30 +38,51 @@ from mpc_export.mission.craft import vehicle
 
 PLANT = "mpc_export.mission.craft:vehicle"
 SECONDS, POINTS = 40.0, 40
-"""Length of the demo's training flight [s], support points of its Gaussian process: enough, and done in a minute."""
+"""Length of the demo's training flight [s], support points of its Gaussian process: enough, and
+done in a minute."""
 FEATURES = (
-    "body_velocity.x", "body_velocity.y", "body_velocity.z", "p", "q", "r", "nu1", "nu2", "nu3", "nu4",
-)  # fmt: skip
+    "body_velocity.x",
+    "body_velocity.y",
+    "body_velocity.z",
+    "p",
+    "q",
+    "r",
+    "nu1",
+    "nu2",
+    "nu3",
+    "nu4",
+)
 EFFECTS = ("motor_lag", "rotor_drag", "center_of_mass_offset")
 HELD = ("center_of_mass_offset.c_z",)
-"""A moment along the speed is flapping or a vertical offset: an offset is found on a balance, so it stays at zero here."""
+"""A moment along the speed is flapping or a vertical offset: an offset is found on a balance, so it
+stays at zero here."""
 SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}
 ERRORS = {"inertia": 1.1, "thrust.c2": 0.92, "torque.c2": 1.1}
 
 
 def training_log(seconds: float) -> dict[str, FloatArray]:
-    """Columns of one log: random waypoints at up to 4.5 m/s with excitation, in the gusts of the course."""
+    """Columns of one log: random waypoints at up to 4.5 m/s with excitation, in the gusts of the
+    course."""
     plant = vehicle()
     path = RandomWaypoints(box=(2.0, 2.0, 0.4), speed=4.5, shortest=0.9, longest=1.8, yaw_swing=1.0)
-    log = fly(plant, controller_for(plant), path, rich_excitation(0.4), seconds, seed=TRAINING_SEEDS[0], warm_up=1.0)
+    log = fly(
+        plant,
+        controller_for(plant),
+        path,
+        rich_excitation(0.4),
+        seconds,
+        seed=TRAINING_SEEDS[0],
+        warm_up=1.0,
+    )
     return {n: v for n, v in log.items() if not n.startswith("omega")}
 
 
 def identify(out: Path, say: Callable[[str], None] = print) -> dict[str, Path]:
-    """Files of the demo's models, nominal, pem and hybrid, from one flight; those of an earlier run are taken as they are.
+    """Files of the demo's models, nominal, pem and hybrid, from one flight; those of an earlier run
+    are taken as they are.
 
-    Without PyTorch, which trains the Gaussian process, there is no hybrid. Also writes the vehicle file and the
-    flight, so that `greybox fit` and `learn` can be run on them by hand.
+    Without PyTorch, which trains the Gaussian process, there is no hybrid. Also writes the vehicle
+    file and the flight, so that `greybox fit` and `learn` can be run on them by hand.
     """
     files = {n: out / f"{n}.json" for n in ("nominal", "pem", "hybrid")}
     settings = {
@@ -82,18 +104,31 @@ def identify(out: Path, say: Callable[[str], None] = print) -> dict[str, Path]:
     card = read_vehicle(write_vehicle(out / "vehicle.toml", plant, sigma=SIGMA, errors=ERRORS))
     noise = ("force", "torque")
     say("noise levels of the data sheet's model")
-    nominal = fit(build_model(card, data.channels, ()), data, initialisation="nominal", disturbance=noise, free=())
+    nominal = fit(
+        build_model(card, data.channels, ()),
+        data,
+        initialisation="nominal",
+        disturbance=noise,
+        free=(),
+    )
     save_model(nominal.model, files["nominal"])
     say("fitting the physics")
     fitted = fit(
-        build_model(card, data.channels, EFFECTS), data, initialisation="nominal", disturbance=noise, fixed=HELD
+        build_model(card, data.channels, EFFECTS),
+        data,
+        initialisation="nominal",
+        disturbance=noise,
+        fixed=HELD,
     )
     save_model(fitted.model, files["pem"])
     say("learning what is left")
     try:
         learned = learn(fitted.model, data, features=FEATURES, points=POINTS, seed=0).model
-        # the tube's noise is the filter's own: what is calibrated for horizons is so on the flight that was learned from
-        save_model(replace(refit_noise(learned, data, each=True), horizon_noise=None), files["hybrid"])
+        # the tube's noise is the filter's own: what is calibrated for horizons is so on the flight
+        # that was learned from
+        save_model(
+            replace(refit_noise(learned, data, each=True), horizon_noise=None), files["hybrid"]
+        )
     except MissingExtraError as error:
         say(f"the tube flies on the fitted physics: {error}")
         return {n: files[n] for n in ("nominal", "pem")}
@@ -106,14 +141,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     from greybox.cli import main as greybox
 
     parser = argparse.ArgumentParser(
-        description="The demo of `greybox mpc`: the craft of the obstacle course flies once, three models are identified "
-        "from that flight (data sheet, fitted physics, physics with a Gaussian process) and each flies the course."
+        description="The demo of `greybox mpc`: the craft of the obstacle course flies once, three "
+        "models are identified "
+        "from that flight (data sheet, fitted physics, physics with a Gaussian process) and each "
+        "flies the course."
     )
     parser.add_argument("--out", default="demo_mpc_out")
     parser.add_argument("--flights", default="6")
     parser.add_argument("--jobs", default="2")
     arguments = parser.parse_args(argv)
-    return greybox(["mpc", "demo", "--flights", arguments.flights, "--jobs", arguments.jobs, "--out", arguments.out])
+    return greybox(
+        [
+            "mpc",
+            "demo",
+            "--flights",
+            arguments.flights,
+            "--jobs",
+            arguments.jobs,
+            "--out",
+            arguments.out,
+        ]
+    )
 
 
 if __name__ == "__main__":

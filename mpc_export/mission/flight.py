@@ -87,10 +87,14 @@ def mission(model: IdentifiedModel, course: Course, pace: float = 1.0) -> Missio
     """The course at the sample time that suits the model."""
     chosen = paced(course, pace)
     problem = TubeProblem(
-        dt=model.sample_time * max(1, round(STEP / model.sample_time)), horizon=20, planes=len(chosen.planes),
-        command_min=chosen.command_min, command_max=chosen.command_max, tilt_max=chosen.tilt_max,
+        dt=model.sample_time * max(1, round(STEP / model.sample_time)),
+        horizon=20,
+        planes=len(chosen.planes),
+        command_min=chosen.command_min,
+        command_max=chosen.command_max,
+        tilt_max=chosen.tilt_max,
         ancillary=Weights(position=ANCILLARY),
-    )  # fmt: skip
+    )
     return Mission(course=chosen, problem=problem, dt=model.sample_time, pace=pace)
 
 
@@ -107,14 +111,18 @@ def named(option: str, name: str, example: str) -> Any:
     try:
         return getattr(importlib.import_module(module), attribute)
     except Exception as error:
-        raise PlantError(f"{option} {name}: {type(error).__name__}: {error}", fix=f"name it like {example}") from None
+        raise PlantError(
+            f"{option} {name}: {type(error).__name__}: {error}", fix=f"name it like {example}"
+        ) from None
 
 
 def load_course(name: str) -> Course:
     """The course that `module:attribute` names. Raises `PlantError`."""
     found = named("--course", name, "mpc_export.mission:OBSTACLE_COURSE")
     if not isinstance(found, Course):
-        raise PlantError(f"--course {name}", expected="an mpc_export.mission.Course", got=type(found).__name__)
+        raise PlantError(
+            f"--course {name}", expected="an mpc_export.mission.Course", got=type(found).__name__
+        )
     return found
 
 
@@ -128,7 +136,9 @@ def load_plant(name: str) -> Any:
             f"--plant {name} cannot be made: {type(error).__name__}: {error}",
             fix="a class or function without arguments",
         ) from None
-    missing = [n for n in ("reset", "step", "measure", "truth") if not callable(getattr(plant, n, None))]
+    missing = [
+        n for n in ("reset", "step", "measure", "truth") if not callable(getattr(plant, n, None))
+    ]
     if missing:
         raise PlantError(
             f"--plant {name} has no {', '.join(missing)}",
@@ -144,7 +154,9 @@ def fitting(plant: Any, model: IdentifiedModel, start: tuple[float, ...]) -> Non
     rotors = getattr(plant, "rotors", len(commands))
     if rotors != len(commands):
         raise PlantError(
-            "plant and model differ in their commands", expected=f"{len(commands)} rotors", got=str(rotors)
+            "plant and model differ in their commands",
+            expected=f"{len(commands)} rotors",
+            got=str(rotors),
         )
     try:
         plant.reset(0, position=start[:3])
@@ -159,7 +171,9 @@ def fitting(plant: Any, model: IdentifiedModel, start: tuple[float, ...]) -> Non
         raise PlantError(f"the plant's truth has no {', '.join(lost)}", expected=", ".join(TRUE))
     needed = [n for n in model.dynamics.outputs.names if n not in seen]
     if len(needed) == len(model.dynamics.outputs.names):
-        raise PlantError("the plant measures nothing that the model knows", expected=", ".join(needed))
+        raise PlantError(
+            "the plant measures nothing that the model knows", expected=", ".join(needed)
+        )
 
 
 def truth(plant: Any) -> Any:
@@ -190,12 +204,18 @@ class CoursePlanes:
 def controller(model: IdentifiedModel, task: Mission) -> TubeController:
     """The tube controller on the course, not tightened yet."""
     return TubeController(
-        model=model, problem=task.problem, reference=task.course, planes=CoursePlanes(task.course), integrate=False,
+        model=model,
+        problem=task.problem,
+        reference=task.course,
+        planes=CoursePlanes(task.course),
+        integrate=False,
         lost=0.5 * task.course.lost,
-    )  # fmt: skip
+    )
 
 
-def tightened(pilot: TubeController, task: Mission, *, kappa: float = 0.0, moved: float = 0.0) -> TubeController:
+def tightened(
+    pilot: TubeController, task: Mission, *, kappa: float = 0.0, moved: float = 0.0
+) -> TubeController:
     """The same controller from its next start on, planes and tilt tightened by `kappa` standard deviations, the commands
     by one of them at most, planes moved by `moved` [m]. Nothing is compiled anew."""
     pilot.kappa, pilot.kappa_u = (kappa,) * (len(task.course.planes) + 1), min(kappa, 1.0)
@@ -226,7 +246,9 @@ class Cascade:
             place = np.array([seen[n] for n in "xyz"])
             if self._place is not None:
                 share = self.task.dt / (self.task.dt + _SLOW)
-                self._velocity = (1 - share) * self._velocity + share * (place - self._place) / self.task.dt
+                self._velocity = (1 - share) * self._velocity + share * (
+                    place - self._place
+                ) / self.task.dt
             self._place = place
             seen = seen | dict(zip(("vx", "vy", "vz"), map(float, self._velocity), strict=True))
         self.u = self.inner(seen, goal, self.task.dt)
@@ -237,7 +259,13 @@ class Cascade:
 
 
 def fly(
-    pilot: Any, plant: Any, task: Mission, seed: int, *, near: float | None = None, watch: bool = False
+    pilot: Any,
+    plant: Any,
+    task: Mission,
+    seed: int,
+    *,
+    near: float | None = None,
+    watch: bool = False,
 ) -> dict[str, Any]:
     """One flight as a row of plain values; with `watch` also "trace", what an animation needs.
 
@@ -255,7 +283,9 @@ def fly(
     times = np.asarray(dt * np.arange(steps), dtype=float)
     reference = course.sample(times)
     rows, commands, spent, solve, pairs, last = [], [], [], [], 0, None
-    trace = Trace(pilot, task.problem.horizon) if watch and isinstance(pilot, TubeController) else None
+    trace = (
+        Trace(pilot, task.problem.horizon) if watch and isinstance(pilot, TubeController) else None
+    )
     takes_command = _takes_argument(plant.measure)
     crashed = False
     for k in range(steps):
@@ -279,42 +309,60 @@ def fly(
                 trace.look(pilot)
     path, given = np.array(rows), np.array(commands)
     away = course.margins(path[:, :3])
-    tilt = np.arccos(np.clip(numeric("rotate", path[:, 6:10], np.tile([0.0, 0.0, 1.0], (len(path), 1)))[:, 2], -1, 1))
+    tilt = np.arccos(
+        np.clip(
+            numeric("rotate", path[:, 6:10], np.tile([0.0, 0.0, 1.0], (len(path), 1)))[:, 2], -1, 1
+        )
+    )
     error = np.linalg.norm(path[:, :3] - reference.position[: len(path)], axis=1)
     nearest = np.min(list(away.values()), axis=0)
     out: dict[str, Any] = {
-        "seed": seed, "crashed": crashed, "margins": {n: float(m.min()) for n, m in away.items()},
-        "tilt": float(np.nanmax(tilt)), "rmse": float(np.sqrt(np.mean(error**2))),
+        "seed": seed,
+        "crashed": crashed,
+        "margins": {n: float(m.min()) for n, m in away.items()},
+        "tilt": float(np.nanmax(tilt)),
+        "rmse": float(np.sqrt(np.mean(error**2))),
         "cost": CRASH if crashed else tracking_cost(path, given, reference, task.problem.weights),
-        "late": int(np.sum(np.array(spent) > dt)), "samples": len(path), "seconds": float(times[len(path) - 1]),
+        "late": int(np.sum(np.array(spent) > dt)),
+        "samples": len(path),
+        "seconds": float(times[len(path) - 1]),
         "solve_ms": np.round(solve, 2).tolist(),
-        "events": [{"time": e.time, "what": e.what} for e in pilot.events[:20]], "event_count": len(pilot.events),
+        "events": [{"time": e.time, "what": e.what} for e in pilot.events[:20]],
+        "event_count": len(pilot.events),
         "event_kinds": dict(Counter(e.what for e in pilot.events)),
         "descended": bool(getattr(pilot, "descending", False)),
-        "nearest": _cells(times[: len(path)], nearest), "crossings": _crossings(times, path, away),
-    }  # fmt: skip
+        "nearest": _cells(times[: len(path)], nearest),
+        "crossings": _crossings(times, path, away),
+    }
     if near is not None:
         out["pairs"] = pairs
     if watch:
         every = max(1, round(STEP / dt))
         out["trace"] = {
-            "time": np.round(times[: len(path) : every], 3), "path": np.round(path[::every, :3], 4),
-            "attitude": np.round(path[::every, 6:10], 4), "tilt": np.round(tilt[::every], 4),
-            "commands": np.round(given[::every], 4), "nearest": np.round(nearest[::every], 4),
+            "time": np.round(times[: len(path) : every], 3),
+            "path": np.round(path[::every, :3], 4),
+            "attitude": np.round(path[::every, 6:10], 4),
+            "tilt": np.round(tilt[::every], 4),
+            "commands": np.round(given[::every], 4),
+            "nearest": np.round(nearest[::every], 4),
             "plans": trace.plans if trace is not None else [],
-        }  # fmt: skip
+        }
     found: dict[str, Any] = to_plain(out)
     return found
 
 
-def tracking_cost(path: FloatArray, commands: FloatArray, reference: SampledPath, w: Weights) -> float:
+def tracking_cost(
+    path: FloatArray, commands: FloatArray, reference: SampledPath, w: Weights
+) -> float:
     """Tracking cost of a flight (n, 13) with the controller's weights, per sample."""
     yaw = numeric("euler", path[:, 6:10])[:, 2] - reference.yaw[: len(path)]
     terms = (
         w.position * (path[:, :3] - reference.position[: len(path)]),
         w.velocity * (path[:, 3:6] - reference.velocity[: len(path)]),
-        w.yaw * np.sin(yaw)[:, None], w.rate * path[:, 10:13], w.change * np.diff(commands, axis=0),
-    )  # fmt: skip
+        w.yaw * np.sin(yaw)[:, None],
+        w.rate * path[:, 10:13],
+        w.change * np.diff(commands, axis=0),
+    )
     return float(sum(0.5 * np.sum(v**2) for v in terms) / len(path))
 
 
@@ -332,7 +380,9 @@ def _cells(times: FloatArray, nearest: FloatArray) -> list[float]:
     return [round(float(v), 4) if np.isfinite(v) else math.nan for v in least]
 
 
-def _crossings(times: FloatArray, path: FloatArray, away: dict[str, FloatArray]) -> list[dict[str, Any]]:
+def _crossings(
+    times: FloatArray, path: FloatArray, away: dict[str, FloatArray]
+) -> list[dict[str, Any]]:
     found = []
     for name, margin in away.items():
         k = int(np.argmin(margin))

@@ -2,11 +2,12 @@
 
     x+ = f(x, u; theta) boxplus (d, w),   y = h(x, u) + v,   w ~ N(0, Q), v ~ N(0, R) as identified
 
-theta is drawn for every flight from the covariance of the fit. d, the slow force and torque that act on the vehicle, is
-either the identified Gauss-Markov process, or resampled from real flights: the disturbances that the smoother finds in
-them, drawn as whole blocks of `BLOCK` seconds, so that gusts keep their shape (moving block bootstrap, Kuensch 1989, Annals
-of Statistics 17(3)). A loop that is closed on its own model says what noise, disturbances and parameter errors of the
-identified size do to a controller; it cannot show what the model's structure misses.
+theta is drawn for every flight from the covariance of the fit. d, the slow force and torque that
+act on the vehicle, is either the identified Gauss-Markov process, or resampled from real flights:
+the disturbances that the smoother finds in them, drawn as whole blocks of `BLOCK` seconds, so that
+gusts keep their shape (moving block bootstrap, Kuensch 1989, Annals of Statistics 17(3)). A loop
+that is closed on its own model says what noise, disturbances and parameter errors of the identified
+size do to a controller; it cannot show what the model's structure misses.
 """
 
 from __future__ import annotations
@@ -36,46 +37,60 @@ FADE = 0.1
 FAR = 2.5
 """Parameters are drawn within this many standard deviations."""
 _NAMES = {
-    "position": ("x", "y", "z"), "velocity": ("vx", "vy", "vz"), "attitude": ("qw", "qx", "qy", "qz"),
+    "position": ("x", "y", "z"),
+    "velocity": ("vx", "vy", "vz"),
+    "attitude": ("qw", "qx", "qy", "qz"),
     "rate": ("p", "q", "r"),
-}  # fmt: skip
+}
 
 
 def real_disturbances(model: IdentifiedModel, data: Dataset) -> list[FloatArray]:
-    """Smoothed disturbance states (n, 6 or fewer) [N, N m] of every segment that is longer than four blocks.
+    """Smoothed disturbance states (n, 6 or fewer) [N, N m] of every segment that is longer than
+    four blocks.
 
-    A block is left out at either end, where a vehicle takes off or lands and the smoother knows least.
-    Raises `ModelError` for a model without disturbance states and for flights that are too short.
+    A block is left out at either end, where a vehicle takes off or lands and the smoother knows
+    least. Raises `ModelError` for a model without disturbance states and for flights that are too
+    short.
     """
     rows = [i for i, n in enumerate(model.dynamics.states.names) if n.startswith("disturbance.")]
     if not rows:
         raise ModelError(
-            "the model has no disturbance states that flights could be asked for", got=model.name,
+            "the model has no disturbance states that flights could be asked for",
+            got=model.name,
             fix="fit with --disturbance force,torque, or fly without --log",
-        )  # fmt: skip
+        )
     edge = round(BLOCK / model.sample_time)
     long = [segment for flight in data for segment in flight.segments if segment.n > 4 * edge]
     if not long:
-        raise ModelError("no flight is long enough to resample", expected=f"more than {4 * BLOCK:g} s")
+        raise ModelError(
+            "no flight is long enough to resample", expected=f"more than {4 * BLOCK:g} s"
+        )
     runner = Filter(model)
     return [smooth(runner, runner.run(segment)).states[edge:-edge, rows] for segment in long]
 
 
 class ModelPlant:
-    """The model of a file, flown: `reset`, `step`, `measure`, `states`, `truth`, as any other plant.
+    """The model of a file, flown: `reset`, `step`, `measure`, `states`, `truth`, as any other
+    plant.
 
-    disturbances: segments (n, k) of what `real_disturbances` found; None: the identified process. Raises `ModelError` for a
-    model without a steady hover.
+    disturbances: segments (n, k) of what `real_disturbances` found; None: the identified process.
+    Raises `ModelError` for a model without a steady hover.
     """
 
-    def __init__(self, model: IdentifiedModel, disturbances: Sequence[FloatArray] | None = None) -> None:
+    def __init__(
+        self, model: IdentifiedModel, disturbances: Sequence[FloatArray] | None = None
+    ) -> None:
         names, covariance = parameter_covariance(model)
         self.model, self.disturbances = model, disturbances
         self.sample_time = model.sample_time
         self.functions = f = model_functions(model, with_=("target",), runtime_parameters=names)
         x, u, p, w = f.sampled.symbols()
-        self._step = native(ca.Function("plant_step", [x, u, p, w], [ca.densify(f.sampled.step(x, u, p, w))]))
-        self._output = native(ca.Function("plant_output", [x, u, p, w], [ca.densify(f.sampled.output(x, u, p, w))]))
+        self._step = native(
+            ca.Function("plant_step", [x, u, p, w], [ca.densify(f.sampled.step(x, u, p, w))])
+        )
+        self._output = native(
+            ca.Function("plant_output", [x, u, p, w], [ca.densify(f.sampled.output(x, u, p, w))])
+        )
         self._learned = self._learned_push()
         self._at = [f.parameters[n] for n in names]
         values, vectors = np.linalg.eigh(covariance)
@@ -90,7 +105,8 @@ class ModelPlant:
         self.reset(0)
 
     def _learned_push(self) -> Any:
-        """(x, u, p) -> mean and standard deviation (n_g) of the learned part in its noise channels, or None."""
+        """(x, u, p) -> mean and standard deviation (n_g) of the learned part in its noise channels,
+        or None."""
         f = self.functions
         self._channels = [self.model.dynamics.noises[s.name] for s in f.learned]
         self._error = np.zeros(len(self._channels))
@@ -99,7 +115,11 @@ class ModelPlant:
         x, u, p = (ca.MX.sym(n, f.sizes[f"n_{n}"]) for n in "xup")
         z = f["gp_features_raw"](x, u, p)[0]
         deviation = ca.sqrt(ca.fmax(f["gp_variance"](z, p), 0.0))
-        return native(ca.Function("plant_learned", [x, u, p], [ca.densify(f["gp_mean"](z, p)), ca.densify(deviation)]))
+        return native(
+            ca.Function(
+                "plant_learned", [x, u, p], [ca.densify(f["gp_mean"](z, p)), ca.densify(deviation)]
+            )
+        )
 
     def _pushes(self, u: FloatArray) -> FloatArray:
         """Noise of the present sample and what the learned part adds to it."""
@@ -117,7 +137,8 @@ class ModelPlant:
                 x[i] = float(n == "attitude.w")
         for _ in range(30):
             x, u, away = (
-                v.full().ravel() for v in f["target_step"](x, u, f.parameter_values, np.zeros(len(f.targets)))
+                v.full().ravel()
+                for v in f["target_step"](x, u, f.parameter_values, np.zeros(len(f.targets)))
             )
             if away[0] < 1e-9:
                 return x, u
@@ -132,7 +153,9 @@ class ModelPlant:
         self._x, self.time = x, 0.0
         self._p = f.parameter_values.copy()
         if self._at:
-            drawn = self._p[self._at] + self._spread @ np.clip(self._rng.standard_normal(len(self._at)), -FAR, FAR)
+            drawn = self._p[self._at] + self._spread @ np.clip(
+                self._rng.standard_normal(len(self._at)), -FAR, FAR
+            )
             self._p[self._at] = np.clip(drawn, *self._bounds.T)
         self._queue = np.zeros((0, len(self._slow)))
         self._next_disturbance()
@@ -148,19 +171,25 @@ class ModelPlant:
             begin = int(self._rng.integers(sizes[which]))
             fresh = self.disturbances[which][begin : begin + length + fade].copy()
             old = self._queue if len(self._queue) else fresh[:fade]
-            # Weights whose squares add up to one keep the variance where two independent blocks meet.
+            # Weights whose squares add up to one keep the variance where two independent blocks
+            # meet.
             turn = 0.5 * np.pi * (np.arange(len(old)) + 1.0)[:, None] / (len(old) + 1.0)
-            fresh[: len(old)] = np.cos(turn) * old + np.sin(turn) * fresh[: len(old)] if len(self._queue) else old
+            fresh[: len(old)] = (
+                np.cos(turn) * old + np.sin(turn) * fresh[: len(old)] if len(self._queue) else old
+            )
             self._queue = fresh
         self._x[self._slow] = self._queue[0]
         self._queue = self._queue[1:]
 
     def _draw(self) -> None:
         self._w = self._rng.standard_normal(len(self._levels)) * self._levels
-        self._noise = self._rng.standard_normal(len(self.model.sensor_noise)) * self.model.sensor_noise
+        self._noise = (
+            self._rng.standard_normal(len(self.model.sensor_noise)) * self.model.sensor_noise
+        )
 
     def step(self, u: Any, dt: float | None = None) -> None:
-        """Hold the command u (n,) for one sample. Raises `ModelError` for another length than the model's sample."""
+        """Hold the command u (n,) for one sample. Raises `ModelError` for another length than the
+        model's sample."""
         if dt is not None and abs(dt - self.sample_time) > 1e-9:
             raise ModelError("an identified model steps at its own sample time", got=f"{dt:g} s")
         self._u = np.asarray(u, dtype=float)
@@ -170,18 +199,25 @@ class ModelPlant:
         self._draw()
 
     def measure(self, u: Any | None = None) -> dict[str, float]:
-        """Measurements now by column, with noise; u: the command that begins now (default: the one before)."""
+        """Measurements now by column, with noise; u: the command that begins now (default: the one
+        before)."""
         command = self._u if u is None else np.asarray(u, dtype=float)
         y = self._output(self._x, command, self._p, self._pushes(command)).full().ravel()
         out = self._noisy(dict(zip(self.functions.outputs.names, y.tolist(), strict=True)))
         names = self.functions.parameters.names
-        return {"t": self.time, **({"vbat": float(self._p[names.index("vbat")])} if "vbat" in names else {}), **out}
+        return {
+            "t": self.time,
+            **({"vbat": float(self._p[names.index("vbat")])} if "vbat" in names else {}),
+            **out,
+        }
 
     def _noisy(self, clean: dict[str, float]) -> dict[str, float]:
         """Measurements with sensor noise, one number per innovation of the model."""
         out, turn = dict(clean), np.zeros(3)
         dynamics = self.model.dynamics
-        for name, columns, e in zip(dynamics.innovations.names, dynamics.innovation_columns, self._noise, strict=True):
+        for name, columns, e in zip(
+            dynamics.innovations.names, dynamics.innovation_columns, self._noise, strict=True
+        ):
             if name.startswith("attitude."):
                 turn["xyz".index(name[-1])] = e
             else:
@@ -199,13 +235,16 @@ class ModelPlant:
         found: dict[str, float] = {}
         for block, columns in _NAMES.items():
             axes = "wxyz" if block == "attitude" else "xyz"
-            found |= {c: float(self._x[at[f"{block}.{a}"]]) for c, a in zip(columns, axes, strict=True)}
+            found |= {
+                c: float(self._x[at[f"{block}.{a}"]]) for c, a in zip(columns, axes, strict=True)
+            }
         return found
 
     def truth(self) -> dict[str, Any]:
         """What a log does not say: `parameters` of this flight, `effects`, `states`."""
         values = {
-            n: float(self._p[i]) for n, i in zip(self.functions.parameters.names, range(len(self._p)), strict=True)
+            n: float(self._p[i])
+            for n, i in zip(self.functions.parameters.names, range(len(self._p)), strict=True)
         }
         return {"parameters": values, "effects": list(self.model.effects), "states": self.states()}
 
@@ -213,8 +252,8 @@ class ModelPlant:
 class RehearsedPlant(ModelPlant):
     """`ModelPlant` of a hybrid with an error of the learned part that stays the same over a flight.
 
-    The learned function g(z) is mean(z) + sd(z) e, e ~ N(0, I) drawn once a flight: the consider states of the tube,
-    simulated. Back-offs are rehearsed on it.
+    The learned function g(z) is mean(z) + sd(z) e, e ~ N(0, I) drawn once a flight: the consider
+    states of the tube, simulated. Back-offs are rehearsed on it.
     """
 
     def reset(self, seed: int = 0, *, position: Sequence[float] = (0.0, 0.0, 1.0)) -> None:
@@ -223,7 +262,8 @@ class RehearsedPlant(ModelPlant):
         self._error = self._rng.standard_normal(len(self._channels))
 
     def copied(self) -> RehearsedPlant:
-        """A copy that flies on by itself, with the draws that this one would have had; compiled functions are shared."""
+        """A copy that flies on by itself, with the draws that this one would have had; compiled
+        functions are shared."""
         other = copy.copy(self)
         other._rng = copy.deepcopy(self._rng)
         return other

@@ -1,7 +1,7 @@
 """A dash toward a wall, a narrow gap, a low ceiling. Fixed before any controller was tuned.
 
-The reference asks for 2 cm more than the wall, one side of the gap and the ceiling allow, so that they bind: whoever
-plans up to a limit crosses it in every other gust.
+The reference asks for 2 cm more than the wall, one side of the gap and the ceiling allow, so that
+they bind: whoever plans up to a limit crosses it in every other gust.
 """
 
 from __future__ import annotations
@@ -31,9 +31,24 @@ OBSTACLE_COURSE = Course(
     ),
     planes=(
         Plane(name="wall", normal=(1.0, 0.0, 0.0), offset=2.98, where={1: (-10.0, 0.7)}),
-        Plane(name="gap, near side", normal=(-1.0, 0.0, 0.0), offset=-2.86, where={0: (2.0, 10.0), 1: (0.8, 1.2)}),
-        Plane(name="gap, far side", normal=(1.0, 0.0, 0.0), offset=2.98, where={0: (2.0, 10.0), 1: (0.8, 1.2)}),
-        Plane(name="ceiling", normal=(0.0, 0.0, 1.0), offset=1.48, where={0: (-0.5, 1.5), 1: (1.2, 10.0)}),
+        Plane(
+            name="gap, near side",
+            normal=(-1.0, 0.0, 0.0),
+            offset=-2.86,
+            where={0: (2.0, 10.0), 1: (0.8, 1.2)},
+        ),
+        Plane(
+            name="gap, far side",
+            normal=(1.0, 0.0, 0.0),
+            offset=2.98,
+            where={0: (2.0, 10.0), 1: (0.8, 1.2)},
+        ),
+        Plane(
+            name="ceiling",
+            normal=(0.0, 0.0, 1.0),
+            offset=1.48,
+            where={0: (-0.5, 1.5), 1: (1.2, 10.0)},
+        ),
     ),
     tilt_max=0.85,
     command_min=0.05,

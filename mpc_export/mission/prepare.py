@@ -39,9 +39,10 @@ from mpc_export.tube.stages import NEEDED
 
 Say = Callable[[str], None]
 TEXTS = {
-    "nominal": "the data sheet's model", "pem": "fitted physics, no tightening",
+    "nominal": "the data sheet's model",
+    "pem": "fitted physics, no tightening",
     "hybrid": "physics and Gaussian process, no tightening",
-}  # fmt: skip
+}
 REHEARSED, REHEARSALS = (0.5, 1.0, 1.5), 12
 """Standard deviations that are rehearsed on the model itself, and flights for each."""
 TUNING = 8
@@ -69,10 +70,21 @@ class Flown:
 
 
 def prepare(
-    subject: str, out: Path, *, demo: Demo | None = None, plant: str | None = None, logs: Sequence[str] = (),
-    course: str = OBSTACLES, pace: float | None = None, risk: str = "rehearsal",
-    flights_: int = 20, level: float = 0.1, seed: int = 0, jobs: int = 1, say: Say = print,
-) -> Flown:  # fmt: skip
+    subject: str,
+    out: Path,
+    *,
+    demo: Demo | None = None,
+    plant: str | None = None,
+    logs: Sequence[str] = (),
+    course: str = OBSTACLES,
+    pace: float | None = None,
+    risk: str = "rehearsal",
+    flights_: int = 20,
+    level: float = 0.1,
+    seed: int = 0,
+    jobs: int = 1,
+    say: Say = print,
+) -> Flown:
     """Models, plant, controllers and tuned back-offs of `subject`: a model file, or what a `demo` is called.
 
     plant: `module:attribute`; None flies the demo's plant, or the model itself under disturbances that are resampled from
@@ -82,10 +94,14 @@ def prepare(
     Raises `ModelError`, `PlantError`, `BuildError`, `FileFormatError`.
     """
     if demo is not None and logs:
-        raise ModelError("--log belongs to a model file", got="demo", fix="leave --log out, or name a model.json")
+        raise ModelError(
+            "--log belongs to a model file", got="demo", fix="leave --log out, or name a model.json"
+        )
     if plant is not None and logs:
         raise ModelError(
-            "--log says what disturbs an identified model", got=f"--plant {plant}", fix="leave one of them out"
+            "--log says what disturbs an identified model",
+            got=f"--plant {plant}",
+            fix="leave one of them out",
         )
     load_course(course)
     if plant is not None:
@@ -105,7 +121,9 @@ def prepare(
     if pace is None:
         pace = 1.0 if demo is not None else natural_pace(model, load_course(course))
     used = plant or ("model" if demo is None else demo.plant)
-    campaign = Campaign(out=out, plant=used, model=str(main), pace=pace, course=course, disturbances=kept)
+    campaign = Campaign(
+        out=out, plant=used, model=str(main), pace=pace, course=course, disturbances=kept
+    )
     hangar = Hangar(campaign)
     plain = Entry(
         name=main.stem if demo is not None else "mean",
@@ -126,49 +144,85 @@ def prepare(
     tuning |= {"kappa": tuning["boole"], "risk": "boole"}
     warnings = []
     if risk == "rehearsal":
-        say(f"rehearsing {REHEARSALS} flights at each of {len(REHEARSED)} back-offs against the model itself")
+        say(
+            f"rehearsing {REHEARSALS} flights at each of {len(REHEARSED)} back-offs against the model itself"
+        )
         try:
             found, tuning["rehearsed"] = rehearsed(
                 hangar, plain, level, tried=REHEARSED, count=REHEARSALS, jobs=jobs, say=say
             )
             tuning |= {"kappa": found, "risk": "rehearsal"}
         except ModelError as error:
-            warnings.append(f"Rehearsals do not bound the risk, so that Boole's inequality does: {error}")
+            warnings.append(
+                f"Rehearsals do not bound the risk, so that Boole's inequality does: {error}"
+            )
     entries = [
-        Entry(name="tube", text=f"{plain.name}, limits tightened by its tube, {100 * level:g} % a flight", model=str(main),
-              kappa=tuning["kappa"]),
-        Entry(name="constant", text=f"{plain.name}, limits moved by {1e3 * tuning['moved']:.1f} mm", model=str(main),
-              moved=tuning["moved"]),
+        Entry(
+            name="tube",
+            text=f"{plain.name}, limits tightened by its tube, {100 * level:g} % a flight",
+            model=str(main),
+            kappa=tuning["kappa"],
+        ),
+        Entry(
+            name="constant",
+            text=f"{plain.name}, limits moved by {1e3 * tuning['moved']:.1f} mm",
+            model=str(main),
+            moved=tuning["moved"],
+        ),
         Entry(name="cascade", text="cascade of PID loops", kind="cascade"),
-    ]  # fmt: skip
-    before = [Entry(name=n, text=TEXTS[n], model=str(f)) for n, f in files.items() if demo is not None and f != main]
+    ]
+    before = [
+        Entry(name=n, text=TEXTS[n], model=str(f))
+        for n, f in files.items()
+        if demo is not None and f != main
+    ]
     what = {
-        "mode": "demo" if demo is not None else "plant" if plant else "model", "subject": subject,
-        "plant": used, "plain": plain.name,
-        "model": model.name, "model_sha256": file_sha256(main), "learned": list(_learned(model)),
-        "trained_on": list(model.trained_on), "logs": [Path(p).name for p in logs],
-        "mass": float(model.values["mass"]) if "mass" in model.values else None, "disturbed_by": _disturbed(used, logs),
-    }  # fmt: skip
+        "mode": "demo" if demo is not None else "plant" if plant else "model",
+        "subject": subject,
+        "plant": used,
+        "plain": plain.name,
+        "model": model.name,
+        "model_sha256": file_sha256(main),
+        "learned": list(_learned(model)),
+        "trained_on": list(model.trained_on),
+        "logs": [Path(p).name for p in logs],
+        "mass": float(model.values["mass"]) if "mass" in model.values else None,
+        "disturbed_by": _disturbed(used, logs),
+    }
     return Flown(
-        hangar=hangar, entries=(*before, plain, *entries), tuning=tuning, what=what,
-        seeds=tuple(judging(flights_, seed)), warnings=tuple(warnings),
-    )  # fmt: skip
+        hangar=hangar,
+        entries=(*before, plain, *entries),
+        tuning=tuning,
+        what=what,
+        seeds=tuple(judging(flights_, seed)),
+        warnings=tuple(warnings),
+    )
 
 
 def _learned(model: IdentifiedModel) -> tuple[str, ...]:
     """Channels of the learned part, in its order; none for physics alone."""
-    return tuple(model.dynamics.posterior.outputs.names) if isinstance(model.dynamics, HybridModel) else ()
+    return (
+        tuple(model.dynamics.posterior.outputs.names)
+        if isinstance(model.dynamics, HybridModel)
+        else ()
+    )
 
 
 def _readable(path: Path) -> IdentifiedModel:
     if path.exists() and read_json(path).get("schema") == LINEAR:
-        raise ModelError("the tube needs a model with position and attitude", got="a linear model", fix="greybox fit")
+        raise ModelError(
+            "the tube needs a model with position and attitude",
+            got="a linear model",
+            fix="greybox fit",
+        )
     model = load_model(path)
     states = model.dynamics.states.names
     missing = [n for n in NEEDED if not any(s.startswith(f"{n}.") for s in states)]
     if missing:
         raise ModelError(
-            f"the tube needs a model with {', '.join(missing)}", got=model.name, fix="fit on flights with pose"
+            f"the tube needs a model with {', '.join(missing)}",
+            got=model.name,
+            fix="fit on flights with pose",
         )
     return model
 
@@ -176,7 +230,9 @@ def _readable(path: Path) -> IdentifiedModel:
 def _disturbances(model: IdentifiedModel, logs: Sequence[str]) -> list[Any]:
     from greybox.data.logs import read_logs
 
-    return real_disturbances(model, read_logs(list(logs), model.physics.vehicle, rate=1.0 / model.sample_time))
+    return real_disturbances(
+        model, read_logs(list(logs), model.physics.vehicle, rate=1.0 / model.sample_time)
+    )
 
 
 def _disturbed(plant: str, logs: Sequence[str]) -> str:

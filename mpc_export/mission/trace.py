@@ -14,7 +14,8 @@ SHOWN_STAGES = 11
 
 
 class Trace:
-    """Plans of a flight, thinned: where each stage is expected, how unsure that is, how far the limit is."""
+    """Plans of a flight, thinned: where each stage is expected, how unsure that is, how far the
+    limit is."""
 
     def __init__(self, pilot: TubeController, horizon: int) -> None:
         self.place = block(pilot.functions, "position")
@@ -25,8 +26,9 @@ class Trace:
         self.count = 0
 
     def look(self, pilot: TubeController) -> None:
-        """Keep every second plan: stages' times from now, positions, covariances (xx, xy, xz, yy, yz, zz), distance to the
-        nearest plane and its back-off, the learned part's standard deviation, and how far outside the training data."""
+        """Keep every second plan: stages' times from now, positions, covariances (xx, xy, xz, yy,
+        yz, zz), distance to the nearest plane and its back-off, the learned part's standard
+        deviation, and how far outside the training data."""
         self.count += 1
         if self.count % 2 == 0 or pilot.plan is None:
             return
@@ -46,10 +48,12 @@ class Trace:
         far = float(f["out_of_domain"](x, u, p)[0]) if "out_of_domain" in f.functions else 0.0
         self.plans.append(
             {
-                "time": round(plan.time, 3), "place": np.round(plan.x[self.stages][:, self.place], 4).tolist(),
+                "time": round(plan.time, 3),
+                "place": np.round(plan.x[self.stages][:, self.place], 4).tolist(),
                 "spread": [[float(f"{v:.3g}") for v in s[upper]] for s in spread],
                 "left": np.round(left[rows, first], 4)[self.stages].tolist(),
                 "backoff": np.round(data["backoff"][rows, first], 4)[self.stages].tolist(),
-                "unsure": [float(f"{v:.3g}") for v in unsure], "outside": round(far, 3),
+                "unsure": [float(f"{v:.3g}") for v in unsure],
+                "outside": round(far, 3),
             }
-        )  # fmt: skip
+        )

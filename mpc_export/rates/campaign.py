@@ -1,4 +1,5 @@
-"""Flights of `greybox mpc rates`: five rate controllers with the same seeds, kept row by row, and what they say together.
+"""Flights of `greybox mpc rates`: five rate controllers with the same seeds, kept row by row, and
+what they say together.
 
     pid            the rate loops of the vehicle file
     linear         predictive control on the linear model, plans up to the limits
@@ -6,7 +7,8 @@
     hybrid         predictive control on the linear model with its process
     tube           the same, tightened by the covariance with the process's variance
 
-Weights are one set for all, set by hand on training seeds. The vehicle file is wrong by what `identify.ERRORS` says.
+Weights are one set for all, set by hand on training seeds. The vehicle file is wrong by what
+`identify.ERRORS` says.
 """
 
 from __future__ import annotations
@@ -20,7 +22,14 @@ import numpy as np
 from scipy.stats import binomtest
 
 from greybox.baselines.output_residual import OutputHybrid
-from greybox.files import append_json_line, checksum, file_sha256, read_json, read_json_lines, write_json
+from greybox.files import (
+    append_json_line,
+    checksum,
+    file_sha256,
+    read_json,
+    read_json_lines,
+    write_json,
+)
 from greybox.model.identified import library_versions
 from greybox.progress import TimeLeft
 from mpc_export.mission import TRAINING_SEEDS
@@ -33,11 +42,12 @@ from mpc_export.rates.identify import identify, vehicle_card
 from mpc_export.tube.risk import kappa
 
 TEXTS = {
-    "pid": "PID loops that know the vehicle file, which is 8 to 10 % wrong", "linear": "linear model, no tightening",
+    "pid": "PID loops that know the vehicle file, which is 8 to 10 % wrong",
+    "linear": "linear model, no tightening",
     "linear-tube": "linear model, tightened by its own covariance",
     "hybrid": "linear model and Gaussian process, no tightening",
     "tube": "linear model and Gaussian process, tightened by their covariance",
-}  # fmt: skip
+}
 PLAIN = {"linear-tube": "linear", "tube": "hybrid"}
 """On whose training flights the touched limits of a tightened controller are counted."""
 TUNING = 4
@@ -49,7 +59,8 @@ Row = dict[str, Any]
 
 @dataclass(kw_only=True)
 class Rates:
-    """Everything that flies: models, plant, controllers by name with their standard deviations `kappa`."""
+    """Everything that flies: models, plant, controllers by name with their standard deviations
+    `kappa`."""
 
     out: Path
     task: Task
@@ -67,7 +78,8 @@ class Rates:
             "hybrid": RateController(predictor_model(self.hybrid), problem),
         }
         self._pilots = {
-            n: Pilot(outer=outer_loops(card, self.task), inner=planners.get(PLAIN.get(n, n))) for n in TEXTS
+            n: Pilot(outer=outer_loops(card, self.task), inner=planners.get(PLAIN.get(n, n)))
+            for n in TEXTS
         }
         models = [file_sha256(self.out / "models" / f) for f in ("hybrid.json", "vehicle.toml")]
         self._key = checksum([repr(self.task), repr(problem), FORM, PLANT, *models])
@@ -81,29 +93,49 @@ class Rates:
         pilot = self._pilots[name]
         if pilot.inner is not None:
             pilot.inner.kappa = self.kappa.get(name, 0.0)
-        return {"controller": name, "key": self.key(name), **fly(pilot, self.plant, self.task, seed, watch=watch)}
+        return {
+            "controller": name,
+            "key": self.key(name),
+            **fly(pilot, self.plant, self.task, seed, watch=watch),
+        }
 
 
 def prepare(out: Path, level: float, say: Callable[[str], None], task: Task | None = None) -> Rates:
-    """Models from training flights, and back-offs from the limits that untightened training flights touch (Boole)."""
+    """Models from training flights, and back-offs from the limits that untightened training flights
+    touch (Boole)."""
     found = Rates(
-        out=out, task=task or Task(), hybrid=identify(out / "models", say), level=level, kappa={}, touched={}
+        out=out,
+        task=task or Task(),
+        hybrid=identify(out / "models", say),
+        level=level,
+        kappa={},
+        touched={},
     )
     for tightened, plain in PLAIN.items():
         say(f"counting limits that {plain} touches on {TUNING} training flights")
         seeds = TRAINING_SEEDS[FLIGHTS : FLIGHTS + TUNING]
-        pairs = float(np.mean([r["touched"] for r in flights(found, [plain], seeds, say=say, log="tuning.jsonl")]))
+        pairs = float(
+            np.mean(
+                [r["touched"] for r in flights(found, [plain], seeds, say=say, log="tuning.jsonl")]
+            )
+        )
         found.touched[tightened] = pairs
         found.kappa[tightened] = kappa(level, max(pairs, 1.0))
     return found
 
 
-def kept(rates: Rates, names: Sequence[str], seeds: Sequence[int], log: str = "flights.jsonl") -> list[Row]:
+def kept(
+    rates: Rates, names: Sequence[str], seeds: Sequence[int], log: str = "flights.jsonl"
+) -> list[Row]:
     """Rows of an earlier run that still count."""
     path = rates.out / log
     keys = {n: rates.key(n) for n in names}
     rows = read_json_lines(path.read_text(encoding="utf-8")) if path.exists() else []
-    good = {(r["controller"], r["seed"]): r for r in rows if keys.get(str(r.get("controller"))) == r.get("key")}
+    good = {
+        (r["controller"], r["seed"]): r
+        for r in rows
+        if keys.get(str(r.get("controller"))) == r.get("key")
+    }
     return [good[n, s] for s in seeds for n in names if (n, s) in good]
 
 
@@ -113,15 +145,23 @@ def trace_file(rates: Rates, name: str, seed: int) -> Path:
 
 
 def flights(
-    rates: Rates, names: Sequence[str], seeds: Sequence[int], *, say: Callable[[str], None], log: str = "flights.jsonl",
+    rates: Rates,
+    names: Sequence[str],
+    seeds: Sequence[int],
+    *,
+    say: Callable[[str], None],
+    log: str = "flights.jsonl",
     watched: Sequence[int] = (),
-) -> list[Row]:  # fmt: skip
-    """Rows of all controllers and seeds, seed by seed; each is on the disk before the next flight begins."""
+) -> list[Row]:
+    """Rows of all controllers and seeds, seed by seed; each is on the disk before the next flight
+    begins."""
     rows = {(r["controller"], r["seed"]): r for r in kept(rates, names, seeds, log)}
     todo = [
-        (n, s) for s in seeds for n in names
+        (n, s)
+        for s in seeds
+        for n in names
         if (n, s) not in rows or (s in watched and not trace_file(rates, n, s).exists())
-    ]  # fmt: skip
+    ]
     total = len(names) * len(seeds)
     done = before = total - len(todo)
     left = TimeLeft()
@@ -146,23 +186,44 @@ def _flown(rates: Rates, todo: Sequence[tuple[str, int]], watched: Sequence[int]
 def read_traces(rates: Rates, seeds: Sequence[int]) -> dict[int, dict[str, Any]]:
     """{seed: {controller: trace}} of the watched flights that were flown."""
     return {
-        s: {n: read_json(trace_file(rates, n, s)) for n in TEXTS if trace_file(rates, n, s).exists()} for s in seeds
+        s: {
+            n: read_json(trace_file(rates, n, s)) for n in TEXTS if trace_file(rates, n, s).exists()
+        }
+        for s in seeds
     }
 
 
-def summary(rates: Rates, rows: Sequence[Row], seeds: Sequence[int], command: str) -> dict[str, Any]:
+def summary(
+    rates: Rates, rows: Sequence[Row], seeds: Sequence[int], command: str
+) -> dict[str, Any]:
     """The content of mpc_rates.json (greybox.mpc_rates/1)."""
     file = rates.out / "models" / "hybrid.json"
     out: dict[str, Any] = {
-        "schema": "greybox.mpc_rates/1", "command": command, "level": rates.level,
-        "plant": PLANT, "model": rates.hybrid.name, "model_sha256": file_sha256(file),
+        "schema": "greybox.mpc_rates/1",
+        "command": command,
+        "level": rates.level,
+        "plant": PLANT,
+        "model": rates.hybrid.name,
+        "model_sha256": file_sha256(file),
         "features": list(rates.hybrid.features),
-        "limit": rates.task.limit, "seconds": rates.task.seconds, "outputs": list(OUTPUTS),
+        "limit": rates.task.limit,
+        "seconds": rates.task.seconds,
+        "outputs": list(OUTPUTS),
         "seeds": {"first": min(seeds), "count": len(seeds)},
-        "tuning": {n: {"touched": rates.touched[n], "kappa": k, "flights": TUNING} for n, k in rates.kappa.items()},
-        "controllers": {n: _controller(n, [r for r in rows if r["controller"] == n], rates) for n in TEXTS},
-    }  # fmt: skip
-    return {**out, "verdict": verdict(out), "next": advice(out, file), "versions": library_versions()}
+        "tuning": {
+            n: {"touched": rates.touched[n], "kappa": k, "flights": TUNING}
+            for n, k in rates.kappa.items()
+        },
+        "controllers": {
+            n: _controller(n, [r for r in rows if r["controller"] == n], rates) for n in TEXTS
+        },
+    }
+    return {
+        **out,
+        "verdict": verdict(out),
+        "next": advice(out, file),
+        "versions": library_versions(),
+    }
 
 
 def beyond(row: Mapping[str, Any]) -> bool:
@@ -178,18 +239,22 @@ def _controller(name: str, rows: Sequence[Row], rates: Rates) -> dict[str, Any]:
         return float(np.mean([r[what] for r in rows])) if rows else None
 
     return {
-        "text": TEXTS[name], "kappa": rates.kappa.get(name, 0.0), "flights": n,
+        "text": TEXTS[name],
+        "kappa": rates.kappa.get(name, 0.0),
+        "flights": n,
         "beyond": {"count": hits, "share": hits / n if n else None, "interval": exact(hits, n)},
         "p_value": binomtest(hits, n, rates.level, alternative="greater").pvalue if n else None,
         "crashed": sum(bool(r["crashed"]) for r in rows),
         "samples_beyond": sum(r["beyond"] for r in rows) / max(1, sum(r["samples"] for r in rows)),
-        "worst": max((max(r["worst"]) for r in rows), default=None), "rmse": mean("rmse"), "away": mean("away"),
+        "worst": max((max(r["worst"]) for r in rows), default=None),
+        "rmse": mean("rmse"),
+        "away": mean("away"),
         "failures": sum(r["failures"] for r in rows),
         "solve_ms": {
             "median": float(np.median(solve)) if len(solve) else None,
             "p99": float(np.quantile(solve, 0.99)) if len(solve) else None,
         },
-    }  # fmt: skip
+    }
 
 
 def verdict(content: Mapping[str, Any]) -> str:
@@ -203,11 +268,15 @@ def verdict(content: Mapping[str, Any]) -> str:
     begin = "The tube broke its promise" if broke else "The tube kept its promise"
     begin += "" if broke or high <= 100 * content["level"] else " so far"
     others = ", ".join(
-        f"{n} in {c['beyond']['count']} of {c['flights']}" for n, c in found.items() if n != "tube" and c["flights"]
+        f"{n} in {c['beyond']['count']} of {c['flights']}"
+        for n, c in found.items()
+        if n != "tube" and c["flights"]
     )
     return (
-        f"{begin}: at most {100 * content['level']:g} % of flights may go beyond a body rate of {content['limit']:g} rad/s, "
-        f"{tube['beyond']['count']} of {tube['flights']} did (95 % interval {low:.0f} to {high:.0f} %). "
+        f"{begin}: at most {100 * content['level']:g} % of flights may go beyond a body rate of "
+        f"{content['limit']:g} rad/s, "
+        f"{tube['beyond']['count']} of {tube['flights']} did (95 % interval {low:.0f} to "
+        f"{high:.0f} %). "
         f"Beyond it went {others}."
     )
 
@@ -216,18 +285,32 @@ def advice(content: Mapping[str, Any], file: Path) -> list[str]:
     """What to do next."""
     tube = content["controllers"]["tube"]
     out = []
-    if tube["flights"] and tube["beyond"]["interval"][0] <= content["level"] < tube["beyond"]["interval"][1]:
-        out.append("So few flights leave the share open: fly more with --flights; the ones that are there are kept.")
-    out.append(f"The model that plans is a file: greybox export {file} --with covariance,filter writes it as C.")
-    out.append("A craft of your own: greybox linear, then greybox learn on what it wrote, and the same export.")
+    if (
+        tube["flights"]
+        and tube["beyond"]["interval"][0] <= content["level"] < tube["beyond"]["interval"][1]
+    ):
+        out.append(
+            "So few flights leave the share open: fly more with --flights; the ones that are there "
+            "are kept."
+        )
+    out.append(
+        f"The model that plans is a file: greybox export {file} --with covariance,filter writes it "
+        "as C."
+    )
+    out.append(
+        "A craft of your own: greybox linear, then greybox learn on what it wrote, and the same "
+        "export."
+    )
     return out
 
 
 def format_table(content: Mapping[str, Any]) -> str:
     """The table for a terminal."""
     lines = [
-        f"{'controller':11s} {'flights':>7s} {'beyond':>6s} {'95 % interval':>14s} {'time beyond':>11s} "
-        f"{'worst [rad/s]':>13s} {'RMSE [rad/s]':>12s} {'off path [m]':>12s} {'median/99 % [ms]':>16s}"
+        f"{'controller':11s} {'flights':>7s} {'beyond':>6s} {'95 % interval':>14s} "
+        f"{'time beyond':>11s} "
+        f"{'worst [rad/s]':>13s} {'RMSE [rad/s]':>12s} {'off path [m]':>12s} "
+        f"{'median/99 % [ms]':>16s}"
     ]
     for name, c in content["controllers"].items():
         if not c["flights"]:
@@ -237,7 +320,8 @@ def format_table(content: Mapping[str, Any]) -> str:
         t = c["solve_ms"]
         lines.append(
             f"{name:11s} {c['flights']:7d} {c['beyond']['count']:6d} {low:5.0f} ..{high:4.0f} % "
-            f"{100 * c['samples_beyond']:9.1f} % {c['worst']:13.2f} {c['rmse']:12.3f} {c['away']:12.2f} "
+            f"{100 * c['samples_beyond']:9.1f} % {c['worst']:13.2f} {c['rmse']:12.3f} "
+            f"{c['away']:12.2f} "
             f"{t['median']:8.1f}/{t['p99']:.1f}"
         )
     return "\n".join(lines)

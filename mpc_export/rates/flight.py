@@ -26,7 +26,8 @@ THIN = 2
 
 @dataclass(kw_only=True)
 class Pilot:
-    """Outer loops of the vehicle file and a rate controller below; without one the PID loops of the cascade."""
+    """Outer loops of the vehicle file and a rate controller below; without one the PID loops of the
+    cascade."""
 
     outer: CascadeController
     inner: RateController | None = None
@@ -59,9 +60,10 @@ def outer_loops(card: Vehicle, task: Task) -> CascadeController:
 
 
 def fly(pilot: Pilot, plant: Any, task: Task, seed: int, *, watch: bool = False) -> dict[str, Any]:
-    """One flight. Keys: seed, crashed, worst (largest true |rate| of each axis [rad/s]), beyond (samples with a rate beyond
-    the limit), samples, rmse (rates against what was asked [rad/s]), away (rms distance from the path [m]), touched
-    (limits that plans touch), solve_ms, failures (plans without a solution), and with `watch` a trace."""
+    """One flight. Keys: seed, crashed, worst (largest true |rate| of each axis [rad/s]), beyond
+    (samples with a rate beyond the limit), samples, rmse (rates against what was asked [rad/s]),
+    away (rms distance from the path [m]), touched (limits that plans touch), solve_ms, failures
+    (plans without a solution), and with `watch` a trace."""
     times = np.asarray(DT * np.arange(round(task.seconds / DT) + 1), dtype=float)
     path = task.path.sample(times, np.random.default_rng([seed, 1]))
     plant.reset(seed, position=tuple(path.position[0]))
@@ -79,9 +81,12 @@ def fly(pilot: Pilot, plant: Any, task: Task, seed: int, *, watch: bool = False)
             break
         ahead = slice(k + 1, k + 2)
         goal = SampledPath(
-            position=path.position[ahead], velocity=path.velocity[ahead], acceleration=path.acceleration[ahead],
-            yaw=path.yaw[ahead], yaw_rate=path.yaw_rate[ahead],
-        )  # fmt: skip
+            position=path.position[ahead],
+            velocity=path.velocity[ahead],
+            acceleration=path.acceleration[ahead],
+            yaw=path.yaw[ahead],
+            yaw_rate=path.yaw_rate[ahead],
+        )
         began = time.perf_counter()
         after, wanted = pilot.sample(seen, goal)
         spent.append(1e3 * (time.perf_counter() - began))
@@ -90,22 +95,32 @@ def fly(pilot: Pilot, plant: Any, task: Task, seed: int, *, watch: bool = False)
         if inner is not None and inner.plan is not None:
             touched += int((inner.margins() < NEAR).sum())
             if watch and k % THIN == 0:
-                plans.append({"y": np.round(inner.plan.y, 3), "sigma": np.round(inner.plan.sigma, 4)})
+                plans.append(
+                    {"y": np.round(inner.plan.y, 3), "sigma": np.round(inner.plan.sigma, 4)}
+                )
         plant.step(u, DT)
         u = np.array(after)
     flown, asked = np.abs(np.array(rates)), np.array(asks)
     # What was asked at one sample can be there at the next.
     error = np.array(rates)[1 : len(asked) + 1] - asked[: len(rates) - 1]
     row: dict[str, Any] = {
-        "seed": seed, "crashed": crashed, "worst": flown.max(axis=0), "beyond": int((flown > task.limit).any(axis=1).sum()),
-        "samples": len(flown), "rmse": float(np.sqrt(np.mean(error**2))), "away": float(np.sqrt(np.mean(gaps))),
-        "touched": touched, "solve_ms": np.round(spent, 2),
+        "seed": seed,
+        "crashed": crashed,
+        "worst": flown.max(axis=0),
+        "beyond": int((flown > task.limit).any(axis=1).sum()),
+        "samples": len(flown),
+        "rmse": float(np.sqrt(np.mean(error**2))),
+        "away": float(np.sqrt(np.mean(gaps))),
+        "touched": touched,
+        "solve_ms": np.round(spent, 2),
         "failures": 0 if pilot.inner is None else pilot.inner.failures,
-    }  # fmt: skip
+    }
     if watch:
         row["trace"] = {
-            "step": THIN * DT, "rates": np.round(np.array(rates)[::THIN], 3), "asked": np.round(asked[::THIN], 3),
+            "step": THIN * DT,
+            "rates": np.round(np.array(rates)[::THIN], 3),
+            "asked": np.round(asked[::THIN], 3),
             "plans": plans,
-        }  # fmt: skip
+        }
     found: dict[str, Any] = to_plain(row)
     return found

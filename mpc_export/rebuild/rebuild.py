@@ -1,12 +1,14 @@
-"""Rebuild the CasADi functions of this bundle from plain numbers. Needs casadi (3.6.7 or later) and numpy, nothing else.
+"""Rebuild the CasADi functions of this bundle from plain numbers. Needs casadi (3.6.7 or later) and
+numpy, nothing else.
 
     import rebuild
     functions = rebuild.load()          # name -> casadi.Function
     x_next = functions["f_d"](x, u, p)
 
-`functions.json` holds one tape per function: instructions by operation name (codes differ between CasADi versions, names
-do not), work slots, and for every argument and result its shape. `functions.npz` holds the long arrays: scalar tapes
-(physics) and dense constants (the Gaussian process). Nothing is executed but the operations listed here.
+`functions.json` holds one tape per function: instructions by operation name (codes differ between
+CasADi versions, names do not), work slots, and for every argument and result its shape.
+`functions.npz` holds the long arrays: scalar tapes (physics) and dense constants (the Gaussian
+process). Nothing is executed but the operations listed here.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ import numpy as np
 
 SCHEMA = "greybox.tape/1"
 LARGEST, LARGEST_ARCHIVE = 4_000_000, 500_000_000
-"""Entries of one matrix or slots of one tape, and bytes of functions.npz unpacked: what is larger was not exported."""
+"""Entries of one matrix or slots of one tape, and bytes of functions.npz unpacked: what is larger
+was not exported."""
 
 
 def _if_else_zero(c: Any, x: Any) -> Any:
@@ -29,36 +32,92 @@ def _if_else_zero(c: Any, x: Any) -> Any:
 
 
 UNARY: Mapping[str, Callable[[Any], Any]] = {
-    "ASSIGN": lambda x: x, "NEG": lambda x: -x, "EXP": ca.exp, "LOG": ca.log, "SQRT": ca.sqrt, "SQ": lambda x: x * x,
-    "TWICE": lambda x: x + x, "SIN": ca.sin, "COS": ca.cos, "TAN": ca.tan, "ASIN": ca.asin, "ACOS": ca.acos,
-    "ATAN": ca.atan, "FLOOR": ca.floor, "CEIL": ca.ceil, "NOT": ca.logic_not, "FABS": ca.fabs, "SIGN": ca.sign,
-    "ERF": ca.erf, "INV": lambda x: 1 / x, "SINH": ca.sinh, "COSH": ca.cosh, "TANH": ca.tanh, "ASINH": ca.asinh,
-    "ACOSH": ca.acosh, "ATANH": ca.atanh, "LOG1P": ca.log1p, "EXPM1": ca.expm1,
-}  # fmt: skip
+    "ASSIGN": lambda x: x,
+    "NEG": lambda x: -x,
+    "EXP": ca.exp,
+    "LOG": ca.log,
+    "SQRT": ca.sqrt,
+    "SQ": lambda x: x * x,
+    "TWICE": lambda x: x + x,
+    "SIN": ca.sin,
+    "COS": ca.cos,
+    "TAN": ca.tan,
+    "ASIN": ca.asin,
+    "ACOS": ca.acos,
+    "ATAN": ca.atan,
+    "FLOOR": ca.floor,
+    "CEIL": ca.ceil,
+    "NOT": ca.logic_not,
+    "FABS": ca.fabs,
+    "SIGN": ca.sign,
+    "ERF": ca.erf,
+    "INV": lambda x: 1 / x,
+    "SINH": ca.sinh,
+    "COSH": ca.cosh,
+    "TANH": ca.tanh,
+    "ASINH": ca.asinh,
+    "ACOSH": ca.acosh,
+    "ATANH": ca.atanh,
+    "LOG1P": ca.log1p,
+    "EXPM1": ca.expm1,
+}
 BINARY: Mapping[str, Callable[[Any, Any], Any]] = {
-    "ADD": lambda x, y: x + y, "SUB": lambda x, y: x - y, "MUL": lambda x, y: x * y, "DIV": lambda x, y: x / y,
-    "POW": lambda x, y: x**y, "CONSTPOW": lambda x, y: x**y, "LT": lambda x, y: x < y, "LE": lambda x, y: x <= y,
-    "EQ": lambda x, y: x == y, "NE": lambda x, y: x != y, "AND": ca.logic_and, "OR": ca.logic_or, "FMOD": ca.fmod,
-    "COPYSIGN": ca.copysign, "IF_ELSE_ZERO": _if_else_zero, "FMIN": ca.fmin, "FMAX": ca.fmax, "ATAN2": ca.atan2,
+    "ADD": lambda x, y: x + y,
+    "SUB": lambda x, y: x - y,
+    "MUL": lambda x, y: x * y,
+    "DIV": lambda x, y: x / y,
+    "POW": lambda x, y: x**y,
+    "CONSTPOW": lambda x, y: x**y,
+    "LT": lambda x, y: x < y,
+    "LE": lambda x, y: x <= y,
+    "EQ": lambda x, y: x == y,
+    "NE": lambda x, y: x != y,
+    "AND": ca.logic_and,
+    "OR": ca.logic_or,
+    "FMOD": ca.fmod,
+    "COPYSIGN": ca.copysign,
+    "IF_ELSE_ZERO": _if_else_zero,
+    "FMIN": ca.fmin,
+    "FMAX": ca.fmax,
+    "ATAN2": ca.atan2,
     "HYPOT": ca.hypot,
-}  # fmt: skip
+}
 WHOLE: Mapping[str, Callable[..., Any]] = {
-    "TRANSPOSE": lambda x: x.T, "DOT": ca.dot, "MTIMES": lambda z, x, y: ca.mac(x, y, z), "HORZCAT": ca.horzcat,
-    "VERTCAT": ca.vertcat, "DIAGCAT": ca.diagcat, "MMIN": ca.mmin, "MMAX": ca.mmax, "NORM1": ca.norm_1,
-    "NORM2": ca.norm_2, "NORMF": ca.norm_fro, "NORMINF": ca.norm_inf,
-}  # fmt: skip
-"""Operations of matrices without settings. SHAPED ones take the result's sparsity or a list of numbers too (`_matrix`)."""
+    "TRANSPOSE": lambda x: x.T,
+    "DOT": ca.dot,
+    "MTIMES": lambda z, x, y: ca.mac(x, y, z),
+    "HORZCAT": ca.horzcat,
+    "VERTCAT": ca.vertcat,
+    "DIAGCAT": ca.diagcat,
+    "MMIN": ca.mmin,
+    "MMAX": ca.mmax,
+    "NORM1": ca.norm_1,
+    "NORM2": ca.norm_2,
+    "NORMF": ca.norm_fro,
+    "NORMINF": ca.norm_inf,
+}
+"""Operations of matrices without settings. SHAPED ones take the result's sparsity or a list of
+numbers too (`_matrix`)."""
 SHAPED = (
-    "RESHAPE", "PROJECT", "SPARSITY_CAST", "HORZREPMAT", "HORZREPSUM", "HORZSPLIT", "VERTSPLIT", "GETNONZEROS",
-    "SETNONZEROS", "ADDNONZEROS",
-)  # fmt: skip
+    "RESHAPE",
+    "PROJECT",
+    "SPARSITY_CAST",
+    "HORZREPMAT",
+    "HORZREPSUM",
+    "HORZSPLIT",
+    "VERTSPLIT",
+    "GETNONZEROS",
+    "SETNONZEROS",
+    "ADDNONZEROS",
+)
 
 
 def load(folder: str | Path | None = None, names: Iterable[str] | None = None) -> dict[str, Any]:
-    """Functions by name from `functions.json` and `functions.npz` in `folder` (default: where this file is).
+    """Functions by name from `functions.json` and `functions.npz` in `folder` (default: where this
+    file is).
 
-    `names` are the ones to build (default: all). Raises `ValueError` for another schema or an operation that this file
-    does not know, `KeyError` for a name that is not there.
+    `names` are the ones to build (default: all). Raises `ValueError` for another schema or an
+    operation that this file does not know, `KeyError` for a name that is not there.
     """
     where = Path(__file__).resolve().parent if folder is None else Path(folder)
     text = json.loads((where / "functions.json").read_text(encoding="utf-8"))
@@ -96,7 +155,8 @@ def sparsity(port: Mapping[str, Any]) -> Any:
 
 
 def _scalar(tape: Mapping[str, Any], names: list[str], arrays: Mapping[str, Any]) -> Any:
-    """A function of scalars (SX): arrays of operation, result slot, two argument slots, and a constant."""
+    """A function of scalars (SX): arrays of operation, result slot, two argument slots, and a
+    constant."""
     inputs = [ca.SX.sym(port["name"], sparsity(port)) for port in tape["in"]]
     given = [x.nonzeros() for x in inputs]
     results: list[list[Any]] = [[0.0] * sparsity(port).nnz() for port in tape["out"]]
@@ -107,7 +167,9 @@ def _scalar(tape: Mapping[str, Any], names: list[str], arrays: Mapping[str, Any]
     kinds = {n: i for i, n in enumerate(names)}
     constant, taken, put = (kinds.get(n, -1) for n in ("CONST", "INPUT", "OUTPUT"))
     key = tape["arrays"]
-    rows = zip(*(arrays[f"{key}_{part}"].tolist() for part in ("op", "to", "a", "b", "value")), strict=True)
+    rows = zip(
+        *(arrays[f"{key}_{part}"].tolist() for part in ("op", "to", "a", "b", "value")), strict=True
+    )
     for op, to, a, b, value in rows:
         if op == constant:
             work[to] = ca.SX(value)
@@ -125,11 +187,23 @@ def _scalar(tape: Mapping[str, Any], names: list[str], arrays: Mapping[str, Any]
     for port, values in zip(tape["out"], results, strict=True):
         column = ca.vertcat(*values) if values else ca.SX(0, 1)
         outputs.append(ca.SX(sparsity(port), ca.SX(column)))
-    return ca.Function(tape["name"], inputs, outputs, [q["name"] for q in tape["in"]], [q["name"] for q in tape["out"]])
+    return ca.Function(
+        tape["name"],
+        inputs,
+        outputs,
+        [q["name"] for q in tape["in"]],
+        [q["name"] for q in tape["out"]],
+    )
 
 
-def _matrix(tape: Mapping[str, Any], names: list[str], arrays: Mapping[str, Any], build: Callable[[int], Any]) -> Any:
-    """A function of matrices (MX): a list of [operation, argument slots, result slots, settings]."""
+def _matrix(
+    tape: Mapping[str, Any],
+    names: list[str],
+    arrays: Mapping[str, Any],
+    build: Callable[[int], Any],
+) -> Any:
+    """A function of matrices (MX): a list of [operation, argument slots, result slots,
+    settings]."""
     inputs = [ca.MX.sym(port["name"], sparsity(port)) for port in tape["in"]]
     segments: list[dict[int, Any]] = [{} for _ in tape["out"]]
     work: dict[int, Any] = {}
@@ -144,8 +218,12 @@ def _matrix(tape: Mapping[str, Any], names: list[str], arrays: Mapping[str, Any]
             work[results[0]] = ca.MX(ca.DM(sparsity(extra), arrays[extra["array"]]))
         elif name == "CALL":
             function = build(extra["function"])
-            empty = [ca.MX(function.size1_in(i), function.size2_in(i)) for i in range(function.n_in())]
-            values = function.call([work[i] if i >= 0 else empty[k] for k, i in enumerate(arguments)])
+            empty = [
+                ca.MX(function.size1_in(i), function.size2_in(i)) for i in range(function.n_in())
+            ]
+            values = function.call(
+                [work[i] if i >= 0 else empty[k] for k, i in enumerate(arguments)]
+            )
             work.update((slot, v) for slot, v in zip(results, values, strict=True) if slot >= 0)
         elif name in ("HORZSPLIT", "VERTSPLIT"):
             split = ca.horzsplit if name == "HORZSPLIT" else ca.vertsplit
@@ -162,7 +240,9 @@ def _matrix(tape: Mapping[str, Any], names: list[str], arrays: Mapping[str, Any]
         else:
             raise ValueError(f"{tape['name']}: unknown operation {name}")
         if any(work[slot].nnz() > LARGEST for slot in results if slot in work):
-            raise ValueError(f"{tape['name']}: {name} makes a matrix of more than {LARGEST} entries")
+            raise ValueError(
+                f"{tape['name']}: {name} makes a matrix of more than {LARGEST} entries"
+            )
     outputs = []
     for port, parts in zip(tape["out"], segments, strict=True):
         shape = sparsity(port)
@@ -173,7 +253,13 @@ def _matrix(tape: Mapping[str, Any], names: list[str], arrays: Mapping[str, Any]
         else:
             column = ca.vertcat(*(_column(parts[k]) for k in sorted(parts)))
             outputs.append(ca.MX(shape, column))
-    return ca.Function(tape["name"], inputs, outputs, [q["name"] for q in tape["in"]], [q["name"] for q in tape["out"]])
+    return ca.Function(
+        tape["name"],
+        inputs,
+        outputs,
+        [q["name"] for q in tape["in"]],
+        [q["name"] for q in tape["out"]],
+    )
 
 
 def _argument(x: Any, extra: Mapping[str, Any]) -> Any:
@@ -185,7 +271,9 @@ def _argument(x: Any, extra: Mapping[str, Any]) -> Any:
 
 def _column(x: Any) -> Any:
     """The stored entries of a matrix as one dense column."""
-    return x if x.is_column() and x.is_dense() else ca.reshape(x.nz[:], x.nnz(), 1)  # of a row the entries are a row
+    return (
+        x if x.is_column() and x.is_dense() else ca.reshape(x.nz[:], x.nnz(), 1)
+    )  # of a row the entries are a row
 
 
 def _shaped(name: str, given: list[Any], extra: Mapping[str, Any]) -> Any:
@@ -212,8 +300,12 @@ def _shaped(name: str, given: list[Any], extra: Mapping[str, Any]) -> Any:
     kept, source = [(e, k) for k, e in enumerate(entries) if e >= 0], _column(given[1])
     n = given[0].nnz()
     if name == "ADDNONZEROS":
-        into = ca.DM.triplet([e for e, _ in kept], [k for _, k in kept], [1.0] * len(kept), n, len(entries))
+        into = ca.DM.triplet(
+            [e for e, _ in kept], [k for _, k in kept], [1.0] * len(kept), n, len(entries)
+        )
         return ca.MX(given[0].sparsity(), _column(given[0]) + ca.mtimes(into, source))
     order = dict(kept)  # the last one counts
     whole = ca.vertcat(_column(given[0]), source)
-    return ca.MX(given[0].sparsity(), whole.nz[[n + order[i] if i in order else i for i in range(n)]])
+    return ca.MX(
+        given[0].sparsity(), whole.nz[[n + order[i] if i in order else i for i in range(n)]]
+    )

@@ -1,1 +1,2 @@
-"""Tube MPC: a controller that flies an identified model and keeps its constraints with a stated probability."""
+"""Tube MPC: a controller that flies an identified model and keeps its constraints with a stated
+probability."""

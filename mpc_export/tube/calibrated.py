@@ -1,12 +1,15 @@
-"""How much wider the tube must be than the model says: scales that follow what is measured (mpc_export/calibration.py).
+"""How much wider the tube must be than the model says: scales that follow what is measured
+(mpc_export/calibration.py).
 
-A plane of normal n is tightened by sqrt(sum_i n_i^2 s_i^2) times as much, s the scales of the measured place's axes: exact
-where the axes are equally unsure. The tilt takes the larger scale of roll and pitch. Between horizons scales are
-interpolated, beyond the longest they stay. What no sensor measures keeps what the model says: scale 1. Less than that no
-plane is tightened: calm air promises nothing, and the longest horizons need seconds to learn of a gust.
+A plane of normal n is tightened by sqrt(sum_i n_i^2 s_i^2) times as much, s the scales of the
+measured place's axes: exact where the axes are equally unsure. The tilt takes the larger scale of
+roll and pitch. Between horizons scales are interpolated, beyond the longest they stay. What no
+sensor measures keeps what the model says: scale 1. Less than that no plane is tightened: calm air
+promises nothing, and the longest horizons need seconds to learn of a gust.
 
-Scales are of errors of measurements, sensor noise included, and widen the covariance of the state alone: one sample ahead,
-where most of the error is the sensor's, they tell little of the state; from .1 s on the state's share prevails.
+Scales are of errors of measurements, sensor noise included, and widen the covariance of the state
+alone: one sample ahead, where most of the error is the sensor's, they tell little of the state;
+from .1 s on the state's share prevails.
 """
 
 from __future__ import annotations
@@ -21,15 +24,19 @@ from mpc_export.tube.native import native
 
 
 class Calibrated:
-    """Forecasts under way and scales of one flight. functions: the model at the filter's sample time, group "calibrate".
+    """Forecasts under way and scales of one flight. functions: the model at the filter's sample
+    time, group "calibrate".
 
-    `scale` (n_e, n_h) is in force now. `held` and `stated` (n_e, n_h): whether the errors of the last sample were within the
-    calibrated intervals and within those of the model alone; NaN where no forecast came due.
+    `scale` (n_e, n_h) is in force now. `held` and `stated` (n_e, n_h): whether the errors of the
+    last sample were within the calibrated intervals and within those of the model alone; NaN where
+    no forecast came due.
     """
 
     def __init__(self, functions: ModelFunctions) -> None:
         self.own = functions.calibration
-        self._forecast, self._calibrate = (native(functions[n]) for n in ("forecast_step", "calibrate_step"))
+        self._forecast, self._calibrate = (
+            native(functions[n]) for n in ("forecast_step", "calibrate_step")
+        )
         self._states = len(functions.states)
         self._half = float(ca.DM(normal_half_width(ca.DM(LEVEL)))) * self.own.sigma
         self._late = [at + delay for at, delay in zip(self.own.first, self.own.delays, strict=True)]
@@ -49,14 +56,24 @@ class Calibrated:
         self.anew()
 
     def anew(self) -> None:
-        """No forecast is under way: what was begun before has nothing to do with the estimate of now."""
+        """No forecast is under way: what was begun before has nothing to do with the estimate of
+        now."""
         self._under_way, self._clock = np.zeros((self._states, COLUMNS)), np.zeros(1)
 
     def sees(
-        self, x: FloatArray, after: FloatArray, u: FloatArray, p: FloatArray, y: FloatArray, there: FloatArray
+        self,
+        x: FloatArray,
+        after: FloatArray,
+        u: FloatArray,
+        p: FloatArray,
+        y: FloatArray,
+        there: FloatArray,
     ) -> None:
-        """One sample: the filter's state before and after it, the command in force, what is measured and believed."""
-        under_way, clock, error, seen = self._forecast(x, after, u, p, y, there, self._under_way, self._clock)
+        """One sample: the filter's state before and after it, the command in force, what is
+        measured and believed."""
+        under_way, clock, error, seen = self._forecast(
+            x, after, u, p, y, there, self._under_way, self._clock
+        )
         self._under_way, self._clock = under_way.full(), clock.full()
         size, due = np.abs(error.full()), seen.full() != 0
         self.stated = np.where(due, size <= self._half, np.nan)
@@ -65,20 +82,24 @@ class Calibrated:
         self._theta, self.scale = theta.full(), scale.full()
 
     def unrest(self, kind: str) -> float:
-        """By how much larger than stated disturbances of a kind, "force" or "torque", must be: the largest scale of the
-        place or of roll and pitch beyond one sample; 1 where they are not measured or errors are smaller."""
+        """By how much larger than stated disturbances of a kind, "force" or "torque", must be: the
+        largest scale of the place or of roll and pitch beyond one sample; 1 where they are not
+        measured or errors are smaller."""
         rows = self._place if kind == "force" else self._tilt
         return max(1.0, float(self.scale[rows, 1:].max())) if rows else 1.0
 
     def wider(self, ahead: FloatArray, planes: FloatArray) -> FloatArray:
-        """(n, n_p + 1): factors of the planes (n, n_p, 4) and of the tilt, (n,) seconds after the last measurement."""
+        """(n, n_p + 1): factors of the planes (n, n_p, 4) and of the tilt, (n,) seconds after the
+        last measurement."""
         log = np.log(self.scale)
         s = np.exp([np.interp(ahead, self._ahead, np.maximum(row, 0.0)) for row in log]).T
         out = np.ones((len(ahead), planes.shape[1] + 1))
         if len(self._place) == 3:
             normal = planes[..., :3]
             length = np.einsum("kji,kji->kj", normal, normal)
-            found = np.einsum("kji,ki->kj", normal**2, s[:, self._place] ** 2) / np.maximum(length, 1e-12)
+            found = np.einsum("kji,ki->kj", normal**2, s[:, self._place] ** 2) / np.maximum(
+                length, 1e-12
+            )
             out[:, :-1] = np.where(length > 0, np.sqrt(found), 1.0)
         if self._tilt:
             out[:, -1] = s[:, self._tilt].max(axis=1)

@@ -144,27 +144,42 @@ class TubeController:
         self._blocks: dict[tuple[str, bool], list[int]] = {}
         self.every = max(1, round(self.problem.dt / self.model.sample_time))
         model = _integrating(self.model) if self.integrate else self.model
-        wanted = ["filter", *(["calibrate"] if self.calibrate else []), *(["adapt"] if self.adapt is not None else [])]
+        wanted = [
+            "filter",
+            *(["calibrate"] if self.calibrate else []),
+            *(["adapt"] if self.adapt is not None else []),
+        ]
         if self.adapt is not None:
             if not 0.0 <= self.memory < math.inf:
-                raise ModelError("adapt: memory is a time in seconds, 0 for ever", got=f"{self.memory:g} s")
+                raise ModelError(
+                    "adapt: memory is a time in seconds, 0 for ever", got=f"{self.memory:g} s"
+                )
             model = _uncertain(model, self.adapt)
         self.functions: ModelFunctions = model_functions(
-            model, dt=self.problem.dt, with_=("covariance", "target"),
+            model,
+            dt=self.problem.dt,
+            with_=("covariance", "target"),
             runtime_parameters=() if self.adapt is None else flight_parameters(model),
-        )  # fmt: skip
+        )
         self.filter: ModelFunctions = model_functions(model, with_=wanted)
-        noise = dict(zip(self.filter.error_states.names, np.diag(self.filter.noise.process), strict=True))
+        noise = dict(
+            zip(self.filter.error_states.names, np.diag(self.filter.noise.process), strict=True)
+        )
         self._pushes = [
             (at, name.split(".")[2], float(noise[f"d_{name.removeprefix('error.')}"]))
-            for at, name in enumerate(self.filter.adapted.names) if name.startswith("error.disturbance.")
-        ]  # fmt: skip
+            for at, name in enumerate(self.filter.adapted.names)
+            if name.startswith("error.disturbance.")
+        ]
         self._adapt = native(self.filter["adapt_step"]) if self.adapt is not None else None
         self.calibrated = Calibrated(self.filter) if self.calibrate else None
         self.solver = TubeSolver(
-            self.functions, self.problem, kernels=self.kernels, white=self.white, estimate=self._filter_covariance(),
+            self.functions,
+            self.problem,
+            kernels=self.kernels,
+            white=self.white,
+            estimate=self._filter_covariance(),
             fresh=innovations(self.filter, self.every, len(self.functions.error_states)),
-        )  # fmt: skip
+        )
         self._step = native(self.filter["filter_step"])
         self.columns = self.filter.outputs.names
         groups = self.model.dynamics.innovation_columns
@@ -198,12 +213,16 @@ class TubeController:
         if x is None:
             first = self.reference.sample(np.array([time]))
             hover[self._rows("position")] = first.position[0]
-            hover[self._rows("attitude")] = numeric("from_euler", [0.0, 0.0, float(first.yaw[0])])[0]
+            hover[self._rows("attitude")] = numeric("from_euler", [0.0, 0.0, float(first.yaw[0])])[
+                0
+            ]
             x = hover
         own = self.filter.own_states
         first_state, first_command, _ = self.filter.sampled.extended(x[:own], self._column(self.u))
         self.estimate = np.asarray(first_state)
-        self.past = [first_command.copy() for _ in range(1 + max(self.functions.delay.values(), default=0))]
+        self.past = [
+            first_command.copy() for _ in range(1 + max(self.functions.delay.values(), default=0))
+        ]
         self.steady = (self._state(), self.u.copy())
         self.p = self.functions.parameter_values.copy()
         self._unsure = self.filter.adapted.covariance.copy()
@@ -221,7 +240,9 @@ class TubeController:
         self._first: float | None = None
         self._failures = 0
         self._mean, self._weak = self.u.copy(), np.zeros(len(self.u), dtype=bool)
-        self._seen = [math.inf] * len(self._pose)  # when a pose was last believed; infinity before the first sample
+        self._seen = [math.inf] * len(
+            self._pose
+        )  # when a pose was last believed; infinity before the first sample
         data = self.solver.data
         data["x"][:], data["u"][:] = self._state(), self.u
 
@@ -338,9 +359,7 @@ class TubeController:
         there = np.array([float(np.isfinite(y[rows]).all()) for rows in self._present])
         return np.nan_to_num(y), there
 
-    def _see(
-        self, time: float, measured: Mapping[str, float | None], called: bool = True
-    ) -> None:
+    def _see(self, time: float, measured: Mapping[str, float | None], called: bool = True) -> None:
         for i, name in enumerate(self.functions.parameters.names):
             value = _number(measured.get(name))
             low, high = self.model.domain.get(name, (-math.inf, math.inf))
@@ -368,11 +387,15 @@ class TubeController:
             self._note(time, "the filter's estimate is not finite")
         self._challenge(time, y, there, innovation)
 
-    def _filtered(self, y: FloatArray, there: FloatArray) -> tuple[tuple[Any, Any, Any], tuple[Any, Any] | None]:
+    def _filtered(
+        self, y: FloatArray, there: FloatArray
+    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any] | None]:
         """(Next state, innovation, expected measurement), (parameters, covariance of what is adapted) where any is."""
         if self._adapt is None:
             return self._step(self.estimate, self.u, self.p, y, there), None
-        after, p, unsure, e, y_hat = self._adapt(self.estimate, self.u, self.p, y, there, self._unsure, self.memory)
+        after, p, unsure, e, y_hat = self._adapt(
+            self.estimate, self.u, self.p, y, there, self._unsure, self.memory
+        )
         return (after, e, y_hat), (p, unsure)
 
     def _learn(self, learned: tuple[Any, Any] | None) -> None:
@@ -391,8 +414,14 @@ class TubeController:
         rival = self._rival
         if rival.estimate is not None:
             after, off, _ = self._step(rival.estimate, self.u, self.p, y, there)
-            rival.goes_on(after.full().ravel(), denied - self.gate.surprise(off.full().ravel(), there))
-        if rival.estimate is None and denied >= DENIED and all(there[rows].all() for _, rows in self._pose):
+            rival.goes_on(
+                after.full().ravel(), denied - self.gate.surprise(off.full().ravel(), there)
+            )
+        if (
+            rival.estimate is None
+            and denied >= DENIED
+            and all(there[rows].all() for _, rows in self._pose)
+        ):
             begun = self._step(self._measured(y, there), self.u, self.p, y, there)[0]
             rival.begins(begun.full().ravel())
         if rival.believed:
@@ -414,7 +443,9 @@ class TubeController:
             at = [self.columns.index(c) for c in columns if c in self.columns]
             given = [there[i] > 0.0 for i, rows in enumerate(self._present) if set(rows) & set(at)]
             if len(at) == len(columns) and given and all(given):
-                state[self._rows(name)] = y[at] / (np.linalg.norm(y[at]) if name == "attitude" else 1.0)
+                state[self._rows(name)] = y[at] / (
+                    np.linalg.norm(y[at]) if name == "attitude" else 1.0
+                )
         return np.asarray(self.filter.sampled.extended(state, self._column(self.u))[0])
 
     def _believed(
@@ -450,9 +481,13 @@ class TubeController:
         data["ref"][:, :3], data["ref"][:, 3:6] = path.position[:n], path.velocity[:n]
         data["ref"][:, 6], data["ref"][:, 7:] = path.yaw[:n], self.steady[1]
         if self.planes is not None:
-            data["plane"][:] = self.planes(times if self.descent is None else np.full(n + 1, self.descent.time))
+            data["plane"][:] = self.planes(
+                times if self.descent is None else np.full(n + 1, self.descent.time)
+            )
         if self.calibrated is not None:
-            data["wider"][:] = self.calibrated.wider(times - begin + self.model.sample_time, data["plane"])
+            data["wider"][:] = self.calibrated.wider(
+                times - begin + self.model.sample_time, data["plane"]
+            )
         before = (data["x"].copy(), data["u"].copy())
         on = 1 if self._first is None else round((begin - self._first) / problem.dt)
         if self._failures >= FAILURES or on > n:
@@ -470,7 +505,9 @@ class TubeController:
             self._note(begin, f"no solution (status {outcome.status}, QP {outcome.qp_status})")
             return self._fallback(begin, path)
         if outcome.qp_status != 0:
-            self._note(begin, f"a plan within its limits, but not the best (QP {outcome.qp_status})")
+            self._note(
+                begin, f"a plan within its limits, but not the best (QP {outcome.qp_status})"
+            )
         if outcome.clipped > ROUNDING:
             self._note(begin, "a plan was clipped to its limits")
         self._failures, self._first = 0, begin
@@ -485,15 +522,22 @@ class TubeController:
             away = float(np.linalg.norm(place - path.position[0]))
             reasons = {
                 "no steady command within the limits": (bool(self._weak.any()), HELD),
-                "position or attitude not measured": (min(self._seen, default=begin) < begin - SLOW, BLIND - SLOW),
+                "position or attitude not measured": (
+                    min(self._seen, default=begin) < begin - SLOW,
+                    BLIND - SLOW,
+                ),
                 f"more than {self.lost:g} m from the path": (not away <= self.lost, AWAY),
             }
             why = self._watch(self.problem.dt, reasons)
             if why is None:
                 return path
-            weak = ", ".join(n for n, w in zip(self.functions.inputs.names, self._weak, strict=True) if w)
+            weak = ", ".join(
+                n for n, w in zip(self.functions.inputs.names, self._weak, strict=True) if w
+            )
             self._note(begin, f"descent declared: {why}{f' ({weak})' if weak else ''}")
-            velocity, attitude = (self.estimate[self._rows(n)].copy() for n in ("velocity", "attitude"))
+            velocity, attitude = (
+                self.estimate[self._rows(n)].copy() for n in ("velocity", "attitude")
+            )
             yaw = float(numeric("euler", attitude)[0][2])
             self.descent = Descent(time=begin, position=place.copy(), velocity=velocity, yaw=yaw)
         return self.descent.sample(times)
@@ -557,7 +601,9 @@ class TubeController:
         x = self.steady[0].copy()
         up = numeric("rotate", x[self._rows("attitude")], [0.0, 0.0, 1.0])[0]
         x[self._rows("position")], x[self._rows("velocity")] = path.position[k], path.velocity[k]
-        x[self._rows("attitude")] = _tilted(path.acceleration[k] + GRAVITY * up / max(up[2], 0.1), float(path.yaw[k]))
+        x[self._rows("attitude")] = _tilted(
+            path.acceleration[k] + GRAVITY * up / max(up[2], 0.1), float(path.yaw[k])
+        )
         x[self._rows("rate")] = 0.0
         return np.asarray(x)
 
@@ -588,7 +634,9 @@ class TubeController:
                 x, u = self.plan.x[k], self.plan.u[k]
         return self._corrected(self._state(), self.u, x, u)
 
-    def _corrected(self, state: FloatArray, before: FloatArray, x: FloatArray, u: FloatArray) -> FloatArray:
+    def _corrected(
+        self, state: FloatArray, before: FloatArray, x: FloatArray, u: FloatArray
+    ) -> FloatArray:
         """u and the ancillary gain on what `state` is away from x, within the limits of command and rate."""
         away = self.functions["boxminus"](state, x).full().ravel()
         for name, most in NEAR.items():
@@ -599,20 +647,31 @@ class TubeController:
 
 def _integrating(model: IdentifiedModel) -> IdentifiedModel:
     """The model with disturbances that do not decay; the noise that drives them stays."""
-    return model.with_values({n: FOREVER for n in model.values if n.startswith("disturbance.") and n.endswith(".T")})
+    return model.with_values(
+        {n: FOREVER for n in model.values if n.startswith("disturbance.") and n.endswith(".T")}
+    )
 
 
 def _uncertain(model: IdentifiedModel, spread: Mapping[str, float]) -> IdentifiedModel:
     """The model with these standard deviations of parameters from flight to flight. Raises `ModelError`."""
     for name, sigma in spread.items():
         if name not in model.values:
-            raise ModelError(f"adapt: the model has no parameter {name}", expected=", ".join(sorted(model.values)))
+            raise ModelError(
+                f"adapt: the model has no parameter {name}",
+                expected=", ".join(sorted(model.values)),
+            )
         if not (math.isfinite(sigma) and sigma > 0):
-            raise ModelError(f"adapt: {name} needs a standard deviation above zero", got=f"{sigma:g}")
+            raise ModelError(
+                f"adapt: {name} needs a standard deviation above zero", got=f"{sigma:g}"
+            )
     return replace(
-        model, flight_spread={**model.flight_spread, **{n: (model.values[n], s) for n, s in spread.items()}},
+        model,
+        flight_spread={
+            **model.flight_spread,
+            **{n: (model.values[n], s) for n, s in spread.items()},
+        },
         considered={n: v for n, v in model.considered.items() if n not in spread},
-    )  # fmt: skip
+    )
 
 
 def _number(value: object) -> float:
@@ -630,4 +689,6 @@ def _tilted(up: npt.NDArray[np.float64], yaw: float) -> FloatArray:
     y /= max(float(np.linalg.norm(y)), 1e-9)
     r = np.column_stack([np.cross(y, z), y, z])
     w = 0.5 * math.sqrt(max(1.0 + np.trace(r), 1e-12))
-    return np.array([w, *(np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / (4.0 * w))])
+    return np.array(
+        [w, *(np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / (4.0 * w))]
+    )

@@ -1,12 +1,14 @@
 """How the deviations of a closed loop at different stages of a plan hang together.
 
-True state - plan = e + h: e the filter's error, h what the estimate has moved away from the plan. Between two stages
+True state - plan = e + h: e the filter's error, h what the estimate has moved away from the plan.
+Between two stages
 
     e+ = F e + ...,   h+ = (A + B K) h + (A - F) e + ...,   F = (A_1 - L C_1)^m,
 
-with A_1, C_1 and the predictor's gain L at the filter's sample time and m filter steps a stage: the estimate moves by
-innovations, and these see e. e and h of one stage are uncorrelated (separation principle), of different stages they are
-not (Anderson and Moore 1979, chapter 5). Errors of parameters and of the learned function stay as they are.
+with A_1, C_1 and the predictor's gain L at the filter's sample time and m filter steps a stage: the
+estimate moves by innovations, and these see e. e and h of one stage are uncorrelated (separation
+principle), of different stages they are not (Anderson and Moore 1979, chapter 5). Errors of
+parameters and of the learned function stay as they are.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ from mpc_export.tube.stages import Stages
 
 
 def error_transition(filter_: ModelFunctions, steps: int, size: int) -> FloatArray:
-    """F (size, size) of the filter's error over `steps` of its samples at hover; what it does not have is known: zero."""
+    """F (size, size) of the filter's error over `steps` of its samples at hover; what it does not
+    have is known: zero."""
     x, u = filter_.reference
     _, a, _, _ = (v.full() for v in filter_["f_d_jac"](x, u, filter_.parameter_values))
     _, c, _, _ = (v.full() for v in filter_["h_jac"](x, u, filter_.parameter_values))
@@ -31,14 +34,19 @@ def error_transition(filter_: ModelFunctions, steps: int, size: int) -> FloatArr
 
 
 def innovations(filter_: ModelFunctions, steps: int, size: int) -> FloatArray:
-    """W (size, size): what the filter's innovations move the estimate by over `steps` of its samples at hover.
+    """W (size, size): what the filter's innovations move the estimate by over `steps` of its
+    samples at hover.
 
-    Innovations L e of covariance L S L' are white, and go on with the model: W = sum_i A_1^i L S L' A_1^i', i < steps.
+    Innovations L e of covariance L S L' are white, and go on with the model: W = sum_i A_1^i L S L'
+    A_1^i', i < steps.
     """
     x, u = filter_.reference
     _, a, _, _ = (v.full() for v in filter_["f_d_jac"](x, u, filter_.parameter_values))
     own = len(filter_.error_states) - (len(filter_.states) - filter_.own_states)
-    a, one = a[:own, :own], (filter_.noise.gain @ filter_.noise.innovation @ filter_.noise.gain.T)[:own, :own]
+    a, one = (
+        a[:own, :own],
+        (filter_.noise.gain @ filter_.noise.innovation @ filter_.noise.gain.T)[:own, :own],
+    )
     total = np.zeros((own, own))
     for _ in range(steps):
         total = a @ total @ a.T + one
@@ -50,7 +58,8 @@ def innovations(filter_: ModelFunctions, steps: int, size: int) -> FloatArray:
 def correlation(
     model: ModelFunctions, made: Stages, transition: FloatArray, normal: FloatArray, length: int
 ) -> FloatArray:
-    """(length, length) correlation of normal . (true state - plan) between the stages 1..length of a plan at hover.
+    """(length, length) correlation of normal . (true state - plan) between the stages 1..length of
+    a plan at hover.
 
     normal (n_d,) in error coordinates; transition: `error_transition` over one stage.
     """
@@ -59,7 +68,11 @@ def correlation(
     n, p = len(a), model.parameter_values
     closed = a + b @ made.gain
     joint = np.block([[transition, np.zeros((n, n))], [a - transition, closed]])
-    z, c, bias = np.zeros((n, n)), np.zeros((n, model.sizes["n_g"])), np.zeros((n, model.sizes["n_theta"]))
+    z, c, bias = (
+        np.zeros((n, n)),
+        np.zeros((n, model.sizes["n_g"])),
+        np.zeros((n, model.sizes["n_theta"])),
+    )
     covariances, constant = [], np.zeros((length + 1, model.sizes["n_g"] + model.sizes["n_theta"]))
     values, vectors = np.linalg.eigh(model.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

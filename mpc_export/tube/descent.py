@@ -54,9 +54,10 @@ class Descent:
         s = np.minimum(t, length)
         return Way(
             position=self.position + final * t + change * (s - s**2 / (2.0 * length)),
-            velocity=final + change * (1.0 - s / length), acceleration=np.where(t < length, -change / length, 0.0),
+            velocity=final + change * (1.0 - s / length),
+            acceleration=np.where(t < length, -change / length, 0.0),
             yaw=np.full(len(t), self.yaw),
-        )  # fmt: skip
+        )
 
 
 class Watch:

@@ -1,7 +1,9 @@
-"""The same optimal control problem handed to IPOPT: the reference that the controller's own solver is held against.
+"""The same optimal control problem handed to IPOPT: the reference that the controller's own solver
+is held against.
 
-Direct multiple shooting in raw coordinates with the same step, slack variables with the same exact penalty, back-offs
-either fixed ("zero-order") or part of the problem ("full": the covariance recursion is differentiated through).
+Direct multiple shooting in raw coordinates with the same step, slack variables with the same exact
+penalty, back-offs either fixed ("zero-order") or part of the problem ("full": the covariance
+recursion is differentiated through).
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ from mpc_export.tube.solver import TubeSolver
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """x (N + 1, n_x), u (N, n_u), slack (N, planes + 1), cost with penalties, IPOPT's status and seconds of the solution."""
+    """x (N + 1, n_x), u (N, n_u), slack (N, planes + 1), cost with penalties, IPOPT's status and
+    seconds of the solution."""
 
     x: FloatArray
     u: FloatArray
@@ -30,14 +33,19 @@ class Solution:
 
 
 class IpoptSolver:
-    """Built once from a `TubeSolver`, whose data every call reads: state, references, planes, back-offs, start.
+    """Built once from a `TubeSolver`, whose data every call reads: state, references, planes,
+    back-offs, start.
 
-    backoff: "fixed" takes the back-offs that stand in the data, "full" lets them depend on the plan. Raises
-    `GreyboxError` where IPOPT does not converge.
+    backoff: "fixed" takes the back-offs that stand in the data, "full" lets them depend on the
+    plan. Raises `GreyboxError` where IPOPT does not converge.
     """
 
     def __init__(
-        self, solver: TubeSolver, *, backoff: Literal["fixed", "full"] = "fixed", options: dict[str, Any] | None = None
+        self,
+        solver: TubeSolver,
+        *,
+        backoff: Literal["fixed", "full"] = "fixed",
+        options: dict[str, Any] | None = None,
     ) -> None:
         self.solver, self.full = solver, backoff == "full"
         s = self.size = solver.sizes
@@ -93,12 +101,19 @@ class IpoptSolver:
         self._bounds = np.concatenate(low), np.concatenate(high)
 
     def _tightening(
-        self, given: dict[str, Expr], scalars: dict[str, Expr], x: list[Expr], u: list[Expr], p: Expr
+        self,
+        given: dict[str, Expr],
+        scalars: dict[str, Expr],
+        x: list[Expr],
+        u: list[Expr],
+        p: Expr,
     ) -> tuple[list[Expr], list[Expr]]:
         s, f = self.size, self.solver.stages.functions
         n = s["N"]
         if not self.full:
-            return [given["backoff"][:, k] for k in range(n + 1)], [given["backoff_u"][:, k] for k in range(n)]
+            return [given["backoff"][:, k] for k in range(n + 1)], [
+                given["backoff_u"][:, k] for k in range(n)
+            ]
         keep, gain = list(self.solver.stages.keep), ca.DM(self.solver.stages.gain)
         z = ca.reshape(given["Z0"], s["ND"], s["ND"])
         c, b = ca.MX(s["ND"], s["NGP"]), ca.MX(s["ND"], s["NTH"])
@@ -111,7 +126,10 @@ class IpoptSolver:
             spread = ca.diag(slope @ total[keep, keep] @ slope.T)
             # a plane that is not there has no slope, and the root none at zero
             tight.append(given["kappa"] * given["wider"][:, k] * ca.sqrt(spread + 1e-18))
-            tight_u.append(scalars["kappa_u"] * ca.sqrt(ca.fmax(ca.diag(gain @ (total - first) @ gain.T), 0) + 1e-18))
+            tight_u.append(
+                scalars["kappa_u"]
+                * ca.sqrt(ca.fmax(ca.diag(gain @ (total - first) @ gain.T), 0) + 1e-18)
+            )
         return tight, tight_u
 
     def solve(self) -> Solution:
@@ -120,15 +138,27 @@ class IpoptSolver:
         n, nx, nu, nl = s["N"], s["NX"], s["NU"], s["NPL"] + 1
         values = np.concatenate([np.ravel(data[name]) for name in self._order])
         start = np.concatenate([data["x"].ravel(), data["u"].ravel(), np.zeros(n * nl)])
-        lower = np.concatenate([np.full((n + 1) * nx, -np.inf), np.tile(data["u_min"], n), np.zeros(n * nl)])
-        upper = np.concatenate([np.full((n + 1) * nx, np.inf), np.tile(data["u_max"], n), np.full(n * nl, np.inf)])
-        found = self._solve(x0=start, p=values, lbx=lower, ubx=upper, lbg=self._bounds[0], ubg=self._bounds[1])
+        lower = np.concatenate(
+            [np.full((n + 1) * nx, -np.inf), np.tile(data["u_min"], n), np.zeros(n * nl)]
+        )
+        upper = np.concatenate(
+            [np.full((n + 1) * nx, np.inf), np.tile(data["u_max"], n), np.full(n * nl, np.inf)]
+        )
+        found = self._solve(
+            x0=start, p=values, lbx=lower, ubx=upper, lbg=self._bounds[0], ubg=self._bounds[1]
+        )
         stats = self._solve.stats()
         if not stats["success"]:
-            raise GreyboxError("IPOPT did not solve the reference problem", got=stats["return_status"])
+            raise GreyboxError(
+                "IPOPT did not solve the reference problem", got=stats["return_status"]
+            )
         v = found["x"].full().ravel()
         at = (n + 1) * nx
         return Solution(
-            x=v[:at].reshape(n + 1, nx), u=v[at : at + n * nu].reshape(n, nu), slack=v[at + n * nu :].reshape(n, nl),
-            cost=float(found["f"]), status=stats["return_status"], seconds=float(stats.get("t_wall_total", np.nan)),
-        )  # fmt: skip
+            x=v[:at].reshape(n + 1, nx),
+            u=v[at : at + n * nu].reshape(n, nu),
+            slack=v[at + n * nu :].reshape(n, nl),
+            cost=float(found["f"]),
+            status=stats["return_status"],
+            seconds=float(stats.get("t_wall_total", np.nan)),
+        )

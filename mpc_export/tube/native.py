@@ -14,7 +14,8 @@ from mpc_export.c_code import FAST_FLAGS, CKernel, write_c
 
 
 def native(function: Any, kernels: Sequence[CKernel] = ()) -> Any:
-    """`function` compiled (cached by content) and loaded. Raises `BuildError` without a C compiler."""
+    """`function` compiled (cached by content) and loaded. Raises `BuildError` without a C
+    compiler."""
     with tempfile.TemporaryDirectory() as folder:
         made = write_c([function], Path(folder), prefix="native", kernels=kernels)
         header = made.header.read_text(encoding="utf-8")

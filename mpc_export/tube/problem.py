@@ -64,10 +64,14 @@ class TubeProblem:
             "dt must be positive": math.isfinite(self.dt) and self.dt > 0,
             "the horizon has at least 2 stages": self.horizon >= 2,
             "planes must not be negative": self.planes >= 0,
-            "limits of commands must be finite, command_min below command_max": -most < low < high < most,
+            "limits of commands must be finite, command_min below command_max": -most
+            < low
+            < high
+            < most,
             "rate_max must be positive and finite": 0 < self.rate_max < most,
             "tilt_max lies between 0 and pi": 0 < self.tilt_max < math.pi,
-            "penalties must be finite and not negative": 0 <= self.penalty < most and 0 <= self.penalty_square < most,
+            "penalties must be finite and not negative": 0 <= self.penalty < most
+            and 0 <= self.penalty_square < most,
             'kind is "probabilistic" or "worst case"': self.kind in ("probabilistic", "worst case"),
         }
         for text, good in checks.items():

@@ -1,20 +1,24 @@
-"""From a risk per flight to standard deviations per constraint and sample, in three ways that assume ever less room.
+"""From a risk per flight to standard deviations per constraint and sample, in three ways that
+assume ever less room.
 
-*Boole* (`kappa`): a flight of which the plan touches its limits at n (sample, constraint) pairs keeps all of them with
-probability 1 - level where each pair fails with probability level / n, whatever their dependence. A Gaussian error then
-asks for kappa = Phi^-1(1 - level / n) standard deviations. Pairs that the plan does not touch are far from their limits and
-are not counted: `touched` counts them in plans flown without tightening.
+*Boole* (`kappa`): a flight of which the plan touches its limits at n (sample, constraint) pairs
+keeps all of them with probability 1 - level where each pair fails with probability level / n,
+whatever their dependence. A Gaussian error then asks for kappa = Phi^-1(1 - level / n) standard
+deviations. Pairs that the plan does not touch are far from their limits and are not counted:
+`touched` counts them in plans flown without tightening.
 
-*Passages* (`kappa_passages`): neighbours in time fail together. A passage is a stretch of plans that touch one limit
-without a break; Boole counts passages, and within one the probability that any of m stages fails is that of the largest
-of m Gaussians with the correlation of the closed loop (correlation.py), which Slepian's and Sidak's inequalities (Slepian
-1962; Sidak 1967, J. American Statistical Association 62) bound by the independent case. It holds for a plan that is
-followed with the ancillary gain from the passage's begin on; what planning anew gains is not counted.
+*Passages* (`kappa_passages`): neighbours in time fail together. A passage is a stretch of plans
+that touch one limit without a break; Boole counts passages, and within one the probability that any
+of m stages fails is that of the largest of m Gaussians with the correlation of the closed loop
+(correlation.py), which Slepian's and Sidak's inequalities (Slepian 1962; Sidak 1967, J. American
+Statistical Association 62) bound by the independent case. It holds for a plan that is followed with
+the ancillary gain from the passage's begin on; what planning anew gains is not counted.
 
-*Rehearsal* (`kappa_rehearsed`): back-offs chosen by simulating the closed loop, planning anew included, on the identified
-model with its own noise, parameter and learned errors drawn per flight (Paulson and Mesbah 2018, Int. J. Robust Nonlinear
-Control 28(16); Bradford et al. 2020, Computers and Chemical Engineering 139). It sees no flight of the real vehicle but
-the one that the model was identified from, and is as right as the model's uncertainty is.
+*Rehearsal* (`kappa_rehearsed`): back-offs chosen by simulating the closed loop, planning anew
+included, on the identified model with its own noise, parameter and learned errors drawn per flight
+(Paulson and Mesbah 2018, Int. J. Robust Nonlinear Control 28(16); Bradford et al. 2020, Computers
+and Chemical Engineering 139). It sees no flight of the real vehicle but the one that the model was
+identified from, and is as right as the model's uncertainty is.
 """
 
 from __future__ import annotations
@@ -44,7 +48,8 @@ def _checked(level: float) -> float:
 
 
 def kappa(level: float, pairs: float) -> float:
-    """Standard deviations for a risk `level` (0 to 1) per flight that touches `pairs` limits. Raises `ModelError`."""
+    """Standard deviations for a risk `level` (0 to 1) per flight that touches `pairs` limits.
+    Raises `ModelError`."""
     _checked(level)
     if not (math.isfinite(pairs) and pairs >= 1):
         raise ModelError("a flight touches at least one limit", got=f"{pairs:g}")
@@ -52,7 +57,8 @@ def kappa(level: float, pairs: float) -> float:
 
 
 def touching(solver: TubeSolver, near: float = 2e-3) -> npt.NDArray[np.bool_]:
-    """(planes + 1,) Which limits the state after the first stage of the present plan touches: planes, then the tilt.
+    """(planes + 1,) Which limits the state after the first stage of the present plan touches:
+    planes, then the tilt.
 
     near: closer than this [m], or in the cosine of the tilt.
     """
@@ -71,7 +77,8 @@ def touched(solver: TubeSolver, near: float = 2e-3) -> int:
 
 
 def passages(rows: npt.ArrayLike, gap: int = 5) -> list[int]:
-    """Lengths [plans] of the passages in `rows` (plans, limits) of `touching`; breaks of up to `gap` plans join."""
+    """Lengths [plans] of the passages in `rows` (plans, limits) of `touching`; breaks of up to
+    `gap` plans join."""
     found = []
     for column in np.asarray(rows, dtype=bool).T:
         on = np.flatnonzero(column)
@@ -80,21 +87,28 @@ def passages(rows: npt.ArrayLike, gap: int = 5) -> list[int]:
     return found
 
 
-def kappa_passages(level: float, lengths: Sequence[int], correlation: FloatArray, *, flights: int = 1) -> float:
-    """Standard deviations for a risk `level` per flight, where `flights` flights had passages of `lengths` [stages].
+def kappa_passages(
+    level: float, lengths: Sequence[int], correlation: FloatArray, *, flights: int = 1
+) -> float:
+    """Standard deviations for a risk `level` per flight, where `flights` flights had passages of
+    `lengths` [stages].
 
-    correlation (m, m): of the deviations over the stages of a passage; longer passages count as whole numbers of m and
-    a rest. The largest value of a passage is found by `DRAWS` seeded draws. Raises `ModelError`.
+    correlation (m, m): of the deviations over the stages of a passage; longer passages count as
+    whole numbers of m and a rest. The largest value of a passage is found by `DRAWS` seeded draws.
+    Raises `ModelError`.
     """
     _checked(level)
     m = len(correlation)
     if not lengths or min(lengths) < 1 or flights < 1:
         raise ModelError(
-            "passages have at least one stage, and there is one", got=f"{list(lengths)}, {flights} flights"
+            "passages have at least one stage, and there is one",
+            got=f"{list(lengths)}, {flights} flights",
         )
     parts = [m] * sum(n // m for n in lengths) + [n % m for n in lengths if n % m]
     root = np.linalg.cholesky(np.asarray(correlation) + 1e-9 * np.eye(m))
-    largest = np.maximum.accumulate(np.random.default_rng(0).standard_normal((DRAWS, m)) @ root.T, axis=1)
+    largest = np.maximum.accumulate(
+        np.random.default_rng(0).standard_normal((DRAWS, m)) @ root.T, axis=1
+    )
     sizes, counts = np.unique(parts, return_counts=True)
     tails = [np.sort(largest[:, n - 1]) for n in sizes]
 
@@ -108,17 +122,29 @@ def kappa_passages(level: float, lengths: Sequence[int], correlation: FloatArray
 
 
 def kappa_rehearsed(
-    level: float, tried: Sequence[float], failed: Sequence[int], flights: Sequence[int], *, surety: float = 0.8
+    level: float,
+    tried: Sequence[float],
+    failed: Sequence[int],
+    flights: Sequence[int],
+    *,
+    surety: float = 0.8,
 ) -> float:
-    """Standard deviations at which rehearsed flights fail with probability `level`, with `surety` on the safe side.
+    """Standard deviations at which rehearsed flights fail with probability `level`, with `surety`
+    on the safe side.
 
-    tried: standard deviations of the rehearsals, `failed` of `flights` flights each. A probit line, Phi^-1(rate) = a - b
-    kappa, is fitted by maximum likelihood (Finney 1971, Probit Analysis; a prior of half a flight of either outcome keeps
-    it finite), and kappa solves a - b kappa + z se = Phi^-1(level), se the line's standard error there. Raises `ModelError`.
+    tried: standard deviations of the rehearsals, `failed` of `flights` flights each. A probit line,
+    Phi^-1(rate) = a - b kappa, is fitted by maximum likelihood (Finney 1971, Probit Analysis; a
+    prior of half a flight of either outcome keeps it finite), and kappa solves a - b kappa + z se =
+    Phi^-1(level), se the line's standard error there. Raises `ModelError`.
     """
     _checked(level)
     x, hits, n = (np.asarray(v, dtype=float) for v in (tried, failed, flights))
-    if len(np.unique(x)) < 2 or not x.shape == hits.shape == n.shape or (hits > n).any() or (n < 1).any():
+    if (
+        len(np.unique(x)) < 2
+        or not x.shape == hits.shape == n.shape
+        or (hits > n).any()
+        or (n < 1).any()
+    ):
         raise ModelError("rehearsals need flights at two or more back-offs", got=f"{list(tried)}")
     hits, n = hits + 0.5, n + 1.0
     design = np.column_stack([np.ones_like(x), -x])
@@ -143,7 +169,8 @@ def kappa_rehearsed(
         return 0.0
     if excess(most) > 0:
         raise ModelError(
-            f"rehearsed flights fail too often for a risk of {level:g} up to {most:g} standard deviations",
+            f"rehearsed flights fail too often for a risk of {level:g} up to {most:g} standard "
+            "deviations",
             fix="rehearse with larger back-offs or more flights",
-        )  # fmt: skip
+        )
     return float(scipy.optimize.brentq(excess, 0.0, most, xtol=1e-4))

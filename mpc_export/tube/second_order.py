@@ -1,18 +1,20 @@
-"""What the linear recursion of the tube leaves out: turns about two axes also turn about the third, lift falls with the
-cosine of the tilt and grows with the square of the command.
+"""What the linear recursion of the tube leaves out: turns about two axes also turn about the third,
+lift falls with the cosine of the tilt and grows with the square of the command.
 
 The estimate moves about a plan that hovers as
 
     x_hat+ = f_d(x_hat, clip(u + K h)) boxplus w,    h = x_hat boxminus x,    w ~ N(0, W),
 
-and the linear loop as l+ = (A + B K) l + w. From one ensemble of both, with the same w, comes the correction of stage k,
+and the linear loop as l+ = (A + B K) l + w. From one ensemble of both, with the same w, comes the
+correction of stage k,
 
     D_k = E[h h'] - E[l l'],     its positive part in units of the linear spread,
 
-second moments about the plan, so that what moves the mean counts as well. It is a property of model, gain and limits,
-found once at hover and added to the covariance at every plan: a control law of 7 degrees rms about the level axes turns the
-vehicle by one degree about the third, which is more than the linear loop says of the heading. (Monte Carlo in place of the
-second-order filter's Gaussian closure, Jazwinski 1970, chapter 9: these terms stay alike over many stages.)
+second moments about the plan, so that what moves the mean counts as well. It is a property of
+model, gain and limits, found once at hover and added to the covariance at every plan: a control law
+of 7 degrees rms about the level axes turns the vehicle by one degree about the third, which is more
+than the linear loop says of the heading. (Monte Carlo in place of the second-order filter's
+Gaussian closure, Jazwinski 1970, chapter 9: these terms stay alike over many stages.)
 """
 
 from __future__ import annotations
@@ -35,10 +37,11 @@ def second_order(
     fresh: FloatArray,
     steady: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
-    """D (N + 1, n_d, n_d), zero at the first stage; gain K (n_u, n_d), fresh W (n_d, n_d), steady = (x, u) at hover.
+    """D (N + 1, n_d, n_d), zero at the first stage; gain K (n_u, n_d), fresh W (n_d, n_d), steady =
+    (x, u) at hover.
 
-    Draws are seeded; those that leave the model (not finite) do not count. Zero in the worst case, whose ellipsoids hold
-    bounded disturbances of the linear loop.
+    Draws are seeded; those that leave the model (not finite) do not count. Zero in the worst case,
+    whose ellipsoids hold bounded disturbances of the linear loop.
     """
     n = len(fresh)
     found = np.zeros((problem.horizon + 1, n, n))
@@ -64,7 +67,10 @@ def second_order(
 
 
 def _step(
-    model: ModelFunctions, problem: TubeProblem, gain: FloatArray, steady: tuple[FloatArray, FloatArray]
+    model: ModelFunctions,
+    problem: TubeProblem,
+    gain: FloatArray,
+    steady: tuple[FloatArray, FloatArray],
 ) -> ca.Function:
     """(x_hat, w) -> (x_hat+, h+) of the closed loop about hover."""
     x, u = ca.DM(steady[0]), ca.DM(steady[1])
@@ -76,7 +82,8 @@ def _step(
 
 
 def _surplus(h: FloatArray, linear: FloatArray) -> FloatArray:
-    """Positive part of E[h h'] - E[l l'], every row in units of the larger of its two spreads; zero where nothing moves."""
+    """Positive part of E[h h'] - E[l l'], every row in units of the larger of its two spreads; zero
+    where nothing moves."""
     size = np.sqrt(np.maximum((h**2).mean(axis=1), (linear**2).mean(axis=1)))
     unit = np.where(size > 0, size, 1.0)[:, None]
     h, linear = h / unit, linear / unit

@@ -1,7 +1,9 @@
-"""The controller's solver: stage functions and controller.c compiled into one library, HPIPM for the QP, called by ctypes.
+"""The controller's solver: stage functions and controller.c compiled into one library, HPIPM for
+the QP, called by ctypes.
 
-HPIPM and BLASFEO (Frison and Diehl 2020, IFAC-PapersOnLine 53(2)) come with CasADi's wheel, libraries and headers alike.
-Memory is taken once, when a solver is made; a step takes none. One solver serves one thread.
+HPIPM and BLASFEO (Frison and Diehl 2020, IFAC-PapersOnLine 53(2)) come with CasADi's wheel,
+libraries and headers alike. Memory is taken once, when a solver is made; a step takes none. One
+solver serves one thread.
 """
 
 from __future__ import annotations
@@ -28,44 +30,76 @@ from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.stages import Stages, stages
 
 _SCALARS = (
-    "cost", "kkt", "step", "iterations", "qp_iterations", "qp_status", "qp_residual", "missed", "clipped", "seconds",
-    "seconds_linear", "seconds_tube", "seconds_qp",
-)  # fmt: skip
+    "cost",
+    "kkt",
+    "step",
+    "iterations",
+    "qp_iterations",
+    "qp_status",
+    "qp_residual",
+    "missed",
+    "clipped",
+    "seconds",
+    "seconds_linear",
+    "seconds_tube",
+    "seconds_qp",
+)
 PRIMAL = 1e-4
-"""A QP that was not solved to the end counts where it misses dynamics (m, m/s, rad, rad/s) and limits
-by no more than this: below what a sensor sees."""
+"""A QP that was not solved to the end counts where it misses dynamics (m, m/s, rad, rad/s) and
+limits by no more than this: below what a sensor sees."""
 
 
 def _fields(n: dict[str, int]) -> list[tuple[str, tuple[int, ...]]]:
-    """Members of tube_data in controller.c, in its order, with their shapes (last index fastest)."""
+    """Members of tube_data in controller.c, in its order, with their shapes (last index
+    fastest)."""
     stages_, nl = n["N"] + 1, n["NPL"] + 1
     one: tuple[int, ...] = ()
     return [
-        ("x0", (n["NX"],)), ("u_before", (n["NU"],)), ("p", (max(n["NP"], 1),)), ("ref", (n["N"], n["NREF"])),
-        ("x_end", (n["NX"],)), ("plane", (stages_, n["NPL"], 4)), ("u_min", (n["NU"],)), ("u_max", (n["NU"],)),
-        ("rate_max", (n["NU"],)), ("kappa", (nl,)), ("kappa_u", one),
-        ("wider", (stages_, nl)), ("penalty", one), ("penalty_square", one),
-        ("Z0", (n["ND"], n["ND"])), ("bent", (stages_, n["ND"], n["ND"])),
-        ("tolerance", one), ("qp_tolerance", one), ("damping", one), ("primal_tolerance", one),
-        ("iterations_max", one), ("qp_iterations_max", one), ("tube_updates_max", one),
-        ("x", (stages_, n["NX"])), ("u", (n["N"], n["NU"])), ("covariance", (stages_, n["ND"], n["ND"])),
-        ("backoff", (stages_, nl)), ("backoff_u", (n["N"], n["NU"])), ("slack", (stages_, nl)),
+        ("x0", (n["NX"],)),
+        ("u_before", (n["NU"],)),
+        ("p", (max(n["NP"], 1),)),
+        ("ref", (n["N"], n["NREF"])),
+        ("x_end", (n["NX"],)),
+        ("plane", (stages_, n["NPL"], 4)),
+        ("u_min", (n["NU"],)),
+        ("u_max", (n["NU"],)),
+        ("rate_max", (n["NU"],)),
+        ("kappa", (nl,)),
+        ("kappa_u", one),
+        ("wider", (stages_, nl)),
+        ("penalty", one),
+        ("penalty_square", one),
+        ("Z0", (n["ND"], n["ND"])),
+        ("bent", (stages_, n["ND"], n["ND"])),
+        ("tolerance", one),
+        ("qp_tolerance", one),
+        ("damping", one),
+        ("primal_tolerance", one),
+        ("iterations_max", one),
+        ("qp_iterations_max", one),
+        ("tube_updates_max", one),
+        ("x", (stages_, n["NX"])),
+        ("u", (n["N"], n["NU"])),
+        ("covariance", (stages_, n["ND"], n["ND"])),
+        ("backoff", (stages_, nl)),
+        ("backoff_u", (n["N"], n["NU"])),
+        ("slack", (stages_, nl)),
         *((s, one) for s in _SCALARS),
-    ]  # fmt: skip
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a call of the solver says. status: 0 solved, 1 a model function failed, 2 the QP was not solved,
-    3 the model does not fly the plan: Newton's steps grow (missed is not below step).
+    """What a call of the solver says. status: 0 solved, 1 a model function failed, 2 the QP was not
+    solved, 3 the model does not fly the plan: Newton's steps grow (missed is not below step).
 
     kkt: residual of the KKT conditions with the multipliers of the last QP (infinite where it was
     not asked for); step: largest change of the last iteration; times in seconds. qp_status is
     HPIPM's: 0 solved, 1 iteration limit, 2 smallest step, 3 NaN, -1 none was tried. With 1 and 2 a
     plan was taken over all the same (status 0) where qp_residual, by which dynamics, commands and
-    rates were missed, was small. missed: how far the model, flown from the plan's start under its commands, is from the
-    plan (to first order; largest over stages and error states). clipped: by how much
-    a command of the plan was moved by its limits.
+    rates were missed, was small. missed: how far the model, flown from the plan's start under its
+    commands, is from the plan (to first order; largest over stages and error states). clipped: by
+    how much a command of the plan was moved by its limits.
     """
 
     status: int
@@ -85,10 +119,11 @@ class Outcome:
 
 
 class TubeSolver:
-    """Compiled solver of one problem. Arrays of `data` by name are views of the C structure: write, call, read.
+    """Compiled solver of one problem. Arrays of `data` by name are views of the C structure: write,
+    call, read.
 
-    white, estimate and fresh: see `stages`. Raises `BuildError` without a C compiler or where HPIPM is not with CasADi,
-    `ModelError` from `stages`.
+    white, estimate and fresh: see `stages`. Raises `BuildError` without a C compiler or where HPIPM
+    is not with CasADi, `ModelError` from `stages`.
     """
 
     def __init__(
@@ -105,13 +140,23 @@ class TubeSolver:
         self.stages: Stages = stages(model, problem, white=white, estimate=estimate, fresh=fresh)
         n = model.sizes
         self.sizes = {
-            "N": problem.horizon, "NX": n["n_x"], "ND": n["n_d"], "NU": n["n_u"], "NP": n["n_p"],
-            "NK": len(self.stages.keep), "NPL": problem.planes, "NREF": 7 + n["n_u"], "NGP": n["n_g"],
-            "NTH": n["n_theta"], "NFREE": len(self.stages.free),
-        }  # fmt: skip
+            "N": problem.horizon,
+            "NX": n["n_x"],
+            "ND": n["n_d"],
+            "NU": n["n_u"],
+            "NP": n["n_p"],
+            "NK": len(self.stages.keep),
+            "NPL": problem.planes,
+            "NREF": 7 + n["n_u"],
+            "NGP": n["n_g"],
+            "NTH": n["n_theta"],
+            "NFREE": len(self.stages.free),
+        }
         # Before all others in the process: acados brings an HPIPM of its own, of another layout.
         mode = ctypes.DEFAULT_MODE | getattr(os, "RTLD_DEEPBIND", 0)
-        self._library = ctypes.CDLL(str(_compiled(sources(self.sizes, self.stages, kernels))), mode=mode)
+        self._library = ctypes.CDLL(
+            str(_compiled(sources(self.sizes, self.stages, kernels))), mode=mode
+        )
         self._library.tube_create.restype = ctypes.c_void_p
         self._library.tube_data_size.restype = ctypes.c_size_t
         self._library.tube_free.argtypes = [ctypes.c_void_p]
@@ -170,7 +215,8 @@ def hpipm() -> tuple[Path, Path]:
     include = root / "include"
     if not (include / "hpipm_d_ocp_qp.h").exists() or not list(root.glob("libhpipm.*")):
         raise BuildError(
-            "this CasADi comes without HPIPM", fix="install casadi from PyPI, or use the CasADi or acados solver"
+            "this CasADi comes without HPIPM",
+            fix="install casadi from PyPI, or use the CasADi or acados solver",
         )
     return include, root
 
@@ -178,8 +224,8 @@ def hpipm() -> tuple[Path, Path]:
 def _private(libraries: Path) -> Path:
     """Copies of HPIPM and BLASFEO under names of their own.
 
-    The loader takes a library by its name: where another HPIPM is in the process (acados has one), ours would be run
-    with that one's memory layout.
+    The loader takes a library by its name: where another HPIPM is in the process (acados has one),
+    ours would be run with that one's memory layout.
     """
     names = {"libhpipm.so": "libgbhpi.so", "libblasfeo.so.0": "libgbblasf.so.0"}
     files = {new: (libraries / old).read_bytes() for old, new in names.items()}
@@ -197,13 +243,20 @@ def _private(libraries: Path) -> Path:
 def sources(
     sizes: dict[str, int], made: Stages, kernels: Sequence[CKernel], *, real: Real = "double"
 ) -> dict[str, str]:
-    """C of the stage functions, in this precision, and of the controller (in double), by file name; their
-    headers are inside."""
+    """C of the stage functions, in this precision, and of the controller (in double), by file name;
+    their headers are inside."""
     with tempfile.TemporaryDirectory() as folder:
         source = write_c(
-            list(made.functions.values()), Path(folder), prefix="tube_model", kernels=kernels, real=real
+            list(made.functions.values()),
+            Path(folder),
+            prefix="tube_model",
+            kernels=kernels,
+            real=real,
         )
-        model, header = source.source.read_text(encoding="utf-8"), source.header.read_text(encoding="utf-8")
+        model, header = (
+            source.source.read_text(encoding="utf-8"),
+            source.header.read_text(encoding="utf-8"),
+        )
     works = {
         "ARG": max(f.sz_arg for f in source.functions),
         "RES": max(f.sz_res for f in source.functions),

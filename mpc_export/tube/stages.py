@@ -79,7 +79,9 @@ def stages(
     """
     _check(model, problem)
     x_steady, u_steady = _hover(model)
-    keep = tuple(i for i, n in enumerate(model.error_states.names) if not n.startswith("d_disturbance."))
+    keep = tuple(
+        i for i, n in enumerate(model.error_states.names) if not n.startswith("d_disturbance.")
+    )
     free = tuple(block(model, "disturbance"))
     _, a, b, _ = (v.full() for v in model["f_d_jac"](x_steady, u_steady, model.parameter_values))
     gain, terminal = _lqr(a, b, *_weights(model, problem.weights), keep)
@@ -88,16 +90,29 @@ def stages(
     if not problem.feedback:
         gain = np.zeros_like(gain)
     estimate = model.noise.covariance if estimate is None else np.asarray(estimate, dtype=float)
-    fresh = _positive(a @ estimate @ a.T + model.noise.process - estimate if fresh is None else np.asarray(fresh))
+    fresh = _positive(
+        a @ estimate @ a.T + model.noise.process - estimate if fresh is None else np.asarray(fresh)
+    )
     made = [
-        _step(model), _linear(model, keep), *_charts(model, keep), _cost(model, problem, keep), _end(model, keep, terminal),
-        _limits(model, problem, keep), _spread(model, problem, gain, estimate, fresh, white),
-    ]  # fmt: skip
+        _step(model),
+        _linear(model, keep),
+        *_charts(model, keep),
+        _cost(model, problem, keep),
+        _end(model, keep, terminal),
+        _limits(model, problem, keep),
+        _spread(model, problem, gain, estimate, fresh, white),
+    ]
     return Stages(
-        functions={f.name(): f for f in made}, keep=keep, free=free, gain=gain, terminal=terminal,
-        steady=(x_steady, u_steady), estimate=estimate, fresh=fresh,
+        functions={f.name(): f for f in made},
+        keep=keep,
+        free=free,
+        gain=gain,
+        terminal=terminal,
+        steady=(x_steady, u_steady),
+        estimate=estimate,
+        fresh=fresh,
         bent=second_order(model, problem, gain, fresh, (x_steady, u_steady)),
-    )  # fmt: skip
+    )
 
 
 def _check(model: ModelFunctions, problem: TubeProblem) -> None:
@@ -105,17 +120,21 @@ def _check(model: ModelFunctions, problem: TubeProblem) -> None:
     missing = [n for n in NEEDED if not any(s.startswith(f"{n}.") for s in names)]
     if missing:
         raise ModelError(
-            f"the controller needs a model with {', '.join(missing)}", got=model.name,
+            f"the controller needs a model with {', '.join(missing)}",
+            got=model.name,
             fix="fit on flights with pose or position and attitude",
-        )  # fmt: skip
+        )
     if abs(model.dt - problem.dt) > 1e-9:
         raise ModelError(
-            "model and controller differ in sample time", expected=f"{problem.dt:g}", got=f"{model.dt:g} s"
+            "model and controller differ in sample time",
+            expected=f"{problem.dt:g}",
+            got=f"{model.dt:g} s",
         )
     for name in ("consider_step", "target_step"):
         if name not in model.functions:
             raise ModelError(
-                f"the model was exported without {name}", fix='model_functions(..., with_=("covariance", "target"))'
+                f"the model was exported without {name}",
+                fix='model_functions(..., with_=("covariance", "target"))',
             )
 
 
@@ -128,11 +147,15 @@ def _hover(model: ModelFunctions) -> tuple[FloatArray, FloatArray]:
             x[i] = float(n == "attitude.w")
     goal = np.zeros(len(model.targets))
     for _ in range(30):
-        x, u, residual = (v.full().ravel() for v in model["target_step"](x, u, model.parameter_values, goal))
+        x, u, residual = (
+            v.full().ravel() for v in model["target_step"](x, u, model.parameter_values, goal)
+        )
         if residual[0] < 1e-10:
             break
     else:
-        raise ModelError("the model has no steady hover", got=f"condition missed by {residual[0]:.2g}")
+        raise ModelError(
+            "the model has no steady hover", got=f"condition missed by {residual[0]:.2g}"
+        )
     return x, u
 
 
@@ -165,14 +188,20 @@ def _lqr(
     """
     rows = np.array(keep)
     rest = np.setdiff1d(np.arange(a.shape[0]), rows)
-    a_dd, a_de, phi, b_d = a[np.ix_(rows, rows)], a[np.ix_(rows, rest)], a[np.ix_(rest, rest)], b[rows]
+    a_dd, a_de, phi, b_d = (
+        a[np.ix_(rows, rows)],
+        a[np.ix_(rows, rest)],
+        a[np.ix_(rest, rest)],
+        b[rows],
+    )
     p = scipy.linalg.solve_discrete_are(a_dd, b_d, q[np.ix_(rows, rows)], r)
     s = r + b_d.T @ p @ b_d
     gain = np.zeros((b.shape[1], a.shape[0]))
     gain[:, rows] = -np.linalg.solve(s, b_d.T @ p @ a_dd)
     closed = a_dd + b_d @ gain[:, rows]
     x = np.linalg.solve(
-        np.eye(len(rows) * len(rest)) - np.kron(phi.T, closed.T), (closed.T @ p @ a_de).ravel(order="F")
+        np.eye(len(rows) * len(rest)) - np.kron(phi.T, closed.T),
+        (closed.T @ p @ a_de).ravel(order="F"),
     ).reshape(len(rows), len(rest), order="F")
     gain[:, rest] = -np.linalg.solve(s, b_d.T @ (p @ a_de + x @ phi))
     return gain, np.asarray(p)
@@ -199,7 +228,9 @@ def _linear(model: ModelFunctions, keep: tuple[int, ...]) -> Any:
     x, u, p = _arguments(model)
     after, a, b, _ = model["f_d_jac"](x, u, p)
     rows = list(keep)
-    return ca.Function("tube_linear", [x, u, p], [after, ca.densify(a[rows, rows]), ca.densify(b[rows, :])])
+    return ca.Function(
+        "tube_linear", [x, u, p], [after, ca.densify(a[rows, rows]), ca.densify(b[rows, :])]
+    )
 
 
 def _charts(model: ModelFunctions, keep: tuple[int, ...]) -> tuple[Any, Any]:
@@ -210,7 +241,9 @@ def _charts(model: ModelFunctions, keep: tuple[int, ...]) -> tuple[Any, Any]:
         spread[i, j] = 1.0
     gap = model["boxminus"](x, y)[list(keep)]
     moved = model["boxplus"](x, ca.densify(spread @ d))
-    return ca.Function("tube_gap", [x, y], [ca.densify(gap)]), ca.Function("tube_move", [x, d], [moved])
+    return ca.Function("tube_gap", [x, y], [ca.densify(gap)]), ca.Function(
+        "tube_move", [x, d], [moved]
+    )
 
 
 def _moved(model: ModelFunctions, keep: tuple[int, ...]) -> tuple[Expr, Expr, Expr]:
@@ -241,7 +274,9 @@ def _cost(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) ->
     return _squares("tube_cost", [x, u, before, ref], residual, (d, before, u), d)
 
 
-def _squares(name: str, arguments: list[Expr], residual: Expr, by: tuple[Expr, ...], at_zero: Expr) -> Any:
+def _squares(
+    name: str, arguments: list[Expr], residual: Expr, by: tuple[Expr, ...], at_zero: Expr
+) -> Any:
     """Value, gradient and Gauss-Newton Hessian of 0.5 r'r in `by`, at `at_zero` = 0."""
     jacobian = ca.horzcat(*(ca.jacobian(residual, v) for v in by))
     value, slope = ca.substitute([residual, jacobian], [at_zero], [ca.DM.zeros(at_zero.shape)])
@@ -271,7 +306,12 @@ def _limits(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) 
 
 
 def _spread(
-    model: ModelFunctions, problem: TubeProblem, gain: FloatArray, estimate: FloatArray, fresh: FloatArray, white: bool
+    model: ModelFunctions,
+    problem: TubeProblem,
+    gain: FloatArray,
+    estimate: FloatArray,
+    fresh: FloatArray,
+    white: bool,
 ) -> Any:
     """(x, u, p, Z, c, b) -> total, Z+, c+, b+; see the note at the top of the file."""
     n = model.sizes
@@ -294,7 +334,11 @@ def _spread(
         ratio = ca.sqrt(ca.trace(after) / ca.fmax(ca.trace(added), 1e-30))
         # at the start there is nothing to add to
         some = ca.trace(after) > 0
-        z_next = ca.if_else(some, (1 + 1 / ca.fmax(ratio, 1e-12)) * after + (1 + ratio) * added, added)
+        z_next = ca.if_else(
+            some, (1 + 1 / ca.fmax(ratio, 1e-12)) * after + (1 + ratio) * added, added
+        )
     else:
         z_next = after + added
-    return ca.Function("tube_spread", [x, u, p, z, c, b], [ca.densify(v) for v in (total, z_next, c_next, b_next)])
+    return ca.Function(
+        "tube_spread", [x, u, p, z, c, b], [ca.densify(v) for v in (total, z_next, c_next, b_next)]
+    )

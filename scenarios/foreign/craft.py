@@ -94,7 +94,8 @@ class Craft:
 def thrust_and_torque(
     frame: Airframe, strength: NDArray[np.float64], nu: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Thrust [N] and drag torque [N m] of every rotor (n,) of its strength (n,) at speeds nu (n,)."""
+    """Thrust [N] and drag torque [N m] of every rotor (n,) of its strength (n,) at speeds nu
+    (n,)."""
     thrust, torque = (
         strength * (c0 + nu * (c1 + nu * c2)) for c0, c1, c2 in (frame.thrust, frame.torque)
     )

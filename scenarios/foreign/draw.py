@@ -72,10 +72,13 @@ class Draw:
 def draw(seed: int, simulator: str | None = None, hidden: Sequence[str] = ()) -> Draw:
     """The craft of this seed; `simulator` overrules who flies it and leaves the rest as it was.
 
-    Raises ValueError for a name that is not in SIMULATORS, ON_REQUEST or HIDDEN, and for `rotor_law` in another
-    simulator than drone_models.
+    Raises ValueError for a name that is not in SIMULATORS, ON_REQUEST or HIDDEN, and for
+    `rotor_law` in another simulator than drone_models.
     """
-    choices = ((simulator,) if simulator else (), (*SIMULATORS, *ON_REQUEST)), (hidden, (*HIDDEN, ROTOR_LAW))
+    choices = (
+        ((simulator,) if simulator else (), (*SIMULATORS, *ON_REQUEST)),
+        (hidden, (*HIDDEN, ROTOR_LAW)),
+    )
     for names, known in choices:
         unknown = sorted(set(names) - set(known))
         if unknown:
@@ -321,7 +324,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument(
-        "--simulator", choices=(*SIMULATORS, *ON_REQUEST), help="overrules the draw of the simulator"
+        "--simulator",
+        choices=(*SIMULATORS, *ON_REQUEST),
+        help="overrules the draw of the simulator",
     )
     parser.add_argument(
         "--hidden",

@@ -226,9 +226,7 @@ OUTSIDE: dict[str, Stranger] = {
         make=lambda s: outside.LooseArm(tilt=s.size(0.02, 0.04)), axes=(*LATERAL, "torque.z")
     ),
     "returning_wake": Stranger(
-        make=lambda s: outside.ReturningWake(
-            push=s.weight * s.size(0.08, 0.15), reference=s.hover
-        ),
+        make=lambda s: outside.ReturningWake(push=s.weight * s.size(0.08, 0.15), reference=s.hover),
         axes=(*LATERAL, "force.z"),
     ),
 }

@@ -68,9 +68,7 @@ class MuJoCoPlant(ForeignPlant):
         """Thrust of every rotor [N], then its drag torque [N m], at these speeds."""
         return np.concatenate(thrust_and_torque(self.airframe, self._strength, nu))
 
-    def _apply(
-        self, rotors: NDArray[np.float64], wind: Vector, twist: Vector, load: Load
-    ) -> None:
+    def _apply(self, rotors: NDArray[np.float64], wind: Vector, twist: Vector, load: Load) -> None:
         """Forces and torques of the rotors, wind, the moment of the gusts, and the load."""
         self._data.ctrl[:] = rotors
         self._model.opt.wind[:] = wind

@@ -61,7 +61,9 @@ class MissingSimulator(RuntimeError):
     """The package of a simulator is not installed."""
 
     def __init__(self, package: str) -> None:
-        super().__init__(f"{package} is not installed; it comes with: pip install \"greybox-sysid[judge]\"")
+        super().__init__(
+            f'{package} is not installed; it comes with: pip install "greybox-sysid[judge]"'
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,8 +169,8 @@ class ForeignPlant(ABC):
         """The present motion in this wind [m/s], swirl of the gusts [N m, body] and load."""
 
     def goes_on_as(self, craft: Craft) -> ForeignPlant:
-        """This flight with another craft from now on: its motion, commands, sensors' noise and gusts go on, in the air of
-        the new one. Hidden states of outside effects begin anew.
+        """This flight with another craft from now on: its motion, commands, sensors' noise and
+        gusts go on, in the air of the new one. Hidden states of outside effects begin anew.
 
         Raises ValueError where the simulator has no way to do so.
         """
@@ -330,9 +332,7 @@ class ForeignPlant(ABC):
         """Instants in the next `length` [s] whose readings late sensors will show at its end or
         later."""
         late = {self._loads.imu_delay, self._loads.pose_delay} - {0.0}
-        return sorted(
-            length * (1 + math.floor(d / length + _SAME_INSTANT)) - d for d in late
-        )
+        return sorted(length * (1 + math.floor(d / length + _SAME_INSTANT)) - d for d in late)
 
     def _read(self, motion: Motion) -> Reading:
         """Sensors without noise at this motion."""

@@ -1,11 +1,11 @@
 """PyBullet flies the craft: Bullet's rigid body under forces and moments at its centre of mass.
 
-What differs there: position, attitude and velocities are those of the principal axes of inertia, angular
-velocity in the world. Bullet steps velocities before positions (semi-implicit Euler): half a step without
-forces before half a step with twice the forces is the leapfrog method, of second order. Its gyroscopic
-moment stays of first order. Rotors and drag are ours: drag is that of gym-pybullet-drones (Panerati et
-al. 2021, IROS; BaseAviary `_drag`), proportional to airspeed and to the sum of the rotor speeds, in WORLD
-axes, at the centre of mass.
+What differs there: position, attitude and velocities are those of the principal axes of inertia,
+angular velocity in the world. Bullet steps velocities before positions (semi-implicit Euler): half
+a step without forces before half a step with twice the forces is the leapfrog method, of second
+order. Its gyroscopic moment stays of first order. Rotors and drag are ours: drag is that of
+gym-pybullet-drones (Panerati et al. 2021, IROS; BaseAviary `_drag`), proportional to airspeed and
+to the sum of the rotor speeds, in WORLD axes, at the centre of mass.
 """
 
 from __future__ import annotations
@@ -60,13 +60,21 @@ class PyBulletPlant(ForeignPlant):
         self._world = pybullet.connect(pybullet.DIRECT)
         self._body = self._call(pybullet.createMultiBody, frame.mass)
         undamped = {"linearDamping": 0.0, "angularDamping": 0.0, "maxJointVelocity": 1e4}
-        self._call(pybullet.changeDynamics, self._body, -1, localInertiaDiagonal=moments.tolist(), **undamped)
+        self._call(
+            pybullet.changeDynamics,
+            self._body,
+            -1,
+            localInertiaDiagonal=moments.tolist(),
+            **undamped,
+        )
         super().__init__(craft, sensors=sensors, sample_time=sample_time, effects=effects)
 
     def _call(self, function: Callable[..., Any], *values: Any, **named: Any) -> Any:
         return function(*values, **named, physicsClientId=self._world)
 
-    def _start(self, position: Vector, velocity: Vector, attitude: Quaternion, rates: Vector, nu: float) -> None:
+    def _start(
+        self, position: Vector, velocity: Vector, attitude: Quaternion, rates: Vector, nu: float
+    ) -> None:
         w, x, y, z = multiply(attitude, self._given)
         spin = _turn(np.array(attitude)) @ np.array(rates)
         self._call(pybullet.resetBasePositionAndOrientation, self._body, position, (x, y, z, w))
@@ -79,9 +87,15 @@ class PyBulletPlant(ForeignPlant):
         velocity, spin = self._call(pybullet.getBaseVelocity, self._body)
         turn = _turn(np.array([w, x, y, z])) @ self._axes.T
         attitude = multiply((w, x, y, z), self._taken)
-        # of the two signs of a quaternion the one that goes on from the step before: Bullet changes it
+        # of the two signs of a quaternion the one that goes on from the step before: Bullet changes
+        # it
         sign = 1.0 if np.dot(attitude, self._attitude) >= 0.0 else -1.0
-        self._attitude = (sign * attitude[0], sign * attitude[1], sign * attitude[2], sign * attitude[3])
+        self._attitude = (
+            sign * attitude[0],
+            sign * attitude[1],
+            sign * attitude[2],
+            sign * attitude[3],
+        )
         return np.array(position), np.array(velocity), turn, turn.T @ np.array(spin)
 
     def _wrench(
@@ -96,13 +110,21 @@ class PyBulletPlant(ForeignPlant):
         """Force, world, and moment, body, at these rotor speeds and this motion."""
         frame, air = self.airframe, self.craft.air
         thrust, torque = thrust_and_torque(frame, self._strength, nu)
-        moment = np.array([self._arms[:, 1] @ thrust, -self._arms[:, 0] @ thrust, -self._spins @ torque])
-        drag = self.craft.speed_max * nu.sum() * np.array([air.rotor_drag, air.rotor_drag, air.inflow])
-        force = turn @ (np.array([0.0, 0.0, thrust.sum()]) + np.array(load.force)) - drag * (velocity - np.array(wind))
+        moment = np.array(
+            [self._arms[:, 1] @ thrust, -self._arms[:, 0] @ thrust, -self._spins @ torque]
+        )
+        drag = (
+            self.craft.speed_max * nu.sum() * np.array([air.rotor_drag, air.rotor_drag, air.inflow])
+        )
+        force = turn @ (np.array([0.0, 0.0, thrust.sum()]) + np.array(load.force)) - drag * (
+            velocity - np.array(wind)
+        )
         force[2] -= frame.mass * frame.gravity
         return force, moment + np.array(twist) + np.array(load.moment)
 
-    def _hold(self, target: tuple[float, ...], wind: Vector, twist: Vector, load: Load, duration: float) -> None:
+    def _hold(
+        self, target: tuple[float, ...], wind: Vector, twist: Vector, load: Load, duration: float
+    ) -> None:
         count = math.ceil(duration / SUBSTEP - 1e-9)
         length = duration / count
         self._call(pybullet.setTimeStep, 0.5 * length)
@@ -137,13 +159,19 @@ class PyBulletPlant(ForeignPlant):
     @property
     def exact(self) -> dict[str, float]:
         """The wind."""
-        return dict(zip(("steady_wind.w_x", "steady_wind.w_y", "steady_wind.w_z"), self.craft.air.wind))
+        return dict(
+            zip(("steady_wind.w_x", "steady_wind.w_y", "steady_wind.w_z"), self.craft.air.wind)
+        )
 
     @property
     def near(self) -> dict[str, float]:
         """Drag of the rotors: in world axes here, in those of the discs in the catalogue."""
         air = self.craft.air
-        named = {"rotor_drag.k_x": air.rotor_drag, "rotor_drag.k_y": air.rotor_drag, "axial_inflow.k_z": air.inflow}
+        named = {
+            "rotor_drag.k_x": air.rotor_drag,
+            "rotor_drag.k_y": air.rotor_drag,
+            "axial_inflow.k_z": air.inflow,
+        }
         return {name: value for name, value in named.items() if value}
 
 

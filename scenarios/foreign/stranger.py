@@ -26,9 +26,8 @@ class Knowledge:
     file says at all.
 
     sigmas: whether numbers have their standard deviations or stand bare (a bare number is believed
-    within a default). The mass always says how sure it is: a bare one
-    claims a kitchen scale, three times better than what is drawn here. noise: whether the file has the sensors' white
-    noise.
+    within a default). The mass always says how sure it is: a bare one claims a kitchen scale, three
+    times better than what is drawn here. noise: whether the file has the sensors' white noise.
     """
 
     mass: float

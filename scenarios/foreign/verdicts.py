@@ -102,8 +102,8 @@ class Said:
 
     @property
     def largest(self) -> float | None:
-        """log10 of the largest e-value of anything that was put to a test, 0 where nothing was; None
-        for a search without e-values."""
+        """log10 of the largest e-value of anything that was put to a test, 0 where nothing was;
+        None for a search without e-values."""
         if not self.tests and not self.evidence:
             return None
         return max(self.evidence.values(), default=0.0)

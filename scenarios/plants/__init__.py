@@ -1,1 +1,2 @@
-"""Plants, sensors and faults that only the checkout needs: effects outside the catalogue, a motor, linear systems."""
+"""Plants, sensors and faults that only the checkout needs: effects outside the catalogue, a motor,
+linear systems."""

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, kw_only=True)
 class DcMotorParameters:
-    """Resistance [ohm], inductance [H], motor constant k_e [V s/rad = N m/A], inertia [kg m^2], viscous friction b
-    [N m s/rad], Coulomb friction c [N m], and the speed omega_s [rad/s] over which it changes sign."""
+    """Resistance [ohm], inductance [H], motor constant k_e [V s/rad = N m/A], inertia [kg m^2],
+    viscous friction b [N m s/rad], Coulomb friction c [N m], and the speed omega_s [rad/s] over
+    which it changes sign."""
 
     resistance: float = 1.2
     inductance: float = 0.02
@@ -28,10 +29,11 @@ class DcMotorParameters:
 
 
 class DcMotor:
-    """The motor as a plant: `reset(seed)`, `step(u, dt)`, `measure()`, `truth()`; u is the voltage [V].
+    """The motor as a plant: `reset(seed)`, `step(u, dt)`, `measure()`, `truth()`; u is the voltage
+    [V].
 
-    current_noise [A] and speed_noise [rad/s] are white sensor noise; torque_noise [N m s^0.5] is white process noise,
-    constant over a sample with standard deviation q / sqrt(dt).
+    current_noise [A] and speed_noise [rad/s] are white sensor noise; torque_noise [N m s^0.5] is
+    white process noise, constant over a sample with standard deviation q / sqrt(dt).
     """
 
     def __init__(
@@ -60,7 +62,9 @@ class DcMotor:
     def _rate(self, i: float, w: float, v: float, load: float) -> tuple[float, float]:
         p = self.values
         friction = p.viscous * w + p.coulomb * math.tanh(w / p.slip)
-        return (v - p.resistance * i - p.constant * w) / p.inductance, (p.constant * i - friction + load) / p.inertia
+        return (v - p.resistance * i - p.constant * w) / p.inductance, (
+            p.constant * i - friction + load
+        ) / p.inertia
 
     def step(self, u: float, dt: float) -> None:
         """Hold the voltage u [V] for dt [s]."""
@@ -91,10 +95,16 @@ class DcMotor:
 
     def truth(self) -> dict[str, Any]:
         """True `parameters` and `states`."""
-        return {"parameters": asdict(self.values), "states": {"current": self._current, "speed": self._speed}}
+        return {
+            "parameters": asdict(self.values),
+            "states": {"current": self._current, "speed": self._speed},
+        }
 
-    def run(self, voltage: NDArray[np.float64], dt: float, seed: int = 0) -> dict[str, NDArray[np.float64]]:
-        """Record an experiment from rest: voltage (N,) [V], each held dt [s]; columns t, u, current, speed, (N,)."""
+    def run(
+        self, voltage: NDArray[np.float64], dt: float, seed: int = 0
+    ) -> dict[str, NDArray[np.float64]]:
+        """Record an experiment from rest: voltage (N,) [V], each held dt [s]; columns t, u,
+        current, speed, (N,)."""
         self.reset(seed)
         rows = []
         for u in voltage:

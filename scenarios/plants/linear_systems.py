@@ -1,4 +1,5 @@
-"""Random linear systems with known matrices and noise, simulated in open or closed loop. NumPy only.
+"""Random linear systems with known matrices and noise, simulated in open or closed loop. NumPy
+only.
 
 x[k+1] = A x[k] + B u[k] + K e[k],  y[k] = C x[k] + e[k],  cov(e) = Lambda. K and Lambda come from the Riccati equation of
 a plant with process and measurement noise, so that the disturbance is coloured and the predictor A - KC is stable.
@@ -25,7 +26,8 @@ class LinearTruth(NamedTuple):
 
 
 def riccati(a: Array, c: Array, q: Array, r: Array) -> Array:
-    """Stationary predicted covariance of a Kalman filter, by iterating the filter to rest (A stable)."""
+    """Stationary predicted covariance of a Kalman filter, by iterating the filter to rest (A
+    stable)."""
     p = q.copy()
     for _ in range(10000):
         gain = a @ p @ c.T @ np.linalg.inv(c @ p @ c.T + r)
@@ -40,13 +42,16 @@ def riccati(a: Array, c: Array, q: Array, r: Array) -> Array:
 def lyapunov(a: Array, q: Array) -> Array:
     """X = A X A' + Q by its linear equations."""
     n = len(a)
-    return np.asarray(np.linalg.solve(np.eye(n * n) - np.kron(a, a), q.ravel()).reshape(n, n), dtype=np.float64)
+    return np.asarray(
+        np.linalg.solve(np.eye(n * n) - np.kron(a, a), q.ravel()).reshape(n, n), dtype=np.float64
+    )
 
 
 def random_system(
     rng: np.random.Generator, n: int, m: int, p: int, *, snr: float = 10.0, coloured: bool = True
 ) -> LinearTruth:
-    """Poles between 0.3 and 0.95 in size at angles well apart; `snr` is the rms ratio of driven output to disturbance.
+    """Poles between 0.3 and 0.95 in size at angles well apart; `snr` is the rms ratio of driven
+    output to disturbance.
 
     The ratio holds for unit white inputs, as the geometric mean over the outputs (10 is 20 dB).
     """
@@ -56,7 +61,9 @@ def random_system(
     while i < n:
         if i + 1 < n and (rng.random() < 0.7 or n > 4):
             radius, w = rng.uniform(0.5, 0.95), angles[i]
-            a[i : i + 2, i : i + 2] = radius * np.array([[np.cos(w), np.sin(w)], [-np.sin(w), np.cos(w)]])
+            a[i : i + 2, i : i + 2] = radius * np.array(
+                [[np.cos(w), np.sin(w)], [-np.sin(w), np.cos(w)]]
+            )
             i += 2
         else:
             a[i, i] = rng.choice([-1, 1]) * rng.uniform(0.3, 0.95)
@@ -82,7 +89,8 @@ def simulate(
     feedback: Array | None = None,
     excitation: float = 1.0,
 ) -> tuple[Array, Array]:
-    """(u (N, m), y (N, p)) from x = 0. White excitation r; with `feedback` (m, p) u[k] = r[k] - feedback y[k]."""
+    """(u (N, m), y (N, p)) from x = 0. White excitation r; with `feedback` (m, p) u[k] = r[k] -
+    feedback y[k]."""
     a, b, c, k, noise = truth
     e = rng.normal(size=(count, len(c))) @ np.linalg.cholesky(noise).T
     r = excitation * rng.normal(size=(count, b.shape[1]))
@@ -97,7 +105,8 @@ def simulate(
 def stabilising_feedback(
     rng: np.random.Generator, truth: LinearTruth, *, strength: float = 0.5, tries: int = 200
 ) -> Array:
-    """A random static output feedback (m, p) with closed-loop poles inside 0.97, as strong as that allows."""
+    """A random static output feedback (m, p) with closed-loop poles inside 0.97, as strong as that
+    allows."""
     m, p = truth.b.shape[1], truth.c.shape[0]
     scale = strength / max(float(np.linalg.norm(truth.c @ truth.b, 2)), 1e-12)
     for _ in range(tries):

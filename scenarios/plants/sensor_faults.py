@@ -1,7 +1,8 @@
-"""What real sensors and loggers do to a clean log: colour, quantisation, delay, lost rows, jitter, drift, vibration.
+"""What real sensors and loggers do to a clean log: colour, quantisation, delay, lost rows, jitter,
+drift, vibration.
 
-Each function takes a log (columns of shape (N,) or (N, B)) and returns a new one; none changes its argument. They act
-on the record only: the flight itself was flown on what the plant measured.
+Each function takes a log (columns of shape (N,) or (N, B)) and returns a new one; none changes its
+argument. They act on the record only: the flight itself was flown on what the plant measured.
 """
 
 from __future__ import annotations
@@ -28,9 +29,14 @@ def _sample_time(log: Columns) -> float:
 
 
 def coloured_noise(
-    log: Columns, columns: Iterable[str], sigma: float, correlation_time: float, rng: np.random.Generator
+    log: Columns,
+    columns: Iterable[str],
+    sigma: float,
+    correlation_time: float,
+    rng: np.random.Generator,
 ) -> Log:
-    """Add stationary first-order Gauss-Markov noise: standard deviation sigma, correlation_time [s]."""
+    """Add stationary first-order Gauss-Markov noise: standard deviation sigma, correlation_time
+    [s]."""
     out = _copy(log)
     keep = float(np.exp(-_sample_time(log) / correlation_time))
     for name in columns:
@@ -42,7 +48,9 @@ def coloured_noise(
     return out
 
 
-def drifting_bias(log: Columns, columns: Iterable[str], rate: float, rng: np.random.Generator) -> Log:
+def drifting_bias(
+    log: Columns, columns: Iterable[str], rate: float, rng: np.random.Generator
+) -> Log:
     """Add a random walk that starts at zero; rate is its standard deviation after one second."""
     out = _copy(log)
     for name in columns:
@@ -61,7 +69,8 @@ def quantised(log: Columns, columns: Iterable[str], step: float) -> Log:
 
 
 def delayed(log: Columns, columns: Iterable[str], delay: float) -> Log:
-    """Channels seen `delay` [s] late, by linear interpolation of the record; before its start the first value holds."""
+    """Channels seen `delay` [s] late, by linear interpolation of the record; before its start the
+    first value holds."""
     out = _copy(log)
     time = log["t"]
     for name in columns:
@@ -72,8 +81,8 @@ def delayed(log: Columns, columns: Iterable[str], delay: float) -> Log:
 
 
 def low_passed(log: Columns, columns: Iterable[str], cutoff: float) -> Log:
-    """First-order low-pass at `cutoff` [Hz], exact for inputs that are linear over the sample; slow signals come
-    1/(2 pi cutoff) late."""
+    """First-order low-pass at `cutoff` [Hz], exact for inputs that are linear over the sample; slow
+    signals come 1/(2 pi cutoff) late."""
     out = _copy(log)
     x = 2.0 * np.pi * cutoff * _sample_time(log)
     keep = float(np.exp(-x))
@@ -87,9 +96,14 @@ def low_passed(log: Columns, columns: Iterable[str], cutoff: float) -> Log:
 
 
 def vibration(
-    log: Columns, columns: Iterable[str], amplitude: float, rng: np.random.Generator, speed: str = "omega1"
+    log: Columns,
+    columns: Iterable[str],
+    amplitude: float,
+    rng: np.random.Generator,
+    speed: str = "omega1",
 ) -> Log:
-    """Add a line at the frequency of a rotor-speed column [rad/s], folded by the sampling as it is in a real log."""
+    """Add a line at the frequency of a rotor-speed column [rad/s], folded by the sampling as it is
+    in a real log."""
     out = _copy(log)
     angle = np.cumsum(log[speed] * _sample_time(log), axis=0)
     for name in columns:
@@ -98,17 +112,22 @@ def vibration(
 
 
 def jittered_clock(log: Columns, sigma: float, rng: np.random.Generator) -> Log:
-    """Time stamps off by white noise of sigma [s], kept increasing; the samples stay where they were."""
+    """Time stamps off by white noise of sigma [s], kept increasing; the samples stay where they
+    were."""
     out = _copy(log)
     limit = 0.45 * _sample_time(log)
     out["t"] = out["t"] + np.clip(sigma * rng.standard_normal(out["t"].size), -limit, limit)
     return out
 
 
-def uneven(log: Columns, columns: Iterable[str], delay: float, jitter: float, rng: np.random.Generator) -> Log:
-    """Rows of a stream that show what was `delay` [s] and, drawn for every row, up to `jitter` samples earlier.
+def uneven(
+    log: Columns, columns: Iterable[str], delay: float, jitter: float, rng: np.random.Generator
+) -> Log:
+    """Rows of a stream that show what was `delay` [s] and, drawn for every row, up to `jitter`
+    samples earlier.
 
-    Linear interpolation of the record; before its start the first value holds. Quaternions keep unit length.
+    Linear interpolation of the record; before its start the first value holds. Quaternions keep
+    unit length.
     """
     out = _copy(log)
     names = tuple(columns)
@@ -116,7 +135,9 @@ def uneven(log: Columns, columns: Iterable[str], delay: float, jitter: float, rn
     then = time - delay - jitter * _sample_time(log) * rng.random(time.size)
     for name in names:
         flat = out[name].reshape(len(time), -1)
-        out[name] = np.stack([np.interp(then, time, c) for c in flat.T], axis=-1).reshape(out[name].shape)
+        out[name] = np.stack([np.interp(then, time, c) for c in flat.T], axis=-1).reshape(
+            out[name].shape
+        )
     turns = [n for n in ("qw", "qx", "qy", "qz") if n in names]
     if len(turns) == 4:
         length = np.sqrt(sum(out[n] ** 2 for n in turns))
@@ -132,8 +153,11 @@ def dropped_rows(log: Columns, fraction: float, rng: np.random.Generator) -> Log
     return {name: values[keep].copy() for name, values in log.items()}
 
 
-def missing_cells(log: Columns, columns: Iterable[str], fraction: float, rng: np.random.Generator) -> Log:
-    """Empty each sample of a group of columns (all of the group together) with probability `fraction`."""
+def missing_cells(
+    log: Columns, columns: Iterable[str], fraction: float, rng: np.random.Generator
+) -> Log:
+    """Empty each sample of a group of columns (all of the group together) with probability
+    `fraction`."""
     out = _copy(log)
     lost = rng.random(log["t"].size) < fraction
     for name in columns:

@@ -1,10 +1,13 @@
-"""An exported filter learns the parameters of a flight while it flies: is it what the batch fit of that flight finds?
+"""An exported filter learns the parameters of a flight while it flies: is it what the batch fit of
+that flight finds?
 
-    python -m scenarios.studies.adaptive_flight MODEL.json VEHICLE.toml LOG... [--seconds 10] [--memory 0]
+    python -m scenarios.studies.adaptive_flight MODEL.json VEHICLE.toml LOG... [--seconds 10]
+    [--memory 0]
 
-MODEL is a file of `greybox fit` with per-flight parameters, LOG flights that it was not fitted to. Each is exported as
-`greybox export MODEL.json --with adapt` does it; the C is compiled and flown once over the first seconds of each flight,
-beside the batch estimate (maximum a posteriori, `greybox validate --adapt`) from the same seconds and the same prior.
+MODEL is a file of `greybox fit` with per-flight parameters, LOG flights that it was not fitted to.
+Each is exported as `greybox export MODEL.json --with adapt` does it; the C is compiled and flown
+once over the first seconds of each flight, beside the batch estimate (maximum a posteriori,
+`greybox validate --adapt`) from the same seconds and the same prior.
 """
 
 from __future__ import annotations
@@ -39,8 +42,12 @@ class InFlight:
 
     def __init__(self, bundle: ExportBundle, folder: Path) -> None:
         self.manifest = bundle.manifest
-        self.library = CLibrary(build(bundle.folder, bundle.manifest, ["cc"], folder), bundle.manifest)
-        self.entry: Mapping[str, Any] = next(f for f in bundle.manifest["functions"] if f["name"] == "adapt_step")
+        self.library = CLibrary(
+            build(bundle.folder, bundle.manifest, ["cc"], folder), bundle.manifest
+        )
+        self.entry: Mapping[str, Any] = next(
+            f for f in bundle.manifest["functions"] if f["name"] == "adapt_step"
+        )
         self.last: list[list[float]] = []
 
     def __call__(self, *arguments: Array) -> list[Array]:
@@ -66,7 +73,9 @@ class InFlight:
         return 1e6 * (time.process_time() - began) / calls
 
 
-def flown(step: InFlight, bundle: ExportBundle, record: Record, memory: float) -> tuple[Array, Array]:
+def flown(
+    step: InFlight, bundle: ExportBundle, record: Record, memory: float
+) -> tuple[Array, Array]:
     """Adapted parameters (n_a,) and their standard errors after one pass over a record."""
     f, segment = bundle.functions, record.segment
     u = np.column_stack([segment.channels[n] for n in f.inputs.names])
@@ -96,12 +105,16 @@ def first(flight: Flight, seconds: float) -> Flight:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Export, compile, fly, compare, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("model", metavar="MODEL.json")
     parser.add_argument("vehicle", metavar="VEHICLE.toml")
     parser.add_argument("logs", nargs="+", metavar="LOG")
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--memory", type=float, default=0.0, help="seconds after which the filter forgets; 0: never")
+    parser.add_argument(
+        "--memory", type=float, default=0.0, help="seconds after which the filter forgets; 0: never"
+    )
     options = parser.parse_args(arguments)
     model = IdentifiedModel.load(options.model)
     data = read_logs(options.logs, read_vehicle(options.vehicle))
@@ -111,18 +124,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
         step = InFlight(bundle, Path(name))
         names = [bundle.functions.parameters.names[i] for i in bundle.functions.adapted.rows]
         head = ("batch", "+-", "in flight", "+-", "apart %", "in +-")
-        print(f"{'flight':28s}{'parameter':26s}" + "".join(f"{h:>{w}s}" for h, w in zip(head, (11, 10, 11, 10, 9, 7))))
+        print(
+            f"{'flight':28s}{'parameter':26s}"
+            + "".join(f"{h:>{w}s}" for h, w in zip(head, (11, 10, 11, 10, 9, 7)))
+        )
         for flight in data.flights:
             part = first(flight, options.seconds)
             batch = adapt_to_flight(model, flight, options.seconds, riccati=own.riccati)
-            value, std = flown(step, bundle, make_record(own.engine, part.segments[0]), options.memory)
+            value, std = flown(
+                step, bundle, make_record(own.engine, part.segments[0]), options.memory
+            )
             for n, a, s in zip(names, value, std, strict=True):
                 there, spread = batch.values[n], batch.std[n]
                 apart = f"{100 * abs(a / there - 1):9.2f}{abs(a - there) / spread:7.2f}"
-                print(f"{flight.name[:27]:28s}{n:26s}{there:11.4g}{spread:10.2g}{a:11.4g}{s:10.2g}{apart}")
+                print(
+                    f"{flight.name[:27]:28s}{n:26s}{there:11.4g}{spread:10.2g}{a:11.4g}{s:10.2g}{apart}"
+                )
         sizes = bundle.functions.sizes
         print(
-            f"\n{step.microseconds():.1f} us of CPU a step (cc -O1): {sizes['n_d']} error states, {sizes['n_e']} "
+            f"\n{step.microseconds():.1f} us of CPU a step (cc -O1): {sizes['n_d']} error states, "
+            f"{sizes['n_e']} "
             f"innovations, {len(names)} parameters, {sizes['n_a'] - len(names)} errors of the start"
         )
 

@@ -1,12 +1,14 @@
-"""Angular acceleration of the ARPL Crazyflie from its motor commands: fitted on one half of a flight, judged on the other.
+"""Angular acceleration of the ARPL Crazyflie from its motor commands: fitted on one half of a
+flight, judged on the other.
 
     python -m scenarios.studies.arpl_rates [--log log15] [--rate 200]
 
-The rate model (rotors with lag and delay, damping, torque trims) is fitted by multi-step errors on the first half. On the
-second half rotors run from the commands alone and the torque disturbance is off; the measured rate enters the modelled
-angular acceleration only through damping and gyroscopic coupling, the velocity (felt by the accelerometer through drag)
-only through the flapping moment. The centrally differenced gyro and the model pass the same zero-phase 30 Hz
-Butterworth filter; R^2 of the two is printed per axis, with motor lag and delay and their 95 % intervals.
+The rate model (rotors with lag and delay, damping, torque trims) is fitted by multi-step errors on
+the first half. On the second half rotors run from the commands alone and the torque disturbance is
+off; the measured rate enters the modelled angular acceleration only through damping and gyroscopic
+coupling, the velocity (felt by the accelerometer through drag) only through the flapping moment.
+The centrally differenced gyro and the model pass the same zero-phase 30 Hz Butterworth filter; R^2
+of the two is printed per axis, with motor lag and delay and their 95 % intervals.
 """
 
 from __future__ import annotations
@@ -49,29 +51,43 @@ TARGET = {"roll": 0.89, "pitch": 0.91}
 
 
 def fit_half(data: Dataset, use: Sequence[str] = EFFECTS) -> Fit:
-    """Multi-step errors of gyro and accelerometer, from a filter that carries a slowly varying torque."""
+    """Multi-step errors of gyro and accelerometer, from a filter that carries a slowly varying
+    torque."""
     vehicle = read_vehicle(vehicle_path("arpl_crazyflie"))
     dt = data.flights[0].dt
     model = PhysicsModel(
-        vehicle=vehicle, sensors=sensors_for(("p", "q", "r", "ax", "ay", "az"), vehicle), sample_time=dt,
+        vehicle=vehicle,
+        sensors=sensors_for(("p", "q", "r", "ax", "ay", "az"), vehicle),
+        sample_time=dt,
         effects=tuple(effect_by_name(n) for n in use),
-    )  # fmt: skip
+    )
     steps = [max(1, round(h / dt)) for h in HORIZONS]
     return fit(
-        model, data, disturbance=("torque",), predictor=MultiStep(horizons=tuple(steps), stride=max(1, round(0.04 / dt))),
-        values={"motor_lag.tau": 0.03, "command_delay.d": 0.008}, initialisation="innovation", estimate_noise="process",
-        noise={"noise.sensor.p": 0.03, "noise.sensor.q": 0.03, "noise.sensor.r": 0.03, "noise.sensor.ax": 0.3,
-               "noise.sensor.ay": 0.3, "noise.sensor.az": 0.5},
+        model,
+        data,
+        disturbance=("torque",),
+        predictor=MultiStep(horizons=tuple(steps), stride=max(1, round(0.04 / dt))),
+        values={"motor_lag.tau": 0.03, "command_delay.d": 0.008},
+        initialisation="innovation",
+        estimate_noise="process",
+        noise={
+            "noise.sensor.p": 0.03,
+            "noise.sensor.q": 0.03,
+            "noise.sensor.r": 0.03,
+            "noise.sensor.ax": 0.3,
+            "noise.sensor.ay": 0.3,
+            "noise.sensor.az": 0.5,
+        },
         fixed=("thrust.c0", "thrust.c1", "thrust.c2", "disturbance.torque.T"),
-    )  # fmt: skip
+    )
 
 
 def from_commands(result: Fit, segment: Segment) -> tuple[FloatArray, FloatArray]:
     """(measured rate, model's angular acceleration) (N, 3) and (N - 1, 3).
 
-    Rotors run from the commands alone and the torque disturbance is zero, so that the filter says nothing about torques;
-    the measured rate enters through damping and gyroscopic coupling, and the velocity (which the accelerometer feels
-    through drag) through the flapping moment.
+    Rotors run from the commands alone and the torque disturbance is zero, so that the filter says
+    nothing about torques; the measured rate enters through damping and gyroscopic coupling, and the
+    velocity (which the accelerometer feels through drag) through the flapping moment.
     """
     dynamics, engine = result.model.dynamics, engine_for(result.model.dynamics, ())
     filtered, p = Filter(result.model).run(segment), result.model.parameter_vector()
@@ -80,7 +96,13 @@ def from_commands(result: Fit, segment: Segment) -> tuple[FloatArray, FloatArray
 
     def run(starts: FloatArray, rows: npt.NDArray[np.int_], horizon: int) -> FloatArray:
         _, states = engine.rollout(
-            starts=starts, rows=rows, horizon=horizon, inputs=record.inputs, p=p, dt=record.dt, want_states=True
+            starts=starts,
+            rows=rows,
+            horizon=horizon,
+            inputs=record.inputs,
+            p=p,
+            dt=record.dt,
+            want_states=True,
         )
         assert states is not None
         return states
@@ -98,9 +120,12 @@ def from_commands(result: Fit, segment: Segment) -> tuple[FloatArray, FloatArray
 
 
 def rotor_states(
-    run: Callable[[FloatArray, npt.NDArray[np.int_], int], FloatArray], record: Record, rotors: Sequence[int]
+    run: Callable[[FloatArray, npt.NDArray[np.int_], int], FloatArray],
+    record: Record,
+    rotors: Sequence[int],
 ) -> FloatArray:
-    """Rotor states (N, n) that follow the commands, simulated in stretches so that the rest cannot run away."""
+    """Rotor states (N, n) that follow the commands, simulated in stretches so that the rest cannot
+    run away."""
     x, out = record.x0.copy(), np.zeros((record.n, len(rotors)))
     stretch = 100
     for at in range(0, record.n, stretch):
@@ -128,7 +153,9 @@ def judge(result: Fit, data: Dataset, after: float) -> dict[str, float]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Fit, judge, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--log", default="log15")
     parser.add_argument("--rate", type=float, default=200.0, help="Hz")
     options = parser.parse_args(arguments)
@@ -137,7 +164,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     first, second = data.split_by_time(0.5)
     result = fit_half(first)
     print(result.summary())
-    print(f"\n{options.log}, second half, central-differenced gyro, zero-phase {CUTOFF:g} Hz on both sides: R^2")
+    print(
+        f"\n{options.log}, second half, central-differenced gyro, zero-phase {CUTOFF:g} Hz on both "
+        "sides: R^2"
+    )
     for axis, value in judge(result, data, float(second.segments[0].t[0])).items():
         goal = f"  (to beat: {TARGET[axis]})" if axis in TARGET else ""
         print(f"  {axis:6s} {value:.3f}{goal}")

@@ -67,16 +67,23 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 }
 """What a log lacks: rotor speeds, nothing, velocity, the IMU, position and velocity, all but gyro and accelerometer."""
 PAIRS = (
-    ("motor_lag", "rotor_drag"), ("steady_wind", "rotor_drag"), ("battery_sag", "rotor_drag"),
-    ("blade_flapping", "rotational_damping"), ("center_of_mass_offset", "rotor_asymmetry"),
-    ("accelerometer_bias", "parasitic_drag"), ("motor_lag", "command_delay"), ("gyro_bias", "accelerometer_scale"),
-    ("products_of_inertia", "rotor_gyroscopic"), ("axial_inflow", "imu_misalignment"),
+    ("motor_lag", "rotor_drag"),
+    ("steady_wind", "rotor_drag"),
+    ("battery_sag", "rotor_drag"),
+    ("blade_flapping", "rotational_damping"),
+    ("center_of_mass_offset", "rotor_asymmetry"),
+    ("accelerometer_bias", "parasitic_drag"),
+    ("motor_lag", "command_delay"),
+    ("gyro_bias", "accelerometer_scale"),
+    ("products_of_inertia", "rotor_gyroscopic"),
+    ("axial_inflow", "imu_misalignment"),
     ("motor_lag", "motor_lag_asymmetry"),
-)  # fmt: skip
+)
 TRIPLES = (
-    ("motor_lag", "rotor_drag", "rotational_damping"), ("battery_sag", "axial_inflow", "accelerometer_bias"),
+    ("motor_lag", "rotor_drag", "rotational_damping"),
+    ("battery_sag", "axial_inflow", "accelerometer_bias"),
     ("center_of_mass_offset", "blade_flapping", "gyro_bias"),
-)  # fmt: skip
+)
 FIVES = (
     ("motor_lag", "battery_sag", "rotor_drag", "blade_flapping", "rotational_damping"),
     ("command_delay", "rotor_asymmetry", "accelerometer_bias", "gyro_scale", "axial_inflow"),
@@ -138,7 +145,9 @@ def cases(frame: Airframe) -> dict[str, list[hidden.PlantEffect]]:
         "blade_flapping": [hidden.BladeFlapping(k_flap=3.0 * jx / speed)],
         "center_of_mass_offset": [hidden.CenterOfMassOffset(c_x=0.04 * arm, c_y=-0.03 * arm)],
         "command_delay": [hidden.CommandDelay(d=0.02)],
-        "command_saturation": [hidden.CommandSaturation(a_hi=0.2, u_min=frame.u_min, u_max=frame.u_max)],
+        "command_saturation": [
+            hidden.CommandSaturation(a_hi=0.2, u_min=frame.u_min, u_max=frame.u_max)
+        ],
         "constant_force": [hidden.ConstantForce(f_x=0.04 * weight, f_y=-0.03 * weight)],
         "ground_effect": [hidden.GroundEffect(rotor_radius=frame.rotor_radius or 0.05, k=4.0)],
         "gyro_bias": [hidden.GyroBias(b_x=0.03, b_y=-0.02, b_z=0.02)],
@@ -146,10 +155,14 @@ def cases(frame: Airframe) -> dict[str, list[hidden.PlantEffect]]:
         "imu_misalignment": [hidden.ImuMisalignment(theta_x=0.03, theta_y=-0.02, theta_z=0.03)],
         "mocap_misalignment": [hidden.MocapMisalignment(theta_x=0.03, theta_y=-0.02, theta_z=0.03)],
         "motor_lag": [hidden.MotorLag(tau=0.04)],
-        "parasitic_drag": [hidden.ParasiticDrag(c_x=0.03 * weight, c_y=0.03 * weight, c_z=0.03 * weight)],
+        "parasitic_drag": [
+            hidden.ParasiticDrag(c_x=0.03 * weight, c_y=0.03 * weight, c_z=0.03 * weight)
+        ],
         "payload_mass": [hidden.PayloadMass(mu=0.2)],
         "pose_delay": [hidden.PoseDelay(d=0.02)],
-        "products_of_inertia": [hidden.ProductsOfInertia(Jxy=0.1 * jx, Jxz=0.08 * jx, Jyz=-0.08 * jx)],
+        "products_of_inertia": [
+            hidden.ProductsOfInertia(Jxy=0.1 * jx, Jxz=0.08 * jx, Jyz=-0.08 * jx)
+        ],
         "rotational_damping": [hidden.RotationalDamping(d_p=1.5 * jx, d_q=1.5 * jy, d_r=1.0 * jz)],
         "rotor_asymmetry": [hidden.RotorAsymmetry(delta=(0.04, -0.02, 0.0, -0.02))],
         "rotor_drag": [hidden.RotorDrag(k_x=0.04 * weight / speed, k_y=0.05 * weight / speed)],
@@ -174,7 +187,10 @@ def scaled(effect: hidden.PlantEffect, factor: float) -> hidden.PlantEffect:
     if isinstance(effect, hidden.RotorAsymmetry):
         return hidden.RotorAsymmetry(delta=tuple(factor * float(d) for d in effect.delta))
     own = {key.split(".")[1] for key in effect.parameters()}
-    return replace(effect, **{f.name: factor * getattr(effect, f.name) for f in fields(effect) if f.name in own})  # type: ignore[type-var, arg-type]
+    return replace(
+        effect,
+        **{f.name: factor * getattr(effect, f.name) for f in fields(effect) if f.name in own},
+    )  # type: ignore[type-var, arg-type]
 
 
 @functools.cache
@@ -189,7 +205,9 @@ def in_noise(vehicle: str, seconds: float) -> dict[str, float]:
     causes = offer(said, data.channels, sample_time=0.01)
     at = Flights(causes=causes, data=data).fit(())
     null = {p: m for c in causes.offered.values() for p, (m, _) in c.prior.items()}
-    wide, theta = with_candidate_sensitivities(at.problem, at.theta, causes.built(causes.effects), data, null)
+    wide, theta = with_candidate_sensitivities(
+        at.problem, at.theta, causes.built(causes.effects), data, null
+    )
     value = wide.evaluate(theta)
     assert value.hessian is not None
     places: dict[str, list[int]] = {}
@@ -214,9 +232,11 @@ def gusts(calm: Quadrotor) -> ProcessNoise:
     frame, level = calm.airframe, (2 / GUSTS.seconds) ** 0.5
     twist = tuple(level * GUSTS.turn * float(j) for j in frame.inertia)
     return replace(
-        calm.process, drift_force=level * GUSTS.force * float(frame.mass) * 9.81,
-        drift_torque=(twist[0], twist[1], twist[2]), drift_time=GUSTS.seconds,
-    )  # fmt: skip
+        calm.process,
+        drift_force=level * GUSTS.force * float(frame.mass) * 9.81,
+        drift_torque=(twist[0], twist[1], twist[2]),
+        drift_time=GUSTS.seconds,
+    )
 
 
 def plant_of(cell: Cell) -> tuple[Quadrotor, float | None]:
@@ -245,9 +265,11 @@ def vehicle_of(
     """What the file says of the plant; by default ten per cent off, with honest sigmas."""
     with tempfile.TemporaryDirectory() as folder:
         path = write_vehicle(
-            Path(folder) / "v.toml", plant, sigma=SIGMA if sigma is None else sigma,
+            Path(folder) / "v.toml",
+            plant,
+            sigma=SIGMA if sigma is None else sigma,
             errors=ERRORS if errors is None else errors,
-        )  # fmt: skip
+        )
         return read_vehicle(path)
 
 
@@ -261,13 +283,21 @@ def logs(
 ) -> list[dict[str, Any]]:
     """One log per seed, flown side by side."""
     log = fly(
-        plant, controller_for(plant, gains), reference or RandomWaypoints(), rich_excitation(), seconds, 1 / rate,
-        seed=list(seeds), warm_up=1.0,
-    )  # fmt: skip
+        plant,
+        controller_for(plant, gains),
+        reference or RandomWaypoints(),
+        rich_excitation(),
+        seconds,
+        1 / rate,
+        seed=list(seeds),
+        warm_up=1.0,
+    )
     return [member(log, i) for i in range(len(seeds))]
 
 
-def dataset(columns: Sequence[dict[str, Any]], name: str, without: Sequence[str] = COLUMNS["full"]) -> Dataset:
+def dataset(
+    columns: Sequence[dict[str, Any]], name: str, without: Sequence[str] = COLUMNS["full"]
+) -> Dataset:
     """Logs as a data set, `without` columns of these names (or of these and a number)."""
     out: Dataset | None = None
     for i, log in enumerate(columns):
@@ -284,7 +314,9 @@ def flights(plant: Quadrotor, seeds: Sequence[int], seconds: float, name: str) -
     return dataset(logs(plant, seeds, seconds), name)
 
 
-def flown(cell: Cell, seeds: Sequence[int]) -> Iterator[tuple[int, Quadrotor, float | None, Dataset, Dataset]]:
+def flown(
+    cell: Cell, seeds: Sequence[int]
+) -> Iterator[tuple[int, Quadrotor, float | None, Dataset, Dataset]]:
     """(seed, plant, size in noise, training flights, test flight) for every seed; those with the same gains fly together.
 
     A test flight is half as long as a training flight.
@@ -294,15 +326,39 @@ def flown(cell: Cell, seeds: Sequence[int]) -> Iterator[tuple[int, Quadrotor, fl
     for s in seeds:
         groups.setdefault((s // len(SIGNS) % len(GAINS), s % len(TESTS)), []).append(s)
     for (g, which), mine in groups.items():
-        train = logs(plant, [100 * s + k for s in mine for k in (1, 2)], cell.seconds, None, GAINS[g], cell.rate)
-        test = logs(plant, [100 * s + 51 for s in mine], 0.5 * cell.seconds, TESTS[which], GAINS[g], cell.rate)
+        train = logs(
+            plant,
+            [100 * s + k for s in mine for k in (1, 2)],
+            cell.seconds,
+            None,
+            GAINS[g],
+            cell.rate,
+        )
+        test = logs(
+            plant,
+            [100 * s + 51 for s in mine],
+            0.5 * cell.seconds,
+            TESTS[which],
+            GAINS[g],
+            cell.rate,
+        )
         for n, seed in enumerate(mine):
             three = [train[2 * n], train[2 * n + 1], test[n]]
             three = [_sensed(cell, plant, log, 100 * seed + i) for i, log in enumerate(three)]
             without = COLUMNS[cell.columns]
-            yield seed, plant, size, dataset(three[:2], "train", without), dataset(three[2:], "test", without)
+            yield (
+                seed,
+                plant,
+                size,
+                dataset(three[:2], "train", without),
+                dataset(three[2:], "test", without),
+            )
 
 
 def _sensed(cell: Cell, plant: Quadrotor, log: dict[str, Any], seed: int) -> dict[str, Any]:
     """The log as the cell's sensors give it."""
-    return realistic(log, plant.sensors, REALISTIC.only("colour"), seed) if cell.noise == "coloured" else log
+    return (
+        realistic(log, plant.sensors, REALISTIC.only("colour"), seed)
+        if cell.noise == "coloured"
+        else log
+    )

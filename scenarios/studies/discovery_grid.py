@@ -1,12 +1,15 @@
-"""The grid that judges discover: effects hidden one, two, three and five at a time, at several sizes, and clean flights.
+"""The grid that judges discover: effects hidden one, two, three and five at a time, at several
+sizes, and clean flights.
 
-    python -m scenarios.studies.discovery_grid --out F.jsonl --cells clean --seeds 1000:1100
-    python -m scenarios.studies.discovery_grid --out F.jsonl --cells single --sizes large,medium,near --seeds 1000:1004
-    python -m scenarios.studies.discovery_grid --out F.jsonl --summary [--docs tables]
+    python -m scenarios.studies.discovery_grid --out F.jsonl --cells clean --seeds 1000:1100 python
+    -m scenarios.studies.discovery_grid --out F.jsonl --cells single --sizes large,medium,near
+    --seeds 1000:1004 python -m scenarios.studies.discovery_grid --out F.jsonl --summary [--docs
+    tables]
 
-Two training flights of 16 s at 100 Hz and a test flight of 8 s per case (see discovery_cells). Every case is written as one
-line when it is done, so that a study that was stopped goes on where it was. Seeds below 1000 are for development; figures
-in the documentation come from seeds from 1000 on, on which nothing was tuned. Verdicts per case:
+Two training flights of 16 s at 100 Hz and a test flight of 8 s per case (see discovery_cells).
+Every case is written as one line when it is done, so that a study that was stopped goes on where it
+was. Seeds below 1000 are for development; figures in the documentation come from seeds from 1000
+on, on which nothing was tuned. Verdicts per case:
 
     right      the hidden effects, and nothing else, have names
     group      every hidden effect has its name or stands in a set of look-alikes, and no name is false
@@ -95,7 +98,9 @@ def run(cell: Cell, seeds: Sequence[int]) -> Iterator[dict[str, Any]]:
         else:
             if cell.hidden and found.fit is not None:
                 groups = [[c["name"] for c in a["candidates"]] for a in found.ambiguous()]
-                with contextlib.suppress(GreyboxError):  # a failed oracle says nothing of the search
+                with contextlib.suppress(
+                    GreyboxError
+                ):  # a failed oracle says nothing of the search
                     row["oracle"] = oracle(said, train, test, row["truth"], found.fit, groups)
         yield row
 
@@ -104,7 +109,11 @@ def _outcome(found: Discovery, truth: Sequence[str]) -> dict[str, Any]:
     content = found.to_dict()
     # The group of channels that the hidden effects move most, half a second ahead.
     gaps = [r for r in content["gap"] if r["horizon_s"] == 0.5 and r["closed"] is not None]
-    most = max(gaps, key=lambda r: r["before"] ** 2 / max(r["floor"] or 0.0, 0.1 * r["before"]) ** 2, default=None)
+    most = max(
+        gaps,
+        key=lambda r: r["before"] ** 2 / max(r["floor"] or 0.0, 0.1 * r["before"]) ** 2,
+        default=None,
+    )
     return {
         "judged": judge(found, truth),
         "verdict": found.verdict,
@@ -134,13 +143,20 @@ def planned(options: argparse.Namespace) -> list[Cell]:
     common = {"seconds": options.seconds, "noise": options.noise, "rate": options.rate}
     out = []
     for kind, vehicle, nom, columns in itertools.product(
-        options.cells.split(","), options.vehicle.split(","), options.nominal.split(","), options.columns.split(",")
+        options.cells.split(","),
+        options.vehicle.split(","),
+        options.nominal.split(","),
+        options.columns.split(","),
     ):
         base = Cell(vehicle=vehicle, nominal=nom, columns=columns, **common)
         names = [n for n in cases(X250) if n != "clean"]
         sets: dict[str, Sequence[tuple[str, ...]]] = {
-            "clean": [()], "single": [(n,) for n in names], "pair": PAIRS, "triple": TRIPLES, "five": FIVES,
-        }  # fmt: skip
+            "clean": [()],
+            "single": [(n,) for n in names],
+            "pair": PAIRS,
+            "triple": TRIPLES,
+            "five": FIVES,
+        }
         chosen = sets[kind] if kind in sets else [tuple(kind.split("+"))]
         sizes = options.sizes.split(",") if len(chosen[0]) == 1 else ["flight"]
         out += [_with(base, hidden=h, size=s) for s in sizes for h in chosen]
@@ -153,7 +169,9 @@ def _with(cell: Cell, **changes: Any) -> Cell:
 
 def _key(row: dict[str, Any]) -> str:
     # Rows of earlier studies do not say what had one value then.
-    return json.dumps([*(row.get(n, default) for n, default in Cell().to_dict().items()), row["seed"]])
+    return json.dumps(
+        [*(row.get(n, default) for n, default in Cell().to_dict().items()), row["seed"]]
+    )
 
 
 def _seeds(text: str) -> list[int]:
@@ -166,20 +184,30 @@ def _whole(cell: Cell, seeds: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def _say(row: dict[str, Any]) -> None:
-    names = ", ".join(row.get("effects", ())) or " | ".join(" or ".join(a) for a in row.get("ambiguous", ()))
+    names = ", ".join(row.get("effects", ())) or " | ".join(
+        " or ".join(a) for a in row.get("ambiguous", ())
+    )
     print(
-        f"{row['vehicle']} {row['nominal']} {row['noise']} {row['columns']} {row['rate']:g} Hz {row['size']:6s} "
+        f"{row['vehicle']} {row['nominal']} {row['noise']} {row['columns']} {row['rate']:g} Hz "
+        f"{row['size']:6s} "
         f"{row['seed']:5d} {'+'.join(row['hidden']) or 'clean':26s} {row['judged']:7s} "
-        f"{names or row.get('verdict', row.get('error'))} ({row.get('took', 0):.0f} s)", flush=True,
-    )  # fmt: skip
+        f"{names or row.get('verdict', row.get('error'))} ({row.get('took', 0):.0f} s)",
+        flush=True,
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run what is not in the file yet, or print what is."""
-    parser = argparse.ArgumentParser(description="The grid that judges discover on simulated flights.")
+    parser = argparse.ArgumentParser(
+        description="The grid that judges discover on simulated flights."
+    )
     parser.add_argument("--out", default="discovery_grid.jsonl")
-    parser.add_argument("--cells", default="clean", help="clean, single, pair, triple, five, or effects (a or a+b)")
-    parser.add_argument("--sizes", default="flight", help=f"for one effect: flight, {', '.join(SIZES)}")
+    parser.add_argument(
+        "--cells", default="clean", help="clean, single, pair, triple, five, or effects (a or a+b)"
+    )
+    parser.add_argument(
+        "--sizes", default="flight", help=f"for one effect: flight, {', '.join(SIZES)}"
+    )
     parser.add_argument("--seeds", type=_seeds, default=[1], help="1,2,5 or 1000:1020")
     parser.add_argument("--vehicle", default="x250", help=", ".join(MAKERS))
     parser.add_argument("--nominal", default="off", help="exact, off")
@@ -207,7 +235,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             work += [(cell, left[i : i + CHUNK]) for i in range(0, len(left), CHUNK)]
         if options.jobs > 1:
             with concurrent.futures.ProcessPoolExecutor(options.jobs) as pool:
-                for future in concurrent.futures.as_completed([pool.submit(_whole, *w) for w in work]):
+                for future in concurrent.futures.as_completed(
+                    [pool.submit(_whole, *w) for w in work]
+                ):
                     for row in future.result():
                         append_json_line(path, row)
                         _say(row)

@@ -1,5 +1,5 @@
-"""What a search could have found at best: the structure that is told the hidden effects, on the same
-flights.
+"""What a search could have found at best: the structure that is told the hidden effects, on the
+same flights.
 
 A silent search is to blame only where the oracle is certified, a set only where its other members
 are beaten by the oracle, and a gap that did not close only where the oracle closes it.
@@ -36,8 +36,8 @@ def oracle(
     final: Fit,
     groups: Iterable[Sequence[str]] = (),
 ) -> dict[str, Any]:
-    """Plain values. `truth`: full parameter name -> true value; `final`: what the search ended with;
-    `groups`: the sets that it left, a or a+b each.
+    """Plain values. `truth`: full parameter name -> true value; `final`: what the search ended
+    with; `groups`: the sets that it left, a or a+b each.
 
     log10_e   hidden effect -> log10 e of the oracle against the structure without it
     gain      log evidence of the oracle less that of the base; None where an effect cannot be judged
@@ -85,9 +85,7 @@ def ahead(seen: HeldOutErrors) -> dict[str, float]:
     return out
 
 
-def _closed(
-    test: Dataset, null: Fit, told: Fit, final: Fit
-) -> tuple[str | None, float | None]:
+def _closed(test: Dataset, null: Fit, told: Fit, final: Fit) -> tuple[str | None, float | None]:
     before, best, own = (ahead(predict_ahead(f.model, test)) for f in (null, told, final))
     shared = [g for g in before if best.get(g) and g in own]
     group = max(shared, key=lambda g: before[g] / best[g], default=None)

@@ -1,19 +1,22 @@
-"""What discover says about effects that its catalogue does not have, and about known families in another form.
+"""What discover says about effects that its catalogue does not have, and about known families in
+another form.
 
-    python -m scenarios.studies.discovery_outside [--seeds 1001 1002] [--only magnet,wall] [--learn] [--report] [--out F]
+    python -m scenarios.studies.discovery_outside [--seeds 1001 1002] [--only magnet,wall] [--learn]
+    [--report] [--out F]
 
 Five of the effects were invented by somebody who did not know the search (`UNSEEN`).
 
-Training flights of 16 s and one test flight of a 250 mm vehicle, closed loop, inertia, thrust and torque coefficients ten
-per cent off with honest sigmas. Seeds below 1000 were used for development, results are those of seeds from 1000 on. Per
-case one line in the file as soon as it is done, so that a study that was stopped goes on where it was:
+Training flights of 16 s and one test flight of a 250 mm vehicle, closed loop, inertia, thrust and
+torque coefficients ten per cent off with honest sigmas. Seeds below 1000 were used for development,
+results are those of seeds from 1000 on. Per case one line in the file as soon as it is done, so
+that a study that was stopped goes on where it was:
 
     names      effects that were named and survived; of an outside effect every one is wrong, of a relative those that
                are not of its family are
     flagged    the axes of force and torque that are called unnamed; right if one of them is an axis that the effect acts on
     closed     share of the gap 0.5 s ahead on the test flight that names and proposals closed together, in the group of
-               channels that the effect moves most: that whose error is largest against the one of the same vehicle
-               without the effect, which is the least that a model can reach
+               channels that the effect moves most: that whose error is largest against the one of
+               the same vehicle without the effect, which is the least that a model can reach
     learned    with --learn: the same share with a Gaussian process that learned what names and written laws leave
                (`greybox learn model_with_laws.json --place`, extra gp)
 """
@@ -52,7 +55,8 @@ from scenarios.studies.rows import open_ended, read_rows
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A hidden effect, the axes it acts on, and the catalogue's names of its family (none: outside the catalogue)."""
+    """A hidden effect, the axes it acts on, and the catalogue's names of its family (none: outside
+    the catalogue)."""
 
     hidden: PlantEffect
     axes: tuple[str, ...]
@@ -70,7 +74,9 @@ CASES = {
     "warm_motors": Case(hidden=outside.WarmMotors(fade=0.1), axes=("force.z",)),
     "tether": Case(hidden=outside.Tether(stiffness=0.1, weight=0.15), axes=(*LATERAL, "force.z")),
     "power_drag": Case(
-        hidden=outside.PowerDrag(c=0.12), axes=(*LATERAL, "force.z"), family=("parasitic_drag", "rotor_drag")
+        hidden=outside.PowerDrag(c=0.12),
+        axes=(*LATERAL, "force.z"),
+        family=("parasitic_drag", "rotor_drag"),
     ),
     "quadratic_damping": Case(
         hidden=outside.QuadraticDamping(d=4e-3), axes=TURNS, family=("rotational_damping",)
@@ -79,7 +85,9 @@ CASES = {
         hidden=outside.ExponentialGround(a=0.4), axes=("force.z",), family=("ground_effect",)
     ),
     "relaxing_drag": Case(
-        hidden=outside.RelaxingDrag(k=0.25), axes=(*LATERAL, "force.z"), family=("rotor_drag", "parasitic_drag")
+        hidden=outside.RelaxingDrag(k=0.25),
+        axes=(*LATERAL, "force.z"),
+        family=("rotor_drag", "parasitic_drag"),
     ),
     "hysteretic_damping": Case(
         hidden=outside.HystereticDamping(d=3e-3), axes=TURNS, family=("rotational_damping",)
@@ -89,7 +97,7 @@ CASES = {
     "plate_in_wake": Case(hidden=outside.PlateInWake(load=0.09), axes=("force.z", *ROLL_PITCH)),
     "loose_arm": Case(hidden=outside.LooseArm(tilt=0.03), axes=(*LATERAL, "torque.z")),
     "returning_wake": Case(hidden=outside.ReturningWake(push=0.6), axes=(*LATERAL, "force.z")),
-}  # fmt: skip
+}
 UNSEEN = ("munk_moment", "air_outlet", "plate_in_wake", "loose_arm", "returning_wake")
 """Invented by another hand, and flown for the first time when the search was finished."""
 
@@ -101,16 +109,21 @@ def flights(plant: Quadrotor, seeds: Sequence[int], seconds: float, name: str) -
 
 @functools.cache
 def least(seed: int, seconds: float = 16.0) -> dict[str, float]:
-    """Group -> RMSE half a second ahead of the vehicle without any effect, fitted to and judged on flights of the seed."""
+    """Group -> RMSE half a second ahead of the vehicle without any effect, fitted to and judged on
+    flights of the seed."""
     first = 1000 * seed
-    train, test = (flights(x250(), [first + k for k in ks], seconds, name) for ks, name in (((1, 2), "a"), ((101,), "b")))
+    train, test = (
+        flights(x250(), [first + k for k in ks], seconds, name)
+        for ks, name in (((1, 2), "a"), ((101,), "b"))
+    )
     causes = offer(vehicle_of(x250()), train.channels, sample_time=0.01)
     searched = Flights(causes=causes, data=without_lead_in(train))
     return ahead(predict_ahead(searched.settled(searched.fit(causes.base)).model, test))
 
 
 def learned(found: Discovery, train: Dataset, test: Dataset, seed: int) -> dict[str, Any]:
-    """Group -> RMSE half a second ahead on `test` of what was found, laws included, with what was learned of the rest."""
+    """Group -> RMSE half a second ahead on `test` of what was found, laws included, with what was
+    learned of the rest."""
     from greybox.residual.learn import learn
 
     try:
@@ -118,13 +131,29 @@ def learned(found: Discovery, train: Dataset, test: Dataset, seed: int) -> dict[
         errors = predict_ahead(result.model, test).own
     except GreyboxError as error:  # what was searched for minutes is kept
         return {"rmse": {}, "chosen": None, "error": str(error)}
-    rmse = {g: float(np.sqrt(np.concatenate(rows).mean())) for (g, s), rows in errors.items() if s == AHEAD}
-    return {"rmse": rmse, "chosen": None if result.null else result.chosen, "seconds": result.seconds}
+    rmse = {
+        g: float(np.sqrt(np.concatenate(rows).mean()))
+        for (g, s), rows in errors.items()
+        if s == AHEAD
+    }
+    return {
+        "rmse": rmse,
+        "chosen": None if result.null else result.chosen,
+        "seconds": result.seconds,
+    }
 
 
-def affected(gap: Sequence[Mapping[str, Any]], least: Mapping[str, float]) -> tuple[str, float] | None:
-    """(group that the effect moves most, share of its excess over the `least` error that was closed), from gap rows."""
-    rows = [r for r in gap if r["closed"] is not None and r["before"] ** 2 > NOTHING * least.get(r["group"], np.inf) ** 2]
+def affected(
+    gap: Sequence[Mapping[str, Any]], least: Mapping[str, float]
+) -> tuple[str, float] | None:
+    """(group that the effect moves most, share of its excess over the `least` error that was
+    closed), from gap rows."""
+    rows = [
+        r
+        for r in gap
+        if r["closed"] is not None
+        and r["before"] ** 2 > NOTHING * least.get(r["group"], np.inf) ** 2
+    ]
     row = max(rows, key=lambda r: r["before"] / least[r["group"]], default=None)
     if row is None:
         return None
@@ -150,14 +179,18 @@ def judge(found: Discovery, case: Case) -> dict[str, Any]:
     flagged = [u["channel"] for u in content["unnamed"]]
     half = [r for r in content["gap"] if r["horizon_s"] == AHEAD]
     return {
-        "verdict": found.verdict, "names": names,
+        "verdict": found.verdict,
+        "names": names,
         "traces": [t["name"] for t in content["traces"]],
         "wrong": [n for n in names if n not in case.family],
         "ambiguous": [[c["name"] for c in a["candidates"]] for a in content["ambiguous"]],
-        "flagged": flagged, "right_axis": any(a in case.axes for a in flagged),
-        "unnamed": content["unnamed"], "gap": half,
-        "seconds": found.seconds, "warnings": content["warnings"],
-    }  # fmt: skip
+        "flagged": flagged,
+        "right_axis": any(a in case.axes for a in flagged),
+        "unnamed": content["unnamed"],
+        "gap": half,
+        "seconds": found.seconds,
+        "warnings": content["warnings"],
+    }
 
 
 def run(name: str, seed: int, seconds: float = 16.0, *, learn: bool = False) -> dict[str, Any]:
@@ -175,7 +208,8 @@ def run(name: str, seed: int, seconds: float = 16.0, *, learn: bool = False) -> 
 def report(rows: Sequence[dict[str, Any]]) -> str:
     """Rates per case and over all."""
     lines = [
-        f"{'case':20s} {'runs':>4s} {'wrong name':>10s} {'flagged':>8s} {'right axis':>10s} {'closed: median, worst':>22s}"
+        f"{'case':20s} {'runs':>4s} {'wrong name':>10s} {'flagged':>8s} {'right axis':>10s} "
+        f"{'closed: median, worst':>22s}"
         f"{'with a learned rest (n)':>26s}"
     ]
     for name in [*CASES, "outside", "relatives", "unseen", "all"]:
@@ -193,8 +227,10 @@ def report(rows: Sequence[dict[str, Any]]) -> str:
         named = [a[1] for r in own if (a := affected(r["gap"], least(r["seed"]))) is not None]
         taught = [s for r in own if (s := by_learning(r, least(r["seed"]))) is not None]
         lines.append(
-            f"{name:20s} {len(own):4d} {sum(bool(r['wrong']) for r in own):10d} {sum(bool(r['flagged']) for r in own):8d} "
-            f"{sum(r['right_axis'] for r in own):10d} {_spread(named):>22s}{_spread(taught):>20s} ({len(taught):3d})"
+            f"{name:20s} {len(own):4d} {sum(bool(r['wrong']) for r in own):10d} "
+            f"{sum(bool(r['flagged']) for r in own):8d} "
+            f"{sum(r['right_axis'] for r in own):10d} {_spread(named):>22s}{_spread(taught):>20s} "
+            f"({len(taught):3d})"
         )
     return "\n".join(lines)
 
@@ -211,7 +247,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", default=None, help="comma-separated cases")
     parser.add_argument("--out", default="discovery_outside.jsonl")
     parser.add_argument("--report", action="store_true", help="only print the table of the file")
-    parser.add_argument("--learn", action="store_true", help="also learn what names and laws leave (extra gp)")
+    parser.add_argument(
+        "--learn", action="store_true", help="also learn what names and laws leave (extra gp)"
+    )
     options = parser.parse_args(arguments)
     path = Path(options.out)
     if not options.report:
@@ -230,7 +268,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             append_json_line(path, row)
             laws = "; ".join(u["proposal"] or u["channel"] for u in row["unnamed"])
             print(
-                f"{seed:5d} {name:18s} {row['verdict']:16s} {', '.join(row['names']) or '-':30s} | {laws or '-'} "
+                f"{seed:5d} {name:18s} {row['verdict']:16s} {', '.join(row['names']) or '-':30s} | "
+                f"{laws or '-'} "
                 f"({row['seconds']:.0f} s)",
                 flush=True,
             )

@@ -1,13 +1,15 @@
 """Realistic sensors: does discover still tell physics from what only sensors do?
 
-    python -m scenarios.studies.discovery_sensors [--cells all:clean low_pass:clean all:motor_lag ...] [--seeds 1 2]
+    python -m scenarios.studies.discovery_sensors [--cells all:clean low_pass:clean all:motor_lag
+    ...] [--seeds 1 2]
         [--vehicle x250] [--out F.jsonl] [--summary]
 
-A cell is INGREDIENTS:EFFECT: what the sensors do to the log (scenarios.plants.realistic_sensors; "all", "none", or
-ingredients joined by +) and the hidden effect ("clean" hides nothing). Vehicle, flights, sizes and wrong nominal
-values are those of discovery_grid; logs go through CSV files, checks and conditioning, as a user's do. Seeds below 1000
-were looked at while the code was written; results that are quoted come from seeds of 1000 and more. One line is written
-per cell as soon as it is done; a study that was stopped goes on where it was.
+A cell is INGREDIENTS:EFFECT: what the sensors do to the log (scenarios.plants.realistic_sensors;
+"all", "none", or ingredients joined by +) and the hidden effect ("clean" hides nothing). Vehicle,
+flights, sizes and wrong nominal values are those of discovery_grid; logs go through CSV files,
+checks and conditioning, as a user's do. Seeds below 1000 were looked at while the code was written;
+results that are quoted come from seeds of 1000 and more. One line is written per cell as soon as it
+is done; a study that was stopped goes on where it was.
 
     physics    names of the stages command, rotor, thrust, body and wrench that are not hidden
     sensor     names of the sensor stage that are neither hidden nor put there by the ingredients
@@ -39,8 +41,11 @@ from scenarios.studies.discovery_cells import MAKERS, cases, vehicle_of
 from scenarios.studies.rows import open_ended, read_rows, wilson
 
 EXPECTED = {
-    "pose_delay": {"pose_delay"}, "jitter": {"pose_delay"}, "low_pass": {"sensor_delay"}, "drift": {"gyro_bias"},
-}  # fmt: skip
+    "pose_delay": {"pose_delay"},
+    "jitter": {"pose_delay"},
+    "low_pass": {"sensor_delay"},
+    "drift": {"gyro_bias"},
+}
 """Names of the sensor stage that an ingredient makes true."""
 SAMPLE = 0.01
 """Sample time of the logs [s]."""
@@ -54,10 +59,18 @@ def realism_of(ingredients: str) -> Realism:
     return REALISTIC.only(*(() if ingredients == "none" else ingredients.split("+")))
 
 
-def logs(folder: Path, plant: Any, realism: Realism, seeds: Sequence[int], seconds: float, name: str) -> list[Path]:
+def logs(
+    folder: Path, plant: Any, realism: Realism, seeds: Sequence[int], seconds: float, name: str
+) -> list[Path]:
     """One CSV per seed, without rotor speeds, as the sensors of `realism` would have kept it."""
     log = fly(
-        plant, controller_for(plant), RandomWaypoints(), rich_excitation(), seconds, seed=list(seeds), warm_up=1.0
+        plant,
+        controller_for(plant),
+        RandomWaypoints(),
+        rich_excitation(),
+        seconds,
+        seed=list(seeds),
+        warm_up=1.0,
     )
     paths = []
     for i, seed in enumerate(seeds):
@@ -66,7 +79,9 @@ def logs(folder: Path, plant: Any, realism: Realism, seeds: Sequence[int], secon
     return paths
 
 
-def run(vehicle: str, ingredients: str, effect: str, seed: int, seconds: float = 16.0) -> dict[str, Any]:
+def run(
+    vehicle: str, ingredients: str, effect: str, seed: int, seconds: float = 16.0
+) -> dict[str, Any]:
     """One cell as plain values."""
     frame = {"x250": X250, "nano": NANO}[vehicle]
     plant = MAKERS[vehicle](cases(frame)[effect])
@@ -80,16 +95,28 @@ def run(vehicle: str, ingredients: str, effect: str, seed: int, seconds: float =
         found = discover(file, data[0], data[1], faults=check_logs([*train, *test], file))
     content = found.to_dict()
     row = {
-        "vehicle": vehicle, "ingredients": ingredients, "effect": effect, "seed": seed, "verdict": found.verdict,
-        "effects": {e["name"]: {n: [p["value"], p["std"]] for n, p in e["parameters"].items()} for e in content["effects"]},
+        "vehicle": vehicle,
+        "ingredients": ingredients,
+        "effect": effect,
+        "seed": seed,
+        "verdict": found.verdict,
+        "effects": {
+            e["name"]: {n: [p["value"], p["std"]] for n, p in e["parameters"].items()}
+            for e in content["effects"]
+        },
         "log10_e": {e["name"]: e["log10_e"] for e in content["effects"]},
         "groups": [[c["name"] for c in a["candidates"]] for a in content["ambiguous"]],
-        "alternatives": {e["name"]: e["alternatives"] for e in content["effects"] if e["alternatives"]},
+        "alternatives": {
+            e["name"]: e["alternatives"] for e in content["effects"] if e["alternatives"]
+        },
         "truth": {k: float(v) for e in plant.effects for k, v in e.parameters().items()},
-        "sensors": content.get("sensors", []), "unnamed": [u["proposal"] for u in content["unnamed"]],
-        "deficiency": content["deficiency"], "faults": content["faults"], "warnings": content["warnings"],
+        "sensors": content.get("sensors", []),
+        "unnamed": [u["proposal"] for u in content["unnamed"]],
+        "deficiency": content["deficiency"],
+        "faults": content["faults"],
+        "warnings": content["warnings"],
         "seconds": found.seconds,
-    }  # fmt: skip
+    }
     return row | judge(row, found)
 
 
@@ -118,7 +145,8 @@ def judge(row: dict[str, Any], found: Discovery | None = None) -> dict[str, Any]
 
 
 def _alike(row: dict[str, Any], name: str) -> bool:
-    """Whether the late pose of the ingredients and the hidden delay are as long as what was found, within ten per cent."""
+    """Whether the late pose of the ingredients and the hidden delay are as long as what was found,
+    within ten per cent."""
     realism = realism_of(row["ingredients"])
     pose = realism.pose_delay + 0.5 * realism.jitter * SAMPLE
     hidden, found = next(iter(row["truth"].values())), next(iter(row["effects"][name].values()))[0]
@@ -132,26 +160,38 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
         kind = "clean" if r["effect"] == "clean" else "single"
         cells[(r["ingredients"], kind)].append(r | judge(r))
     lines = [
-        f"{'sensors':14s} {'logs':7s} {'n':>4s} {'right':>22s} {'false physics':>22s} {'unnamed':>22s}  false sensor"
+        f"{'sensors':14s} {'logs':7s} {'n':>4s} {'right':>22s} {'false physics':>22s} "
+        f"{'unnamed':>22s}  false sensor"
     ]
     for (ingredients, kind), members in sorted(cells.items()):
         n = len(members)
         counts = [
-            sum(bool(r["right"]) for r in members), sum(bool(r["physics"]) for r in members),
+            sum(bool(r["right"]) for r in members),
+            sum(bool(r["physics"]) for r in members),
             sum(bool(r["unnamed"]) for r in members),
-        ]  # fmt: skip
-        text = " ".join(f"{k / n:7.1%} [{wilson(k, n)[0]:5.1%},{wilson(k, n)[1]:6.1%}]" for k in counts)
-        lines.append(f"{ingredients:14s} {kind:7s} {n:4d} {text}  {sum(bool(r['sensor']) for r in members)}")
+        ]
+        text = " ".join(
+            f"{k / n:7.1%} [{wilson(k, n)[0]:5.1%},{wilson(k, n)[1]:6.1%}]" for k in counts
+        )
+        lines.append(
+            f"{ingredients:14s} {kind:7s} {n:4d} {text}  {sum(bool(r['sensor']) for r in members)}"
+        )
     return "\n".join(lines)
 
 
 def line(row: dict[str, Any]) -> str:
     """A row for the terminal."""
-    said = [*row["effects"], *(" or ".join(g) for g in row["groups"]), *(f"[{u}]" for u in row["unnamed"])]
+    said = [
+        *row["effects"],
+        *(" or ".join(g) for g in row["groups"]),
+        *(f"[{u}]" for u in row["unnamed"]),
+    ]
     models = sorted({f"{s['kind']} {s['channel']}" for s in row["sensors"] if s["kind"] != "white"})
     return (
-        f"{row['vehicle']} {row['seed']} {row['ingredients']}:{row['effect']}  {'right' if row['right'] else 'WRONG'}  "
-        f"{', '.join(said) or row['verdict']}; {'; '.join(models)}; {row['faults']} ({row['seconds']:.0f} s)"
+        f"{row['vehicle']} {row['seed']} {row['ingredients']}:{row['effect']}  "
+        f"{'right' if row['right'] else 'WRONG'}  "
+        f"{', '.join(said) or row['verdict']}; {'; '.join(models)}; {row['faults']} "
+        f"({row['seconds']:.0f} s)"
     )
 
 
@@ -163,7 +203,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
     parser.add_argument("--vehicle", choices=tuple(MAKERS), default="x250")
     parser.add_argument("--out", default="discovery_sensors.jsonl")
-    parser.add_argument("--summary", action="store_true", help="only print the table of what is there")
+    parser.add_argument(
+        "--summary", action="store_true", help="only print the table of what is there"
+    )
     options = parser.parse_args(arguments)
     path = Path(options.out)
     if not options.summary:

@@ -1,10 +1,11 @@
-"""The story of a missing effect, told twice: one hidden effect, then two at once, each with its report.
+"""The story of a missing effect, told twice: one hidden effect, then two at once, each with its
+report.
 
     python -m scenarios.studies.discovery_story --out story
 
-Hidden are rotor drag, then motor lag together with an offset of the centre of mass, in the vehicle of
-`greybox.commands.missing_effect`. Every case gets its own folder with the logs, the vehicle file and
-what `greybox discover` wrote. At the end the story stands beside what was hidden.
+Hidden are rotor drag, then motor lag together with an offset of the centre of mass, in the vehicle
+of `greybox.commands.missing_effect`. Every case gets its own folder with the logs, the vehicle file
+and what `greybox discover` wrote. At the end the story stands beside what was hidden.
 """
 
 from __future__ import annotations

@@ -1,9 +1,11 @@
-"""The reference from the code: every command with every option, every public name with signature and docstring.
+"""The reference from the code: every command with every option, every public name with signature
+and docstring.
 
     python -m scenarios.studies.docs_reference docs
 
-Why not a documentation generator: the page must be the same on every Python that we support, or the test that it is up to
-date fails on all but one; argparse and inspect print differently from version to version.
+Why not a documentation generator: the page must be the same on every Python that we support, or the
+test that it is up to date fails on all but one; argparse and inspect print differently from version
+to version.
 """
 
 from __future__ import annotations
@@ -27,13 +29,18 @@ Every command with what it takes; [functions](functions.md) and [types](types.md
 three are written by `python -m scenarios.studies.docs_reference docs` from the code.
 How to go about things: [tutorial](tutorial.md), [how-to](howto.md); files and exit codes: [files.md](files.md).
 """
-NOTE = "Where no module is named it is `greybox.NAME`, imported when first used. Arrays have time first; SI units."
-FUNCTIONS = f"# Functions\n\nWhat Python code calls; what it gets back are [types](types.md). {NOTE}\n"
+NOTE = (
+    "Where no module is named it is `greybox.NAME`, imported when first used. Arrays have time "
+    "first; SI units."
+)
+FUNCTIONS = (
+    f"# Functions\n\nWhat Python code calls; what it gets back are [types](types.md). {NOTE}\n"
+)
 TYPES = f"# Types\n\nWhat [functions](functions.md) take and give back. {NOTE}\n"
 
 MODULES = {name: module for name, module in _MOVED.items() if name != "load_model"}
-"""What else is described: types that public names take and give back, and what a page uses. `greybox.load` reads all
-models."""
+"""What else is described: types that public names take and give back, and what a page uses.
+`greybox.load` reads all models."""
 
 
 def _cell(text: str) -> str:
@@ -53,7 +60,13 @@ def _option(action: argparse.Action) -> str:
         value = f"{value} ..."
     elif action.nargs == "?":
         value = f"[{value}]"
-    return "`" + " ".join([*([", ".join(action.option_strings)] if action.option_strings else []), value]).strip() + "`"
+    return (
+        "`"
+        + " ".join(
+            [*([", ".join(action.option_strings)] if action.option_strings else []), value]
+        ).strip()
+        + "`"
+    )
 
 
 def _default(action: argparse.Action) -> str:
@@ -62,7 +75,11 @@ def _default(action: argparse.Action) -> str:
     value = action.default
     if isinstance(value, tuple | list):
         value = ",".join(str(v) for v in value)
-    return f"`{value}`" if isinstance(value, str | int | float) and not isinstance(value, bool) and str(value) else ""
+    return (
+        f"`{value}`"
+        if isinstance(value, str | int | float) and not isinstance(value, bool) and str(value)
+        else ""
+    )
 
 
 def commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str, argparse.ArgumentParser]]:
@@ -81,17 +98,29 @@ def command_line() -> str:
 
     parser = build_parser()
     lines = ["## Command line", "", "    greybox [--version] [--debug] [--quiet] COMMAND ...", ""]
-    lines += ["`-h` tells the options of every command. Exit codes: [files.md](files.md#exit-codes).", ""]
+    lines += [
+        "`-h` tells the options of every command. Exit codes: [files.md](files.md#exit-codes).",
+        "",
+    ]
     found = list(commands(parser))
     lines += ["| command | what it does |", "|---|---|"]
-    lines += [f"| [`{name}`](#greybox-{name.replace(' ', '-')}) | {_cell(text)} |" for name, text, _ in found]
+    lines += [
+        f"| [`{name}`](#greybox-{name.replace(' ', '-')}) | {_cell(text)} |"
+        for name, text, _ in found
+    ]
     for name, _, child in found:
         lines += ["", f"### greybox {name}", "", _cell(child.description or "")]
-        options = [a for a in child._actions if not isinstance(a, argparse._HelpAction | argparse._SubParsersAction)]
+        options = [
+            a
+            for a in child._actions
+            if not isinstance(a, argparse._HelpAction | argparse._SubParsersAction)
+        ]
         if options:
             lines += ["", "| option | meaning | default |", "|---|---|---|"]
         for action in options:
-            meaning = (action.help or "").replace("%(default)s", str(action.default)).replace("%%", "%")
+            meaning = (
+                (action.help or "").replace("%(default)s", str(action.default)).replace("%%", "%")
+            )
             lines.append(f"| {_cell(_option(action))} | {_cell(meaning)} | {_default(action)} |")
     return "\n".join(lines) + "\n"
 
@@ -107,27 +136,37 @@ def _signature(function: Any) -> str:
         stars = "*" if p.kind is p.VAR_POSITIONAL else "**" if p.kind is p.VAR_KEYWORD else ""
         name = stars + p.name
         plain = isinstance(p.default, str | int | float | tuple | type(None))
-        out.append(name if p.default is p.empty else f"{name}={p.default!r}" if plain else f"{name}=...")
+        out.append(
+            name if p.default is p.empty else f"{name}={p.default!r}" if plain else f"{name}=..."
+        )
     return f"({', '.join(n for n in out if n != 'self')})"
 
 
 def _document(thing: Any) -> str:
-    """The docstring; examples in it become blocks (a line that begins with > is a quotation otherwise)."""
+    """The docstring; examples in it become blocks (a line that begins with > is a quotation
+    otherwise)."""
     text = inspect.getdoc(thing) or ""
     return re.sub(r"^(>>> .*(?:\n.+)*)", r"```text\n\1\n```", text, flags=re.MULTILINE)
 
 
 def members(thing: Any) -> list[tuple[str, Any]]:
-    """Public methods and properties that greybox gives a class, its own before inherited ones; functions of a module."""
+    """Public methods and properties that greybox gives a class, its own before inherited ones;
+    functions of a module."""
     if inspect.ismodule(thing):
-        own = [(n, f) for n, f in vars(thing).items() if inspect.isfunction(f) and f.__module__ == thing.__name__]
+        own = [
+            (n, f)
+            for n, f in vars(thing).items()
+            if inspect.isfunction(f) and f.__module__ == thing.__name__
+        ]
         return [(n, f) for n, f in own if not n.startswith("_")]
     found: dict[str, Any] = {}
     for base in inspect.getmro(thing) if inspect.isclass(thing) else ():
         if not base.__module__.startswith("greybox"):
             continue
         for name, value in vars(base).items():
-            function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+            function = (
+                value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+            )
             if not name.startswith("_") and inspect.isfunction(function):
                 found.setdefault(name, value)
     return list(found.items())
@@ -142,13 +181,18 @@ def public_names() -> dict[str, Any]:
     import greybox
 
     public = {name: getattr(greybox, name) for name in greybox.__all__}
-    return public | {name: getattr(importlib.import_module(module), name) for name, module in MODULES.items()}
+    return public | {
+        name: getattr(importlib.import_module(module), name) for name, module in MODULES.items()
+    }
 
 
 def described(public: dict[str, Any]) -> str:
     """A table of names, then each with signature, docstring and members."""
     # Titles differ in more than case, so that `Fit` and `fit` have anchors of their own.
-    kinds = {name: (inspect.isclass(t) and "class ") or (inspect.ismodule(t) and "module ") for name, t in public.items()}
+    kinds = {
+        name: (inspect.isclass(t) and "class ") or (inspect.ismodule(t) and "module ")
+        for name, t in public.items()
+    }
     titles = {name: f"{kind}{name}" if kind else f"{name}()" for name, kind in kinds.items()}
     lines = ["| name | what it is |", "|---|---|"]
     for name, thing in public.items():
@@ -164,7 +208,9 @@ def described(public: dict[str, Any]) -> str:
         if inside:
             lines += ["", "| member | what it does |", "|---|---|"]
         for member, value in inside:
-            function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+            function = (
+                value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+            )
             call = "" if isinstance(value, property) else _signature(function)
             lines.append(f"| `{member}{_cell(call)}` | {_summary(function)} |")
     return "\n".join(lines) + "\n"

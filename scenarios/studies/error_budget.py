@@ -1,11 +1,12 @@
-"""Where the errors of open-loop predictions come from: each cause is taken away, and what is left is measured.
+"""Where the errors of open-loop predictions come from: each cause is taken away, and what is left
+is measured.
 
     python -m scenarios.studies.error_budget MODEL.json [--figure budget.svg] [--every 2]
 
-The model is fitted to nothing here. On every test flight the values of the flight come from its first five seconds, as in
-`greybox validate --adapt 5`; origins start after them. Rows use knowledge that a predictor cannot
-have, so that the distance to the first row is the most that mending this cause can gain; only the two that are corrected
-use what a predictor has:
+The model is fitted to nothing here. On every test flight the values of the flight come from its
+first five seconds, as in `greybox validate --adapt 5`; origins start after them. Rows use knowledge
+that a predictor cannot have, so that the distance to the first row is the most that mending this
+cause can gain; only the two that are corrected use what a predictor has:
 
     the model                 state from the filter, measurements up to the origin
     start: pose and rates     position, velocity, attitude and rates of the start from the smoother (whole flight)
@@ -17,8 +18,8 @@ use what a predictor has:
     corrected by the past     what ridge regression on the start and on the commands of 0.3 s before the origin makes of
                               the model's own errors, learned on the training flights
     corrected by commands     the same with the commands up to the predicted sample. In closed loop these tell of the
-                              pushes that they answer: a predictor of recorded flights may use that, a controller that
-                              chooses its commands may not
+                              pushes that they answer: a predictor of recorded flights may use that,
+                              a controller that chooses its commands may not
     torque throughout         the smoothed torque at every step: all that pushes the rotation, whatever its name
     force throughout          the smoothed force at every step
     both throughout           what remains is the start and what no push can mend
@@ -57,7 +58,8 @@ AHEAD = 0.5
 BLOCK = 2.0
 SHIFTS = range(-3, 4)
 BEFORE, ASKED = 0.3, 12
-"""Seconds before the origin from which commands enter the regression, and about how many of them after it."""
+"""Seconds before the origin from which commands enter the regression, and about how many of them
+after it."""
 RIDGE = 0.1
 """Ridge of the regression on features of unit variance, per sample."""
 GROUPS = ("position", "velocity", "rotation", "rate")
@@ -90,37 +92,56 @@ def replay(runner: Filter, reader: GroupReader, flight: Flight, every: int) -> R
     model, segment = runner.model, flight.segments[0]
     own = adapt_to_flight(model, flight, ADAPT, riccati=runner.riccati)
     filtered = runner.run(
-        segment.without(flight.noncausal), p=model.parameter_vector(own.values), x0=own.x0, x0_sigma=own.x0_sigma
+        segment.without(flight.noncausal),
+        p=model.parameter_vector(own.values),
+        x0=own.x0,
+        x0_sigma=own.x0_sigma,
     )
-    references = {g: segment.matrix(reader.table[g].columns) for g in GROUPS if g in reader.judged(flight.channels)}
+    references = {
+        g: segment.matrix(reader.table[g].columns)
+        for g in GROUPS
+        if g in reader.judged(flight.channels)
+    }
     there = np.all([np.isfinite(r).all(axis=1) for r in references.values()], axis=0)
     first = np.arange(round(ADAPT / segment.dt), segment.n - STEPS - 1, every)
     total = np.concatenate([[0], np.cumsum(there)])
     complete = total[first + STEPS + 1] - total[first] == STEPS + 1
     smoothed = smooth(runner, filtered)
-    inputs = np.concatenate([filtered.record.inputs, np.repeat(filtered.record.inputs[-1:], STEPS + 1, axis=0)])
+    inputs = np.concatenate(
+        [filtered.record.inputs, np.repeat(filtered.record.inputs[-1:], STEPS + 1, axis=0)]
+    )
     return Replay(
-        name=flight.name, filtered=filtered, smoothed=smoothed, references=references, origins=first[complete],
+        name=flight.name,
+        filtered=filtered,
+        smoothed=smoothed,
+        references=references,
+        origins=first[complete],
         inputs=inputs,
-    )  # fmt: skip
+    )
 
 
 def asked(reader: GroupReader, r: Replay, past: int, h: int, ahead: bool) -> FloatArray:
-    """What the error h samples ahead of every origin is regressed on, (m, .): body velocity, rates, direction of gravity,
-    discrepancy, squared commands and voltage up to the predicted sample, or (not `ahead`) to the origin."""
+    """What the error h samples ahead of every origin is regressed on, (m, .): body velocity, rates,
+    direction of gravity, discrepancy, squared commands and voltage up to the predicted sample, or
+    (not `ahead`) to the origin."""
     x = r.filtered.states[r.origins + 1]
-    velocity, attitude, rate = (x[:, reader.state_rows(b)] for b in ("velocity", "attitude", "rate"))
+    velocity, attitude, rate = (
+        x[:, reader.state_rows(b)] for b in ("velocity", "attitude", "rate")
+    )
     own = numeric("rotate_inverse", attitude, velocity)
     down = numeric("rotate_inverse", attitude, np.tile([0.0, 0.0, -1.0], (len(x), 1)))[:, :2]
     pushes = x[:, [i for g in ("torque", "force") for i in reader.state_rows(f"disturbance.{g}")]]
     h = h if ahead else 0
     lags = np.arange(-h, round(BEFORE / r.filtered.record.dt), max(1, h // ASKED))
     at = np.clip(r.origins[:, None] + past - lags, 0, len(r.inputs) - 1)
-    return np.column_stack([own, own * np.abs(own), rate, down, pushes, (r.inputs[at] ** 2).reshape(len(x), -1)])
+    return np.column_stack(
+        [own, own * np.abs(own), rate, down, pushes, (r.inputs[at] ** 2).reshape(len(x), -1)]
+    )
 
 
 def regression(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(centre (m,), scale (m,), coefficients (m + 1, .)) of ridge regression on standardised features."""
+    """(centre (m,), scale (m,), coefficients (m + 1, .)) of ridge regression on standardised
+    features."""
     centre, scale = x.mean(axis=0), x.std(axis=0) + 1e-9
     z = np.column_stack([np.ones(len(x)), (x - centre) / scale])
     ridge = RIDGE * len(x) * np.eye(z.shape[1])
@@ -140,18 +161,26 @@ class Budget:
     def __init__(self, model: IdentifiedModel) -> None:
         self.model, self.runner, self.reader = model, Filter(model), GroupReader(model)
         self.dt = model.sample_time
-        self.torque, self.force = (self.reader.state_rows(f"disturbance.{g}") for g in ("torque", "force"))
+        self.torque, self.force = (
+            self.reader.state_rows(f"disturbance.{g}") for g in ("torque", "force")
+        )
         self.fade = float(np.exp(-self.dt / model.values["disturbance.torque.T"]))
         self.rows: dict[str, HorizonAccumulator] = {}
         self.learned: dict[tuple[int, bool], tuple[FloatArray, FloatArray, FloatArray]] = {}
 
     def roll(
-        self, r: Replay, starts: FloatArray, overwritten: Mapping[int, FloatArray] | None = None, shift: int = 0,
-        origins: IntArray | None = None, steps: int = STEPS,
-    ) -> dict[str, FloatArray]:  # fmt: skip
+        self,
+        r: Replay,
+        starts: FloatArray,
+        overwritten: Mapping[int, FloatArray] | None = None,
+        shift: int = 0,
+        origins: IntArray | None = None,
+        steps: int = STEPS,
+    ) -> dict[str, FloatArray]:
         """Group -> (m, steps, dimension) from states (m, n_x) one sample after the origins.
 
-        `overwritten`: state -> what it is at each step, (m, steps). `shift`: samples by which the commands come later.
+        `overwritten`: state -> what it is at each step, (m, steps). `shift`: samples by which the
+        commands come later.
         """
         engine, rows = self.runner.engine, (r.origins if origins is None else origins) + 1
         inputs = np.roll(r.inputs, shift, axis=0)
@@ -160,18 +189,28 @@ class Budget:
             for i, value in (overwritten or {}).items():
                 x[:, i] = value[:, h]
             y, after = engine.rollout(
-                starts=x, rows=rows + h, horizon=2, inputs=inputs, p=r.filtered.p, dt=self.dt, want_states=True
+                starts=x,
+                rows=rows + h,
+                horizon=2,
+                inputs=inputs,
+                p=r.filtered.p,
+                dt=self.dt,
+                want_states=True,
             )
             assert after is not None
             outputs.append(y[:, 0])
             states.append(x)
             x = after[:, 1].copy()
         ahead = inputs[rows[:, None] + np.arange(steps) + engine.past]
-        return self.reader.values(np.stack(outputs, axis=1), np.stack(states, axis=1), r.filtered.p, ahead)
+        return self.reader.values(
+            np.stack(outputs, axis=1), np.stack(states, axis=1), r.filtered.p, ahead
+        )
 
     def add(self, label: str, r: Replay, predicted: Mapping[str, FloatArray]) -> None:
         """Errors of one row on one flight."""
-        row = self.rows.setdefault(label, HorizonAccumulator(label=label, sample_time=self.dt, steps=STEPS))
+        row = self.rows.setdefault(
+            label, HorizonAccumulator(label=label, sample_time=self.dt, steps=STEPS)
+        )
         row.add(r.name, {g: predicted[g] for g in r.references}, r.references, r.origins)
 
     def learn(self, seen: Sequence[Replay]) -> None:
@@ -180,15 +219,24 @@ class Budget:
         for h in range(1, STEPS + 1):
             y = np.concatenate(
                 [
-                    np.column_stack([error_vectors(g, p[g][:, h - 1], r.references[g][r.origins + h]) for g in GROUPS])
+                    np.column_stack(
+                        [
+                            error_vectors(g, p[g][:, h - 1], r.references[g][r.origins + h])
+                            for g in GROUPS
+                        ]
+                    )
                     for r, p in zip(seen, plain, strict=True)
                 ]
             )
             for ahead in (False, True):
-                x = np.concatenate([asked(self.reader, r, self.runner.engine.past, h, ahead) for r in seen])
+                x = np.concatenate(
+                    [asked(self.reader, r, self.runner.engine.past, h, ahead) for r in seen]
+                )
                 self.learned[h, ahead] = regression(x, y)
 
-    def corrected(self, r: Replay, plain: Mapping[str, FloatArray], ahead: bool) -> dict[str, FloatArray]:
+    def corrected(
+        self, r: Replay, plain: Mapping[str, FloatArray], ahead: bool
+    ) -> dict[str, FloatArray]:
         """The predictions `plain` moved by what was learned."""
         out = {g: plain[g].copy() for g in GROUPS}
         for h in range(1, STEPS + 1):
@@ -196,13 +244,21 @@ class Budget:
             parts = np.split(regressed(x, self.learned[h, ahead]), len(GROUPS), axis=1)
             for g, moved in zip(GROUPS, parts, strict=True):
                 value = out[g][:, h - 1]
-                turned = numeric("multiply", value, numeric("exp", moved)) if g == "rotation" else value + moved
+                turned = (
+                    numeric("multiply", value, numeric("exp", moved))
+                    if g == "rotation"
+                    else value + moved
+                )
                 out[g][:, h - 1] = turned
         return out
 
     def flight(self, r: Replay) -> None:
         """All rows on one flight."""
-        causal, best, rows = r.filtered.states[r.origins + 1], r.smoothed.states[r.origins + 1], r.origins + 1
+        causal, best, rows = (
+            r.filtered.states[r.origins + 1],
+            r.smoothed.states[r.origins + 1],
+            r.origins + 1,
+        )
         ahead = rows[:, None] + np.arange(STEPS)
         truth = r.smoothed.states
         plain = self.roll(r, causal)
@@ -223,9 +279,16 @@ class Budget:
             self.roll(r, causal, self.pulled(causal, np.broadcast_to(mean, torque.shape), ahead)),
         )
         coming = np.stack(
-            [torque[np.minimum(k + np.arange(round(AHEAD / self.dt)), len(torque) - 1)].mean(axis=0) for k in rows]
+            [
+                torque[np.minimum(k + np.arange(round(AHEAD / self.dt)), len(torque) - 1)].mean(
+                    axis=0
+                )
+                for k in rows
+            ]
         )
-        held = {i: np.repeat(coming[:, j : j + 1], STEPS, axis=1) for j, i in enumerate(self.torque)}
+        held = {
+            i: np.repeat(coming[:, j : j + 1], STEPS, axis=1) for j, i in enumerate(self.torque)
+        }
         self.add("torque, mean ahead", r, self.roll(r, causal, held))
         self.add("corrected by the past", r, self.corrected(r, plain, False))
         self.add("corrected by commands", r, self.corrected(r, plain, True))
@@ -239,12 +302,15 @@ class Budget:
         self.add("rates measured", r, self.roll(r, causal, along(self.reader.state_rows("rate"))))
         self.add("smoothed", r, self.roll(r, causal, along(range(truth.shape[1]))))
 
-    def pulled(self, causal: FloatArray, towards: FloatArray, ahead: IntArray) -> dict[int, FloatArray]:
+    def pulled(
+        self, causal: FloatArray, towards: FloatArray, ahead: IntArray
+    ) -> dict[int, FloatArray]:
         """Torque states that fade from the filter's towards `towards` (n, 3) along the flight."""
         target = towards[np.minimum(ahead, len(towards) - 1)]
         left = self.fade ** np.arange(ahead.shape[1])
         return {
-            i: target[:, :, j] + (causal[:, i] - target[:, 0, j])[:, None] * left for j, i in enumerate(self.torque)
+            i: target[:, :, j] + (causal[:, i] - target[:, 0, j])[:, None] * left
+            for j, i in enumerate(self.torque)
         }
 
     def shifted(self, r: Replay, causal: FloatArray) -> dict[str, FloatArray]:
@@ -252,16 +318,23 @@ class Budget:
         tried = [self.roll(r, causal, shift=s) for s in SHIFTS]
         at = r.origins[:, None] + 1 + np.arange(STEPS)
         errors = np.stack(
-            [np.square(p["rate"][:, :10] - r.references["rate"][at[:, :10]]).sum(axis=(1, 2)) for p in tried]
+            [
+                np.square(p["rate"][:, :10] - r.references["rate"][at[:, :10]]).sum(axis=(1, 2))
+                for p in tried
+            ]
         )
         block = r.origins * self.dt // BLOCK
         chosen = np.zeros(len(r.origins), dtype=np.intp)
         for b in np.unique(block):
             chosen[block == b] = int(np.argmin(errors[:, block == b].sum(axis=1)))
-        return {g: np.stack([p[g] for p in tried])[chosen, np.arange(len(chosen))] for g in tried[0]}
+        return {
+            g: np.stack([p[g] for p in tried])[chosen, np.arange(len(chosen))] for g in tried[0]
+        }
 
 
-def run(model: IdentifiedModel, train: Dataset, test: Dataset, every: int) -> dict[str, HorizonAccumulator]:
+def run(
+    model: IdentifiedModel, train: Dataset, test: Dataset, every: int
+) -> dict[str, HorizonAccumulator]:
     """Label -> errors over the flights of `test`; what corrects them was learned on `train`."""
     budget = Budget(model)
     seen = [replay(budget.runner, budget.reader, f, every) for f in train]
@@ -274,21 +347,32 @@ def run(model: IdentifiedModel, train: Dataset, test: Dataset, every: int) -> di
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table; with --figure also draw it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument(
-        "model", metavar="MODEL.json", help="a model of the NanoBench training flights with disturbance states"
+        "model",
+        metavar="MODEL.json",
+        help="a model of the NanoBench training flights with disturbance states",
     )
     parser.add_argument("--every", type=int, default=2, help="samples between origins (2)")
-    parser.add_argument("--figure", metavar="FILE", help="draw rotation and rates against the horizon")
+    parser.add_argument(
+        "--figure", metavar="FILE", help="draw rotation and rates against the horizon"
+    )
     options = parser.parse_args(arguments)
     vehicle, model = read_vehicle(vehicle_path("nanobench")), IdentifiedModel.load(options.model)
     data = read_logs(flight_paths("nanobench"), vehicle)
     rows = run(model, data.select(NANOBENCH_TRAIN), data.select(NANOBENCH_TEST), options.every)
     tables = {label: row.table() for label, row in rows.items()}
     for g in GROUPS:
-        print(f"\n{g}, RMSE of the norm " + " ".join(f"{h * model.sample_time:7.2f} s" for h in LISTED))
+        print(
+            f"\n{g}, RMSE of the norm "
+            + " ".join(f"{h * model.sample_time:7.2f} s" for h in LISTED)
+        )
         for label, table in tables.items():
-            print(f"  {label:24s}" + " ".join(f"{table.groups[g].rmse[h - 1]:9.4f}" for h in LISTED))
+            print(
+                f"  {label:24s}" + " ".join(f"{table.groups[g].rmse[h - 1]:9.4f}" for h in LISTED)
+            )
     if options.figure:
         draw(
             {k: {g: t.groups[g].rmse for g in GROUPS} for k, t in tables.items()},
@@ -304,9 +388,13 @@ def draw(errors: Mapping[str, Mapping[str, FloatArray]], dt: float, path: Path) 
 
     figure = Figure(figsize=(9.0, 4.0), layout="constrained")
     axes = figure.subplots(1, 2)
-    for axis, (g, unit, factor) in zip(axes, (("rotation", "deg", 180 / np.pi), ("rate", "rad/s", 1.0)), strict=True):
+    for axis, (g, unit, factor) in zip(
+        axes, (("rotation", "deg", 180 / np.pi), ("rate", "rad/s", 1.0)), strict=True
+    ):
         for label, row in ((k, errors[k]) for k in DRAWN):
-            style = {"color": "black", "linewidth": 2.0} if label == "the model" else {"linewidth": 1.0}
+            style = (
+                {"color": "black", "linewidth": 2.0} if label == "the model" else {"linewidth": 1.0}
+            )
             axis.plot(dt * np.arange(1, STEPS + 1), factor * row[g], label=label, **style)
         axis.set(xlabel="seconds ahead", ylabel=f"{g}, RMSE [{unit}]", ylim=(0, None))
         axis.grid(alpha=0.3)

@@ -2,8 +2,8 @@
 
     python -m scenarios.studies.gallery --out gallery_out [--only fit,plan] [--pictures docs/images]
 
-Minutes a report (`mpc` four, `discover` and `learn` about two on a calm machine). A report that is there is not made again.
-Pictures need Chromium, its driver and selenium (the extra `test`).
+Minutes a report (`mpc` four, `discover` and `learn` about two on a calm machine). A report that is
+there is not made again. Pictures need Chromium, its driver and selenium (the extra `test`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from greybox.examples import ROOT
 
 FLIGHTS = ("B2_circle_fast_rep1", "B3_figure8_slow_rep1", "B3_figure8_fast_rep1")
 FIT = (
-    "greybox.cli fit --vehicle vehicle.toml --train B2_circle_fast_rep1.csv.gz B3_figure8_slow_rep1.csv.gz "
+    "greybox.cli fit --vehicle vehicle.toml --train B2_circle_fast_rep1.csv.gz "
+    "B3_figure8_slow_rep1.csv.gz "
     "--test B3_figure8_fast_rep1.csv.gz --out fit"
 )
 LARGEST = 150_000
@@ -31,7 +32,8 @@ LARGEST = 150_000
 
 @dataclass(frozen=True)
 class Page:
-    """How a report is made, where it is, and the heading above the figure that the picture shows (none: the first)."""
+    """How a report is made, where it is, and the heading above the figure that the picture shows
+    (none: the first)."""
 
     command: str
     report: str
@@ -41,19 +43,29 @@ class Page:
 PAGES = {
     "fit": Page(FIT, "fit/report.html", "How far ahead it predicts"),
     "plan": Page(
-        "greybox.cli plan --model fit/model.json --for rotational_damping,blade_flapping --out plan",
-        "plan/report.html", "What to fly",
+        "greybox.cli plan --model fit/model.json --for rotational_damping,blade_flapping --out "
+        "plan",
+        "plan/report.html",
+        "What to fly",
     ),
     "discover": Page(
-        "scenarios.studies.discovery_story --only one --out story", "story/one/report.html", "How far the gap closed"
+        "scenarios.studies.discovery_story --only one --out story",
+        "story/one/report.html",
+        "How far the gap closed",
     ),
     "learn": Page(
-        "greybox.cli learn fit/model.json --train B2_circle_fast_rep1.csv.gz B3_figure8_slow_rep1.csv.gz "
+        "greybox.cli learn fit/model.json --train B2_circle_fast_rep1.csv.gz "
+        "B3_figure8_slow_rep1.csv.gz "
         "--test B3_figure8_fast_rep1.csv.gz --adapt 5 --out learn",
-        "learn/report.html", "",
+        "learn/report.html",
+        "",
     ),
-    "mpc": Page("mpc_export.mission.demo --out mpc", "mpc/report.html", "How near the limits every controller came"),
-}  # fmt: skip
+    "mpc": Page(
+        "mpc_export.mission.demo --out mpc",
+        "mpc/report.html",
+        "How near the limits every controller came",
+    ),
+}
 
 
 def make(name: str, out: Path) -> Path:
@@ -67,12 +79,17 @@ def make(name: str, out: Path) -> Path:
 
 
 def picture(browser: Any, report: Path, heading: str, target: Path) -> None:
-    """The figure below a heading, as a PNG of at most `LARGEST` bytes: fewer colours, then a smaller size."""
+    """The figure below a heading, as a PNG of at most `LARGEST` bytes: fewer colours, then a
+    smaller size."""
     from PIL import Image
 
     browser.get(report.resolve().as_uri())
-    place = f"//h2[normalize-space()='{heading}']/following::figure[1]" if heading else "(//figure)[1]"
-    shot = Image.open(io.BytesIO(browser.find_element("xpath", place).screenshot_as_png)).convert("RGB")
+    place = (
+        f"//h2[normalize-space()='{heading}']/following::figure[1]" if heading else "(//figure)[1]"
+    )
+    shot = Image.open(io.BytesIO(browser.find_element("xpath", place).screenshot_as_png)).convert(
+        "RGB"
+    )
     shot = shot.crop((0, 0, shot.width, min(shot.height, shot.width)))
     for share in (1.0, 0.8, 0.6, 0.4):
         size = (round(share * shot.width), round(share * shot.height))
@@ -90,16 +107,24 @@ def open_browser(profile: Path) -> Any:
     options = webdriver.ChromeOptions()
     options.binary_location = str(shutil.which("chromium"))
     for flag in (
-        "--headless", "--no-sandbox", "--disable-gpu", "--window-size=900,2400", "--hide-scrollbars",
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--window-size=900,2400",
+        "--hide-scrollbars",
         f"--user-data-dir={profile}",
-    ):  # fmt: skip
+    ):
         options.add_argument(flag)
-    return webdriver.Chrome(options=options, service=webdriver.ChromeService(str(shutil.which("chromedriver"))))
+    return webdriver.Chrome(
+        options=options, service=webdriver.ChromeService(str(shutil.which("chromedriver")))
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Make the reports and, where asked, their pictures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path("gallery_out"))
     parser.add_argument("--only", default=",".join(PAGES))
     parser.add_argument("--pictures", type=Path, help="folder for the pictures")
@@ -112,7 +137,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         browser = open_browser(arguments.out.resolve() / "browser")
         try:
             for name, report in reports.items():
-                picture(browser, report, PAGES[name].heading, arguments.pictures / f"gallery_{name}.png")
+                picture(
+                    browser, report, PAGES[name].heading, arguments.pictures / f"gallery_{name}.png"
+                )
         finally:
             browser.quit()
     for name, report in reports.items():

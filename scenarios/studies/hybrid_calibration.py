@@ -1,12 +1,15 @@
-"""Does a hybrid know how sure it is? Stated uncertainty against errors on manoeuvres that nobody fitted.
+"""Does a hybrid know how sure it is? Stated uncertainty against errors on manoeuvres that nobody
+fitted.
 
-A simulated nano quadrotor (independent of greybox) hides a quadratic drag and a moment that is in no catalogue. The
-physics model, which knows neither, is fitted to random waypoint flights; `learn` adds what it misses; both are judged on
-figures of eight, lemniscates and circles. Printed per group and horizon: RMSE, NLPD and the share of error vectors inside
-the stated 50 % and 95 % ellipsoids, pooled over all held-out flights, for the physics as fitted, the physics with
-disturbance states, and the hybrid.
+A simulated nano quadrotor (independent of greybox) hides a quadratic drag and a moment that is in
+no catalogue. The physics model, which knows neither, is fitted to random waypoint flights; `learn`
+adds what it misses; both are judged on figures of eight, lemniscates and circles. Printed per group
+and horizon: RMSE, NLPD and the share of error vectors inside the stated 50 % and 95 % ellipsoids,
+pooled over all held-out flights, for the physics as fitted, the physics with disturbance states,
+and the hybrid.
 
-    python -m scenarios.studies.hybrid_calibration [--flights 6] [--seconds 15] [--seed 0] [--points 40] [--out DIR]
+    python -m scenarios.studies.hybrid_calibration [--flights 6] [--seconds 15] [--seed 0] [--points
+    40] [--out DIR]
 """
 
 from __future__ import annotations
@@ -50,7 +53,8 @@ TARGETS = {1: (0.93, 0.97), 10: (0.90, 0.98), 50: (0.90, 0.98)}
 
 @dataclass(frozen=True, kw_only=True)
 class BankingMoment(PlantEffect):
-    """M = c |v| (v_y, -v_x, 0) with the airspeed v in body axes; c [N m s^2/m^2]. No catalogue has it."""
+    """M = c |v| (v_y, -v_x, 0) with the airspeed v in body axes; c [N m s^2/m^2]. No catalogue has
+    it."""
 
     name: ClassVar[str] = "banking_moment"
     c: Number = 0.0
@@ -77,20 +81,31 @@ def plant(hidden: bool = True) -> Quadrotor:
 def vehicle(true_plant: Quadrotor) -> Vehicle:
     """Its vehicle file, ten per cent off."""
     with tempfile.TemporaryDirectory() as folder:
-        return read_vehicle(write_vehicle(Path(folder) / "v.toml", true_plant, sigma=SIGMA, errors=ERRORS))
+        return read_vehicle(
+            write_vehicle(Path(folder) / "v.toml", true_plant, sigma=SIGMA, errors=ERRORS)
+        )
 
 
 def flights(
-    true_plant: Quadrotor, references: Mapping[str, Reference], count: int, seconds: float, seed: int
+    true_plant: Quadrotor,
+    references: Mapping[str, Reference],
+    count: int,
+    seconds: float,
+    seed: int,
 ) -> Dataset:
     """`count` flights of every reference at 100 Hz, named after it."""
     sets = []
     for k, (label, reference) in enumerate(references.items()):
         seeds = [seed + 100 * k + i for i in range(count)]
         log = fly(
-            true_plant, controller_for(true_plant), reference, rich_excitation(EXCITATION), seconds, seed=seeds,
+            true_plant,
+            controller_for(true_plant),
+            reference,
+            rich_excitation(EXCITATION),
+            seconds,
+            seed=seeds,
             warm_up=1.0,
-        )  # fmt: skip
+        )
         for i in range(count):
             one = {n: v for n, v in member(log, i).items() if not n.startswith("omega")}
             sets.append(dataset_from_arrays(one.pop("t"), one, name=f"{label}{i}"))
@@ -115,14 +130,23 @@ def held_out(true_plant: Quadrotor, count: int, seconds: float, seed: int) -> Da
     return flights(true_plant, shapes, count, seconds, 10_000 * seed + 4000)
 
 
-def study(count: int, seconds: float, seed: int, points: int) -> tuple[Learned, dict[str, Validation]]:
+def study(
+    count: int, seconds: float, seed: int, points: int
+) -> tuple[Learned, dict[str, Validation]]:
     """Fit, learn, judge: (what was learned, validation of "physics", "disturbed" and "hybrid")."""
     true_plant = plant()
-    train, test = training(true_plant, count, seconds, seed), held_out(true_plant, max(1, count // 2), seconds, seed)
+    train, test = (
+        training(true_plant, count, seconds, seed),
+        held_out(true_plant, max(1, count // 2), seconds, seed),
+    )
     model = build_model(vehicle(true_plant), train.channels, KNOWN)
     physics = fit(model, train, initialisation="nominal").model
     result = learn(physics, train, points=points, seed=seed, progress=_show)
-    judged: dict[str, IdentifiedModel] = {"physics": physics, "disturbed": result.base, "hybrid": result.model}
+    judged: dict[str, IdentifiedModel] = {
+        "physics": physics,
+        "disturbed": result.base,
+        "hybrid": result.model,
+    }
     return result, {n: validate(m, test, horizon_samples=tuple(TARGETS)) for n, m in judged.items()}
 
 
@@ -132,7 +156,10 @@ def _show(text: str, share: float) -> None:
 
 def table(checked: Mapping[str, Validation]) -> str:
     """Per group and horizon the scores of every model, and whether the hybrid meets its targets."""
-    lines = [f"{'group':10s} {'h':>3s} {'model':10s} {'RMSE':>9s} {'NLPD':>8s} {'in 50 %':>8s} {'in 95 %':>8s}"]
+    lines = [
+        f"{'group':10s} {'h':>3s} {'model':10s} {'RMSE':>9s} {'NLPD':>8s} {'in 50 %':>8s} "
+        f"{'in 95 %':>8s}"
+    ]
     missed = []
     groups = checked["hybrid"].table.groups if checked["hybrid"].table else {}
     for g in groups:
@@ -145,7 +172,8 @@ def table(checked: Mapping[str, Validation]) -> str:
                 density[name] = float(e.nlpd[h - 1])
                 inside = {level: float(share[h - 1]) for level, share in e.coverage.items()}
                 lines.append(
-                    f"{g:10s} {h:3d} {name:10s} {e.rmse[h - 1]:9.4f} {density[name]:8.3f} {inside[0.5]:8.3f} "
+                    f"{g:10s} {h:3d} {name:10s} {e.rmse[h - 1]:9.4f} {density[name]:8.3f} "
+                    f"{inside[0.5]:8.3f} "
                     f"{inside[0.95]:8.3f}"
                 )
                 if name == "hybrid" and not low <= inside[0.95] <= high:
@@ -158,8 +186,12 @@ def table(checked: Mapping[str, Validation]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the study and print its table; with --out also write the hybrid and all results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--flights", type=int, default=6, help="training flights (half as many of each test shape)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--flights", type=int, default=6, help="training flights (half as many of each test shape)"
+    )
     parser.add_argument("--seconds", type=float, default=15.0, help="length of a flight")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--points", type=int, default=40, help="support points")
@@ -173,7 +205,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         save_model(result.base, out / "disturbed.json")
         save_model(result.model, out / "hybrid.json")
         content: dict[str, Any] = result.to_dict()
-        content["validation"] = {"before": checked["physics"].to_dict(), "after": checked["hybrid"].to_dict()}
+        content["validation"] = {
+            "before": checked["physics"].to_dict(),
+            "after": checked["hybrid"].to_dict(),
+        }
         write_json(out / "learn.json", content)
 
 

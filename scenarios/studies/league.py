@@ -185,9 +185,13 @@ def pysr_share(p: Problem, seed: int) -> float:
     from pysr import PySRRegressor
 
     model = PySRRegressor(
-        niterations=40, binary_operators=["+", "*"], random_state=seed, deterministic=True,
-        parallelism="serial", verbosity=0,
-    )  # fmt: skip
+        niterations=40,
+        binary_operators=["+", "*"],
+        random_state=seed,
+        deterministic=True,
+        parallelism="serial",
+        verbosity=0,
+    )
     model.fit(p.train[1], p.train[0])
     left = p.test[0] - model.predict(p.test[1])
     return 1.0 - float(left @ left) / float(p.test[0] @ p.test[0])

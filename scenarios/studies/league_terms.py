@@ -52,9 +52,7 @@ def read_columns(path: Path) -> dict[str, Array]:
 
 def smooth(x: Array, derivative: int = 0) -> Array:
     """The filter, along the first axis."""
-    return np.asarray(
-        savgol_filter(x, WINDOW, ORDER, deriv=derivative, delta=1.0 / RATE, axis=0)
-    )
+    return np.asarray(savgol_filter(x, WINDOW, ORDER, deriv=derivative, delta=1.0 / RATE, axis=0))
 
 
 def rotor_speeds(vehicle: Vehicle, u: Array) -> Array:

@@ -1,9 +1,11 @@
-"""Do standard errors of linear fits say how much estimates scatter? Fisher and robust ones, with and without model error.
+"""Do standard errors of linear fits say how much estimates scatter? Fisher and robust ones, with
+and without model error.
 
-Three cases of one second-order plant, many records: an output error model under a disturbance of pole 0.95, an innovation
-model of order 2 where the disturbance has two more states, and the right model. Printed per quantity (real part of a
-pole; real response at 0, 0.05 and 0.2 cycles per sample): scatter over the median standard error (1 is honest), and how many
-95 % intervals hold the median estimate, which is what a wrong model estimates.
+Three cases of one second-order plant, many records: an output error model under a disturbance of
+pole 0.95, an innovation model of order 2 where the disturbance has two more states, and the right
+model. Printed per quantity (real part of a pole; real response at 0, 0.05 and 0.2 cycles per
+sample): scatter over the median standard error (1 is honest), and how many 95 % intervals hold the
+median estimate, which is what a wrong model estimates.
 
     python -m scenarios.studies.linear_errors --runs 120
 """
@@ -41,7 +43,9 @@ def one_fit(seed: int, case: str, count: int) -> LinearFit:
     rng = np.random.default_rng(seed)
     u = lfilter([1.0], [1.0, -0.8], rng.standard_normal((count, 1)), axis=0)
     v = size * lfilter([1.0], polynomial, rng.standard_normal(count + 500))[500:]
-    return fit_linear([Record(u=u, y=lfilter(NUMERATOR, DENOMINATOR, u[:, 0]) + v)], 2, options=options)
+    return fit_linear(
+        [Record(u=u, y=lfilter(NUMERATOR, DENOMINATOR, u[:, 0]) + v)], 2, options=options
+    )
 
 
 def quantities(known: Uncertainty) -> tuple[FloatArray, FloatArray]:
@@ -53,7 +57,9 @@ def quantities(known: Uncertainty) -> tuple[FloatArray, FloatArray]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--runs", type=int, default=120)
     parser.add_argument("--count", type=int, default=3000)
     arguments = parser.parse_args(argv)
@@ -62,7 +68,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         chosen = sum(f.errors == "robust" for f in fits)
         print(f"{case}: robust errors chosen in {chosen} of {len(fits)} records")
         value = np.array([quantities(f.fisher)[0] for f in fits])
-        for what, known in (("Fisher", [f.fisher for f in fits]), ("chosen", [f.uncertainty for f in fits])):
+        for what, known in (
+            ("Fisher", [f.fisher for f in fits]),
+            ("chosen", [f.uncertainty for f in fits]),
+        ):
             error = np.array([quantities(k)[1] for k in known])
             ratio = value.std(axis=0, ddof=1) / np.median(error, axis=0)
             hits = np.mean(np.abs(value - np.median(value, axis=0)) < 1.96 * error, axis=0)

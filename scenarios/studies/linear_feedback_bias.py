@@ -1,12 +1,15 @@
-"""Subspace alone is biased under feedback where the closed-loop variants and PEM are not, if the feedback matters.
+"""Subspace alone is biased under feedback where the closed-loop variants and PEM are not, if the
+feedback matters.
 
-One second-order plant with a coloured disturbance, static output feedback u = r - F y, white r of standard deviation R, many
-records. All six settings of (F, R) that were tried are shown: without feedback no method is biased; with mild feedback and
-much excitation the bias drowns in the scatter; with strong feedback and weak excitation it stands out. Mean and standard
-error of the first three samples of the impulse response per method; a method is biased where the mean error exceeds four
+One second-order plant with a coloured disturbance, static output feedback u = r - F y, white r of
+standard deviation R, many records. All six settings of (F, R) that were tried are shown: without
+feedback no method is biased; with mild feedback and much excitation the bias drowns in the scatter;
+with strong feedback and weak excitation it stands out. Mean and standard error of the first three
+samples of the impulse response per method; a method is biased where the mean error exceeds four
 standard errors. Writes a figure with --figure.
 
-    python -m scenarios.studies.linear_feedback_bias --runs 40 --figure docs/images/linear_feedback_bias.svg
+    python -m scenarios.studies.linear_feedback_bias --runs 40 --figure
+    docs/images/linear_feedback_bias.svg
 """
 
 from __future__ import annotations
@@ -35,14 +38,21 @@ METHODS = ("n4sid", "moesp", "cva", "ssarx", "pbsid")
 
 
 def errors(
-    runs: int, count: int, *, first: int = 0, feedback: float = FEEDBACK, excitation: float = EXCITATION
+    runs: int,
+    count: int,
+    *,
+    first: int = 0,
+    feedback: float = FEEDBACK,
+    excitation: float = EXCITATION,
 ) -> dict[str, np.ndarray]:
     """Error of the impulse response at lags 1-3 (runs, 3) per method; PEM starts from ssarx."""
     exact = [(TRUTH.c @ np.linalg.matrix_power(TRUTH.a, i) @ TRUTH.b).item() for i in range(3)]
     out: dict[str, list[np.ndarray]] = {m: [] for m in (*METHODS, "pem")}
     gain = np.array([[feedback]])
     for seed in range(first, first + runs):
-        u, y = simulate(np.random.default_rng(seed), TRUTH, count, feedback=gain, excitation=excitation)
+        u, y = simulate(
+            np.random.default_rng(seed), TRUTH, count, feedback=gain, excitation=excitation
+        )
         record = Record(u=u, y=y)
         for name in out:
             methods = ("ssarx",) if name == "pem" else (name,)
@@ -60,13 +70,18 @@ def scores(e: np.ndarray) -> np.ndarray:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print mean error, its standard error and the verdict per method."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--count", type=int, default=3000)
     parser.add_argument("--figure", default=None)
     arguments = parser.parse_args(argv)
     tables = {}
-    print("mean error of the impulse response at lags 1, 2, 3, and the same in standard errors of the mean")
+    print(
+        "mean error of the impulse response at lags 1, 2, 3, and the same in standard errors of "
+        "the mean"
+    )
     for feedback, excitation in SETTINGS:
         print(f"feedback {feedback:g}, excitation {excitation:g}")
         table = errors(arguments.runs, arguments.count, feedback=feedback, excitation=excitation)
@@ -75,14 +90,21 @@ def main(argv: Sequence[str] | None = None) -> int:
             score = scores(e)
             verdict = "biased" if np.abs(score).max() > 4 else "no bias seen"
             means = "  ".join(f"{m:+.4f}" for m in e.mean(axis=0))
-            print(f"  {name:7}  {means}   " + "  ".join(f"{s:+7.1f}" for s in score) + f"   {verdict}", flush=True)
+            print(
+                f"  {name:7}  {means}   "
+                + "  ".join(f"{s:+7.1f}" for s in score)
+                + f"   {verdict}",
+                flush=True,
+            )
     if arguments.figure:
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(9, 4.6))
         for place, ((feedback, excitation), table) in enumerate(tables.items()):
             axes = figure.add_subplot(2, 3, 1 + 3 * (place % 2) + place // 2)
-            axes.boxplot([e[:, 0] for e in table.values()], tick_labels=list(table), showfliers=False)
+            axes.boxplot(
+                [e[:, 0] for e in table.values()], tick_labels=list(table), showfliers=False
+            )
             axes.axhline(0.0, color="grey", linewidth=0.8)
             axes.set_title(f"feedback {feedback:g}, excitation {excitation:g}", fontsize=9)
             axes.tick_params(labelsize=7)

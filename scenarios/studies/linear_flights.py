@@ -1,16 +1,21 @@
-"""Body rates of real Crazyflies from motor commands by linear models, judged on flights that the fit never saw.
+"""Body rates of real Crazyflies from motor commands by linear models, judged on flights that the
+fit never saw.
 
-    python -m scenarios.studies.linear_flights [--set nanobench|arpl_crazyflie] [--form siso|mimo] [--out F.json]
+    python -m scenarios.studies.linear_flights [--set nanobench|arpl_crazyflie] [--form siso|mimo]
+    [--out F.json]
 
-`siso` drives each rate by its own mix of the four commands (roll = -u1 - u2 + u3 + u4 and so on), `mimo` all three rates by
-all four commands. Order by BIC with cross-validation, delays by `--delay` (auto). NanoBench: nine flights train, five test.
-ARPL: every log is held out once, fitted on the other two, at 100 Hz. On a test flight the state and the output offset are
-adapted on the first 5 s, which are not scored. Errors are the root mean square of the vector norm over the three axes, from
-every origin h samples ahead, and of the free run from the fifth second on; persistence holds the last value. One line of
-this study is, on the command line,
+`siso` drives each rate by its own mix of the four commands (roll = -u1 - u2 + u3 + u4 and so on),
+`mimo` all three rates by all four commands. Order by BIC with cross-validation, delays by `--delay`
+(auto). NanoBench: nine flights train, five test. ARPL: every log is held out once, fitted on the
+other two, at 100 Hz. On a test flight the state and the output offset are adapted on the first 5 s,
+which are not scored. Errors are the root mean square of the vector norm over the three axes, from
+every origin h samples ahead, and of the free run from the fifth second on; persistence holds the
+last value. One line of this study is, on the command line,
 
-    greybox linear --vehicle greybox/examples/nanobench/vehicle.toml --rate 100 --adapt 5 --siso --delay auto \
-      --inputs 'roll=-u1-u2+u3+u4,pitch=-u1+u2+u3-u4,yaw=-u1+u2-u3+u4' --outputs p,q,r --train <nine> --test <five>
+    greybox linear --vehicle greybox/examples/nanobench/vehicle.toml --rate 100 --adapt 5 --siso
+    --delay auto \
+      --inputs 'roll=-u1-u2+u3+u4,pitch=-u1+u2+u3-u4,yaw=-u1+u2-u3+u4' --outputs p,q,r --train
+      <nine> --test <five>
 """
 
 from __future__ import annotations
@@ -44,7 +49,8 @@ ADAPT = 5.0
 
 @dataclass
 class Pool:
-    """Sums of squared errors of model and persistence per axis (3,), by horizon (0 = free run), and how many samples."""
+    """Sums of squared errors of model and persistence per axis (3,), by horizon (0 = free run), and
+    how many samples."""
 
     error: dict[int, FloatArray] = field(default_factory=dict)
     still: dict[int, FloatArray] = field(default_factory=dict)
@@ -83,7 +89,9 @@ def read(paths: Sequence[Path], form: str, set_name: str, bridge: int) -> Logs:
     """Records of some logs at 100 Hz, the airborne part."""
     vehicle = read_vehicle(vehicle_path(set_name))
     inputs, outputs = parse_channels(INPUTS[form], "inputs"), parse_channels(OUTPUTS, "outputs")
-    return read_records([str(p) for p in paths], inputs, outputs, vehicle, rate=100.0, bridge=bridge)
+    return read_records(
+        [str(p) for p in paths], inputs, outputs, vehicle, rate=100.0, bridge=bridge
+    )
 
 
 def groups(form: str) -> list[tuple[list[int], list[int]]]:
@@ -129,7 +137,11 @@ def judge(fits: Sequence[LinearFit], form: str, records: Sequence[Record], pool:
                 parts[ahead.horizon].append(ahead.measured - ahead.predicted)
             if spectral_radius(fit.model.matrices.a) < 1.0:
                 cut = max(fit.model.delays, default=0)
-                y = simulate(fit.model, own.u, x0=known.x0)[cut:] + known.offset - fit.model.output_offset
+                y = (
+                    simulate(fit.model, own.u, x0=known.x0)[cut:]
+                    + known.offset
+                    - fit.model.output_offset
+                )
                 parts[0].append(delayed(own, fit.model.delays).y - y)
         for h, errors in parts.items():
             if len(errors) < len(fits):
@@ -138,11 +150,15 @@ def judge(fits: Sequence[LinearFit], form: str, records: Sequence[Record], pool:
             total = np.hstack([e[len(e) - end :] for e in errors])
             y = record.y[len(record) - end :]
             first = max(round(ADAPT / dt) - (len(record) - end), 0)
-            still = y[first:] - (y[first] if h == 0 else record.y[len(record) - end - h : len(record) - h][first:])
+            still = y[first:] - (
+                y[first] if h == 0 else record.y[len(record) - end - h : len(record) - h][first:]
+            )
             pool.add(h, total[first:], still)
 
 
-def run(set_name: str, form: str, order: int | str = "auto", delays: list[int] | str = "auto") -> dict[str, Any]:
+def run(
+    set_name: str, form: str, order: int | str = "auto", delays: list[int] | str = "auto"
+) -> dict[str, Any]:
     """Fit and judge all splits of a set; plain values."""
     pool, models = Pool(), []
     for train, test in splits(set_name):
@@ -168,20 +184,26 @@ def shown(result: dict[str, Any]) -> str:
     """A table for the terminal."""
     lines = [f"{result['set']} {result['form']}"]
     for m in result["models"]:
-        lines.append(f"  {','.join(m['outputs'])}: order {m['order']}, delays {m['delays']}, {m['samples']} samples")
+        lines.append(
+            f"  {','.join(m['outputs'])}: order {m['order']}, delays {m['delays']}, {m['samples']} "
+            "samples"
+        )
         lines += [f"    {r}" for r in m["reasons"]]
     for r in result["rows"]:
         name = f"{r['horizon']} samples" if r["horizon"] else "free run"
         axes = " ".join(f"{v:.3f}" for v in r["axes"])
         lines.append(
-            f"  {name:>10}: {r['norm']:.3f} rad/s ({axes}), persistence {r['persistence']:.3f}, n {r['samples']}"
+            f"  {name:>10}: {r['norm']:.3f} rad/s ({axes}), persistence {r['persistence']:.3f}, n "
+            f"{r['samples']}"
         )
     return "\n".join(lines)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Fit, judge, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--set", nargs="+", default=["nanobench", "arpl_crazyflie"])
     parser.add_argument("--form", nargs="+", default=["siso", "mimo"], choices=["siso", "mimo"])
     parser.add_argument("--order", default="auto")

@@ -1,9 +1,11 @@
-"""Is the truth recovered? Order and interval coverage on random linear systems, open and closed loop, coloured noise.
+"""Is the truth recovered? Order and interval coverage on random linear systems, open and closed
+loop, coloured noise.
 
-For orders 1-8, one or two inputs and outputs, 20 dB, N = 3000: the order is chosen by BIC among 1 .. n + 4; a run
-counts for the order where the oracle likelihood ratio of n over n - 1 (both fitted also from the truth) exceeds 40. At
-the true order the 95 % intervals of poles (real and imaginary part) and of the frequency response (ln |G| and phase at five
-frequencies) and of the steady gain are compared with the truth.
+For orders 1-8, one or two inputs and outputs, 20 dB, N = 3000: the order is chosen by BIC among 1
+.. n + 4; a run counts for the order where the oracle likelihood ratio of n over n - 1 (both fitted
+also from the truth) exceeds 40. At the true order the 95 % intervals of poles (real and imaginary
+part) and of the frequency response (ln |G| and phase at five frequencies) and of the steady gain
+are compared with the truth.
 
     python -m scenarios.studies.linear_recovery --repeats 4 --out recovery.json
 """
@@ -26,15 +28,23 @@ from greybox.linear.pem import minimise
 from greybox.linear.records import Record, prepare
 from greybox.linear.search import Options
 from greybox.model.matrices import Matrices, truncated
-from scenarios.plants.linear_systems import LinearTruth, random_system, simulate, stabilising_feedback
+from scenarios.plants.linear_systems import (
+    LinearTruth,
+    random_system,
+    simulate,
+    stabilising_feedback,
+)
 
 Z95 = 1.959963984540054
 FREQUENCIES = np.array([0.01, 0.05, 0.12, 0.25, 0.4])
 """Cycles per sample."""
 
 
-def one_run(seed: int, n: int, size: int, closed: bool, *, count: int = 3000, order: bool = True) -> dict[str, Any]:
-    """One system, one record: chosen order, oracle likelihood ratio, and the coverage hits at the true order."""
+def one_run(
+    seed: int, n: int, size: int, closed: bool, *, count: int = 3000, order: bool = True
+) -> dict[str, Any]:
+    """One system, one record: chosen order, oracle likelihood ratio, and the coverage hits at the
+    true order."""
     rng = np.random.default_rng([seed, n, size, int(closed)])
     truth = random_system(rng, n, size, size)
     feedback = stabilising_feedback(rng, truth) if closed else None
@@ -72,14 +82,17 @@ def one_run(seed: int, n: int, size: int, closed: bool, *, count: int = 3000, or
         else:
             # order 0: nothing but white noise around a mean
             y1 = scaled[0].y - scaled[0].y.mean(axis=0)
-            zero = count * (np.linalg.slogdet(y1.T @ y1 / count)[1] + size * (1 + np.log(2 * np.pi)))
+            zero = count * (
+                np.linalg.slogdet(y1.T @ y1 / count)[1] + size * (1 + np.log(2 * np.pi))
+            )
             row["ratio"] = float(zero) - oracle
         row["ratio_above"] = oracle - values.get(n + 1, np.nan)
     return row
 
 
 def coverage(known: Any, truth: LinearTruth) -> dict[str, list[bool]]:
-    """Hits of the 95 % intervals, by kind of quantity; all poles are paired with the true ones at the least total distance.
+    """Hits of the 95 % intervals, by kind of quantity; all poles are paired with the true ones at
+    the least total distance.
 
     `poles` are all of them, `sure_poles` those that the fit calls well determined.
     """
@@ -99,7 +112,10 @@ def coverage(known: Any, truth: LinearTruth) -> dict[str, list[bool]]:
     n = len(truth.a)
     bode = known.bode(FREQUENCIES, 1.0)
     response = np.array(
-        [truth.c @ np.linalg.solve(np.exp(2j * np.pi * f) * np.eye(n) - truth.a, truth.b) for f in FREQUENCIES]
+        [
+            truth.c @ np.linalg.solve(np.exp(2j * np.pi * f) * np.eye(n) - truth.a, truth.b)
+            for f in FREQUENCIES
+        ]
     )
     gain = np.abs(np.log(bode["magnitude"] / np.abs(response))) <= Z95 * bode["log_magnitude_std"]
     turn = np.angle(np.exp(1j * (bode["phase"] - np.angle(response))))
@@ -117,7 +133,8 @@ def coverage(known: Any, truth: LinearTruth) -> dict[str, list[bool]]:
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> str:
-    """The figures in words; the standard error of a coverage treats runs, not intervals, as independent."""
+    """The figures in words; the standard error of a coverage treats runs, not intervals, as
+    independent."""
     lines = []
     pooled: list[float] = []
     everything: list[bool] = []
@@ -126,13 +143,16 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
         lines.append(f"coverage {kind}: {100 * np.mean(hits):.2f} % of {len(hits)} intervals")
         everything += hits
     sure = [h for r in rows for h in r["sure_poles"]]
-    lines.append(f"coverage of well determined poles: {100 * np.mean(sure):.2f} % of {len(sure)} intervals")
+    lines.append(
+        f"coverage of well determined poles: {100 * np.mean(sure):.2f} % of {len(sure)} intervals"
+    )
     for r in rows:
         own = [h for kind in ("poles", "ln_gain", "phase", "steady_gain") for h in r[kind]]
         pooled.append(float(np.mean(own)))
     error = 100 * np.std(pooled, ddof=1) / np.sqrt(len(pooled)) if len(pooled) > 1 else float("nan")
     lines.append(
-        f"coverage pooled: {100 * np.mean(everything):.2f} % of {len(everything)} intervals in {len(rows)} runs "
+        f"coverage pooled: {100 * np.mean(everything):.2f} % of {len(everything)} intervals in "
+        f"{len(rows)} runs "
         f"(run-to-run standard error {error:.2f} %)"
     )
     judged = [r for r in rows if r.get("ratio", -np.inf) > 40]
@@ -141,11 +161,14 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
         under = sum(r["chosen"] < r["n"] for r in judged)
         over = sum(r["chosen"] > r["n"] for r in judged)
         lines.append(
-            f"order right: {100 * np.mean(right):.1f} % of {len(judged)} runs with oracle ratio > 40 "
-            f"({under} too low, {over} too high); {len([r for r in rows if 'ratio' in r]) - len(judged)} runs below 40"
+            f"order right: {100 * np.mean(right):.1f} % of {len(judged)} runs with oracle ratio > "
+            "40 "
+            f"({under} too low, {over} too high); "
+            f"{len([r for r in rows if 'ratio' in r]) - len(judged)} runs below 40"
         )
         lines.append(
-            f"order search above the oracle by > 1 at the true order: {sum(r['worse_than_oracle'] > 1 for r in judged)}"
+            "order search above the oracle by > 1 at the true order: "
+            f"{sum(r['worse_than_oracle'] > 1 for r in judged)}"
         )
     lines.append(f"converged: {sum(r['converged'] for r in rows)} of {len(rows)}")
     return "\n".join(lines)
@@ -153,7 +176,9 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study and print its summary; with --out write every run as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeats", type=int, default=4, help="runs per order, size and loop")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--orders", default="1,2,3,4,5,6,7,8")

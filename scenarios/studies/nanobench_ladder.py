@@ -1,17 +1,20 @@
-"""A hand-made ladder of models for the NanoBench flights: what each further effect buys, beside a model of greybox.
+"""A hand-made ladder of models for the NanoBench flights: what each further effect buys, beside a
+model of greybox.
 
     python -m scenarios.studies.nanobench_ladder [MODEL.json ...] [--leave-one-type-out]
 
-Least squares on measured and smoothed signals: the way one would explore the data by hand. Rates by their changes over
-0.05 to 0.5 s (linear in gains, moments and biases; damping, lag and delay by a grid), forces by the derivative of the
-smoothed velocity in the axes of the motion-capture attitude. Trained on
-the nine training flights; on each test flight the first 5 s give the biases of that flight, origins start after them.
-Every origin starts from the measured state, smoothed velocity included (the rows of greybox start from its filter,
-which knows no later sample). RMSE of the vector norm, all steps of 10 ms. The rows, cumulative:
+Least squares on measured and smoothed signals: the way one would explore the data by hand. Rates by
+their changes over 0.05 to 0.5 s (linear in gains, moments and biases; damping, lag and delay by a
+grid), forces by the derivative of the smoothed velocity in the axes of the motion-capture attitude.
+Trained on the nine training flights; on each test flight the first 5 s give the biases of that
+flight, origins start after them. Every origin starts from the measured state, smoothed velocity
+included (the rows of greybox start from its filter, which knows no later sample). RMSE of the
+vector norm, all steps of 10 ms. The rows, cumulative:
 
     persistence               the measured value, held
     k u^2                     specific force (0, 0, k S), S = sum of u^2; rate dot = G M, M = (roll, pitch, yaw) sums
-                              of u^2 that the geometry gives; one gain per axis; u delayed and lagged
+                              of u^2 that the geometry gives; one gain per axis; u delayed and
+                              lagged
     + per-flight biases       thrust scale, horizontal force biases, angular acceleration biases of each flight
     + battery                 u V / 3.7 instead of u
     + linear drag             horizontal specific force -k v_body
@@ -20,8 +23,8 @@ which knows no later sample). RMSE of the vector norm, all steps of 10 ms. The r
     + torque disturbance      Kalman filter of (rate, torque) per axis, torque fading; from the gyro alone
     dead reckoning            measured rate and specific force integrated, biases from the first 5 s
 
-Delay and lag of the commands, and the noise ratio of the Kalman filter, are those with the least squared error on the
-training flights.
+Delay and lag of the commands, and the noise ratio of the Kalman filter, are those with the least
+squared error on the training flights.
 """
 
 from __future__ import annotations
@@ -50,7 +53,8 @@ DT = 0.01
 STEPS = 50
 ADAPT = 5.0
 HORIZONS = (5, 10, 20, 50)
-"""Changes of the rate over these horizons are regressed: time stamps err too much for derivatives."""
+"""Changes of the rate over these horizons are regressed: time stamps err too much for
+derivatives."""
 DAMPINGS = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0)
 """Rate damping that is tried [1/s]."""
 UP = np.array([0.0, 0.0, 9.81])
@@ -70,13 +74,19 @@ ROWS = (
     "+ rate damping",
     "+ torque disturbance",
 )
-MIX = np.array([[-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0], [1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]) * [1.0, -1.0, 1.0]
-"""Rows: rotors (front right, rear right, rear left, front left); columns: y, -x, -spin of the rotor."""
+MIX = np.array([[-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0], [1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]) * [
+    1.0,
+    -1.0,
+    1.0,
+]
+"""Rows: rotors (front right, rear right, rear left, front left); columns: y, -x, -spin of the
+rotor."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Signals:
-    """Arrays (N, .) of one flight without missing samples (interpolated; they are a handful per flight)."""
+    """Arrays (N, .) of one flight without missing samples (interpolated; they are a handful per
+    flight)."""
 
     name: str
     position: FloatArray
@@ -98,7 +108,8 @@ class Signals:
 
 @dataclass(frozen=True, kw_only=True)
 class Ladder:
-    """One rung. `gain` (3,), `moment` (3,), `damping` (3,), `drag` (2,), `thrust`; zeros where the rung has none."""
+    """One rung. `gain` (3,), `moment` (3,), `damping` (3,), `drag` (2,), `thrust`; zeros where the
+    rung has none."""
 
     row: str
     lag: float = 0.0
@@ -130,14 +141,22 @@ def signals(flight: Flight) -> Signals:
     q, velocity, rate = (take(GROUPS[g].columns) for g in ("rotation", "velocity", "rate"))
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     return Signals(
-        name=flight.name, position=take(GROUPS["position"].columns), velocity=velocity, attitude=q, rate=rate,
+        name=flight.name,
+        position=take(GROUPS["position"].columns),
+        velocity=velocity,
+        attitude=q,
+        rate=rate,
         body_velocity=numeric("rotate_inverse", q, velocity),
         alpha=savgol_filter(rate, WINDOW, 2, deriv=1, delta=DT, axis=0),
-        force=numeric("rotate_inverse", q, savgol_filter(velocity, WINDOW, 2, deriv=1, delta=DT, axis=0) + UP),
+        force=numeric(
+            "rotate_inverse", q, savgol_filter(velocity, WINDOW, 2, deriv=1, delta=DT, axis=0) + UP
+        ),
         u=take(("u1", "u2", "u3", "u4")),
         voltage=savgol_filter(take(("vbat",))[:, 0], 51, 1),
-        seen=np.isfinite(segment.matrix((*GROUPS["position"].columns, *GROUPS["rate"].columns))).all(axis=1),
-    )  # fmt: skip
+        seen=np.isfinite(
+            segment.matrix((*GROUPS["position"].columns, *GROUPS["rate"].columns))
+        ).all(axis=1),
+    )
 
 
 def drive(s: Signals, rung: Ladder) -> tuple[FloatArray, FloatArray]:
@@ -152,7 +171,8 @@ def drive(s: Signals, rung: Ladder) -> tuple[FloatArray, FloatArray]:
 
 
 def response(x: FloatArray, damping: float, h: int) -> FloatArray:
-    """What h steps of d(rate)/dt = x - damping rate add to the rate at their end, (N - h, .), from a rate of zero."""
+    """What h steps of d(rate)/dt = x - damping rate add to the rate at their end, (N - h, .), from
+    a rate of zero."""
     a, b = decay(damping)
     y = lfilter([0.0, b], [1.0, -a], x, axis=0)
     return y[h:] - a**h * y[:-h]
@@ -165,9 +185,11 @@ def decay(damping: float) -> tuple[float, float]:
 
 
 def fit_axis(flights: Sequence[Signals], rung: Ladder, axis: int) -> tuple[float, FloatArray]:
-    """(squared error over its variance, (gain, moment, damping)) of one axis at the rung's lag and delay.
+    """(squared error over its variance, (gain, moment, damping)) of one axis at the rung's lag and
+    delay.
 
-    Changes of the rate over several horizons, linear in gain, moment and bias at a given damping; damping by a grid.
+    Changes of the rate over several horizons, linear in gain, moment and bias at a given damping;
+    damping by a grid.
     """
     own, flap = rung.has("+ per-flight biases"), rung.has("+ velocity moment") and axis < 2
     drives = [drive(s, rung)[1][:, axis] for s in flights]
@@ -176,7 +198,11 @@ def fit_axis(flights: Sequence[Signals], rung: Ladder, axis: int) -> tuple[float
         rows, targets = [], []
         for h in HORIZONS:
             a, _ = decay(damping)
-            size = np.sqrt(np.mean(np.concatenate([s.rate[h:, axis] - s.rate[:-h, axis] for s in flights]) ** 2))
+            size = np.sqrt(
+                np.mean(
+                    np.concatenate([s.rate[h:, axis] - s.rate[:-h, axis] for s in flights]) ** 2
+                )
+            )
             for s, m in zip(flights, drives, strict=True):
                 y = s.rate[h:, axis] - a**h * s.rate[:-h, axis]
                 x = np.column_stack([m, s.body_velocity[:, 1 - axis]] if flap else [m])
@@ -194,8 +220,11 @@ def fit_axis(flights: Sequence[Signals], rung: Ladder, axis: int) -> tuple[float
 
 
 def fit_rung(row: str, flights: Sequence[Signals]) -> Ladder:
-    """Least squares over the training flights, delay and lag by the smallest error in roll and pitch."""
-    zero = Ladder(row=row, gain=np.zeros(3), drag=np.zeros(2), moment=np.zeros(3), damping=np.zeros(3))
+    """Least squares over the training flights, delay and lag by the smallest error in roll and
+    pitch."""
+    zero = Ladder(
+        row=row, gain=np.zeros(3), drag=np.zeros(2), moment=np.zeros(3), damping=np.zeros(3)
+    )
     found = []
     for lag in LAGS:
         for delay in DELAYS:
@@ -210,14 +239,17 @@ def fit_rung(row: str, flights: Sequence[Signals]) -> Ladder:
     drag = np.zeros(2)
     if rung.has("+ linear drag"):
         force = np.concatenate([s.force[:, :2] - s.force[:, :2].mean(axis=0) for s in flights])
-        body = np.concatenate([s.body_velocity[:, :2] - s.body_velocity[:, :2].mean(axis=0) for s in flights])
+        body = np.concatenate(
+            [s.body_velocity[:, :2] - s.body_velocity[:, :2].mean(axis=0) for s in flights]
+        )
         drag = (body * force).sum(axis=0) / (body**2).sum(axis=0)
     return replace(rung, thrust=float(sums @ vertical / (sums @ sums)), drag=drag)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Biases:
-    """Of one flight: factor on the thrust, horizontal specific force (2,), angular acceleration (3,)."""
+    """Of one flight: factor on the thrust, horizontal specific force (2,), angular acceleration
+    (3,)."""
 
     scale: float
     force: FloatArray
@@ -228,7 +260,11 @@ def acceleration(s: Signals, rung: Ladder) -> FloatArray:
     """Angular acceleration (N, 3) along the measured flight, without biases."""
     _, moments = drive(s, rung)
     v = s.body_velocity
-    return moments * rung.gain + np.column_stack([v[:, 1], v[:, 0], 0 * v[:, 0]]) * rung.moment + s.rate * rung.damping
+    return (
+        moments * rung.gain
+        + np.column_stack([v[:, 1], v[:, 0], 0 * v[:, 0]]) * rung.moment
+        + s.rate * rung.damping
+    )
 
 
 def biases(s: Signals, rung: Ladder) -> Biases:
@@ -239,14 +275,17 @@ def biases(s: Signals, rung: Ladder) -> Biases:
     total, _ = drive(s, rung)
     alpha = s.alpha - acceleration(s, rung)
     return Biases(
-        scale=float((total[first] @ s.force[first, 2]) / (total[first] @ total[first]) / rung.thrust),
+        scale=float(
+            (total[first] @ s.force[first, 2]) / (total[first] @ total[first]) / rung.thrust
+        ),
         force=(s.force[first, :2] - rung.drag * s.body_velocity[first, :2]).mean(axis=0),
         alpha=alpha[first].mean(axis=0),
     )
 
 
 def observe(s: Signals, rung: Ladder, own: Biases) -> tuple[FloatArray, FloatArray]:
-    """(rate, torque disturbance) (N, 3) at every sample; the measured rate and zero without the Kalman filter."""
+    """(rate, torque disturbance) (N, 3) at every sample; the measured rate and zero without the
+    Kalman filter."""
     if not rung.ratio:
         return s.rate, np.zeros((s.n, 3))
     a, c = np.array([[1.0, DT], [0.0, FADE]]), np.array([1.0, 0.0])
@@ -267,21 +306,28 @@ def observe(s: Signals, rung: Ladder, own: Biases) -> tuple[FloatArray, FloatArr
 
 
 def simulate(s: Signals, rung: Ladder, origins: FloatArray) -> dict[str, FloatArray]:
-    """Predictions (m, 50, .) per group, from the measured state at the origins (rate and torque from `observe`)."""
+    """Predictions (m, 50, .) per group, from the measured state at the origins (rate and torque
+    from `observe`)."""
     own = biases(s, rung)
     total, moments = drive(s, rung)
     rate, torque = observe(s, rung, own)
     p, v, q = s.position[origins], s.velocity[origins], s.attitude[origins]
     w, d = rate[origins], torque[origins]
     out = {
-        g: np.zeros((len(origins), STEPS, GROUPS[g].dimension)) for g in ("position", "velocity", "rotation", "rate")
+        g: np.zeros((len(origins), STEPS, GROUPS[g].dimension))
+        for g in ("position", "velocity", "rotation", "rate")
     }
     for h in range(STEPS):
         at = origins + h
         body = numeric("rotate_inverse", q, v)
         alpha = moments[at] * rung.gain + own.alpha + d
-        alpha += np.column_stack([body[:, 1], body[:, 0], 0 * body[:, 0]]) * rung.moment + w * rung.damping
-        f = np.column_stack([own.force + rung.drag * body[:, :2], own.scale * rung.thrust * total[at]])
+        alpha += (
+            np.column_stack([body[:, 1], body[:, 0], 0 * body[:, 0]]) * rung.moment
+            + w * rung.damping
+        )
+        f = np.column_stack(
+            [own.force + rung.drag * body[:, :2], own.scale * rung.thrust * total[at]]
+        )
         a = numeric("rotate", q, f) - UP
         p = p + DT * v + 0.5 * DT * DT * a
         v = v + DT * a
@@ -299,12 +345,19 @@ def origins_of(s: Signals) -> FloatArray:
     return first[total[first + STEPS + 1] - total[first] == STEPS + 1]
 
 
-def judge(rung: Ladder, flights: Sequence[Signals], table: HorizonAccumulator | None = None) -> HorizonAccumulator:
+def judge(
+    rung: Ladder, flights: Sequence[Signals], table: HorizonAccumulator | None = None
+) -> HorizonAccumulator:
     """Errors of one rung on flights."""
     table = table or HorizonAccumulator(label=rung.row, sample_time=DT)
     for s in flights:
         at = origins_of(s)
-        references = {"position": s.position, "velocity": s.velocity, "rotation": s.attitude, "rate": s.rate}
+        references = {
+            "position": s.position,
+            "velocity": s.velocity,
+            "rotation": s.attitude,
+            "rate": s.rate,
+        }
         table.add(s.name, simulate(s, rung, at), references, at)
     return table
 
@@ -312,7 +365,8 @@ def judge(rung: Ladder, flights: Sequence[Signals], table: HorizonAccumulator | 
 def build(flights: Sequence[Signals]) -> list[Ladder]:
     """All rungs from the training flights."""
     rungs = [fit_rung(row, flights) for row in ROWS]
-    # The Kalman filter belongs to the last rung: its noise ratio by the rate error at 0.1 s on the training flights.
+    # The Kalman filter belongs to the last rung: its noise ratio by the rate error at 0.1 s on the
+    # training flights.
     tried = [replace(rungs[-1], ratio=r) for r in RATIOS]
     few = flights[::2]
     errors = [float(judge(t, few).table().groups["rate"].rmse[9]) for t in tried]
@@ -324,12 +378,21 @@ def line(label: str, table: HorizonTable) -> str:
     """One row as in the ladder: p50, v10, v50, R10, R50 [deg], rate 1, 10, 50."""
     g = table.groups
     cells = [
-        f"{g[n].rmse[h - 1] * (180 / np.pi if n == 'rotation' else 1.0):8.4f}" if n in g else f"{'-':>8}"
+        f"{g[n].rmse[h - 1] * (180 / np.pi if n == 'rotation' else 1.0):8.4f}"
+        if n in g
+        else f"{'-':>8}"
         for n, h in (
-            ("position", 10), ("position", 50), ("velocity", 10), ("velocity", 50), ("rotation", 10), ("rotation", 50),
-            ("rate", 1), ("rate", 10), ("rate", 50),
+            ("position", 10),
+            ("position", 50),
+            ("velocity", 10),
+            ("velocity", 50),
+            ("rotation", 10),
+            ("rotation", 50),
+            ("rate", 1),
+            ("rate", 10),
+            ("rate", 50),
         )
-    ]  # fmt: skip
+    ]
     return f"{label:32s}" + "".join(cells)
 
 
@@ -341,8 +404,10 @@ HEAD = f"{'RMSE of the norm':32s}" + "".join(
 def describe(rung: Ladder) -> str:
     """The numbers of a rung in one line."""
     return (
-        f"{rung.row:24s} lag {rung.lag:g} s, delay {rung.delay:g} s, k {rung.thrust:.2f}, gains {np.round(rung.gain, 1)}, "
-        f"drag {np.round(rung.drag, 3)}, moment {np.round(rung.moment, 1)}, damping {np.round(rung.damping, 2)}, "
+        f"{rung.row:24s} lag {rung.lag:g} s, delay {rung.delay:g} s, k {rung.thrust:.2f}, gains "
+        f"{np.round(rung.gain, 1)}, "
+        f"drag {np.round(rung.drag, 3)}, moment {np.round(rung.moment, 1)}, damping "
+        f"{np.round(rung.damping, 2)}, "
         f"ratio {rung.ratio:g}"
     )
 
@@ -354,9 +419,15 @@ def read() -> Dataset:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the ladder and the models' rows."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("model", nargs="*", help="model files of greybox, judged on the test flights")
-    parser.add_argument("--leave-one-type-out", action="store_true", help="every type of trajectory held out once")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "model", nargs="*", help="model files of greybox, judged on the test flights"
+    )
+    parser.add_argument(
+        "--leave-one-type-out", action="store_true", help="every type of trajectory held out once"
+    )
     options = parser.parse_args(arguments)
     data = read()
     flights = {f.name: signals(f) for f in data}

@@ -1,14 +1,17 @@
-"""The record of the paper's experiment, flown by an independent plant: commands, measurements, truth, and noise floor.
+"""The record of the paper's experiment, flown by an independent plant: commands, measurements,
+truth, and noise floor.
 
-Ghoul, Bousserhane and Boufeldja 2026 (IJCAS 24(8)) identify one closed-loop record of a Duckiedrone-like quadrotor: 30 s
-at 100 Hz (N = 3000), y = [p, q, r, ax, ay, az], 0-20 s for training, 20-25 s for validation, 25-30 s for the test;
-multi-sine chirps 0.1-20 Hz on motors and collective, steps, doublets, coupled roll-pitch manoeuvres, hover; an
-actuator curve, battery sag, blade flapping, ground effect, cross-axis coupling, and an IMU with noise, bias and scale
-errors. Plant and data of the paper are not public: every number here is ours.
+Ghoul, Bousserhane and Boufeldja 2026 (IJCAS 24(8)) identify one closed-loop record of a
+Duckiedrone-like quadrotor: 30 s at 100 Hz (N = 3000), y = [p, q, r, ax, ay, az], 0-20 s for
+training, 20-25 s for validation, 25-30 s for the test; multi-sine chirps 0.1-20 Hz on motors and
+collective, steps, doublets, coupled roll-pitch manoeuvres, hover; an actuator curve, battery sag,
+blade flapping, ground effect, cross-axis coupling, and an IMU with noise, bias and scale errors.
+Plant and data of the paper are not public: every number here is ours.
 
-What may enter a prediction of y(t_k): measurements up to t_(k-1) and commands up to u_(k-1). u_k is left out although it
-is "a command up to t": it cannot have moved y(t_k) (the rotors lag), and the flight controller computed it from the
-measurements at t_k, so that it carries their noise. A predictor that takes it beats the noise floor by looking.
+What may enter a prediction of y(t_k): measurements up to t_(k-1) and commands up to u_(k-1). u_k is
+left out although it is "a command up to t": it cannot have moved y(t_k) (the rotors lag), and the
+flight controller computed it from the measurements at t_k, so that it carries their noise. A
+predictor that takes it beats the noise floor by looking.
 """
 
 from __future__ import annotations
@@ -43,21 +46,24 @@ COMMANDS = ("u1", "u2", "u3", "u4")
 ATTITUDE = ("qw", "qx", "qy", "qz")
 POSITION = ("x", "y", "z")
 CHANNELS = (*COMMANDS, "vbat", *ATTITUDE, *POSITION, *OUTPUTS)
-"""What was logged. Every method is given all of it; `record` also has roll, pitch and yaw [rad] of the measured
-attitude. The paper does not say what its PEM model was given besides y and u; its GP takes the Euler angles. Position
-is what a flight controller that holds it has at hand; without it nobody could know the velocity, on which drag depends."""
+"""What was logged. Every method is given all of it; `record` also has roll, pitch and yaw [rad] of
+the measured attitude. The paper does not say what its PEM model was given besides y and u; its GP
+takes the Euler angles. Position is what a flight controller that holds it has at hand; without it
+nobody could know the velocity, on which drag depends."""
 EULER = ("roll", "pitch", "yaw")
 TRAIN, VALIDATION, TEST = (0.0, 20.0), (20.0, 25.0), (25.0, 30.0)
 """Parts of the record [s]."""
 SHORT = (15.0, 20.0)
-"""A quarter of the training part, which holds the whole repertoire once: how much worse does a method get on it?"""
+"""A quarter of the training part, which holds the whole repertoire once: how much worse does a
+method get on it?"""
 DT = 0.01
 BLOCK = 5.0
 WARM_UP = 3.0
 
 
 def excitation() -> RotorForces:
-    """Every five seconds the same repertoire with other random numbers: hover, chirps, doublets, coupled roll and pitch."""
+    """Every five seconds the same repertoire with other random numbers: hover, chirps, doublets,
+    coupled roll and pitch."""
 
     def parts(offset: float, length: float) -> tuple[tuple[float, float], ...]:
         return tuple((WARM_UP + BLOCK * k + offset, length) for k in range(6))
@@ -78,7 +84,10 @@ def excitation() -> RotorForces:
         rest=Excitation(
             mixer={
                 "thrust": Total(
-                    signals=(Windowed(signal=Multichirp(rms=0.8), windows=chirps), doublet(2.0, 3.0)),
+                    signals=(
+                        Windowed(signal=Multichirp(rms=0.8), windows=chirps),
+                        doublet(2.0, 3.0),
+                    ),
                 ),
                 "roll": both(12.0, doublet(20.0, 2.6)),
                 "pitch": both(12.0, doublet(20.0, 2.8)),
@@ -103,12 +112,14 @@ def plant(*, noise: bool = True) -> Quadrotor:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Truth:
-    """What the record does not say. y (N, 6): the sensors' readings without noise; height (N,) [m]; floors per output.
+    """What the record does not say. y (N, 6): the sensors' readings without noise; height (N,) [m];
+    floors per output.
 
-    sensor (6,): variance of the sensor noise, below which no mean squared error against measurements can fall.
-    process (6,): variance of the part of y that white force and torque make unpredictable one step ahead. A predictor
-    that knows plant and state exactly has mean squared error `process` against the truth and `floor` against the
-    measurements; one that has to infer the state from noisy measurements has more.
+    sensor (6,): variance of the sensor noise, below which no mean squared error against
+    measurements can fall. process (6,): variance of the part of y that white force and torque make
+    unpredictable one step ahead. A predictor that knows plant and state exactly has mean squared
+    error `process` against the truth and `floor` against the measurements; one that has to infer
+    the state from noisy measurements has more.
     """
 
     y: Array
@@ -124,7 +135,8 @@ class Truth:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PaperData:
-    """One record: everything that was logged, the channels that methods are given (`record`), and the truth."""
+    """One record: everything that was logged, the channels that methods are given (`record`), and
+    the truth."""
 
     seed: int
     log: Log
@@ -162,13 +174,17 @@ def paper_data(seed: int, *, noise: bool = True) -> PaperData:
         record_truth=True,
         record_clean=True,
     )
-    angles = np.unwrap(numeric("euler", np.stack([log[name] for name in ATTITUDE], axis=-1)), axis=0)
+    angles = np.unwrap(
+        numeric("euler", np.stack([log[name] for name in ATTITUDE], axis=-1)), axis=0
+    )
     channels = {name: log[name] for name in CHANNELS} | dict(zip(EULER, angles.T))
     record = dataset_from_arrays(log["t"], channels, name=f"seed{seed}")
     frame, sensors, process = true_plant.airframe, true_plant.sensors, true_plant.process
     gyro, accelerometer = axes(sensors.gyro), axes(sensors.accelerometer)
     force = [level / np.sqrt(DT) / frame.mass for level in axes(process.force)]
-    torque = [level * np.sqrt(DT) / moment for level, moment in zip(axes(process.torque), frame.inertia)]
+    torque = [
+        level * np.sqrt(DT) / moment for level, moment in zip(axes(process.torque), frame.inertia)
+    ]
     truth = Truth(
         y=np.stack([log[CLEAN + name] for name in OUTPUTS], axis=-1),
         height=log[TRUTH + "z"],

@@ -1,10 +1,12 @@
-"""The paper's experiment, honestly: PEM, LSTM, GP and hybrids on a record per seed, beside the paper's table and the floor.
+"""The paper's experiment, honestly: PEM, LSTM, GP and hybrids on a record per seed, beside the
+paper's table and the floor.
 
     python -m scenarios.studies.paper_experiment --seeds 10 --out DIR
 
-Every method predicts y(t) from measurements and commands up to t-1 (see paper_data). Results go to DIR, one JSON file and
-one file of predictions per seed; a second call computes only what is missing. Also run: the paper's literal form, whose
-inputs contain the answer (`LEAKS`), and the same experiment without any noise, to see what error is reached there.
+Every method predicts y(t) from measurements and commands up to t-1 (see paper_data). Results go to
+DIR, one JSON file and one file of predictions per seed; a second call computes only what is
+missing. Also run: the paper's literal form, whose inputs contain the answer (`LEAKS`), and the same
+experiment without any noise, to see what error is reached there.
 """
 
 from __future__ import annotations
@@ -39,11 +41,18 @@ def run_seed(
     claim: bool = False,
     say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
-    """Results of one seed: what the folder already has, plus what is missing (or named in `again`), written back."""
+    """Results of one seed: what the folder already has, plus what is missing (or named in `again`),
+    written back."""
     stem = f"seed{seed}" if noise else f"quiet{seed}"
     stem = stem if train == TRAIN else f"short{seed}"
     path, arrays = folder / f"{stem}.json", folder / f"{stem}.npz"
-    result: dict[str, Any] = {"schema": SCHEMA, "seed": seed, "noise": noise, "budget": budget, "methods": {}}
+    result: dict[str, Any] = {
+        "schema": SCHEMA,
+        "seed": seed,
+        "noise": noise,
+        "budget": budget,
+        "methods": {},
+    }
     kept: dict[str, np.ndarray] = {}
     if path.exists():
         result = read_json(path, schema=SCHEMA)
@@ -69,19 +78,31 @@ def run_seed(
         kept |= {f"{name}|mean": outcome.mean[rows], f"{name}|variance": outcome.variance[rows]}
         np.savez_compressed(arrays, **kept)  # type: ignore[arg-type]
         write_json(path, result)
-        say(f"{stem}: {name:24s} to measurement {found['mse']:.3e}, to truth {found['mse_truth']:.3e}")
+        say(
+            f"{stem}: {name:24s} to measurement {found['mse']:.3e}, to truth "
+            f"{found['mse_truth']:.3e}"
+        )
     return result
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run what is missing, print the tables, draw the figures of the first seed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--quiet-seeds", type=int, default=1, help="seeds of the run without noise")
-    parser.add_argument("--short-seeds", type=int, default=1, help="seeds of the run on a quarter of the training data")
+    parser.add_argument(
+        "--short-seeds",
+        type=int,
+        default=1,
+        help="seeds of the run on a quarter of the training data",
+    )
     parser.add_argument("--budget", type=int, default=4, help="candidates per method with choices")
-    parser.add_argument("--claim", action="store_true", help="time a GP on the outputs against one on the residual")
+    parser.add_argument(
+        "--claim", action="store_true", help="time a GP on the outputs against one on the residual"
+    )
     parser.add_argument("--methods", help="only these, separated by commas")
     parser.add_argument("--again", default="", help="compute these anew")
     parser.add_argument("--out", default="paper_experiment", metavar="DIR")
@@ -101,7 +122,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     seeds = range(options.first, options.first + options.seeds)
     results = [
-        run_seed(s, folder, picked, budget=options.budget, again=again, claim=options.claim, say=say) for s in seeds
+        run_seed(
+            s, folder, picked, budget=options.budget, again=again, claim=options.claim, say=say
+        )
+        for s in seeds
     ]
     # A leak of y needs no second run without noise, and the floor there is zero.
     honest = {n: f for n, f in picked.items() if n in METHODS}
@@ -115,19 +139,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ]
     hybrids = [n for n in METHODS if n.startswith("hybrid")]
     others = [n for n in METHODS if n not in hybrids]
-    print(f"\nTest part, one step ahead, {len(results)} seeds; std: in units of the training variance\n")
+    print(
+        f"\nTest part, one step ahead, {len(results)} seeds; std: in units of the training "
+        "variance\n"
+    )
     print(table(results, list(METHODS)))
     print(f"\n{verdict(results, hybrids, others)}")
-    print(f"\nQualities, {len(results)} seeds; data need: {len(short)} seed(s) trained on {SHORT[0]:g} to {SHORT[1]:g} s\n")
+    print(
+        f"\nQualities, {len(results)} seeds; data need: {len(short)} seed(s) trained on "
+        f"{SHORT[0]:g} to {SHORT[1]:g} s\n"
+    )
     print(qualities(results, short, list(METHODS)))
     for row in (r["claim"] for r in results if "claim" in r):
-        print(f"\nThe same GP on the outputs {row['output']:.1f} s, on the residual {row['residual']:.1f} s of CPU")
+        print(
+            f"\nThe same GP on the outputs {row['output']:.1f} s, on the residual "
+            f"{row['residual']:.1f} s of CPU"
+        )
     print("\nNot methods: they see measurements of the instant that they predict\n")
     print(table(results, list(LEAKS)))
     print(f"\nWithout sensor and process noise, {len(quiet)} seed(s)\n")
     print(table(quiet, list(METHODS)))
     with np.load(folder / f"seed{options.first}.npz", allow_pickle=False) as file:
-        shown = {n: (file[f"{n}|mean"], file[f"{n}|variance"]) for n in METHODS if f"{n}|mean" in file.files}
+        shown = {
+            n: (file[f"{n}|mean"], file[f"{n}|variance"])
+            for n in METHODS
+            if f"{n}|mean" in file.files
+        }
     written = draw(folder, paper_data(options.first), shown)
     print(f"\nfigures: {', '.join(os.fspath(p) for p in written)}")
 

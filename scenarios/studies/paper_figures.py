@@ -1,5 +1,5 @@
-"""Figures of the paper's experiment: prediction against truth with two-sigma bands, sigma against manoeuvres, and
-histograms of the errors in the sigma that each method states."""
+"""Figures of the paper's experiment: prediction against truth with two-sigma bands, sigma against
+manoeuvres, and histograms of the errors in the sigma that each method states."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ UNITS = ("rad/s", "rad/s", "rad/s", "m/s$^2$", "m/s$^2$", "m/s$^2$")
 
 
 def draw(
-    folder: Path, data: PaperData, predictions: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+    folder: Path,
+    data: PaperData,
+    predictions: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]],
 ) -> list[Path]:
-    """One figure per method (all outputs), one of sigma over time and one of histograms; predictions: mean and variance
-    (n_test, 6)."""
+    """One figure per method (all outputs), one of sigma over time and one of histograms;
+    predictions: mean and variance (n_test, 6)."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -32,18 +34,26 @@ def draw(
         figure, axes = pyplot.subplots(6, 1, figsize=(9, 11), sharex=True, constrained_layout=True)
         sigma = np.sqrt(variance)
         for i, axis in enumerate(axes):
-            axis.fill_between(t, (mean - 2 * sigma)[:, i], (mean + 2 * sigma)[:, i], color="C0", alpha=0.25, lw=0)
+            axis.fill_between(
+                t, (mean - 2 * sigma)[:, i], (mean + 2 * sigma)[:, i], color="C0", alpha=0.25, lw=0
+            )
             axis.plot(t, seen[:, i], ".", ms=1.5, color="0.6")
             axis.plot(t, truth[:, i], color="k", lw=0.8)
             axis.plot(t, mean[:, i], color="C0", lw=0.8)
             axis.set_ylabel(f"{OUTPUTS[i]} [{UNITS[i]}]")
-        axes[0].set_title(f"{name}, seed {data.seed}: one step ahead, two sigma; black truth, dots measured")
+        axes[0].set_title(
+            f"{name}, seed {data.seed}: one step ahead, two sigma; black truth, dots measured"
+        )
         axes[-1].set_xlabel("t [s]")
         written.append(folder / f"prediction-{_file(name)}-seed{data.seed}.png")
         figure.savefig(written[-1], dpi=110)
         pyplot.close(figure)
     figure, axes = pyplot.subplots(
-        len(predictions) + 1, 1, figsize=(9, 1.6 * (len(predictions) + 1)), sharex=True, constrained_layout=True
+        len(predictions) + 1,
+        1,
+        figsize=(9, 1.6 * (len(predictions) + 1)),
+        sharex=True,
+        constrained_layout=True,
     )
     axes[0].plot(t, intensity(data)[rows], color="k", lw=0.9)
     axes[0].set_ylabel("intensity")
@@ -63,13 +73,18 @@ def draw(
 
 
 def _histograms(
-    folder: Path, data: PaperData, predictions: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+    folder: Path,
+    data: PaperData,
+    predictions: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]],
 ) -> Path:
-    """Errors over their stated sigma, one panel per output; the curve is what honest Gaussian errors follow."""
+    """Errors over their stated sigma, one panel per output; the curve is what honest Gaussian
+    errors follow."""
     from matplotlib import pyplot
 
     seen, edges = data.segment.matrix(OUTPUTS)[data.rows(TEST)], np.linspace(-5.0, 5.0, 41)
-    figure, axes = pyplot.subplots(2, 3, figsize=(9, 5), sharex=True, sharey=True, constrained_layout=True)
+    figure, axes = pyplot.subplots(
+        2, 3, figsize=(9, 5), sharex=True, sharey=True, constrained_layout=True
+    )
     fine = np.linspace(-5.0, 5.0, 201)
     for i, axis in enumerate(axes.flat):
         for name, (mean, variance) in predictions.items():

@@ -1,8 +1,10 @@
-"""The methods of the paper's experiment: each takes the same record and predicts every sample from what lies before it.
+"""The methods of the paper's experiment: each takes the same record and predicts every sample from
+what lies before it.
 
-`METHODS` maps names to functions of a `Bench`, which holds the record and the fits that several methods share. What has
-choices is tuned on 20-25 s with the same number of candidates (`Bench.budget`); nothing looks at 25-30 s. `LEAKS` are no
-methods: they see measurements of the instant that they predict, and show what that alone achieves.
+`METHODS` maps names to functions of a `Bench`, which holds the record and the fits that several
+methods share. What has choices is tuned on 20-25 s with the same number of candidates
+(`Bench.budget`); nothing looks at 25-30 s. `LEAKS` are no methods: they see measurements of the
+instant that they predict, and show what that alone achieves.
 """
 
 from __future__ import annotations
@@ -51,8 +53,16 @@ Array = NDArray[np.float64]
 HORIZON = 50
 ORIGINS = np.arange(round(TEST[0] / DT), round(TEST[1] / DT) - HORIZON, 10)
 """Free runs of half a second start at these samples of the test part, ten a second."""
-EFFECTS = ("motor_lag", "thrust_curve", "battery_sag", "rotor_drag", "accelerometer_bias", "gyro_bias")
-"""What a practitioner puts into the model; blade flapping, ground effect, inertia products and sensor scales are missed."""
+EFFECTS = (
+    "motor_lag",
+    "thrust_curve",
+    "battery_sag",
+    "rotor_drag",
+    "accelerometer_bias",
+    "gyro_bias",
+)
+"""What a practitioner puts into the model; blade flapping, ground effect, inertia products and
+sensor scales are missed."""
 PAIRS = {"p": "roll", "ay": "roll", "q": "pitch", "ax": "pitch", "r": "yaw", "az": "collective"}
 """Output -> its input in the decoupled linear model."""
 MIXES = {
@@ -67,11 +77,12 @@ BLACK_BOX_INPUTS = ((*COMMANDS, "vbat", *EULER), (*COMMANDS, "vbat", *EULER, *PO
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
-    """Predictions of the whole record, mean and variance (n, 6) of what would be measured, NaN where none is possible.
+    """Predictions of the whole record, mean and variance (n, 6) of what would be measured, NaN
+    where none is possible.
 
-    parameters: how many numbers were trained, `named` of them with a physical meaning and a unit; seconds of CPU:
-    training, all candidates; microseconds of CPU per predicted sample. ahead (m, HORIZON, 6): free run with the recorded
-    commands from every one of `ORIGINS`.
+    parameters: how many numbers were trained, `named` of them with a physical meaning and a unit;
+    seconds of CPU: training, all candidates; microseconds of CPU per predicted sample. ahead (m,
+    HORIZON, 6): free run with the recorded commands from every one of `ORIGINS`.
     """
 
     mean: Array
@@ -86,8 +97,8 @@ class Outcome:
 
 @dataclass(kw_only=True, eq=False)
 class Bench:
-    """One record and what several methods share. budget: candidates that a method with choices may try; train: the part
-    [s] to train on."""
+    """One record and what several methods share. budget: candidates that a method with choices may
+    try; train: the part [s] to train on."""
 
     data: PaperData
     budget: int = 4
@@ -101,7 +112,8 @@ class Bench:
 
     @cached_property
     def vehicle(self) -> Vehicle:
-        """What ruler and data sheet say: inertia and torque 10 % too much, thrust 10 % too little."""
+        """What ruler and data sheet say: inertia and torque 10 % too much, thrust 10 % too
+        little."""
         with tempfile.TemporaryDirectory() as folder:
             path = write_vehicle(
                 Path(folder) / "vehicle.toml",
@@ -176,7 +188,8 @@ def _ahead(predictor: Any, segment: Segment) -> Array:
 def _linear(
     bench: Bench, mix: Array, inputs: Sequence[str], outputs: Sequence[str], *, largest: int
 ) -> tuple[Outcome, LinearModel]:
-    """A linear model in innovation form of `outputs` from mixed commands, the newest of them one sample old."""
+    """A linear model in innovation form of `outputs` from mixed commands, the newest of them one
+    sample old."""
     segment = bench.data.segment
     channels = {
         name: tuple((float(w), c) for w, c in zip(column, COMMANDS, strict=True) if w)
@@ -187,9 +200,16 @@ def _linear(
     rows = bench.data.rows(bench.train)
     train = Record(u=record.u[rows], y=record.y[rows], name="train")
     began = time.process_time()
-    # One sample of delay keeps the command that the controller computed from y(t) out of the prediction of y(t).
+    # One sample of delay keeps the command that the controller computed from y(t) out of the
+    # prediction of y(t).
     found = fit_linear(
-        [train], "auto", dt=DT, inputs=inputs, outputs=outputs, delays=(1,) * len(inputs), largest=largest
+        [train],
+        "auto",
+        dt=DT,
+        inputs=inputs,
+        outputs=outputs,
+        delays=(1,) * len(inputs),
+        largest=largest,
     )
     seconds = time.process_time() - began
     mean = np.full((segment.n, len(outputs)), np.nan)
@@ -202,7 +222,9 @@ def _linear(
         parameters=found.parameters,
         seconds=seconds,
         microseconds=1e6 * spent / segment.n,
-        ahead=_ahead(BasePredictor(model=found.model, outputs=tuple(outputs), channels=channels), segment),
+        ahead=_ahead(
+            BasePredictor(model=found.model, outputs=tuple(outputs), channels=channels), segment
+        ),
         notes={"order": found.order, "status": found.status.value},
     )
     return outcome, found.model
@@ -260,10 +282,14 @@ def gp_narx(bench: Bench) -> Outcome:
         for inputs in BLACK_BOX_INPUTS
     ]
     spent = time.process_time() - began
-    return _black_box(bench, found, [min(c["validation"] for c in f.report["search"]) for f in found], spent)
+    return _black_box(
+        bench, found, [min(c["validation"] for c in f.report["search"]) for f in found], spent
+    )
 
 
-def _black_box(bench: Bench, found: Sequence[Any], errors: Sequence[float], seconds: float) -> Outcome:
+def _black_box(
+    bench: Bench, found: Sequence[Any], errors: Sequence[float], seconds: float
+) -> Outcome:
     best = found[int(np.argmin(errors))]
     ahead = _ahead(best, bench.data.segment)
     began = time.process_time()
@@ -284,7 +310,7 @@ def _black_box(bench: Bench, found: Sequence[Any], errors: Sequence[float], seco
     )
 
 
-# ------------------------------------------------------------------------------------------------------ hybrids
+# ---------------------------------------------------------------------------------------- hybrids
 
 
 def _hybrid(
@@ -294,7 +320,8 @@ def _hybrid(
     choices: Mapping[str, tuple[str, ...]],
     channels: Mapping[str, Sequence[tuple[float, str]]] | None = None,
 ) -> Outcome:
-    """model + GP on r(t) = y(t) - y(t|t-1), trained on 0-20 s; features, kernel and size chosen on 20-25 s."""
+    """model + GP on r(t) = y(t) - y(t|t-1), trained on 0-20 s; features, kernel and size chosen on
+    20-25 s."""
     from greybox.baselines.output_residual import OutputHybrid, fit_output_residual
 
     validation, segment = bench.data.rows(VALIDATION), bench.data.segment
@@ -316,7 +343,9 @@ def _hybrid(
             points=points,
             seed=bench.data.seed,
         )
-        error = float(np.mean((bench.measured - found.one_step(segment)[0])[validation] ** 2 / scale))
+        error = float(
+            np.mean((bench.measured - found.one_step(segment)[0])[validation] ** 2 / scale)
+        )
         tried.append({"features": which, "kernel": kernel, "points": points, "validation": error})
         bench.say(f"residual GP: {tried[-1]}")
         if error < lowest:
@@ -337,8 +366,12 @@ def _hybrid(
         notes={
             "search": tried,
             "active": list(best.posterior.active),
-            "noise_inflation": list(best.posterior.noise_inflation) if isinstance(best.posterior, GPPosterior) else [],
-            "validation_without_gp": float(np.mean((bench.measured - base.mean)[validation] ** 2 / scale)),
+            "noise_inflation": list(best.posterior.noise_inflation)
+            if isinstance(best.posterior, GPPosterior)
+            else [],
+            "validation_without_gp": float(
+                np.mean((bench.measured - base.mean)[validation] ** 2 / scale)
+            ),
         },
     )
 
@@ -350,22 +383,29 @@ def hybrid_siso(bench: Bench) -> Outcome:
     """The paper's hybrid without its leak: decoupled linear PEM + GP on what was known before t."""
     base, models = bench.decoupled
     paper = ("phi[t-1]", "theta[t-1]", "psi[t-1]", "p", "q", "r", *LATE_COMMANDS)
-    channels = {axis: [(weight, name) for weight, name in zip(mix, COMMANDS) if weight] for axis, mix in MIXES.items()}
+    channels = {
+        axis: [(weight, name) for weight, name in zip(mix, COMMANDS) if weight]
+        for axis, mix in MIXES.items()
+    }
     wide = (*paper, "ax", "ay", "az", "z[t-1]", "vbat[t-1]")
     return _hybrid(bench, base, models, {"paper": paper, "wide": wide}, channels)
 
 
 def hybrid_nonlinear(bench: Bench) -> Outcome:
     """Nonlinear PEM + GP on its predicted state x(t|t-1)."""
-    velocity, rotors = tuple(f"body_velocity.{a}" for a in "xyz"), tuple(f"nu{i}" for i in range(1, 5))
+    velocity, rotors = (
+        tuple(f"body_velocity.{a}" for a in "xyz"),
+        tuple(f"nu{i}" for i in range(1, 5)),
+    )
     paper = ("phi", "theta", "psi", "p", "q", "r", *LATE_COMMANDS)
     state = ("phi", "theta", "p", "q", "r", *velocity, "height", *rotors, "vbat[t-1]")
     return _hybrid(bench, bench.nonlinear, bench.physics.model, {"paper": paper, "state": state})
 
 
 def training_claim(bench: Bench) -> dict[str, float]:
-    """Is a Gaussian process quicker to train on the residual? Seconds of CPU of the same process (inputs of the sample
-    before, rows, support points, start) on the outputs themselves and on what the nonlinear PEM leaves of them."""
+    """Is a Gaussian process quicker to train on the residual? Seconds of CPU of the same process
+    (inputs of the sample before, rows, support points, start) on the outputs themselves and on what
+    the nonlinear PEM leaves of them."""
     import gpytorch  # noqa: F401 (its import is not training)
 
     from greybox.residual.train import train_gp
@@ -374,13 +414,18 @@ def training_claim(bench: Bench) -> dict[str, float]:
     names = (*EULER, *OUTPUTS, *COMMANDS, "vbat")
     seen = bench.data.segment.matrix(names)[rows][:-1]
     found = {}
-    for label, target in (("output", bench.measured), ("residual", bench.measured - bench.nonlinear.mean)):
+    for label, target in (
+        ("output", bench.measured),
+        ("residual", bench.measured - bench.nonlinear.mean),
+    ):
         began = time.process_time()
         train_gp(
             seen,
             target[rows][1:],
             inputs=Layout([Signal(name=f"{n}[t-1]", unit="1") for n in names]),
-            outputs=Layout([Signal(name=n, unit="rad/s" if n in "pqr" else "m/s^2") for n in OUTPUTS]),
+            outputs=Layout(
+                [Signal(name=n, unit="rad/s" if n in "pqr" else "m/s^2") for n in OUTPUTS]
+            ),
             points=100,
             seed=bench.data.seed,
             hold_out=0.0,
@@ -390,11 +435,12 @@ def training_claim(bench: Bench) -> dict[str, float]:
     return found
 
 
-# -------------------------------------------------------------------------------------------------------- leaks
+# ------------------------------------------------------------------------------------------ leaks
 
 
 def _peeking(bench: Bench, base: Outcome, names: Sequence[str]) -> Outcome:
-    """base + GP on its error, from columns measured at the predicted instant: everything that a method must not do."""
+    """base + GP on its error, from columns measured at the predicted instant: everything that a
+    method must not do."""
     from greybox.residual.train import train_gp
 
     seen, train = bench.data.segment.matrix(names), bench.data.rows(bench.train)
@@ -416,7 +462,10 @@ def _peeking(bench: Bench, base: Outcome, names: Sequence[str]) -> Outcome:
     return Outcome(
         mean=base.mean + added,
         variance=variance,
-        parameters=base.parameters + gp.support.size + gp.weights.size + len(OUTPUTS) * (len(names) + 2),
+        parameters=base.parameters
+        + gp.support.size
+        + gp.weights.size
+        + len(OUTPUTS) * (len(names) + 2),
         seconds=base.seconds + seconds,
         microseconds=base.microseconds + 1e6 * spent / len(seen),
     )
@@ -444,8 +493,12 @@ def leak_all(bench: Bench) -> Outcome:
 def _nothing(bench: Bench) -> Outcome:
     """A model that predicts the mean of the training part."""
     y, rows = bench.measured, bench.data.rows(bench.train)
-    mean, variance = (np.broadcast_to(v, y.shape) for v in (y[rows].mean(axis=0), y[rows].var(axis=0)))
-    return Outcome(mean=mean, variance=variance, parameters=len(OUTPUTS), seconds=0.0, microseconds=0.0)
+    mean, variance = (
+        np.broadcast_to(v, y.shape) for v in (y[rows].mean(axis=0), y[rows].var(axis=0))
+    )
+    return Outcome(
+        mean=mean, variance=variance, parameters=len(OUTPUTS), seconds=0.0, microseconds=0.0
+    )
 
 
 METHODS: Mapping[str, Callable[[Bench], Outcome]] = {

@@ -1,7 +1,9 @@
-"""Scores of the paper's experiment: per output against measurement and truth, their means, and the table of all seeds.
+"""Scores of the paper's experiment: per output against measurement and truth, their means, and the
+table of all seeds.
 
-A mean over rad/s and m/s^2 says nothing: the means here are over outputs in units of their variance on the training part.
-The plain mean over the six outputs is computed too, as `mse_mixed`, because it is what the paper prints.
+A mean over rad/s and m/s^2 says nothing: the means here are over outputs in units of their variance
+on the training part. The plain mean over the six outputs is computed too, as `mse_mixed`, because
+it is what the paper prints.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ FLOOR = "noise floor"
 
 
 def intensity(data: PaperData) -> Array:
-    """How hard the vehicle manoeuvres, (n,): root mean square over outputs and 0.2 s of the true deviation in sigmas."""
+    """How hard the vehicle manoeuvres, (n,): root mean square over outputs and 0.2 s of the true
+    deviation in sigmas."""
     y, train = data.truth.y, data.rows(TRAIN)
     square = np.mean(((y - y[train].mean(axis=0)) / y[train].std(axis=0)) ** 2, axis=1)
     width = round(0.2 / DT)
@@ -41,7 +44,8 @@ def intensity(data: PaperData) -> Array:
 
 
 def spectral_error(y: Array, predicted: Array) -> float:
-    """Root mean square over 0.4-20 Hz of the ratio of the two power spectra [dB] (Welch, 1.28 s); at most 120 dB count."""
+    """Root mean square over 0.4-20 Hz of the ratio of the two power spectra [dB] (Welch, 1.28 s);
+    at most 120 dB count."""
     spectra = []
     for values in (y, predicted):
         frequency, power = scipy.signal.welch(values, fs=1.0 / DT, nperseg=min(128, len(values)))
@@ -74,7 +78,11 @@ def scores(data: PaperData, outcome: Outcome) -> dict[str, Any]:
     ones, root = np.ones(len(OUTPUTS)), np.sqrt(scale)
     sigma = np.sqrt(np.mean(variance / scale, axis=1))
     moved = intensity(data)[rows]
-    follows = scipy.stats.spearmanr(sigma, moved).statistic if np.ptp(sigma) > 1e-9 * sigma.max() else None
+    follows = (
+        scipy.stats.spearmanr(sigma, moved).statistic
+        if np.ptp(sigma) > 1e-9 * sigma.max()
+        else None
+    )
     return {
         "channels": channels,
         **_hardness(data, (mean - truth) ** 2 / scale),
@@ -100,14 +108,19 @@ def scores(data: PaperData, outcome: Outcome) -> dict[str, Any]:
 
 
 def _hardness(data: PaperData, error: Array) -> dict[str, float]:
-    """Error to the truth in the quarter of the test part that manoeuvres hardest, and in the calmest."""
+    """Error to the truth in the quarter of the test part that manoeuvres hardest, and in the
+    calmest."""
     moved = intensity(data)[data.rows(TEST)]
     low, high = np.quantile(moved, (0.25, 0.75))
-    return {"mse_truth_hard": float(error[moved >= high].mean()), "mse_truth_calm": float(error[moved <= low].mean())}
+    return {
+        "mse_truth_hard": float(error[moved >= high].mean()),
+        "mse_truth_calm": float(error[moved <= low].mean()),
+    }
 
 
 def _ahead(data: PaperData, outcome: Outcome, scale: Array) -> dict[str, float | None]:
-    """Error to the truth of the free runs, a tenth and half a second ahead; None where there are none."""
+    """Error to the truth of the free runs, a tenth and half a second ahead; None where there are
+    none."""
     out: dict[str, float | None] = {}
     for h in (10, HORIZON):
         told = outcome.ahead
@@ -117,8 +130,8 @@ def _ahead(data: PaperData, outcome: Outcome, scale: Array) -> dict[str, float |
 
 
 def _left(errors: Array) -> dict[str, float]:
-    """Correlation in time of the one-step errors: the largest over 20 lags, mean over outputs, and the outputs that are
-    coloured (Ljung-Box, 1 %)."""
+    """Correlation in time of the one-step errors: the largest over 20 lags, mean over outputs, and
+    the outputs that are coloured (Ljung-Box, 1 %)."""
     columns = [errors[:, [i]] for i in range(errors.shape[1])]
     largest = [float(np.abs(autocorrelation([c], 20).r).max()) for c in columns]
     return {
@@ -138,7 +151,9 @@ def floor(data: PaperData) -> dict[str, Any]:
         "mse_mixed": float(np.mean(f)),
         "mse_mixed_truth": float(np.mean(process)),
         "r2": float(np.mean(1.0 - f / y.var(axis=0))),
-        "nlpd": float(np.mean(0.5 * np.log(2.0 * np.pi * np.e * f / scale))) if np.all(f > 0) else None,
+        "nlpd": float(np.mean(0.5 * np.log(2.0 * np.pi * np.e * f / scale)))
+        if np.all(f > 0)
+        else None,
         **{f"coverage{level}": level / 100 for level in (50, 68, 95)},
     }
 
@@ -168,10 +183,11 @@ MORE: tuple[tuple[str, str, str], ...] = (
 
 
 def table(results: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
-    """Mean over seeds of every column, the spread of the two errors, and the paper's numbers; one line per method.
+    """Mean over seeds of every column, the spread of the two errors, and the paper's numbers; one
+    line per method.
 
-    free: error to the truth of a free run so far ahead. max corr, coloured: the largest correlation of one-step errors over
-    20 lags, and how many of the six outputs are coloured (Ljung-Box, 1 %).
+    free: error to the truth of a free run so far ahead. max corr, coloured: the largest correlation
+    of one-step errors over 20 lags, and how many of the six outputs are coloured (Ljung-Box, 1 %).
     """
     lines: list[str] = []
     for columns in (COLUMNS, MORE):
@@ -189,7 +205,9 @@ def table(results: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
                 line += f"{format(mean, form):>11s}" if np.isfinite(mean) else " " * 11
             lines.append(line.rstrip())
     lines.append("")
-    lines.append(f"{'over seeds':24s}{'MSE std: mean +- spread':>30s}{'to truth: mean +- spread':>30s}{'seeds':>7s}")
+    lines.append(
+        f"{'over seeds':24s}{'MSE std: mean +- spread':>30s}{'to truth: mean +- spread':>30s}{'seeds':>7s}"
+    )
     for name in names:
         rows = [r["methods"][name] for r in results if name in r["methods"]]
         if rows:
@@ -205,13 +223,16 @@ BASE = "PEM linear MIMO"
 """What knows no nonlinear effect."""
 
 
-def qualities(results: Sequence[Mapping[str, Any]], short: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
+def qualities(
+    results: Sequence[Mapping[str, Any]], short: Sequence[Mapping[str, Any]], names: Sequence[str]
+) -> str:
     """The paper's qualitative columns as what was measured, mean over seeds; one line per method.
 
-    named: parameters with a physical meaning, of all numbers trained. in 95 %, sigma~: how many errors lie inside, and the
-    rank correlation of sigma with the manoeuvre. hard: error to the truth in the hardest quarter over that of the MIMO
-    linear model; calm: the same in the calmest. data: error to the truth after a quarter of the data over that after all.
-    train s, Hz: seconds of CPU with tuning, predictions a second.
+    named: parameters with a physical meaning, of all numbers trained. in 95 %, sigma~: how many
+    errors lie inside, and the rank correlation of sigma with the manoeuvre. hard: error to the
+    truth in the hardest quarter over that of the MIMO linear model; calm: the same in the calmest.
+    data: error to the truth after a quarter of the data over that after all. train s, Hz: seconds
+    of CPU with tuning, predictions a second.
     """
     head = ("in 95 %", "sigma~", "hard", "calm", "data", "train s", "Hz")
     lines = [f"{'method':24s}{'named':>12s}" + "".join(f"{h:>9s}" for h in head)]
@@ -224,8 +245,12 @@ def qualities(results: Sequence[Mapping[str, Any]], short: Sequence[Mapping[str,
         rows = [r["methods"][name] for r in results if name in r["methods"]]
         if not rows:
             continue
-        whole = {r["seed"]: r["methods"][name]["mse_truth"] for r in results if name in r["methods"]}
-        less = [s["methods"][name]["mse_truth"] / whole[s["seed"]] for s in short if s["seed"] in whole]
+        whole = {
+            r["seed"]: r["methods"][name]["mse_truth"] for r in results if name in r["methods"]
+        }
+        less = [
+            s["methods"][name]["mse_truth"] / whole[s["seed"]] for s in short if s["seed"] in whole
+        ]
 
         share = f"{_mean(rows, 'named'):.0f}/{_mean(rows, 'parameters'):.0f}"
         lines.append(
@@ -243,8 +268,11 @@ def _mean(rows: Sequence[Mapping[str, Any]], key: str) -> float:
     return float(np.mean(found)) if found else float("nan")
 
 
-def verdict(results: Sequence[Mapping[str, Any]], hybrids: Sequence[str], others: Sequence[str]) -> str:
-    """In how many seeds the best hybrid wins, and its error to the truth over that of the best other, per seed."""
+def verdict(
+    results: Sequence[Mapping[str, Any]], hybrids: Sequence[str], others: Sequence[str]
+) -> str:
+    """In how many seeds the best hybrid wins, and its error to the truth over that of the best
+    other, per seed."""
     wins, halves, ratios = 0, 0, []
     for r in results:
         own = {n: r["methods"][n] for n in hybrids if n in r["methods"]}
@@ -259,6 +287,8 @@ def verdict(results: Sequence[Mapping[str, Any]], hybrids: Sequence[str], others
     if not ratios:
         return "no seed has both a hybrid and another method"
     return (
-        f"best hybrid has the lowest test MSE in {wins} of {len(ratios)} seeds; its error to the truth is at most half of "
-        f"the best other's in {halves} (ratio: median {np.median(ratios):.2f}, {min(ratios):.2f} .. {max(ratios):.2f})"
+        f"best hybrid has the lowest test MSE in {wins} of {len(ratios)} seeds; its error to the "
+        "truth is at most half of "
+        f"the best other's in {halves} (ratio: median {np.median(ratios):.2f}, {min(ratios):.2f} "
+        f".. {max(ratios):.2f})"
     )

@@ -1,9 +1,11 @@
-"""Does a planned flight deliver the standard errors that it promises? Many flights of one plan, each fitted.
+"""Does a planned flight deliver the standard errors that it promises? Many flights of one plan,
+each fitted.
 
-A vehicle file says what is known of a simulated craft; `greybox.planning` proposes a flight. An independent NumPy plant with
-a controller flies the setpoints and injected signals as an autopilot would, with sensor and process noise, once
-per seed; every log is fitted. The spread of the estimates is held against the plan's standard errors, and the same for
-hover and figure of eight of the same length, flown by the same plant.
+A vehicle file says what is known of a simulated craft; `greybox.planning` proposes a flight. An
+independent NumPy plant with a controller flies the setpoints and injected signals as an autopilot
+would, with sensor and process noise, once per seed; every log is fitted. The spread of the
+estimates is held against the plan's standard errors, and the same for hover and figure of eight of
+the same length, flown by the same plant.
 
     python -m scenarios.studies.plan_errors --seeds 64
     python -m scenarios.studies.plan_errors --seeds 64 --autopilot other
@@ -33,12 +35,24 @@ WANTED = ("motor_lag", "rotor_drag", "rotational_damping")
 DT = 0.01
 AUTOPILOTS = {
     "planned": Gains(
-        position=2.5, velocity=3.0, position_integral=0.0, height=2.5, climb=3.0, height_integral=0.0, attitude=60 / 13,
-        yaw=15 / 6.5, rate=13.0, yaw_rate=6.5, rate_integral=0.0, tilt_max=0.61, rate_max=50.0,
+        position=2.5,
+        velocity=3.0,
+        position_integral=0.0,
+        height=2.5,
+        climb=3.0,
+        height_integral=0.0,
+        attitude=60 / 13,
+        yaw=15 / 6.5,
+        rate=13.0,
+        yaw_rate=6.5,
+        rate_integral=0.0,
+        tilt_max=0.61,
+        rate_max=50.0,
     ),
     "other": DEFAULT,
-}  # fmt: skip
-"""Loop gains: those that the plan was simulated with, and another autopilot's, stiffer and with integrators."""
+}
+"""Loop gains: those that the plan was simulated with, and another autopilot's, stiffer and with
+integrators."""
 
 
 def plant() -> Quadrotor:
@@ -54,7 +68,8 @@ def plant() -> Quadrotor:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A flight's setpoints and injected signals, as reference and excitation of a simulated autopilot."""
+    """A flight's setpoints and injected signals, as reference and excitation of a simulated
+    autopilot."""
 
     columns: Mapping[str, Array]
 
@@ -66,7 +81,11 @@ class Table:
             return np.column_stack([c[f"sp_{letter}{a}"] for a in "xyz"])
 
         return Trajectory(
-            position=stack(""), velocity=stack("v"), acceleration=stack("a"), yaw=c["sp_yaw"], yaw_rate=c["sp_yaw_rate"]
+            position=stack(""),
+            velocity=stack("v"),
+            acceleration=stack("a"),
+            yaw=c["sp_yaw"],
+            yaw_rate=c["sp_yaw_rate"],
         )
 
 
@@ -78,7 +97,9 @@ class Injected:
 
     def sample(self, time: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Mixer inputs (N, 4): thrust, roll, pitch, yaw; no setpoint offsets."""
-        mixer = np.column_stack([self.columns[f"inj_{n}"] for n in ("thrust", "roll", "pitch", "yaw")])
+        mixer = np.column_stack(
+            [self.columns[f"inj_{n}"] for n in ("thrust", "roll", "pitch", "yaw")]
+        )
         return mixer, np.zeros_like(mixer)
 
 
@@ -105,33 +126,47 @@ def spread(
     noise: Mapping[str, float],
     gains: Gains,
 ) -> tuple[dict[str, Array], dict[str, Array], int]:
-    """Estimates by name (runs,), the fits' own standard errors, and how many failed, of the flight flown once per seed."""
+    """Estimates by name (runs,), the fits' own standard errors, and how many failed, of the flight
+    flown once per seed."""
     from greybox.data import dataset_from_arrays
     from greybox.estimation.fit import fit
 
     craft = plant()
     seconds = DT * len(columns["t"])
     logs = fly(
-        craft, controller_for(craft, gains), Table(columns=columns), Injected(columns=columns), seconds, DT, list(seeds)
+        craft,
+        controller_for(craft, gains),
+        Table(columns=columns),
+        Injected(columns=columns),
+        seconds,
+        DT,
+        list(seeds),
     )
     values: dict[str, list[float]] = {}
     stds: dict[str, list[float]] = {}
     failed = 0
     for k in range(len(seeds)):
         log = member(logs, k)
-        data = dataset_from_arrays(log["t"], {n: v for n, v in log.items() if n != "t"}, name=f"seed {seeds[k]}")
+        data = dataset_from_arrays(
+            log["t"], {n: v for n, v in log.items() if n != "t"}, name=f"seed {seeds[k]}"
+        )
         result = fit(model, data, free=free, noise=dict(noise))
         failed += not result.converged
         for n, e in result.parameters.items():
             values.setdefault(n, []).append(e.value)
             stds.setdefault(n, []).append(e.std)
-    return {n: np.array(v) for n, v in values.items()}, {n: np.array(v) for n, v in stds.items()}, failed
+    return (
+        {n: np.array(v) for n, v in values.items()},
+        {n: np.array(v) for n, v in stds.items()},
+        failed,
+    )
 
 
 def study(
     seeds: Sequence[int], *, seconds: float = 60.0, naive: bool = True, autopilot: str = "planned"
 ) -> dict[str, Any]:
-    """Plan, fly, fit. Rows by parameter: predicted and measured spread of the plan and of the naive flight."""
+    """Plan, fly, fit. Rows by parameter: predicted and measured spread of the plan and of the naive
+    flight."""
     from greybox.model.vehicle import read_vehicle
     from greybox.planning import plan
     from greybox.planning.excitation_blocks import excitation_blocks
@@ -141,10 +176,17 @@ def study(
     noise = noise_of(craft)
     with tempfile.TemporaryDirectory() as folder:
         path = write_vehicle(
-            Path(folder) / "v.toml", craft, sigma={"inertia": 0.3, "thrust": 0.3, "torque": 0.5}, known=WANTED
+            Path(folder) / "v.toml",
+            craft,
+            sigma={"inertia": 0.3, "thrust": 0.3, "torque": 0.5},
+            known=WANTED,
         )
         vehicle = read_vehicle(path)
-    declared = {"motor_lag.tau", *(f"rotor_drag.k_{a}" for a in "xy"), *(f"rotational_damping.d_{a}" for a in "pqr")}
+    declared = {
+        "motor_lag.tau",
+        *(f"rotor_drag.k_{a}" for a in "xy"),
+        *(f"rotational_damping.d_{a}" for a in "pqr"),
+    }
     core = {n for n, q in vehicle.quantities.items() if not q.exact}
     made = plan(vehicle, effects=WANTED, free=sorted(declared | core), seconds=seconds, noise=noise)
     model = made.subject.dynamics
@@ -153,11 +195,16 @@ def study(
     out: dict[str, Any] = {"plan": made, "rows": {}}
     flights = {"plan": steps}
     if naive:
-        every = {p.name: p for p in excitation_blocks(made.subject.flying, made.limits, seconds=steps[0][0].seconds)}
+        every = {
+            p.name: p
+            for p in excitation_blocks(
+                made.subject.flying, made.limits, seconds=steps[0][0].seconds
+            )
+        }
         count = len(steps)
-        flights["naive"] = ((every["hover"], 1.0),) * ((count + 1) // 2) + ((every["figure_eight"], 1.0),) * (
-            count // 2
-        )
+        flights["naive"] = ((every["hover"], 1.0),) * ((count + 1) // 2) + (
+            (every["figure_eight"], 1.0),
+        ) * (count // 2)
     free = list(made.subject.free)
     for name, flown in flights.items():
         columns = setpoints(flown, made.limits, DT, gravity)
@@ -167,16 +214,24 @@ def study(
             row = out["rows"].setdefault(n, {})
             predicted = (made.errors if name == "plan" else made.naive)[n][0]
             row[name] = {
-                "predicted": predicted, "measured": float(values[n].std(ddof=1)), "own": float(np.median(stds[n])),
+                "predicted": predicted,
+                "measured": float(values[n].std(ddof=1)),
+                "own": float(np.median(stds[n])),
                 "bias": float(values[n].mean() - truths(craft).get(n, np.nan)),
-            }  # fmt: skip
+            }
     return out
 
 
 def report(result: Mapping[str, Any], runs: int) -> str:
     """The table as text."""
-    head = f"{runs} flights each: standard deviations, the fits' own over the measured one, bias over the measured one"
-    lines = [head, f"{'':32}{'predicted':>11}{'measured':>11}{'ratio':>7}{'fit/meas':>9}{'bias':>9}"]
+    head = (
+        f"{runs} flights each: standard deviations, the fits' own over the measured one, bias "
+        "over the measured one"
+    )
+    lines = [
+        head,
+        f"{'':32}{'predicted':>11}{'measured':>11}{'ratio':>7}{'fit/meas':>9}{'bias':>9}",
+    ]
     for n, row in result["rows"].items():
         for name, r in row.items():
             ratio = r["measured"] / r["predicted"]
@@ -186,17 +241,23 @@ def report(result: Mapping[str, Any], runs: int) -> str:
     if both:
         gain = np.median([r["naive"]["measured"] / r["plan"]["measured"] for r in both])
         hope = np.median([r["naive"]["predicted"] / r["plan"]["predicted"] for r in both])
-        lines.append(f"naive over plan, median of the measured spreads: {gain:.2f} (predicted {hope:.2f})")
+        lines.append(
+            f"naive over plan, median of the measured spreads: {gain:.2f} (predicted {hope:.2f})"
+        )
     return "\n".join(lines)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=64)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--autopilot", choices=tuple(AUTOPILOTS), default="planned")
-    parser.add_argument("--plan-only", action="store_true", help="leave out hover and figure of eight")
+    parser.add_argument(
+        "--plan-only", action="store_true", help="leave out hover and figure of eight"
+    )
     arguments = parser.parse_args(argv)
     result = study(
         range(arguments.seeds),

@@ -1,4 +1,5 @@
-"""The figure of README.md: error against horizon on flights that the fit never saw, between floor and ceiling.
+"""The figure of README.md: error against horizon on flights that the fit never saw, between floor
+and ceiling.
 
 make demo
 python -m scenarios.studies.readme_figure demo_out/validate.json docs/images/nanobench.svg

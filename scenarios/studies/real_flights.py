@@ -1,12 +1,12 @@
-"""Is a sound flight ever blocked? Every real log: whether it can be fitted, what blocks it, how many
-samples are taken as missing in flight.
+"""Is a sound flight ever blocked? Every real log: whether it can be fitted, what blocks it, how
+many samples are taken as missing in flight.
 
     python -m scenarios.studies.real_flights [FOLDER ...]
 
 Without a folder the flights of the package. A FOLDER may have logs of any format, also below it. A
 log's vehicle file is that of the package where the package has a flight of that name, else what
-`greybox vehicle new --from LOG` makes of it. Flights of one vehicle are judged together, as `greybox
-check` does. Exit code 1 where a usable log is blocked or loses a sample in flight.
+`greybox vehicle new --from LOG` makes of it. Flights of one vehicle are judged together, as
+`greybox check` does. Exit code 1 where a usable log is blocked or loses a sample in flight.
 """
 
 from __future__ import annotations
@@ -37,14 +37,20 @@ def logs(folders: Sequence[Path]) -> Iterator[Path]:
 
 def known() -> dict[str, Vehicle]:
     """Vehicle of each flight of the package, by the flight's name."""
-    return {p.name.split(".")[0]: read_vehicle(vehicle_path(s)) for s in SETS for p in flight_paths(s)}
+    return {
+        p.name.split(".")[0]: read_vehicle(vehicle_path(s)) for s in SETS for p in flight_paths(s)
+    }
 
 
 def judged(raw: RawLog, report: CheckReport) -> tuple[int, int]:
     """(blocking findings, samples taken in flight) of one log in a report; both are printed."""
     mine = [f for f in report.findings if f.flight == raw.flight]
     blocking = [f for f in mine if f.severity == "blocking"]
-    lost = [f for f in mine if f.check == "ranges" and f.severity == "warning" and "missing" in f.message]
+    lost = [
+        f
+        for f in mine
+        if f.check == "ranges" and f.severity == "warning" and "missing" in f.message
+    ]
     for f in blocking + lost:
         print(f"    {f.severity} [{f.check}] {f.where}: {f.message}")
     return len(blocking), sum(int(f.evidence["rows"]) for f in lost)
@@ -52,7 +58,9 @@ def judged(raw: RawLog, report: CheckReport) -> tuple[int, int]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Judge all logs and print the counts."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER")
     arguments = parser.parse_args(argv)
     own = known()
@@ -84,7 +92,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             found = judged(raw, report)
             blocked += found[0] > 0
             lost += found[1]
-    print(f"{len(paths)} logs: {unusable} not usable, {flights} judged, {blocked} blocked, {lost} samples taken in flight")
+    print(
+        f"{len(paths)} logs: {unusable} not usable, {flights} judged, {blocked} blocked, {lost} "
+        "samples taken in flight"
+    )
     return 1 if blocked or lost else 0
 
 

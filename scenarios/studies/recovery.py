@@ -1,8 +1,10 @@
-"""Do the error bars tell the truth? Known parameters, recovered from many seeded closed-loop flights.
+"""Do the error bars tell the truth? Known parameters, recovered from many seeded closed-loop
+flights.
 
-The plant is independent of greybox (NumPy), flies in closed loop with process noise and an excited reference, and the
-vehicle file is off by ten per cent. Every run is one flight and one fit. Reported: coverage of the 95 % intervals, pooled
-and per parameter (exact binomial test, Bonferroni), and the normalised squared error against its chi-square band.
+The plant is independent of greybox (NumPy), flies in closed loop with process noise and an excited
+reference, and the vehicle file is off by ten per cent. Every run is one flight and one fit.
+Reported: coverage of the 95 % intervals, pooled and per parameter (exact binomial test,
+Bonferroni), and the normalised squared error against its chi-square band.
 
     python -m scenarios.studies.recovery --runs 200
 """
@@ -48,7 +50,8 @@ def plant() -> Quadrotor:
 
 @dataclass(frozen=True, kw_only=True)
 class Recovery:
-    """Errors of all runs: names (k,), estimates, stds (runs, k), truth (k,), nees (runs,) over k parameters."""
+    """Errors of all runs: names (k,), estimates, stds (runs, k), truth (k,), nees (runs,) over k
+    parameters."""
 
     names: tuple[str, ...]
     truth: np.ndarray
@@ -70,10 +73,13 @@ class Recovery:
     def p_values(self) -> np.ndarray:
         """Exact two-sided binomial test of 95 % coverage per parameter, (k,)."""
         runs = self.inside.shape[0]
-        return np.array([scipy.stats.binomtest(int(c), runs, 0.95).pvalue for c in self.inside.sum(axis=0)])
+        return np.array(
+            [scipy.stats.binomtest(int(c), runs, 0.95).pvalue for c in self.inside.sum(axis=0)]
+        )
 
     def nees_band(self, level: float = 0.99) -> tuple[float, float, float]:
-        """(mean normalised squared error per parameter, lower, upper end of its chi-square band)."""
+        """(mean normalised squared error per parameter, lower, upper end of its chi-square
+        band)."""
         runs, k = self.estimates.shape
         low, high = scipy.stats.chi2.ppf([(1 - level) / 2, (1 + level) / 2], runs * k) / (runs * k)
         return float(self.nees.mean() / k), float(low), float(high)
@@ -81,7 +87,10 @@ class Recovery:
     def format(self) -> str:
         """A table and the three verdicts."""
         p = self.p_values()
-        lines = [f"{'parameter':26s} {'truth':>11s} {'mean':>11s} {'bias/std':>9s} {'cover':>7s} {'p':>8s}"]
+        lines = [
+            f"{'parameter':26s} {'truth':>11s} {'mean':>11s} {'bias/std':>9s} {'cover':>7s} "
+            f"{'p':>8s}"
+        ]
         for j, name in enumerate(self.names):
             bias = (self.estimates[:, j] - self.truth[j]).mean() / self.stds[:, j].mean()
             lines.append(
@@ -93,9 +102,12 @@ class Recovery:
         lines.append(f"{runs} runs, {self.failed} not converged")
         lines.append(f"pooled coverage of the 95 % intervals: {100 * self.pooled_coverage:.2f} %")
         lines.append(
-            f"smallest p-value x {len(self.names)} parameters: {p.min() * len(self.names):.3g} (0.001 rejects)"
+            f"smallest p-value x {len(self.names)} parameters: {p.min() * len(self.names):.3g} "
+            "(0.001 rejects)"
         )
-        lines.append(f"mean normalised squared error: {mean:.4f}, 99 % band {low:.4f} .. {high:.4f}")
+        lines.append(
+            f"mean normalised squared error: {mean:.4f}, 99 % band {low:.4f} .. {high:.4f}"
+        )
         return "\n".join(lines)
 
 
@@ -116,7 +128,9 @@ def _fit_one(vehicle_path: str, log: Mapping[str, np.ndarray]) -> dict[str, Any]
     }
 
 
-def recover(runs: int, *, seconds: float = 20.0, first_seed: int = 1000, workers: int | None = None) -> Recovery:
+def recover(
+    runs: int, *, seconds: float = 20.0, first_seed: int = 1000, workers: int | None = None
+) -> Recovery:
     """Fly and fit `runs` seeds. Deterministic: results do not depend on the number of workers."""
     true_plant = plant()
     truth = true_plant.truth()["parameters"]
@@ -135,12 +149,19 @@ def recover(runs: int, *, seconds: float = 20.0, first_seed: int = 1000, workers
             for start in range(0, runs, BATCH):
                 seeds = list(range(first_seed + start, first_seed + min(start + BATCH, runs)))
                 log = fly(
-                    true_plant, controller_for(true_plant), RandomWaypoints(), rich_excitation(), seconds, seed=seeds,
+                    true_plant,
+                    controller_for(true_plant),
+                    RandomWaypoints(),
+                    rich_excitation(),
+                    seconds,
+                    seed=seeds,
                     warm_up=1.0,
-                )  # fmt: skip
+                )
                 jobs = [
                     pool.submit(
-                        _fit_one, vehicle, {k: v for k, v in member(log, i).items() if not k.startswith("omega")}
+                        _fit_one,
+                        vehicle,
+                        {k: v for k, v in member(log, i).items() if not k.startswith("omega")},
                     )
                     for i in range(len(seeds))
                 ]

@@ -74,7 +74,9 @@ class Corner:
         velocity[:, 0] = SWING * speed * np.cos(phase)
         acceleration[:, 0] = SWING * (push * np.cos(phase) - speed**2 * np.sin(phase))
         zero = np.zeros(t.size)
-        return SampledPath(position=place, velocity=velocity, acceleration=acceleration, yaw=zero, yaw_rate=zero)
+        return SampledPath(
+            position=place, velocity=velocity, acceleration=acceleration, yaw=zero, yaw_rate=zero
+        )
 
     def __call__(self, time: FloatArray) -> FloatArray:
         """(n, 2, 4): wall and floor."""
@@ -114,9 +116,15 @@ def gusty(craft: Craft, rotor: int) -> Craft:
 
 
 SHOCKS: dict[str, Callable[[Craft, int], Craft] | None] = {
-    "none": None, "payload": heavier, "rotor": weaker, "wind": blown, "battery": drained, "delay": later, "mocap": None,
+    "none": None,
+    "payload": heavier,
+    "rotor": weaker,
+    "wind": blown,
+    "battery": drained,
+    "delay": later,
+    "mocap": None,
     "gusts": gusty,
-}  # fmt: skip
+}
 DROPPED = 0.5
 """Length of the drop-out [s]."""
 
@@ -164,12 +172,19 @@ def pilot_of(name: str, folder: Path, craft: Craft) -> Any:
     if name == "pid":
         return Pid(craft)
     kind, model = TUBES[name], load_model(folder / "fit" / "model.json")
-    problem = TubeProblem(dt=0.02, horizon=20, planes=len(PLANES), tilt_max=0.8, ancillary=Weights(position=64.0))
+    problem = TubeProblem(
+        dt=0.02, horizon=20, planes=len(PLANES), tilt_max=0.8, ancillary=Weights(position=64.0)
+    )
     return TubeController(
-        model=model, problem=problem, reference=Corner(), planes=Corner(), kappa=(kind.kappa,) * (len(PLANES) + 1),
-        kappa_u=min(kind.kappa, 1.0), calibrate=kind.calibrate,
+        model=model,
+        problem=problem,
+        reference=Corner(),
+        planes=Corner(),
+        kappa=(kind.kappa,) * (len(PLANES) + 1),
+        kappa_u=min(kind.kappa, 1.0),
+        calibrate=kind.calibrate,
         adapt={"mass": MASS * model.values["mass"]} if kind.learn else None,
-    )  # fmt: skip
+    )
 
 
 def fly(pilot: Any, plant: ForeignPlant, shock: str, seed: int) -> dict[str, Any]:
@@ -201,9 +216,16 @@ def fly(pilot: Any, plant: ForeignPlant, shock: str, seed: int) -> dict[str, Any
             break
         plant.step(u.tolist(), DT)
         u = after
-    return row_of(np.array(beyond), np.array(away), at, steps) | coverage(np.array(within), at) | {
-        "shock": shock, "seed": seed, "at": at, "descended": _lands(pilot),
-    }  # fmt: skip
+    return (
+        row_of(np.array(beyond), np.array(away), at, steps)
+        | coverage(np.array(within), at)
+        | {
+            "shock": shock,
+            "seed": seed,
+            "at": at,
+            "descended": _lands(pilot),
+        }
+    )
 
 
 def _lands(pilot: Any) -> bool:
@@ -215,7 +237,11 @@ def _within(pilot: Any) -> tuple[float, float, int]:
     own = pilot.calibrated if isinstance(pilot, TubeController) else None
     if own is None:
         return 0.0, 0.0, 0
-    return float(np.nansum(own.held)), float(np.nansum(own.stated)), int(np.isfinite(own.held).sum())
+    return (
+        float(np.nansum(own.held)),
+        float(np.nansum(own.stated)),
+        int(np.isfinite(own.held).sum()),
+    )
 
 
 def coverage(within: FloatArray, at: float) -> dict[str, Any]:
@@ -227,7 +253,8 @@ def coverage(within: FloatArray, at: float) -> dict[str, Any]:
     parts = [within[round(1.0 / DT) : first]]
     parts += [within[k : k + size] for k in range(first, len(within) - size + 1, size)]
     held, stated = (
-        [round(float(p[:, i].sum() / max(p[:, 2].sum(), 1.0)), 4) for p in parts if p[:, 2].any()] for i in (0, 1)
+        [round(float(p[:, i].sum() / max(p[:, 2].sum(), 1.0)), 4) for p in parts if p[:, 2].any()]
+        for i in (0, 1)
     )
     return {"held": held, "stated": stated}
 
@@ -240,10 +267,12 @@ def row_of(beyond: FloatArray, away: FloatArray, at: float, steps: int) -> dict[
     windows = [bad[k : k + size] for k in range(first, first + WINDOWS * size, size)]
     settled = bad[round(2.0 / DT) : first]
     return {
-        "lost": lost, "before": round(float(settled.mean()), 4), "after": [round(float(w.mean()), 4) for w in windows],
+        "lost": lost,
+        "before": round(float(settled.mean()), 4),
+        "after": [round(float(w.mean()), 4) for w in windows],
         "deepest": round(1e3 * float(max(beyond[first:].max(initial=0.0), 0.0)), 1),
         "away": round(1e3 * float(np.mean(away[round(2.0 / DT) :])), 1),
-    }  # fmt: skip
+    }
 
 
 def back(rows: Sequence[Mapping[str, Any]]) -> float:
@@ -270,7 +299,10 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> str:
             if not mine:
                 continue
             cut = round(BACK / WINDOW)
-            early, late = (np.array([np.mean(r["after"][s]) for r in mine]) for s in (slice(0, cut), slice(cut, WINDOWS)))
+            early, late = (
+                np.array([np.mean(r["after"][s]) for r in mine])
+                for s in (slice(0, cut), slice(cut, WINDOWS))
+            )
             bad = int(np.sum(late > LEVEL))
             low, high = exact(bad, len(mine))
             when = back(mine)
@@ -287,11 +319,15 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def _shares(rows: Sequence[Mapping[str, Any]], windows: slice) -> str:
     """Mean shares inside calibrated and stated intervals in these windows; a dash where nothing is calibrated."""
-    both = [[np.mean(r[n][windows]) for r in rows if r.get(n, [])[windows]] for n in ("held", "stated")]
+    both = [
+        [np.mean(r[n][windows]) for r in rows if r.get(n, [])[windows]] for n in ("held", "stated")
+    ]
     return ", ".join(f"{100 * np.mean(v):.1f}" for v in both) + " %" if both[0] else "-"
 
 
-def run(folder: Path, shocks: Sequence[str], names: Sequence[str], seeds: Sequence[int], out: Path) -> None:
+def run(
+    folder: Path, shocks: Sequence[str], names: Sequence[str], seeds: Sequence[int], out: Path
+) -> None:
     """Fly what `out` has no row of yet, and keep a row of every flight."""
     truth, model = read_json(folder / "truth.json"), file_sha256(folder / "fit" / "model.json")[:12]
     drawn = draw(int(truth["seed"]), truth["simulator"], truth["hidden"])
@@ -299,7 +335,9 @@ def run(folder: Path, shocks: Sequence[str], names: Sequence[str], seeds: Sequen
     if not isinstance(plant, ForeignPlant):
         raise SystemExit(f"{folder}: flown by {truth['simulator']}; expected rotorpy or mujoco")
     which = {"craft": drawn.seed, "simulator": drawn.simulator, "model": model}
-    there = {(r["craft"], r["model"], r["shock"], r["controller"], r["seed"]) for r in read_rows(out)}
+    there = {
+        (r["craft"], r["model"], r["shock"], r["controller"], r["seed"]) for r in read_rows(out)
+    }
     pilots: dict[str, Any] = {}
     for seed in seeds:
         for shock in shocks:
@@ -307,17 +345,26 @@ def run(folder: Path, shocks: Sequence[str], names: Sequence[str], seeds: Sequen
                 if (drawn.seed, model, shock, name, seed) in there:
                     continue
                 pilots[name] = pilots.get(name) or pilot_of(name, folder, drawn.craft)
-                row: dict[str, Any] = which | {"controller": name} | fly(pilots[name], plant, shock, seed)
+                row: dict[str, Any] = (
+                    which | {"controller": name} | fly(pilots[name], plant, shock, seed)
+                )
                 append_json_line(out, row)
                 late = np.mean(row["after"][round(BACK / WINDOW) :])
-                print(f"{shock:8} {name:8} flight {seed}: {100 * row['before']:5.1f} % beyond before, {100 * late:5.1f} % "
-                      f"later, deepest {row['deepest']:.0f} mm{', lost' if row['lost'] else ''}", flush=True)  # fmt: skip
+                print(
+                    f"{shock:8} {name:8} flight {seed}: {100 * row['before']:5.1f} % beyond before, {100 * late:5.1f} % "
+                    f"later, deepest {row['deepest']:.0f} mm{', lost' if row['lost'] else ''}",
+                    flush=True,
+                )
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Fly and keep rows, or sum them up."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", help="a drawn craft with fit/model.json in it")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "folder", type=Path, nargs="?", help="a drawn craft with fit/model.json in it"
+    )
     parser.add_argument("--shocks", nargs="+", choices=tuple(SHOCKS), default=tuple(SHOCKS))
     parser.add_argument("--controllers", nargs="+", choices=CONTROLLERS, default=CONTROLLERS)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1])
@@ -330,7 +377,9 @@ def main(argv: Sequence[str] | None = None) -> None:
             parser.error("name the folder of a drawn craft, or --summary")
         for needed in ("truth.json", "fit/model.json"):
             if not (options.folder / needed).is_file():
-                parser.error(f"{options.folder} has no {needed}: draw the craft and fit it first, as --help says")
+                parser.error(
+                    f"{options.folder} has no {needed}: draw the craft and fit it first, as --help says"
+                )
         run(options.folder, options.shocks, options.controllers, options.seeds, options.out)
     print(summary(read_rows(options.out)))
 

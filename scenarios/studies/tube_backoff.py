@@ -1,12 +1,15 @@
-"""What does it cost to hold the back-offs fixed within an iteration, and the learned error for white noise?
+"""What does it cost to hold the back-offs fixed within an iteration, and the learned error for
+white noise?
 
-Along one training flight, plans that touch a tightened plane are computed again on a short horizon from the same estimate:
+Along one training flight, plans that touch a tightened plane are computed again on a short horizon
+from the same estimate:
 
     one         one iteration from the plan before, as in flight
     zero-order  to convergence, back-offs renewed in every iteration but not differentiated (zoRO)
     full        by IPOPT with the covariance recursion as part of the problem
 
-and for the whole horizon the back-offs are compared with those of a white learned error and of the worst case.
+and for the whole horizon the back-offs are compared with those of a white learned error and of the
+worst case.
 
     python -m scenarios.studies.tube_backoff --out OUT [--horizon 6] [--deviations 1.5]
 """
@@ -35,26 +38,35 @@ from scenarios.studies.tube_mpc import PROBLEM, controller, flight, models
 Array = NDArray[np.float64]
 SEED = TRAINING_SEEDS[30]
 APART = 0.15
-"""Plans that touch a tightened limit within the short horizon are computed again, at least this far apart [s]."""
+"""Plans that touch a tightened limit within the short horizon are computed again, at least this far
+apart [s]."""
 OPTIONS = {
-    "ipopt.hessian_approximation": "limited-memory", "ipopt.tol": 1e-6, "ipopt.max_iter": 400,
+    "ipopt.hessian_approximation": "limited-memory",
+    "ipopt.tol": 1e-6,
+    "ipopt.max_iter": 400,
     "ipopt.acceptable_tol": 1e-5,
-}  # fmt: skip
+}
 
 
 def follow(follower: TubeController, flown: TubeController) -> None:
-    """Give a controller of another horizon the estimate, command before and steady state of the one that flies."""
+    """Give a controller of another horizon the estimate, command before and steady state of the one
+    that flies."""
     follower.estimate, follower.past = flown.estimate.copy(), [v.copy() for v in flown.past]
     follower.u = flown.past[0].copy()
     follower.steady, follower.p = (flown.steady[0].copy(), flown.steady[1].copy()), flown.p.copy()
 
 
 def room(pilot: TubeController, horizon: int) -> float:
-    """Least distance of the plan to a tightened plane within the first stages [m]; below zero where slack is used."""
+    """Least distance of the plan to a tightened plane within the first stages [m]; below zero where
+    slack is used."""
     data = pilot.solver.data
     place = data["x"][1 : horizon + 1, block(pilot.functions, "position")]
     planes = data["plane"][1 : horizon + 1]
-    left = planes[..., 3] - np.einsum("kpi,ki->kp", planes[..., :3], place) - data["backoff"][1 : horizon + 1, :-1]
+    left = (
+        planes[..., 3]
+        - np.einsum("kpi,ki->kp", planes[..., :3], place)
+        - data["backoff"][1 : horizon + 1, :-1]
+    )
     there = (planes[..., :3] != 0).any(axis=-1)
     return float(np.where(there, left, np.inf).min())
 
@@ -63,9 +75,14 @@ def compare(model: IdentifiedModel, horizon: int, deviations: float) -> list[dic
     """One row per plan: commands, cost and seconds of the three ways."""
     pilot = controller(model, deviations=deviations)
     short = TubeController(
-        model=model, problem=replace(PROBLEM, horizon=horizon), reference=pilot.reference, planes=pilot.planes,
-        kappa=pilot.kappa, kappa_u=pilot.kappa_u, integrate=False,
-    )  # fmt: skip
+        model=model,
+        problem=replace(PROBLEM, horizon=horizon),
+        reference=pilot.reference,
+        planes=pilot.planes,
+        kappa=pilot.kappa,
+        kappa_u=pilot.kappa_u,
+        integrate=False,
+    )
     full = IpoptSolver(short.solver, backoff="full", options=OPTIONS)
     rows: list[dict[str, Any]] = []
     last = pilot.plan
@@ -86,18 +103,21 @@ def compare(model: IdentifiedModel, horizon: int, deviations: float) -> list[dic
         data["iterations_max"][()], data["tube_updates_max"][()] = 100, 100
         converged = short.solver.solve()
         row: dict[str, Any] = {
-            "time": last.time, "kkt": converged.kkt, "seconds": converged.seconds,
-            "one": float(np.abs(one[0] - data["u"][0]).max()), "slack": float(data["slack"].max()),
+            "time": last.time,
+            "kkt": converged.kkt,
+            "seconds": converged.seconds,
+            "one": float(np.abs(one[0] - data["u"][0]).max()),
+            "slack": float(data["slack"].max()),
             "room": room(short, horizon),
-        }  # fmt: skip
+        }
         began = time.perf_counter()
         try:
             found = full.solve()
             row |= {
-                "full": float(np.abs(found.u[0] - data["u"][0]).max()), "full_place": float(
-                    np.linalg.norm(found.x[-1, :3] - data["x"][-1, :3])
-                ), "full_seconds": time.perf_counter() - began,
-            }  # fmt: skip
+                "full": float(np.abs(found.u[0] - data["u"][0]).max()),
+                "full_place": float(np.linalg.norm(found.x[-1, :3] - data["x"][-1, :3])),
+                "full_seconds": time.perf_counter() - began,
+            }
         except GreyboxError as error:
             row |= {"failed": str(error)}
         rows.append(row)
@@ -108,8 +128,13 @@ def compare(model: IdentifiedModel, horizon: int, deviations: float) -> list[dic
 
 
 def backoffs(model: IdentifiedModel, deviations: float) -> dict[str, Array]:
-    """(N, planes + 1) Mean back-offs along a flight: consider states, white learned error, worst case."""
-    kinds: dict[str, dict[str, Any]] = {"consider": {}, "white": {"white": True}, "worst case": {"worst": True}}
+    """(N, planes + 1) Mean back-offs along a flight: consider states, white learned error, worst
+    case."""
+    kinds: dict[str, dict[str, Any]] = {
+        "consider": {},
+        "white": {"white": True},
+        "worst case": {"worst": True},
+    }
     found = {}
     for name, choice in kinds.items():
         pilot = controller(model, deviations=deviations, **choice)
@@ -127,7 +152,9 @@ def backoffs(model: IdentifiedModel, deviations: float) -> dict[str, Array]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the study."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", required=True, type=Path)
     parser.add_argument("--horizon", type=int, default=6)
     parser.add_argument("--deviations", type=float, default=1.5)
@@ -137,12 +164,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     wide = backoffs(hybrid, options.deviations)
     for name, value in wide.items():
         print(
-            f"{name:10s} mean back-off of the wall at stages 1, 5, 10, 20: {np.round(1e3 * value[[0, 4, 9, 19], 0], 2)} mm"
+            f"{name:10s} mean back-off of the wall at stages 1, 5, 10, 20: "
+            f"{np.round(1e3 * value[[0, 4, 9, 19], 0], 2)} mm"
         )
     rows = compare(hybrid, options.horizon, options.deviations)
-    write_json(options.out / "backoff.json", {
-        "schema": "greybox.study/1", "rows": rows, "backoffs": {k: v.tolist() for k, v in wide.items()},
-    })  # fmt: skip
+    write_json(
+        options.out / "backoff.json",
+        {
+            "schema": "greybox.study/1",
+            "rows": rows,
+            "backoffs": {k: v.tolist() for k, v in wide.items()},
+        },
+    )
 
 
 if __name__ == "__main__":

@@ -97,10 +97,18 @@ def models(out: Path, report: Callable[[str], None] = print) -> dict[str, Identi
     names = ("nominal", "pem", "hybrid")
     if not all((out / f"{n}.json").exists() for n in names):
         data = training_flight()
-        card = read_vehicle(write_vehicle(out / "vehicle.toml", vehicle(), sigma=SIGMA, errors=ERRORS))
+        card = read_vehicle(
+            write_vehicle(out / "vehicle.toml", vehicle(), sigma=SIGMA, errors=ERRORS)
+        )
         noise = ("force", "torque")
         report("identifying from one flight of 60 s")
-        plain = fit(build_model(card, data.channels, ()), data, initialisation="nominal", disturbance=noise, free=())
+        plain = fit(
+            build_model(card, data.channels, ()),
+            data,
+            initialisation="nominal",
+            disturbance=noise,
+            free=(),
+        )
         save_model(plain.model, out / "nominal.json")
         physics = build_model(card, data.channels, EFFECTS)
         fitted = fit(physics, data, initialisation="nominal", disturbance=noise, fixed=HELD)
@@ -119,7 +127,9 @@ class Route:
     """The course's reference and planes at multiples of DT, computed once."""
 
     def __init__(self) -> None:
-        self.times: Array = np.asarray(DT * np.arange(round((OBSTACLE_COURSE.duration + 1.0) / DT)), dtype=float)
+        self.times: Array = np.asarray(
+            DT * np.arange(round((OBSTACLE_COURSE.duration + 1.0) / DT)), dtype=float
+        )
         self.whole = OBSTACLE_COURSE.sample(self.times)
         self.limits = np.zeros((self.times.size, len(OBSTACLE_COURSE.planes), 4))
         self.limits[..., 3] = 1.0
@@ -149,15 +159,25 @@ def route() -> Route:
 
 
 def controller(
-    model: IdentifiedModel, *, deviations: float = 0.0, moved: float = 0.0, white: bool = False, worst: bool = False
+    model: IdentifiedModel,
+    *,
+    deviations: float = 0.0,
+    moved: float = 0.0,
+    white: bool = False,
+    worst: bool = False,
 ) -> TubeController:
     """The tube controller on the course; `deviations` tighten planes and tilt, one of them at most the commands."""
     problem = replace(PROBLEM, kind="worst case") if worst else PROBLEM
     return TubeController(
-        model=model, problem=replace(problem, tilt_max=problem.tilt_max - TILT_PER_METRE * moved), reference=route(),
-        planes=lambda t: route().planes(t, moved), kappa=(deviations,) * (len(OBSTACLE_COURSE.planes) + 1),
-        kappa_u=min(deviations, 1.0), integrate=False, white=white,
-    )  # fmt: skip
+        model=model,
+        problem=replace(problem, tilt_max=problem.tilt_max - TILT_PER_METRE * moved),
+        reference=route(),
+        planes=lambda t: route().planes(t, moved),
+        kappa=(deviations,) * (len(OBSTACLE_COURSE.planes) + 1),
+        kappa_u=min(deviations, 1.0),
+        integrate=False,
+        white=white,
+    )
 
 
 class Cascade:
@@ -178,9 +198,12 @@ class Cascade:
         """The command from the next sample on."""
         path = route().sample(np.array([time_ + DT]))
         goal = Setpoint(
-            position=tuple(path.position[0]), velocity=tuple(path.velocity[0]),
-            acceleration=tuple(path.acceleration[0]), yaw=float(path.yaw[0]), yaw_rate=float(path.yaw_rate[0]),
-        )  # fmt: skip
+            position=tuple(path.position[0]),
+            velocity=tuple(path.velocity[0]),
+            acceleration=tuple(path.acceleration[0]),
+            yaw=float(path.yaw[0]),
+            yaw_rate=float(path.yaw_rate[0]),
+        )
         self.u = np.array(self.inner(seen, goal, DT, (0.0, 0.0, 0.0, 0.0)))
         return self.u
 
@@ -218,16 +241,26 @@ def flight(
                 at(k, plant, pilot)
     path, given = np.array(states), np.array(commands)
     margins = {n: float(m.min()) for n, m in OBSTACLE_COURSE.margins(path[:, :3]).items()}
-    tilt = np.arccos(np.clip(numeric("rotate", path[:, 6:10], np.tile([0.0, 0.0, 1.0], (len(path), 1)))[:, 2], -1, 1))
+    tilt = np.arccos(
+        np.clip(
+            numeric("rotate", path[:, 6:10], np.tile([0.0, 0.0, 1.0], (len(path), 1)))[:, 2], -1, 1
+        )
+    )
     error = np.linalg.norm(path[:, :3] - reference.position[: len(path)], axis=1)
     out = {
-        "seed": seed, "crashed": crashed, "margins": margins, "tilt": float(tilt.max()),
+        "seed": seed,
+        "crashed": crashed,
+        "margins": margins,
+        "tilt": float(tilt.max()),
         "rmse": float(np.sqrt(np.mean(error**2))),
         "cost": CRASH if crashed else tracking_cost(path, given, reference, PROBLEM.weights),
         "events": len(pilot.events),
-    }  # fmt: skip
+    }
     if seconds:
-        out |= {"median_ms": 1e3 * float(np.median(seconds)), "p99_ms": 1e3 * float(np.quantile(seconds, 0.99))}
+        out |= {
+            "median_ms": 1e3 * float(np.median(seconds)),
+            "p99_ms": 1e3 * float(np.quantile(seconds, 0.99)),
+        }
     return out
 
 
@@ -247,7 +280,9 @@ def tilted(record: dict[str, Any]) -> bool:
 # ------------------------------------------------------------------------------------------------ controllers
 
 
-def pilots(out: Path, report: Callable[[str], None] = print) -> Iterator[tuple[str, Callable[[], Any]]]:
+def pilots(
+    out: Path, report: Callable[[str], None] = print
+) -> Iterator[tuple[str, Callable[[], Any]]]:
     """(name, factory) of every controller; what a factory needs is tuned when it is called."""
     # imported here: what is tuned is flown with this module's controllers
     from scenarios.studies.tube_tuning import Tuning
@@ -285,7 +320,9 @@ def summary(records: Sequence[dict[str, Any]]) -> str:
         test = f"{binomtest(hits, n, level, alternative='greater').pvalue:.3f}" if level else ""
         low, high = wilson(hits, n)
         whole = [r for r in mine if not r["crashed"]]
-        middle, late = (np.median([r[k] for r in mine if k in r] or [math.nan]) for k in ("median_ms", "p99_ms"))
+        middle, late = (
+            np.median([r[k] for r in mine if k in r] or [math.nan]) for k in ("median_ms", "p99_ms")
+        )
         lines.append(
             f"{name:10s} {n:7d} {hits / n:7.3f} {low:6.3f}-{high:.3f} {test:>15s} {sum(map(tilted, mine)):7d} "
             f"{n - len(whole):8d} {np.mean([r['rmse'] for r in whole] or [math.nan]):9.4f} "
@@ -296,7 +333,10 @@ def summary(records: Sequence[dict[str, Any]]) -> str:
 
 def paired(records: Sequence[dict[str, Any]], one: str, other: str) -> tuple[float, float, int]:
     """Mean of cost(one) - cost(other) over the seeds that both flew, its standard error, and how many these are."""
-    costs = {name: {r["seed"]: r["cost"] for r in records if r["controller"] == name} for name in (one, other)}
+    costs = {
+        name: {r["seed"]: r["cost"] for r in records if r["controller"] == name}
+        for name in (one, other)
+    }
     gaps = [costs[one][s] - costs[other][s] for s in costs[one].keys() & costs[other].keys()]
     if len(gaps) < 2:
         return math.nan, math.nan, len(gaps)
@@ -305,10 +345,14 @@ def paired(records: Sequence[dict[str, Any]], one: str, other: str) -> tuple[flo
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the study."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", required=True, type=Path)
     parser.add_argument("--flights", type=int, default=200, help="judging flights per controller")
-    parser.add_argument("--first", type=int, default=0, help="how many judging seeds to leave out at the beginning")
+    parser.add_argument(
+        "--first", type=int, default=0, help="how many judging seeds to leave out at the beginning"
+    )
     parser.add_argument("--only", help="controllers, separated by commas")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -324,15 +368,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
             todo = [s for s in seeds[i : i + TURN] if (name, s) not in done]
             if not todo:
                 continue
-            pilot, began = flown.get(name) or flown.setdefault(name, made[name]()), time.perf_counter()
+            pilot, began = (
+                flown.get(name) or flown.setdefault(name, made[name]()),
+                time.perf_counter(),
+            )
             for seed in todo:
                 record = {
-                    "controller": name, "kappa": max(getattr(pilot, "kappa", ()), default=0.0), **flight(pilot, seed)
-                }  # fmt: skip
+                    "controller": name,
+                    "kappa": max(getattr(pilot, "kappa", ()), default=0.0),
+                    **flight(pilot, seed),
+                }
                 records.append(record)
                 append_json_line(log, record)
             each = (time.perf_counter() - began) / len(todo)
-            print(f"  {name}: {i + len(seeds[i : i + TURN])} of {len(seeds)}, {each:.1f} s each", flush=True)
+            print(
+                f"  {name}: {i + len(seeds[i : i + TURN])} of {len(seeds)}, {each:.1f} s each",
+                flush=True,
+            )
     print(summary(records))
     for name in LEVELS:
         gap, error, n = paired(records, name, "constant")

@@ -47,7 +47,10 @@ SOFT, FLAT = 1.5, math.radians(35.0)
 PATIENCE = 6.0
 """So long after the end of the course a descent may last [s]."""
 ROUNDING = 1e-6
-PLACE, ALL = ("x", "y", "z"), ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r", "ax", "ay", "az")
+PLACE, ALL = (
+    ("x", "y", "z"),
+    ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r", "ax", "ay", "az"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +100,11 @@ def _one(samples: float, value: float) -> Change:
 
     def change(seen: Seen, k: int, rng: np.random.Generator) -> Seen:
         names = [c for c in ALL if c in seen]
-        return seen | {names[int(rng.bit_generator.seed_seq.entropy[0]) % len(names)]: value} if k < samples else seen  # type: ignore[attr-defined]
+        return (
+            seen | {names[int(rng.bit_generator.seed_seq.entropy[0]) % len(names)]: value}
+            if k < samples
+            else seen
+        )  # type: ignore[attr-defined]
 
     return change
 
@@ -123,33 +130,68 @@ FAULTS = {
     for f in (
         Fault(name="none", text="nothing breaks"),
         Fault(name="rotor-30", text="one rotor loses 30 % of its thrust", weak=0.7),
-        Fault(name="rotor-75", text="one rotor loses 75 % of its thrust: no steady hover with yaw", weak=0.25),
-        Fault(name="battery", text="voltage falls: all thrusts times 0.85", weak=0.85, all_rotors=True),
-        Fault(name="collapse", text="voltage collapses: all thrusts times 0.315, less than the weight", weak=0.315,
-              all_rotors=True),
+        Fault(
+            name="rotor-75",
+            text="one rotor loses 75 % of its thrust: no steady hover with yaw",
+            weak=0.25,
+        ),
+        Fault(
+            name="battery", text="voltage falls: all thrusts times 0.85", weak=0.85, all_rotors=True
+        ),
+        Fault(
+            name="collapse",
+            text="voltage collapses: all thrusts times 0.315, less than the weight",
+            weak=0.315,
+            all_rotors=True,
+        ),
         Fault(name="drop-1", text="one sample without measurements", seen=_lost(ALL, 1)),
-        Fault(name="drop-10", text="ten samples in a row without measurements", seen=_lost(ALL, 10)),
-        Fault(name="drop-1%", text="1 % of the samples without measurements", seen=_now_and_then(0.01, lambda s, _: {})),
+        Fault(
+            name="drop-10", text="ten samples in a row without measurements", seen=_lost(ALL, 10)
+        ),
+        Fault(
+            name="drop-1%",
+            text="1 % of the samples without measurements",
+            seen=_now_and_then(0.01, lambda s, _: {}),
+        ),
         Fault(name="nan-one", text="one channel NaN for 0.5 s", seen=_one(50, math.nan)),
         Fault(name="inf-one", text="one channel infinite for 0.5 s", seen=_one(50, math.inf)),
         Fault(name="nan-all", text="all channels NaN for 0.1 s", seen=_lost(ALL, 10)),
-        Fault(name="inf-all", text="all channels infinite for 0.1 s", seen=_lost(ALL, 10, -math.inf)),
+        Fault(
+            name="inf-all", text="all channels infinite for 0.1 s", seen=_lost(ALL, 10, -math.inf)
+        ),
         Fault(name="place-lost", text="no position from then on", seen=_lost(PLACE, math.inf)),
         Fault(name="all-lost", text="no measurement from then on", seen=_lost(ALL, math.inf)),
         Fault(name="qp-1", text="the QP fails once", failing=1),
         Fault(name="qp-5", text="the QP fails five times in a row", failing=5),
         Fault(name="qp-50", text="the QP fails fifty times in a row", failing=50),
         Fault(name="late-1", text="the controller is not called for one sample", seen=_called(1)),
-        Fault(name="late-10", text="the controller is not called for ten samples", seen=_called(10)),
-        Fault(name="late-5%", text="5 % of the calls do not come", seen=_now_and_then(0.05, lambda s, _: None)),
+        Fault(
+            name="late-10", text="the controller is not called for ten samples", seen=_called(10)
+        ),
+        Fault(
+            name="late-5%",
+            text="5 % of the calls do not come",
+            seen=_now_and_then(0.05, lambda s, _: None),
+        ),
         Fault(name="clock+1", text="the clock jumps ahead by 1 s", clock=1.0),
         Fault(name="clock-1", text="the clock jumps back by 1 s", clock=-1.0),
-        Fault(name="spikes", text="1 % of the positions 0.5 m off", seen=_now_and_then(0.01, _spike(PLACE, 0.5))),
-        Fault(name="wild", text="1 % of the samples with one channel 1e6 off", seen=_now_and_then(0.01, _spike(ALL, 1e6))),
-        Fault(name="gyro", text="1 % of the gyro's samples 5 rad/s off",
-              seen=_now_and_then(0.01, _spike(("p", "q", "r"), 5.0))),
+        Fault(
+            name="spikes",
+            text="1 % of the positions 0.5 m off",
+            seen=_now_and_then(0.01, _spike(PLACE, 0.5)),
+        ),
+        Fault(
+            name="wild",
+            text="1 % of the samples with one channel 1e6 off",
+            seen=_now_and_then(0.01, _spike(ALL, 1e6)),
+        ),
+        Fault(
+            name="gyro",
+            text="1 % of the gyro's samples 5 rad/s off",
+            seen=_now_and_then(0.01, _spike(("p", "q", "r"), 5.0)),
+        ),
     )
-}  # fmt: skip
+}
 
 
 def broken_vehicle(fault: Fault, begin: float, rotor: int) -> Quadrotor:
@@ -158,9 +200,12 @@ def broken_vehicle(fault: Fault, begin: float, rotor: int) -> Quadrotor:
     factors = [1.0] * 4 if not fault.all_rotors else [fault.weak] * 4
     factors[rotor] = fault.weak
     return Quadrotor(
-        whole.airframe, (*whole.effects, WeakRotors(begin=begin, factors=tuple(factors))), battery=whole.battery,
-        sensors=whole.sensors, process=whole.process,
-    )  # fmt: skip
+        whole.airframe,
+        (*whole.effects, WeakRotors(begin=begin, factors=tuple(factors))),
+        battery=whole.battery,
+        sensors=whole.sensors,
+        process=whole.process,
+    )
 
 
 def fly(pilot: TubeController, task: Mission, fault: Fault, seed: int) -> dict[str, Any]:
@@ -197,7 +242,10 @@ def fly(pilot: TubeController, task: Mission, fault: Fault, seed: int) -> dict[s
             broken.append("a command is not finite")
             outcome = "crashed"
             break
-        if following.min() < limits.command_min - ROUNDING or following.max() > limits.command_max + ROUNDING:
+        if (
+            following.min() < limits.command_min - ROUNDING
+            or following.max() > limits.command_max + ROUNDING
+        ):
             broken.append(f"command beyond its limits: {following.round(4).tolist()}")
         if np.abs(following - u).max() > limits.rate_max + ROUNDING:
             broken.append(f"command changes by {np.abs(following - u).max():.3f}")
@@ -222,29 +270,51 @@ def fly(pilot: TubeController, task: Mission, fault: Fault, seed: int) -> dict[s
 
 def _tilt(path: FloatArray) -> FloatArray:
     """Angle between thrust and vertical [rad], from the last two columns, qx and qy."""
-    return np.asarray(np.arccos(np.clip(1.0 - 2.0 * (path[:, 4] ** 2 + path[:, 5] ** 2), -1.0, 1.0)))
+    return np.asarray(
+        np.arccos(np.clip(1.0 - 2.0 * (path[:, 4] ** 2 + path[:, 5] ** 2), -1.0, 1.0))
+    )
 
 
 def _row(
-    fault: Fault, seed: int, begin: float, path: FloatArray, flown: int, outcome: str, broken: Sequence[str],
-    pilot: TubeController, task: Mission,
-) -> dict[str, Any]:  # fmt: skip
+    fault: Fault,
+    seed: int,
+    begin: float,
+    path: FloatArray,
+    flown: int,
+    outcome: str,
+    broken: Sequence[str],
+    pilot: TubeController,
+    task: Mission,
+) -> dict[str, Any]:
     course, n = task.course, min(flown, len(path), round(task.course.duration / task.dt))
-    margins = {name: float(m.min(initial=np.inf)) for name, m in course.margins(path[:n, :3]).items()}
+    margins = {
+        name: float(m.min(initial=np.inf)) for name, m in course.margins(path[:n, :3]).items()
+    }
     reference = course.sample(np.asarray(task.dt * np.arange(n), dtype=float))
     down = path[flown:]
     return {
-        "fault": fault.name, "seed": seed, "begin": round(begin, 3), "outcome": outcome, "broken": list(broken)[:5],
-        "broken_count": len(broken), "crossed": {k: -v for k, v in margins.items() if v < 0},
+        "fault": fault.name,
+        "seed": seed,
+        "begin": round(begin, 3),
+        "outcome": outcome,
+        "broken": list(broken)[:5],
+        "broken_count": len(broken),
+        "crossed": {k: -v for k, v in margins.items() if v < 0},
         "rmse": float(np.sqrt(np.mean(np.sum((path[:n, :3] - reference.position) ** 2, axis=1)))),
         "tilt": float(_tilt(path).max()),
-        "events": dict(Counter(e.what for e in pilot.events)), "seconds": round(task.dt * len(path), 2),
-        "descent": None if not len(down) else {
-            "begin": round(task.dt * flown, 2), "after": round(task.dt * flown - begin, 2),
-            "fastest": float(-down[:, 3].min()), "touched": float(-down[-1, 3]), "tilt": float(_tilt(down).max()),
+        "events": dict(Counter(e.what for e in pilot.events)),
+        "seconds": round(task.dt * len(path), 2),
+        "descent": None
+        if not len(down)
+        else {
+            "begin": round(task.dt * flown, 2),
+            "after": round(task.dt * flown - begin, 2),
+            "fastest": float(-down[:, 3].min()),
+            "touched": float(-down[-1, 3]),
+            "tilt": float(_tilt(down).max()),
             "drift": float(np.linalg.norm(down[:, :2] - down[0, :2], axis=1).max()),
         },
-    }  # fmt: skip
+    }
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
@@ -257,12 +327,17 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         mine = [r for r in rows if r["fault"] == name]
         if not mine:
             continue
-        count = {o: sum(r["outcome"] == o for r in mine) for o in ("course", "landed", "crashed", "in the air")}
+        count = {
+            o: sum(r["outcome"] == o for r in mine)
+            for o in ("course", "landed", "crashed", "in the air")
+        }
         depth = [max(r["crossed"].values()) for r in mine if r["crossed"]]
         kinds = Counter[str]()
         for r in mine:
             kinds.update(r["events"])
-        said = ", ".join(f"{what}: {times / len(mine):.3g}" for what, times in sorted(kinds.items()))
+        said = ", ".join(
+            f"{what}: {times / len(mine):.3g}" for what, times in sorted(kinds.items())
+        )
         lines.append(
             f"{name:10s} {len(mine):3d} {count['course']:6d} {count['landed']:6d} "
             f"{count['crashed'] + count['in the air']:7d} "
@@ -274,10 +349,16 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the study."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", required=True, type=Path)
     parser.add_argument("--flights", type=int, default=10, help="flights per fault")
-    parser.add_argument("--model", type=Path, help="model file; default: the demo's hybrid, identified in OUT/models")
+    parser.add_argument(
+        "--model",
+        type=Path,
+        help="model file; default: the demo's hybrid, identified in OUT/models",
+    )
     parser.add_argument("--only", help="faults, separated by commas")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -285,7 +366,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # imported here: identification needs what training a Gaussian process needs
         from mpc_export.mission.demo import identify
 
-        options.model = identify(options.out / "models").get("hybrid", options.out / "models" / "pem.json")
+        options.model = identify(options.out / "models").get(
+            "hybrid", options.out / "models" / "pem.json"
+        )
     model = load_model(options.model)
     task = mission(model, OBSTACLE_COURSE)
     pilot = tightened(controller(model, task), task, kappa=KAPPA)

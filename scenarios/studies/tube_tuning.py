@@ -1,6 +1,8 @@
-"""Where the back-offs of the tube study come from: rehearsals on the model, passages and constants on training flights.
+"""Where the back-offs of the tube study come from: rehearsals on the model, passages and constants
+on training flights.
 
-Nothing here touches a judging seed. What was found is kept in OUT/tuned.json; delete the file to tune anew.
+Nothing here touches a judging seed. What was found is kept in OUT/tuned.json; delete the file to
+tune anew.
 """
 
 from __future__ import annotations
@@ -34,11 +36,16 @@ REHEARSALS = 20
 
 
 class Tuning:
-    """Where back-offs come from: found when asked for, kept in `out`/tuned.json. No judging seed is touched."""
+    """Where back-offs come from: found when asked for, kept in `out`/tuned.json. No judging seed is
+    touched."""
 
-    def __init__(self, out: Path, hybrid: IdentifiedModel, report: Callable[[str], None] = print) -> None:
+    def __init__(
+        self, out: Path, hybrid: IdentifiedModel, report: Callable[[str], None] = print
+    ) -> None:
         self.file, self.hybrid, self.report = out / "tuned.json", hybrid, report
-        self.values: dict[str, Any] = dict(json.loads(self.file.read_text())["values"]) if self.file.exists() else {}
+        self.values: dict[str, Any] = (
+            dict(json.loads(self.file.read_text())["values"]) if self.file.exists() else {}
+        )
 
     def _keep(self, name: str, value: Any) -> Any:
         self.values[name] = value
@@ -46,11 +53,13 @@ class Tuning:
         return value
 
     def rehearsed(self) -> list[tuple[float, int]]:
-        """(standard deviations, flights of `REHEARSALS` that crossed) against the identified model itself."""
+        """(standard deviations, flights of `REHEARSALS` that crossed) against the identified model
+        itself."""
         if "rehearsed" in self.values:
             return [(float(k), int(n)) for k, n in self.values["rehearsed"]]
         self.report(
-            f"rehearsing {REHEARSALS} flights at each of {REHEARSED} standard deviations against the model itself"
+            f"rehearsing {REHEARSALS} flights at each of {REHEARSED} standard deviations against "
+            "the model itself"
         )
         plant, rows = RehearsedPlant(self.hybrid), []
         for k in REHEARSED:
@@ -66,7 +75,11 @@ class Tuning:
         pilot, found = controller(self.hybrid), []
         for seed in TRAINING_SEEDS[1 : 1 + TUNING]:
             seen: list[Any] = []
-            flight(pilot, seed, at=lambda _k, _p, flown, seen=seen: seen.append(touching(flown.solver)))  # type: ignore[misc]
+            flight(
+                pilot,
+                seed,
+                at=lambda _k, _p, flown, seen=seen: seen.append(touching(flown.solver)),  # type: ignore[misc]
+            )
             found += passages(seen)
         return list(self._keep("lengths", found))
 
@@ -78,7 +91,9 @@ class Tuning:
         rows = []
         for moved in MOVED:
             pilot = controller(self.hybrid, moved=moved)
-            rows.append((moved, sum(crossed(flight(pilot, s)) for s in TRAINING_SEEDS[1 : 1 + TUNING])))
+            rows.append(
+                (moved, sum(crossed(flight(pilot, s)) for s in TRAINING_SEEDS[1 : 1 + TUNING]))
+            )
         return list(self._keep("constant", rows))
 
     def deviations(self, level: float) -> float:
@@ -87,9 +102,12 @@ class Tuning:
         return kappa_rehearsed(level, tried, hits, [REHEARSALS] * len(tried))
 
     def moved(self, level: float) -> float:
-        """The constant [m] for a risk per flight: the same line through what training flights say, at its median."""
+        """The constant [m] for a risk per flight: the same line through what training flights say,
+        at its median."""
         tried, hits = zip(*self.tried(), strict=True)
-        return 1e-3 * kappa_rehearsed(level, [1e3 * v for v in tried], hits, [TUNING] * len(tried), surety=0.5)
+        return 1e-3 * kappa_rehearsed(
+            level, [1e3 * v for v in tried], hits, [TUNING] * len(tried), surety=0.5
+        )
 
     def by_boole(self, level: float) -> float:
         """Standard deviations by Boole's inequality over the touched samples of a flight."""
@@ -97,7 +115,9 @@ class Tuning:
 
     def by_passages(self, level: float) -> float:
         """Standard deviations by passages and the closed loop's correlation."""
-        return kappa_passages(level, self.lengths(), passage_correlation(controller(self.hybrid)), flights=TUNING)
+        return kappa_passages(
+            level, self.lengths(), passage_correlation(controller(self.hybrid)), flights=TUNING
+        )
 
 
 def passage_correlation(pilot: TubeController, length: int = 20) -> Array:

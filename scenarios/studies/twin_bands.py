@@ -1,4 +1,5 @@
-"""The figure of docs/twin.md: how wide a twin's 95 % band is on real flights, beside the box of +-30 % and what is needed.
+"""The figure of docs/twin.md: how wide a twin's 95 % band is on real flights, beside the box of
++-30 % and what is needed.
 
 greybox twin MODEL.json --out twin --draws 200 --seed 1 --check LOG ...
 python -m scenarios.studies.twin_bands twin/twin.json docs/images/twin_bands.png
@@ -18,7 +19,9 @@ from greybox.simulators.coverage import UNITS
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Draw the bands of a flight that was adapted to, or of a new one where none was."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("twin")
     parser.add_argument("out")
     arguments = parser.parse_args(argv)
@@ -33,12 +36,26 @@ def main(argv: Sequence[str] | None = None) -> None:
         t = [r["seconds"] for r in own]
         ax.plot(t, [r["box_width"] for r in own], "s:", color="0.6", label="box of 30 %")
         ax.plot(t, [r["width"] for r in own], "o-", color="tab:blue", label="twin")
-        ax.plot(t, [r["needed"] for r in own], "_", color="k", markersize=12, label="needed for 95 %")
+        ax.plot(
+            t, [r["needed"] for r in own], "_", color="k", markersize=12, label="needed for 95 %"
+        )
         for r in own:
-            ax.annotate(f"{100 * r['share']:.0f} %", (r["seconds"], r["width"]), fontsize=7, xytext=(3, -9),
-                        textcoords="offset points", color="tab:blue")  # fmt: skip
-            ax.annotate(f"{100 * r['box_share']:.0f} %", (r["seconds"], r["box_width"]), fontsize=7, xytext=(3, 3),
-                        textcoords="offset points", color="0.5")  # fmt: skip
+            ax.annotate(
+                f"{100 * r['share']:.0f} %",
+                (r["seconds"], r["width"]),
+                fontsize=7,
+                xytext=(3, -9),
+                textcoords="offset points",
+                color="tab:blue",
+            )
+            ax.annotate(
+                f"{100 * r['box_share']:.0f} %",
+                (r["seconds"], r["box_width"]),
+                fontsize=7,
+                xytext=(3, 3),
+                textcoords="offset points",
+                color="0.5",
+            )
         ax.set(yscale="log", xlabel="ahead [s]", title=f"{group} [{UNITS[group]}]", xlim=(0, 1.2))
         ax.title.set_fontsize(9)
         ax.tick_params(labelsize=7)

@@ -1,17 +1,22 @@
-"""Exported simulators on real flights that no fit saw, beside our own model and the Crazyflies that ship with them.
+"""Exported simulators on real flights that no fit saw, beside our own model and the Crazyflies that
+ship with them.
 
-    python -m scenarios.studies.twin_flights MODEL.json LOG... [--targets rotorpy,mujoco,drone-models,pybullet]
+    python -m scenarios.studies.twin_flights MODEL.json LOG... [--targets
+    rotorpy,mujoco,drone-models,pybullet]
         [--start smoothed] [--out F]
 
-From instants of each flight (every `SPACING` seconds, after the first five, on which the flight's own parameters are
-adapted) the recorded commands are flown for half a second: by our model, by each simulator on the files of `greybox twin`
-(with and without rest.py, and with the present push by pushes.py) and by RotorPy's and drone-models' own Crazyflie. All
-start from the same state; sensor errors (bias, misalignment, delay) are taken as our model has them, for everybody.
-Shipped craft get our command map and delay, scaled so that they hover at our hover command: more than their files say.
+From instants of each flight (every `SPACING` seconds, after the first five, on which the flight's
+own parameters are adapted) the recorded commands are flown for half a second: by our model, by each
+simulator on the files of `greybox twin` (with and without rest.py, and with the present push by
+pushes.py) and by RotorPy's and drone-models' own Crazyflie. All start from the same state; sensor
+errors (bias, misalignment, delay) are taken as our model has them, for everybody. Shipped craft get
+our command map and delay, scaled so that they hover at our hover command: more than their files
+say.
 
-The filter knows the start by the samples before it. `--start smoothed` begins from what the whole flight says of it, so
-that what remains is the simulators' own; the row `the start alone` is how far our model flies apart from the two starts:
-about the least that a perfect simulator would be off by from the filtered one.
+The filter knows the start by the samples before it. `--start smoothed` begins from what the whole
+flight says of it, so that what remains is the simulators' own; the row `the start alone` is how far
+our model flies apart from the two starts: about the least that a perfect simulator would be off by
+from the filtered one.
 """
 
 from __future__ import annotations
@@ -52,14 +57,22 @@ Errors = dict[str, dict[str, list[FloatArray]]]
 
 
 def study(
-    model: IdentifiedModel, flights: Sequence[Flight], targets: Sequence[str], say: Callable[[str], None],
-    *, smoothed: bool = False,
-) -> Errors:  # fmt: skip
+    model: IdentifiedModel,
+    flights: Sequence[Flight],
+    targets: Sequence[str],
+    say: Callable[[str], None],
+    *,
+    smoothed: bool = False,
+) -> Errors:
     """Squared errors of everybody, from the filter's states or from `smoothed` ones."""
     errors: Errors = {}
     for flight in flights:
         filter_ = Filter(model)
-        values = adapt_to_flight(model, flight, ADAPT, riccati=filter_.riccati).values if model.flight_spread else {}
+        values = (
+            adapt_to_flight(model, flight, ADAPT, riccati=filter_.riccati).values
+            if model.flight_spread
+            else {}
+        )
         own = replace(model, values=model.values.replace(values))
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder)
@@ -72,37 +85,61 @@ def study(
                 rows = np.arange(round(ADAPT / dt), run.record.n - steps - 2, round(SPACING / dt))
                 if not len(rows):
                     continue
-                real = {g: segment.matrix(c, missing_ok=True) for g, c in _columns(segment.channels).items()}
+                real = {
+                    g: segment.matrix(c, missing_ok=True)
+                    for g, c in _columns(segment.channels).items()
+                }
                 inputs, best = run.record.inputs, smooth(filter_, run).states[rows]
                 starts = best if smoothed else run.states[rows]
                 flown = _flown(module, commands, place, targets, starts, inputs, rows, steps, dt)
-                seen = {who: _seen(module, states, inputs, rows, real) for who, states in flown.items()}
-                truth = {g: np.stack([v[rows + 1 + k] for k in range(steps)], axis=1) for g, v in real.items()}
+                seen = {
+                    who: _seen(module, states, inputs, rows, real) for who, states in flown.items()
+                }
+                truth = {
+                    g: np.stack([v[rows + 1 + k] for k in range(steps)], axis=1)
+                    for g, v in real.items()
+                }
                 for who, outputs in seen.items():
                     for group, value in outputs.items():
-                        errors.setdefault(who, {}).setdefault(group, []).append(_squared(group, value, truth[group]))
+                        errors.setdefault(who, {}).setdefault(group, []).append(
+                            _squared(group, value, truth[group])
+                        )
                 if not smoothed:
-                    apart = _seen(module, _ours(module, best, inputs, rows, steps), inputs, rows, real)
+                    apart = _seen(
+                        module, _ours(module, best, inputs, rows, steps), inputs, rows, real
+                    )
                     for group, value in apart.items():
                         there = np.where(np.isfinite(truth[group]), seen[OURS][group], np.nan)
-                        errors.setdefault(START, {}).setdefault(group, []).append(_squared(group, value, there))
+                        errors.setdefault(START, {}).setdefault(group, []).append(
+                            _squared(group, value, there)
+                        )
         say(f"{flight.name}: {', '.join(errors)}")
     return errors
 
 
 def _columns(channels: Any) -> dict[str, tuple[str, ...]]:
     groups = {
-        "position": ("x", "y", "z"), "velocity": ("vx", "vy", "vz"), "rotation": ("qw", "qx", "qy", "qz"),
+        "position": ("x", "y", "z"),
+        "velocity": ("vx", "vy", "vz"),
+        "rotation": ("qw", "qx", "qy", "qz"),
         "rate": ("p", "q", "r"),
-    }  # fmt: skip
+    }
     return {g: c for g, c in groups.items() if all(n in channels for n in c)}
 
 
 def _flown(
-    module: Any, commands: Any, place: Path, targets: Sequence[str], starts: FloatArray, inputs: FloatArray,
-    rows: IntArray, steps: int, dt: float,
-) -> dict[str, FloatArray]:  # fmt: skip
-    """Who -> states (instants, steps, n_x) of our model's layout; disturbances of others are zero."""
+    module: Any,
+    commands: Any,
+    place: Path,
+    targets: Sequence[str],
+    starts: FloatArray,
+    inputs: FloatArray,
+    rows: IntArray,
+    steps: int,
+    dt: float,
+) -> dict[str, FloatArray]:
+    """Who -> states (instants, steps, n_x) of our model's layout; disturbances of others are
+    zero."""
     past, names = int(module.PAST), module.STATES
     rotors = [i for i, n in enumerate(names) if n.startswith("rotor.")]
     pushes = [i for i, n in enumerate(names) if n.startswith("disturbance.")]
@@ -120,17 +157,25 @@ def _flown(
             flyers[f"{name} with rest.py"] = (FLYERS[name], place / name, further, False)
         if name in PUSHED and pushes:
             flyers[f"{name} {with_} pushes.py"] = (FLYERS[name], place / name, further, True)
-    flyers |= {f"shipped: {n}": (fly, commands, {}, False) for n, fly in SHIPPED.items() if n in targets}
+    flyers |= {
+        f"shipped: {n}": (fly, commands, {}, False) for n, fly in SHIPPED.items() if n in targets
+    }
     for who, (fly, first, further, pushed) in flyers.items():
         flights = []
         for x, s in zip(starts, rows, strict=True):
             start = Start(
-                position=x[:3], velocity=x[3:6], attitude=x[6:10] / np.linalg.norm(x[6:10]), rate=x[10:13],
-                rotors=x[rotors], push=_push(names, x) if pushed else None,
-            )  # fmt: skip
+                position=x[:3],
+                velocity=x[3:6],
+                attitude=x[6:10] / np.linalg.norm(x[6:10]),
+                rate=x[10:13],
+                rotors=x[rotors],
+                push=_push(names, x) if pushed else None,
+            )
             window = inputs[s : s + past + steps]
             volt = window[past:, count] if inputs.shape[1] > count else None
-            flights.append(fly(first, start, window[past:, :count], window[:past, :count], dt, volt, **further))
+            flights.append(
+                fly(first, start, window[past:, :count], window[:past, :count], dt, volt, **further)
+            )
         states = np.zeros((len(rows), steps, len(names)))
         found = np.array(flights)
         states[..., :13] = found[..., :13]
@@ -142,10 +187,14 @@ def _flown(
 def _push(names: Sequence[str], x: FloatArray) -> FloatArray:
     """Force and moment (6,) that push a craft in state x (n_x,); zero where the model has none."""
     state = dict(zip(names, x.tolist(), strict=True))
-    return np.array([state.get(f"disturbance.{g}.{a}", 0.0) for g in ("force", "torque") for a in "xyz"])
+    return np.array(
+        [state.get(f"disturbance.{g}.{a}", 0.0) for g in ("force", "torque") for a in "xyz"]
+    )
 
 
-def _ours(module: Any, starts: FloatArray, inputs: FloatArray, rows: IntArray, steps: int) -> FloatArray:
+def _ours(
+    module: Any, starts: FloatArray, inputs: FloatArray, rows: IntArray, steps: int
+) -> FloatArray:
     past, x, states = int(module.PAST), starts, []
     for k in range(steps):
         window = np.stack([inputs[rows + k + i] for i in range(past + 1)], axis=1)
@@ -155,7 +204,11 @@ def _ours(module: Any, starts: FloatArray, inputs: FloatArray, rows: IntArray, s
 
 
 def _seen(
-    module: Any, states: FloatArray, inputs: FloatArray, rows: IntArray, real: Mapping[str, FloatArray]
+    module: Any,
+    states: FloatArray,
+    inputs: FloatArray,
+    rows: IntArray,
+    real: Mapping[str, FloatArray],
 ) -> dict[str, FloatArray]:
     """Group -> what its sensor says (instants, steps, axes)."""
     past, steps = int(module.PAST), states.shape[1]
@@ -174,7 +227,11 @@ def _seen(
 def _squared(group: str, seen: FloatArray, real: FloatArray) -> FloatArray:
     if group != "rotation":
         return np.asarray(np.sum((seen - real) ** 2, axis=-1))
-    product = np.abs(np.sum(seen * real, axis=-1)) / np.linalg.norm(seen, axis=-1) / np.linalg.norm(real, axis=-1)
+    product = (
+        np.abs(np.sum(seen * real, axis=-1))
+        / np.linalg.norm(seen, axis=-1)
+        / np.linalg.norm(real, axis=-1)
+    )
     return np.asarray((2.0 * np.arccos(np.minimum(1.0, product))) ** 2)
 
 
@@ -188,8 +245,16 @@ def table(errors: Errors, dt: float) -> list[dict[str, Any]]:
                 both = [np.concatenate([p[:, k] for p in e[group]]) for e in (groups, errors[OURS])]
                 good = np.isfinite(both[0]) & np.isfinite(both[1])
                 error, ours = (float(np.sqrt(e[good].mean())) for e in both)
-                rows.append({"who": who, "group": group, "seconds": h, "rmse": error, "over_ours": error / ours,
-                             "count": int(good.sum())})  # fmt: skip
+                rows.append(
+                    {
+                        "who": who,
+                        "group": group,
+                        "seconds": h,
+                        "rmse": error,
+                        "over_ours": error / ours,
+                        "count": int(good.sum()),
+                    }
+                )
     return rows
 
 
@@ -198,14 +263,20 @@ def format_table(rows: Sequence[Mapping[str, Any]]) -> str:
     columns = list(dict.fromkeys((r["group"], r["seconds"]) for r in rows))
     lines = ["  ".join([f"{'':28}", *(f"{g} {h:g} s [{UNITS[g]}]".ljust(22) for g, h in columns)])]
     for who in dict.fromkeys(r["who"] for r in rows):
-        cells = {(r["group"], r["seconds"]): f"{r['rmse']:.4f} ({r['over_ours']:.3f})" for r in rows if r["who"] == who}
+        cells = {
+            (r["group"], r["seconds"]): f"{r['rmse']:.4f} ({r['over_ours']:.3f})"
+            for r in rows
+            if r["who"] == who
+        }
         lines.append("  ".join([f"{who:28}", *(cells[c].ljust(22) for c in columns)]))
     return "\n".join(lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Fly, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("model", metavar="MODEL.json")
     parser.add_argument("logs", nargs="+", metavar="LOG")
     parser.add_argument("--targets", default="rotorpy,mujoco,drone-models")

@@ -1,14 +1,15 @@
-"""Gains searched in a twin, flown on a plant that nobody fitted them to: the identified twin, the numbers of the
-vehicle file, a box of +-30 % about these, and both again with a motor lag as the vehicle templates have it (a vehicle
-file of a stranger has none, which alone may lose a craft).
+"""Gains searched in a twin, flown on a plant that nobody fitted them to: the identified twin, the
+numbers of the vehicle file, a box of +-30 % about these, and both again with a motor lag as the
+vehicle templates have it (a vehicle file of a stranger has none, which alone may lose a craft).
 
     python -m scenarios.studies.twin_tuning DIR [DIR ...] [--out F.json]
 
-Each DIR is a craft of `python -m scenarios.foreign.campaign` (vehicle.toml as a stranger wrote it, fit/model.json of
-the plain command, truth.json that only the plant reads). The same cascade of six gains is searched with the same random
-candidates and the same seed in each twin, then flies the foreign plant (gusts and all) on paths it was not tuned on.
-Feedback is the true state for everybody, so that nothing but the twin differs. A controller knows mass, inertia and
-thrust as its twin does.
+Each DIR is a craft of `python -m scenarios.foreign.campaign` (vehicle.toml as a stranger wrote it,
+fit/model.json of the plain command, truth.json that only the plant reads). The same cascade of six
+gains is searched with the same random candidates and the same seed in each twin, then flies the
+foreign plant (gusts and all) on paths it was not tuned on. Feedback is the true state for
+everybody, so that nothing but the twin differs. A controller knows mass, inertia and thrust as its
+twin does.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ LAG = Quantity(value=0.04, sigma=0.02)
 LOST = 3.0
 """Distance from the path [m] from which on a flight is lost; it counts as so far."""
 FIRST = np.array([4.0, 3.0, 8.0, 12.0, 3.0, 3.0])
-"""Middle of the search: position, velocity, attitude, rate, yaw, yaw rate; first spread by a factor of e^0.7."""
+"""Middle of the search: position, velocity, attitude, rate, yaw, yaw rate; first spread by a factor
+of e^0.7."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,38 +68,55 @@ class Known:
         nu = craft.hover_nu
         pull = float(np.polyval(craft.thrust[::-1], nu))
         return cls(
-            mass=craft.mass, inertia=np.diag(craft.inertia), arms=craft.arms, spins=craft.spins, thrust=craft.thrust,
-            ratio=float(np.polyval(craft.torque[::-1], nu)) / pull, curve=craft.get("thrust_curve.f"), gravity=craft.gravity,
-        )  # fmt: skip
+            mass=craft.mass,
+            inertia=np.diag(craft.inertia),
+            arms=craft.arms,
+            spins=craft.spins,
+            thrust=craft.thrust,
+            ratio=float(np.polyval(craft.torque[::-1], nu)) / pull,
+            curve=craft.get("thrust_curve.f"),
+            gravity=craft.gravity,
+        )
 
 
 def path(t: float, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Position, velocity and acceleration (3,) of a figure eight that begins at rest over two seconds."""
+    """Position, velocity and acceleration (3,) of a figure eight that begins at rest over two
+    seconds."""
     w, h = 2 * math.pi / period, 1e-3
 
     def at(s: float) -> FloatArray:
         a = w * (s - 1.0 + math.exp(-s))
-        return CENTER + np.array([RADIUS * math.sin(a), 0.5 * RADIUS * math.sin(2 * a), CLIMB * math.sin(a)])
+        return CENTER + np.array(
+            [RADIUS * math.sin(a), 0.5 * RADIUS * math.sin(2 * a), CLIMB * math.sin(a)]
+        )
 
     before, here, after = at(t - h), at(t), at(t + h)
     return here, (after - before) / (2 * h), (after - 2 * here + before) / h**2
 
 
 def command(known: Known, gains: FloatArray, x: FloatArray, t: float, period: float) -> FloatArray:
-    """Commands (m, n) of craft in states x (m, 13), gains (m, 6): cascade of position, attitude and rate (Lee, Leok and
-    McClamroch 2010, CDC, with the thrust direction alone)."""
+    """Commands (m, n) of craft in states x (m, 13), gains (m, 6): cascade of position, attitude and
+    rate (Lee, Leok and McClamroch 2010, CDC, with the thrust direction alone)."""
     place, velocity, acceleration = path(t, period)
     k = gains.T
     up = k[0][:, None] * (place - x[:, :3]) + k[1][:, None] * (velocity - x[:, 3:6]) + acceleration
     up = up + np.array([0.0, 0.0, known.gravity])
     q, rate = x[:, 6:10], x[:, 10:13]
-    z = np.stack([2 * (q[:, 1] * q[:, 3] + q[:, 0] * q[:, 2]), 2 * (q[:, 2] * q[:, 3] - q[:, 0] * q[:, 1]),
-                  1 - 2 * (q[:, 1] ** 2 + q[:, 2] ** 2)], axis=-1)  # fmt: skip
+    z = np.stack(
+        [
+            2 * (q[:, 1] * q[:, 3] + q[:, 0] * q[:, 2]),
+            2 * (q[:, 2] * q[:, 3] - q[:, 0] * q[:, 1]),
+            1 - 2 * (q[:, 1] ** 2 + q[:, 2] ** 2),
+        ],
+        axis=-1,
+    )
     pull = known.mass * np.clip(np.sum(up * z, axis=-1), 0.3 * known.gravity, 2.0 * known.gravity)
     wanted = up / np.linalg.norm(up, axis=-1, keepdims=True)
     tilt = np.cross(z, wanted)  # world; into body axes
     error = _into_body(q, tilt)
-    yaw = np.arctan2(2 * (q[:, 0] * q[:, 3] + q[:, 1] * q[:, 2]), 1 - 2 * (q[:, 2] ** 2 + q[:, 3] ** 2))
+    yaw = np.arctan2(
+        2 * (q[:, 0] * q[:, 3] + q[:, 1] * q[:, 2]), 1 - 2 * (q[:, 2] ** 2 + q[:, 3] ** 2)
+    )
     goal = np.stack([k[2] * error[:, 0], k[2] * error[:, 1], -k[4] * yaw], axis=-1)
     moment = known.inertia * np.stack([k[3], k[3], k[5]], axis=-1) * (goal - rate)
     n = len(known.spins)
@@ -116,13 +135,20 @@ def _into_body(q: FloatArray, v: FloatArray) -> FloatArray:
     return np.asarray(v + 2 * np.cross(u, np.cross(u, v) + w * v))
 
 
-def in_twin(module: dict[str, Any], values: FloatArray, known: Known, gains: FloatArray, period: float) -> FloatArray:
-    """Root mean square distance from the path (m,) of each craft, which has its values (m, n_p) and gains (m, 6)."""
+def in_twin(
+    module: dict[str, Any], values: FloatArray, known: Known, gains: FloatArray, period: float
+) -> FloatArray:
+    """Root mean square distance from the path (m,) of each craft, which has its values (m, n_p) and
+    gains (m, 6)."""
     x0 = np.array(module["START"])
     x0[:3] = path(0.0, period)[0]
     sim = module["Simulator"](craft=len(values), parameters=values, x=x0)
     square, extra = np.zeros(len(values)), len(module["INPUTS"]) - len(known.spins)
-    volt = np.tile(np.array(module["HOVER"])[len(known.spins) :], (len(values), 1)) if extra else np.zeros((len(values), 0))
+    volt = (
+        np.tile(np.array(module["HOVER"])[len(known.spins) :], (len(values), 1))
+        if extra
+        else np.zeros((len(values), 0))
+    )
     lost = np.zeros(len(values), dtype=bool)
     for k in range(round(SECONDS / DT)):
         u = command(known, gains, sim.x[:, :13], k * DT, period)
@@ -136,14 +162,18 @@ def in_twin(module: dict[str, Any], values: FloatArray, known: Known, gains: Flo
 
 
 def search(module: dict[str, Any], values: FloatArray, known: Known, seed: int) -> FloatArray:
-    """Gains (6,) with the least mean distance over the craft `values` (d, n_p): random candidates, narrowed twice."""
+    """Gains (6,) with the least mean distance over the craft `values` (d, n_p): random candidates,
+    narrowed twice."""
     random = np.random.default_rng(seed)
     best, width, least = FIRST, 0.7, math.inf
     for _ in range(ROUNDS):
         tried = best * np.exp(width * random.standard_normal((CANDIDATES, len(FIRST))))
         tried[0] = best
         each = np.repeat(tried, len(values), axis=0)
-        errors = np.mean([in_twin(module, np.tile(values, (CANDIDATES, 1)), known, each, p) for p in TUNED], axis=0)
+        errors = np.mean(
+            [in_twin(module, np.tile(values, (CANDIDATES, 1)), known, each, p) for p in TUNED],
+            axis=0,
+        )
         mean = errors.reshape(CANDIDATES, -1).mean(axis=1)
         if mean.min() < least:
             least, best = float(mean.min()), tried[int(mean.argmin())]
@@ -161,7 +191,9 @@ def on_plant(plant: Any, known: Known, gains: FloatArray, period: float, seed: i
             x = np.array([[*(s[n] for n in STATES)]])
             plant.step([float(v) for v in command(known, gains[None], x, k * DT, period)[0]], DT)
             s = plant.states()
-            off = float(np.linalg.norm(np.array([s[n] for n in STATES[:3]]) - path((k + 1) * DT, period)[0]))
+            off = float(
+                np.linalg.norm(np.array([s[n] for n in STATES[:3]]) - path((k + 1) * DT, period)[0])
+            )
             lost = not off < LOST
         square += LOST**2 if lost else off**2
     return math.sqrt(square / round(SECONDS / DT))
@@ -172,7 +204,10 @@ STATES = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r"
 
 def study(folder: Path, seed: int) -> dict[str, Any]:
     """One craft: error [m] on the plant by twin and period, and the gains."""
-    vehicle, fitted = read_vehicle(folder / "vehicle.toml"), load_model(folder / "fit" / "model.json")
+    vehicle, fitted = (
+        read_vehicle(folder / "vehicle.toml"),
+        load_model(folder / "fit" / "model.json"),
+    )
     sheet = model_of(vehicle)
     lagging = model_of(replace(vehicle, effects={**vehicle.effects, "motor_lag": {"tau": LAG}}))
     truth = read_json(folder / "truth.json")
@@ -191,13 +226,20 @@ def study(folder: Path, seed: int) -> dict[str, Any]:
         if abs(space["DT"] - DT) > 1e-9:
             raise SystemExit(f"{folder}: the model's samples last {space['DT']} s, not {DT}")
         known = Known.of(craft)
-        gains = search(space, np.array(space["VALUES"])[None] if values is None else values, known, seed)
+        gains = search(
+            space, np.array(space["VALUES"])[None] if values is None else values, known, seed
+        )
         plant = plant_of(draw_plant(int(truth["seed"]), truth["simulator"]))
         errors = {f"{p:g}": [on_plant(plant, known, gains, p, s) for s in (1, 2)] for p in FLOWN}
         rows[name] = {"gains": gains.tolist(), "errors": errors}
         mean = {p: float(np.mean(e)) for p, e in errors.items()}
-        print(f"{folder.name:16} {name:26} " + "  ".join(f"{p} s {1e3 * e:6.0f} mm" for p, e in mean.items())
-              + "   gains " + " ".join(f"{g:.1f}" for g in gains), flush=True)  # fmt: skip
+        print(
+            f"{folder.name:16} {name:26} "
+            + "  ".join(f"{p} s {1e3 * e:6.0f} mm" for p, e in mean.items())
+            + "   gains "
+            + " ".join(f"{g:.1f}" for g in gains),
+            flush=True,
+        )
     return rows
 
 
@@ -215,7 +257,9 @@ def _box(model: IdentifiedModel, seed: int) -> FloatArray:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Search, fly, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folders", nargs="+", metavar="DIR")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", metavar="F.json")
@@ -223,8 +267,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows = {Path(f).name: study(Path(f), options.seed) for f in options.folders}
     for name in next(iter(rows.values())):
         errors = [e for r in rows.values() for part in r[name]["errors"].values() for e in part]
-        print(f"{name:28} mean {1e3 * float(np.mean(errors)):6.0f} mm, median {1e3 * float(np.median(errors)):6.0f} mm, "
-              f"lost {sum(e > 0.5 * LOST for e in errors)} of {len(errors)}")  # fmt: skip
+        print(
+            f"{name:28} mean {1e3 * float(np.mean(errors)):6.0f} mm, median "
+            f"{1e3 * float(np.median(errors)):6.0f} mm, "
+            f"lost {sum(e > 0.5 * LOST for e in errors)} of {len(errors)}"
+        )
     if options.out:
         write_json(options.out, rows)
 

@@ -1,9 +1,11 @@
-"""Simulators of others fly the files that `greybox twin` wrote: one function per simulator, all of one form.
+"""Simulators of others fly the files that `greybox twin` wrote: one function per simulator, all of
+one form.
 
     states = FLYERS["rotorpy"](folder, Start(...), commands, before, dt, voltage)
 
-States are (steps, 13 + n): position and velocity of the centre of mass (world ENU), attitude (w, x, y, z), rate (body
-FLU), then the rotors' speeds nu. Nothing here knows the model: numbers and callbacks come from the folder.
+States are (steps, 13 + n): position and velocity of the centre of mass (world ENU), attitude (w, x,
+y, z), rate (body FLU), then the rotors' speeds nu. Nothing here knows the model: numbers and
+callbacks come from the folder.
 """
 
 from __future__ import annotations
@@ -32,8 +34,9 @@ PER_MINUTE = 60.0 / (2.0 * math.pi)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Start:
-    """Position, velocity (world), attitude (w, x, y, z), rate (body) of the centre of mass, speeds nu (n,) of the rotors.
-    `push`: force [N] and moment [N m] (6,) in body axes that push it now and fade as pushes.py says; None without."""
+    """Position, velocity (world), attitude (w, x, y, z), rate (body) of the centre of mass, speeds
+    nu (n,) of the rotors. `push`: force [N] and moment [N m] (6,) in body axes that push it now and
+    fade as pushes.py says; None without."""
 
     position: FloatArray
     velocity: FloatArray
@@ -44,8 +47,8 @@ class Start:
 
 
 Flyer = Callable[..., FloatArray]
-"""(folder, start, commands (steps, n), those sent before (past, n), dt, battery voltages (steps,), rest=False) -> states;
-`rest`: also with the forces of rest.py."""
+"""(folder, start, commands (steps, n), those sent before (past, n), dt, battery voltages (steps,),
+rest=False) -> states; `rest`: also with the forces of rest.py."""
 
 
 def load(folder: Path, *names: str) -> tuple[ModuleType, ...]:
@@ -105,9 +108,15 @@ def _fading(folder: Path, start: Start, steps: int, dt: float) -> FloatArray:
 
 
 def fly_rotorpy(
-    folder: Path, start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None = None,
-    *, rest: bool = False,
-) -> FloatArray:  # fmt: skip
+    folder: Path,
+    start: Start,
+    u: FloatArray,
+    before: FloatArray,
+    dt: float,
+    voltage: FloatArray | None = None,
+    *,
+    rest: bool = False,
+) -> FloatArray:
     """RotorPy's Multirotor with the written dictionary."""
     commands, vehicle = load(folder, "commands", "vehicle")
     multirotor = _multirotor()
@@ -118,8 +127,20 @@ def fly_rotorpy(
             multirotor = vehicle.with_rest(multirotor)
         finally:
             del sys.modules["rest"], sys.modules["commands"]
-    return _rotorpy(multirotor, vehicle.quad_params, commands, vehicle.WIND, vehicle.STRENGTH, commands.SPEED_MAX,
-                    start, u, before, dt, voltage, _fading(folder, start, len(u), dt))  # fmt: skip
+    return _rotorpy(
+        multirotor,
+        vehicle.quad_params,
+        commands,
+        vehicle.WIND,
+        vehicle.STRENGTH,
+        commands.SPEED_MAX,
+        start,
+        u,
+        before,
+        dt,
+        voltage,
+        _fading(folder, start, len(u), dt),
+    )
 
 
 def _multirotor() -> Any:
@@ -131,10 +152,19 @@ def _multirotor() -> Any:
 
 
 def _rotorpy(
-    multirotor: Any, params: Mapping[str, Any], commands: Any, wind: FloatArray, strength: FloatArray, scale: float,
-    start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None,
+    multirotor: Any,
+    params: Mapping[str, Any],
+    commands: Any,
+    wind: FloatArray,
+    strength: FloatArray,
+    scale: float,
+    start: Start,
+    u: FloatArray,
+    before: FloatArray,
+    dt: float,
+    voltage: FloatArray | None,
     pushes: FloatArray | None = None,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     class Pushed(multirotor):
         """Pushed by the force and moment `push` (6,), body axes."""
 
@@ -150,9 +180,13 @@ def _rotorpy(
     w, x, y, z = start.attitude
     speeds = scale * np.sqrt(strength)
     state = {
-        "x": start.position, "v": start.velocity, "q": np.array([x, y, z, w]), "w": start.rate,
-        "wind": np.asarray(wind, dtype=float), "rotor_speeds": speeds * start.rotors,
-    }  # fmt: skip
+        "x": start.position,
+        "v": start.velocity,
+        "q": np.array([x, y, z, w]),
+        "w": start.rate,
+        "wind": np.asarray(wind, dtype=float),
+        "rotor_speeds": speeds * start.rotors,
+    }
     craft = Pushed(dict(params), state, integrator_kwargs={"rtol": 1e-5, "atol": 1e-7})
     rows = []
     for k, pieces in enumerate(_arriving(commands, u, before, dt, voltage)):
@@ -161,14 +195,22 @@ def _rotorpy(
         for seconds, nu in pieces:
             state = craft.step(state, {"cmd_motor_speeds": speeds * nu}, seconds)
         x, y, z, w = state["q"]
-        rows.append([*state["x"], *state["v"], w, x, y, z, *state["w"], *(state["rotor_speeds"] / speeds)])
+        rows.append(
+            [*state["x"], *state["v"], w, x, y, z, *state["w"], *(state["rotor_speeds"] / speeds)]
+        )
     return np.array(rows)
 
 
 def fly_mujoco(
-    folder: Path, start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None = None,
-    *, rest: bool = False,
-) -> FloatArray:  # fmt: skip
+    folder: Path,
+    start: Start,
+    u: FloatArray,
+    before: FloatArray,
+    dt: float,
+    voltage: FloatArray | None = None,
+    *,
+    rest: bool = False,
+) -> FloatArray:
     """MuJoCo with the written MJCF and its callback."""
     try:
         import mujoco
@@ -199,16 +241,27 @@ def fly_mujoco(
             q, rate = data.qpos[3:7].copy(), data.qvel[3:6].copy()
             turn = rotation(q)
             velocity = data.qvel[:3] + turn @ np.cross(rate, com)
-            rows.append(np.concatenate([data.qpos[:3] + turn @ com, velocity, q, rate, data.act[:n]]))
+            rows.append(
+                np.concatenate([data.qpos[:3] + turn @ com, velocity, q, rate, data.act[:n]])
+            )
     finally:
         callback.detach()
     return np.array(rows)
 
 
 _KEYS = (
-    "mass", "L", "prop_inertia", "gravity_vec", "J", "J_inv", "rpm2thrust", "rpm2torque", "mixing_matrix",
-    "drag_matrix", "rotor_dyn_coef",
-)  # fmt: skip
+    "mass",
+    "L",
+    "prop_inertia",
+    "gravity_vec",
+    "J",
+    "J_inv",
+    "rpm2thrust",
+    "rpm2torque",
+    "mixing_matrix",
+    "drag_matrix",
+    "rotor_dyn_coef",
+)
 
 
 def _first_principles(package: str) -> Callable[..., tuple[Any, ...]]:
@@ -216,7 +269,9 @@ def _first_principles(package: str) -> Callable[..., tuple[Any, ...]]:
         if package == "crazyflow":
             from crazyflow.dynamics.first_principles import dynamics
         else:
-            importlib.import_module("scenarios.foreign.drone_models_plant")  # imports it as it wants to be
+            importlib.import_module(
+                "scenarios.foreign.drone_models_plant"
+            )  # imports it as it wants to be
             from drone_models.first_principles import dynamics
     except ImportError as missing:
         raise MissingSimulator(package) from missing
@@ -224,31 +279,74 @@ def _first_principles(package: str) -> Callable[..., tuple[Any, ...]]:
 
 
 def fly_drone_models(
-    folder: Path, start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None = None,
-    *, rest: bool = False,
-) -> FloatArray:  # fmt: skip
+    folder: Path,
+    start: Start,
+    u: FloatArray,
+    before: FloatArray,
+    dt: float,
+    voltage: FloatArray | None = None,
+    *,
+    rest: bool = False,
+) -> FloatArray:
     """drone-models' first-principles rates with the written parameters, by Runge-Kutta."""
     (commands,) = load(folder, "commands")
     (numbers,) = tomllib.loads((folder / "params.toml").read_text()).values()
-    return _rates("drone-models", numbers, commands, commands.RPM_MAX, start, u, before, dt, voltage,
-                  load(folder, "rest")[0] if rest else None, _fading(folder, start, len(u), dt))  # fmt: skip
+    return _rates(
+        "drone-models",
+        numbers,
+        commands,
+        commands.RPM_MAX,
+        start,
+        u,
+        before,
+        dt,
+        voltage,
+        load(folder, "rest")[0] if rest else None,
+        _fading(folder, start, len(u), dt),
+    )
 
 
 def fly_crazyflow(
-    folder: Path, start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None = None,
-    *, rest: bool = False,
-) -> FloatArray:  # fmt: skip
+    folder: Path,
+    start: Start,
+    u: FloatArray,
+    before: FloatArray,
+    dt: float,
+    voltage: FloatArray | None = None,
+    *,
+    rest: bool = False,
+) -> FloatArray:
     """crazyflow's first-principles rates with the written parameters, by Runge-Kutta."""
     (commands,) = load(folder, "commands")
     (numbers,) = tomllib.loads((folder / "params.toml").read_text()).values()
-    return _rates("crazyflow", numbers, commands, commands.RPM_MAX, start, u, before, dt, voltage,
-                  load(folder, "rest")[0] if rest else None, _fading(folder, start, len(u), dt))  # fmt: skip
+    return _rates(
+        "crazyflow",
+        numbers,
+        commands,
+        commands.RPM_MAX,
+        start,
+        u,
+        before,
+        dt,
+        voltage,
+        load(folder, "rest")[0] if rest else None,
+        _fading(folder, start, len(u), dt),
+    )
 
 
 def _rates(
-    package: str, numbers: Mapping[str, Any], commands: Any, scale: float, start: Start, u: FloatArray,
-    before: FloatArray, dt: float, voltage: FloatArray | None, rest: Any = None, pushes: FloatArray | None = None,
-) -> FloatArray:  # fmt: skip
+    package: str,
+    numbers: Mapping[str, Any],
+    commands: Any,
+    scale: float,
+    start: Start,
+    u: FloatArray,
+    before: FloatArray,
+    dt: float,
+    voltage: FloatArray | None,
+    rest: Any = None,
+    pushes: FloatArray | None = None,
+) -> FloatArray:
     dynamics = _first_principles(package)
     p = {k: np.array(v, dtype=float) for k, v in numbers.items() if k in _KEYS}
     p["J_inv"] = np.linalg.inv(p["J"])
@@ -270,7 +368,9 @@ def _rates(
         return np.concatenate([d[0], turning, d[2], d[3], d[4]])
 
     w, x, y, z = start.attitude
-    s = np.concatenate([start.position, [x, y, z, w], start.velocity, start.rate, scale * start.rotors])
+    s = np.concatenate(
+        [start.position, [x, y, z, w], start.velocity, start.rate, scale * start.rotors]
+    )
     rows = []
     for push, pieces in zip(pushes, _arriving(commands, u, before, dt, voltage), strict=True):
         for seconds, nu in pieces:
@@ -287,11 +387,18 @@ def _rates(
 
 
 def fly_pybullet(
-    folder: Path, start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None = None,
-    *, rest: bool = False,
-) -> FloatArray:  # fmt: skip
-    """PyBullet with the written URDF, pushed as gym-pybullet-drones does (BaseAviary: `_physics`, `_drag`): thrusts at
-    the prop links, yaw torque and world drag at the centre of mass. Rotors of the written order come from commands.py."""
+    folder: Path,
+    start: Start,
+    u: FloatArray,
+    before: FloatArray,
+    dt: float,
+    voltage: FloatArray | None = None,
+    *,
+    rest: bool = False,
+) -> FloatArray:
+    """PyBullet with the written URDF, pushed as gym-pybullet-drones does (BaseAviary: `_physics`,
+    `_drag`): thrusts at the prop links, yaw torque and world drag at the centre of mass. Rotors of
+    the written order come from commands.py."""
     try:
         import pybullet as bullet
     except ImportError as missing:
@@ -307,7 +414,9 @@ def fly_pybullet(
     client = bullet.connect(bullet.DIRECT)
     try:
         bullet.setGravity(0, 0, -9.8, physicsClientId=client)
-        body = bullet.loadURDF(str(path), flags=bullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client)
+        body = bullet.loadURDF(
+            str(path), flags=bullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client
+        )
         bullet.changeDynamics(body, -1, linearDamping=0, angularDamping=0, physicsClientId=client)
         w, x, y, z = start.attitude
         turn = rotation(start.attitude)
@@ -337,36 +446,57 @@ def fly_pybullet(
                 axes = np.array(bullet.getMatrixFromQuaternion(frame[1])).reshape(3, 3)
                 for i in range(4):
                     push = [0, 0, thrust[i]]
-                    bullet.applyExternalForce(body, i, push, [0, 0, 0], bullet.LINK_FRAME, physicsClientId=client)
+                    bullet.applyExternalForce(
+                        body, i, push, [0, 0, 0], bullet.LINK_FRAME, physicsClientId=client
+                    )
                 yaw = axes[:, 2] * (-torque[0] + torque[1] - torque[2] + torque[3])
                 yaw = yaw + axes @ pushes[k, 3:]
                 drag = drag + axes @ pushes[k, :3]
-                bullet.applyExternalTorque(body, -1, yaw, bullet.WORLD_FRAME, physicsClientId=client)
-                bullet.applyExternalForce(body, -1, drag, place, bullet.WORLD_FRAME, physicsClientId=client)
+                bullet.applyExternalTorque(
+                    body, -1, yaw, bullet.WORLD_FRAME, physicsClientId=client
+                )
+                bullet.applyExternalForce(
+                    body, -1, drag, place, bullet.WORLD_FRAME, physicsClientId=client
+                )
                 if more is not None:
                     q = np.array([frame[1][3], *frame[1][:3]])
-                    spin = axes.T @ np.array(bullet.getBaseVelocity(body, physicsClientId=client)[1])
+                    spin = axes.T @ np.array(
+                        bullet.getBaseVelocity(body, physicsClientId=client)[1]
+                    )
                     force, moment = more.in_world(
                         q, *more.rest(q, velocity, place, spin, rotors.nu)
                     )
-                    bullet.applyExternalForce(body, -1, force, place, bullet.WORLD_FRAME, physicsClientId=client)
-                    bullet.applyExternalTorque(body, -1, moment, bullet.WORLD_FRAME, physicsClientId=client)
+                    bullet.applyExternalForce(
+                        body, -1, force, place, bullet.WORLD_FRAME, physicsClientId=client
+                    )
+                    bullet.applyExternalTorque(
+                        body, -1, moment, bullet.WORLD_FRAME, physicsClientId=client
+                    )
                 bullet.stepSimulation(physicsClientId=client)
             place, turned = bullet.getBasePositionAndOrientation(body, physicsClientId=client)
             velocity, spin = bullet.getBaseVelocity(body, physicsClientId=client)
             _, q = bullet.multiplyTransforms(place, turned, *back)
             q = np.array([q[3], q[0], q[1], q[2]])
-            rows.append(np.concatenate([place, velocity, q, rotation(q).T @ np.array(spin), rotors.nu]))
+            rows.append(
+                np.concatenate([place, velocity, q, rotation(q).T @ np.array(spin), rotors.nu])
+            )
         return np.array(rows)
     finally:
         bullet.disconnect(client)
 
 
 def fly_jsbsim(
-    folder: Path, start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None = None,
-    *, rest: bool = False,
-) -> FloatArray:  # fmt: skip
-    """JSBSim with the written aircraft on the planet that stands still; world ENU at the equator's longitude 0."""
+    folder: Path,
+    start: Start,
+    u: FloatArray,
+    before: FloatArray,
+    dt: float,
+    voltage: FloatArray | None = None,
+    *,
+    rest: bool = False,
+) -> FloatArray:
+    """JSBSim with the written aircraft on the planet that stands still; world ENU at the equator's
+    longitude 0."""
     try:
         import jsbsim
     except ImportError as missing:
@@ -386,11 +516,19 @@ def fly_jsbsim(
     v = flip @ rotation(start.attitude).T @ start.velocity / foot
     p, q, r = flip @ start.rate
     for name, value in {
-        "ic/h-sl-ft": 1000.0, "ic/lat-gc-deg": 0.0, "ic/long-gc-deg": 0.0,
-        "ic/phi-rad": math.atan2(turn[2, 1], turn[2, 2]), "ic/theta-rad": -math.asin(turn[2, 0]),
-        "ic/psi-true-rad": math.atan2(turn[1, 0], turn[0, 0]), "ic/u-fps": v[0], "ic/v-fps": v[1], "ic/w-fps": v[2],
-        "ic/p-rad_sec": p, "ic/q-rad_sec": q, "ic/r-rad_sec": r,
-    }.items():  # fmt: skip
+        "ic/h-sl-ft": 1000.0,
+        "ic/lat-gc-deg": 0.0,
+        "ic/long-gc-deg": 0.0,
+        "ic/phi-rad": math.atan2(turn[2, 1], turn[2, 2]),
+        "ic/theta-rad": -math.asin(turn[2, 0]),
+        "ic/psi-true-rad": math.atan2(turn[1, 0], turn[0, 0]),
+        "ic/u-fps": v[0],
+        "ic/v-fps": v[1],
+        "ic/w-fps": v[2],
+        "ic/p-rad_sec": p,
+        "ic/q-rad_sec": q,
+        "ic/r-rad_sec": r,
+    }.items():
         sim[name] = float(value)
     for i, nu in enumerate(start.rotors, 1):
         sim[f"fcs/nu-cmd{i}"] = float(nu)
@@ -439,7 +577,9 @@ def _euler(phi: float, theta: float, psi: float) -> FloatArray:
 def _quaternion(m: FloatArray) -> FloatArray:
     """(w, x, y, z) of a rotation that turns by less than half a turn."""
     w = 0.5 * math.sqrt(max(0.0, 1.0 + float(np.trace(m))))
-    return np.array([w, *(np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]) / (4 * w))])
+    return np.array(
+        [w, *(np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]) / (4 * w))]
+    )
 
 
 FLYERS: Mapping[str, Flyer] = {
@@ -456,22 +596,43 @@ FLYERS: Mapping[str, Flyer] = {
 
 
 def fly_shipped_rotorpy(
-    commands: Any, start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None = None
+    commands: Any,
+    start: Start,
+    u: FloatArray,
+    before: FloatArray,
+    dt: float,
+    voltage: FloatArray | None = None,
 ) -> FloatArray:
-    """RotorPy's own Crazyflie. Commands become speeds so that it carries its own weight at the hover command of the real
-    craft, which is more than its file says."""
+    """RotorPy's own Crazyflie. Commands become speeds so that it carries its own weight at the
+    hover command of the real craft, which is more than its file says."""
     try:
         from rotorpy.vehicles.crazyflie_params import quad_params
     except ImportError as missing:
         raise MissingSimulator("rotorpy") from missing
     hover = math.sqrt(quad_params["mass"] * 9.81 / 4 / quad_params["k_eta"])
     order = _same_places([quad_params["rotor_pos"][k] for k in quad_params["rotor_pos"]])
-    return _rotorpy(_multirotor(), quad_params, _Turned(commands, order), np.zeros(3), np.ones(4), hover / commands.HOVER,
-                    _turned(start, order), u, before, dt, voltage)  # fmt: skip
+    return _rotorpy(
+        _multirotor(),
+        quad_params,
+        _Turned(commands, order),
+        np.zeros(3),
+        np.ones(4),
+        hover / commands.HOVER,
+        _turned(start, order),
+        u,
+        before,
+        dt,
+        voltage,
+    )
 
 
 def fly_shipped_drone_models(
-    commands: Any, start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None = None
+    commands: Any,
+    start: Start,
+    u: FloatArray,
+    before: FloatArray,
+    dt: float,
+    voltage: FloatArray | None = None,
 ) -> FloatArray:
     """drone-models' cf2x_L250, commands scaled as in `fly_shipped_rotorpy`."""
     _first_principles("drone-models")
@@ -483,8 +644,17 @@ def fly_shipped_drone_models(
     hover = (-curve[1] + math.sqrt(curve[1] ** 2 + 4 * curve[2] * need)) / (2 * curve[2])
     m = np.asarray(numbers["mixing_matrix"], dtype=float)
     order = _same_places(list(np.stack([-m[1], m[0], 0 * m[0]], axis=1)))
-    return _rates("drone-models", {**numbers, "gravity_vec": [0, 0, -9.81]}, _Turned(commands, order),
-                  hover / commands.HOVER, _turned(start, order), u, before, dt, voltage)  # fmt: skip
+    return _rates(
+        "drone-models",
+        {**numbers, "gravity_vec": [0, 0, -9.81]},
+        _Turned(commands, order),
+        hover / commands.HOVER,
+        _turned(start, order),
+        u,
+        before,
+        dt,
+        voltage,
+    )
 
 
 SHIPPED = {"rotorpy": fly_shipped_rotorpy, "drone-models": fly_shipped_drone_models}
@@ -494,7 +664,12 @@ class _Turned:
     """commands.py with the rotors in another order, and even ones."""
 
     def __init__(self, commands: Any, order: list[int]) -> None:
-        self.HOVER, self.DelayLine, self._own, self._order = commands.HOVER, commands.DelayLine, commands, order
+        self.HOVER, self.DelayLine, self._own, self._order = (
+            commands.HOVER,
+            commands.DelayLine,
+            commands,
+            order,
+        )
 
     def normalised_speed(self, u: FloatArray, voltage: float | None = None) -> FloatArray:
         """Speeds of the shipped craft's rotors."""
@@ -503,13 +678,17 @@ class _Turned:
 
 def _turned(start: Start, order: list[int]) -> Start:
     return Start(
-        position=start.position, velocity=start.velocity, attitude=start.attitude, rate=start.rate,
+        position=start.position,
+        velocity=start.velocity,
+        attitude=start.attitude,
+        rate=start.rate,
         rotors=start.rotors[order],
-    )  # fmt: skip
+    )
 
 
 NANOBENCH_SIGNS = ((1, -1), (-1, -1), (-1, 1), (1, 1))
-"""Front right, rear right, rear left, front left: signs of x and y of the rotors 1 to 4 of the flights."""
+"""Front right, rear right, rear left, front left: signs of x and y of the rotors 1 to 4 of the
+flights."""
 
 
 def _same_places(hubs: list[Any]) -> list[int]:

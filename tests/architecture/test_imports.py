@@ -1,4 +1,5 @@
-"""Imports run one way: plants know nothing of greybox, lower rooms nothing of higher, greybox nothing of its users."""
+"""Imports run one way: plants know nothing of greybox, lower rooms nothing of higher, greybox
+nothing of its users."""
 
 from __future__ import annotations
 
@@ -13,12 +14,37 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-BASE = ("symbolic", "frames", "errors", "files", "runs", "cores", "interrupts", "progress", "shown", "plots", "distribution")
+BASE = (
+    "symbolic",
+    "frames",
+    "errors",
+    "files",
+    "runs",
+    "cores",
+    "interrupts",
+    "progress",
+    "shown",
+    "plots",
+    "distribution",
+)
 ROOMS = (
-    "statistics", "plants", "excitation", "examples", "data", "model", "estimation", "validation", "linear", "automatic",
-    "residual", "baselines", "simulators", "planning", "discovery",
+    "statistics",
+    "plants",
+    "excitation",
+    "examples",
+    "data",
+    "model",
+    "estimation",
+    "validation",
+    "linear",
+    "automatic",
+    "residual",
+    "baselines",
+    "simulators",
+    "planning",
+    "discovery",
     "report",
-)  # fmt: skip
+)
 LEVEL = dict.fromkeys(BASE, 0) | {room: 1 + k for k, room in enumerate(ROOMS)}
 PLAIN_NUMBERS = "greybox.model.vehicle"
 """Holds only what a vehicle file says, so that the readers in greybox.data may use it."""
@@ -33,7 +59,8 @@ class Import(NamedTuple):
 
 @functools.cache
 def imports(path: Path) -> tuple[Import, ...]:
-    """Every import of a file: absolute module name, and whether it runs only inside a function or only for types."""
+    """Every import of a file: absolute module name, and whether it runs only inside a function or
+    only for types."""
     package = list(path.relative_to(ROOT).with_suffix("").parts[:-1])
     modules = known_modules()
 
@@ -47,7 +74,9 @@ def imports(path: Path) -> tuple[Import, ...]:
                 stem = ".".join([*base, *([child.module] if child.module else [])])
                 for alias in child.names:
                     full = f"{stem}.{alias.name}"
-                    yield Import(child.lineno, full if full in modules else stem, inside, typing_only)
+                    yield Import(
+                        child.lineno, full if full in modules else stem, inside, typing_only
+                    )
             elif isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
                 for part in child.body:
                     yield from visit(ast.Module(body=[part], type_ignores=[]), inside, True)
@@ -85,7 +114,8 @@ def say(path: Path, found: Import, why: str) -> str:
 
 
 PLANTS = ("greybox.plants", "greybox.excitation", "scenarios.plants")
-"""Simulated vehicles and what flies them: nothing of them is shared with the models that are fitted to their flights."""
+"""Simulated vehicles and what flies them: nothing of them is shared with the models that are fitted
+to their flights."""
 DEMO = (
     "mpc_export/mission/craft.py",
     "mpc_export/mission/demo.py",
@@ -116,7 +146,9 @@ def test_what_is_fitted_knows_nothing_of_the_simulated_plants():
         say(path, found, "only demos and the selftest fly a simulated plant")
         for top in ("greybox", "mpc_export")
         for path in files(top)
-        if not path.relative_to(ROOT).as_posix().startswith(("greybox/plants/", "greybox/excitation/"))
+        if not path.relative_to(ROOT)
+        .as_posix()
+        .startswith(("greybox/plants/", "greybox/excitation/"))
         and path.relative_to(ROOT).as_posix() not in DEMO
         for found in imports(path)
         if any(within(found.module, p) for p in PLANTS)
@@ -132,8 +164,12 @@ def test_foreign_simulators_share_nothing_with_what_they_judge():
         for found in imports(path):
             top = found.module.split(".")[0]
             if top not in sys.stdlib_module_names | simulators | {"greybox", "scenarios"}:
-                wrong.append(say(path, found, "a judge uses its simulator and nothing that it judges"))
-            if top in ("greybox", "scenarios") and not any(within(found.module, p) for p in reached):
+                wrong.append(
+                    say(path, found, "a judge uses its simulator and nothing that it judges")
+                )
+            if top in ("greybox", "scenarios") and not any(
+                within(found.module, p) for p in reached
+            ):
                 wrong.append(say(path, found, "a judge reaches nothing else"))
     assert not wrong, "\n".join(wrong)
 
@@ -146,7 +182,9 @@ def test_greybox_reaches_its_users_only_from_commands_and_inside_functions():
         for found in imports(path):
             if within(found.module, "mpc_export"):
                 if not command:
-                    wrong.append(say(path, found, "only greybox/cli.py and greybox/commands/ may reach it"))
+                    wrong.append(
+                        say(path, found, "only greybox/cli.py and greybox/commands/ may reach it")
+                    )
                 elif not found.inside_function:
                     wrong.append(say(path, found, "only inside a function"))
     assert not wrong, "\n".join(wrong)
@@ -176,7 +214,8 @@ def test_the_verifier_stands_alone():
 
 
 def room_of(module: str) -> str | None:
-    """The room of a greybox module, or None for the package itself, the command line and what is not greybox."""
+    """The room of a greybox module, or None for the package itself, the command line and what is
+    not greybox."""
     parts = module.split(".")
     return parts[1] if len(parts) > 1 and parts[0] == "greybox" and parts[1] in LEVEL else None
 
@@ -205,7 +244,11 @@ def test_lower_rooms_do_not_import_higher_ones():
 
 def test_every_room_of_the_package_has_its_place_in_the_order():
     front = {"__init__", "__main__", "cli", "commands", "schemas"}
-    here = {p.stem for p in (ROOT / "greybox").iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()}
+    here = {
+        p.stem
+        for p in (ROOT / "greybox").iterdir()
+        if p.suffix == ".py" or (p / "__init__.py").exists()
+    }
     assert here - front <= set(LEVEL), "say in this test where the new room stands"
 
 
@@ -216,12 +259,18 @@ def test_the_vehicle_file_module_holds_only_plain_numbers():
     wrong = [
         say(path, found, "it is used by greybox.data and must stay free of the model")
         for found in imports(path)
-        if found.module.split(".")[0] == "casadi" or (room_of(found.module) not in (None, *BASE, "data", "model"))
+        if found.module.split(".")[0] == "casadi"
+        or (room_of(found.module) not in (None, *BASE, "data", "model"))
     ]
     assert not wrong, "\n".join(wrong)
 
 
 def test_importing_greybox_loads_neither_torch_nor_matplotlib():
-    code = "import sys, greybox; print([m for m in ('torch', 'gpytorch', 'matplotlib') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    code = (
+        "import sys, greybox; print([m for m in ('torch', 'gpytorch', 'matplotlib') if m in "
+        "sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
+    )
     assert done.stdout.strip() == "[]"

@@ -1,4 +1,5 @@
-"""docs/architecture.md draws what the code does: its table of imports is the one that the files give."""
+"""docs/architecture.md draws what the code does: its table of imports is the one that the files
+give."""
 
 from __future__ import annotations
 
@@ -8,8 +9,19 @@ from collections import defaultdict
 from tests.architecture.test_imports import BASE, ROOMS, ROOT, files, imports
 
 PAGE = ROOT / "docs" / "architecture.md"
-BESIDE = ("statistics", "plants", "excitation", "examples", "linear", "automatic", "baselines", "simulators", "report")
-"""Rooms that are no step on the way of the data: below all of them, beside the fit, and behind all of them."""
+BESIDE = (
+    "statistics",
+    "plants",
+    "excitation",
+    "examples",
+    "linear",
+    "automatic",
+    "baselines",
+    "simulators",
+    "report",
+)
+"""Rooms that are no step on the way of the data: below all of them, beside the fit, and behind all
+of them."""
 SCENARIOS = ("plants", "foreign")
 
 
@@ -40,7 +52,8 @@ def real() -> dict[str, set[str]]:
             found[own] |= set()
             for one in imports(path):
                 other = package_of(one.module)
-                # The vehicle file is plain numbers, which readers of logs may use (see test_imports).
+                # The vehicle file is plain numbers, which readers of logs may use (see
+                # test_imports).
                 if other not in (None, own) and one.module != "greybox.model.vehicle":
                     found[own].add(str(other))
     return dict(found)

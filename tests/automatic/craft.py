@@ -1,4 +1,5 @@
-"""Short simulated flights with little in their logs, so that an automatic fit takes seconds: commands and gyro alone."""
+"""Short simulated flights with little in their logs, so that an automatic fit takes seconds:
+commands and gyro alone."""
 
 from __future__ import annotations
 
@@ -37,9 +38,12 @@ def plant(damping: float = 0.0) -> Quadrotor:
 
 @functools.cache
 def vehicle(**sigma: float) -> Vehicle:
-    """Its vehicle file: inertia and thrust within a fifth, the rest exact unless `sigma` says otherwise."""
+    """Its vehicle file: inertia and thrust within a fifth, the rest exact unless `sigma` says
+    otherwise."""
     with tempfile.TemporaryDirectory() as folder:
-        path = write_vehicle(Path(folder) / "v.toml", plant(), sigma={"inertia": 0.2, "thrust.c2": 0.2, **sigma})
+        path = write_vehicle(
+            Path(folder) / "v.toml", plant(), sigma={"inertia": 0.2, "thrust.c2": 0.2, **sigma}
+        )
         return read_vehicle(path)
 
 
@@ -49,11 +53,21 @@ def flown(
 ) -> tuple[Mapping[str, np.ndarray], ...]:
     """All columns of flights at 100 Hz, one per seed."""
     true = plant(damping)
-    log = fly(true, controller_for(true), Hover(), rich_excitation(), seconds, seed=list(seeds), warm_up=0.5)
+    log = fly(
+        true,
+        controller_for(true),
+        Hover(),
+        rich_excitation(),
+        seconds,
+        seed=list(seeds),
+        warm_up=0.5,
+    )
     return tuple(member(log, i) for i in range(len(seeds)))
 
 
-def flight(columns: Mapping[str, np.ndarray], name: str, sensors: tuple[str, ...] = RATES) -> Dataset:
+def flight(
+    columns: Mapping[str, np.ndarray], name: str, sensors: tuple[str, ...] = RATES
+) -> Dataset:
     """One flight with its commands and some sensors."""
     kept = {n: v for n, v in columns.items() if n in sensors or n in ("u1", "u2", "u3", "u4")}
     return dataset_from_arrays(columns["t"], kept, name=name)
@@ -71,7 +85,13 @@ def raw(columns: Mapping[str, np.ndarray], name: str = "run0") -> RawLog:
     channels = {k: np.array(v, dtype=float) for k, v in columns.items() if k != "t"}
     rows = np.arange(1, n + 1, dtype=np.int64)
     return RawLog(
-        t=np.array(columns["t"]), channels=channels, extra={}, rows=rows, flight=name, source=name, sha256=""
+        t=np.array(columns["t"]),
+        channels=channels,
+        extra={},
+        rows=rows,
+        flight=name,
+        source=name,
+        sha256="",
     )
 
 

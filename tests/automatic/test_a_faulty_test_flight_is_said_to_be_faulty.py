@@ -1,4 +1,5 @@
-"""A test flight with a fault is named, and its fault is the likely reason of a bad verdict, not the model."""
+"""A test flight with a fault is named, and its fault is the likely reason of a bad verdict, not the
+model."""
 
 from __future__ import annotations
 
@@ -32,7 +33,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_command_says_it_and_the_verdict_names_it(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
-    command = "fit --vehicle v.toml --train sound.csv --test faulty.csv --manual --effects motor_lag"
+    command = (
+        "fit --vehicle v.toml --train sound.csv --test faulty.csv --manual --effects motor_lag"
+    )
     main([*command.split(), "--out", "out"])
     assert f"greybox fit: {FAULT}" in capsys.readouterr().err
     content = json.loads((folder / "out" / "fit.json").read_text())

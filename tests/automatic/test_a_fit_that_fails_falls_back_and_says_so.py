@@ -26,7 +26,8 @@ def falls(result: Fit) -> list[Any]:
 
 def test_a_parameter_at_its_bound_goes_and_it_is_said():
     columns = dict(flown(**SHORT)[0])
-    # Commands that the log stamps two samples late: the craft answers before it is asked, which no delay explains.
+    # Commands that the log stamps two samples late: the craft answers before it is asked, which no
+    # delay explains.
     columns |= {f"u{i}": np.roll(columns[f"u{i}"], 2) for i in range(1, 5)}
     result = gb.fit(vehicle(), flight(columns, "run0"))
     (said,) = falls(result)
@@ -46,18 +47,29 @@ def test_a_fit_that_does_not_converge_falls_back_and_says_as_what():
     assert [d.choice for d in falls(result)] == ["likelihood one step ahead"]
     assert "NOT converged" in falls(result)[0].reason
     assert result.provenance.recipe.options.predictor == "innovation"
-    assert not result.converged, "the base set has nothing below it: kept, and never called converged"
+    assert not result.converged, (
+        "the base set has nothing below it: kept, and never called converged"
+    )
 
 
 def test_what_was_said_stays_where_a_fit_fails():
     hurried = LevenbergMarquardt(max_iterations=1)
-    result = gb.fit(vehicle(), flights(**SHORT), predictor="multi-step", solver=hurried, noise={"noise.sensor.p": 1.0})
+    result = gb.fit(
+        vehicle(),
+        flights(**SHORT),
+        predictor="multi-step",
+        solver=hurried,
+        noise={"noise.sensor.p": 1.0},
+    )
     assert falls(result) == []
     assert result.provenance.recipe.options.predictor == "multi-step"
     assert not result.converged
 
 
-@pytest.mark.parametrize("wrong", [{"predictor": "inovation"}, {"criterion": "gauss"}, {"solver": "newton"}, {"fixd": ()}])
+@pytest.mark.parametrize(
+    "wrong",
+    [{"predictor": "inovation"}, {"criterion": "gauss"}, {"solver": "newton"}, {"fixd": ()}],
+)
 def test_a_mistyped_choice_is_said_before_anything_is_fitted(wrong):
     said: list[str] = []
     with pytest.raises(UnknownNameError):

@@ -1,4 +1,5 @@
-"""Input that is wrong ends in a usable model with what was done about it, or NOT USABLE with why."""
+"""Input that is wrong ends in a usable model with what was done about it, or NOT USABLE with
+why."""
 
 from __future__ import annotations
 
@@ -73,8 +74,8 @@ def off_by(name: str, factor: float) -> Vehicle:
 
 
 def holds(found: Fit, stated: Vehicle, *names: str) -> None:
-    """NOT USABLE and why; else one of these numbers is said to be wrong (by the estimates or, before the fit, by the file
-    itself), or all of them came out right."""
+    """NOT USABLE and why; else one of these numbers is said to be wrong (by the estimates or,
+    before the fit, by the file itself), or all of them came out right."""
     assert found.verdict is not None
     if found.verdict.refused:
         assert found.verdict.reason and found.verdict.action
@@ -82,7 +83,9 @@ def holds(found: Fit, stated: Vehicle, *names: str) -> None:
     said = {p for f in sanity_of(found).findings for p in f.parameters}
     said |= {f.where for f in vehicle_findings(stated)}
     known = {n: found.parameters[n] for n in names if n in found.parameters}
-    right = len(known) == len(names) and all(abs(e.value / TRUE[n] - 1) < 0.15 for n, e in known.items())
+    right = len(known) == len(names) and all(
+        abs(e.value / TRUE[n] - 1) < 0.15 for n, e in known.items()
+    )
     assert said & set(names) or right, (sanity_of(found).lines(), known)
 
 
@@ -99,7 +102,9 @@ CASES = [(n, f) for n in PARTNERS for f in (3.0, 1 / 3) if (n, f) != ("inertia.z
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "factor"), CASES)
-def test_a_vehicle_file_off_by_three_in_one_number_is_said_or_comes_right_or_is_not_usable(name, factor):
+def test_a_vehicle_file_off_by_three_in_one_number_is_said_or_comes_right_or_is_not_usable(
+    name, factor
+):
     stated = off_by(name, factor)
     holds(fitted(logs(1, 2, sensors=(*IMU, *POSE)), stated), stated, *PARTNERS[name])
 

@@ -1,4 +1,5 @@
-"""Flights come to one sample rate that is enough, and a flight of another craft stays out and is named."""
+"""Flights come to one sample rate that is enough, and a flight of another craft stays out and is
+named."""
 
 from __future__ import annotations
 
@@ -20,10 +21,13 @@ def logs(*seeds: int, sensors: tuple[str, ...] = (*IMU, *POSE), seconds: float =
 
 
 def faster(log, factor: int):
-    """The same flight logged `factor` times as often, between the samples on straight lines (commands held)."""
+    """The same flight logged `factor` times as often, between the samples on straight lines
+    (commands held)."""
     t = np.linspace(log.t[0], log.t[-1], (log.n - 1) * factor + 1)
     held = np.searchsorted(log.t, t + 1e-9) - 1
-    channels = {n: v[held] if n[0] == "u" else np.interp(t, log.t, v) for n, v in log.channels.items()}
+    channels = {
+        n: v[held] if n[0] == "u" else np.interp(t, log.t, v) for n, v in log.channels.items()
+    }
     return replace(log, t=t, channels=channels, rows=np.arange(1, t.size + 1, dtype=np.int64))
 
 
@@ -65,7 +69,9 @@ def test_a_rate_that_is_asked_for_is_taken():
 
 def test_a_log_of_another_vehicle_among_four_is_left_out_and_named():
     own = logs(1, 2, 3, 4)
-    heavy = replace(own[2], channels={n: v * (0.55 if n[0] == "u" else 1.0) for n, v in own[2].channels.items()})
+    heavy = replace(
+        own[2], channels={n: v * (0.55 if n[0] == "u" else 1.0) for n, v in own[2].channels.items()}
+    )
     ready = prepare(vehicle(), [*own[:2], heavy, own[3]])
     assert ready.data.names == ("run1", "run2", "run4")
     (gone,) = ready.left_out

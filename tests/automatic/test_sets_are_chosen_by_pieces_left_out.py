@@ -1,4 +1,5 @@
-"""Of the sets that predict pieces left out as well as any the likelihood chooses; thrust per flight where flights differ."""
+"""Of the sets that predict pieces left out as well as any the likelihood chooses; thrust per flight
+where flights differ."""
 
 from __future__ import annotations
 
@@ -54,7 +55,9 @@ def test_flights_that_agree_share_one_thrust_scale(plain):
 
 def test_flights_that_differ_get_one_each():
     first, second = (dict(c) for c in flown())
-    weaker = {f"u{i}": second[f"u{i}"] * 1.05 for i in range(1, 5)}  # the same motion took more command
+    weaker = {
+        f"u{i}": second[f"u{i}"] * 1.05 for i in range(1, 5)
+    }  # the same motion took more command
     data = Dataset(flights=(*flight(first, "run0"), *flight(second | weaker, "run1")))
     found = decided(data)
     assert found.recipe.options.per_flight == ("thrust.c2",)
@@ -89,7 +92,10 @@ def test_among_those_that_foretell_alike_the_likelihood_chooses():
     small, large = candidate("small", 0.102, 50.0), candidate("large", 0.1, 0.0)
     poor = candidate("poor", 0.2, -900.0)
     assert likeliest_of_the_good([small, large, poor]) is large
-    assert likeliest_of_the_good([replace(small, likelihood=SimpleNamespace(bic=-20.0)), large]).name == "small"
+    assert (
+        likeliest_of_the_good([replace(small, likelihood=SimpleNamespace(bic=-20.0)), large]).name
+        == "small"
+    )
 
 
 def test_inflow_is_offered_where_something_shows_the_climb():
@@ -104,12 +110,16 @@ def test_inflow_is_offered_where_something_shows_the_climb():
 def test_a_channel_that_is_never_seen_where_it_is_foretold_is_left_out_quietly():
     """A position every fifth row, as its origins are: none is seen 0.1 or 0.5 s after one."""
     data = simulated.flights(1, 4.0)
-    model = gb.fit(gb.build_model(simulated.vehicle(), data.channels, ("motor_lag",)), data, use_compiler=False).model
+    model = gb.fit(
+        gb.build_model(simulated.vehicle(), data.channels, ("motor_lag",)), data, use_compiler=False
+    ).model
     rare = np.arange(data.flights[0].segments[0].n) % 5 == 3
 
     def slower(f: Flight) -> Flight:
         (s,) = f.segments
-        thin = {k: np.where(rare[: s.n], v, np.nan) if k in "xyz" else v for k, v in s.channels.items()}
+        thin = {
+            k: np.where(rare[: s.n], v, np.nan) if k in "xyz" else v for k, v in s.channels.items()
+        }
         return replace(f, segments=(replace(s, channels=thin),))
 
     thinned = Dataset(flights=tuple(map(slower, data.flights)))

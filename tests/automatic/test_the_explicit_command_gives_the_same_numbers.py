@@ -1,4 +1,5 @@
-"""What was decided can be repeated: the explicit command and the Python source give the same numbers to the last digit."""
+"""What was decided can be repeated: the explicit command and the Python source give the same
+numbers to the last digit."""
 
 from __future__ import annotations
 
@@ -28,7 +29,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("plain")
     for name, columns in zip("abc", flown((1, 2, 3)), strict=True):
         write_log(folder / f"{name}.csv", {k: v for k, v in columns.items() if k in COLUMNS})
-    write_vehicle(folder / "v.toml", plant(), sigma={"inertia": 0.2, "thrust.c2": 0.2, "mass": 0.01})
+    write_vehicle(
+        folder / "v.toml", plant(), sigma={"inertia": 0.2, "thrust.c2": 0.2, "mass": 0.01}
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         command = "fit --vehicle v.toml --train a.csv b.csv --test c.csv --out fit --seed 3"
@@ -50,7 +53,12 @@ def test_fit_json_holds_decisions_recipe_and_what_repeats_them(folder):
     content = read(folder / "fit" / "fit.json")
     schema = json.loads(resources.files("greybox.schemas").joinpath("fit.json").read_text())
     jsonschema.validate(content, schema)
-    assert {d["about"] for d in content["decisions"]} >= {"effects", "disturbance states", "criterion", "mass"}
+    assert {d["about"] for d in content["decisions"]} >= {
+        "effects",
+        "disturbance states",
+        "criterion",
+        "mass",
+    }
     assert all(d["reason"] and d["option"].startswith("--") for d in content["decisions"])
     assert set(content["recipe"]["effects"]) == set(content["model"]["effects"])
     assert content["explicit"]["command"].startswith(
@@ -71,7 +79,9 @@ def test_the_explicit_command_gives_the_same_numbers(folder, monkeypatch):
     assert again["verdict"] == first["verdict"]
 
 
-def test_without_test_flights_it_is_judged_on_the_same_pieces_with_the_same_first_line(folder, monkeypatch, capsys):
+def test_without_test_flights_it_is_judged_on_the_same_pieces_with_the_same_first_line(
+    folder, monkeypatch, capsys
+):
     monkeypatch.chdir(folder)
     plain = "fit --vehicle v.toml --train a.csv b.csv --out alone --seed 3"
     assert main(plain.split()) == 0

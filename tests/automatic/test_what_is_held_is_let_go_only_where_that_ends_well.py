@@ -1,4 +1,5 @@
-"""What is held for a ratio is estimated where the flights tell it, and stays held where that fails or was said."""
+"""What is held for a ratio is estimated where the flights tell it, and stays held where that fails
+or was said."""
 
 from __future__ import annotations
 
@@ -13,11 +14,20 @@ from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.recipe import Decision, Recipe
 from greybox.estimation.result import Fit
-from tests.estimation.test_what_is_held_but_not_exact_widens_the_errors_of_others import cart, record
+from tests.estimation.test_what_is_held_but_not_exact_widens_the_errors_of_others import (
+    cart,
+    record,
+)
 
-automatic = importlib.import_module("greybox.automatic.fit")  # the package has a function of that name
-OPTIONS = FitOptions(fixed=("mass",), considered=("mass",), predictor="simulation", use_compiler=False)
-HELD = Decision(about="mass", choice="held at 2 kg", reason="only its ratio shows", option="--fixed")
+automatic = importlib.import_module(
+    "greybox.automatic.fit"
+)  # the package has a function of that name
+OPTIONS = FitOptions(
+    fixed=("mass",), considered=("mass",), predictor="simulation", use_compiler=False
+)
+HELD = Decision(
+    about="mass", choice="held at 2 kg", reason="only its ratio shows", option="--fixed"
+)
 MODEL, FLIGHTS = cart(sigma=0.4, drag=2.0), record()
 
 
@@ -26,7 +36,9 @@ def found() -> Fit:
     return fit(MODEL, FLIGHTS, OPTIONS)
 
 
-def done(monkeypatch: pytest.MonkeyPatch, found: Fit, said: Given, answer: Any = None) -> tuple[Fit, list[str]]:
+def done(
+    monkeypatch: pytest.MonkeyPatch, found: Fit, said: Given, answer: Any = None
+) -> tuple[Fit, list[str]]:
     lines: list[str] = []
 
     def again(vehicle: object, data: object, recipe: Recipe) -> Fit:
@@ -37,7 +49,9 @@ def done(monkeypatch: pytest.MonkeyPatch, found: Fit, said: Given, answer: Any =
     monkeypatch.setattr(automatic, "fit_recipe", again)
     vehicle: Any = None
     recipe = Recipe(options=OPTIONS)
-    return automatic._with_what_flights_tell(vehicle, FLIGHTS, found, recipe, [HELD], said, lines.append), lines
+    return automatic._with_what_flights_tell(
+        vehicle, FLIGHTS, found, recipe, [HELD], said, lines.append
+    ), lines
 
 
 def test_it_is_estimated_and_the_decision_says_so(monkeypatch, found):
@@ -56,7 +70,9 @@ def test_it_stays_held_where_the_other_fit_fails(monkeypatch, found):
     assert "held after all" in lines[-1]
 
 
-@pytest.mark.parametrize("said", [{"fixed": ("mass",)}, {"considered": ("mass",)}, {"free": ("gain",)}])
+@pytest.mark.parametrize(
+    "said", [{"fixed": ("mass",)}, {"considered": ("mass",)}, {"free": ("gain",)}]
+)
 def test_it_stays_held_where_somebody_said_so(monkeypatch, found, said):
     result, lines = done(monkeypatch, found, Given(choices=said), AssertionError("asked again"))
     assert "mass" not in result.parameters and not lines

@@ -85,7 +85,11 @@ def test_each_given_choice_overrules_exactly_its_decision(choices, about):
     assert [d for d in plain.decisions if d.about != about] == list(said.decisions)
     for name, value in choices.items():
         assert vars(said.recipe.options)[name] == value
-    others = set(vars(plain.recipe.options)) - set(choices) - ({"fixed", "considered"} if about == "mass" else set())
+    others = (
+        set(vars(plain.recipe.options))
+        - set(choices)
+        - ({"fixed", "considered"} if about == "mass" else set())
+    )
     for name in others:
         assert vars(said.recipe.options)[name] == vars(plain.recipe.options)[name]
 
@@ -100,10 +104,16 @@ def test_given_effects_and_adaptation_are_taken():
 def test_what_is_considered_seeded_or_started_stays_as_it_was_said():
     given = Given(choices={"considered": ("thrust.c2",), "seed": 5, "initialisation": "nominal"})
     options = decided(flights(), given, mass=0.01)[1].recipe.options
-    assert (options.considered, options.seed, options.initialisation) == (("thrust.c2",), 5, "nominal")
+    assert (options.considered, options.seed, options.initialisation) == (
+        ("thrust.c2",),
+        5,
+        "nominal",
+    )
 
 
 def test_measured_rotor_speeds_as_input_get_no_effect_of_the_command():
-    _, found = decided(flights((*RATES, "omega1", "omega2", "omega3", "omega4")), Given(input="speed"))
+    _, found = decided(
+        flights((*RATES, "omega1", "omega2", "omega3", "omega4")), Given(input="speed")
+    )
     assert found.recipe.input == "speed"
     assert found.recipe.effect_names == ("gyro_bias",)

@@ -1,6 +1,8 @@
-"""Claim: a GP on the errors of a model is kept only where it foretells left-out flights better than the model itself does.
+"""Claim: a GP on the errors of a model is kept only where it foretells left-out flights better than
+the model itself does.
 
-Where it is kept its stated noise is that of left-out flights; where not, the hybrid is the model, mean and variance.
+Where it is kept its stated noise is that of left-out flights; where not, the hybrid is the model,
+mean and variance.
 """
 
 from __future__ import annotations
@@ -23,21 +25,32 @@ OWN = np.array([0.1**2, 0.1**2])
 
 
 def trained(z: FloatArray, y: FloatArray, noise: float) -> GPPosterior:
-    """Two outputs from one input, weights from all rows, with a stated noise variance that may be wrong."""
+    """Two outputs from one input, weights from all rows, with a stated noise variance that may be
+    wrong."""
     kernel = Kernel(family="se", lengthscales=np.array([0.7]), variance=1.0)
     support = np.linspace(-2, 2, 12)[None]
     numbers = [collapsed(kernel, support, z.T, y[:, j], noise) for j in range(2)]
     return GPPosterior(
-        inputs=Layout([Signal(name="u", unit="V")]), outputs=Layout([Signal(name=n, unit="m") for n in "ab"]), method="sgpr",
-        kernels=(kernel, kernel), input_mean=np.zeros(1), input_scale=np.ones(1), output_mean=np.zeros(2),
-        output_scale=np.ones(2), support=support.T, weights=np.stack([n.weights for n in numbers], axis=1),
-        explained=np.stack([n.explained for n in numbers]), uncertain=np.stack([n.uncertain for n in numbers]),
-        noise=np.full(2, noise), domain=Domain(lower=np.full(1, -2.0), upper=np.full(1, 2.0), samples=len(z)),
-    )  # fmt: skip
+        inputs=Layout([Signal(name="u", unit="V")]),
+        outputs=Layout([Signal(name=n, unit="m") for n in "ab"]),
+        method="sgpr",
+        kernels=(kernel, kernel),
+        input_mean=np.zeros(1),
+        input_scale=np.ones(1),
+        output_mean=np.zeros(2),
+        output_scale=np.ones(2),
+        support=support.T,
+        weights=np.stack([n.weights for n in numbers], axis=1),
+        explained=np.stack([n.explained for n in numbers]),
+        uncertain=np.stack([n.uncertain for n in numbers]),
+        noise=np.full(2, noise),
+        domain=Domain(lower=np.full(1, -2.0), upper=np.full(1, 2.0), samples=len(z)),
+    )
 
 
 def rows(seed: int = 0, n: int = 400) -> tuple[FloatArray, FloatArray, np.ndarray]:
-    """Output a bends with u; output b is noise whose mean wanders from flight to flight, which no feature tells."""
+    """Output a bends with u; output b is noise whose mean wanders from flight to flight, which no
+    feature tells."""
     rng = np.random.default_rng(seed)
     flight = np.repeat(np.arange(5), n // 5)
     z = rng.uniform(-2, 2, (n, 1)) * 0.15 + 0.6 * (flight[:, None] - 2)
@@ -51,7 +64,9 @@ def test_what_bends_is_kept_and_what_wanders_is_refused() -> None:
     found, scores = judged_on_left_out(trained(z, y, 0.0025), z, y, flight, OWN)
     assert found.active[1] is False and scores[1]["gain"] <= scores[1]["nlpd_model"] + 10
     mean, variance = found.evaluate(z[:5], noise=True)
-    assert np.array_equal(mean[:, 1], np.zeros(5)) and np.allclose(variance[:, 1], OWN[1], rtol=1e-12)
+    assert np.array_equal(mean[:, 1], np.zeros(5)) and np.allclose(
+        variance[:, 1], OWN[1], rtol=1e-12
+    )
     assert scores[0].keys() >= {"nlpd", "nlpd_model", "gain"}
 
 
@@ -70,7 +85,8 @@ def test_a_noise_that_is_stated_too_large_is_set_right() -> None:
 
 
 def test_a_process_that_only_states_a_better_noise_is_refused() -> None:
-    """Errors that no input tells of, and a model that overstates them by half: the noise is wrong, not the mean."""
+    """Errors that no input tells of, and a model that overstates them by half: the noise is wrong,
+    not the mean."""
     rng = np.random.default_rng(4)
     flight = np.repeat(np.arange(3), 150)
     z = rng.uniform(-2, 2, (450, 1))
@@ -83,7 +99,10 @@ def test_a_process_that_only_states_a_better_noise_is_refused() -> None:
 def circles(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str], list[str]]:
     """A linear model of three real circles, p, q and r from u1..u4, by the plain command."""
     out = tmp_path_factory.mktemp("linear")
-    train = [str(flight_path("nanobench", f"B2_circle_{speed}_rep1")) for speed in ("slow", "medium", "fast")]
+    train = [
+        str(flight_path("nanobench", f"B2_circle_{speed}_rep1"))
+        for speed in ("slow", "medium", "fast")
+    ]
     vehicle = ["--vehicle", str(vehicle_path("nanobench"))]
     channels = ["--inputs", "u1,u2,u3,u4", "--outputs", "p,q,r"]
     main(["linear", "--train", *train, *channels, *vehicle, "--out", str(out)])
@@ -91,9 +110,15 @@ def circles(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str], 
 
 
 FRESH = (
-    "B3_figure8_medium_rep2", "B3_figure8_slow_rep1", "B5_helix_fast_mell_rep1", "B5_helix_medium_rep2", "B7_oval_fast_rep1",
-    "B7_oval_medium_rep2", "B8_star_fast_rep2", "B8_star_medium_rep1",
-)  # fmt: skip
+    "B3_figure8_medium_rep2",
+    "B3_figure8_slow_rep1",
+    "B5_helix_fast_mell_rep1",
+    "B5_helix_medium_rep2",
+    "B7_oval_fast_rep1",
+    "B7_oval_medium_rep2",
+    "B8_star_fast_rep2",
+    "B8_star_medium_rep1",
+)
 """Flights that nobody looked at when the rules of this judgement were chosen."""
 
 
@@ -104,9 +129,13 @@ FRESH = (
     + [(n, FRESH) for n in ("gp", "random-features")],
 )
 def test_no_learner_makes_a_linear_model_of_real_circles_worse(
-    learner: str, flights: tuple[str, ...], circles: tuple[Path, list[str], list[str]], tmp_path: Path
+    learner: str,
+    flights: tuple[str, ...],
+    circles: tuple[Path, list[str], list[str]],
+    tmp_path: Path,
 ) -> None:
-    """On flights of other kinds: density and squared error of every channel, and what is said of the intervals."""
+    """On flights of other kinds: density and squared error of every channel, and what is said of
+    the intervals."""
     model, train, vehicle = circles
     test = ["--test", *(str(flight_path("nanobench", n)) for n in flights)]
     options = [*vehicle, "--learner", learner, "--out", str(tmp_path)]

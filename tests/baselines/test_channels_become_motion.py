@@ -1,11 +1,19 @@
-"""Predicted channels integrated to a pose, on a motion that is known; and a view of a flight that knows no later sample."""
+"""Predicted channels integrated to a pose, on a motion that is known; and a view of a flight that
+knows no later sample."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from greybox.baselines.kinematics import BODY_VELOCITY, GRAVITY_DIRECTION, IMU, black_box_view, causal_velocity, motion
+from greybox.baselines.kinematics import (
+    BODY_VELOCITY,
+    GRAVITY_DIRECTION,
+    IMU,
+    black_box_view,
+    causal_velocity,
+    motion,
+)
 from greybox.data import Segment
 from greybox.frames import numeric
 
@@ -14,7 +22,8 @@ DT, G, N = 0.01, 9.81, 300
 
 @pytest.fixture(scope="module")
 def known():
-    """A slow roll and pitch on a curve: attitude, rate, position, velocity and specific force belong together."""
+    """A slow roll and pitch on a curve: attitude, rate, position, velocity and specific force
+    belong together."""
     t = DT * np.arange(N)
     q = numeric("from_euler", np.stack([0.3 * np.sin(2 * t), 0.2 * np.cos(t), 0.5 * t], axis=1))
     turn = numeric("difference", q[:-1], q[1:]) / DT  # mean rate of every step, body axes
@@ -39,13 +48,17 @@ def test_perfect_channels_give_the_motion_back(known):
     rows = origins[:, None] + np.arange(1, 51)
     for names in (IMU, (*IMU, *BODY_VELOCITY, *GRAVITY_DIRECTION)):
         groups, stated = motion(view, origins, names, *ahead(view, names, origins, 50), gravity=G)
-        angle = np.linalg.norm(numeric("difference", groups["rotation"].reshape(-1, 4), q[rows].reshape(-1, 4)), axis=1)
+        angle = np.linalg.norm(
+            numeric("difference", groups["rotation"].reshape(-1, 4), q[rows].reshape(-1, 4)), axis=1
+        )
         assert angle.max() < 2e-3
         assert groups["velocity"] == pytest.approx(v[rows], abs=6e-3)
         assert groups["position"] == pytest.approx(x[rows], abs=4e-3)
         assert np.array_equal(groups["rate"], view.matrix(("p", "q", "r"))[rows])
         assert ("velocity" in stated) == (len(names) > 6)
-    assert stated["velocity"] == pytest.approx(np.broadcast_to(1e-4 * np.eye(3), (2, 50, 3, 3)), abs=1e-12)
+    assert stated["velocity"] == pytest.approx(
+        np.broadcast_to(1e-4 * np.eye(3), (2, 50, 3, 3)), abs=1e-12
+    )
 
 
 def test_only_rates_are_no_more_than_an_attitude(known):
@@ -66,7 +79,9 @@ def test_a_diverged_spread_still_has_a_density(known):
 
 def test_the_view_uses_no_later_sample(known):
     segment, *_ = known
-    changed = segment.replace({n: np.where(np.arange(N) > 150, 0.5, c) for n, c in segment.channels.items()})
+    changed = segment.replace(
+        {n: np.where(np.arange(N) > 150, 0.5, c) for n, c in segment.channels.items()}
+    )
     before, after = black_box_view(segment), black_box_view(changed)
     for n in before.names:
         assert np.array_equal(before.channels[n][:151], after.channels[n][:151]), n

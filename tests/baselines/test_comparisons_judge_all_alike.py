@@ -44,8 +44,10 @@ def results(judged):
 def test_a_failing_method_has_its_error_in_its_row(results):
     rows = {m["method"]: m for m in results[-1]["methods"]}
     assert rows["nonlinear PEM"] == {
-        "method": "nonlinear PEM", "status": "failed", "error": "ZeroDivisionError: division by zero",
-    }  # fmt: skip
+        "method": "nonlinear PEM",
+        "status": "failed",
+        "error": "ZeroDivisionError: division by zero",
+    }
     assert rows["linear SISO PEM"]["status"] == "done"
 
 
@@ -92,9 +94,18 @@ def test_the_page_and_the_table_name_every_method(results):
 def test_means_are_over_standardised_channels():
     rng = np.random.default_rng(0)
     y = rng.standard_normal((2000, 2)) * [1.0, 100.0]
-    given = {"inputs": [rng.standard_normal((2000, 1))], "names": ("p", "ax"), "units": ("", ""), "dt": 0.01}
+    given = {
+        "inputs": [rng.standard_normal((2000, 1))],
+        "names": ("p", "ax"),
+        "units": ("", ""),
+        "dt": 0.01,
+    }
     scored = one_step_scores(
-        [y], [np.zeros_like(y)], [np.ones_like(y) * [1.0, 1e4]], spread=np.array([1.0, 100.0]), **given
+        [y],
+        [np.zeros_like(y)],
+        [np.ones_like(y) * [1.0, 1e4]],
+        spread=np.array([1.0, 100.0]),
+        **given,
     )
     one, two = scored["channels"].values()
     assert scored["mean"]["mse"] == pytest.approx((one["mse"] + two["mse"] / 1e4) / 2)
@@ -120,14 +131,23 @@ def test_a_deviation_that_follows_the_error_and_the_manoeuvre_is_seen_to_do_so()
 
 
 def test_all_searches_have_the_budget_and_try_every_kind():
-    drawn = candidates(bench(budget=4), {"features": ("a", "b"), "kernel": (1, 2), "points": (3, 4)}, "features")
+    drawn = candidates(
+        bench(budget=4), {"features": ("a", "b"), "kernel": (1, 2), "points": (3, 4)}, "features"
+    )
     assert [d["features"] for d in drawn] == ["a", "b", "a", "b"]
     assert len({tuple(d.items()) for d in drawn}) == 4
 
 
 def test_every_promised_method_is_there():
-    assert {"linear SISO PEM", "linear MIMO PEM", "nonlinear PEM", "LSTM", "GP alone", "linear PEM + GP",
-            "nonlinear PEM + GP"} <= set(METHODS)  # fmt: skip
+    assert {
+        "linear SISO PEM",
+        "linear MIMO PEM",
+        "nonlinear PEM",
+        "LSTM",
+        "GP alone",
+        "linear PEM + GP",
+        "nonlinear PEM + GP",
+    } <= set(METHODS)
     with pytest.raises(UnknownNameError, match="linear SISO PEM"):
         next(compare(bench(), ("linear SIS PEM",)))
 
@@ -162,7 +182,11 @@ def test_every_pair_has_its_row(learner):
 
 def test_a_linear_model_does_not_see_the_measurement_that_it_predicts(judged):
     at, segment, predictor = 400, judged.segments[0], judged.siso[0]
-    moved = {n: np.where(np.arange(segment.n) == at, v + 0.1, v) for n, v in segment.channels.items() if n[0] != "u"}
+    moved = {
+        n: np.where(np.arange(segment.n) == at, v + 0.1, v)
+        for n, v in segment.channels.items()
+        if n[0] != "u"
+    }
     before, after = predictor.one_step(segment)[0], predictor.one_step(segment.replace(moved))[0]
     assert np.array_equal(before[: at + 1], after[: at + 1], equal_nan=True)
     assert not np.array_equal(before[at + 1], after[at + 1])
@@ -191,9 +215,13 @@ def test_outcomes_of_a_method_of_ones_own_are_judged_too(judged, monkeypatch):
     def oracle(given):
         mean = [s.matrix(given.outputs) for s in given.segments]
         return Outcome(
-            mean=mean, variance=[np.full_like(m, 1e-6) for m in mean], table=None, parameters=0, seconds=0.0,
+            mean=mean,
+            variance=[np.full_like(m, 1e-6) for m in mean],
+            table=None,
+            parameters=0,
+            seconds=0.0,
             microseconds=0.0,
-        )  # fmt: skip
+        )
 
     monkeypatch.setitem(compare_methods.METHODS, "oracle", oracle)
     row = next(compare(judged, ("oracle",)))["methods"][0]

@@ -1,4 +1,5 @@
-"""The LSTM without PyTorch says what PyTorch says, in NumPy and CasADi alike, and predicts causally."""
+"""The LSTM without PyTorch says what PyTorch says, in NumPy and CasADi alike, and predicts
+causally."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ torch = pytest.importorskip("torch")
 
 
 def flight(seed=0, n=400, name="flight"):
-    """A stable second-order system, y1 and y2, driven by noise-like u, with a little measurement noise."""
+    """A stable second-order system, y1 and y2, driven by noise-like u, with a little measurement
+    noise."""
     rng = np.random.default_rng(seed)
     u = np.convolve(rng.standard_normal(n + 9), np.ones(10) / 10, "valid")
     y = np.zeros((n, 2))
@@ -27,7 +29,9 @@ def flight(seed=0, n=400, name="flight"):
         y[k, 0] = 0.9 * y[k - 1, 0] + 0.1 * y[k - 1, 1]
         y[k, 1] = 0.8 * y[k - 1, 1] - 0.2 * y[k - 1, 0] + np.tanh(2.0 * u[k - 1])
     y += 0.01 * rng.standard_normal(y.shape)
-    return dataset_from_arrays(0.01 * np.arange(n), {"y1": y[:, 0], "y2": y[:, 1], "u": u}, name=name)
+    return dataset_from_arrays(
+        0.01 * np.arange(n), {"y1": y[:, 0], "y2": y[:, 1], "u": u}, name=name
+    )
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +39,9 @@ def trained():
     from greybox.baselines.lstm_train import LSTMSettings, train_lstm
 
     settings = LSTMSettings(n_a=3, n_b=5, hidden=12, epochs=30, learning_rate=1e-2)
-    return train_lstm(flight(0), flight(1), outputs=("y1", "y2"), inputs=("u",), settings=settings, seed=4)
+    return train_lstm(
+        flight(0), flight(1), outputs=("y1", "y2"), inputs=("u",), settings=settings, seed=4
+    )
 
 
 @pytest.mark.parametrize("increments", [False, True])
@@ -48,12 +54,20 @@ def test_it_equals_torch_to_nine_digits(increments, n_a, n_b, newest):
     network = Network(5, LSTMSettings(hidden=16), 2).double().eval()
     weights = {k: v.numpy() for k, v in network.state_dict().items()}
     rng = np.random.default_rng(2)
-    scaling = {"input_mean": rng.normal(size=lags.width), "input_scale": rng.uniform(0.5, 2.0, lags.width)}
+    scaling = {
+        "input_mean": rng.normal(size=lags.width),
+        "input_scale": rng.uniform(0.5, 2.0, lags.width),
+    }
     model = LSTMModel(
-        lags=lags, increments=increments, **scaling, target_mean=rng.normal(size=2),
-        target_scale=rng.uniform(0.5, 2.0, 2), layers=(_layer(weights, 0), _layer(weights, 1)),
-        head=(weights["head.weight"], weights["head.bias"]), variance=np.ones((3, 2)),
-    )  # fmt: skip
+        lags=lags,
+        increments=increments,
+        **scaling,
+        target_mean=rng.normal(size=2),
+        target_scale=rng.uniform(0.5, 2.0, 2),
+        layers=(_layer(weights, 0), _layer(weights, 1)),
+        head=(weights["head.weight"], weights["head.bias"]),
+        variance=np.ones((3, 2)),
+    )
     z = rng.normal(size=(50, lags.width))
     x = sequences(lags, (z - model.input_mean) / model.input_scale)
     with torch.no_grad():
@@ -64,7 +78,9 @@ def test_it_equals_torch_to_nine_digits(increments, n_a, n_b, newest):
     assert np.array([exported(row).full().ravel() for row in z]) == pytest.approx(said, abs=1e-9)
     assert exported.name_in() == ["z"]
     slope = ca.Function(
-        "slope", exported.mx_in(), [ca.jacobian(exported.call(exported.mx_in())[0], exported.mx_in()[0])]
+        "slope",
+        exported.mx_in(),
+        [ca.jacobian(exported.call(exported.mx_in())[0], exported.mx_in()[0])],
     )
     assert np.isfinite(slope(z[0]).full()).all(), "it can be differentiated"
 
@@ -81,7 +97,9 @@ def test_it_learns_a_system_better_than_holding_the_last_value(trained):
     assert trained.report["ended"] in ("stopped", "epochs used up")
 
 
-def test_the_first_step_of_a_free_run_is_the_one_step_prediction_and_later_ones_use_no_measurement(trained):
+def test_the_first_step_of_a_free_run_is_the_one_step_prediction_and_later_ones_use_no_measurement(
+    trained,
+):
     segment = flight(2).segments[0]
     origins = np.array([10, 50, 200, segment.n - 3])
     one, _ = trained.one_step(segment)
@@ -89,7 +107,9 @@ def test_the_first_step_of_a_free_run_is_the_one_step_prediction_and_later_ones_
     assert mean[:, 0] == pytest.approx(one[origins + 1], abs=1e-12)
     assert np.all(np.diff(np.nanmean(variance, axis=(0, 2))[:4]) > 0), "less is known further ahead"
     assert np.isnan(mean[-1, 4:]).all() and np.isfinite(mean[:-1]).all()
-    later = {n: np.where(np.arange(segment.n) > 200, 9.0, segment.channels[n]) for n in ("y1", "y2")}
+    later = {
+        n: np.where(np.arange(segment.n) > 200, 9.0, segment.channels[n]) for n in ("y1", "y2")
+    }
     changed, _ = trained.free_run(segment.replace(later), np.array([200]), 8)
     assert changed[0] == pytest.approx(mean[2], abs=1e-12)
 
@@ -108,8 +128,12 @@ def test_the_same_seed_trains_the_same_network(trained):
     from greybox.baselines.lstm_train import LSTMSettings, train_lstm
 
     settings = LSTMSettings(n_a=3, n_b=5, hidden=12, epochs=30, learning_rate=1e-2)
-    again = train_lstm(flight(0), flight(1), outputs=("y1", "y2"), inputs=("u",), settings=settings, seed=4)
-    assert all(np.array_equal(a, b) for x, y in zip(again.layers, trained.layers) for a, b in zip(x, y))
+    again = train_lstm(
+        flight(0), flight(1), outputs=("y1", "y2"), inputs=("u",), settings=settings, seed=4
+    )
+    assert all(
+        np.array_equal(a, b) for x, y in zip(again.layers, trained.layers) for a, b in zip(x, y)
+    )
 
 
 def test_a_search_keeps_the_best_candidate_and_lists_all(monkeypatch):
@@ -118,9 +142,17 @@ def test_a_search_keeps_the_best_candidate_and_lists_all(monkeypatch):
     monkeypatch.setattr(
         lstm_train,
         "SPACE",
-        {"hidden": (4, 8), "learning_rate": (1e-2,), "window": (2,), "dropout": (0.0,), "increments": (False,)},
+        {
+            "hidden": (4, 8),
+            "learning_rate": (1e-2,),
+            "window": (2,),
+            "dropout": (0.0,),
+            "increments": (False,),
+        },
     )
-    best = lstm_train.search_lstm(flight(0), flight(1), outputs=("y1", "y2"), inputs=("u",), budget=2, epochs=4)
+    best = lstm_train.search_lstm(
+        flight(0), flight(1), outputs=("y1", "y2"), inputs=("u",), budget=2, epochs=4
+    )
     assert len(best.report["search"]) == 2
     assert best.report["validation"] == min(c["validation"] for c in best.report["search"])
 

@@ -1,4 +1,5 @@
-"""The GP on past samples: causal, honest about a free run (checked by Monte Carlo), kept in a file bit by bit."""
+"""The GP on past samples: causal, honest about a free run (checked by Monte Carlo), kept in a file
+bit by bit."""
 
 from __future__ import annotations
 
@@ -24,8 +25,15 @@ def flight(seed=0, n=400, name="flight"):
     y = np.zeros((n, 2))
     for k in range(1, n):
         y[k, 0] = 0.9 * y[k - 1, 0] + 0.1 * y[k - 1, 1] + 0.02 * rng.standard_normal()
-        y[k, 1] = 0.8 * y[k - 1, 1] - 0.2 * y[k - 1, 0] + np.tanh(2 * u[k - 1]) + 0.03 * rng.standard_normal()
-    return dataset_from_arrays(0.01 * np.arange(n), {"y1": y[:, 0], "y2": y[:, 1], "u": u}, name=name)
+        y[k, 1] = (
+            0.8 * y[k - 1, 1]
+            - 0.2 * y[k - 1, 0]
+            + np.tanh(2 * u[k - 1])
+            + 0.03 * rng.standard_normal()
+        )
+    return dataset_from_arrays(
+        0.01 * np.arange(n), {"y1": y[:, 0], "y2": y[:, 1], "u": u}, name=name
+    )
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +61,9 @@ def test_the_spread_of_a_free_run_is_that_of_simulated_futures(trained):
     many = np.repeat(past, runs, axis=0)
     drawn = np.empty((runs, horizon, 2))
     for h in range(horizon):
-        m, v = trained.posterior.evaluate(Lags.joined(many, np.repeat(moved[:, h], runs, axis=0)), noise=True)
+        m, v = trained.posterior.evaluate(
+            Lags.joined(many, np.repeat(moved[:, h], runs, axis=0)), noise=True
+        )
         drawn[:, h] = m + np.sqrt(v) * rng.standard_normal(m.shape)
         many = trained.lags.pushed(many, drawn[:, h])
     assert variance[0] == pytest.approx(drawn.var(axis=0), rel=0.15)
@@ -68,15 +78,21 @@ def test_the_first_step_of_a_free_run_is_the_one_step_prediction(trained):
     inside = origins + 1 < segment.n
     assert mean[inside, 0] == pytest.approx(one[0][origins[inside] + 1], abs=1e-10)
     assert variance[inside, 0] == pytest.approx(one[1][origins[inside] + 1], rel=1e-9)
-    assert np.isfinite(mean[2, 0]).all() and np.isnan(mean[2, 1:]).all(), "one sample past the end is known"
+    assert np.isfinite(mean[2, 0]).all() and np.isnan(mean[2, 1:]).all(), (
+        "one sample past the end is known"
+    )
 
 
 @pytest.mark.parametrize("increments", [False, True])
 def test_neither_the_measurement_nor_the_command_of_an_instant_moves_its_prediction(increments):
-    model = fit_narx(flight(0), outputs=OUTPUTS, inputs=INPUTS, n_a=2, n_b=2, increments=increments, points=20)
+    model = fit_narx(
+        flight(0), outputs=OUTPUTS, inputs=INPUTS, n_a=2, n_b=2, increments=increments, points=20
+    )
     segment = flight(2).segments[0]
     now = np.arange(segment.n) == 100
-    moved = segment.replace({n: np.where(now, 5.0, segment.channels[n]) for n in (*OUTPUTS, *INPUTS)})
+    moved = segment.replace(
+        {n: np.where(now, 5.0, segment.channels[n]) for n in (*OUTPUTS, *INPUTS)}
+    )
     before, after = model.one_step(segment)[0], model.one_step(moved)[0]
     assert np.array_equal(after[:101], before[:101], equal_nan=True)
     assert not np.array_equal(after[101], before[101])
@@ -84,7 +100,9 @@ def test_neither_the_measurement_nor_the_command_of_an_instant_moves_its_predict
 
 def test_increments_and_values_predict_alike_on_data_that_move_slowly(trained):
     segment = flight(2).segments[0]
-    other = fit_narx(flight(0), outputs=OUTPUTS, inputs=INPUTS, n_a=2, n_b=2, increments=True, points=40)
+    other = fit_narx(
+        flight(0), outputs=OUTPUTS, inputs=INPUTS, n_a=2, n_b=2, increments=True, points=40
+    )
     a, b = trained.one_step(segment)[0][2:], other.one_step(segment)[0][2:]
     assert np.sqrt(np.mean((a - b) ** 2)) < 0.02
     far, variance = other.free_run(segment, [100], 10)
@@ -107,7 +125,9 @@ def test_it_survives_the_file_bit_by_bit_and_a_changed_file_is_refused(trained, 
 def test_a_search_keeps_the_best_candidate(monkeypatch):
     from greybox.baselines import narx
 
-    monkeypatch.setattr(narx, "SPACE", {"lags": (1, 2), "kernel": ("se",), "increments": (False,), "points": (20,)})
+    monkeypatch.setattr(
+        narx, "SPACE", {"lags": (1, 2), "kernel": ("se",), "increments": (False,), "points": (20,)}
+    )
     best = search_narx(flight(0), flight(1), outputs=OUTPUTS, inputs=INPUTS, budget=2)
     tried = best.report["search"]
     assert len(tried) == 2
@@ -120,5 +140,7 @@ def test_a_search_keeps_the_best_candidate(monkeypatch):
 def test_a_gp_over_other_inputs_is_refused(trained):
     with pytest.raises(ModelError, match="lags"):
         NARXModel(
-            lags=Lags(outputs=OUTPUTS, inputs=INPUTS, n_a=3, n_b=2), increments=False, posterior=trained.posterior
+            lags=Lags(outputs=OUTPUTS, inputs=INPUTS, n_a=3, n_b=2),
+            increments=False,
+            posterior=trained.posterior,
         )

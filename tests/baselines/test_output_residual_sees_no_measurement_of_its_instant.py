@@ -1,4 +1,5 @@
-"""The output residual: causal to the last bit, right where the truth is known, honest in a free run, kept in a file."""
+"""The output residual: causal to the last bit, right where the truth is known, honest in a free
+run, kept in a file."""
 
 from __future__ import annotations
 
@@ -35,10 +36,16 @@ def linear(name="lin", output="p", inputs="roll", gain=0.3, noise=0.01, delay=1)
     """A first-order system in innovation form."""
     m = Matrices(*(np.array([[v]]) for v in (0.9, 0.5, 1.0, 0.0, gain)))
     return LinearModel(
-        name=name, matrices=m, noise=np.array([[noise**2]]), dt=DT, inputs=Layout([Signal(name=inputs, unit="1")]),
-        outputs=Layout([Signal(name=output, unit="rad/s")]), delays=(delay,), input_offset=np.array([0.2]),
+        name=name,
+        matrices=m,
+        noise=np.array([[noise**2]]),
+        dt=DT,
+        inputs=Layout([Signal(name=inputs, unit="1")]),
+        outputs=Layout([Signal(name=output, unit="rad/s")]),
+        delays=(delay,),
+        input_offset=np.array([0.2]),
         output_offset=np.array([0.1]),
-    )  # fmt: skip
+    )
 
 
 def bent(y):
@@ -57,7 +64,9 @@ def flight(seed=0, n=800, name="flight", noise=0.01, push=bent):
         p[k] = x + 0.1 + e
         x = 0.9 * x + 0.5 * moved[k - 1] + 0.3 * e
     q = 0.05 * rng.standard_normal(n)
-    return dataset_from_arrays(DT * np.arange(n), {"u1": u[:, 0], "u2": u[:, 1], "p": p, "q": q}, name=name)
+    return dataset_from_arrays(
+        DT * np.arange(n), {"u1": u[:, 0], "u2": u[:, 1], "p": p, "q": q}, name=name
+    )
 
 
 CHANNELS = {"roll": ((1.0, "u1"), (-1.0, "u2"))}
@@ -78,7 +87,9 @@ def test_it_finds_what_the_linear_model_misses(trained):
     rows = slice(200, None)
     assert np.sqrt(np.mean((y - mean)[rows] ** 2)) < 1.05 * 0.01
     assert np.sqrt(np.mean((y - plain)[rows] ** 2)) > 3 * 0.01
-    assert np.mean(np.abs(y - mean)[rows] < 1.96 * np.sqrt(variance[rows])) == pytest.approx(0.95, abs=0.02)
+    assert np.mean(np.abs(y - mean)[rows] < 1.96 * np.sqrt(variance[rows])) == pytest.approx(
+        0.95, abs=0.02
+    )
 
 
 @pytest.mark.parametrize("at", [300, 301])
@@ -94,7 +105,9 @@ def test_a_replaced_measurement_leaves_its_own_prediction_unchanged(trained, at)
 
 def test_a_free_run_knows_nothing_after_its_origin(trained):
     segment = flight(6).segments[0]
-    changed = segment.replace({"p": np.where(np.arange(segment.n) > 300, 9.0, segment.channels["p"])})
+    changed = segment.replace(
+        {"p": np.where(np.arange(segment.n) > 300, 9.0, segment.channels["p"])}
+    )
     for a, b in zip(trained.free_run(segment, [300], 20), trained.free_run(changed, [300], 20)):
         assert np.array_equal(a, b)
 
@@ -110,7 +123,9 @@ def test_the_first_step_of_a_free_run_is_the_one_step_prediction(trained):
 def test_without_a_gp_it_is_the_linear_predictor():
     segment = flight(8).segments[0]
     base = BasePredictor(model=linear(), channels=CHANNELS)
-    record = Record(u=(segment.channels["u1"] - segment.channels["u2"])[:, None], y=segment.matrix(("p",)))
+    record = Record(
+        u=(segment.channels["u1"] - segment.channels["u2"])[:, None], y=segment.matrix(("p",))
+    )
     one, far = k_step(linear(), record, [1, 10])
     mean, variance = base.free_run(segment, np.arange(10, 700), 10)
     # `k_step` counts from the end of the delay, one sample later.
@@ -137,7 +152,8 @@ def test_the_spread_of_a_free_run_is_that_of_simulated_futures(trained):
 
 
 def test_last_errors_foretell_coloured_noise_and_their_spread_runs_on():
-    """A sensor with memory: the innovation is 0.8 of the last one plus white noise. Free runs against Monte Carlo."""
+    """A sensor with memory: the innovation is 0.8 of the last one plus white noise. Free runs
+    against Monte Carlo."""
 
     def coloured(seed, n=1500):
         rng = np.random.default_rng(seed)
@@ -147,11 +163,18 @@ def test_last_errors_foretell_coloured_noise_and_their_spread_runs_on():
             e = 0.8 * e + 0.01 * rng.standard_normal()
             p[k] = x + 0.1 + e
             x = 0.9 * x + 0.5 * ((u[k - 1] if k else u[0]) @ [1, -1] - 0.2) + 0.3 * e
-        return dataset_from_arrays(DT * np.arange(n), {"u1": u[:, 0], "u2": u[:, 1], "p": p}, name=f"f{seed}")
+        return dataset_from_arrays(
+            DT * np.arange(n), {"u1": u[:, 0], "u2": u[:, 1], "p": p}, name=f"f{seed}"
+        )
 
     model = replace(linear(), delays=(1,))
     hybrid = fit_output_residual(
-        model, coloured(1) + coloured(2), channels=CHANNELS, features=("error.p[t-1]",), kernel="linear+se", points=20
+        model,
+        coloured(1) + coloured(2),
+        channels=CHANNELS,
+        features=("error.p[t-1]",),
+        kernel="linear+se",
+        points=20,
     )
     segment = coloured(7).segments[0]
     y, (mean, _) = segment.matrix(("p",)), hybrid.one_step(segment)
@@ -175,7 +198,9 @@ def test_decoupled_models_are_one(trained):
     assert both.inputs.names == ("roll.p", "roll.q")
     base = BasePredictor(model=both, channels=channels)
     segment = flight(10).segments[0]
-    alone, _ = BasePredictor(model=linear("b", "q", gain=0.1, delay=3), channels=CHANNELS).one_step(segment)
+    alone, _ = BasePredictor(model=linear("b", "q", gain=0.1, delay=3), channels=CHANNELS).one_step(
+        segment
+    )
     mean, _ = base.one_step(segment)
     assert mean[4:, 1] == pytest.approx(alone[4:, 0], abs=1e-12)
     assert base.commands == ("u1", "u2")
@@ -186,7 +211,10 @@ def test_a_file_keeps_it_and_says_what_it_is(trained, tmp_path):
     path = trained.save(tmp_path / "hybrid.json")
     segment = flight(11).segments[0]
     again = OutputHybrid.load(path)
-    assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(again.one_step(segment), trained.one_step(segment)))
+    assert all(
+        np.array_equal(a, b, equal_nan=True)
+        for a, b in zip(again.one_step(segment), trained.one_step(segment))
+    )
     assert again.parameters == trained.parameters
     with pytest.raises(FileFormatError, match="OutputHybrid"):
         load_model(path)
@@ -211,7 +239,9 @@ def test_what_it_may_not_see_is_refused():
 def physics():
     data = flights(2, 6.0)
     model = build_model(vehicle(), data.channels, ("motor_lag",), sample_time=DT)
-    found = fit(model, data, disturbance=("torque",), solver=replace(LevenbergMarquardt(), max_iterations=4))
+    found = fit(
+        model, data, disturbance=("torque",), solver=replace(LevenbergMarquardt(), max_iterations=4)
+    )
     return found.model, data
 
 
@@ -230,22 +260,31 @@ def test_on_a_physical_model_it_starts_from_the_filters_prediction(physics):
     far, spread = base.free_run(segment, origins, 15)
     assert far == pytest.approx(runner.rollout(filtered, origins, 15)[:, :, at], rel=1e-9, abs=1e-9)
     assert spread[:, 0] == pytest.approx(variance[origins + 1], rel=1e-9)
-    # The same uncertainty as the state-space form with its parameters known, written in innovations.
-    told = list(Propagator(runner, parameters=False).run(filtered, origins, 15))[-1].innovation_covariance
+    # The same uncertainty as the state-space form with its parameters known, written in
+    # innovations.
+    told = list(Propagator(runner, parameters=False).run(filtered, origins, 15))[
+        -1
+    ].innovation_covariance
     rows = base.rows
     assert spread[:, -1] == pytest.approx(np.array([np.diag(c)[rows] for c in told]), rel=0.05)
 
 
 def test_a_hybrid_of_a_physical_model_is_causal_and_kept_in_a_file(physics, tmp_path):
     model, data = physics
-    hybrid = fit_output_residual(model, data, outputs=("p", "q"), features=("p", "q", "phi", "u1[t-1]"), points=20)
+    hybrid = fit_output_residual(
+        model, data, outputs=("p", "q"), features=("p", "q", "phi", "u1[t-1]"), points=20
+    )
     segment = data.segments[0]
     changed = {
-        n: np.where(np.arange(segment.n) == 150, 1.01 * v + 0.1, v) for n, v in segment.channels.items() if n[0] != "u"
+        n: np.where(np.arange(segment.n) == 150, 1.01 * v + 0.1, v)
+        for n, v in segment.channels.items()
+        if n[0] != "u"
     }
     before, after = hybrid.one_step(segment), hybrid.one_step(segment.replace(changed))
     for a, b in zip(before, after):
         assert np.array_equal(a[:151], b[:151], equal_nan=True)
     assert not np.array_equal(before[0][151], after[0][151])
     again = OutputHybrid.load(hybrid.save(tmp_path / "h.json"))
-    assert np.array_equal(again.free_run(segment, [100], 5)[1], hybrid.free_run(segment, [100], 5)[1])
+    assert np.array_equal(
+        again.free_run(segment, [100], 5)[1], hybrid.free_run(segment, [100], 5)[1]
+    )

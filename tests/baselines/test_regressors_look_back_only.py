@@ -17,7 +17,15 @@ def counting(n=12, **more):
 
 def test_rows_are_newest_first_and_named_after_what_they_hold():
     lags = Lags(outputs=("p", "q"), inputs=("u1",), n_a=2, n_b=3)
-    assert lags.layout.names == ("p[t-1]", "q[t-1]", "p[t-2]", "q[t-2]", "u1[t-1]", "u1[t-2]", "u1[t-3]")
+    assert lags.layout.names == (
+        "p[t-1]",
+        "q[t-1]",
+        "p[t-2]",
+        "q[t-2]",
+        "u1[t-1]",
+        "u1[t-2]",
+        "u1[t-3]",
+    )
     assert lags.layout.units == ("rad/s",) * 4 + ("1",) * 3
     assert lags.rows(counting())[7].tolist() == [6, 106, 5, 105, 206, 205, 204]
     assert np.isnan(lags.rows(counting())[:3]).any(axis=1).all()
@@ -38,8 +46,12 @@ def test_starts_continue_the_rows_and_end_with_the_record():
     rows = lags.rows(segment)
     assert np.array_equal(lags.joined(past, moved[:, 0])[0], rows[6])
     assert moved[0, 2].tolist() == rows[8, 4:].tolist()
-    assert lags.pushed(past, np.array([[6.0, 106.0], [0.0, 0.0]]))[0].tolist() == rows[7, :4].tolist()
-    assert np.isfinite(past[1]).all() and np.isfinite(moved[1, 0]).all(), "one sample past the end is known"
+    assert (
+        lags.pushed(past, np.array([[6.0, 106.0], [0.0, 0.0]]))[0].tolist() == rows[7, :4].tolist()
+    )
+    assert np.isfinite(past[1]).all() and np.isfinite(moved[1, 0]).all(), (
+        "one sample past the end is known"
+    )
     assert np.isnan(moved[1, 1:, 0]).all()
     with pytest.raises(DataError, match="outside"):
         lags.starts(segment, [12], 1)

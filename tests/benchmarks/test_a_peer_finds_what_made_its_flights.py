@@ -1,4 +1,5 @@
-"""The comparison with mujoco.sysid is fair: from flights of its own kind it finds the numbers that made them."""
+"""The comparison with mujoco.sysid is fair: from flights of its own kind it finds the numbers that
+made them."""
 
 from __future__ import annotations
 
@@ -22,7 +23,14 @@ def windows(peer: Peer, count: int, seed: int) -> list[Window]:
     asked = []
     for _ in range(count):
         commands = hover * (1.0 + 0.05 * rng.standard_normal((STEPS + 51, peer.count)))
-        start = np.concatenate([np.zeros(3), [1.0, 0.0, 0.0, 0.0], rng.standard_normal(3), 0.5 * rng.standard_normal(3)])
+        start = np.concatenate(
+            [
+                np.zeros(3),
+                [1.0, 0.0, 0.0, 0.0],
+                rng.standard_normal(3),
+                0.5 * rng.standard_normal(3),
+            ]
+        )
         held = np.repeat(start[None], STEPS + 1, axis=0)
         asked.append(Window(measured=held, commanded=commands[50:], before=commands[:50]))
     return [
@@ -45,7 +53,9 @@ def test_the_peer_finds_the_numbers_that_made_its_flights(tmp_path, monkeypatch)
     found.fit(flown)
     assert squared(found.predict(flown), flown)["rotation"].mean() < 1e-4 * before
     np.testing.assert_allclose(found.params["lag"].value, 0.06, rtol=0.01)
-    np.testing.assert_allclose(found.params["inertia"].value, true.params["inertia"].value, rtol=0.02)
+    np.testing.assert_allclose(
+        found.params["inertia"].value, true.params["inertia"].value, rtol=0.02
+    )
     assert all(e["std"] > 0.0 for e in found.estimates().values())
 
 

@@ -28,7 +28,11 @@ def test_only_what_fell_by_more_than_the_share_is_said():
 def test_the_committed_table_has_every_benchmark_its_date_and_machine():
     table = json.loads(ratios.COMMITTED.read_text())
     assert set(table["ratios"]) == set(ratios.BENCHMARKS)
-    assert len(table["date"]) == 10 and table["machine"]["processor"] and table["machine"]["cores"] >= 1
+    assert (
+        len(table["date"]) == 10
+        and table["machine"]["processor"]
+        and table["machine"]["cores"] >= 1
+    )
 
 
 @pytest.mark.slow

@@ -1,4 +1,5 @@
-"""Two sensors of a user's own, each one class: a barometer that drifts and a magnetometer that shows the heading."""
+"""Two sensors of a user's own, each one class: a barometer that drifts and a magnetometer that
+shows the heading."""
 
 from __future__ import annotations
 
@@ -11,8 +12,9 @@ from greybox.model.flow import Flow, Remembered
 from greybox.model.sensor import Sensor, Start, axes, first_complete
 from greybox.symbolic import Expr, FloatArray, Signal
 
-FIELD = (0.0, 0.5, -0.75**0.5)
-"""Direction of the earth's field, world axes (x east, y north, z up), where it dips by 60 degrees."""
+FIELD = (0.0, 0.5, -(0.75**0.5))
+"""Direction of the earth's field, world axes (x east, y north, z up), where it dips by 60
+degrees."""
 
 
 class Barometer(Sensor):
@@ -47,8 +49,9 @@ class Barometer(Sensor):
 class Magnetometer(Sensor):
     """mx, my, mz [-]: direction of the earth's field in body axes, R^T m.
 
-    Its innovation is the error of heading alone, the angle between the level parts of what was measured and predicted:
-    it means the same at every heading, which components in body axes would not.
+    Its innovation is the error of heading alone, the angle between the level parts of what was
+    measured and predicted: it means the same at every heading, which components in body axes would
+    not.
     """
 
     name = "magnetometer"
@@ -61,7 +64,9 @@ class Magnetometer(Sensor):
 
     def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
         """magnetometer.heading."""
-        return (Signal(name="magnetometer.heading", unit="rad", meaning="innovation of the heading"),)
+        return (
+            Signal(name="magnetometer.heading", unit="rad", meaning="innovation of the heading"),
+        )
 
     def typical_noise(self, vehicle: Any) -> tuple[float, ...]:
         """[rad]."""
@@ -81,6 +86,7 @@ class Magnetometer(Sensor):
         return flow.rotation.T @ ca.DM(FIELD)
 
     def innovation(self, y: Expr, y_hat: Expr, rotation: Expr) -> Expr:
-        """The turn about the vertical that carries the measured direction into the predicted one."""
+        """The turn about the vertical that carries the measured direction into the predicted
+        one."""
         a, b = rotation @ y, rotation @ y_hat
         return (b[1] * a[0] - b[0] * a[1]) / (b[0] ** 2 + b[1] ** 2)

@@ -1,4 +1,5 @@
-"""A sensor that the house has never heard of is one class, handed to `build_model`: it is fitted, filtered and saved."""
+"""A sensor that the house has never heard of is one class, handed to `build_model`: it is fitted,
+filtered and saved."""
 
 from __future__ import annotations
 
@@ -36,21 +37,30 @@ DT, SECONDS = 0.01, 12.0
 LEVEL, DRIFT = 0.05, 0.1
 """Noise of the simulated barometer [m] and how its bias walks [m/sqrt(s)]."""
 HALF = 0.01
-"""Noise of each component of the simulated magnetometer: of the heading 0.01 / 0.5, the level part of the field."""
+"""Noise of each component of the simulated magnetometer: of the heading 0.01 / 0.5, the level part
+of the field."""
 TURN = 2.0
 """How far the world of the magnetometer's log is turned [rad]: no start at heading zero is near."""
 
 
 @functools.cache
 def flight() -> tuple[Dataset, dict[str, np.ndarray]]:
-    """A flight with the columns of both sensors, in a turned world, and what is true of it: q (n, 4), bias (n,)."""
+    """A flight with the columns of both sensors, in a turned world, and what is true of it: q (n,
+    4), bias (n,)."""
     true_plant = plant()
     log = dict(
         fly(
-            true_plant, controller_for(true_plant), RandomWaypoints(), rich_excitation(), SECONDS, DT,
-            seed=5, warm_up=1.0, record_truth=True,
+            true_plant,
+            controller_for(true_plant),
+            RandomWaypoints(),
+            rich_excitation(),
+            SECONDS,
+            DT,
+            seed=5,
+            warm_up=1.0,
+            record_truth=True,
         )
-    )  # fmt: skip
+    )
     t, rng = log.pop("t"), np.random.default_rng(1)
     c, s = np.cos(TURN), np.sin(TURN)
     for x, y in (("x", "y"), ("vx", "vy"), ("true.x", "true.y")):
@@ -82,7 +92,8 @@ def rotation(q: np.ndarray) -> np.ndarray:
 
 @functools.cache
 def fitted() -> Fit:
-    """The model of both sensors, fitted without position and attitude: what flies outdoors, with a velocity."""
+    """The model of both sensors, fitted without position and attitude: what flies outdoors, with a
+    velocity."""
     data, _ = flight()
     columns = [c for c in data.channels if c not in ("x", "y", "z")]
     model = build_model(vehicle(), columns, EFFECTS, sensors=[Barometer(), Magnetometer()])
@@ -109,12 +120,15 @@ def test_a_barometers_drift_is_told_from_its_noise_and_from_the_height() -> None
 
 
 def test_its_filter_is_consistent() -> None:
-    """The bias lies within its stated error, and innovations of the barometer are white and of the stated size."""
+    """The bias lies within its stated error, and innovations of the barometer are white and of the
+    stated size."""
     data, true = flight()
     model = fitted().model
     filtered = Filter(model).run(data.segments[0])
     i = model.dynamics.states.names.index("memory.barometer.bias")
-    stated = np.sqrt(filtered.state_covariance[(d := model.dynamics.error_states["d_memory.barometer.bias"]), d])
+    stated = np.sqrt(
+        filtered.state_covariance[(d := model.dynamics.error_states["d_memory.barometer.bias"]), d]
+    )
     error = (filtered.states[:, i] - true["bias"])[200:]
     assert 0.6 < np.sqrt(np.mean(error**2)) / stated < 1.6
     j = model.dynamics.innovations.names.index("baro")
@@ -139,7 +153,9 @@ def test_a_magnetometer_makes_the_heading_observable() -> None:
 def without(model: IdentifiedModel, name: str) -> IdentifiedModel:
     """The same physics and the same noise levels, without one sensor."""
     assert isinstance(model.dynamics, PhysicsModel)
-    left = replace(model.dynamics, sensors=tuple(s for s in model.dynamics.sensors if s.name != name))
+    left = replace(
+        model.dynamics, sensors=tuple(s for s in model.dynamics.sensors if s.name != name)
+    )
     kept = [model.dynamics.innovations.names.index(n) for n in left.innovations.names]
     return replace(model, dynamics=left, sensor_noise=model.sensor_noise[kept])
 
@@ -155,17 +171,27 @@ def test_a_model_file_is_read_with_the_sensors_that_it_names(tmp_path: Path) -> 
 
 
 def test_its_columns_come_out_of_a_log_as_they_are(tmp_path: Path) -> None:
-    """A log with columns that greybox does not know: they are kept, and what a sensor of one's own reads."""
+    """A log with columns that greybox does not know: they are kept, and what a sensor of one's own
+    reads."""
     data, true = flight()
     segment = data.segments[0]
     names = [n for n in segment.channels if not n.startswith("v")]
     table = np.column_stack([segment.t, *(segment.channels[n] for n in names)])[:200]
-    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(["t", *names]), comments="", fmt="%.12g")
+    np.savetxt(
+        tmp_path / "log.csv",
+        table,
+        delimiter=",",
+        header=",".join(["t", *names]),
+        comments="",
+        fmt="%.12g",
+    )
     log = read_log(tmp_path / "log.csv", vehicle())
     assert not {"baro", "mx"} & set(log.channels)
     model = build_model(vehicle(), log.channels, sensors=[Barometer(), Magnetometer()])
     record = make_record(engine_for(model, ()), log.segments[0])
-    np.testing.assert_allclose(record.outputs[:, model.outputs["baro"]], table[:, 1 + names.index("baro")], rtol=1e-9)
+    np.testing.assert_allclose(
+        record.outputs[:, model.outputs["baro"]], table[:, 1 + names.index("baro")], rtol=1e-9
+    )
     at = model.states["attitude.w"]
     assert abs(numeric("difference", record.x0[None, at : at + 4], true["q"][:1])[0, 2]) < 0.6
 
@@ -191,21 +217,35 @@ class Late(Barometer):
         return (replace(super().signals(vehicle)[0], name="late"),)
 
 
-@pytest.mark.parametrize("effects", [(), ("motor_lag", "sensor_delay", "pose_delay", "command_delay")])
+@pytest.mark.parametrize(
+    "effects", [(), ("motor_lag", "sensor_delay", "pose_delay", "command_delay")]
+)
 def test_a_late_sensor_shows_what_the_same_sensor_showed_before(effects: tuple[str, ...]) -> None:
-    """Flown by the model itself with a command that changes, the late reading is the other one ten samples ago."""
+    """Flown by the model itself with a command that changes, the late reading is the other one ten
+    samples ago."""
     columns = ["p", "q", "r", "ax", "ay", "az", "x", "y", "z"]
     model = build_model(vehicle(), columns, effects, sensors=[Barometer(), Late()], sample_time=DT)
     past, future = model.window
     assert past >= 10
     n = len(model.inputs)
-    x, window, p = ca.SX.sym("x", len(model.states)), ca.SX.sym("U", n, past + 1), ca.SX.sym("p", len(model.parameters))
+    x, window, p = (
+        ca.SX.sym("x", len(model.states)),
+        ca.SX.sym("U", n, past + 1),
+        ca.SX.sym("p", len(model.parameters)),
+    )
     assert future == 0
     still = ca.DM.zeros(len(model.noises))
     one = ca.Function(
-        "f", [x, window, p], [model.step(0, x, window, p, still, DT), model.output(0, x, window, p, still, DT)]
+        "f",
+        [x, window, p],
+        [model.step(0, x, window, p, still, DT), model.output(0, x, window, p, still, DT)],
     )
-    late = {"motor_lag.tau": 0.04, "sensor_delay.d": 0.01, "pose_delay.d": 0.015, "command_delay.d": 0.01}
+    late = {
+        "motor_lag.tau": 0.04,
+        "sensor_delay.d": 0.01,
+        "pose_delay.d": 0.015,
+        "command_delay.d": 0.01,
+    }
     values = [late.get(d.name, d.nominal) for d in model.parameters]
     commands = 0.5 + 0.1 * np.sin(4 * np.arange(80) * DT)[None, :] * np.ones((n, 1))
     state, seen = model.initial_state({})[0], []
@@ -230,6 +270,10 @@ def test_wrong_sensors_are_refused_in_one_line() -> None:
         def signals(self, vehicle: object) -> tuple:  # type: ignore[override]
             return (replace(super().signals(vehicle)[0], name="u1"),)
 
-    for wrong, said in ((Twice(), "gyro given twice"), (Timeless(), "yesterday"), (Pushed(), "u1 cannot be input")):
+    for wrong, said in (
+        (Twice(), "gyro given twice"),
+        (Timeless(), "yesterday"),
+        (Pushed(), "u1 cannot be input"),
+    ):
         with pytest.raises(ModelError, match=said):
             build_model(vehicle(), ["p", "q", "r"], sensors=[wrong])

@@ -1,4 +1,5 @@
-"""An effect that a simulated craft has is found at its true size, within its error bars, by a fit that asks for it."""
+"""An effect that a simulated craft has is found at its true size, within its error bars, by a fit
+that asks for it."""
 
 from __future__ import annotations
 
@@ -45,11 +46,23 @@ def test_the_true_size_is_within_the_error_bars(name: str) -> None:
     base, sizes = plant(), CASES[name]
     facts = {"rotor_radius": base.airframe.rotor_radius} if name == "ground_effect" else {}
     true_plant = Quadrotor(
-        base.airframe, [*base.effects, PLANTS[name](**sizes, **facts)], sensors=base.sensors, process=base.process,
-        sample_time=base.sample_time, substep=base.substep,
-    )  # fmt: skip
+        base.airframe,
+        [*base.effects, PLANTS[name](**sizes, **facts)],
+        sensors=base.sensors,
+        process=base.process,
+        sample_time=base.sample_time,
+        substep=base.substep,
+    )
     reference = LOW if name == "ground_effect" else RandomWaypoints()
-    log = fly(true_plant, controller_for(true_plant), reference, rich_excitation(), 8.0, seed=[40, 41], warm_up=1.0)
+    log = fly(
+        true_plant,
+        controller_for(true_plant),
+        reference,
+        rich_excitation(),
+        8.0,
+        seed=[40, 41],
+        warm_up=1.0,
+    )
     flights = []
     for i in range(2):
         one = {k: v for k, v in member(log, i).items() if not k.startswith("omega")}
@@ -66,4 +79,6 @@ def test_the_true_size_is_within_the_error_bars(name: str) -> None:
     shown = {e.name: (e.value, e.std) for e in found}
     print(shown, f"chi-square {squared:.1f} of {len(found)}")
     assert squared < scipy.stats.chi2.ppf(0.9995, len(found)), shown
-    assert min(e.std / abs(v) for e, v in zip(found, sizes.values(), strict=True) if v) < 0.1, "a precise estimate"
+    assert min(e.std / abs(v) for e, v in zip(found, sizes.values(), strict=True) if v) < 0.1, (
+        "a precise estimate"
+    )

@@ -1,4 +1,5 @@
-"""Claim: on manoeuvres that nobody fitted the hybrid's stated regions cover what they say, and beat the physics' density."""
+"""Claim: on manoeuvres that nobody fitted the hybrid's stated regions cover what they say, and beat
+the physics' density."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Errors of linear fits hold under coloured innovations, for zeros with D free, and for weak poles."""
+"""Errors of linear fits hold under coloured innovations, for zeros with D free, and for weak
+poles."""
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from scenarios.plants.linear_systems import random_system, simulate
 
 
 def coloured(seed, count=3000):
-    """Second-order plant, disturbance of pole 0.9 at the output: output error is consistent, but not white."""
+    """Second-order plant, disturbance of pole 0.9 at the output: output error is consistent, but
+    not white."""
     rng = np.random.default_rng(seed)
     u = lfilter([1.0], [1.0, -0.8], rng.standard_normal((count, 1)), axis=0)
     v = lfilter([1.0], [1.0, -0.9], rng.standard_normal(count + 200))[200:]
@@ -46,7 +48,8 @@ def test_robust_errors_are_the_scatter_where_fisher_errors_are_too_small(runs):
     values, fisher, robust = spread(runs)
     scatter = values.std(axis=0, ddof=1)
     slack = 3.0 / np.sqrt(2 * runs)
-    # at 0.01 cycles per sample the disturbance is far above its mean spectrum, which is all that Fisher knows of it
+    # at 0.01 cycles per sample the disturbance is far above its mean spectrum, which is all that
+    # Fisher knows of it
     assert scatter[1] > 1.5 * np.median(fisher[:, 1])
     ratio = scatter / np.median(robust, axis=0)
     assert (ratio < 1.15 + slack).all(), ratio
@@ -77,7 +80,9 @@ def test_zeros_with_free_feedthrough_scatter_as_their_errors_say():
         u = rng.standard_normal((800, 1))
         y = lfilter(half, [1.0, -1.1, 0.6], u, axis=0)
         y = y + 0.2 * lfilter([1.0], [1.0, -0.5], rng.standard_normal(u.shape), axis=0)
-        known = fit_linear([Record(u=u, y=y)], 2, options=Options(feedthrough=True)).uncertainty.zeros()
+        known = fit_linear(
+            [Record(u=u, y=y)], 2, options=Options(feedthrough=True)
+        ).uncertainty.zeros()
         upper = int(np.argmax(known.value.imag))
         zeros.append(known.value[upper])
         errors.append(known.covariance[upper])
@@ -93,7 +98,9 @@ def weak(seed, residue=0.02):
     """A strong mode at 0.8 and a weak one at -0.3."""
     rng = np.random.default_rng(seed)
     u = rng.standard_normal((1500, 1))
-    y = lfilter([0.0, 1.0], [1.0, -0.8], u, axis=0) + residue * lfilter([0.0, 1.0], [1.0, 0.3], u, axis=0)
+    y = lfilter([0.0, 1.0], [1.0, -0.8], u, axis=0) + residue * lfilter(
+        [0.0, 1.0], [1.0, 0.3], u, axis=0
+    )
     return Record(u=u, y=y + 0.1 * rng.standard_normal(u.shape))
 
 

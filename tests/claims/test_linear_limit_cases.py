@@ -1,4 +1,5 @@
-"""Linear prediction error estimates agree with what theory says where the answer is known by other means."""
+"""Linear prediction error estimates agree with what theory says where the answer is known by other
+means."""
 
 import numpy as np
 import pytest
@@ -22,7 +23,8 @@ R = np.array([[0.1]])
 
 
 def noisy_plant(count, seed=0):
-    """x+ = A x + B u + w, y = C x + v with known covariances Q and R: the innovation form is not what generates it."""
+    """x+ = A x + B u + w, y = C x + v with known covariances Q and R: the innovation form is not
+    what generates it."""
     rng = np.random.default_rng(seed)
     u = rng.normal(size=(count, 1))
     w = rng.normal(size=(count, 2)) @ np.linalg.cholesky(Q).T
@@ -50,7 +52,9 @@ def test_output_error_equals_simulation_least_squares():
     truth = random_system(rng, 2, 1, 1, coloured=False)
     u, y = fly(rng, truth, 600)
     settings = Settings(stable=True, offsets=False, free_start=False, tolerance=1e-9)
-    fit = fit_linear([Record(u=u, y=y)], 2, center=False, options=Options(noise_model=False, settings=settings))
+    fit = fit_linear(
+        [Record(u=u, y=y)], 2, center=False, options=Options(noise_model=False, settings=settings)
+    )
 
     def residual(theta):
         a1, a2, b1, b2 = theta
@@ -66,7 +70,9 @@ def test_output_error_equals_simulation_least_squares():
     start = [poly[1], poly[2], b[0, 0], (truth.c @ truth.a @ truth.b)[0, 0] + poly[1] * b[0, 0]]
     best = scipy.optimize.least_squares(residual, start, xtol=1e-12, ftol=1e-12)
     assert float(np.sum(fit.innovations[0] ** 2)) == pytest.approx(2 * best.cost, rel=1e-7)
-    np.testing.assert_allclose(np.poly(np.linalg.eigvals(fit.model.matrices.a))[1:], best.x[:2], atol=1e-4)
+    np.testing.assert_allclose(
+        np.poly(np.linalg.eigvals(fit.model.matrices.a))[1:], best.x[:2], atol=1e-4
+    )
 
 
 def test_siso_equals_mimo_for_decoupled_data():
@@ -80,7 +86,9 @@ def test_siso_equals_mimo_for_decoupled_data():
     for i, (u, y) in enumerate(data):
         siso = fit_linear([Record(u=u, y=y)], 2)
         gain, cov = siso.uncertainty.response(f, 1.0)
-        spread = np.sqrt(np.trace(cov[:, 0, 0], axis1=1, axis2=2) + np.trace(wide[1][:, i, i], axis1=1, axis2=2))
+        spread = np.sqrt(
+            np.trace(cov[:, 0, 0], axis1=1, axis2=2) + np.trace(wide[1][:, i, i], axis1=1, axis2=2)
+        )
         assert (np.abs(gain[:, 0, 0] - wide[0][:, i, i]) < 3 * spread).all()
     cross = np.abs(wide[0][:, 0, 1]) / np.sqrt(np.trace(wide[1][:, 0, 1], axis1=1, axis2=2))
     assert (cross < 3.5).all()
@@ -101,7 +109,9 @@ def test_kalman_filter_from_rest_is_the_predictor_and_k_step_one_is_one_step():
     # far ahead, prediction is simulation from the filtered state
     ahead = k_step(fit.model, record, [40], x0=x0)[0]
     tail = simulate(fit.model, u[41:81], x0=filtered.predicted[41])
-    np.testing.assert_allclose(ahead.predicted[80 - 40], simulate(fit.model, u[41:81], x0=filtered.predicted[41])[39])
+    np.testing.assert_allclose(
+        ahead.predicted[80 - 40], simulate(fit.model, u[41:81], x0=filtered.predicted[41])[39]
+    )
     assert tail.shape == (40, 2)
 
 
@@ -110,7 +120,9 @@ def test_simulation_with_its_own_innovations_returns_the_record():
     truth = random_system(rng, 3, 2, 2)
     u, y = fly(rng, truth, 300)
     fit = fit_linear([Record(u=u, y=y)], 3)
-    np.testing.assert_allclose(simulate(fit.model, u, x0=fit.x0[0], e=fit.innovations[0]), y, atol=1e-8)
+    np.testing.assert_allclose(
+        simulate(fit.model, u, x0=fit.x0[0], e=fit.innovations[0]), y, atol=1e-8
+    )
 
 
 def test_noise_free_data_give_the_system_back():
@@ -120,18 +132,27 @@ def test_noise_free_data_give_the_system_back():
     u, y = fly(rng, quiet, 400)
     for method in ("n4sid", "moesp", "cva"):
         system = subspace([Record(u=u, y=y)], method, past=6, order=3, feedthrough=False).realise(3)
-        np.testing.assert_allclose(system.poles(), np.sort_complex(np.linalg.eigvals(truth.a)), atol=1e-6)
+        np.testing.assert_allclose(
+            system.poles(), np.sort_complex(np.linalg.eigvals(truth.a)), atol=1e-6
+        )
 
 
 def test_standard_errors_survive_a_change_of_coordinates():
     fit = fit_linear([noisy_plant(1500)], 2)
     known = fit.uncertainty
     other = known.transformed(np.array([[2.0, -1.0], [0.3, 50.0]]))
-    np.testing.assert_allclose(other.poles().covariance, known.poles().covariance, rtol=1e-6, atol=1e-14)
-    f = np.array([0.01, 0.2])
-    np.testing.assert_allclose(other.response(f, 1.0)[1], known.response(f, 1.0)[1], rtol=1e-6, atol=1e-14)
     np.testing.assert_allclose(
-        other.predictor_poles().covariance, known.predictor_poles().covariance, rtol=1e-6, atol=1e-14
+        other.poles().covariance, known.poles().covariance, rtol=1e-6, atol=1e-14
+    )
+    f = np.array([0.01, 0.2])
+    np.testing.assert_allclose(
+        other.response(f, 1.0)[1], known.response(f, 1.0)[1], rtol=1e-6, atol=1e-14
+    )
+    np.testing.assert_allclose(
+        other.predictor_poles().covariance,
+        known.predictor_poles().covariance,
+        rtol=1e-6,
+        atol=1e-14,
     )
 
 
@@ -147,15 +168,24 @@ def test_gradients_of_poles_zeros_and_response_are_right():
     def moved(column, h):
         s = h * known.factor[:, column]
         rows = s[: n * (n + m + p)].reshape(n, n + m + p)
-        c, d = s[n * (n + m + p) :][: p * n].reshape(p, n), s[n * (n + m + p) + p * n :].reshape(p, m)
+        c, d = (
+            s[n * (n + m + p) :][: p * n].reshape(p, n),
+            s[n * (n + m + p) + p * n :].reshape(p, m),
+        )
         a, b, c0, d0, k = known.system
-        return Matrices(a + rows[:, :n], b + rows[:, n : n + m], c0 + c, d0 + d, k + rows[:, n + m :])
+        return Matrices(
+            a + rows[:, :n], b + rows[:, n : n + m], c0 + c, d0 + d, k + rows[:, n + m :]
+        )
 
     for name in ("poles", "zeros", "response"):
 
         def value(system, name=name):
             here = type(known)(system=system, factor=known.factor)
-            out = getattr(here, name)(f, 1.0)[0].ravel() if name == "response" else getattr(here, name)().value
+            out = (
+                getattr(here, name)(f, 1.0)[0].ravel()
+                if name == "response"
+                else getattr(here, name)().value
+            )
             return np.asarray(out)
 
         total = 0.0
@@ -171,7 +201,10 @@ def test_criterion_is_the_gaussian_likelihood_at_its_own_covariance():
     record = noisy_plant(500)
     gain, _, _ = steady_gain(A, C, Q, R)
     here = evaluate(
-        Matrices(A, B, C, np.zeros((1, 1)), gain), [Nuisance(x0=np.zeros(2), offset=np.zeros(1))], [record], R
+        Matrices(A, B, C, np.zeros((1, 1)), gain),
+        [Nuisance(x0=np.zeros(2), offset=np.zeros(1))],
+        [record],
+        R,
     )
     model = LinearModel.from_control(_control(), gain=gain, noise=here.noise)
     assert here.criterion == pytest.approx(-2 * kalman(model, record).log_likelihood, rel=1e-10)

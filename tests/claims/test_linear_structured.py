@@ -1,4 +1,5 @@
-"""Linearised physics predicts like the physics for small inputs, and PEM on it finds physical parameters."""
+"""Linearised physics predicts like the physics for small inputs, and PEM on it finds physical
+parameters."""
 
 import casadi as ca
 import numpy as np
@@ -54,7 +55,13 @@ def test_trim_finds_the_torque_that_holds_an_angle():
 
 def test_trim_that_does_not_exist_is_said():
     with pytest.raises(ModelError, match="no trim point"):
-        trim(pendulum(), DT, start=np.array([0.6, 0.0]), fixed_states=("angle", "rate"), free_commands=())
+        trim(
+            pendulum(),
+            DT,
+            start=np.array([0.6, 0.0]),
+            fixed_states=("angle", "rate"),
+            free_commands=(),
+        )
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.6])
@@ -69,13 +76,17 @@ def test_linearised_model_predicts_like_the_nonlinear_one_for_small_inputs(angle
         exact = flown(model, u, point.x)
         errors.append(np.abs(simulate(linear, u) - exact).max() / np.abs(exact - point.x[0]).max())
     assert errors[1] < 0.01
-    assert errors[1] < 0.3 * errors[0]  # the error of a linearisation is of second order (third at the bottom)
+    assert (
+        errors[1] < 0.3 * errors[0]
+    )  # the error of a linearisation is of second order (third at the bottom)
 
 
 def records(seed, angle=0.0, noise=0.002, count=1500, process=0.0):
     model = pendulum()
     rng = np.random.default_rng(seed)
-    u = 5.0 * np.sin(angle) * 20.0 / 25.0 + 0.3 * rng.choice([-1.0, 1.0], size=(count, 1)).repeat(1, axis=1)
+    u = 5.0 * np.sin(angle) * 20.0 / 25.0 + 0.3 * rng.choice([-1.0, 1.0], size=(count, 1)).repeat(
+        1, axis=1
+    )
     y = flown(model, u, [angle, 0.0])
     return model, [Record(u=u, y=y + noise * rng.normal(size=y.shape))]
 
@@ -84,7 +95,9 @@ def test_physical_parameters_come_back_from_the_linearised_model():
     model, data = records(1)
     point = trim(model, DT, start=np.zeros(2), fixed_states=("angle",))
     structured = structured_from(model, point, DT, ("stiffness", "damping", "gain"))
-    fit = fit_structured(structured, data, {"stiffness": 14.0, "damping": 0.4, "gain": 8.0}, noise_model=False)
+    fit = fit_structured(
+        structured, data, {"stiffness": 14.0, "damping": 0.4, "gain": 8.0}, noise_model=False
+    )
     assert fit.converged
     for name, truth in (("stiffness", 20.0), ("damping", 0.8), ("gain", 5.0)):
         assert abs(fit.values[name] - truth) < 4 * fit.std[name] + 0.01 * truth
@@ -126,7 +139,10 @@ def test_structured_tangent_is_the_derivative():
 
     model, _ = records(2)
     point = trim(model, DT, start=np.zeros(2), fixed_states=("angle",))
-    for structured in (structured_from(model, point, DT, ("stiffness", "damping", "gain")), _continuous()):
+    for structured in (
+        structured_from(model, point, DT, ("stiffness", "damping", "gain")),
+        _continuous(),
+    ):
         here = StructuredPoint(
             model=structured,
             theta=np.array([0.9, 1.1, 1.2]),
@@ -179,4 +195,6 @@ def test_a_combination_that_the_data_cannot_split_is_named():
         y[k] = c @ x + 0.05 * rng.normal()
         x = a @ x + b @ u[k]
     with pytest.raises(FitError, match="gain, arm"):
-        fit_structured(model, [Record(u=u, y=y)], {"pole": 1.5, "gain": 2.0, "arm": 0.5}, noise_model=False)
+        fit_structured(
+            model, [Record(u=u, y=y)], {"pole": 1.5, "gain": 2.0, "arm": 0.5}, noise_model=False
+        )

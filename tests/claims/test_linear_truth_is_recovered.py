@@ -1,4 +1,5 @@
-"""Order and intervals on random systems, and the bias of open-loop subspace methods under feedback: small versions.
+"""Order and intervals on random systems, and the bias of open-loop subspace methods under feedback:
+small versions.
 
 The long versions are scenarios/studies/linear_recovery.py and linear_feedback_bias.py.
 """
@@ -17,7 +18,9 @@ def test_order_and_coverage_on_a_few_systems():
     judged = [r for r in rows if r["ratio"] > 40]
     assert judged
     assert all(r["chosen"] == r["n"] for r in judged)
-    hits = [h for r in rows for kind in ("poles", "ln_gain", "phase", "steady_gain") for h in r[kind]]
+    hits = [
+        h for r in rows for kind in ("poles", "ln_gain", "phase", "steady_gain") for h in r[kind]
+    ]
     assert np.mean(hits) > 0.8
 
 
@@ -39,7 +42,9 @@ def test_pooled_coverage_and_order():
     ]
     judged = [r for r in rows if r["ratio"] > 40]
     assert np.mean([r["chosen"] == r["n"] for r in judged]) >= 0.95
-    hits = [h for r in judged for kind in ("poles", "ln_gain", "phase", "steady_gain") for h in r[kind]]
+    hits = [
+        h for r in judged for kind in ("poles", "ln_gain", "phase", "steady_gain") for h in r[kind]
+    ]
     assert 0.93 <= np.mean(hits) <= 0.97
 
 

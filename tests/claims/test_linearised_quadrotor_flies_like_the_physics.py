@@ -1,4 +1,5 @@
-"""The shipped Crazyflie's physics, trimmed in hover and linearised there, predicts like the physics for small inputs."""
+"""The shipped Crazyflie's physics, trimmed in hover and linearised there, predicts like the physics
+for small inputs."""
 
 import casadi as ca
 import numpy as np
@@ -29,7 +30,9 @@ DAMPED = {"rotational_damping.d_p": 2e-5, "rotational_damping.d_q": 2e-5}
 @pytest.fixture(scope="module")
 def craft():
     vehicle = read_vehicle(vehicle_path("nanobench"))
-    model = build_model(vehicle, (*COMMANDS, *COLUMNS), ("motor_lag", "rotational_damping", "rotor_drag"))
+    model = build_model(
+        vehicle, (*COMMANDS, *COLUMNS), ("motor_lag", "rotational_damping", "rotor_drag")
+    )
     return model, trim(model, DT, values=VALUES, command=np.full(4, 0.6))
 
 
@@ -42,7 +45,9 @@ def flown(model, point, u, chosen=VALUES):
     y0 = ca.DM(_output(model, point, p))
     y = model.output(0.0, x, window, p, w, DT)
     step = ca.Function(
-        "step", [x, window], [model.step(0.0, x, window, p, w, DT), model.innovation(y, y0, ca.DM(point.x))]
+        "step",
+        [x, window],
+        [model.step(0.0, x, window, p, w, DT), model.innovation(y, y0, ca.DM(point.x))],
     )
     here, out = ca.DM(point.x), []
     for row in u:
@@ -61,7 +66,9 @@ def test_hover_trim_balances_weight(craft):
     model, point = craft
     vehicle = read_vehicle(vehicle_path("nanobench"))
     thrust = nominal_values(model.parameters)["thrust.c2"] * point.u**2
-    assert thrust.sum() == pytest.approx(nominal_values(model.parameters)["mass"] * vehicle.gravity, rel=1e-8)
+    assert thrust.sum() == pytest.approx(
+        nominal_values(model.parameters)["mass"] * vehicle.gravity, rel=1e-8
+    )
     np.testing.assert_allclose(point.u, point.u[0], rtol=1e-8)
     assert point.residual < 1e-9
 
@@ -76,14 +83,18 @@ def test_error_of_the_linear_model_is_of_second_order(craft):
         u = point.u + size * pattern
         exact = flown(model, point, u)
         found = simulate(linear, u) - linear.output_offset
-        errors.append(np.abs(found - exact).max(axis=0) / np.maximum(np.abs(exact).max(axis=0), 1e-9))
+        errors.append(
+            np.abs(found - exact).max(axis=0) / np.maximum(np.abs(exact).max(axis=0), 1e-9)
+        )
     assert (errors[1] < 0.06).all()
     assert (errors[1] < 0.2 * errors[0] + 1e-6).all()
 
 
 def test_inertia_and_damping_come_back_from_the_linearised_craft():
     # without motor lag: the four rotors of one axis would be states that cannot be told apart
-    model = build_model(read_vehicle(vehicle_path("nanobench")), (*COMMANDS, *COLUMNS), ("rotational_damping",))
+    model = build_model(
+        read_vehicle(vehicle_path("nanobench")), (*COMMANDS, *COLUMNS), ("rotational_damping",)
+    )
     point = trim(model, DT, values=DAMPED, command=np.full(4, 0.6))
     names = ("inertia.xx", "rotational_damping.d_p")
     structured = structured_from(model, point, DT, names, values=DAMPED)
@@ -91,7 +102,9 @@ def test_inertia_and_damping_come_back_from_the_linearised_craft():
     roll = np.repeat(rng.choice([-1.0, 1.0], size=150), 4)
     # opposite signs left and right, and back again, so that the craft stays near hover
     u = point.u + 2e-3 * np.outer(np.diff(roll, prepend=0.0), [-1.0, -1.0, 1.0, 1.0])
-    y = flown(model, point, u + 2e-4 * rng.normal(size=u.shape), DAMPED)  # gusts, as noise on the commands
+    y = flown(
+        model, point, u + 2e-4 * rng.normal(size=u.shape), DAMPED
+    )  # gusts, as noise on the commands
     y = y + 2e-4 * rng.normal(size=y.shape)
     keep = [model.innovations.names.index(n) for n in ("p",)]
     small = _only(structured, keep)
@@ -99,7 +112,10 @@ def test_inertia_and_damping_come_back_from_the_linearised_craft():
     fit = fit_structured(small, [combined], {"inertia.xx": 2.4e-5, "rotational_damping.d_p": 1e-5})
     assert fit.converged, (fit.status, fit.values, fit.std)
     assert abs(fit.values["inertia.xx"] - 3e-5) < 4 * fit.std["inertia.xx"] + 3e-7
-    assert abs(fit.values["rotational_damping.d_p"] - 2e-5) < 4 * fit.std["rotational_damping.d_p"] + 1e-6
+    assert (
+        abs(fit.values["rotational_damping.d_p"] - 2e-5)
+        < 4 * fit.std["rotational_damping.d_p"] + 1e-6
+    )
 
 
 def _only(structured, outputs):

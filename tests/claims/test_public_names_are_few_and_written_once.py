@@ -1,4 +1,5 @@
-"""`dir(greybox)` is the API: at most twenty names, written once; what was public says where it went."""
+"""`dir(greybox)` is the API: at most twenty names, written once; what was public says where it
+went."""
 
 from __future__ import annotations
 
@@ -28,7 +29,10 @@ def test_each_is_an_import_of_the_stub_and_can_be_had():
     for node in LINES:
         for a in node.names:
             thing = getattr(greybox, a.name)
-            here = inspect.ismodule(thing) or getattr(importlib.import_module(str(node.module)), a.name) is thing
+            here = (
+                inspect.ismodule(thing)
+                or getattr(importlib.import_module(str(node.module)), a.name) is thing
+            )
             assert here, a.name
 
 
@@ -43,8 +47,13 @@ def test_what_was_public_works_once_more_and_says_where_it_went():
         "(one,) = said\n"
         "print(one.category.__name__, one.filename == '<string>' , one.message)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    wanted = "DeprecationWarning True greybox.Layout goes with 0.2.0; use: from greybox.symbolic import Layout"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    wanted = (
+        "DeprecationWarning True greybox.Layout goes with 0.2.0; use: from greybox.symbolic "
+        "import Layout"
+    )
     assert done.stdout.strip() == wanted, done.stderr
 
 

@@ -1,4 +1,5 @@
-"""Where a log has rotor speeds they may drive the model or be measured; both recover the physics without bias."""
+"""Where a log has rotor speeds they may drive the model or be measured; both recover the physics
+without bias."""
 
 from __future__ import annotations
 
@@ -13,12 +14,25 @@ from tests.simulated import truth, vehicle
 
 def test_speed_input_and_speed_output_recover_the_same_physics() -> None:
     true_plant = plant()
-    log = dict(fly(true_plant, controller_for(true_plant), RandomWaypoints(), rich_excitation(), 8.0, seed=5))
+    log = dict(
+        fly(
+            true_plant,
+            controller_for(true_plant),
+            RandomWaypoints(),
+            rich_excitation(),
+            8.0,
+            seed=5,
+        )
+    )
     t = log.pop("t")
     data = dataset_from_arrays(t, log, name="run")
-    as_output = build_model(vehicle(), data.channels, ["motor_lag", "command_delay", "rotor_drag", "rotational_damping"])
+    as_output = build_model(
+        vehicle(), data.channels, ["motor_lag", "command_delay", "rotor_drag", "rotational_damping"]
+    )
     assert {"omega1", "omega2", "omega3", "omega4"} <= set(as_output.outputs.names)
-    as_input = build_model(vehicle(), data.channels, ["rotor_drag", "rotational_damping"], input="speed")
+    as_input = build_model(
+        vehicle(), data.channels, ["rotor_drag", "rotational_damping"], input="speed"
+    )
     assert as_input.inputs.names == ("omega1", "omega2", "omega3", "omega4")
     for model in (as_output, as_input):
         result = fit(model, data, initialisation="noise")
@@ -35,4 +49,6 @@ def test_a_vehicle_that_knows_its_lag_may_still_be_driven_by_measured_speed() ->
     known = replace(vehicle(), effects={"motor_lag": {"tau": Quantity(value=0.05)}})
     columns = ["p", "q", "r", "omega1", "omega2", "omega3", "omega4"]
     assert build_model(known, columns, input="speed").effects == ()
-    assert [e.name for e in build_model(known, [*columns, "u1", "u2", "u3", "u4"]).effects] == ["motor_lag"]
+    assert [e.name for e in build_model(known, [*columns, "u1", "u2", "u3", "u4"]).effects] == [
+        "motor_lag"
+    ]

@@ -1,7 +1,9 @@
-"""Claim: a user's own model (CasADi f and h with declared parameters) is fitted by the same calls as a quadrotor.
+"""Claim: a user's own model (CasADi f and h with declared parameters) is fitted by the same calls
+as a quadrotor.
 
-The motor is simulated in NumPy, independently. Its parameters come back within their intervals, by output error on a quiet
-motor and by the innovation form on one with torque noise; output error on the noisy one is over-confident.
+The motor is simulated in NumPy, independently. Its parameters come back within their intervals, by
+output error on a quiet motor and by the innovation form on one with torque noise; output error on
+the noisy one is over-confident.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ def normalised(result: Fit) -> np.ndarray:
     return np.array([(e.value - motor.TRUTH[n]) / e.std for n, e in result.parameters.items()])
 
 
-@pytest.mark.parametrize(("predictor", "torque_noise"), [("simulation", 0.0), ("innovation", 0.002), ("kalman", 0.002)])
+@pytest.mark.parametrize(
+    ("predictor", "torque_noise"), [("simulation", 0.0), ("innovation", 0.002), ("kalman", 0.002)]
+)
 def test_parameters_come_back_within_their_intervals(predictor: str, torque_noise: float) -> None:
     scores = []
     for seed in range(5):
@@ -41,6 +45,8 @@ def test_output_error_mistakes_process_noise_for_precision() -> None:
 
 
 def test_the_fit_speaks_of_the_users_names_and_units() -> None:
-    result = fit(motor.model(), motor.record(), predictor="simulation", initialisation="equation-error")
+    result = fit(
+        motor.model(), motor.record(), predictor="simulation", initialisation="equation-error"
+    )
     assert result["J"].unit == "kg m^2"
     assert "J " in result.summary()

@@ -1,4 +1,5 @@
-"""export and mpc refuse a model that was judged not usable in one line, unless told --even-so; old files pass."""
+"""export and mpc refuse a model that was judged not usable in one line, unless told --even-so; old
+files pass."""
 
 from __future__ import annotations
 
@@ -27,13 +28,25 @@ LINES = {
 
 def verdict(outcome: Outcome, error: float = 0.2) -> Verdict:
     skill = GroupSkill(
-        name="rotation", unit="rad", seconds=0.5, error=error, last_value=0.15, measured_imu=0.05,
-        covered=(0.15 - error) / 0.1, worse_from=0.03, calm=False,
-    )  # fmt: skip
+        name="rotation",
+        unit="rad",
+        seconds=0.5,
+        error=error,
+        last_value=0.15,
+        measured_imu=0.05,
+        covered=(0.15 - error) / 0.1,
+        worse_from=0.03,
+        calm=False,
+    )
     return Verdict(
-        outcome=outcome, line=LINES[outcome], useful_seconds=0.02, judged_seconds=1.0, judged_on="flights",
-        flights=("a",), groups=(skill,),
-    )  # fmt: skip
+        outcome=outcome,
+        line=LINES[outcome],
+        useful_seconds=0.02,
+        judged_seconds=1.0,
+        judged_on="flights",
+        flights=("a",),
+        groups=(skill,),
+    )
 
 
 def written(folder: Path, outcome: Outcome | None, kind: str = "physics") -> Path:
@@ -72,14 +85,23 @@ def test_what_is_not_usable_is_refused_in_one_line(
     assert not out.exists()
 
 
-def test_even_so_goes_on_and_still_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_even_so_goes_on_and_still_says_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = written(tmp_path, Outcome.NOT_USABLE)
-    assert main(["export", str(path), "--out", str(tmp_path / "out"), "--target", "casadi", "--even-so"]) == 0
+    assert (
+        main(
+            ["export", str(path), "--out", str(tmp_path / "out"), "--target", "casadi", "--even-so"]
+        )
+        == 0
+    )
     assert f"warning: {path}: {LINES[Outcome.NOT_USABLE]}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("outcome", [Outcome.USABLE, Outcome.TOO_CALM, None])
-def test_everything_else_passes_and_says_what_it_is_worth(outcome: Outcome | None, tmp_path: Path) -> None:
+def test_everything_else_passes_and_says_what_it_is_worth(
+    outcome: Outcome | None, tmp_path: Path
+) -> None:
     path = written(tmp_path, outcome)
     found = gate(read_json(path), str(path), even_so=False)
     assert found.open

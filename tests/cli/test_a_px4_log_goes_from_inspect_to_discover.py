@@ -1,4 +1,5 @@
-"""A flight in PX4's format, as a user has it: inspect, check, fit, validate and discover with the whole catalogue."""
+"""A flight in PX4's format, as a user has it: inspect, check, fit, validate and discover with the
+whole catalogue."""
 
 from __future__ import annotations
 
@@ -22,20 +23,50 @@ def test_a_hidden_drag_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[st
     pytest.importorskip("pyulog")
     plant = x250([effect_of("rotor_drag", X250)])
     vehicle = str(write_vehicle(tmp_path / "v.toml", plant, sigma=SIGMA, errors=ERRORS))
-    flown = [*logs(plant, [31001, 31002], 16.0), *logs(plant, [31051], 8.0, FigureEight(climb=0.3, yaw_rate=0.4))]
+    flown = [
+        *logs(plant, [31001, 31002], 16.0),
+        *logs(plant, [31051], 8.0, FigureEight(climb=0.3, yaw_rate=0.4)),
+    ]
     a, b, c = (
-        str(write_ulog(tmp_path / f"{name}.ulg", log | {f"sp_{k}": np.zeros(len(log["t"])) for k in "xyz"}, slow_every=1))
+        str(
+            write_ulog(
+                tmp_path / f"{name}.ulg",
+                log | {f"sp_{k}": np.zeros(len(log["t"])) for k in "xyz"},
+                slow_every=1,
+            )
+        )
         for name, log in zip("abc", flown, strict=True)
     )
     assert main(["inspect", a, "--vehicle", vehicle]) == 0
     assert "effects: 29 of 29" in capsys.readouterr().out
     assert main(["check", a, "--vehicle", vehicle]) == 0
     fitted = tmp_path / "fit"
-    arguments = ["fit", "--manual", "--vehicle", vehicle, "--train", a, b, "--effects", "rotor_drag"]
+    arguments = [
+        "fit",
+        "--manual",
+        "--vehicle",
+        vehicle,
+        "--train",
+        a,
+        b,
+        "--effects",
+        "rotor_drag",
+    ]
     assert main([*arguments, "--out", str(fitted)]) == 0
     assert main(["validate", str(fitted / "model.json"), "--log", c]) == 0
     out = tmp_path / "found.json"
-    arguments = ["discover", "--vehicle", vehicle, "--train", a, b, "--test", c, "--out", str(tmp_path / "found")]
+    arguments = [
+        "discover",
+        "--vehicle",
+        vehicle,
+        "--train",
+        a,
+        b,
+        "--test",
+        c,
+        "--out",
+        str(tmp_path / "found"),
+    ]
     assert main([*arguments, "--json", str(out)]) == 0
     found = json.loads(out.read_text())
     assert found["verdict"] == "named"

@@ -1,4 +1,5 @@
-"""`greybox discover` killed by the system (SIGKILL) leaves files that load, with the verdict "stopped"."""
+"""`greybox discover` killed by the system (SIGKILL) leaves files that load, with the verdict
+"stopped"."""
 
 from __future__ import annotations
 
@@ -26,14 +27,36 @@ PATIENCE = 300.0
 @pytest.mark.slow
 def test_what_a_killed_search_left_loads_and_says_stopped(tmp_path: Path) -> None:
     plant = x250([RotationalDamping(d_p=4e-3, d_q=4e-3, d_r=4e-3)])
-    log = fly(plant, controller_for(plant), RandomWaypoints(), rich_excitation(), 4.0, seed=[1, 2], warm_up=1.0)
+    log = fly(
+        plant,
+        controller_for(plant),
+        RandomWaypoints(),
+        rich_excitation(),
+        4.0,
+        seed=[1, 2],
+        warm_up=1.0,
+    )
     for i, name in enumerate(("a", "b")):
         write_log(tmp_path / f"{name}.csv", member(log, i), drop=["omega"])
     write_vehicle(tmp_path / "v.toml", plant, sigma={"inertia": 0.2, "thrust.c2": 0.2})
-    command = [sys.executable, "-m", "greybox", "discover", "--vehicle", "v.toml", "--train", "a.csv", "--test", "b.csv"]
+    command = [
+        sys.executable,
+        "-m",
+        "greybox",
+        "discover",
+        "--vehicle",
+        "v.toml",
+        "--train",
+        "a.csv",
+        "--test",
+        "b.csv",
+    ]
     result = tmp_path / "out" / "discovery.json"
     process = subprocess.Popen(
-        [*command, "--out", "out"], cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [*command, "--out", "out"],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     )
     try:
         limit = time.monotonic() + PATIENCE

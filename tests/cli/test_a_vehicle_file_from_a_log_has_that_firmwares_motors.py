@@ -1,4 +1,5 @@
-"""`greybox vehicle new --from LOG`: motor order, spins and hover command of the firmware, and what is left to measure."""
+"""`greybox vehicle new --from LOG`: motor order, spins and hover command of the firmware, and what
+is left to measure."""
 
 from __future__ import annotations
 
@@ -17,12 +18,17 @@ from greybox.model.vehicle import Vehicle, read_vehicle
 from tests.data.readers import writers as w
 
 BETAFLIGHT = ("u2", "u1", "u3", "u4")
-"""The recorded Crazyflie's motors in Betaflight's order: rear right, front right, rear left, front left."""
+"""The recorded Crazyflie's motors in Betaflight's order: rear right, front right, rear left, front
+left."""
 
 
 def corners(vehicle: Vehicle) -> list[tuple[str, int]]:
     return [
-        (("front " if r.position[0] > 0 else "rear ") + ("left" if r.position[1] > 0 else "right"), r.spin)
+        (
+            ("front " if r.position[0] > 0 else "rear ")
+            + ("left" if r.position[1] > 0 else "right"),
+            r.spin,
+        )
         for r in vehicle.rotors
     ]
 
@@ -33,17 +39,23 @@ def made(path: Path, **changes: object) -> tuple[Vehicle, from_log.FromLog]:
 
 
 def betaflight(path: Path, *, reversed_motors: bool) -> Path:
-    """The flight with yaw to and fro: rear right and front left speed up, and drag the body against their spin."""
+    """The flight with yaw to and fro: rear right and front left speed up, and drag the body against
+    their spin."""
     pytest.importorskip("orangebox")
     c = w.channels(rows=2500)
     yaw = 0.04 * np.sin(2 * np.pi * 1.5 * c["t"])
-    c |= {f"u{i + 1}": c[name] + s * yaw for i, (name, s) in enumerate(zip(BETAFLIGHT, (1, -1, -1, 1), strict=True))}
+    c |= {
+        f"u{i + 1}": c[name] + s * yaw
+        for i, (name, s) in enumerate(zip(BETAFLIGHT, (1, -1, -1, 1), strict=True))
+    }
     c["r"] = c["r"] + (-1 if reversed_motors else 1) * np.cumsum(40.0 * yaw) * 0.01
     return w.write_betaflight(path, c)
 
 
 @pytest.mark.parametrize("reversed_motors", [False, True])
-def test_betaflights_order_is_rear_right_first_and_yaw_tells_which_way_the_motors_turn(tmp_path, reversed_motors):
+def test_betaflights_order_is_rear_right_first_and_yaw_tells_which_way_the_motors_turn(
+    tmp_path, reversed_motors
+):
     vehicle, found = made(betaflight(tmp_path / "f.bbl", reversed_motors=reversed_motors))
     sense = -1 if reversed_motors else 1
     assert corners(vehicle) == [
@@ -63,7 +75,9 @@ def test_what_nobody_weighed_is_marked_as_a_guess_and_believed_little(tmp_path):
     guess, found = made(log)
     assert "GUESSED" in found.text
     for name in ("mass", "inertia.xx", "thrust.c2", "torque.c2"):
-        assert guess.quantities[name].sigma == pytest.approx(0.5 * guess.quantities[name].value, rel=0.01), name
+        assert guess.quantities[name].sigma == pytest.approx(
+            0.5 * guess.quantities[name].value, rel=0.01
+        ), name
     weighed, told = made(log, mass=0.042, arm=0.046)
     assert "GUESSED" not in told.text and told.to_measure == ()
     assert weighed.mass.value == 0.042 and weighed.mass.sigma < 0.01 * 0.05
@@ -75,16 +89,25 @@ def test_px4s_parameters_give_places_in_our_axes(tmp_path):
     pytest.importorskip("pyulog")
     log = w.write_ulog(tmp_path / "f.ulg", w.channels(rows=2500))
     vehicle, found = made(log)
-    assert corners(vehicle) == [("front right", 1), ("rear right", -1), ("rear left", 1), ("front left", -1)]
+    assert corners(vehicle) == [
+        ("front right", 1),
+        ("rear right", -1),
+        ("rear left", 1),
+        ("front left", -1),
+    ]
     assert any("CA_ROTOR" in line for line in found.known)
     assert [line.split(":")[0] for line in found.to_measure] == ["mass"]
     wider, _ = made(log, arm=2 * vehicle.arm_length)
-    np.testing.assert_allclose(wider.rotors[0].position[:2], 2 * np.array(vehicle.rotors[0].position[:2]), rtol=1e-4)
+    np.testing.assert_allclose(
+        wider.rotors[0].position[:2], 2 * np.array(vehicle.rotors[0].position[:2]), rtol=1e-4
+    )
 
 
 def test_px4_without_rotor_parameters_has_the_order_of_its_airframe():
     def order(**parameters: float):
-        recording = Recording(format="ulog", source="f", sha256="", streams={}, parameters=parameters)
+        recording = Recording(
+            format="ulog", source="f", sha256="", streams={}, parameters=parameters
+        )
         return from_log._layout("ulog", recording, None, [], "f.ulg")
 
     places, arm = order(MAV_TYPE=2.0, SYS_AUTOSTART=4001.0)
@@ -109,7 +132,12 @@ def test_px4s_hover_thrust_becomes_a_motor_signal():
 
 def test_a_crazyflie_is_the_template_with_the_hover_command_of_the_log(tmp_path):
     vehicle, found = made(w.write_crazyflie(tmp_path / "log00", w.channels(rows=2500)), mass=0.042)
-    assert corners(vehicle) == [("front right", 1), ("rear right", -1), ("rear left", 1), ("front left", -1)]
+    assert corners(vehicle) == [
+        ("front right", 1),
+        ("rear right", -1),
+        ("rear left", 1),
+        ("front left", -1),
+    ]
     assert 0.75 < (check_vehicle(vehicle).figures["hover_command"] or 0.0) < 0.95
     assert found.to_measure == ()
 

@@ -1,4 +1,5 @@
-"""A bad log or vehicle file gives one clear line, exit code 2, a usual fix, and leaves no file behind."""
+"""A bad log or vehicle file gives one clear line, exit code 2, a usual fix, and leaves no file
+behind."""
 
 from __future__ import annotations
 
@@ -50,7 +51,10 @@ def rows(*changed: tuple[int, str]) -> str:
 
 def without_column(name: str) -> str:
     j = HEADER.split(",").index(name)
-    return "\n".join(",".join(c for i, c in enumerate(line.split(",")) if i != j) for line in GOOD_LOG.splitlines())
+    return "\n".join(
+        ",".join(c for i, c in enumerate(line.split(",")) if i != j)
+        for line in GOOD_LOG.splitlines()
+    )
 
 
 def with_cell(name: str, text: str, row: int | None = None) -> str:
@@ -99,7 +103,11 @@ BAD_LOG_BYTES = {
     "latin-1": (GOOD_LOG.replace("p,", "\xe9,", 1).encode("latin-1"), "log.csv", "not a text file"),
     "gz that is none": (GOOD_LOG.encode(), "log.csv.gz", "not a gzip file"),
     "gz cut off": (gzip.compress(GOOD_LOG.encode())[:-30], "log.csv.gz", "gzip file is damaged"),
-    "gz broken inside": (gzip.compress(GOOD_LOG.encode())[:40] + b"\0" * 300, "log.csv.gz", "gzip file is damaged"),
+    "gz broken inside": (
+        gzip.compress(GOOD_LOG.encode())[:40] + b"\0" * 300,
+        "log.csv.gz",
+        "gzip file is damaged",
+    ),
     "empty gz": (gzip.compress(b""), "log.csv.gz", "the file is empty"),
 }
 
@@ -113,31 +121,60 @@ BAD_VEHICLES = {
     "typo in a rotor": (VEHICLE.replace("spin", "spinn", 1), "did you mean spin"),
     "typo in a column": (VEHICLE.replace("fields =", "field ="), "did you mean fields"),
     "typo in a group": (VEHICLE.replace("columns.rate", "columns.rates"), "unknown key 'rates'"),
-    "fifth command": (VEHICLE + '[columns.command]\nfields = ["a", "b", "c", "d", "e"]\n', "4 rotors"),
+    "fifth command": (
+        VEHICLE + '[columns.command]\nfields = ["a", "b", "c", "d", "e"]\n',
+        "4 rotors",
+    ),
     "no mass": (VEHICLE.replace("mass = 0.03", ""), "mass: missing"),
     "zero mass": (VEHICLE.replace("mass = 0.03", "mass = 0.0"), "mass: must be positive"),
     "negative mass": (VEHICLE.replace("mass = 0.03", "mass = -0.03"), "mass: must be positive"),
     "mass in quotes": (VEHICLE.replace("mass = 0.03", 'mass = "0.03"'), "without quotes"),
     "mass of NaN": (VEHICLE.replace("mass = 0.03", "mass = nan"), "finite"),
-    "mass without value": (VEHICLE.replace("mass = 0.03", "mass = { sigma = 0.1 }"), "mass.value: missing"),
-    "negative sigma": (VEHICLE.replace("mass = 0.03", "mass = { value = 0.03, sigma = -1.0 }"), "mass.sigma"),
-    "singular inertia": (VEHICLE.replace("0.0, 0.0, 2.2e-5", "0.0, 0.0, 0.0"), "singular or not positive"),
+    "mass without value": (
+        VEHICLE.replace("mass = 0.03", "mass = { sigma = 0.1 }"),
+        "mass.value: missing",
+    ),
+    "negative sigma": (
+        VEHICLE.replace("mass = 0.03", "mass = { value = 0.03, sigma = -1.0 }"),
+        "mass.sigma",
+    ),
+    "singular inertia": (
+        VEHICLE.replace("0.0, 0.0, 2.2e-5", "0.0, 0.0, 0.0"),
+        "singular or not positive",
+    ),
     "negative inertia": (VEHICLE.replace("2.2e-5", "-2.2e-5"), "not positive definite"),
     "asymmetric inertia": (VEHICLE.replace("[[1.4e-5, 0.0,", "[[1.4e-5, 1e-6,"), "not symmetric"),
     "impossible inertia": (VEHICLE.replace("2.2e-5", "2.2e-4"), "sum of the other two"),
     "inertia as a vector": (
-        VEHICLE.replace("[[1.4e-5, 0.0, 0.0], [0.0, 1.4e-5, 0.0], [0.0, 0.0, 2.2e-5]]", "[1, 1, 1]"),
+        VEHICLE.replace(
+            "[[1.4e-5, 0.0, 0.0], [0.0, 1.4e-5, 0.0], [0.0, 0.0, 2.2e-5]]", "[1, 1, 1]"
+        ),
         "row",
     ),
-    "no rotor": (VEHICLE[: VEHICLE.index("[[rotor]]")] + VEHICLE[VEHICLE.index("[actuator]") :], "rotor: missing"),
+    "no rotor": (
+        VEHICLE[: VEHICLE.index("[[rotor]]")] + VEHICLE[VEHICLE.index("[actuator]") :],
+        "rotor: missing",
+    ),
     "rotor without spin": (VEHICLE.replace("spin = 1\n", "", 1), "rotor[0].spin: missing"),
     "spin of 2": (VEHICLE.replace("spin = 1\n", "spin = 2\n", 1), "must be 1 or -1"),
-    "position of two numbers": (VEHICLE.replace("[0.03, -0.03, 0.0]", "[0.03, -0.03]"), "2 entries"),
+    "position of two numbers": (
+        VEHICLE.replace("[0.03, -0.03, 0.0]", "[0.03, -0.03]"),
+        "2 entries",
+    ),
     "two rotors at one place": (VEHICLE.replace("[-0.03, -0.03", "[0.03, -0.03"), "same position"),
-    "command range": (VEHICLE.replace("[actuator]", "[actuator]\nu_min = 1.0\nu_max = 0.0"), "not below u_max"),
-    "unknown hold": (VEHICLE.replace("[actuator]", '[actuator]\nhold = "previos"'), "did you mean previous"),
+    "command range": (
+        VEHICLE.replace("[actuator]", "[actuator]\nu_min = 1.0\nu_max = 0.0"),
+        "not below u_max",
+    ),
+    "unknown hold": (
+        VEHICLE.replace("[actuator]", '[actuator]\nhold = "previos"'),
+        "did you mean previous",
+    ),
     "thrust downward": (VEHICLE.replace("0.15]", "-0.15]"), "the thrust map gives"),
-    "thrust of text": (VEHICLE.replace("[0.0, 0.0, 0.15]", '["a", "b", "c"]'), "a number is needed"),
+    "thrust of text": (
+        VEHICLE.replace("[0.0, 0.0, 0.15]", '["a", "b", "c"]'),
+        "a number is needed",
+    ),
     "no actuator": (VEHICLE[: VEHICLE.index("[actuator]")], "actuator: missing"),
     "scale of zero": (VEHICLE + "scale = 0.0\n", "must not be zero"),
     "causal as text": (VEHICLE + 'causal = "no"\n', "boolean"),
@@ -160,7 +197,9 @@ def demand_one_clear_line(
     folder: Path, log: Path, vehicle: Path, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = sorted(p.name for p in folder.iterdir())
-    code, out, err = run(["--vehicle", str(vehicle), str(log), "--json", str(folder / "out.json")], capsys)
+    code, out, err = run(
+        ["--vehicle", str(vehicle), str(log), "--json", str(folder / "out.json")], capsys
+    )
     assert code == 2, out
     assert out == ""
     assert err.count("\n") == 1
@@ -211,7 +250,9 @@ def test_bad_vehicle(case, tmp_path, good_log, capsys):
 
 def test_files_that_are_not_there(tmp_path, good_log, good_vehicle, capsys):
     demand_one_clear_line(tmp_path, tmp_path / "none.csv", good_vehicle, "no such log", capsys)
-    demand_one_clear_line(tmp_path, good_log, tmp_path / "none.toml", "no such vehicle file", capsys)
+    demand_one_clear_line(
+        tmp_path, good_log, tmp_path / "none.toml", "no such vehicle file", capsys
+    )
 
 
 def test_folders_in_place_of_files(tmp_path, good_log, good_vehicle, capsys):

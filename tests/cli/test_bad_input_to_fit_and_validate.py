@@ -1,4 +1,5 @@
-"""Bad input to fit, validate and cite: one clear line with the usual fix, exit code 2, nothing half-written."""
+"""Bad input to fit, validate and cite: one clear line with the usual fix, exit code 2, nothing
+half-written."""
 
 from __future__ import annotations
 
@@ -24,7 +25,15 @@ from scenarios.studies.recovery import plant
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bad")
     true_plant = plant()
-    log = fly(true_plant, controller_for(true_plant), Hover(), rich_excitation(), 3.0, seed=[1, 2], warm_up=0.5)
+    log = fly(
+        true_plant,
+        controller_for(true_plant),
+        Hover(),
+        rich_excitation(),
+        3.0,
+        seed=[1, 2],
+        warm_up=0.5,
+    )
     write_log(folder / "a.csv", member(log, 0), drop=["omega"])
     write_log(folder / "b.csv", member(log, 1), drop=["omega"])
     write_vehicle(folder / "v.toml", true_plant, sigma={"inertia": 0.2, "thrust.c2": 0.2})
@@ -48,7 +57,10 @@ def _blank(name: str) -> Callable[[list[str]], list[str]]:
     def change(lines: list[str]) -> list[str]:
         at = lines[0].split(",").index(name)
         rows = [line.split(",") for line in lines]
-        return [",".join("" if i == at and k else c for i, c in enumerate(row)) for k, row in enumerate(rows)]
+        return [
+            ",".join("" if i == at and k else c for i, c in enumerate(row))
+            for k, row in enumerate(rows)
+        ]
 
     return change
 
@@ -63,13 +75,20 @@ def _only(names: list[str]) -> Callable[[list[str]], list[str]]:
 
 def _slower(lines: list[str]) -> list[str]:
     rows = [line.split(",") for line in lines]
-    return [rows[0] and ",".join(rows[0]), *(",".join([repr(2 * float(r[0])), *r[1:]]) for r in rows[1:])]
+    return [
+        rows[0] and ",".join(rows[0]),
+        *(",".join([repr(2 * float(r[0])), *r[1:]]) for r in rows[1:]),
+    ]
 
 
 CASES: dict[str, tuple[list[str], Callable[[Path], None] | None, str]] = {
     "unknown effect": (["--train", "a.csv", "--effects", "motor_leg"], None, "motor_lag"),
     "unknown fixed parameter": (["--train", "a.csv", "--fixed", "inertia.xy"], None, "inertia"),
-    "unknown per-flight parameter": (["--train", "a.csv", "--per-flight", "thrust.c9"], None, "thrust.c"),
+    "unknown per-flight parameter": (
+        ["--train", "a.csv", "--per-flight", "thrust.c9"],
+        None,
+        "thrust.c",
+    ),
     "unknown predictor": (["--train", "a.csv", "--predictor", "inovation"], None, "innovation"),
     "unknown criterion": (["--train", "a.csv", "--criterion", "gauss"], None, "gaussian"),
     "unknown solver": (["--train", "a.csv", "--solver", "newton"], None, "gauss-newton"),
@@ -116,7 +135,11 @@ CASES: dict[str, tuple[list[str], Callable[[Path], None] | None, str]] = {
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.replace(" ", "-"))
 def test_fit_refuses_in_one_line(
-    case: str, files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    case: str,
+    files: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     arguments, prepare, word = CASES[case]
     monkeypatch.chdir(files)
@@ -148,7 +171,12 @@ def test_fit_refuses_in_one_line(
 )
 @pytest.mark.parametrize("command", ["validate", "cite"])
 def test_a_bad_model_file_is_refused_in_one_line(
-    command: str, content: str, word: str, files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str,
+    content: str,
+    word: str,
+    files: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     if command == "cite" and word in ("kind", "checksum"):
         pytest.skip("cite reads names only, so that it also works on models of a later version")
@@ -168,7 +196,17 @@ def test_a_result_that_cannot_be_written_says_so(
     monkeypatch.chdir(files)
     (tmp_path / "taken").write_text("a file, not a folder")
     code = main(
-        ["fit", "--vehicle", "v.toml", "--train", "a.csv", "--init", "nominal", "--out", str(tmp_path / "taken" / "x")]
+        [
+            "fit",
+            "--vehicle",
+            "v.toml",
+            "--train",
+            "a.csv",
+            "--init",
+            "nominal",
+            "--out",
+            str(tmp_path / "taken" / "x"),
+        ]
     )
     assert code == 2
     assert "cannot write" in capsys.readouterr().err.splitlines()[-1]
@@ -182,9 +220,20 @@ def test_fit_then_validate_on_another_flight(
     monkeypatch.setattr("greybox.commands.fit._sanity_lines", lambda result: [doubt])
     out = tmp_path / "out"
     code = main(
-        ["fit", "--vehicle", "v.toml", "--train", "a.csv", "--test", "b.csv", "--effects",
-         "motor_lag,command_delay,rotor_drag,rotational_damping", "--out", str(out)]
-    )  # fmt: skip
+        [
+            "fit",
+            "--vehicle",
+            "v.toml",
+            "--train",
+            "a.csv",
+            "--test",
+            "b.csv",
+            "--effects",
+            "motor_lag,command_delay,rotor_drag,rotational_damping",
+            "--out",
+            str(out),
+        ]
+    )
     assert code == 0
     fit = json.loads((out / "fit.json").read_text())
     assert fit["schema"] == "greybox.fit/1"
@@ -198,7 +247,21 @@ def test_fit_then_validate_on_another_flight(
         schema = json.loads(resources.files("greybox.schemas").joinpath(f"{name}.json").read_text())
         jsonschema.validate(json.loads((out / f"{name}.json").read_text()), schema)
     capsys.readouterr()
-    assert main(["validate", str(out / "model.json"), "--log", "b.csv", "--horizons-samples", "1,10,50", "--json", "-"]) == 0
+    assert (
+        main(
+            [
+                "validate",
+                str(out / "model.json"),
+                "--log",
+                "b.csv",
+                "--horizons-samples",
+                "1,10,50",
+                "--json",
+                "-",
+            ]
+        )
+        == 0
+    )
     result = json.loads(capsys.readouterr().out)
     groups = result["horizons"][0]["groups"]
     assert set(groups) == {"position", "velocity", "rotation", "rate"}
@@ -215,9 +278,20 @@ def test_a_fit_outlives_a_validation_that_cannot_be_made(
     _edit(files / "b.csv", files / "short.csv", lambda lines: lines[:40])
     out = tmp_path / "out"
     code = main(
-        ["fit", "--vehicle", "v.toml", "--train", "a.csv", "--test", "short.csv", "--effects",
-         "motor_lag,command_delay,rotor_drag,rotational_damping", "--out", str(out)]
-    )  # fmt: skip
+        [
+            "fit",
+            "--vehicle",
+            "v.toml",
+            "--train",
+            "a.csv",
+            "--test",
+            "short.csv",
+            "--effects",
+            "motor_lag,command_delay,rotor_drag,rotational_damping",
+            "--out",
+            str(out),
+        ]
+    )
     assert code == 0
     assert "no validation" in capsys.readouterr().err
     assert "no validation" in json.loads((out / "fit.json").read_text())["warnings"][0]

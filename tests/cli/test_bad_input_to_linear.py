@@ -20,7 +20,14 @@ def log(path: Path, spoil: Spoil | None = None, count: int = 600, header: str = 
     truth = random_system(np.random.default_rng(1), 3, 2, 2)
     u, y = simulate(np.random.default_rng(0), truth, count)
     table = np.column_stack([0.02 * np.arange(count), u, y])
-    np.savetxt(path, table if spoil is None else spoil(table), delimiter=",", header=header, comments="", fmt="%.9g")
+    np.savetxt(
+        path,
+        table if spoil is None else spoil(table),
+        delimiter=",",
+        header=header,
+        comments="",
+        fmt="%.9g",
+    )
     return path
 
 
@@ -55,7 +62,9 @@ BAD: dict[str, tuple[Spoil | None, tuple[str, ...], str]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_one_line_and_exit_code_two(case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_one_line_and_exit_code_two(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     import re
 
     spoil, words, expected = BAD[case]
@@ -70,10 +79,27 @@ def test_bad_input_is_one_line_and_exit_code_two(case: str, tmp_path: Path, caps
     assert not out.exists()
 
 
-def test_a_second_log_of_another_rate_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_second_log_of_another_rate_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     a = log(tmp_path / "a.csv")
     b = log(tmp_path / "b.csv", changed(0, lambda t: 2.0 * t[:, 0]))
-    assert main(["linear", "--train", str(a), str(b), *CHANNELS, "--order", "2", "--out", str(tmp_path / "out")]) == 2
+    assert (
+        main(
+            [
+                "linear",
+                "--train",
+                str(a),
+                str(b),
+                *CHANNELS,
+                "--order",
+                "2",
+                "--out",
+                str(tmp_path / "out"),
+            ]
+        )
+        == 2
+    )
     said = capsys.readouterr().err.strip()
     assert "--rate" in said
     assert "\n" not in said

@@ -1,4 +1,5 @@
-"""`greybox check` prints a report, writes JSON that its published schema accepts, and answers by its exit code."""
+"""`greybox check` prints a report, writes JSON that its published schema accepts, and answers by
+its exit code."""
 
 from __future__ import annotations
 
@@ -13,7 +14,11 @@ from greybox.cli import main
 from greybox.examples import flight_path, vehicle_path
 
 SCHEMA = json.loads(files("greybox").joinpath("schemas/check.json").read_text())
-NANO = ("--vehicle", str(vehicle_path("nanobench")), str(flight_path("nanobench", "B2_circle_fast_rep1")))
+NANO = (
+    "--vehicle",
+    str(vehicle_path("nanobench")),
+    str(flight_path("nanobench", "B2_circle_fast_rep1")),
+)
 
 
 def test_schema_is_itself_valid():
@@ -32,7 +37,12 @@ def test_clean_flight_to_standard_output(capsys):
 def test_report_and_file(tmp_path, capsys):
     target = tmp_path / "deep" / "check.json"
     log = str(flight_path("arpl_crazyflie", "log16"))
-    assert main(["check", "--vehicle", str(vehicle_path("arpl_crazyflie")), log, "--json", str(target)]) == 0
+    assert (
+        main(
+            ["check", "--vehicle", str(vehicle_path("arpl_crazyflie")), log, "--json", str(target)]
+        )
+        == 0
+    )
     jsonschema.validate(json.loads(target.read_text()), SCHEMA)
     out = capsys.readouterr().out
     assert "cannot be judged: attitude (no attitude" in out
@@ -43,7 +53,9 @@ def test_blocking_fault_gives_exit_code_one(tmp_path, capsys):
     text = gzip.decompress(flight_path("nanobench", "B2_circle_fast_rep1").read_bytes()).decode()
     log = tmp_path / "swapped.csv"
     log.write_text(
-        text.replace("motor_motor_m1", "M").replace("motor_motor_m2", "motor_motor_m1").replace("M,", "motor_motor_m2,")
+        text.replace("motor_motor_m1", "M")
+        .replace("motor_motor_m2", "motor_motor_m1")
+        .replace("M,", "motor_motor_m2,")
     )
     target = tmp_path / "check.json"
     assert main(["check", *NANO[:2], str(log), "--json", str(target)]) == 1

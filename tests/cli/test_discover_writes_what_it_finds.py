@@ -1,4 +1,5 @@
-"""`greybox discover` writes discovery.json, model.json and report.html, keeps them when interrupted, refuses bad input."""
+"""`greybox discover` writes discovery.json, model.json and report.html, keeps them when
+interrupted, refuses bad input."""
 
 from __future__ import annotations
 
@@ -34,7 +35,15 @@ from tests.one_run import results_of_one_run
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("discover")
     plant = x250([RotationalDamping(d_p=4e-3, d_q=4e-3, d_r=4e-3)])
-    log = fly(plant, controller_for(plant), RandomWaypoints(), rich_excitation(), 4.0, seed=[1, 2, 3], warm_up=1.0)
+    log = fly(
+        plant,
+        controller_for(plant),
+        RandomWaypoints(),
+        rich_excitation(),
+        4.0,
+        seed=[1, 2, 3],
+        warm_up=1.0,
+    )
     for i, name in enumerate(("a", "b", "c")):
         write_log(folder / f"{name}.csv", member(log, i), drop=["omega"])
     write_vehicle(folder / "v.toml", plant, sigma={"inertia": 0.2, "thrust.c2": 0.2})
@@ -69,7 +78,12 @@ def unnamed(files: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     said = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
         patch.setattr(greybox.discovery.cause, "CATALOGUE", ())
-        assert main([*command(files, "--train", "a.csv", "b.csv", "--test", "c.csv"), "--out", str(out)]) == 0
+        assert (
+            main(
+                [*command(files, "--train", "a.csv", "b.csv", "--test", "c.csv"), "--out", str(out)]
+            )
+            == 0
+        )
     return out, said.getvalue()
 
 
@@ -78,18 +92,36 @@ def laws_in(folder: Path) -> list[Path]:
 
 
 def test_an_own_effect_is_named_and_everything_is_written(
-    files: Path, unnamed: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    files: Path,
+    unnamed: tuple[Path, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-):  # fmt: skip
-    """Also over an earlier search: one that finds no law leaves no model of the earlier one, and laws, which may have been
-    edited, under another name."""
+):
+    """Also over an earlier search: one that finds no law leaves no model of the earlier one, and
+    laws, which may have been edited, under another name."""
     monkeypatch.setattr(greybox.discovery.cause, "CATALOGUE", ())
     shutil.copytree(unnamed[0], tmp_path, dirs_exist_ok=True)
     law = laws_in(tmp_path)[0]
     law.write_text(law.read_text() + "# mine\n")
     (tmp_path / "proposal_mine.py").write_text("")
-    arguments = command(files, "--train", "a.csv", "b.csv", "--test", "c.csv", "--effects-file", "friction.py")
-    assert main([*arguments, "--out", str(tmp_path), "--json", str(tmp_path / "again.json"), "--max-effects", "2"]) == 0
+    arguments = command(
+        files, "--train", "a.csv", "b.csv", "--test", "c.csv", "--effects-file", "friction.py"
+    )
+    assert (
+        main(
+            [
+                *arguments,
+                "--out",
+                str(tmp_path),
+                "--json",
+                str(tmp_path / "again.json"),
+                "--max-effects",
+                "2",
+            ]
+        )
+        == 0
+    )
     said = capsys.readouterr()
     assert "step 2: friction" in said.err
     assert said.out.startswith("MISSING: friction (d_p")
@@ -108,9 +140,16 @@ def test_an_own_effect_is_named_and_everything_is_written(
     own = load_effects(files / "friction.py")
     model = IdentifiedModel.load(tmp_path / "model.json", effects=own)
     assert model.effects == ("friction",)
-    assert model.values["friction.d_p"] == pytest.approx(content["effects"][0]["parameters"]["d_p"]["value"])
+    assert model.values["friction.d_p"] == pytest.approx(
+        content["effects"][0]["parameters"]["d_p"]["value"]
+    )
     page = (tmp_path / "report.html").read_text()
-    for text in ("friction", "What has a name", "Where simulation and data disagree", "How far the gap closed"):
+    for text in (
+        "friction",
+        "What has a name",
+        "Where simulation and data disagree",
+        "How far the gap closed",
+    ):
         assert text in page
     # Bad data search nothing and leave what was there.
     assert main(command(files, "--train", "swapped.csv", "--out", str(tmp_path))) == 0
@@ -120,18 +159,29 @@ def test_an_own_effect_is_named_and_everything_is_written(
 def test_laws_come_with_a_model_that_has_them(
     files: Path, unnamed: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    """Of a search with nothing to name: the model loads with the files beside it, and other commands take both."""
+    """Of a search with nothing to name: the model loads with the files beside it, and other
+    commands take both."""
     out, said = unnamed
     laws = laws_in(out)
     assert laws
     assert all(law.name in said for law in laws)
     assert f"greybox learn {out / 'model_with_laws.json'}" in said
-    model = IdentifiedModel.load(out / "model_with_laws.json", effects=[e for law in laws for e in load_effects(law)])
+    model = IdentifiedModel.load(
+        out / "model_with_laws.json", effects=[e for law in laws for e in load_effects(law)]
+    )
     assert sum(n.startswith("proposal_") for n in model.effects) == len(laws)
     assert any(e["proposal"] for e in valid(out / "discovery.json")["unnamed"])
     before, after = (
-        ["validate", str(out / name), "--log", str(files / "c.csv"), "--horizons", "0.1",
-         "--json", str(tmp_path / name)]
+        [
+            "validate",
+            str(out / name),
+            "--log",
+            str(files / "c.csv"),
+            "--horizons",
+            "0.1",
+            "--json",
+            str(tmp_path / name),
+        ]
         for name in ("model.json", "model_with_laws.json")
     )
     assert main(before) == 0
@@ -155,8 +205,10 @@ def test_files_that_are_set_aside_are_never_written_over(tmp_path: Path):
         path.write_text(text)
         assert set_aside(path).read_text() == text
     assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {
-        "proposal_1.py.old": "first", "proposal_1.py.old2": "second", "proposal_1.py.old3": "third",
-    }  # fmt: skip
+        "proposal_1.py.old": "first",
+        "proposal_1.py.old2": "second",
+        "proposal_1.py.old3": "third",
+    }
 
 
 def test_an_interruption_keeps_what_was_found(
@@ -167,21 +219,29 @@ def test_an_interruption_keeps_what_was_found(
 
     monkeypatch.setattr(greybox.discovery.cause, "CATALOGUE", ())
     monkeypatch.setattr(greybox.discovery.workflow, "certificates", stop)
-    arguments = command(files, "--train", "a.csv", "b.csv", "--effects-file", "friction.py", "--out", str(tmp_path))
+    arguments = command(
+        files, "--train", "a.csv", "b.csv", "--effects-file", "friction.py", "--out", str(tmp_path)
+    )
     with results_of_one_run(tmp_path, "discovery.json", "model.json", "report.html"):
         assert main(arguments) == 130
     content = valid(tmp_path / "discovery.json")
     assert content["verdict"] == "stopped"
     assert content["effects"] == []  # nothing is judged yet
     assert "stopped before its end" in content["warnings"][0]
-    model = IdentifiedModel.load(tmp_path / "model.json", effects=load_effects(files / "friction.py"))
+    model = IdentifiedModel.load(
+        tmp_path / "model.json", effects=load_effects(files / "friction.py")
+    )
     assert np.isfinite(model.values["friction.d_p"])
     assert "stopped before its end" in (tmp_path / "report.html").read_text()
     assert "interrupted" in capsys.readouterr().err
 
 
-def test_bad_data_are_an_answer_and_not_an_error(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(command(files, "--train", "swapped.csv", "--out", str(tmp_path), "--json", "-")) == 0
+def test_bad_data_are_an_answer_and_not_an_error(
+    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert (
+        main(command(files, "--train", "swapped.csv", "--out", str(tmp_path), "--json", "-")) == 0
+    )
     content = json.loads(capsys.readouterr().out)
     assert content == valid(tmp_path / "discovery.json")
     assert content["verdict"] == "bad_data"
@@ -197,7 +257,10 @@ BAD = {
     "adapt": (["--train", "a.csv", "--adapt", "0"], "--adapt"),
     "both": (["--train", "a.csv", "--test", "a.csv"], "twice"),
     "no such effects file": (["--train", "a.csv", "--effects-file", "none.py"], "none.py"),
-    "a model beside a vehicle": (["--train", "a.csv", "--from", "model.json"], "a vehicle file or --from"),
+    "a model beside a vehicle": (
+        ["--train", "a.csv", "--from", "model.json"],
+        "a vehicle file or --from",
+    ),
     "a vehicle to go on with": (["--train", "a.csv", "--continue", "found"], "its own model"),
 }
 
@@ -226,7 +289,11 @@ def test_bad_input_is_one_line_and_exit_code_2(
     ],
 )
 def test_nothing_to_start_from_is_one_line_and_exit_code_2(
-    files: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], needle: str, capsys: pytest.CaptureFixture[str]
+    files: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    needle: str,
+    capsys: pytest.CaptureFixture[str],
 ):
     monkeypatch.chdir(files)
     before = sorted(p.name for p in files.iterdir())

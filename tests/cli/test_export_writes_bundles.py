@@ -24,7 +24,15 @@ def models(tmp_path_factory):
 def test_every_kind_of_model_file_is_exported(models, tmp_path, capsys):
     for kind, groups in (("physics", "filter"), ("hybrid", "covariance"), ("linear", "")):
         out = tmp_path / kind
-        command = ["export", str(models / f"{kind}.json"), "--out", str(out), "--with", groups, "--no-cache"]
+        command = [
+            "export",
+            str(models / f"{kind}.json"),
+            "--out",
+            str(out),
+            "--with",
+            groups,
+            "--no-cache",
+        ]
         assert main([*command, "--json", str(tmp_path / f"{kind}-manifest.json")]) == 0
         said = capsys.readouterr().out
         assert "f_d_jac" in said and "kB of source" in said
@@ -46,10 +54,23 @@ def test_options_reach_the_bundle(models, tmp_path, capsys):
         "nano",
         "--dt",
     ]
-    command += ["0.02", "--runtime", "mass, motor_lag.tau", "--target", "c", "--no-cache", "--json", "-"]
+    command += [
+        "0.02",
+        "--runtime",
+        "mass, motor_lag.tau",
+        "--target",
+        "c",
+        "--no-cache",
+        "--json",
+        "-",
+    ]
     assert main(command) == 0
     manifest = json.loads(capsys.readouterr().out)
-    assert (manifest["name"], manifest["sample_time"], manifest["c"]["real"]) == ("nano", 0.02, "float")
+    assert (manifest["name"], manifest["sample_time"], manifest["c"]["real"]) == (
+        "nano",
+        0.02,
+        "float",
+    )
     assert [p["name"] for p in manifest["parameters"]] == ["mass", "motor_lag.tau"]
     assert not (tmp_path / "b" / "casadi").exists()
 

@@ -1,4 +1,5 @@
-"""Claim: `greybox frf` goes from logs to frf.json, frf.csv and a page, with exit codes that tell; a model lies over it."""
+"""Claim: `greybox frf` goes from logs to frf.json, frf.csv and a page, with exit codes that tell; a
+model lies over it."""
 
 from __future__ import annotations
 

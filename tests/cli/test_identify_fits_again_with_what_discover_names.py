@@ -1,4 +1,5 @@
-"""After discover `greybox identify` fits again with what was named, and takes what foretells better."""
+"""After discover `greybox identify` fits again with what was named, and takes what foretells
+better."""
 
 from __future__ import annotations
 
@@ -19,13 +20,25 @@ REFIT = next(s for s in STAGES if s.name == "refit")
 
 def verdict(error: float) -> dict:
     skill = GroupSkill(
-        name="rotation", unit="rad", seconds=0.5, error=error, last_value=1.0, measured_imu=None,
-        covered=1 - error, worse_from=None, calm=False,
-    )  # fmt: skip
+        name="rotation",
+        unit="rad",
+        seconds=0.5,
+        error=error,
+        last_value=1.0,
+        measured_imu=None,
+        covered=1 - error,
+        worse_from=None,
+        calm=False,
+    )
     return Verdict(
-        outcome=Outcome.USABLE, line="useful", useful_seconds=1.0, judged_seconds=1.0,
-        judged_on=LEFT_OUT, flights=(), groups=(skill,),
-    ).to_dict()  # fmt: skip
+        outcome=Outcome.USABLE,
+        line="useful",
+        useful_seconds=1.0,
+        judged_seconds=1.0,
+        judged_on=LEFT_OUT,
+        flights=(),
+        groups=(skill,),
+    ).to_dict()
 
 
 def after(out: Path, named: tuple[str, ...], errors: Mapping[str, float]) -> SoFar:
@@ -36,9 +49,7 @@ def after(out: Path, named: tuple[str, ...], errors: Mapping[str, float]) -> SoF
         if name in errors:
             content = {"model": {"effects": ["motor_lag", "gyro_bias"]}, "recipe": recipe}
             write_json(folders[name] / "fit.json", {**content, "verdict": verdict(errors[name])})
-    write_json(
-        folders["discover"] / "discovery.json", {"effects": [{"name": n} for n in named]}
-    )
+    write_json(folders["discover"] / "discovery.json", {"effects": [{"name": n} for n in named]})
     if "learn" in errors:
         judged = {"before": errors["refit"], "after": errors["learn"]}
         validation = {k: {"verdict": verdict(v)} for k, v in judged.items()}

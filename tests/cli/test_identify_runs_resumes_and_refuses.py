@@ -46,7 +46,15 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """v.toml, a.csv, b.csv, t.csv: three short flights of a racer with a motor lag."""
     folder = tmp_path_factory.mktemp("identify")
     plant = x250([MotorLag(tau=0.04)])
-    log = fly(plant, controller_for(plant), RandomWaypoints(), rich_excitation(), 4.0, seed=[1, 2, 3], warm_up=1.0)
+    log = fly(
+        plant,
+        controller_for(plant),
+        RandomWaypoints(),
+        rich_excitation(),
+        4.0,
+        seed=[1, 2, 3],
+        warm_up=1.0,
+    )
     for i, name in enumerate(("a", "b", "t")):
         write_log(folder / f"{name}.csv", member(log, i), drop=["omega"])
     write_vehicle(folder / "v.toml", plant, sigma={"inertia": 0.2, "thrust.c2": 0.2})
@@ -62,9 +70,13 @@ def killed(arguments: Sequence[str], sign: str, how: int) -> tuple[int, list[str
     """(exit code, lines on standard error) of a run that gets the signal `how` when it says `sign`."""
     said: list[str] = []
     with subprocess.Popen(
-        [sys.executable, "-m", "greybox.cli", *arguments], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL,
-        text=True, start_new_session=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    ) as process:  # fmt: skip
+        [sys.executable, "-m", "greybox.cli", *arguments],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as process:
         patience = threading.Timer(120, process.kill)
         patience.start()
         sent = False
@@ -137,7 +149,11 @@ def test_every_stage_is_the_plain_command_and_result_files_quote_it(chain):
 
 def test_what_is_done_is_not_done_again(chain, flights, capsys):
     out, _, _ = chain
-    before = {p: p.stat().st_mtime_ns for p in out.rglob("*") if p.is_file() and p.name not in (FILE, "report.html")}
+    before = {
+        p: p.stat().st_mtime_ns
+        for p in out.rglob("*")
+        if p.is_file() and p.name not in (FILE, "report.html")
+    }
     assert main(line(flights, out)) == 0
     assert capsys.readouterr().err.count(DONE) == 5
     assert before == {p: p.stat().st_mtime_ns for p in before}
@@ -180,9 +196,16 @@ def refuse(out: Path) -> None:
     """Have the fit of a finished chain judged NOT USABLE."""
     content = read_json(out / "3_fit" / "fit.json")
     verdict = Verdict.from_dict(content["verdict"])
-    verdict = replace(verdict, outcome=Outcome.NOT_USABLE, line="NOT USABLE: rotation is worse than the last value")
+    verdict = replace(
+        verdict,
+        outcome=Outcome.NOT_USABLE,
+        line="NOT USABLE: rotation is worse than the last value",
+    )
     write_json(out / "3_fit" / "fit.json", {**content, "verdict": verdict.to_dict()})
-    save_model(replace(load_model(out / "3_fit" / "model.json"), verdict=verdict), out / "3_fit" / "model.json")
+    save_model(
+        replace(load_model(out / "3_fit" / "model.json"), verdict=verdict),
+        out / "3_fit" / "model.json",
+    )
     shutil.rmtree(out / "8_export")
 
 
@@ -206,9 +229,13 @@ def test_python_gives_the_same_as_the_command_and_is_quiet(copy, flights, capsys
     said: list[str] = []
     shutil.rmtree(copy / "8_export")
     found = gb.identify(
-        flights / "v.toml", [flights / "a.csv", flights / "b.csv"], test=[flights / "t.csv"], out=copy,
-        skip=["discover", "learn"], say=said.append,
-    )  # fmt: skip
+        flights / "v.toml",
+        [flights / "a.csv", flights / "b.csv"],
+        test=[flights / "t.csv"],
+        out=copy,
+        skip=["discover", "learn"],
+        say=said.append,
+    )
     assert sum(DONE in text for text in said) == 4
     assert capsys.readouterr() == ("", "")
     assert found.verdict == found.model.verdict
@@ -246,9 +273,24 @@ def test_bad_input_is_one_line(words, flights, tmp_path, monkeypatch, capsys):
 
 def test_files_can_be_said_as_to_the_other_commands(copy, flights, capsys):
     a, b, t, v = (str(flights / n) for n in ("a.csv", "b.csv", "t.csv", "v.toml"))
-    words = ["identify", "--vehicle", v, "--train", a, b, "--test", t, "--skip", "discover,learn", "--out", str(copy)]
+    words = [
+        "identify",
+        "--vehicle",
+        v,
+        "--train",
+        a,
+        b,
+        "--test",
+        t,
+        "--skip",
+        "discover,learn",
+        "--out",
+        str(copy),
+    ]
     assert main(words) == 0
-    assert f"fit {DONE}" in capsys.readouterr().err  # the request is the same one: nothing is done again
+    assert (
+        f"fit {DONE}" in capsys.readouterr().err
+    )  # the request is the same one: nothing is done again
 
 
 def test_a_folder_of_somebody_else_stays_as_it_is(flights, tmp_path, capsys):
@@ -258,7 +300,9 @@ def test_a_folder_of_somebody_else_stays_as_it_is(flights, tmp_path, capsys):
     assert [p.name for p in tmp_path.iterdir()] == [FILE]
 
 
-def test_without_a_vehicle_file_the_log_is_asked_and_a_person_told_what_to_measure(tmp_path, capsys):
+def test_without_a_vehicle_file_the_log_is_asked_and_a_person_told_what_to_measure(
+    tmp_path, capsys
+):
     pytest.importorskip("pyulog")
     log = w.write_ulog(tmp_path / "flight.ulg", w.channels(rows=2500))
     out = tmp_path / "out"
@@ -275,11 +319,24 @@ def test_without_a_vehicle_file_the_log_is_asked_and_a_person_told_what_to_measu
 
 def verdict(error: float, outcome: Outcome = Outcome.USABLE) -> Verdict:
     skill = GroupSkill(
-        name="rotation", unit="rad", seconds=0.5, error=error, last_value=1.0, measured_imu=None, covered=1 - error,
-        worse_from=None, calm=False,
-    )  # fmt: skip
+        name="rotation",
+        unit="rad",
+        seconds=0.5,
+        error=error,
+        last_value=1.0,
+        measured_imu=None,
+        covered=1 - error,
+        worse_from=None,
+        calm=False,
+    )
     return Verdict(
-        outcome=outcome, line="", useful_seconds=1.0, judged_seconds=1.0, judged_on="", flights=(), groups=(skill,)
+        outcome=outcome,
+        line="",
+        useful_seconds=1.0,
+        judged_seconds=1.0,
+        judged_on="",
+        flights=(),
+        groups=(skill,),
     )
 
 
@@ -301,7 +358,9 @@ def test_the_time_left_follows_what_the_ended_stages_took():
     usual = typical(by_name["fit"], flown)
     slow = StageRecord(name="fit", folder="3_fit", seconds=2 * usual + TRUST)
     assert seconds_left(STAGES, ("discover", "learn"), {}, flown) == pytest.approx(rest)
-    assert seconds_left(STAGES, ("discover", "learn"), {"fit": slow}, flown) == pytest.approx(2 * rest)
+    assert seconds_left(STAGES, ("discover", "learn"), {"fit": slow}, flown) == pytest.approx(
+        2 * rest
+    )
     assert in_words(31) == "about 30 s left"
     assert in_words(200) == "about 3 min left"
 

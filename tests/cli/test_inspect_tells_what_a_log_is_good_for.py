@@ -1,4 +1,5 @@
-"""`greybox inspect` shows, judges, advises and converts; its other commands take the same logs as they come."""
+"""`greybox inspect` shows, judges, advises and converts; its other commands take the same logs as
+they come."""
 
 from __future__ import annotations
 
@@ -28,13 +29,24 @@ def inspected(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0
     return content
 
 
-def test_a_px4_log_is_described_judged_and_converted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_px4_log_is_described_judged_and_converted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("pyulog")
     log = str(w.write_ulog(tmp_path / "flight.ulg", w.channels(rows=400)))
     out = tmp_path / "flight.csv.gz"
     assert main(["inspect", log, "--out", str(out)]) == 0
     said = capsys.readouterr().out
-    for part in ("PX4 ULog", "sensor_combined", "100 Hz", "FRD", "rotor_speed", "DSHOT", "SDLOG_PROFILE", "spin = -1"):
+    for part in (
+        "PX4 ULog",
+        "sensor_combined",
+        "100 Hz",
+        "FRD",
+        "rotor_speed",
+        "DSHOT",
+        "SDLOG_PROFILE",
+        "spin = -1",
+    ):
         assert part in said
     content = inspected(capsys, log)
     assert content["uses"]["rotation"] and content["uses"]["translation"]
@@ -48,7 +60,9 @@ def test_a_px4_log_is_described_judged_and_converted(tmp_path: Path, capsys: pyt
         np.testing.assert_array_equal(first.channels[name], second.channels[name])
 
 
-def test_what_a_log_lacks_takes_its_effects_away(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_log_lacks_takes_its_effects_away(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("orangebox")
     log = str(w.write_betaflight(tmp_path / "f.bbl", w.channels(rows=300)))
     content = inspected(capsys, log)
@@ -76,13 +90,17 @@ def test_a_table_of_unknown_columns_is_shown_and_asks_for_a_mapping(
 
 
 def test_a_vehicle_file_names_the_columns_of_its_tables(capsys: pytest.CaptureFixture[str]) -> None:
-    content = inspected(capsys, str(flight_path("nanobench", "B2_circle_fast_rep1")), "--vehicle", VEHICLE)
+    content = inspected(
+        capsys, str(flight_path("nanobench", "B2_circle_fast_rep1")), "--vehicle", VEHICLE
+    )
     origin = {c["group"]: c["from"] for c in content["channels"]}
     assert "motor_motor_m1" in origin["command"]
     assert content["rows"] == 2200
 
 
-def test_a_log_without_commands_cannot_be_fitted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_without_commands_cannot_be_fitted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     c = w.channels(rows=300)
     log = w.write_csv(tmp_path / "f.csv", {k: c[k] for k in ("t", "p", "q", "r")})
     content = inspected(capsys, str(log), code=1)
@@ -90,7 +108,9 @@ def test_a_log_without_commands_cannot_be_fitted(tmp_path: Path, capsys: pytest.
     assert content["missing"][0]["group"] == "command"
 
 
-def test_nothing_is_written_where_there_is_nothing_to_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_written_where_there_is_nothing_to_write(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log = tmp_path / "f.csv"
     log.write_text("a,b\n1,2\n3,4\n")
     assert main(["inspect", str(log), "--out", str(tmp_path / "out.csv")]) == 2
@@ -101,7 +121,8 @@ def test_nothing_is_written_where_there_is_nothing_to_write(tmp_path: Path, caps
 def test_check_takes_a_px4_log_and_finds_the_fault_of_the_flight(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A gyro in FLU where PX4's is FRD, as a wrongly rotated board logs it, is found through the reader."""
+    """A gyro in FLU where PX4's is FRD, as a wrongly rotated board logs it, is found through the
+    reader."""
     pytest.importorskip("pyulog")
     c = w.channels(rows=1500)
     good = w.write_ulog(tmp_path / "good.ulg", c)
@@ -113,7 +134,8 @@ def test_check_takes_a_px4_log_and_finds_the_fault_of_the_flight(
 
 
 def test_the_conditioned_flight_is_that_of_the_csv_log(tmp_path: Path) -> None:
-    """After clock, gaps and trimming, too, the way through PX4's format changes nothing but the last digits."""
+    """After clock, gaps and trimming, too, the way through PX4's format changes nothing but the
+    last digits."""
     pytest.importorskip("pyulog")
     c = w.channels(start=0, rows=2500)
     one = read_log(w.write_ulog(tmp_path / "f.ulg", c, slow_every=1), w.vehicle())
@@ -130,21 +152,41 @@ def test_the_conditioned_flight_is_that_of_the_csv_log(tmp_path: Path) -> None:
     ("text", "said"),
     [
         ("", "wrong schema"),
-        ('schema = "greybox.mapping/1"\n[rate]\nfields = ["a"]', "rate: 1 fields; expected 3: p, q, r"),
+        (
+            'schema = "greybox.mapping/1"\n[rate]\nfields = ["a"]',
+            "rate: 1 fields; expected 3: p, q, r",
+        ),
         ('schema = "greybox.mapping/1"\n[rat]\n', "unknown key 'rat'"),
-        ('schema = "greybox.mapping/1"\n[rate]\nfields = ["a", "b", "c"]\nunit = "deg"', "unknown unit 'deg'"),
-        ('schema = "greybox.mapping/1"\n[rate]\nfields = ["a", "b", "c"]\nframe = "NED"', "unknown frame 'NED'"),
+        (
+            'schema = "greybox.mapping/1"\n[rate]\nfields = ["a", "b", "c"]\nunit = "deg"',
+            "unknown unit 'deg'",
+        ),
+        (
+            'schema = "greybox.mapping/1"\n[rate]\nfields = ["a", "b", "c"]\nframe = "NED"',
+            "unknown frame 'NED'",
+        ),
         ('schema = "greybox.mapping/1"\n[rate]\nfields = ["a", "b", "c"]', "unknown field 'a'"),
-        ('schema = "greybox.mapping/1"\n[rate]\nstream = "x"\nfields = ["a", "b", "c"]', "unknown stream 'x'"),
-        ('schema = "greybox.mapping/1"\n[command]\nfields = ["pwm1"]\nlimits = [2, 1]', "expected low < high"),
+        (
+            'schema = "greybox.mapping/1"\n[rate]\nstream = "x"\nfields = ["a", "b", "c"]',
+            "unknown stream 'x'",
+        ),
+        (
+            'schema = "greybox.mapping/1"\n[command]\nfields = ["pwm1"]\nlimits = [2, 1]',
+            "expected low < high",
+        ),
         ('schema = "greybox.mapping/1"\n[time]\nunit = "min"', "unknown unit 'min'"),
         ('schema = "greybox.mapping/1"\n[time]\nfield = "tme"', "unknown column 'tme'"),
         (
-            'schema = "greybox.mapping/1"\nclock = "c"\n[rate]\nfields = ["gyr_x", "gyr_y", "gyr_z"]',
+            'schema = "greybox.mapping/1"\nclock = "c"\n[rate]\nfields = ["gyr_x", "gyr_y", '
+            '"gyr_z"]',
             "unknown stream 'c'",
         ),
         ('schema = "greybox.mapping/1"\n[rate]\nunit = 3', "no fields"),
-        ('schema = "greybox.mapping/1"\n[rate]\nfields = ["gyr_x", "gyr_y", "gyr_z"]\nscale = nan', "finite number"),
+        (
+            'schema = "greybox.mapping/1"\n[rate]\nfields = ["gyr_x", "gyr_y", "gyr_z"]\nscale = '
+            "nan",
+            "finite number",
+        ),
         ("schema = ", "not valid TOML"),
     ],
 )
@@ -174,5 +216,22 @@ def test_fit_says_before_any_work_what_inspect_says_first(
     monkeypatch.setattr("greybox.commands.fit.fit_with", stopped)
     bare = tmp_path / "V.toml"
     bare.write_text(Path(VEHICLE).read_text().split("[columns.")[0])
-    assert main(["fit", "--vehicle", str(bare), "--train", log, "--manual", "--out", str(tmp_path / "fit")]) == 130
-    assert "stands.csv not usable: on the ground: motors run, but the gyro shows no motion" in capsys.readouterr().err
+    assert (
+        main(
+            [
+                "fit",
+                "--vehicle",
+                str(bare),
+                "--train",
+                log,
+                "--manual",
+                "--out",
+                str(tmp_path / "fit"),
+            ]
+        )
+        == 130
+    )
+    assert (
+        "stands.csv not usable: on the ground: motors run, but the gyro shows no motion"
+        in capsys.readouterr().err
+    )

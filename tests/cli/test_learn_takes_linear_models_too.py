@@ -1,4 +1,5 @@
-"""`greybox linear`, then `greybox learn` on its model file: a hybrid that is better where the plant is not linear."""
+"""`greybox linear`, then `greybox learn` on its model file: a hybrid that is better where the plant
+is not linear."""
 
 from __future__ import annotations
 
@@ -20,13 +21,17 @@ SCHEMA = json.loads(files("greybox").joinpath("schemas/output_residual.json").re
 
 
 def write_log(path, seed, n=1500):
-    """Two decoupled plants: volt = a - b drives speed through a bent spring, load drives temp, which is linear."""
+    """Two decoupled plants: volt = a - b drives speed through a bent spring, load drives temp,
+    which is linear."""
     rng = np.random.default_rng(seed)
     a, b, load = (np.repeat(rng.uniform(-1, 1, n // 15), 15) for _ in range(3))
     speed, temp = np.zeros(n), np.zeros(n)
     for k in range(1, n):
         speed[k] = (
-            0.9 * speed[k - 1] + 0.2 * (a - b)[k - 1] - 0.15 * np.sin(2 * speed[k - 1]) + 0.01 * rng.standard_normal()
+            0.9 * speed[k - 1]
+            + 0.2 * (a - b)[k - 1]
+            - 0.15 * np.sin(2 * speed[k - 1])
+            + 0.01 * rng.standard_normal()
         )
         temp[k] = 0.95 * temp[k - 1] + 0.1 * load[k - 1] + 0.01 * rng.standard_normal()
     rows = np.column_stack([0.01 * np.arange(n), a, b, load, speed, temp])
@@ -41,7 +46,16 @@ def folder(tmp_path_factory):
     test = write_log(out / "test.csv", 9)
     common = ["--inputs", "volt=a-b,load", "--outputs", "speed,temp", "--order", "1", "--json", "-"]
     assert main(["linear", "--train", *train, *common, "--siso", "--out", str(out / "siso")]) == 0
-    learn = ["learn", str(out / "siso" / "model.json"), "--train", *train, "--test", test, "--points", "30"]
+    learn = [
+        "learn",
+        str(out / "siso" / "model.json"),
+        "--train",
+        *train,
+        "--test",
+        test,
+        "--points",
+        "30",
+    ]
     with results_of_one_run(out / "hybrid", "report.html", "learn.json", "hybrid.json"):
         assert main([*learn, "--horizons-samples", "1,5", "--out", str(out / "hybrid")]) == 0
     return out, train, test
@@ -69,16 +83,19 @@ def test_the_page_is_there_and_the_file_predicts_what_was_reported(folder):
     segment = read_log(test, None).segments[0]
     mean, _ = hybrid.one_step(segment)
     rmse = np.sqrt(np.nanmean((segment.column("speed") - mean[:, 0])[200:] ** 2))
-    told = json.loads((out / "hybrid" / "learn.json").read_text())["validation"]["after"]["one_step"]["channels"][
-        "speed"
-    ]
+    told = json.loads((out / "hybrid" / "learn.json").read_text())["validation"]["after"][
+        "one_step"
+    ]["channels"]["speed"]
     assert rmse == pytest.approx(told["mse"] ** 0.5, rel=0.1)
 
 
 def test_channels_come_from_the_fit_or_from_the_user(folder, tmp_path):
     model = folder[0] / "siso" / "model.json"
     _, inputs, outputs, trained = read_linear(model)
-    assert {s.name: s.terms for s in inputs} == {"volt": ((1.0, "a"), (-1.0, "b")), "load": ((1.0, "load"),)}
+    assert {s.name: s.terms for s in inputs} == {
+        "volt": ((1.0, "a"), (-1.0, "b")),
+        "load": ((1.0, "load"),),
+    }
     assert [s.name for s in outputs] == ["speed", "temp"]
     assert trained == ("train1", "train2")
     alone = tmp_path / "model.json"
@@ -97,8 +114,14 @@ def test_bad_input_is_one_line(folder, tmp_path, capsys):
     for arguments, text in (
         (["learn", str(alone), *common], "volt"),
         (["learn", str(out / "siso" / "model.json"), *common, "--inputs", "nonsense"], "nonsense"),
-        (["learn", str(out / "siso" / "model.json"), *common, "--inputs", "speed[t]"], "predicted instant"),
-        (["learn", str(out / "siso" / "model.json"), *common, "--test", train[0]], "both train and test"),
+        (
+            ["learn", str(out / "siso" / "model.json"), *common, "--inputs", "speed[t]"],
+            "predicted instant",
+        ),
+        (
+            ["learn", str(out / "siso" / "model.json"), *common, "--test", train[0]],
+            "both train and test",
+        ),
     ):
         assert main(arguments) == 2
         error = capsys.readouterr().err.strip().splitlines()

@@ -1,5 +1,5 @@
-"""`greybox learn` killed (SIGKILL) before and after every file that it writes: what is there loads, and typing the command
-again ends it."""
+"""`greybox learn` killed (SIGKILL) before and after every file that it writes: what is there loads,
+and typing the command again ends it."""
 
 from __future__ import annotations
 
@@ -37,14 +37,27 @@ def test_a_kill_at_any_write_leaves_files_that_load(tmp_path: Path) -> None:
     pytest.importorskip("gpytorch")
     train = write_log(tmp_path / "train.csv", 1, n=600)
     common = ["--inputs", "volt=a-b,load", "--outputs", "speed,temp", "--order", "1", "--json", "-"]
-    assert main(["linear", "--train", train, *common, "--siso", "--out", str(tmp_path / "siso")]) == 0
+    assert (
+        main(["linear", "--train", train, *common, "--siso", "--out", str(tmp_path / "siso")]) == 0
+    )
     out = tmp_path / "hybrid"
-    learn = ["learn", str(tmp_path / "siso" / "model.json"), "--train", train, "--points", "10", "--out", str(out)]
+    learn = [
+        "learn",
+        str(tmp_path / "siso" / "model.json"),
+        "--train",
+        train,
+        "--points",
+        "10",
+        "--out",
+        str(out),
+    ]
     ended = kills = 0
     for n in range(1, 12):
         for when in ("before", "after"):
             process = subprocess.run(
-                [sys.executable, "-c", KILLED, str(n), when, *learn], capture_output=True, check=False
+                [sys.executable, "-c", KILLED, str(n), when, *learn],
+                capture_output=True,
+                check=False,
             )
             if process.returncode == 0:
                 ended += 1
@@ -52,12 +65,21 @@ def test_a_kill_at_any_write_leaves_files_that_load(tmp_path: Path) -> None:
             assert process.returncode == -signal.SIGKILL, process.stderr
             kills += 1
             if (out / "learn.json").exists():
-                assert json.loads((out / "learn.json").read_text())["schema"] == "greybox.output_residual/1"
+                assert (
+                    json.loads((out / "learn.json").read_text())["schema"]
+                    == "greybox.output_residual/1"
+                )
             if (out / "hybrid.json").exists():
                 OutputHybrid.load(out / "hybrid.json")
-            assert not (out / "report.html").exists() or when == "after"  # the page of no earlier run stays
+            assert (
+                not (out / "report.html").exists() or when == "after"
+            )  # the page of no earlier run stays
         if ended:
             break
     assert ended == 2
     assert kills >= 6  # hybrid, result twice, page
-    assert {p.name for p in out.iterdir() if not p.name.startswith(".")} >= {"hybrid.json", "learn.json", "report.html"}
+    assert {p.name for p in out.iterdir() if not p.name.startswith(".")} >= {
+        "hybrid.json",
+        "learn.json",
+        "report.html",
+    }

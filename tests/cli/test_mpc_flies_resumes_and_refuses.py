@@ -1,4 +1,5 @@
-"""greybox mpc: flights of a model file, kept and resumed, a page and a schema; bad input is one line, nothing is left."""
+"""greybox mpc: flights of a model file, kept and resumed, a page and a schema; bad input is one
+line, nothing is left."""
 
 import importlib.util
 import json
@@ -34,7 +35,16 @@ def flown(models, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prepare, "TUNING", 2)
         recorded = ["--mcap", str(out / "flights.mcap")] if importlib.util.find_spec("mcap") else []
-        words = [str(models / "model.json"), *COURSE, *BOOLE, "--flights", "2", "--out", str(out), *recorded]
+        words = [
+            str(models / "model.json"),
+            *COURSE,
+            *BOOLE,
+            "--flights",
+            "2",
+            "--out",
+            str(out),
+            *recorded,
+        ]
         assert main(["mpc", *words]) == 0
     return out
 
@@ -72,17 +82,23 @@ def test_page_is_whole_and_runs_nothing_but_its_own_script(flown):
     assert data["flights"][0]["plans"]
 
 
-@pytest.mark.skipif(importlib.util.find_spec("mcap") is None, reason="the extra `logs` is not installed")
+@pytest.mark.skipif(
+    importlib.util.find_spec("mcap") is None, reason="the extra `logs` is not installed"
+)
 def test_a_recording_has_every_watched_flight_with_its_plans_and_crossings(flown):
     streams = read_ros(flown / "flights.mcap").streams
     for row in rows(flown):
         root = f"/flight_{row['seed']}/{row['controller']}"
-        assert streams[f"{root}/margin"].fields["value.tilt"].max() == pytest.approx(row["tilt"], abs=0.02)
+        assert streams[f"{root}/margin"].fields["value.tilt"].max() == pytest.approx(
+            row["tilt"], abs=0.02
+        )
         place = streams[f"{root}/pose"]
         assert place.t[-1] == pytest.approx(row["seconds"], abs=0.03)
         assert place.fields["pose.orientation.w"].min() < 1.0  # it tilts
         assert (f"{root}/crossings" in streams) == bool(row["crossings"])
-    assert {"/flight_1000/tube/plan", "/flight_1001/mean/plan", "/flight_1000/tube/tf"} <= set(streams)
+    assert {"/flight_1000/tube/plan", "/flight_1001/mean/plan", "/flight_1000/tube/tf"} <= set(
+        streams
+    )
 
 
 def test_a_second_run_keeps_the_old_flights_and_adds_the_new(models, flown, monkeypatch, capsys):
@@ -97,7 +113,9 @@ def test_a_second_run_keeps_the_old_flights_and_adds_the_new(models, flown, monk
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_against_another_plant_reports_what_was_flown(models, tmp_path, monkeypatch, capsys):
+def test_an_interrupted_run_against_another_plant_reports_what_was_flown(
+    models, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(prepare, "TUNING", 2)
     monkeypatch.setattr(prepare, "REHEARSED", (0.5, 2.0))
     monkeypatch.setattr(prepare, "REHEARSALS", 4)
@@ -109,7 +127,17 @@ def test_an_interrupted_run_against_another_plant_reports_what_was_flown(models,
         return whole(self, entry, seed, **options)
 
     monkeypatch.setattr(campaign.Hangar, "fly", stopped)
-    command = ["mpc", str(models / "model.json"), *COURSE, "--flights", "2", "--level", "0.4", "--out", str(tmp_path)]
+    command = [
+        "mpc",
+        str(models / "model.json"),
+        *COURSE,
+        "--flights",
+        "2",
+        "--level",
+        "0.4",
+        "--out",
+        str(tmp_path),
+    ]
     assert main([*command, "--plant", "greybox.plants.presets:nano"]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert [r["controller"] for r in rows(tmp_path)] == ["mean", "tube"]
@@ -117,7 +145,10 @@ def test_an_interrupted_run_against_another_plant_reports_what_was_flown(models,
     assert content["what"]["mode"] == "plant"
     assert content["controllers"]["constant"]["flights"] == 0
     assert content["tuning"]["risk"] == "rehearsal"
-    assert [(r["kappa"], r["flights"]) for r in content["tuning"]["rehearsed"]] == [(0.5, 4), (2.0, 4)]
+    assert [(r["kappa"], r["flights"]) for r in content["tuning"]["rehearsed"]] == [
+        (0.5, 4),
+        (2.0, 4),
+    ]
     assert "interrupted" in content["warnings"][0]
     page = (tmp_path / "report.html").read_text()
     assert "interrupted" in page
@@ -135,9 +166,17 @@ BAD = {
     "no such attribute": ("model.json", ["--plant", "mpc_export.mission.craft:nothing"], "nothing"),
     "no attribute": ("model.json", ["--plant", "mpc_export.mission"], "module:attribute"),
     "not a plant": ("model.json", ["--plant", "tests.cli.short_course:Nothing"], "reset"),
-    "a plant that cannot be placed": ("model.json", ["--plant", "tests.cli.short_course:Blind"], "position"),
+    "a plant that cannot be placed": (
+        "model.json",
+        ["--plant", "tests.cli.short_course:Blind"],
+        "position",
+    ),
     "not a course": ("model.json", ["--course", "tests.cli.short_course:NOT_A_COURSE"], "Course"),
-    "a log beside a plant": ("model.json", ["--plant", "mpc_export.mission.craft:vehicle", "--log", "a.csv"], "--log"),
+    "a log beside a plant": (
+        "model.json",
+        ["--plant", "mpc_export.mission.craft:vehicle", "--log", "a.csv"],
+        "--log",
+    ),
     "no such log": ("model.json", ["--log", "nowhere.csv"], "nowhere.csv"),
 }
 

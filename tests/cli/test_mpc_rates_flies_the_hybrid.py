@@ -1,4 +1,5 @@
-"""greybox mpc rates: the paper's hybrid flies; a page, a table and a schema; what does not belong to it is one line."""
+"""greybox mpc rates: the paper's hybrid flies; a page, a table and a schema; what does not belong
+to it is one line."""
 
 import json
 import xml.etree.ElementTree as ET
@@ -11,9 +12,18 @@ from greybox.cli import main
 
 
 @pytest.mark.parametrize(
-    "extra", [["--course", "a:b"], ["--log", "a.csv"], ["--pace", "2"], ["--plant", "a:b"], ["--risk", "boole"],
-              ["--jobs", "2"], ["--even-so"], ["--mcap", "f.mcap"]],
-)  # fmt: skip
+    "extra",
+    [
+        ["--course", "a:b"],
+        ["--log", "a.csv"],
+        ["--pace", "2"],
+        ["--plant", "a:b"],
+        ["--risk", "boole"],
+        ["--jobs", "2"],
+        ["--even-so"],
+        ["--mcap", "f.mcap"],
+    ],
+)
 def test_what_belongs_to_a_course_is_refused_in_one_line(extra, tmp_path, capsys):
     assert main(["mpc", "rates", *extra, "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err.strip()
@@ -27,7 +37,9 @@ def test_the_tube_keeps_rates_that_plain_plans_and_pid_pass(tmp_path, capsys):
     assert main(command) == 0
     printed = capsys.readouterr().out
     content = json.loads((tmp_path / "mpc_rates.json").read_text())
-    jsonschema.validate(content, json.loads((resources.files("greybox.schemas") / "mpc_rates.json").read_text()))
+    jsonschema.validate(
+        content, json.loads((resources.files("greybox.schemas") / "mpc_rates.json").read_text())
+    )
     found = content["controllers"]
     assert {n: c["flights"] for n, c in found.items()} == dict.fromkeys(found, 3)
     for plain in ("pid", "linear", "hybrid"):

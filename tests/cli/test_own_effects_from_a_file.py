@@ -32,7 +32,15 @@ def valid(kind: str, content: dict) -> dict:
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("own")
     true_plant = plant()
-    log = fly(true_plant, controller_for(true_plant), Hover(), rich_excitation(), 3.0, seed=[1, 2], warm_up=0.5)
+    log = fly(
+        true_plant,
+        controller_for(true_plant),
+        Hover(),
+        rich_excitation(),
+        3.0,
+        seed=[1, 2],
+        warm_up=0.5,
+    )
     write_log(folder / "a.csv", member(log, 0), drop=["omega"])
     write_log(folder / "b.csv", member(log, 1), drop=["omega"])
     write_vehicle(folder / "v.toml", true_plant, sigma={"inertia": 0.2, "thrust.c2": 0.2})
@@ -48,9 +56,21 @@ def test_from_listing_to_citation(
     listed = valid("effects", json.loads(capsys.readouterr().out))
     assert [e["name"] for e in listed["effects"]] == ["friction"]
 
-    fit = ["fit", "--vehicle", "v.toml", "--train", "a.csv", "--test", "b.csv", "--out", str(tmp_path / "own")]
+    fit = [
+        "fit",
+        "--vehicle",
+        "v.toml",
+        "--train",
+        "a.csv",
+        "--test",
+        "b.csv",
+        "--out",
+        str(tmp_path / "own"),
+    ]
     fit += ["--effects", "motor_lag,command_delay,rotor_drag", "--effects-file", "friction.py"]
-    with results_of_one_run(tmp_path / "own", "report.html", "validate.json", "fit.json", "model.json"):
+    with results_of_one_run(
+        tmp_path / "own", "report.html", "validate.json", "fit.json", "model.json"
+    ):
         code = main(fit)
     assert code == 0
     fitted = json.loads((tmp_path / "own" / "fit.json").read_text())["parameters"]
@@ -66,7 +86,21 @@ def test_from_listing_to_citation(
 
     assert main(["validate", str(path), "--log", "b.csv"]) == 2
     assert "--effects-file friction.py" in capsys.readouterr().err
-    assert main(["validate", str(path), "--log", "b.csv", "--effects-file", "friction.py", "--json", "-"]) == 0
+    assert (
+        main(
+            [
+                "validate",
+                str(path),
+                "--log",
+                "b.csv",
+                "--effects-file",
+                "friction.py",
+                "--json",
+                "-",
+            ]
+        )
+        == 0
+    )
     capsys.readouterr()
     model = IdentifiedModel.load(path, effects=load_effects("friction.py"))
     assert "friction" in model.effects

@@ -48,8 +48,18 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
             rows.append((0.1 * k, u, level + 0.01 * rng.standard_normal()))
             level += 0.1 * (0.3 * u - 0.5 * level)
         np.savetxt(folder / f"{name}.csv", rows, delimiter=",", header="t,pump,level", comments="")
-    fit = ["fit", "--model-file", f"{folder}/tank.py:build", "--train", f"{folder}/a.csv", "--test", f"{folder}/b.csv"]
-    with results_of_one_run(folder / "fit", "report.html", "validate.json", "fit.json", "model.json"):
+    fit = [
+        "fit",
+        "--model-file",
+        f"{folder}/tank.py:build",
+        "--train",
+        f"{folder}/a.csv",
+        "--test",
+        f"{folder}/b.csv",
+    ]
+    with results_of_one_run(
+        folder / "fit", "report.html", "validate.json", "fit.json", "model.json"
+    ):
         assert main(["--quiet", *fit, "--out", f"{folder}/fit"]) == 0
     return folder
 
@@ -64,8 +74,17 @@ def test_the_fit_is_judged_on_the_test_record_and_comes_back_by_load(bench: Path
     assert isinstance(model, IdentifiedModel) and model.name == "tank"
 
 
-def test_flight_review_is_refused_a_tank_in_one_line_before_any_work(bench: Path, capsys: pytest.CaptureFixture[str]):
-    words = ["validate", f"{bench}/fit/model.json", "--log", f"{bench}/none_such.csv", "--ulog", f"{bench}/b.ulg"]
+def test_flight_review_is_refused_a_tank_in_one_line_before_any_work(
+    bench: Path, capsys: pytest.CaptureFixture[str]
+):
+    words = [
+        "validate",
+        f"{bench}/fit/model.json",
+        "--log",
+        f"{bench}/none_such.csv",
+        "--ulog",
+        f"{bench}/b.ulg",
+    ]
     assert main(words) == 2
     said = capsys.readouterr().err.strip()
     assert "Flight Review draws none of this model's outputs" in said and "level" in said
@@ -76,61 +95,135 @@ def test_a_spinning_body_without_numbered_commands_has_rates_and_no_motors(tmp_p
     pyulog = pytest.importorskip("pyulog")
     rates = Layout([Signal(name=n, unit="rad/s") for n in "pqr"])
     dynamics = StateSpaceModel(
-        name="top", states=rates, outputs=rates, inputs=Layout([Signal(name="push", unit="rad/s^2")]),
+        name="top",
+        states=rates,
+        outputs=rates,
+        inputs=Layout([Signal(name="push", unit="rad/s^2")]),
         parameters=(Parameter(name="drag", unit="1/s", nominal=0.5, scale=0.1),),
         dynamics=lambda t, x, u, p: [u[0] - p["drag"] * x[i] for i in range(3)],
-        measurement=lambda t, x, u, p: [x[i] for i in range(3)], noise_states=("p", "q", "r"),
-    )  # fmt: skip
+        measurement=lambda t, x, u, p: [x[i] for i in range(3)],
+        noise_states=("p", "q", "r"),
+    )
     model = IdentifiedModel(
-        dynamics=dynamics, values=ParameterValues({"drag": 0.5}), process_noise=np.ones(3), sensor_noise=np.full(3, 0.1),
-        weak=np.full(3, 1e4), reference_state=np.zeros(3), reference_inputs=np.zeros(1), sample_time=0.01,
-        flight_spread={}, per_flight={},
-    )  # fmt: skip
+        dynamics=dynamics,
+        values=ParameterValues({"drag": 0.5}),
+        process_noise=np.ones(3),
+        sensor_noise=np.full(3, 0.1),
+        weak=np.full(3, 1e4),
+        reference_state=np.zeros(3),
+        reference_inputs=np.zeros(1),
+        sample_time=0.01,
+        flight_spread={},
+        per_flight={},
+    )
     channels = {n: np.sin(0.01 * np.arange(200) + i) for i, n in enumerate(("p", "q", "r", "push"))}
-    write_ulog(tmp_path / "top.ulg", model, dataset(Segment(t=0.01 * np.arange(200), channels=channels, flight="f")))
+    write_ulog(
+        tmp_path / "top.ulg",
+        model,
+        dataset(Segment(t=0.01 * np.arange(200), channels=channels, flight="f")),
+    )
     topics = {d.name for d in pyulog.ULog(str(tmp_path / "top.ulg")).data_list}
     assert topics == {"vehicle_angular_velocity", "vehicle_angular_velocity_groundtruth"}
 
 
-def test_profiles_give_intervals_with_the_truth_inside(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    model = ["profile", f"{bench}/fit/model.json", "--train", f"{bench}/a.csv", "--of", "leak,gain", "--out", f"{bench}/p"]
+def test_profiles_give_intervals_with_the_truth_inside(
+    bench: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = [
+        "profile",
+        f"{bench}/fit/model.json",
+        "--train",
+        f"{bench}/a.csv",
+        "--of",
+        "leak,gain",
+        "--out",
+        f"{bench}/p",
+    ]
     assert main(model) == 0
     assert "leak: 0." in capsys.readouterr().out
-    found = {p["name"]: p for p in json.loads((bench / "p" / "profile.json").read_text())["profiles"]}
+    found = {
+        p["name"]: p for p in json.loads((bench / "p" / "profile.json").read_text())["profiles"]
+    }
     # The simulated step is Euler's, the model's Runge-Kutta's: rates differ by a little.
     assert found["leak"]["lower"] < 0.513 and found["leak"]["upper"] > 0.5
-    assert found["leak"]["lower"] < found["leak"]["estimate"] < found["leak"]["upper"] and not found["leak"]["at_bound"]
-    assert main([*model[:2], "--train", f"{bench}/b.csv", "--of", "leak", "--out", f"{bench}/p"]) == 2
+    assert (
+        found["leak"]["lower"] < found["leak"]["estimate"] < found["leak"]["upper"]
+        and not found["leak"]["at_bound"]
+    )
+    assert (
+        main([*model[:2], "--train", f"{bench}/b.csv", "--of", "leak", "--out", f"{bench}/p"]) == 2
+    )
     assert "not the flights of the fit" in capsys.readouterr().err
 
 
 def test_planned_inputs_keep_ranges_and_limits(bench: Path) -> None:
-    plan = ["--quiet", "plan", "--model", f"{bench}/fit/model.json", "--range", "pump=0,2", "--limit", "level=-1,1"]
+    plan = [
+        "--quiet",
+        "plan",
+        "--model",
+        f"{bench}/fit/model.json",
+        "--range",
+        "pump=0,2",
+        "--limit",
+        "level=-1,1",
+    ]
     assert main([*plan, "--seconds", "40", "--piece", "10", "--out", f"{bench}/plan"]) == 0
     columns = np.genfromtxt(bench / "plan" / "experiment_1.csv", delimiter=",", names=True)
-    assert columns["pump"].min() >= 0 and columns["pump"].max() <= 2 and np.ptp(columns["pump"]) > 0.5
+    assert (
+        columns["pump"].min() >= 0 and columns["pump"].max() <= 2 and np.ptp(columns["pump"]) > 0.5
+    )
     assert columns["level"].max() <= 1.0 and len(columns) == 400
     content = json.loads((bench / "plan" / "plan.json").read_text())
-    assert content["efficiency"] > 0.8 and all(p["std"] < 0.01 for p in content["parameters"].values())
+    assert content["efficiency"] > 0.8 and all(
+        p["std"] < 0.01 for p in content["parameters"].values()
+    )
 
 
 WRONG = {
     "fit without a model": (["fit", "--train", "{b}/a.csv"], "one of --vehicle and --model-file"),
     "effects on an own model": (
-        ["fit", "--model-file", "{b}/tank.py:build", "--effects", "motor_lag", "--train", "{b}/a.csv"], "for vehicles",
+        [
+            "fit",
+            "--model-file",
+            "{b}/tank.py:build",
+            "--effects",
+            "motor_lag",
+            "--train",
+            "{b}/a.csv",
+        ],
+        "for vehicles",
     ),
-    "a log without its columns": (["validate", "{b}/fit/model.json", "--log", "{b}/c.csv"], "unknown column 'level'"),
+    "a log without its columns": (
+        ["validate", "{b}/fit/model.json", "--log", "{b}/c.csv"],
+        "unknown column 'level'",
+    ),
     "another program": (
-        ["validate", "{b}/fit/model.json", "--log", "{b}/a.csv", "--model-file", "{b}/other.py:build"], "is not the model",
+        [
+            "validate",
+            "{b}/fit/model.json",
+            "--log",
+            "{b}/a.csv",
+            "--model-file",
+            "{b}/other.py:build",
+        ],
+        "is not the model",
     ),
-    "no range": (["plan", "--model-file", "{b}/tank.py:build", "--rate", "10"], "no range of the input pump"),
+    "no range": (
+        ["plan", "--model-file", "{b}/tank.py:build", "--rate", "10"],
+        "no range of the input pump",
+    ),
     "a course": (["mpc", "{b}/fit/model.json"], "flown by vehicles"),
-    "a place": (["learn", "{b}/fit/model.json", "--train", "{b}/a.csv", "--place"], "feature of vehicles"),
-}  # fmt: skip
+    "a place": (
+        ["learn", "{b}/fit/model.json", "--train", "{b}/a.csv", "--place"],
+        "feature of vehicles",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_cannot_be_done_is_one_line(case: str, bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_done_is_one_line(
+    case: str, bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (bench / "c.csv").write_text("t,pump\n0,1\n0.1,1\n0.2,1\n0.3,1\n")
     (bench / "other.py").write_text(PROGRAM.replace("0.1, lower", "0.15, lower"))
     words, said = WRONG[case]

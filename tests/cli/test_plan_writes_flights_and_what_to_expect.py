@@ -1,4 +1,5 @@
-"""`greybox plan` writes setpoints, picture, report and plan.json as published, and refuses bad wishes in one line."""
+"""`greybox plan` writes setpoints, picture, report and plan.json as published, and refuses bad
+wishes in one line."""
 
 from __future__ import annotations
 
@@ -44,7 +45,18 @@ def test_a_plan_is_written_whole(vehicle, tmp_path, capsys):
         "50",
     ]
     assert (
-        main([*command, "--box", "3,3,2", "--setpoints-only", "--out", str(out), "--json", str(tmp_path / "p.json")])
+        main(
+            [
+                *command,
+                "--box",
+                "3,3,2",
+                "--setpoints-only",
+                "--out",
+                str(out),
+                "--json",
+                str(tmp_path / "p.json"),
+            ]
+        )
         == 0
     )
     said = capsys.readouterr()
@@ -67,8 +79,21 @@ def test_a_plan_is_written_whole(vehicle, tmp_path, capsys):
 def test_a_fitted_model_is_planned_for_as_well(vehicle, tmp_path, capsys):
     model = tmp_path / "model.json"
     cases.physics().save(model)
-    command = ["plan", "--model", str(model), "--vehicle", str(vehicle), "--seconds", "4", "--piece", "2"]
-    assert main([*command, "--setpoints-only", "--out", str(tmp_path / "out"), "--json", "-"]) in (0, 1)
+    command = [
+        "plan",
+        "--model",
+        str(model),
+        "--vehicle",
+        str(vehicle),
+        "--seconds",
+        "4",
+        "--piece",
+        "2",
+    ]
+    assert main([*command, "--setpoints-only", "--out", str(tmp_path / "out"), "--json", "-"]) in (
+        0,
+        1,
+    )
     said = capsys.readouterr()
     assert "another vehicle file" in said.err
     content = json.loads(said.out)

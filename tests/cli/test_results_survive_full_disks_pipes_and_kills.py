@@ -1,4 +1,5 @@
-"""Results are whole or not there: full disks, devices and pipes as targets, kill -9 at any moment."""
+"""Results are whole or not there: full disks, devices and pipes as targets, kill -9 at any
+moment."""
 
 from __future__ import annotations
 
@@ -25,9 +26,13 @@ full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
 @pytest.mark.parametrize("arguments", [["effects"], ["effects", "--json", "-"]])
 def test_a_full_disk_behind_standard_output_is_one_line(arguments: list[str]):
     with open("/dev/full", "w") as nowhere:
-        done = subprocess.run([*GREYBOX, *arguments], stdout=nowhere, stderr=subprocess.PIPE, text=True, check=False)
+        done = subprocess.run(
+            [*GREYBOX, *arguments], stdout=nowhere, stderr=subprocess.PIPE, text=True, check=False
+        )
     assert done.returncode == 2
-    assert done.stderr.strip().splitlines() == ["greybox effects: standard output: No space left on device"]
+    assert done.stderr.strip().splitlines() == [
+        "greybox effects: standard output: No space left on device"
+    ]
 
 
 @full
@@ -50,7 +55,9 @@ def test_a_pipe_is_written_to_and_not_replaced(tmp_path: Path):
 
 
 def test_a_reader_that_leaves_early_is_no_error():
-    with subprocess.Popen([*GREYBOX, "effects"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [*GREYBOX, "effects"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         process.stdout.readline()
@@ -76,7 +83,9 @@ def test_kill_9_leaves_the_old_or_the_new_result(tmp_path: Path):
     rng = np.random.default_rng(0)
     last = -1
     for _ in range(12):
-        with subprocess.Popen([sys.executable, "-c", WRITER, str(target)], stdout=subprocess.PIPE, text=True) as process:
+        with subprocess.Popen(
+            [sys.executable, "-c", WRITER, str(target)], stdout=subprocess.PIPE, text=True
+        ) as process:
             assert process.stdout is not None
             process.stdout.readline()
             time.sleep(float(rng.uniform(0, 0.05)))

@@ -14,11 +14,18 @@ from greybox.files import OutputError
 CONTENT = {"schema": "greybox.some/1", "values": [1.0, 2.5]}
 
 
-def _commands(parser: argparse.ArgumentParser, name: str = "") -> list[tuple[str, argparse.ArgumentParser]]:
+def _commands(
+    parser: argparse.ArgumentParser, name: str = ""
+) -> list[tuple[str, argparse.ArgumentParser]]:
     inner = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
     if not inner:
         return [(name, parser)]
-    return [found for a in inner for key, p in a.choices.items() for found in _commands(p, f"{name} {key}".strip())]
+    return [
+        found
+        for a in inner
+        for key, p in a.choices.items()
+        for found in _commands(p, f"{name} {key}".strip())
+    ]
 
 
 def _spoken(console: Console) -> None:
@@ -35,7 +42,9 @@ def test_json_alone_on_standard_output_and_silence_beside_it(capsys: pytest.Capt
     assert json.loads(out) == CONTENT and err == ""
 
 
-def test_a_file_gets_the_same_json_and_people_their_lines(capsys: pytest.CaptureFixture[str], tmp_path):
+def test_a_file_gets_the_same_json_and_people_their_lines(
+    capsys: pytest.CaptureFixture[str], tmp_path
+):
     _spoken(Console(str(tmp_path / "f.json")))
     out, err = capsys.readouterr()
     assert json.loads((tmp_path / "f.json").read_text()) == CONTENT
@@ -59,7 +68,9 @@ def test_every_commands_json_says_that_a_dash_is_standard_output():
     assert [name for name, text in texts.items() if "standard output" not in text] == []
 
 
-def test_what_is_said_does_not_wait_for_a_file_that_cannot_be_written(capsys: pytest.CaptureFixture[str], tmp_path):
+def test_what_is_said_does_not_wait_for_a_file_that_cannot_be_written(
+    capsys: pytest.CaptureFixture[str], tmp_path
+):
     with pytest.raises(OutputError):
         Console(str(tmp_path)).result(CONTENT, "for people")
     assert capsys.readouterr().out == "for people\n"

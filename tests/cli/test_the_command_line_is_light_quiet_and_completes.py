@@ -1,4 +1,5 @@
-"""What every command shares: nothing heavy is loaded for a help text, --quiet is quiet, shells complete."""
+"""What every command shares: nothing heavy is loaded for a help text, --quiet is quiet, shells
+complete."""
 
 from __future__ import annotations
 
@@ -12,7 +13,17 @@ import pytest
 from greybox.cli import COMMANDS, main
 from greybox.examples import flight_paths, vehicle_path
 
-HEAVY = ("numpy", "casadi", "scipy", "matplotlib", "control", "torch", "gpytorch", "greybox.data", "greybox.model")
+HEAVY = (
+    "numpy",
+    "casadi",
+    "scipy",
+    "matplotlib",
+    "control",
+    "torch",
+    "gpytorch",
+    "greybox.data",
+    "greybox.model",
+)
 
 
 def test_a_help_text_loads_no_library():
@@ -33,7 +44,12 @@ def test_every_command_stands_in_the_help_with_its_exit_codes(capsys: pytest.Cap
 
 
 def arpl() -> list[str]:
-    return ["check", "--vehicle", str(vehicle_path("arpl_crazyflie")), str(flight_paths("arpl_crazyflie")[0])]
+    return [
+        "check",
+        "--vehicle",
+        str(vehicle_path("arpl_crazyflie")),
+        str(flight_paths("arpl_crazyflie")[0]),
+    ]
 
 
 def test_quiet_says_nothing_but_the_exit_code(capsys: pytest.CaptureFixture[str]):
@@ -57,16 +73,22 @@ def test_quiet_does_not_hide_an_error(capsys: pytest.CaptureFixture[str], tmp_pa
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
 def test_bash_completes_commands_and_options(tmp_path: Path):
     script = subprocess.run(
-        [sys.executable, "-m", "greybox.cli", "completion", "bash"], capture_output=True, text=True, check=True
+        [sys.executable, "-m", "greybox.cli", "completion", "bash"],
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout
     (tmp_path / "greybox.bash").write_text(script)
 
     def complete(*words: str) -> list[str]:
         line = (
-            f"source {tmp_path}/greybox.bash; COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}; "
+            f"source {tmp_path}/greybox.bash; COMP_WORDS=({' '.join(words)}); "
+            f"COMP_CWORD={len(words) - 1}; "
             '_shtab_greybox greybox "${COMP_WORDS[COMP_CWORD]}"; echo "${COMPREPLY[@]}"'
         )
-        return subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=True).stdout.split()
+        return subprocess.run(
+            ["bash", "-c", line], capture_output=True, text=True, check=True
+        ).stdout.split()
 
     assert complete("greybox", "disc") == ["discover"]
     assert "--max-effects" in complete("greybox", "discover", "--ma")

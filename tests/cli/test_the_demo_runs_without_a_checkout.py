@@ -1,4 +1,5 @@
-"""`greybox demo` types what a user would, from the packages alone, and its exit code is that of what it ran."""
+"""`greybox demo` types what a user would, from the packages alone, and its exit code is that of
+what it ran."""
 
 from __future__ import annotations
 
@@ -15,7 +16,13 @@ from greybox.commands import demo, missing_effect
 
 @pytest.mark.parametrize(
     ("codes", "ran", "code"),
-    [((0, 0, 0), 3, 0), ((1, 0, 0), 3, 1), ((0, 1, 0), 3, 1), ((0, 2, 0), 2, 2), ((0, 130, 0), 2, 130)],
+    [
+        ((0, 0, 0), 3, 0),
+        ((1, 0, 0), 3, 1),
+        ((0, 1, 0), 3, 1),
+        ((0, 2, 0), 2, 2),
+        ((0, 130, 0), 2, 130),
+    ],
 )
 def test_its_exit_code_is_that_of_what_it_ran(
     codes: tuple[int, ...], ran: int, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -28,10 +35,14 @@ def test_its_exit_code_is_that_of_what_it_ran(
 
     monkeypatch.setattr(demo, "_command", command)
     # Nothing looks at these flights here: a second of them says as much as sixteen.
-    monkeypatch.setattr(missing_effect, "write_story", partial(missing_effect.write_story, seconds=1.0))
+    monkeypatch.setattr(
+        missing_effect, "write_story", partial(missing_effect.write_story, seconds=1.0)
+    )
     assert main(["demo", "--out", str(tmp_path / "d")]) == code
     assert [words[0] for words in typed] == ["check", "fit", "discover"][:ran]
-    assert all(Path(w).exists() for words in typed for w in words if w.endswith((".gz", ".toml", ".csv")))
+    assert all(
+        Path(w).exists() for words in typed for w in words if w.endswith((".gz", ".toml", ".csv"))
+    )
 
 
 def test_every_command_is_printed_before_it_runs(capsys: pytest.CaptureFixture[str]):
@@ -43,8 +54,11 @@ def test_every_command_is_printed_before_it_runs(capsys: pytest.CaptureFixture[s
 def test_the_demo(tmp_path: Path):
     done = subprocess.run(
         [sys.executable, "-m", "greybox", "demo", "--out", "d"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "rotor_drag.k_x" in done.stdout
     for page in ("report.html", "missing_effect/report.html"):

@@ -1,4 +1,5 @@
-"""How long is left: by the share that is done, and of a solver by how fast its promise falls; in a notebook as a line."""
+"""How long is left: by the share that is done, and of a solver by how fast its promise falls; in a
+notebook as a line."""
 
 from __future__ import annotations
 
@@ -14,8 +15,16 @@ from greybox import progress
 from greybox.progress import FIRST, TimeLeft, in_notebooks, in_words
 from tests import motor
 
-LONG = {"fit": "progress", "discover": "progress", "learn": "progress", "identify": "say", "plan": "say", "compare": "say"}
-"""Public functions that may take more than two seconds, with the keyword by which a caller hears of them."""
+LONG = {
+    "fit": "progress",
+    "discover": "progress",
+    "learn": "progress",
+    "identify": "say",
+    "plan": "say",
+    "compare": "say",
+}
+"""Public functions that may take more than two seconds, with the keyword by which a caller hears of
+them."""
 
 
 class Clock:
@@ -28,7 +37,12 @@ class Clock:
 
 @pytest.mark.parametrize(
     ("seconds", "said"),
-    [(3, "about 10 s left"), (44, "about 40 s left"), (95, "about 2 min left"), (7000, "about 1.9 h left")],
+    [
+        (3, "about 10 s left"),
+        (44, "about 40 s left"),
+        (95, "about 2 min left"),
+        (7000, "about 1.9 h left"),
+    ],
 )
 def test_it_is_rounded_as_a_person_would(seconds: float, said: str):
     assert in_words(seconds) == said
@@ -80,7 +94,8 @@ def test_another_fit_begins_anew():
 
 
 class Notebook:
-    """What IPython is to a kernel, as far as it is asked: a shell with a kernel and a display that can be updated."""
+    """What IPython is to a kernel, as far as it is asked: a shell with a kernel and a display that
+    can be updated."""
 
     def __init__(self) -> None:
         self.kernel = object()
@@ -104,7 +119,9 @@ def notebook(monkeypatch: pytest.MonkeyPatch) -> Notebook:
 
 
 @in_notebooks(progress="share")
-def work(steps: int, *, fails: bool = False, progress: Callable[[str, float], None] | None = None) -> int:
+def work(
+    steps: int, *, fails: bool = False, progress: Callable[[str, float], None] | None = None
+) -> int:
     for k in range(steps):
         if progress is not None:
             progress(f"step <{k}>", k / steps)

@@ -1,4 +1,5 @@
-"""`greybox vehicle`: templates become files that the reader takes, and slips of unit, sign or layout are found by name."""
+"""`greybox vehicle`: templates become files that the reader takes, and slips of unit, sign or
+layout are found by name."""
 
 from __future__ import annotations
 
@@ -64,15 +65,28 @@ SLIPS = {
     "arms in millimetres": (
         {
             "rotor": [
-                {"position": [88 * x, 88 * y, 0.0], "spin": -x * y} for x, y in ((1, -1), (-1, -1), (-1, 1), (1, 1))
+                {"position": [88 * x, 88 * y, 0.0], "spin": -x * y}
+                for x, y in ((1, -1), (-1, -1), (-1, 1), (1, 1))
             ]
         },
         "rotor.position",
         "millimetres",
     ),
-    "inertia in g m^2": ({"inertia": np.diag([1.875, 1.875, 3.359]).tolist()}, "inertia.xx", "g m^2"),
-    "inertia in g cm^2": ({"inertia": np.diag([18750.0, 18750.0, 33590.0]).tolist()}, "inertia.xx", "g cm^2"),
-    "thrust in gram-force": ({"actuator__thrust": [0.0, 0.0, 500.0]}, "actuator.thrust", "gram-force"),
+    "inertia in g m^2": (
+        {"inertia": np.diag([1.875, 1.875, 3.359]).tolist()},
+        "inertia.xx",
+        "g m^2",
+    ),
+    "inertia in g cm^2": (
+        {"inertia": np.diag([18750.0, 18750.0, 33590.0]).tolist()},
+        "inertia.xx",
+        "g cm^2",
+    ),
+    "thrust in gram-force": (
+        {"actuator__thrust": [0.0, 0.0, 500.0]},
+        "actuator.thrust",
+        "gram-force",
+    ),
     "too weak": ({"actuator__thrust": [0.0, 0.0, 1.0]}, "actuator.thrust", "thrust of one rotor"),
     "negative torque": ({"actuator__torque": [0.0, 0.0, -0.07]}, "actuator.torque", "spin"),
     "no torque map": ({"actuator__torque": [0.0, 0.0, 0.0]}, "rotor", "torque map"),
@@ -80,7 +94,7 @@ SLIPS = {
     "lag in ms": ({"effects__motor_lag": {"tau": 40.0}}, "effects.motor_lag.tau", "milliseconds"),
     "falling thrust": ({"actuator__thrust": [0.0, 20.0, -14.0]}, "actuator.thrust", "order"),
     "lifts off at u_min": ({"actuator__u_min": 0.7}, "actuator", "u_min"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("slip", SLIPS)
@@ -114,7 +128,9 @@ def test_hover_and_thrust_come_from_the_models_own_equations():
 
 
 def test_warnings_for_what_is_unusual_but_possible():
-    report = check_vehicle(changed(inertia=np.diag([1.875e-3, 1.875e-3, 3.9e-3]).tolist(), noise__gyro=1.0))
+    report = check_vehicle(
+        changed(inertia=np.diag([1.875e-3, 1.875e-3, 3.9e-3]).tolist(), noise__gyro=1.0)
+    )
     assert report.verdict == "warnings"
     assert {"inertia", "noise.gyro"} <= {f.where for f in report.findings}
     exact = changed(
@@ -124,14 +140,20 @@ def test_warnings_for_what_is_unusual_but_possible():
         actuator__thrust_sigma=[0.0] * 3,
         actuator__torque_sigma=[0.0] * 3,
     )
-    assert any(f.where == "sigma" and f.severity == "warning" for f in check_vehicle(exact).findings)
+    assert any(
+        f.where == "sigma" and f.severity == "warning" for f in check_vehicle(exact).findings
+    )
 
 
 def test_every_command_that_reads_a_vehicle_file_says_what_it_believes_and_what_no_craft_has():
     heavy = changed(mass=500.0)
     lines = vehicle_lines(heavy)
-    assert lines[0] == "believed by default, because the vehicle file gives no sigma: mass 1%, arm 2%"
-    assert any(line.startswith("vehicle file: blocking: mass: ") and "grams" in line for line in lines)
+    assert (
+        lines[0] == "believed by default, because the vehicle file gives no sigma: mass 1%, arm 2%"
+    )
+    assert any(
+        line.startswith("vehicle file: blocking: mass: ") and "grams" in line for line in lines
+    )
     assert vehicle_findings(heavy)[0].where == "mass"
     assert vehicle_lines(changed()) == [] == vehicle_lines(changed(schema="greybox.vehicle/1"))
 
@@ -149,7 +171,9 @@ def test_the_check_prints_and_stores_what_is_believed(tmp_path, capsys):
     assert main(["vehicle", "check", str(path), "--json", "-"]) == 0
     content = json.loads(capsys.readouterr().out)
     jsonschema.validate(content, SCHEMA)
-    assert {"quantity": "mass", "value": 0.5, "sigma": 0.005, "why": "default"} in content["beliefs"]
+    assert {"quantity": "mass", "value": 0.5, "sigma": 0.005, "why": "default"} in content[
+        "beliefs"
+    ]
 
 
 @pytest.mark.filterwarnings("ignore::greybox.errors.OldFormWarning")
@@ -163,7 +187,9 @@ def test_the_checks_json_stands_alone_also_for_columns_in_the_form_of_before(tmp
 
 
 def test_sizes_scale_the_generic_templates():
-    small = Vehicle.from_dict(tomllib.loads(vehicle_text("plus", {"mass": 0.03, "arm": 0.046, "hover": 0.7})))
+    small = Vehicle.from_dict(
+        tomllib.loads(vehicle_text("plus", {"mass": 0.03, "arm": 0.046, "hover": 0.7}))
+    )
     report = check_vehicle(small)
     assert report.verdict == "plausible", report.summary()
     assert report.figures["hover_command"] == pytest.approx(0.7, abs=1e-3)
@@ -172,7 +198,9 @@ def test_sizes_scale_the_generic_templates():
 
 
 def test_a_changed_number_loses_its_source_and_the_others_keep_theirs():
-    lines = vehicle_text("crazyflie", {"mass": 0.034, "thrust.c2.sigma": 0.01, "noise.velocity": 0.02}).splitlines()
+    lines = vehicle_text(
+        "crazyflie", {"mass": 0.034, "thrust.c2.sigma": 0.01, "noise.velocity": 0.02}
+    ).splitlines()
     (mass,) = [line for line in lines if line.startswith("mass =")]
     (noise,) = [line for line in lines if line.startswith("velocity =")]
     assert mass.endswith("# kg, given") and noise.endswith("# given")
@@ -181,7 +209,17 @@ def test_a_changed_number_loses_its_source_and_the_others_keep_theirs():
 
 def test_command_writes_checks_and_answers_by_exit_code(tmp_path, capsys):
     out = tmp_path / "deep" / "v.toml"
-    new = ["vehicle", "new", "--template", "x", "--set", "mass=0.8", "name=my craft", "--out", str(out)]
+    new = [
+        "vehicle",
+        "new",
+        "--template",
+        "x",
+        "--set",
+        "mass=0.8",
+        "name=my craft",
+        "--out",
+        str(out),
+    ]
     assert main(new) == 0
     assert read_vehicle(out).name == "my craft"
     assert main(new) == 2  # never over an existing file
@@ -233,7 +271,10 @@ def test_questions_keep_defaults_and_ask_again_for_a_number(capsys):
     name, answers = command.ask(lambda _: next(replies))
     assert (name, answers) == ("plus", {"mass": 0.7, "arm": 0.2})
     assert "a number is needed" in capsys.readouterr().out
-    assert check_vehicle(Vehicle.from_dict(tomllib.loads(vehicle_text(name, answers)))).verdict == "plausible"
+    assert (
+        check_vehicle(Vehicle.from_dict(tomllib.loads(vehicle_text(name, answers)))).verdict
+        == "plausible"
+    )
 
 
 def test_answers_that_end_early_are_one_line(tmp_path, capsys, monkeypatch):
@@ -254,14 +295,27 @@ def test_any_number_is_judged_and_none_crashes_the_check():
     outcomes = set()
     for _ in range(120):
         data = tomllib.loads(template_text(TEMPLATES[rng.integers(len(TEMPLATES))]))
-        for place in ("mass", "gravity", "u_max", "rotor_radius", "speed_max", "thrust", "torque", "center_of_mass"):
+        for place in (
+            "mass",
+            "gravity",
+            "u_max",
+            "rotor_radius",
+            "speed_max",
+            "thrust",
+            "torque",
+            "center_of_mass",
+        ):
             if rng.random() < 0.3:
                 size = rng.choice([0.0, -1.0, 1e-300, 1e300, 10.0 ** rng.uniform(-8, 8)])
                 table = (
-                    data["actuator"] if place in ("u_max", "rotor_radius", "speed_max", "thrust", "torque") else data
+                    data["actuator"]
+                    if place in ("u_max", "rotor_radius", "speed_max", "thrust", "torque")
+                    else data
                 )
                 table[place] = (
-                    [0.0, float(size), 0.1] if place in ("thrust", "torque", "center_of_mass") else float(size)
+                    [0.0, float(size), 0.1]
+                    if place in ("thrust", "torque", "center_of_mass")
+                    else float(size)
                 )
         try:
             report = check_vehicle(Vehicle.from_dict(data))

@@ -9,7 +9,8 @@ from greybox.model.parameter import Parameter
 
 
 class Wake(Effect):
-    """Drag by a wake that follows the vehicle: what `RelaxingDrag` of the plants does, written anew."""
+    """Drag by a wake that follows the vehicle: what `RelaxingDrag` of the plants does, written
+    anew."""
 
     name = "wake"
     stage = "wrench"
@@ -19,7 +20,14 @@ class Wake(Effect):
     def parameters(self, vehicle):
         k = Parameter(name="k", unit="N s/m", nominal=0.0, null=0.0, scale=0.1, meaning="drag")
         time = Parameter(
-            name="T", unit="s", nominal=0.2, null=0.2, lower=0.01, upper=30.0, scale=0.1, meaning="relaxation"
+            name="T",
+            unit="s",
+            nominal=0.2,
+            null=0.2,
+            lower=0.01,
+            upper=30.0,
+            scale=0.1,
+            meaning="relaxation",
         )
         return (k, time)
 

@@ -1,4 +1,5 @@
-"""What every conformance suite needs: one craft without any symmetry to hide behind, and numbers to put into models."""
+"""What every conformance suite needs: one craft without any symmetry to hide behind, and numbers to
+put into models."""
 
 from __future__ import annotations
 
@@ -59,7 +60,9 @@ def sensors_for_all():
 
 def model_with(*effects, **settings) -> PhysicsModel:
     """The crooked craft with these effects and all sensors."""
-    return PhysicsModel(vehicle=crooked(), effects=tuple(effects), sensors=SENSORS, sample_time=DT, **settings)
+    return PhysicsModel(
+        vehicle=crooked(), effects=tuple(effects), sensors=SENSORS, sample_time=DT, **settings
+    )
 
 
 def random_state(model, rng) -> np.ndarray:
@@ -81,7 +84,8 @@ def random_state(model, rng) -> np.ndarray:
 
 
 def random_window(model, rng) -> np.ndarray:
-    """Commands near both limits too, and a voltage near the nominal one, for every sample of the model's window."""
+    """Commands near both limits too, and a voltage near the nominal one, for every sample of the
+    model's window."""
     past, future = model.window
     window = rng.uniform(0.02, 0.98, size=(len(model.inputs), past + 1 + future))
     if "vbat" in model.inputs:
@@ -100,16 +104,20 @@ def at_null(effect, vehicle) -> dict[str, float]:
 
 
 def at_random(effect, vehicle, rng) -> dict[str, float]:
-    """The effect's parameters away from the null by about the size of a typical change, inside their bounds."""
+    """The effect's parameters away from the null by about the size of a typical change, inside
+    their bounds."""
     out = {}
     for p in effect.parameters(vehicle):
-        value = p.nominal + p.scale * rng.uniform(0.3, 1.5) * (1 if p.lower == p.nominal else rng.choice([-1, 1]))
+        value = p.nominal + p.scale * rng.uniform(0.3, 1.5) * (
+            1 if p.lower == p.nominal else rng.choice([-1, 1])
+        )
         out[f"{effect.name}.{p.name}"] = float(np.clip(value, p.lower, p.upper))
     return out
 
 
 def function(model, which: str, kind=ca.SX):
-    """f(x, u, p), h(x, u, p), step(x, U, p, w, dt) or output(x, U, p, w, dt) as a CasADi function."""
+    """f(x, u, p), h(x, u, p), step(x, U, p, w, dt) or output(x, U, p, w, dt) as a CasADi
+    function."""
     x, p = kind.sym("x", len(model.states)), kind.sym("p", len(model.parameters))
     if which in ("f", "h"):
         u = kind.sym("u", len(model.inputs))
@@ -117,7 +125,9 @@ def function(model, which: str, kind=ca.SX):
     past, future = model.window
     window = kind.sym("U", len(model.inputs), past + 1 + future)
     w, dt = kind.sym("w", len(model.noises)), kind.sym("dt")
-    return ca.Function(which, [x, window, p, w, dt], [ca.densify(getattr(model, which)(0, x, window, p, w, dt))])
+    return ca.Function(
+        which, [x, window, p, w, dt], [ca.densify(getattr(model, which)(0, x, window, p, w, dt))]
+    )
 
 
 def column(result) -> np.ndarray:

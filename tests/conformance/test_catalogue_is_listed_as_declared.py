@@ -1,4 +1,5 @@
-"""What users read about effects (terminal, JSON, docs page, list of citations) is what the declarations say."""
+"""What users read about effects (terminal, JSON, docs page, list of citations) is what the
+declarations say."""
 
 from __future__ import annotations
 
@@ -27,7 +28,9 @@ def call(command, *arguments):
 
 
 def valid(result):
-    schema = json.loads((ROOT / "greybox" / "schemas" / f"{result['schema'].split('.')[1][:-2]}.json").read_text())
+    schema = json.loads(
+        (ROOT / "greybox" / "schemas" / f"{result['schema'].split('.')[1][:-2]}.json").read_text()
+    )
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(result, schema)
     return result
@@ -59,7 +62,10 @@ def test_json_holds_the_whole_catalogue_and_fits_its_schema(capsys):
     assert by_name["motor_lag"]["parameters"][0]["lower"] == 0.0
     assert by_name["blade_flapping"]["parameters"][0]["lower"] is None
     nothing = {"sensors": [], "other_sensors": [], "effects": []}
-    assert by_name["battery_sag"]["needs"] == {"columns": ["vbat"], "vehicle": ["nominal_voltage"]} | nothing
+    assert (
+        by_name["battery_sag"]["needs"]
+        == {"columns": ["vbat"], "vehicle": ["nominal_voltage"]} | nothing
+    )
     assert "parasitic_drag" in by_name["steady_wind"]["needs"]["effects"]
 
 
@@ -78,19 +84,27 @@ def test_a_name_or_a_stage_narrows_the_list(capsys, tmp_path):
     assert [e["name"] for e in valid(json.loads(out.read_text()))["effects"]] == ["rotor_drag"]
     assert call(effects, "--stage", "body", "--json") == 0
     shown = capsys.readouterr().out
-    assert {e["stage"] for e in json.loads(shown[shown.index('{\n "schema"') :])["effects"]} == {"body"}
+    assert {e["stage"] for e in json.loads(shown[shown.index('{\n "schema"') :])["effects"]} == {
+        "body"
+    }
     with pytest.raises(UnknownNameError, match=r"rotor_drga.*did you mean rotor_drag"):
         call(effects, "rotor_drga")
 
 
 def model_file(tmp_path, **more):
     path = tmp_path / "model.json"
-    path.write_text(json.dumps({"schema": "greybox.model/1", "kind": "physics", "name": "m", "effects": []} | more))
+    path.write_text(
+        json.dumps(
+            {"schema": "greybox.model/1", "kind": "physics", "name": "m", "effects": []} | more
+        )
+    )
     return path
 
 
 def test_a_model_is_cited_with_method_effects_data_and_software(tmp_path, capsys):
-    path = model_file(tmp_path, effects=["rotor_drag", "motor_lag"], vehicle={"name": "Crazyflie (ARPL)"})
+    path = model_file(
+        tmp_path, effects=["rotor_drag", "motor_lag"], vehicle={"name": "Crazyflie (ARPL)"}
+    )
     assert call(cite, path, "--json") == 0
     result = valid(json.loads(capsys.readouterr().out))
     reasons = {w["text"]: w["for"] for w in result["works"]}
@@ -116,7 +130,9 @@ def test_data_sets_that_the_model_names_are_cited(tmp_path, capsys):
 
 
 def test_disturbance_states_bring_their_source(tmp_path):
-    assert not any("Kristensen" in w.text for w in cite.works(json.loads(model_file(tmp_path).read_text())))
+    assert not any(
+        "Kristensen" in w.text for w in cite.works(json.loads(model_file(tmp_path).read_text()))
+    )
     some = cite.works(json.loads(model_file(tmp_path, disturbance=["force"]).read_text()))
     assert any("Kristensen" in w.text for w in some)
 

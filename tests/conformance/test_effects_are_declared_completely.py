@@ -1,4 +1,5 @@
-"""Every effect says what it is: name, stage, formula, source, range of validity, and what it needs."""
+"""Every effect says what it is: name, stage, formula, source, range of validity, and what it
+needs."""
 
 from __future__ import annotations
 
@@ -27,7 +28,11 @@ def test_one_file_holds_one_effect_of_the_same_name(effect):
     module = importlib.import_module(f"greybox.model.effects.{effect.name}")
     assert type(effect).__module__ == module.__name__
     assert type(effect).__name__ == "".join(part.capitalize() for part in effect.name.split("_"))
-    own = [c for c in vars(module).values() if inspect.isclass(c) and issubclass(c, Effect) and c is not Effect]
+    own = [
+        c
+        for c in vars(module).values()
+        if inspect.isclass(c) and issubclass(c, Effect) and c is not Effect
+    ]
     assert own == [type(effect)]
     assert module.__doc__.startswith(f"{effect.name}: ")
 
@@ -87,9 +92,12 @@ def test_names_are_unique():
 
 
 @pytest.mark.parametrize(
-    ("typed", "meant"), [("rotor_drga", "rotor_drag"), ("motorlag", "motor_lag"), ("gyrobias", "gyro_bias")]
+    ("typed", "meant"),
+    [("rotor_drga", "rotor_drag"), ("motorlag", "motor_lag"), ("gyrobias", "gyro_bias")],
 )
 def test_an_unknown_effect_is_answered_with_the_nearest_names(typed, meant):
     for ask in (effect_by_name, model_with().with_effect):
-        with pytest.raises(UnknownNameError, match=f"unknown effect '{typed}'.*did you mean.*{meant}"):
+        with pytest.raises(
+            UnknownNameError, match=f"unknown effect '{typed}'.*did you mean.*{meant}"
+        ):
             ask(typed)

@@ -38,7 +38,11 @@ def instance(effect, seed):
 @pytest.mark.parametrize("which", ["f", "h", "step", "output"])
 def test_sx_and_mx_agree(effect, which):
     rng, model, x, window, p = instance(effect, 1)
-    arguments = (x, window[:, -1], p) if which in ("f", "h") else (x, window, p, 0.1 * rng.normal(size=6), DT)
+    arguments = (
+        (x, window[:, -1], p)
+        if which in ("f", "h")
+        else (x, window, p, 0.1 * rng.normal(size=6), DT)
+    )
     scalar, matrix = (column(function(model, which, kind)(*arguments)) for kind in (ca.SX, ca.MX))
     assert np.isfinite(scalar).all()
     np.testing.assert_allclose(matrix, scalar, rtol=1e-13, atol=1e-13)
@@ -47,7 +51,8 @@ def test_sx_and_mx_agree(effect, which):
 @every_effect
 @pytest.mark.skipif(compiler() is None, reason="no C compiler here")
 def test_compiled_c_runs_the_same_filter_as_the_virtual_machine(effect):
-    # The IMU feels every effect; what else an effect needs comes along. Fewer sensors compile faster.
+    # The IMU feels every effect; what else an effect needs comes along. Fewer sensors compile
+    # faster.
     names = {"gyro", "accelerometer", *effect.needs.sensors, *effect.needs.other_sensors}
     model = replace(model_with(effect), sensors=tuple(s for s in SENSORS if s.name in names))
     rng = np.random.default_rng(2)
@@ -70,14 +75,24 @@ def test_compiled_c_runs_the_same_filter_as_the_virtual_machine(effect):
     want = frozenset({"states", "innovations", "outputs", "sensitivity", "state_sensitivity"})
     compiled, plain = (
         e.run(
-            x0=x0, inputs=e.padded_inputs(u), outputs=y, mask=mask, pattern=np.zeros(n, dtype=np.int32), gains=gain,
-            p=p, dt=DT, s0=np.zeros((e.nd, len(active))), want=want,
+            x0=x0,
+            inputs=e.padded_inputs(u),
+            outputs=y,
+            mask=mask,
+            pattern=np.zeros(n, dtype=np.int32),
+            gains=gain,
+            p=p,
+            dt=DT,
+            s0=np.zeros((e.nd, len(active))),
+            want=want,
         )
         for e in engines
-    )  # fmt: skip
+    )
     assert compiled.failed_at is None
     assert plain.failed_at is None
     for name in (*want, "end", "end_sensitivity"):
         a, b = getattr(compiled, name), getattr(plain, name)
-        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-11 * max(1.0, np.abs(b).max()), err_msg=name)
+        np.testing.assert_allclose(
+            a, b, rtol=1e-9, atol=1e-11 * max(1.0, np.abs(b).max()), err_msg=name
+        )
     assert np.abs(plain.sensitivity[..., 1:]).max() > 0, "the effect's parameters are felt"

@@ -1,4 +1,5 @@
-"""Measure in other kilograms, metres, seconds and volts, and every declared unit says how the numbers change.
+"""Measure in other kilograms, metres, seconds and volts, and every declared unit says how the
+numbers change.
 
 Finds a wrong unit, a formula of wrong dimension and a constant that is hidden in the code.
 """
@@ -72,11 +73,15 @@ def check(effects, seed):
     scale = dict(zip(("kg", "m", "s", "V"), np.exp(rng.uniform(-0.9, 0.9, size=4)), strict=True))
     model = model_with(*effects)
     other = PhysicsModel(
-        vehicle=rescaled(crooked(), scale), effects=model.effects, sensors=SENSORS, sample_time=DT * scale["s"]
+        vehicle=rescaled(crooked(), scale),
+        effects=model.effects,
+        sensors=SENSORS,
+        sample_time=DT * scale["s"],
     )
     values = {k: v for e in effects for k, v in at_random(e, crooked(), rng).items()}
     x, p = random_state(model, rng), parameter_vector(model, values)
-    # The longest delay in samples is a number of seconds in code: each model takes what it wants of one long record.
+    # The longest delay in samples is a number of seconds in code: each model takes what it wants of
+    # one long record.
     record = random_window(max(model, other, key=lambda m: m.window), rng)
     window, longer = (record[:, record.shape[1] - 1 - m.window[0] :] for m in (model, other))
     w = 0.1 * rng.normal(size=6)
@@ -87,7 +92,9 @@ def check(effects, seed):
         p * factors(units, scale),
     )
     core = parameter_vector(other, {})[: len(model_with().parameters)]
-    np.testing.assert_allclose(core, there[2][: core.size], rtol=1e-12, err_msg="core parameters and their units")
+    np.testing.assert_allclose(
+        core, there[2][: core.size], rtol=1e-12, err_msg="core parameters and their units"
+    )
     rate = factors([f"{u}/s" for u in model.states.units], scale)
     f = (
         column(function(model, "f")(x, window[:, -1], p)),

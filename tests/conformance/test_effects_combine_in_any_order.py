@@ -1,9 +1,20 @@
-"""The order in which a user lists effects does not exist: any order gives the same model, to the last bit."""
+"""The order in which a user lists effects does not exist: any order gives the same model, to the
+last bit."""
 
 from __future__ import annotations
 
 import numpy as np
-from specimen import DT, at_random, column, crooked, function, model_with, parameter_vector, random_state, random_window
+from specimen import (
+    DT,
+    at_random,
+    column,
+    crooked,
+    function,
+    model_with,
+    parameter_vector,
+    random_state,
+    random_window,
+)
 
 from greybox.model.effects import CATALOGUE
 
@@ -12,10 +23,15 @@ def test_any_order_of_listing_gives_the_same_model():
     rng = np.random.default_rng(3)
     reference = model_with(*CATALOGUE)
     values = {k: v for e in CATALOGUE for k, v in at_random(e, crooked(), rng).items()}
-    x, window, p = random_state(reference, rng), random_window(reference, rng), parameter_vector(reference, values)
+    x, window, p = (
+        random_state(reference, rng),
+        random_window(reference, rng),
+        parameter_vector(reference, values),
+    )
     w = 0.1 * rng.normal(size=6)
     f, step = (
-        column(function(reference, k)(*a)) for k, a in (("f", (x, window[:, -1], p)), ("step", (x, window, p, w, DT)))
+        column(function(reference, k)(*a))
+        for k, a in (("f", (x, window[:, -1], p)), ("step", (x, window, p, w, DT)))
     )
     assert np.isfinite(step).all()
     for _ in range(3):

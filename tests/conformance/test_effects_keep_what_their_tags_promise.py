@@ -1,4 +1,5 @@
-"""A tag is a fact that code relies on: dissipative, workless, zero-at-rest, linear-in-parameters."""
+"""A tag is a fact that code relies on: dissipative, workless, zero-at-rest,
+linear-in-parameters."""
 
 from __future__ import annotations
 
@@ -45,7 +46,14 @@ def random_flow(rng) -> Flow:
         "arms": arms,
         "mass": 0.5,
     }
-    sizes = {"gyro": 3, "accelerometer": 3, "attitude": 4, "position": 3, "velocity": 3, "rotor_speed": n}
+    sizes = {
+        "gyro": 3,
+        "accelerometer": 3,
+        "attitude": 4,
+        "position": 3,
+        "velocity": 3,
+        "rotor_speed": n,
+    }
     measured = {name: ca.DM(rng.normal(size=size)) for name, size in sizes.items()}
     return Flow(vehicle=vehicle, **{k: ca.DM(v) for k, v in numbers.items()}, measured=measured)
 
@@ -83,7 +91,9 @@ def tagged(tag):
 @tagged("dissipative")
 def test_dissipative_effects_never_put_power_into_the_body(effect):
     rng = np.random.default_rng(4)
-    assert all(p.lower >= 0 for p in effect.parameters(crooked())), "dissipation is promised for nonnegative parameters"
+    assert all(p.lower >= 0 for p in effect.parameters(crooked())), (
+        "dissipation is promised for nonnegative parameters"
+    )
     taken = []
     for _ in range(200):
         flow = random_flow(rng)

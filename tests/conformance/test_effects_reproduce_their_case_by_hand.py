@@ -16,7 +16,8 @@ def matrix(value):
 
 
 def flow_of(effect):
-    """The signals of the case; what it does not name is at rest, in still air, on the vehicle's own arms."""
+    """The signals of the case; what it does not name is at rest, in still air, on the vehicle's own
+    arms."""
     vehicle = crooked()
     given = {k: matrix(v) for k, v in effect.case.flow.items() if k != "measured"}
     at_rest = {k: ca.DM.zeros(3) for k in ("velocity", "omega", "wind")}
@@ -30,7 +31,9 @@ def flow_of(effect):
 @pytest.mark.parametrize("effect", effects_under_test())
 def test_the_formula_gives_the_numbers_worked_by_hand(effect):
     order = [p.name for p in effect.parameters(crooked())]
-    slots = effect.apply(flow_of(effect), {name: ca.DM(effect.case.parameters[name]) for name in order})
+    slots = effect.apply(
+        flow_of(effect), {name: ca.DM(effect.case.parameters[name]) for name in order}
+    )
     assert set(slots) == set(effect.case.expected)
     assert set(slots) <= SLOTS[effect.stage]
     for slot, expected in effect.case.expected.items():

@@ -1,4 +1,5 @@
-"""Every smaller model is nested: at its null parameters an effect leaves state, outputs and steps as they were."""
+"""Every smaller model is nested: at its null parameters an effect leaves state, outputs and steps
+as they were."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ PLAIN = model_with()
 
 
 def pair(effect, seed, rotors_settled):
-    """(model with the effect, its arguments, arguments of the plain model), the effect at its null."""
+    """(model with the effect, its arguments, arguments of the plain model), the effect at its
+    null."""
     rng = np.random.default_rng(seed)
     model = model_with(effect)
     x, window = random_state(model, rng), random_window(model, rng)
@@ -34,8 +36,14 @@ def pair(effect, seed, rotors_settled):
                 x[model.states[f"rotor.{i + 1}"]] = window[i, model.window[0]]
     p = parameter_vector(model, at_null(effect, crooked()))
     assert model.states.names[: len(PLAIN.states)] == PLAIN.states.names
-    assert [d.name for d in model.parameters[: len(PLAIN.parameters)]] == [d.name for d in PLAIN.parameters]
-    plain = (x[: len(PLAIN.states)], window[:4, model.window[0]][:, None], p[: len(PLAIN.parameters)])
+    assert [d.name for d in model.parameters[: len(PLAIN.parameters)]] == [
+        d.name for d in PLAIN.parameters
+    ]
+    plain = (
+        x[: len(PLAIN.states)],
+        window[:4, model.window[0]][:, None],
+        p[: len(PLAIN.parameters)],
+    )
     return model, (x, window, p), plain
 
 
@@ -70,7 +78,10 @@ def test_an_output_sample_is_that_of_the_smaller_model(effect):
         full = full or function(model, "output")
         w = 0.1 * np.random.default_rng(seed).normal(size=6)
         np.testing.assert_allclose(
-            column(full(x, window, p, w, DT)), column(plain(x0, u0, p0, w, DT)), rtol=1e-12, atol=1e-12
+            column(full(x, window, p, w, DT)),
+            column(plain(x0, u0, p0, w, DT)),
+            rtol=1e-12,
+            atol=1e-12,
         )
 
 

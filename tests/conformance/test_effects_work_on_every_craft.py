@@ -1,4 +1,5 @@
-"""Any number of rotors, known or unknown rotor speed, commands or measured speeds as input: every effect is felt."""
+"""Any number of rotors, known or unknown rotor speed, commands or measured speeds as input: every
+effect is felt."""
 
 from __future__ import annotations
 
@@ -7,7 +8,16 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from specimen import DT, at_random, column, crooked, effects_under_test, parameter_vector, random_state, random_window
+from specimen import (
+    DT,
+    at_random,
+    column,
+    crooked,
+    effects_under_test,
+    parameter_vector,
+    random_state,
+    random_window,
+)
 
 from greybox.errors import ModelError
 from greybox.model.effects import effect_by_name
@@ -32,7 +42,11 @@ def model_on(craft, effect, **settings):
     partners = tuple(effect_by_name(n) for n in effect.needs.effects[:1])
     sensors = SENSORS[:5] if settings else SENSORS
     return PhysicsModel(
-        vehicle=replace(crooked(), **craft), effects=(effect, *partners), sensors=sensors, sample_time=DT, **settings
+        vehicle=replace(crooked(), **craft),
+        effects=(effect, *partners),
+        sensors=sensors,
+        sample_time=DT,
+        **settings,
     )
 
 
@@ -55,7 +69,9 @@ def assert_felt(model, effect):
         values = {k: v for e in model.effects for k, v in at_random(e, vehicle, rng).items()}
         state = random_state(model, rng)
         state[model.states["position.z"]] = 0.3
-        value, slope = f(state, u, parameter_vector(model, values), 0.1 * rng.normal(size=len(model.noises)))
+        value, slope = f(
+            state, u, parameter_vector(model, values), 0.1 * rng.normal(size=len(model.noises))
+        )
         assert np.isfinite(column(value)).all()
         assert np.isfinite(slope.full()).all()
         felt = np.maximum(felt, np.abs(slope.full()).max(axis=0))
@@ -79,7 +95,9 @@ def test_measured_speeds_as_input(effect):
 
 @pytest.mark.parametrize("effect", effects_under_test())
 def test_what_an_effect_needs_is_said(effect):
-    bare = replace(crooked(), nominal_voltage=None, actuator=replace(crooked().actuator, rotor_radius=None))
+    bare = replace(
+        crooked(), nominal_voltage=None, actuator=replace(crooked().actuator, rotor_radius=None)
+    )
     assert effect.missing(crooked(), {s.name for s in SENSORS}, {"vbat"}) == ()
     lacking = effect.missing(bare, (), ())
     needs = effect.needs

@@ -339,7 +339,9 @@ def test_at_another_rate_it_is_the_same_noise(physics, kind):
     for dt in (0.01, 0.004):
         size = len(part.copies) * len(part.place(physics).rows)
         c, w = ca.SX.sym("c", size), ca.SX.sym("w", size)
-        reading = ca.DM.zeros(len(part.place(physics).rows)) if getattr(part, "filters", False) else None
+        reading = (
+            ca.DM.zeros(len(part.place(physics).rows)) if getattr(part, "filters", False) else None
+        )
         step = part.step(c, w, values, reading, dt)
         a, g = (np.array(ca.DM(ca.jacobian(step, v))) for v in (c, w))
         level = 0.3 * part.rescaled(full, 0.01, dt)

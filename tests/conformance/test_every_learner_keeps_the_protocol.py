@@ -1,8 +1,8 @@
-"""Every learner, and a user's own, is features with a linear last layer: one posterior, one fit through the physics, one
-calibration, one file, one export.
+"""Every learner, and a user's own, is features with a linear last layer: one posterior, one fit
+through the physics, one calibration, one file, one export.
 
-Means, variances and Jacobians are those of Bayesian linear regression on the features; a file needs nothing of the learner.
-What a learner memorises of the flights that judge it is not learned.
+Means, variances and Jacobians are those of Bayesian linear regression on the features; a file needs
+nothing of the learner. What a learner memorises of the flights that judge it is not learned.
 """
 
 from __future__ import annotations
@@ -35,7 +35,15 @@ from greybox.residual.learners.deep_ensemble import MEMBERS
 from greybox.residual.learners.random_features import RandomFeatures
 from greybox.residual.open_loop_fit import fit_open_loop
 from greybox.residual.strengths import Halves
-from greybox.residual.weight_space import alone, factors, fitted, plain_weights, silent, weighted, whitened
+from greybox.residual.weight_space import (
+    alone,
+    factors,
+    fitted,
+    plain_weights,
+    silent,
+    weighted,
+    whitened,
+)
 from greybox.symbolic import Layout, Signal
 from mpc_export.bundle import write_bundle
 from tests.mpc_export import cases, compiled
@@ -96,7 +104,9 @@ def schema(name: str) -> str:
 def rows(n: int = 400, seed: int = 0) -> Discrepancy:
     rng = np.random.default_rng(seed)
     z = rng.standard_normal((n, 2)) * [2.0, 0.1] + [1.0, 0.0]
-    y = np.stack([-0.4 * z[:, 0] * np.abs(z[:, 0]), 3.0 * z[:, 1]], axis=1) + 0.05 * rng.standard_normal((n, 2))
+    y = np.stack(
+        [-0.4 * z[:, 0] * np.abs(z[:, 0]), 3.0 * z[:, 1]], axis=1
+    ) + 0.05 * rng.standard_normal((n, 2))
     return Discrepancy(
         inputs=Layout([Signal(name="speed", unit="m/s"), Signal(name="rate", unit="rad/s")]),
         outputs=Layout([Signal(name="force.x", unit="N"), Signal(name="torque.x", unit="N m")]),
@@ -113,13 +123,19 @@ def regressed(candidate: FeaturePosterior, seen: Discrepancy) -> FeaturePosterio
     theta, covariance = np.zeros(2 * m), np.zeros((2 * m, 2 * m))
     for j, psi in enumerate(whitened(candidate, factors(candidate), x)):
         at, slope = slice(j * m, (j + 1) * m), candidate.output_scale[j] * psi
-        covariance[at, at] = np.linalg.inv(alone(slope.T @ slope / noise, candidate.members, m) + np.eye(m))
+        covariance[at, at] = np.linalg.inv(
+            alone(slope.T @ slope / noise, candidate.members, m) + np.eye(m)
+        )
         theta[at] = covariance[at, at] @ slope.T @ seen.y[:, j] / noise / candidate.members
     found = fitted(candidate, theta, covariance, prior, np.ones(2))
     assert isinstance(found, FeaturePosterior)
     z = ca.SX.sym("z", 2)
-    plain = ca.Function("g", [z], [weighted(candidate, z, ca.DM(plain_weights(candidate, [], theta)))])
-    assert np.allclose(plain(seen.z[3]).full(), found.mean(seen.z[3]).full(), rtol=1e-10, atol=1e-12)
+    plain = ca.Function(
+        "g", [z], [weighted(candidate, z, ca.DM(plain_weights(candidate, [], theta)))]
+    )
+    assert np.allclose(
+        plain(seen.z[3]).full(), found.mean(seen.z[3]).full(), rtol=1e-10, atol=1e-12
+    )
     return found
 
 
@@ -139,7 +155,9 @@ def test_it_learns_a_bent_law_and_knows_how_sure_it_is(name: str) -> None:
         assert (variance > 0).all() and (variance < seen.y.var(axis=0)).all()
         assert found.active == (True, True) and silent(found).active == (False, False)
         wide, _ = found.with_spread(2.0).evaluate(seen.z)
-        assert np.array_equal(wide, mean) and np.allclose(found.with_spread(2.0).evaluate(seen.z)[1], 4 * variance)
+        assert np.array_equal(wide, mean) and np.allclose(
+            found.with_spread(2.0).evaluate(seen.z)[1], 4 * variance
+        )
     assert max(errors.values()) < 0.3, errors
 
 
@@ -154,13 +172,20 @@ def test_jacobians_are_those_of_differences_and_files_keep_every_bit(name: str) 
     slopes = found.expressions(ca.DM(z), ("mean_jacobian", "variance_jacobian"))
     for quantity in ("mean", "variance"):
         for i in range(2):
-            ends = [found.expressions(ca.DM(z + s * step * np.eye(2)[i]), (quantity,))[quantity].full() for s in (1, -1)]
+            ends = [
+                found.expressions(ca.DM(z + s * step * np.eye(2)[i]), (quantity,))[quantity].full()
+                for s in (1, -1)
+            ]
             difference = (ends[0] - ends[1]).ravel() / (2 * step)
-            assert np.allclose(slopes[f"{quantity}_jacobian"].full()[:, i], difference, rtol=1e-4, atol=1e-7)
+            assert np.allclose(
+                slopes[f"{quantity}_jacobian"].full()[:, i], difference, rtol=1e-4, atol=1e-7
+            )
     back = FeaturePosterior.from_dict(json.loads(json.dumps(found.to_dict())))
     for a, b in zip(found.evaluate(rows().z), back.evaluate(rows().z), strict=True):
         assert np.array_equal(a, b)
-    near, far = (float(found.expressions(ca.DM(p), ("distance",))["distance"]) for p in (z, [60.0, 4.0]))
+    near, far = (
+        float(found.expressions(ca.DM(p), ("distance",))["distance"]) for p in (z, [60.0, 4.0])
+    )
     assert 0 <= near <= 1 and 0 <= far <= 1
     with pytest.raises(FileFormatError):
         FeaturePosterior.from_dict({**found.to_dict(), "weights": [[1.0]]})
@@ -261,17 +286,22 @@ def test_it_is_fitted_through_the_physics_and_helps_on_an_unseen_flight(name: st
 def test_its_file_is_the_same_model(name: str, tmp_path: Path) -> None:
     model = learned(name).model
     back = load_model(save_model(model, tmp_path / "hybrid.json"))
-    jsonschema.validate(json.loads((tmp_path / "hybrid.json").read_text()), json.loads(schema("model.json")))
+    jsonschema.validate(
+        json.loads((tmp_path / "hybrid.json").read_text()), json.loads(schema("model.json"))
+    )
     assert squared(back) == squared(model)
 
 
 @pytest.mark.parametrize("name", LEARNERS)
 def test_its_c_is_the_model(name: str, tmp_path: Path) -> None:
-    """C and CasADi of the bundle agree to 1e-10 of each output's scale, and CasADi with the learned part itself."""
+    """C and CasADi of the bundle agree to 1e-10 of each output's scale, and CasADi with the learned
+    part itself."""
     model = learned(name).model
     assert isinstance(model.dynamics, HybridModel)
     weights = ("gp.weights",)
-    bundle = write_bundle(model, tmp_path / "export", runtime_parameters=weights, with_=("filter",), use_cache=False)
+    bundle = write_bundle(
+        model, tmp_path / "export", runtime_parameters=weights, with_=("filter",), use_cache=False
+    )
     rng = np.random.default_rng(0)
     f, post = bundle.functions, model.dynamics.posterior
     points = [cases.point(f, rng, 0.5) for _ in range(5)]
@@ -280,23 +310,31 @@ def test_its_c_is_the_model(name: str, tmp_path: Path) -> None:
     p = f.parameter_values
     assert np.allclose(f.functions["gp_mean"](z, p).full(), own["mean"].full(), rtol=1e-12)
     assert np.allclose(f.functions["gp_variance"](z, p).full(), own["variance"].full(), rtol=1e-12)
-    library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0"))
+    library = compiled.load(
+        bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0")
+    )
     gaps = compiled.largest_difference(bundle, library, f.functions, points)
     assert max(gaps.values()) < 1e-10, gaps
 
 
 def pushed(data: Dataset) -> Dataset:
-    """The flights with a slow push of its own in each, that the log of commands does not know of."""
+    """The flights with a slow push of its own in each, that the log of commands does not know
+    of."""
     out = []
     for i, flight in enumerate(data.flights):
         segment = flight.segments[0]
-        gust = np.convolve(np.random.default_rng(i).standard_normal(segment.n), np.ones(100) / 10, mode="same")
-        out.append(replace(flight, segments=(segment.replace({"u": segment.channels["u"] - gust}),)))
+        gust = np.convolve(
+            np.random.default_rng(i).standard_normal(segment.n), np.ones(100) / 10, mode="same"
+        )
+        out.append(
+            replace(flight, segments=(segment.replace({"u": segment.channels["u"] - gust}),))
+        )
     return Dataset(flights=tuple(out))
 
 
 def test_what_a_learner_memorises_is_not_learned(tmp_path: Path) -> None:
-    """A memory of gusts foretells those of its own flights, and none of flights that it has not seen."""
+    """A memory of gusts foretells those of its own flights, and none of flights that it has not
+    seen."""
     (tmp_path / "own.py").write_text(OWN)
     base = pendulum_model((0.3, 1.0))
     train = pushed(swings(2, 1, hidden=0.0, period=4.0, seconds=8.0))
@@ -322,6 +360,9 @@ def test_features_made_again_come_from_the_rows_alone() -> None:
 
 def test_halves_keep_kinds_of_flight_together_and_cut_a_single_flight() -> None:
     two = Halves.of(["a", "b", "c"], {"a": 0, "b": 1, "c": 0}, 1, [9, 9, 9], ["a", "b", "b", "c"])
-    assert two.of_part == [0, 1, 0] and two.rows.tolist() == [[True, False, False, True], [False, True, True, False]]
+    assert two.of_part == [0, 1, 0] and two.rows.tolist() == [
+        [True, False, False, True],
+        [False, True, True, False],
+    ]
     one = Halves.of(["a", "a"], {"a": 0}, 2, [30, 10], ["a"] * 4)
     assert one.of_part == [0, 1, 1, 1] and one.rows[0].tolist() == [True, True, False, False]

@@ -1,7 +1,7 @@
 """Learner x model x export: every learner adds to linear models, per axis and of several outputs,
-what they miss, as it does to physics (`test_every_learner_keeps_the_protocol`). It foretells flights
-that nobody has seen, says how sure it is, is refused where it only remembers, and its file and its
-C are the same predictor."""
+what they miss, as it does to physics (`test_every_learner_keeps_the_protocol`). It foretells
+flights that nobody has seen, says how sure it is, is refused where it only remembers, and its file
+and its C are the same predictor."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ def coupled() -> BasePredictor:
 BASES = {"linear SISO": axes, "linear MIMO": coupled}
 ALL = ("gp", *LEARNERS)
 QUICK = ("random-features", "sparse")
-"""Learners whose training takes next to nothing; one model is enough for `ensemble` in every run."""
+"""Learners whose training takes next to nothing; one model is enough for `ensemble` in every
+run."""
 CELLS = [
     pytest.param(n, kind, marks=() if n in QUICK or (n, kind) == SHOWN else pytest.mark.slow)
     for n in ALL
@@ -187,7 +188,9 @@ def test_the_variance_of_a_bayesian_last_layer_is_that_of_its_regression() -> No
     assert isinstance(found.posterior, FeaturePosterior)
     level = found.scores[0]["nlpd"]
     z = (x - x.mean()) / x.std()
-    near = np.exp(-0.5 * np.maximum(z**2 - scipy.stats.chi2.ppf(0.95, 1), 0))  # rows far out count less
+    near = np.exp(
+        -0.5 * np.maximum(z**2 - scipy.stats.chi2.ppf(0.95, 1), 0)
+    )  # rows far out count less
     truth = 0.1**2 * (1.5 - x.mean()) ** 2 / x.std() ** 2 / float(np.sum((near * z) ** 2))
     mean, variance = found.posterior.evaluate([[1.5]])
     assert abs(mean.item() - 0.7 * (1.5 - x.mean())) < 0.05 and level < 0

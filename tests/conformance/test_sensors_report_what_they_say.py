@@ -1,4 +1,5 @@
-"""Every sensor: canonical columns and units, an innovation that is zero where it should be, readings worked by hand."""
+"""Every sensor: canonical columns and units, an innovation that is zero where it should be,
+readings worked by hand."""
 
 from __future__ import annotations
 
@@ -46,7 +47,9 @@ def test_columns_are_those_of_the_log_contract_with_their_units(sensor):
 def test_what_a_sensor_declares_of_itself_is_complete(sensor):
     assert sensor.clock in CLOCKS
     assert sensor.delay == 0.0
-    noise = np.broadcast_to(sensor.typical_noise(crooked()), len(sensor.innovation_signals(crooked())))
+    noise = np.broadcast_to(
+        sensor.typical_noise(crooked()), len(sensor.innovation_signals(crooked()))
+    )
     assert (noise > 0).all()
     assert (noise < sensor.noisiest).all()
     assert (sensor.noisiest < np.inf) == bool(sensor.noisiest_hint)
@@ -57,7 +60,8 @@ def test_what_a_sensor_declares_of_itself_is_complete(sensor):
 
 @every_sensor
 def test_a_flight_starts_where_its_sensor_says(sensor):
-    """A sensor that shows a state block starts it at its first complete row; of no reading it says nothing."""
+    """A sensor that shows a state block starts it at its first complete row; of no reading it says
+    nothing."""
     columns = len(sensor.signals(crooked()))
     t = 0.01 * np.arange(5)
     rows = np.tile(random_quaternion(np.random.default_rng(3))[:columns], (5, 1))
@@ -101,7 +105,9 @@ def test_innovation_is_the_measured_value_minus_the_prediction(sensor):
         y_hat = rng.normal(size=small.size)
         y = y_hat + small
         expected = rotation.full().T @ small if sensor.name in ("position", "velocity") else small
-    np.testing.assert_allclose(number(sensor.innovation(ca.DM(y), ca.DM(y_hat), rotation)), expected, atol=1e-15)
+    np.testing.assert_allclose(
+        number(sensor.innovation(ca.DM(y), ca.DM(y_hat), rotation)), expected, atol=1e-15
+    )
 
 
 def test_the_attitude_innovation_is_the_rotation_vector_to_third_order():
@@ -125,13 +131,18 @@ def test_the_attitude_innovation_is_the_rotation_vector_to_third_order():
 
 
 def test_an_innovation_turns_with_the_craft():
-    """Turn the world about any axis: position, velocity and attitude innovations in body axes do not notice."""
+    """Turn the world about any axis: position, velocity and attitude innovations in body axes do
+    not notice."""
     rng = np.random.default_rng(4)
     model = model_with()
     turn = ca.DM(random_quaternion(rng))
     x, y = random_state(model, rng), random_state(model, rng)
-    outputs = number(model.h(0, ca.DM(y), ca.DM([0.5] * 4), ca.DM([d.nominal for d in model.parameters])))
-    predicted = number(model.h(0, ca.DM(x), ca.DM([0.5] * 4), ca.DM([d.nominal for d in model.parameters])))
+    outputs = number(
+        model.h(0, ca.DM(y), ca.DM([0.5] * 4), ca.DM([d.nominal for d in model.parameters]))
+    )
+    predicted = number(
+        model.h(0, ca.DM(x), ca.DM([0.5] * 4), ca.DM([d.nominal for d in model.parameters]))
+    )
 
     def turned(values, layout):
         out = np.array(values)
@@ -146,12 +157,20 @@ def test_an_innovation_turns_with_the_craft():
     at = model.states["attitude.w"]
     x_turned[at : at + 4] = number(quat_multiply(turn, ca.DM(x[at : at + 4])))
     before = number(model.innovation(ca.DM(outputs), ca.DM(predicted), ca.DM(x)))
-    after = number(model.innovation(turned(outputs, model.outputs), turned(predicted, model.outputs), ca.DM(x_turned)))
+    after = number(
+        model.innovation(
+            turned(outputs, model.outputs), turned(predicted, model.outputs), ca.DM(x_turned)
+        )
+    )
     np.testing.assert_allclose(after, before, atol=1e-12)
 
 
 def flow(**signals):
-    rest = {"omega": ca.DM.zeros(3), "angular_acceleration": ca.DM.zeros(3), "center_of_mass": ca.DM.zeros(3)}
+    rest = {
+        "omega": ca.DM.zeros(3),
+        "angular_acceleration": ca.DM.zeros(3),
+        "center_of_mass": ca.DM.zeros(3),
+    }
     return Flow(vehicle=crooked(), **(rest | {k: ca.DM(v) for k, v in signals.items()}))
 
 
@@ -160,22 +179,37 @@ def sensor(name):
 
 
 def test_the_accelerometers_lever_arm_by_hand():
-    # IMU at (0.02, -0.01, 0.015) m from the origin, centre of mass at (0.01, -0.01, 0.005): r = (0.01, 0, 0.01).
-    # Spinning about z at 10 rad/s: centripetal omega x (omega x r) = -100 * (0.01, 0, 0) = (-1, 0, 0).
-    # Spinning up about y at 50 rad/s^2: (0, 50, 0) x r = (50 * 0.01, 0, -50 * 0.01) = (0.5, 0, -0.5).
+    # IMU at (0.02, -0.01, 0.015) m from the origin, centre of mass at (0.01, -0.01, 0.005): r =
+    # (0.01, 0, 0.01). Spinning about z at 10 rad/s: centripetal omega x (omega x r) = -100 * (0.01,
+    # 0, 0) = (-1, 0, 0). Spinning up about y at 50 rad/s^2: (0, 50, 0) x r = (50 * 0.01, 0, -50 *
+    # 0.01) = (0.5, 0, -0.5).
     read = sensor("accelerometer").reading(
-        flow(omega=[0, 0, 10], angular_acceleration=[0, 50, 0], center_of_mass=[0.01, -0.01, 0.005]), ca.DM([1, 2, 3])
+        flow(
+            omega=[0, 0, 10], angular_acceleration=[0, 50, 0], center_of_mass=[0.01, -0.01, 0.005]
+        ),
+        ca.DM([1, 2, 3]),
     )
     np.testing.assert_allclose(number(read), [1 - 1 + 0.5, 2, 3 - 0.5], atol=1e-12)
 
 
 def test_pose_and_velocity_are_those_of_the_body_origin_by_hand():
-    # Yawed left by 90 deg, body x is world y: a centre of mass 0.1 m in front of the origin lies 0.1 m along world y.
-    # Yaw rate 2 rad/s: the origin moves against omega x c = (0, 0.2, 0) body = (-0.2, 0, 0) world.
+    # Yawed left by 90 deg, body x is world y: a centre of mass 0.1 m in front of the origin lies
+    # 0.1 m along world y. Yaw rate 2 rad/s: the origin moves against omega x c = (0, 0.2, 0) body =
+    # (-0.2, 0, 0) world.
     left = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
-    at = flow(rotation=left, center_of_mass=[0.1, 0, 0], omega=[0, 0, 2], position=[1, 1, 1], velocity_world=[3, 0, 0])
-    np.testing.assert_allclose(number(sensor("position").reading(at, ca.DM.zeros(3))), [1, 0.9, 1], atol=1e-15)
-    np.testing.assert_allclose(number(sensor("velocity").reading(at, ca.DM.zeros(3))), [3.2, 0, 0], atol=1e-15)
+    at = flow(
+        rotation=left,
+        center_of_mass=[0.1, 0, 0],
+        omega=[0, 0, 2],
+        position=[1, 1, 1],
+        velocity_world=[3, 0, 0],
+    )
+    np.testing.assert_allclose(
+        number(sensor("position").reading(at, ca.DM.zeros(3))), [1, 0.9, 1], atol=1e-15
+    )
+    np.testing.assert_allclose(
+        number(sensor("velocity").reading(at, ca.DM.zeros(3))), [3.2, 0, 0], atol=1e-15
+    )
 
 
 def test_a_hovering_accelerometer_reads_plus_g_and_a_falling_one_nothing():
@@ -187,11 +221,14 @@ def test_a_hovering_accelerometer_reads_plus_g_and_a_falling_one_nothing():
     rows = [model.outputs[n] for n in ("ax", "ay", "az")]
     nu = np.sqrt(values["mass"] * crooked().gravity / (4 * values["thrust.c2"]))
     centred = {f"center_of_mass.{a}": 0.0 for a in "xyz"}
-    # No lever arm between IMU and centre of mass matters as long as nothing turns: ask for the specific force alone.
+    # No lever arm between IMU and centre of mass matters as long as nothing turns: ask for the
+    # specific force alone.
     values |= centred
     p = ca.DM(list(values.values()))
     specific, _, _ = model.body.accelerations(
         model._split(x)[0], ca.DM([nu] * 4), ca.DM.zeros(4), ca.DM.zeros(4), values, ca.DM.zeros(6)
     )
     np.testing.assert_allclose(number(specific), [0, 0, crooked().gravity], atol=1e-12)
-    np.testing.assert_allclose(number(model.h(0, x, ca.DM.zeros(4), p))[rows], [0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        number(model.h(0, x, ca.DM.zeros(4), p))[rows], [0, 0, 0], atol=1e-12
+    )

@@ -11,7 +11,8 @@ DERIVED = {"N": {"kg": 1, "m": 1, "s": -2}, "rad": {}, "-": {}, "1": {}}
 
 
 def dimensions(unit: str) -> dict[str, int]:
-    """Exponents of kg, m, s, V. Every factor after a slash is below the line. Raises ValueError for an unknown unit."""
+    """Exponents of kg, m, s, V. Every factor after a slash is below the line. Raises ValueError for
+    an unknown unit."""
     out: Counter[str] = Counter()
     for place, part in enumerate(unit.split("/")):
         for factor in part.split():

@@ -87,8 +87,15 @@ def test_an_instant_is_in_flight_where_a_segment_holds_it() -> None:
     view = View(raw=None, vehicle=None)  # type: ignore[arg-type]
     view.__dict__["flight"] = SimpleNamespace(segments=segments)
     assert [view.in_flight(t) for t in (-0.1, 0.0, 1.0, 1.5, 2.5, 3.1, 5.9, 6.1)] == [
-        False, True, True, False, True, False, True, False,
-    ]  # fmt: skip
+        False,
+        True,
+        True,
+        False,
+        True,
+        False,
+        True,
+        False,
+    ]
     view.__dict__.update(flight=None)
     view.__dict__.pop("_segments")
     assert not view.in_flight(0.5)

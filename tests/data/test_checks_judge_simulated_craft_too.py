@@ -1,4 +1,5 @@
-"""The data-fault gate is no tuning to two craft: simulated ones of other size and layout pass, their faults are found."""
+"""The data-fault gate is no tuning to two craft: simulated ones of other size and layout pass,
+their faults are found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Odd columns: the guess has the groups, order and units that the vehicle files of the shipped flights state."""
+"""Odd columns: the guess has the groups, order and units that the vehicle files of the shipped
+flights state."""
 
 from __future__ import annotations
 
@@ -21,7 +22,9 @@ from greybox.examples import flight_path, vehicle_path
 from greybox.model.vehicle import read_vehicle
 
 
-@pytest.mark.parametrize(("kind", "name"), [("arpl_crazyflie", "log16"), ("nanobench", "B2_circle_slow_rep1")])
+@pytest.mark.parametrize(
+    ("kind", "name"), [("arpl_crazyflie", "log16"), ("nanobench", "B2_circle_slow_rep1")]
+)
 def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_path: Path) -> None:
     log, vehicle = flight_path(kind, name), read_vehicle(vehicle_path(kind))
     columns = inspect_log(log).recording.streams["table"].fields
@@ -30,8 +33,12 @@ def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_pat
     compared = 0
     for channel in ("u1", "u4", "p", "q", "r", "ax", "az", "vbat", "qw", "qz", "x", "vz"):
         if channel in stated.channels:
-            a, b = (np.concatenate([s.channels[channel] for s in f.segments]) for f in (drafted, stated))
-            tolerance = 5e-3 if channel.startswith("a") else 1e-4  # g is 9.81 in one, 9.80665 in the other
+            a, b = (
+                np.concatenate([s.channels[channel] for s in f.segments]) for f in (drafted, stated)
+            )
+            tolerance = (
+                5e-3 if channel.startswith("a") else 1e-4
+            )  # g is 9.81 in one, 9.80665 in the other
             np.testing.assert_allclose(a[:500], b[:500], rtol=tolerance, atol=tolerance)
             compared += 1
     assert compared >= 7
@@ -44,20 +51,52 @@ def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_pat
         (["gyroADC[0]", "gyroADC[1]", "gyroADC[2]"], [[300, -200, 50]], ("rate", "deg/s", None)),
         (["imu.gyr_x", "imu.gyr_y", "imu.gyr_z"], [[3, -2, 0.5]], ("rate", "rad/s", None)),
         (["AccX", "AccY", "AccZ"], [[10, 20, 995]], ("specific_force", "mg", None)),
-        (["accSmooth[0]", "accSmooth[1]", "accSmooth[2]"], [[10, 20, 2048]], ("specific_force", "", None)),
-        (["pwm1", "pwm2", "pwm3", "pwm4"], [[1200, 1000, 1900, 1500]], ("command", "", (1000, 2000))),
+        (
+            ["accSmooth[0]", "accSmooth[1]", "accSmooth[2]"],
+            [[10, 20, 2048]],
+            ("specific_force", "", None),
+        ),
+        (
+            ["pwm1", "pwm2", "pwm3", "pwm4"],
+            [[1200, 1000, 1900, 1500]],
+            ("command", "", (1000, 2000)),
+        ),
         (["esc_0", "esc_1", "esc_2", "esc_3"], [[0.2, 0.4, 0.9, 0.5]], ("command", "", None)),
-        (["rpm1", "rpm2", "rpm3", "rpm4"], [[9000, 9100, 8900, 12000]], ("rotor_speed", "rpm", None)),
+        (
+            ["rpm1", "rpm2", "rpm3", "rpm4"],
+            [[9000, 9100, 8900, 12000]],
+            ("rotor_speed", "rpm", None),
+        ),
         (["att.roll", "att.pitch", "att.yaw"], [[10, -20, 170]], ("attitude", "deg", None)),
         (["VBAT"], [[15800]], ("battery", "mV", None)),
         (["temp1", "temp2", "temp3"], [[20, 21, 22]], None),
-        ([f"ESC {i} (RPM)" for i in (1, 2, 3, 4)], [[3000, 3100, 2900, 3050]], ("rotor_speed", "rpm", None)),
-        ([f"Motor {i} (Hz)" for i in (1, 2, 3, 4)], [[200, 210, 190, 205]], ("rotor_speed", "Hz", None)),
+        (
+            [f"ESC {i} (RPM)" for i in (1, 2, 3, 4)],
+            [[3000, 3100, 2900, 3050]],
+            ("rotor_speed", "rpm", None),
+        ),
+        (
+            [f"Motor {i} (Hz)" for i in (1, 2, 3, 4)],
+            [[200, 210, 190, 205]],
+            ("rotor_speed", "Hz", None),
+        ),
         ([f"ESC {i} (A)" for i in (1, 2, 3, 4)], [[2, 3, 2, 3]], None),
-        (["rpm1", "rpm2", "rpm3", "rpm4"], [[1300, 3400, 1400, 3300]], ("rotor_speed", "rpm", None)),
+        (
+            ["rpm1", "rpm2", "rpm3", "rpm4"],
+            [[1300, 3400, 1400, 3300]],
+            ("rotor_speed", "rpm", None),
+        ),
         ([f"target_rpm_{i}" for i in (1, 2, 3, 4)], [[1300, 3400, 1400, 3300]], None),
-        ([f"motor{i}_pwm" for i in (1, 2, 3, 4)], [[1200, 1000, 1900, 1500]], ("command", "", (1000, 2000))),
-        ([f"esc{i}_rpm" for i in (1, 2, 3, 4)], [[9000, 9100, 8900, 12000]], ("rotor_speed", "rpm", None)),
+        (
+            [f"motor{i}_pwm" for i in (1, 2, 3, 4)],
+            [[1200, 1000, 1900, 1500]],
+            ("command", "", (1000, 2000)),
+        ),
+        (
+            [f"esc{i}_rpm" for i in (1, 2, 3, 4)],
+            [[9000, 9100, 8900, 12000]],
+            ("rotor_speed", "rpm", None),
+        ),
         ([f"motor{i}_temp" for i in (1, 2, 3, 4)], [[40, 41, 42, 40]], None),
         (["battery_temperature"], [[31]], None),
         (["gyro_temp_0", "gyro_temp_1", "gyro_temp_2"], [[31, 32, 30]], None),
@@ -71,7 +110,9 @@ def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_pat
         (["pos_sp_x", "pos_sp_y", "pos_sp_z"], [[1, 0, 0.2]], ("setpoint", "m", None)),
     ],
 )
-def test_names_and_sizes(names: list[str], values: list[list[float]], expected: tuple[str, str, object] | None) -> None:
+def test_names_and_sizes(
+    names: list[str], values: list[list[float]], expected: tuple[str, str, object] | None
+) -> None:
     rows = np.repeat(np.asarray(values, dtype=float), 50, axis=0)
     found = guess_columns({n: rows[:, j] for j, n in enumerate(names)})
     assert [(g.group, g.unit, g.limits) for g in found] == ([] if expected is None else [expected])
@@ -79,29 +120,55 @@ def test_names_and_sizes(names: list[str], values: list[list[float]], expected: 
 
 
 IN_WORDS = {
-    "Time (ms)": 10.0 * np.arange(50), "Gyro X (deg/s)": 3.0, "Gyro Y (deg/s)": -2.0, "Gyro Z (deg/s)": 0.1,
-    "Acc X (g)": 0.02, "Acc Y (g)": -0.01, "Acc Z (g)": -1.0, "Roll [deg]": 1.0, "Pitch [deg]": 2.0, "Yaw [deg]": 3.0,
-    "North (m)": 1.0, "East (m)": 2.0, "Down (m)": -3.0, "Vel North (m/s)": 1.0, "Vel East (m/s)": 0.0,
-    "Vel Down (m/s)": 0.5, "Motor 1 (us)": 1500.0, "Motor 2 (us)": 1510.0, "Motor 3 (us)": 1490.0, "Motor 4 (us)": 1505.0,
+    "Time (ms)": 10.0 * np.arange(50),
+    "Gyro X (deg/s)": 3.0,
+    "Gyro Y (deg/s)": -2.0,
+    "Gyro Z (deg/s)": 0.1,
+    "Acc X (g)": 0.02,
+    "Acc Y (g)": -0.01,
+    "Acc Z (g)": -1.0,
+    "Roll [deg]": 1.0,
+    "Pitch [deg]": 2.0,
+    "Yaw [deg]": 3.0,
+    "North (m)": 1.0,
+    "East (m)": 2.0,
+    "Down (m)": -3.0,
+    "Vel North (m/s)": 1.0,
+    "Vel East (m/s)": 0.0,
+    "Vel Down (m/s)": 0.5,
+    "Motor 1 (us)": 1500.0,
+    "Motor 2 (us)": 1510.0,
+    "Motor 3 (us)": 1490.0,
+    "Motor 4 (us)": 1505.0,
     "Battery (V)": 11.1,
-}  # fmt: skip
-"""Columns as a spreadsheet names them: units in brackets, z and down downwards; no size tells deg/s from rad/s here."""
+}
+"""Columns as a spreadsheet names them: units in brackets, z and down downwards; no size tells deg/s
+from rad/s here."""
 
 
 def test_units_in_names_count_before_sizes_and_a_negative_z_turns_the_frame() -> None:
     columns = {n: np.broadcast_to(np.asarray(v, dtype=float), 50) for n, v in IN_WORDS.items()}
     found = {g.group: (g.unit, g.frame) for g in guess_columns(columns)}
     assert found == {
-        "command": ("", ""), "battery": ("V", ""), "attitude": ("deg", "FRD/NED"), "specific_force": ("g", "FRD"),
-        "rate": ("deg/s", "FRD"), "velocity": ("m/s", "NED"), "position": ("m", "NED"),
-    }  # fmt: skip
+        "command": ("", ""),
+        "battery": ("V", ""),
+        "attitude": ("deg", "FRD/NED"),
+        "specific_force": ("g", "FRD"),
+        "rate": ("deg/s", "FRD"),
+        "velocity": ("m/s", "NED"),
+        "position": ("m", "NED"),
+    }
     assert guess_time(columns) == ("Time (ms)", "ms")
     weak = {**columns, "Acc Z (g)": columns["Acc Z (g)"] / 9.81}
     assert "not gravity" in next(g.why for g in guess_columns(weak) if g.group == "specific_force")
 
 
 def test_the_battery_is_the_column_of_volts_wherever_it_stands_and_units_part_families() -> None:
-    names = ["battery_temperature", "battery_voltage", *(f"ESC {i} ({u})" for u in ("A", "RPM") for i in range(1, 5))]
+    names = [
+        "battery_temperature",
+        "battery_voltage",
+        *(f"ESC {i} ({u})" for u in ("A", "RPM") for i in range(1, 5)),
+    ]
     found = {g.group: g.fields for g in guess_columns({n: np.full(50, 12.0) for n in names})}
     assert found == {"battery": ("battery_voltage",), "rotor_speed": tuple(names[-4:])}
 
@@ -141,7 +208,10 @@ def test_a_stranger_is_told_what_to_do(
     assert "greybox check --mapping map.toml --vehicle V.toml log.csv.gz" in capsys.readouterr().out
     Path("mine.toml").write_text(vehicle_path("arpl_crazyflie").read_text())
     main(["inspect", "log.csv.gz"])
-    assert "mine.toml knows these columns: greybox inspect log.csv.gz --vehicle mine.toml" in capsys.readouterr().out
+    assert (
+        "mine.toml knows these columns: greybox inspect log.csv.gz --vehicle mine.toml"
+        in capsys.readouterr().out
+    )
     assert main(["inspect", "log.csv.gz", "--vehicle", "mine.toml"]) == 0
     assert "greybox fit --vehicle mine.toml --train log.csv.gz" in capsys.readouterr().out
 
@@ -155,13 +225,16 @@ def test_the_frame_of_a_guess_is_said(tmp_path: Path, capsys: pytest.CaptureFixt
     content = json.loads((tmp_path / "found.json").read_text())
     assert {g["group"]: g["frame"] for g in content["looks_like"]}["position"] == "NED"
     schema = json.loads((Path(greybox.__file__).parent / "schemas/inspect.json").read_text())
-    assert set(content["looks_like"][0]) == set(schema["properties"]["looks_like"]["items"]["required"])
+    assert set(content["looks_like"][0]) == set(
+        schema["properties"]["looks_like"]["items"]["required"]
+    )
 
 
 def test_the_way_on_can_be_typed_for_a_file_from_windows(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A byte order mark, CRLF, a blank and letters beyond ASCII in the name: what is printed runs as it is printed."""
+    """A byte order mark, CRLF, a blank and letters beyond ASCII in the name: what is printed runs
+    as it is printed."""
     monkeypatch.chdir(tmp_path)
     text = gzip.decompress(flight_path("arpl_crazyflie", "log16").read_bytes()).decode()
     lines = text.splitlines()[:4000]
@@ -174,14 +247,24 @@ def test_the_way_on_can_be_typed_for_a_file_from_windows(
 
 
 @pytest.mark.parametrize(("written", "scale"), [(2100.0, 100 / 7), (210_000.0, 1 / 7)])
-def test_electrical_turns_are_divided_by_pole_pairs_that_are_said(written: float, scale: float, tmp_path: Path) -> None:
-    """30 000 turns a minute of a motor with 14 poles, as Betaflight writes them and as an ESC says them."""
+def test_electrical_turns_are_divided_by_pole_pairs_that_are_said(
+    written: float, scale: float, tmp_path: Path
+) -> None:
+    """30 000 turns a minute of a motor with 14 poles, as Betaflight writes them and as an ESC says
+    them."""
     columns = {"t": 0.01 * np.arange(50)} | {f"eRPM[{i}]": np.full(50, written) for i in range(4)}
     (guess,) = guess_columns(columns)
     assert (guess.group, guess.unit, guess.scale) == ("rotor_speed", "rpm", pytest.approx(scale))
     assert "14 poles" in guess.why
     log = tmp_path / "f.csv"
-    log.write_text("\n".join([",".join(columns), *(",".join(map(str, r)) for r in zip(*columns.values(), strict=True))]))
+    log.write_text(
+        "\n".join(
+            [
+                ",".join(columns),
+                *(",".join(map(str, r)) for r in zip(*columns.values(), strict=True)),
+            ]
+        )
+    )
     (tmp_path / "map.toml").write_text(draft((guess,), ("t", "s")))
     speeds = read_log(log, mapping=tmp_path / "map.toml", trim=False).segments[0].channels["omega1"]
     np.testing.assert_allclose(speeds, 30_000 * np.pi / 30)

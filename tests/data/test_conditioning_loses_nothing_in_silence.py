@@ -144,7 +144,9 @@ def test_downsampling_averages_and_keeps_the_integral_of_the_command():
     (segment,) = condition(raw_log(t, u1=u, p=np.sin(3 * t)), rate=50.0, trim=False).segments
     assert segment.dt == 0.02
     inner = slice(1, -2)
-    assert segment.column("u1")[inner] == pytest.approx(u.reshape(-1, 20).mean(axis=1)[: segment.n][inner], abs=1e-9)
+    assert segment.column("u1")[inner] == pytest.approx(
+        u.reshape(-1, 20).mean(axis=1)[: segment.n][inner], abs=1e-9
+    )
     assert segment.column("p")[inner] == pytest.approx(np.sin(3 * segment.t)[inner], abs=3e-4)
 
 
@@ -186,7 +188,9 @@ def test_a_log_that_begins_and_ends_in_flight_is_left_whole():
 
 
 def test_a_landing_inside_an_imu_log_breaks_it():
-    flight = read_log(flight_path("arpl_crazyflie", "log16"), read_vehicle(vehicle_path("arpl_crazyflie")))
+    flight = read_log(
+        flight_path("arpl_crazyflie", "log16"), read_vehicle(vehicle_path("arpl_crazyflie"))
+    )
     assert len(flight.segments) == 2
     assert flight.segments[1].t[0] - flight.segments[0].t[-1] > 5.0
 

@@ -44,7 +44,9 @@ def test_values_come_back(tmp_path_factory, table, blank, newline, bom, packed, 
     path.write_bytes(gzip.compress(content) if packed else content)
     read = read_csv(path)
     assert list(read.columns) == names
-    assert np.array_equal(np.stack([read.columns[n] for n in names], axis=1), np.array(table), equal_nan=True)
+    assert np.array_equal(
+        np.stack([read.columns[n] for n in names], axis=1), np.array(table), equal_nan=True
+    )
     assert read.rows.tolist() == list(range(2, 2 + len(table)))
 
 

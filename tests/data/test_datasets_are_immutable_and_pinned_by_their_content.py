@@ -1,4 +1,5 @@
-"""Segments and data sets check themselves, cannot be changed, split without leaks, and hash their content."""
+"""Segments and data sets check themselves, cannot be changed, split without leaks, and hash their
+content."""
 
 from __future__ import annotations
 
@@ -15,7 +16,9 @@ T = np.arange(100) * 0.01
 
 
 def made(name="a", shift=0.0, **more):
-    return dataset_from_arrays(T + shift, {"u1": np.full(100, 0.5), "p": np.sin(T), **more}, name=name)
+    return dataset_from_arrays(
+        T + shift, {"u1": np.full(100, 0.5), "p": np.sin(T), **more}, name=name
+    )
 
 
 def test_arrays_are_read_only_copies():
@@ -96,7 +99,9 @@ def test_hash_sees_content_and_nothing_else():
     nan[3] = np.nan
     assert data.hash != made(p=nan).hash
     flight = data.flights[0]
-    noted = Dataset(flights=(Flight(name="a", segments=flight.segments, notes=("cut",), source="x.csv"),))
+    noted = Dataset(
+        flights=(Flight(name="a", segments=flight.segments, notes=("cut",), source="x.csv"),)
+    )
     assert noted.hash == data.hash
 
 

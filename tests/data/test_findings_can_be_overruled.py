@@ -1,4 +1,5 @@
-"""A blocking finding can be accepted by the name of its check: it no longer blocks, and the result keeps it."""
+"""A blocking finding can be accepted by the name of its check: it no longer blocks, and the result
+keeps it."""
 
 from __future__ import annotations
 

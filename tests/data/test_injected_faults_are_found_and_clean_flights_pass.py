@@ -1,4 +1,5 @@
-"""Every fault put into a real flight gives the right finding; the flights as they came give no blocking one."""
+"""Every fault put into a real flight gives the right finding; the flights as they came give no
+blocking one."""
 
 from __future__ import annotations
 
@@ -42,7 +43,9 @@ def test_real_flights_have_no_blocking_finding(set_name):
     report = check_logs(flight_paths(set_name), vehicle(set_name))
     assert report.blocking == ()
     assert report.ok
-    assert [f for f in report.of("ranges") if f.severity != "info"] == []  # no sample is taken in flight
+    assert [
+        f for f in report.of("ranges") if f.severity != "info"
+    ] == []  # no sample is taken in flight
     assert len(report.flights) == len(flight_paths(set_name))
 
 
@@ -69,7 +72,11 @@ def test_what_an_imu_log_cannot_show_is_listed():
         (lambda r: scaled(r, "ax ay az", 9.81), "gravity", "twice"),
         (lambda r: scaled(r, "ax ay az", -1.0), "gravity", "along -z"),
         (lambda r: exchanged(r, "ax", "az"), "gravity", "along +x"),
-        (lambda r: with_channels(r, az=r.channels["az"] - 9.81), "gravity", "gravity was taken out"),
+        (
+            lambda r: with_channels(r, az=r.channels["az"] - 9.81),
+            "gravity",
+            "gravity was taken out",
+        ),
         (lambda r: scaled(r, "z vz", -1.0), "gravity", "z points down"),
         (conjugated, "attitude", "world into body"),
         (scalar_last, "attitude", "scalar comes last"),
@@ -115,21 +122,30 @@ def test_commands_on_another_clock_without_an_attitude(rows, seconds):
 
 
 @pytest.mark.parametrize(
-    ("flight", "rows"), [(STAR, -12), (STAR, 3), (STAR, 5), (CIRCLE, -5), (CIRCLE, -3), (CIRCLE, 12)]
+    ("flight", "rows"),
+    [(STAR, -12), (STAR, 3), (STAR, 5), (CIRCLE, -5), (CIRCLE, -3), (CIRCLE, 12)],
 )
 def test_shift_of_a_stream_is_recovered_within_a_sample(flight, rows):
     def offset(raw):
         found = check([raw], vehicle(flight[0])).of("alignment")
         return next(f.evidence["offset_samples"] for f in found if "offset_samples" in f.evidence)
 
-    assert offset(late(real(*flight), rows, "p q r")) - offset(real(*flight)) == pytest.approx(rows, abs=1.0)
+    assert offset(late(real(*flight), rows, "p q r")) - offset(real(*flight)) == pytest.approx(
+        rows, abs=1.0
+    )
 
 
 def test_drift_of_a_stream_is_seen():
     raw = real("nanobench", "B8_star_medium_rep1")
-    stretched = {n: np.interp(raw.t - 0.004 * (raw.t - raw.t[0]), raw.t, raw.channels[n]) for n in "pqr"}
+    stretched = {
+        n: np.interp(raw.t - 0.004 * (raw.t - raw.t[0]), raw.t, raw.channels[n]) for n in "pqr"
+    }
     (before,), (after,) = (
-        [f.evidence for f in check([r], vehicle("nanobench")).of("alignment") if "drift_s_per_s" in f.evidence]
+        [
+            f.evidence
+            for f in check([r], vehicle("nanobench")).of("alignment")
+            if "drift_s_per_s" in f.evidence
+        ]
         for r in (raw, with_channels(raw, **stretched))
     )
     assert after["drift_s_per_s"] - before["drift_s_per_s"] == pytest.approx(0.004, abs=0.001)
@@ -140,10 +156,18 @@ def test_time_that_goes_back_and_stamps_that_repeat_name_the_row():
     back, twice = raw.t.copy(), raw.t.copy()
     back[500:] -= 0.5
     twice[700] = twice[699]
-    (one,) = [f for f in check([with_time(raw, back)], vehicle("nanobench")).blocking if f.check == "clock"]
+    (one,) = [
+        f
+        for f in check([with_time(raw, back)], vehicle("nanobench")).blocking
+        if f.check == "clock"
+    ]
     assert "goes back" in one.message
     assert one.evidence["first_row"] == raw.rows[500]
-    (two,) = [f for f in check([with_time(raw, twice)], vehicle("nanobench")).blocking if f.check == "clock"]
+    (two,) = [
+        f
+        for f in check([with_time(raw, twice)], vehicle("nanobench")).blocking
+        if f.check == "clock"
+    ]
     assert "twice" in two.message
     assert two.evidence["repeated_rows"] == 1
     assert two.evidence["first_row"] == raw.rows[700]
@@ -152,7 +176,10 @@ def test_time_that_goes_back_and_stamps_that_repeat_name_the_row():
 def test_gaps_are_counted_and_a_large_one_blocks():
     raw = real(*STAR)
     small = check([without_rows(raw, 1000, 1050)], vehicle("nanobench")).of("gaps")
-    assert any(f.severity == "warning" and f.evidence["longest_s"] == pytest.approx(0.51, abs=0.002) for f in small)
+    assert any(
+        f.severity == "warning" and f.evidence["longest_s"] == pytest.approx(0.51, abs=0.002)
+        for f in small
+    )
     assert blocking(without_rows(raw, 1000, 2500), "nanobench", "gaps")
 
 
@@ -171,7 +198,9 @@ def test_saturated_commands_and_clipped_gyro():
     assert any("the sensor clips" in f.message and f.evidence["limit"] == 5.0 for f in found)
     full = with_channels(raw, u1=np.minimum(raw.channels["u1"] * 1.5, 1.0))
     shares = [
-        f.evidence["share_u1"] for f in check([full], vehicle(IMU[0])).of("saturation") if "share_u1" in f.evidence
+        f.evidence["share_u1"]
+        for f in check([full], vehicle(IMU[0])).of("saturation")
+        if "share_u1" in f.evidence
     ]
     assert max(shares) > 0.1
 
@@ -209,5 +238,7 @@ def test_checks_have_distinct_names_and_questions():
 def test_checking_twice_gives_the_same_report_and_changes_nothing():
     raw = real(*STAR)
     before = {k: v.copy() for k, v in raw.channels.items()}
-    assert check([raw], vehicle("nanobench")).to_dict() == check([raw], vehicle("nanobench")).to_dict()
+    assert (
+        check([raw], vehicle("nanobench")).to_dict() == check([raw], vehicle("nanobench")).to_dict()
+    )
     assert all(np.array_equal(before[k], v, equal_nan=True) for k, v in raw.channels.items())

@@ -1,4 +1,5 @@
-"""One craft has one motor order: it is judged over all flights, and a flight that differs is named."""
+"""One craft has one motor order: it is judged over all flights, and a flight that differs is
+named."""
 
 from __future__ import annotations
 

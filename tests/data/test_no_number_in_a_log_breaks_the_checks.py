@@ -1,4 +1,5 @@
-"""Whatever numbers a log holds, `check` judges it without a word of NumPy, or refuses it in one line."""
+"""Whatever numbers a log holds, `check` judges it without a word of NumPy, or refuses it in one
+line."""
 
 from __future__ import annotations
 
@@ -22,9 +23,13 @@ from tests.data.faults import real, vehicle
 SET, FLIGHT = "nanobench", "B2_circle_medium_rep1"
 POSE = ["x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz"]
 GROUPS = {
-    "position": POSE[:3], "velocity": POSE[3:6], "attitude": POSE[6:], "gyro": ["p", "q", "r"],
-    "accelerometer": ["ax", "ay", "az"], "command": ["u1", "u2", "u3", "u4"],
-}  # fmt: skip
+    "position": POSE[:3],
+    "velocity": POSE[3:6],
+    "attitude": POSE[6:],
+    "gyro": ["p", "q", "r"],
+    "accelerometer": ["ax", "ay", "az"],
+    "command": ["u1", "u2", "u3", "u4"],
+}
 ROW = 100
 
 
@@ -67,7 +72,13 @@ TIMES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 def changed(names: list[str], change: Callable[[np.ndarray], np.ndarray]) -> RawLog:
     raw = real(SET, FLIGHT)
-    return replace(raw, channels={**raw.channels, **{n: change(raw.channels[n]) for n in names if n in raw.channels}})
+    return replace(
+        raw,
+        channels={
+            **raw.channels,
+            **{n: change(raw.channels[n]) for n in names if n in raw.channels},
+        },
+    )
 
 
 def judged(raw: RawLog) -> set[str]:
@@ -137,7 +148,9 @@ def test_stamps_that_are_no_numbers_are_refused(stamp: float, row: int) -> None:
 
 def test_what_is_no_log_is_refused() -> None:
     raw = real(SET, FLIGHT)
-    none = replace(raw, t=raw.t[:0], rows=raw.rows[:0], channels={k: v[:0] for k, v in raw.channels.items()})
+    none = replace(
+        raw, t=raw.t[:0], rows=raw.rows[:0], channels={k: v[:0] for k, v in raw.channels.items()}
+    )
     for wrong, words in (
         (none, "without rows"),
         (replace(raw, channels={}), "without channels"),
@@ -145,7 +158,9 @@ def test_what_is_no_log_is_refused() -> None:
     ):
         with pytest.raises(DataError, match=words):
             check([wrong], vehicle(SET))
-    one = replace(raw, t=raw.t[:1], rows=raw.rows[:1], channels={k: v[:1] for k, v in raw.channels.items()})
+    one = replace(
+        raw, t=raw.t[:1], rows=raw.rows[:1], channels={k: v[:1] for k, v in raw.channels.items()}
+    )
     judged(one)
 
 
@@ -160,4 +175,8 @@ def test_a_cell_that_no_sensor_writes_is_refused_with_its_row(cell: str, tmp_pat
     path.write_text("\n".join(rows) + "\n")
     code = main(["check", "--vehicle", str(vehicle_path(SET)), str(path)])
     said = capsys.readouterr().err
-    assert (code, f"row {ROW + 1}, column '{column}'" in said, len(said.splitlines())) == (2, True, 1), said
+    assert (code, f"row {ROW + 1}, column '{column}'" in said, len(said.splitlines())) == (
+        2,
+        True,
+        1,
+    ), said

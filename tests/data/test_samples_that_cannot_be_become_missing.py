@@ -1,4 +1,5 @@
-"""Samples that no craft can have made become missing, are counted and listed; real motion, however fast, is not touched."""
+"""Samples that no craft can have made become missing, are counted and listed; real motion, however
+fast, is not touched."""
 
 from __future__ import annotations
 
@@ -31,7 +32,9 @@ def test_a_sound_log_is_handed_on_as_it_is(log):
     assert same.removed == ()
 
 
-@pytest.mark.parametrize(("spike", "why"), [(33_000.0, "outside its range"), (4000.0, f"{OVERSPEED * TOP:.4g} rad/s")])
+@pytest.mark.parametrize(
+    ("spike", "why"), [(33_000.0, "outside its range"), (4000.0, f"{OVERSPEED * TOP:.4g} rad/s")]
+)
 def test_rotor_speeds_far_beyond_the_top_speed_are_missing_and_counted(log, spike, why):
     assert vehicle().actuator.speed_max == TOP
     at = [100, 101, 300, 420, 700]
@@ -75,10 +78,18 @@ STAR, IMU = ("nanobench", "B8_star_fast_rep2"), ("arpl_crazyflie", "log15")
 @pytest.mark.parametrize(
     ("flight", "name", "size"),
     [
-        (STAR, "p", 4.0), (STAR, "r", 4.0), (STAR, "ax", 15.0), (STAR, "az", 15.0), (STAR, "x", 0.05),
-        (STAR, "vz", 0.2), (STAR, "qy", 0.16), (STAR, "vbat", 0.9), (IMU, "q", 0.7), (IMU, "ay", 6.0),
+        (STAR, "p", 4.0),
+        (STAR, "r", 4.0),
+        (STAR, "ax", 15.0),
+        (STAR, "az", 15.0),
+        (STAR, "x", 0.05),
+        (STAR, "vz", 0.2),
+        (STAR, "qy", 0.16),
+        (STAR, "vbat", 0.9),
+        (IMU, "q", 0.7),
+        (IMU, "ay", 6.0),
     ],
-)  # fmt: skip
+)
 def test_lone_samples_of_every_sensor_of_real_flights_are_taken_and_no_others(flight, name, size):
     """100 Hz, interpolated, and 1 kHz as it was sampled; some of them two or three rows apart."""
     real, craft = faults.real(*flight), faults.vehicle(flight[0])
@@ -175,7 +186,13 @@ def test_whoever_reads_a_log_with_its_vehicle_reads_it_without_them(log, tmp_pat
     speeds[[100, 300]] = 33_000.0
     table = {"t": log.t, **log.channels, "omega2": speeds}
     path = tmp_path / "spiked.csv"
-    np.savetxt(path, np.column_stack(list(table.values())), delimiter=",", header=",".join(table), comments="")
+    np.savetxt(
+        path,
+        np.column_stack(list(table.values())),
+        delimiter=",",
+        header=",".join(table),
+        comments="",
+    )
     data = read_logs([path], vehicle())
     (removed,) = data.removed
     assert (removed.flight, removed.count) == ("spiked", 2)
@@ -195,16 +212,25 @@ def test_whoever_reads_a_log_with_its_vehicle_reads_it_without_them(log, tmp_pat
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
-    frequency=st.floats(0.2, 8.0), size=st.floats(0.0, 1.0), phase=st.floats(0.0, 6.3),
-    rate=st.sampled_from([50.0, 100.0, 500.0]), noise=st.floats(0.0, 0.01), seed=st.integers(0, 99),
-)  # fmt: skip
-def test_smooth_motion_that_the_rotors_can_make_is_never_touched(frequency, size, phase, rate, noise, seed):
-    """A turn about x to and fro at up to full torque, a way to and fro at up to full thrust, with sensor noise."""
+    frequency=st.floats(0.2, 8.0),
+    size=st.floats(0.0, 1.0),
+    phase=st.floats(0.0, 6.3),
+    rate=st.sampled_from([50.0, 100.0, 500.0]),
+    noise=st.floats(0.0, 0.01),
+    seed=st.integers(0, 99),
+)
+def test_smooth_motion_that_the_rotors_can_make_is_never_touched(
+    frequency, size, phase, rate, noise, seed
+):
+    """A turn about x to and fro at up to full torque, a way to and fro at up to full thrust, with
+    sensor noise."""
     own, draw = vehicle(), np.random.default_rng(seed)
     t = np.arange(0.0, 4.0, 1.0 / rate)
     w = 2 * np.pi * frequency
     thrust = 4 * own.actuator.thrust[2].value
-    turn = size * 0.0325 * thrust / own.inertia[0][0] / w**2  # amplitude [rad] whose acceleration the rotors can make
+    turn = (
+        size * 0.0325 * thrust / own.inertia[0][0] / w**2
+    )  # amplitude [rad] whose acceleration the rotors can make
     way = size * thrust / own.mass.value / w**2
     angle = min(turn, 3.0) * np.sin(w * t + phase)
     rolling = min(turn, 3.0) * w * np.cos(w * t + phase)
@@ -213,13 +239,25 @@ def test_smooth_motion_that_the_rotors_can_make_is_never_touched(frequency, size
     def shaken(values: np.ndarray, level: float) -> np.ndarray:
         return values + noise * level * draw.normal(size=t.size)
 
-    attitude = np.array([shaken(part, 1.0) for part in (np.cos(angle / 2), np.sin(angle / 2), zero, zero)])
+    attitude = np.array(
+        [shaken(part, 1.0) for part in (np.cos(angle / 2), np.sin(angle / 2), zero, zero)]
+    )
     attitude /= np.linalg.norm(attitude, axis=0)
     columns = {
-        "t": t, "u1": zero + 0.5, "u2": zero + 0.5, "u3": zero + 0.5, "u4": zero + 0.5,
+        "t": t,
+        "u1": zero + 0.5,
+        "u2": zero + 0.5,
+        "u3": zero + 0.5,
+        "u4": zero + 0.5,
         **dict(zip(("qw", "qx", "qy", "qz"), attitude, strict=True)),
-        "p": shaken(rolling, 10.0), "q": shaken(zero, 10.0), "r": shaken(zero, 10.0),
-        "x": shaken(way * np.sin(w * t + phase), 1.0), "y": shaken(zero, 1.0), "z": shaken(zero, 1.0),
-        "vx": shaken(way * w * np.cos(w * t + phase), 10.0), "vy": shaken(zero, 10.0), "vz": shaken(zero, 10.0),
-    }  # fmt: skip
+        "p": shaken(rolling, 10.0),
+        "q": shaken(zero, 10.0),
+        "r": shaken(zero, 10.0),
+        "x": shaken(way * np.sin(w * t + phase), 1.0),
+        "y": shaken(zero, 1.0),
+        "z": shaken(zero, 1.0),
+        "vx": shaken(way * w * np.cos(w * t + phase), 10.0),
+        "vy": shaken(zero, 10.0),
+        "vz": shaken(zero, 10.0),
+    }
     assert without_impossible(raw(columns), own).removed == ()

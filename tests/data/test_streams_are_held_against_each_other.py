@@ -1,6 +1,8 @@
-"""Position, velocity, attitude, rates and specific force are held against each other: a fault of one is named by it.
+"""Position, velocity, attitude, rates and specific force are held against each other: a fault of
+one is named by it.
 
-The whole table of faults is `python -m tests.hardening.fault_table`; here stand one of each kind, on a real flight.
+The whole table of faults is `python -m tests.hardening.fault_table`; here stand one of each kind,
+on a real flight.
 """
 
 from __future__ import annotations
@@ -33,7 +35,11 @@ def messages(name: str, severity: str, of: str) -> list[str]:
     ("name", "of", "words"),
     [
         ("velocity in body axes", "motion", "only when the velocity is in body axes"),
-        ("x and y of position and velocity swapped", "acceleration", "the world's x = y, y = the world's x"),
+        (
+            "x and y of position and velocity swapped",
+            "acceleration",
+            "the world's x = y, y = the world's x",
+        ),
         ("x and y of the position swapped", "motion", "vx = vy, vy = vx (explains"),
         ("motion capture yawed by 90 deg", "acceleration", "the world's x = -y, y = the world's x"),
         ("motion capture yawed by 30 deg", "acceleration", "turned by 30 deg about z"),
@@ -98,15 +104,20 @@ def test_mounting_and_factors_do_not_hide_which_reading_is_true(truth: float) ->
     assert abs(weight - truth) < 4.0 * error < 0.6
 
 
-def test_readings_that_differ_by_a_constant_matrix_are_not_told_apart_by_the_way_between_them() -> None:
+def test_readings_that_differ_by_a_constant_matrix_are_not_told_apart_by_the_way_between_them() -> (
+    None
+):
     x = np.random.default_rng(3).normal(size=(400, 3))
     weight, _ = mixture(x, x, x @ np.diag([1.0, -1.0, 0.5]), np.arange(0, 400, 40)).weights()
     assert np.isnan(weight)
 
 
 @pytest.mark.parametrize(("apart", "told"), [(0.01, False), (0.1, True)])
-def test_readings_that_differ_by_less_than_sensors_resolve_are_not_told_apart(apart: float, told: bool) -> None:
-    """What sensors leave, here 0.1 % of the motion, may look like a step to a reading that differs by less."""
+def test_readings_that_differ_by_less_than_sensors_resolve_are_not_told_apart(
+    apart: float, told: bool
+) -> None:
+    """What sensors leave, here 0.1 % of the motion, may look like a step to a reading that differs
+    by less."""
     draw = np.random.default_rng(5)
     x, d = draw.normal(size=(2, 2000, 3))
     y = x + 0.9 * apart * d + 0.03 * draw.normal(size=x.shape)
@@ -115,6 +126,8 @@ def test_readings_that_differ_by_less_than_sensors_resolve_are_not_told_apart(ap
     for r in readings:
         sums = moments(r, 0.01, 8, 0.0)
         assert sums is not None
-        tried.append(Tried(text=r.text, fix="", sums=sums, mixed=mixed(readings[0], r, 0.01, 8, 0.0)))
+        tried.append(
+            Tried(text=r.text, fix="", sums=sums, mixed=mixed(readings[0], r, 0.01, 8, 0.0))
+        )
     assert tried[1].sums.total().share(np.eye(3)) > tried[0].sums.total().share(np.eye(3)) > 0.98
     assert (better_reading(tried, ("ax", "ay", "az"), "") is not None) is told

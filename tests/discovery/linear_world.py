@@ -1,5 +1,6 @@
-"""A linear Gaussian world of known answers: y = X_n b + X_c theta + e, b shared by all structures with a
-flat prior, theta of every cause normal about nothing. What discovery computes by Laplace is exact here."""
+"""A linear Gaussian world of known answers: y = X_n b + X_c theta + e, b shared by all structures
+with a flat prior, theta of every cause normal about nothing. What discovery computes by Laplace is
+exact here."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ NUISANCES = 6
 
 @dataclass(eq=False)
 class World:
-    """`columns` (n, k) of every cause, `shared` (n, NUISANCES), readings `y` (n,) with unit noise."""
+    """`columns` (n, k) of every cause, `shared` (n, NUISANCES), readings `y` (n,) with unit
+    noise."""
 
     columns: Mapping[str, Array]
     shared: Array
@@ -45,20 +47,30 @@ class World:
         """As `Causes`, as far as it is looked at."""
         offered = {n: cause(n, c.shape[1]) for n, c in self.columns.items()}
         return SimpleNamespace(
-            offered=offered, effects=tuple(offered), base=frozenset(), with_cause=lambda *_: self.causes,
+            offered=offered,
+            effects=tuple(offered),
+            base=frozenset(),
+            with_cause=lambda *_: self.causes,
             prior_of=lambda n: None if n.split(".")[0] not in offered else (0.0, SIGMA),
-        )  # fmt: skip
+        )
 
     @causes.setter
     def causes(self, new: Any) -> None:
         """None joins."""
 
-    def contest(self, asked: Sequence[tuple[Iterable[str], Sequence[Any]]], than: Fitted) -> list[Fitted]:
+    def contest(
+        self, asked: Sequence[tuple[Iterable[str], Sequence[Any]]], than: Fitted
+    ) -> list[Fitted]:
         """Every structure at its optimum."""
         return [self.fit(s) for s, _ in asked]
 
     def fit(
-        self, structure: Iterable[str], starts: Sequence[Any] = (), *, rough: bool = False, target: float = np.inf
+        self,
+        structure: Iterable[str],
+        starts: Sequence[Any] = (),
+        *,
+        rough: bool = False,
+        target: float = np.inf,
     ) -> Fitted:
         """The optimum in closed form."""
         chosen = frozenset(structure)
@@ -69,7 +81,9 @@ class World:
         for n in sorted(chosen):
             x = np.column_stack([x, self.columns[n]])
             sigma = np.inf if self.flat else SIGMA
-            unknowns += [unknown(p, sigma, self.lower) for p in parameters(n, self.columns[n].shape[1])]
+            unknowns += [
+                unknown(p, sigma, self.lower) for p in parameters(n, self.columns[n].shape[1])
+            ]
         prior = np.array([0.0 if np.isinf(u.sigma) else u.sigma**-2 for u in unknowns])
         h = x.T @ x
         theta = np.linalg.lstsq(h + np.diag(prior), x.T @ self.y, rcond=None)[0]
@@ -77,22 +91,32 @@ class World:
         off = self.y - x @ theta
         likelihood = 0.5 * float(off @ off) + 0.5 * len(off) * np.log(2 * np.pi)
         value = Value(
-            cost=likelihood + 0.5 * float(prior @ theta**2), likelihood=likelihood,
-            gradient=-x.T @ off + prior * theta, hessian=h + np.diag(prior), data_hessian=h,
-        )  # fmt: skip
+            cost=likelihood + 0.5 * float(prior @ theta**2),
+            likelihood=likelihood,
+            gradient=-x.T @ off + prior * theta,
+            hessian=h + np.diag(prior),
+            data_hessian=h,
+        )
         problem = cast(
             Problem,
             SimpleNamespace(
-                n=len(unknowns), unknowns=tuple(unknowns), scale=np.ones(len(unknowns)),
-                lower=np.array([u.lower for u in unknowns]), upper=np.array([u.upper for u in unknowns]),
+                n=len(unknowns),
+                unknowns=tuple(unknowns),
+                scale=np.ones(len(unknowns)),
+                lower=np.array([u.lower for u in unknowns]),
+                upper=np.array([u.upper for u in unknowns]),
                 index={(u.name, u.flight): i for i, u in enumerate(unknowns)},
             ),
-        )  # fmt: skip
+        )
         done = Status(code=Code.CONVERGED, iterations=1, evaluations=1, decrement=0.0)
         self.fits[chosen] = Fitted(
-            structure=chosen, problem=problem, theta=theta, value=value, status=done,
+            structure=chosen,
+            problem=problem,
+            theta=theta,
+            value=value,
+            status=done,
             log_evidence=log_evidence(problem, theta, value),
-        )  # fmt: skip
+        )
         return self.fits[chosen]
 
 
@@ -107,20 +131,31 @@ def parameters(name: str, size: int) -> tuple[str, ...]:
 
 def unknown(name: str, sigma: float, lower: float = -np.inf) -> Unknown:
     return Unknown(
-        name=name, kind="parameter", flight=None, start=0.0, lower=lower, upper=np.inf, mean=0.0, sigma=sigma,
-        scale=1.0, unit="",
-    )  # fmt: skip
+        name=name,
+        kind="parameter",
+        flight=None,
+        start=0.0,
+        lower=lower,
+        upper=np.inf,
+        mean=0.0,
+        sigma=sigma,
+        scale=1.0,
+        unit="",
+    )
 
 
 def drawn(seed: int, truth: Mapping[str, Array], samples: int = 60) -> tuple[World, World]:
-    """Two worlds of the same law, to teach and to judge: causes a (one parameter), b (nearly a) and c (three)."""
+    """Two worlds of the same law, to teach and to judge: causes a (one parameter), b (nearly a) and
+    c (three)."""
     rng = np.random.default_rng(seed)
     worlds = []
     for _ in range(2):
         a = rng.standard_normal((samples, 1))
         columns = {
-            "a": a, "b": 0.8 * a + 0.6 * rng.standard_normal((samples, 1)), "c": rng.standard_normal((samples, 3)),
-        }  # fmt: skip
+            "a": a,
+            "b": 0.8 * a + 0.6 * rng.standard_normal((samples, 1)),
+            "c": rng.standard_normal((samples, 3)),
+        }
         shared = rng.standard_normal((samples, NUISANCES))
         y = shared @ np.linspace(-2, 2, NUISANCES) + rng.standard_normal(samples)
         for name, size in truth.items():
@@ -132,8 +167,10 @@ def drawn(seed: int, truth: Mapping[str, Array], samples: int = 60) -> tuple[Wor
 def joined(one: World, other: World, flat: bool = False) -> World:
     return World(
         columns={n: np.concatenate([c, other.columns[n]]) for n, c in one.columns.items()},
-        shared=np.concatenate([one.shared, other.shared]), y=np.concatenate([one.y, other.y]), flat=flat,
-    )  # fmt: skip
+        shared=np.concatenate([one.shared, other.shared]),
+        y=np.concatenate([one.y, other.y]),
+        flat=flat,
+    )
 
 
 def split(one: World, other: World) -> Split:
@@ -163,7 +200,15 @@ def scores(world: World, present: Sequence[str] = ()) -> Scores:
         k += world.columns[n].shape[1]
     keys = [key(p) for n in names for p in parameters(n, world.columns[n].shape[1])]
     return Scores(
-        at=at, keys=tuple(keys), score=-left.T @ y, information=left.T @ left, sigma=np.full(k, SIGMA),
-        null=np.zeros(k), value=np.array([at.known.get(q, 0.0) for q in keys]), lower=np.full(k, -np.inf),
-        upper=np.full(k, np.inf), places=places, absent=tuple(absent),
-    )  # fmt: skip
+        at=at,
+        keys=tuple(keys),
+        score=-left.T @ y,
+        information=left.T @ left,
+        sigma=np.full(k, SIGMA),
+        null=np.zeros(k),
+        value=np.array([at.known.get(q, 0.0) for q in keys]),
+        lower=np.full(k, -np.inf),
+        upper=np.full(k, np.inf),
+        places=places,
+        absent=tuple(absent),
+    )

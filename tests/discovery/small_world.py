@@ -1,4 +1,5 @@
-"""A short catalogue and short flights: the whole search in seconds. The full catalogue is tested in slow tests."""
+"""A short catalogue and short flights: the whole search in seconds. The full catalogue is tested in
+slow tests."""
 
 from __future__ import annotations
 
@@ -39,7 +40,12 @@ def vehicle() -> Vehicle:
 
 
 @functools.cache
-def flown(*effects: PlantEffect, seeds: tuple[int, ...] = (1, 2), name: str = "train", seconds: float = 4.0) -> Dataset:
+def flown(
+    *effects: PlantEffect,
+    seeds: tuple[int, ...] = (1, 2),
+    name: str = "train",
+    seconds: float = 4.0,
+) -> Dataset:
     """Flights with hidden effects."""
     return discovery_grid.flights(plant(*effects), seeds, seconds, name)
 

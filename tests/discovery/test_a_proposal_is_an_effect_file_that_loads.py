@@ -1,4 +1,5 @@
-"""What discover proposes is a file that --effects-file takes: it loads, passes the check of all effects and says the law."""
+"""What discover proposes is a file that --effects-file takes: it loads, passes the check of all
+effects and says the law."""
 
 from __future__ import annotations
 
@@ -17,9 +18,16 @@ from greybox.residual.laws.terms import Term, terms, wanted_features
 from tests.discovery.small_world import flown, vehicle
 
 NAMES = (
-    *(f"body_velocity.{a}" for a in "xyz"), *"pqr", *(f"attitude.{a}" for a in "wxyz"),
-    *(f"position.{a}" for a in "xyz"), "vbat", "u1", "u2", "u3", "u4",
-)  # fmt: skip
+    *(f"body_velocity.{a}" for a in "xyz"),
+    *"pqr",
+    *(f"attitude.{a}" for a in "wxyz"),
+    *(f"position.{a}" for a in "xyz"),
+    "vbat",
+    "u1",
+    "u2",
+    "u3",
+    "u4",
+)
 
 
 def features(n: int = 50) -> np.ndarray:
@@ -39,23 +47,38 @@ def every(channel: str) -> list[Term]:
 
 def law(channel: str, *picked: Term) -> Axis:
     return Axis(
-        channel=channel, unit="N", rms=1.0, gain=100.0, lasts=1.0, needed=True, share=0.9,
+        channel=channel,
+        unit="N",
+        rms=1.0,
+        gain=100.0,
+        lasts=1.0,
+        needed=True,
+        share=0.9,
         terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
-        depends_on=(), codes=tuple(t.code for t in picked),
-    )  # fmt: skip
+        depends_on=(),
+        codes=tuple(t.code for t in picked),
+    )
 
 
 @pytest.mark.parametrize("channel", ["force.x", "torque.z"])
 def test_the_file_loads_and_returns_the_law_on_its_axis(channel: str, tmp_path: Path):
     library = every(channel)
-    picked = [next(t for t in library if t.text == name) for name in ("velocity.x |velocity.x|", "north.y", "p q")]
+    picked = [
+        next(t for t in library if t.text == name)
+        for name in ("velocity.x |velocity.x|", "north.y", "p q")
+    ]
     path = tmp_path / file_name(1)
     path.write_text(proposal_text(law(channel, *picked), 1), encoding="utf-8")
     (effect,) = load_effects(path)
     assert effect.name == f"proposal_{channel.replace('.', '_')}"
     assert [p.null for p in effect.parameters(vehicle())] == [0.0, 0.0, 0.0]
     assert "90 %" in path.read_text()
-    flow = Flow(vehicle=vehicle(), velocity=ca.DM([2.0, 0.0, 0.0]), omega=ca.DM([3.0, 0.5, 0.0]), rotation=ca.DM.eye(3))
+    flow = Flow(
+        vehicle=vehicle(),
+        velocity=ca.DM([2.0, 0.0, 0.0]),
+        omega=ca.DM([3.0, 0.5, 0.0]),
+        rotation=ca.DM.eye(3),
+    )
     out = effect.apply(flow, {"c_1": 0.1, "c_2": 10.0, "c_3": 100.0})
     (slot,) = out
     expected = np.zeros(3)
@@ -77,12 +100,18 @@ def test_every_term_of_the_library_makes_a_valid_effect_with_the_same_numbers(ch
         ]
     )
     flow = Flow(
-        vehicle=vehicle(), velocity=ca.DM([rows[f"body_velocity.{a}"] for a in "xyz"]), rotation=ca.DM(turn),
-        omega=ca.DM([rows[a] for a in "pqr"]), position=ca.DM([rows[f"position.{a}"] for a in "xyz"]), vbat=ca.DM(11.0),
+        vehicle=vehicle(),
+        velocity=ca.DM([rows[f"body_velocity.{a}"] for a in "xyz"]),
+        rotation=ca.DM(turn),
+        omega=ca.DM([rows[a] for a in "pqr"]),
+        position=ca.DM([rows[f"position.{a}"] for a in "xyz"]),
+        vbat=ca.DM(11.0),
         nu=ca.DM([rows[f"u{i}"] for i in range(1, 5)]),
-    )  # fmt: skip
+    )
     for t in library:
-        assert float(eval(t.code, {"ca": ca, "flow": flow})) == pytest.approx(t.values[3], rel=1e-9, abs=1e-12), t.text
+        assert float(eval(t.code, {"ca": ca, "flow": flow})) == pytest.approx(
+            t.values[3], rel=1e-9, abs=1e-12
+        ), t.text
     assert len({t.text for t in library}) == len(library)
     assert len(proposed([law(channel, *library[:3])])) == 1
 

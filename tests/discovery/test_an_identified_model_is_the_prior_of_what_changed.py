@@ -21,10 +21,13 @@ def identified() -> IdentifiedModel:
     """A model with damping, as far as a search looks at it."""
     model: Any = SimpleNamespace(
         values={n: v for n, (v, _) in KNOWN.items()} | {"payload_mass.mu": 0.1},
-        covariance=np.diag([s**2 for _, s in KNOWN.values()]), covariance_names=tuple(KNOWN),
+        covariance=np.diag([s**2 for _, s in KNOWN.values()]),
+        covariance_names=tuple(KNOWN),
         flight_spread={"payload_mass.mu": (0.1, 0.02)},
-        physics=SimpleNamespace(effects=(effect_by_name("rotational_damping"), effect_by_name("payload_mass"))),
-    )  # fmt: skip
+        physics=SimpleNamespace(
+            effects=(effect_by_name("rotational_damping"), effect_by_name("payload_mass"))
+        ),
+    )
     return cast(IdentifiedModel, model)
 
 

@@ -53,8 +53,11 @@ def modules() -> dict[str, ast.Module]:
 
 def numbers(node: ast.AST) -> list[float]:
     """Every numeric literal below a node."""
-    return [float(n.value) for n in ast.walk(node)
-            if isinstance(n, ast.Constant) and type(n.value) in (int, float)]  # fmt: skip
+    return [
+        float(n.value)
+        for n in ast.walk(node)
+        if isinstance(n, ast.Constant) and type(n.value) in (int, float)
+    ]
 
 
 def constants() -> set[str]:
@@ -73,7 +76,9 @@ def compared() -> set[str]:
     for module, tree in modules().items():
         for function in (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)):
             for node in (n for n in ast.walk(function) if isinstance(n, ast.Compare)):
-                out |= {f"{module}.{function.name}: {v:g}" for v in numbers(node) if v not in (0, 1, 2)}
+                out |= {
+                    f"{module}.{function.name}: {v:g}" for v in numbers(node) if v not in (0, 1, 2)
+                }
     return out
 
 

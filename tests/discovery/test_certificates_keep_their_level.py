@@ -1,5 +1,5 @@
-"""E-values: under any rival as the truth one beyond 1/alpha comes up in alpha of all logs at most, however many nuisances,
-and they grow with what the flights show."""
+"""E-values: under any rival as the truth one beyond 1/alpha comes up in alpha of all logs at most,
+however many nuisances, and they grow with what the flights show."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ LOGS = 600
 Truth = Mapping[str, np.ndarray]
 
 
-def certified(one: World, other: World, name: str, rivals: tuple[tuple[str, ...], ...], bar: float) -> Certificate:
+def certified(
+    one: World, other: World, name: str, rivals: tuple[tuple[str, ...], ...], bar: float
+) -> Certificate:
     at = one.fit({name})
     rows = [Rival(instead=r, share=1.0, fitted=one.fit(set(r))) for r in rivals]
     return certificates(at, {name: rows}, [split(one, other)], bar)[name]
@@ -31,27 +33,40 @@ def certified(one: World, other: World, name: str, rivals: tuple[tuple[str, ...]
 
 @pytest.mark.parametrize(
     ("truth", "rivals"),
-    [({}, ((),)), ({"b": np.array([1.5])}, ((), ("b",))), ({"c": np.array([0.5, -0.5, 0.0])}, ((), ("c",)))],
+    [
+        ({}, ((),)),
+        ({"b": np.array([1.5])}, ((), ("b",))),
+        ({"c": np.array([0.5, -0.5, 0.0])}, ((), ("c",))),
+    ],
     ids=["nothing", "look-alike", "another"],
 )
 @pytest.mark.parametrize("bar", [np.log(1 / ALPHA), np.inf], ids=["strict", "mean"])
 def test_false_certificates_are_rare(truth: Truth, rivals: tuple[tuple[str, ...], ...], bar: float):
     beyond = sum(
-        certified(*drawn(seed, truth), "a", rivals, bar).log_e >= np.log(1 / ALPHA) for seed in range(LOGS)
+        certified(*drawn(seed, truth), "a", rivals, bar).log_e >= np.log(1 / ALPHA)
+        for seed in range(LOGS)
     )
     # 95 % of binomial draws at alpha lie below this; e-values are far below alpha in practice.
     assert beyond <= ALPHA * LOGS + 2 * np.sqrt(ALPHA * (1 - ALPHA) * LOGS)
 
 
 def test_what_is_there_is_certified_and_more_of_it_more():
-    sizes = [np.median([certified(*drawn(s, {"a": np.array([k])}), "a", ((), ("b",)), np.inf).log_e for s in range(20)])
-             for k in (0.3, 1.0, 3.0)]  # fmt: skip
+    sizes = [
+        np.median(
+            [
+                certified(*drawn(s, {"a": np.array([k])}), "a", ((), ("b",)), np.inf).log_e
+                for s in range(20)
+            ]
+        )
+        for k in (0.3, 1.0, 3.0)
+    ]
     assert sizes[0] < sizes[1] < sizes[2]
     assert sizes[2] > 6.0
 
 
 def test_a_name_that_bent_into_what_a_law_says_is_none_beside_it():
-    """b looks like a, which is there; next to it nothing of b is needed, and a is as certain as before."""
+    """b looks like a, which is there; next to it nothing of b is needed, and a is as certain as
+    before."""
     one, other = drawn(3, {"a": np.array([3.0])})
     judge = split(one, other)
     assert certified(one, other, "b", ((),), 6.0).log_e > 6.0
@@ -64,8 +79,9 @@ def test_a_name_that_bent_into_what_a_law_says_is_none_beside_it():
 @pytest.mark.parametrize("code", [Code.MAX_ITERATIONS, Code.NO_PROGRESS, Code.BEHIND])
 @pytest.mark.parametrize("promised", [0.1, 1.0, 100.0])
 def test_what_a_fit_may_still_gain_counts_against_the_name(promised: float, code: Code):
-    """A rival's fit did not converge, however it ended: a motor lag worth 99 % had no e-value at all. The optimum is
-    believed deeper than the last step promised, and a fit that predicts nothing certifies nothing."""
+    """A rival's fit did not converge, however it ended: a motor lag worth 99 % had no e-value at
+    all. The optimum is believed deeper than the last step promised, and a fit that predicts nothing
+    certifies nothing."""
     one, other = drawn(3, {"a": np.array([5.0])})
     rival = Rival(instead=(), share=1.0, fitted=one.fit(()))
     plain = certificates(one.fit({"a"}), {"a": [rival]}, [split(one, other)], -np.inf)["a"].log_e
@@ -77,13 +93,15 @@ def test_what_a_fit_may_still_gain_counts_against_the_name(promised: float, code
     found = certificates(one.fit({"a"}), {"a": [rival]}, [judges], -np.inf)["a"].log_e
     assert plain - found == pytest.approx(BEYOND * promised)
     whole = judges.both.fit({"a"})
-    cast(World, judges.both).fits[whole.structure] = replace(whole, value=replace(whole.value, valid=False))
+    cast(World, judges.both).fits[whole.structure] = replace(
+        whole, value=replace(whole.value, valid=False)
+    )
     assert certificates(one.fit({"a"}), {"a": [rival]}, [judges], 6.0)["a"].log_e == -np.inf
 
 
 def test_a_rival_that_was_hopeless_where_the_name_was_learned_still_counts():
-    """On the flights that taught b is far behind a; on the one that judges b is the truth, and a is still far better than
-    nothing: a is no name."""
+    """On the flights that taught b is far behind a; on the one that judges b is the truth, and a is
+    still far better than nothing: a is no name."""
     one, other = drawn(3, {"a": np.array([12.0])})[0], drawn(3, {"b": np.array([12.0])})[1]
     at, rival = one.fit({"a"}), one.fit({"b"})
     assert rival.log_evidence < at.log_evidence - one.effort.behind
@@ -105,7 +123,9 @@ def test_only_near_the_bar_are_optima_needed_to_the_last_digit(size: float, exac
 def test_look_alikes_stay_a_set_where_the_flights_cannot_tell():
     one, other = drawn(3, {"a": np.array([2.0])})
     same = {**one.columns, "twin": one.columns["a"]}, {**other.columns, "twin": other.columns["a"]}
-    one, other = (World(columns=c, shared=w.shared, y=w.y) for c, w in zip(same, (one, other), strict=True))
+    one, other = (
+        World(columns=c, shared=w.shared, y=w.y) for c, w in zip(same, (one, other), strict=True)
+    )
     found = certified(one, other, "a", ((), ("twin",)), 6.0)
     assert found.rivals[()] >= 6.0
     assert found.alike(6.0) == [("twin",)]
@@ -114,14 +134,20 @@ def test_look_alikes_stay_a_set_where_the_flights_cannot_tell():
 
 def test_nuisances_cost_no_name():
     """The strict e-value alone pays half a nat for every shared unknown; their mean does not."""
-    logs = [certified(*drawn(s, {"a": np.array([0.9])}), "a", ((),), np.inf).log_e for s in range(40)]
-    strict = [certified(*drawn(s, {"a": np.array([0.9])}), "a", ((),), -np.inf).log_e for s in range(40)]
+    logs = [
+        certified(*drawn(s, {"a": np.array([0.9])}), "a", ((),), np.inf).log_e for s in range(40)
+    ]
+    strict = [
+        certified(*drawn(s, {"a": np.array([0.9])}), "a", ((),), -np.inf).log_e for s in range(40)
+    ]
     assert np.median(logs) > np.median(strict) + 1.0
 
 
 def test_a_forecaster_that_is_no_better_wins_no_bet():
     rng = np.random.default_rng(0)
-    won = sum(betting(np.clip(rng.normal(0.0, 0.4, 30), -1, 1)) >= np.log(1 / ALPHA) for _ in range(2000))
+    won = sum(
+        betting(np.clip(rng.normal(0.0, 0.4, 30), -1, 1)) >= np.log(1 / ALPHA) for _ in range(2000)
+    )
     assert won <= ALPHA * 2000
     assert betting(np.full(30, 0.3)) > np.log(1 / ALPHA)
     assert betting(np.zeros(0)) == 0.0

@@ -1,4 +1,5 @@
-"""discover on simulated flights: a hidden effect is certified, clean flights miss nothing, bad data are an early no."""
+"""discover on simulated flights: a hidden effect is certified, clean flights miss nothing, bad data
+are an early no."""
 
 from __future__ import annotations
 
@@ -54,7 +55,11 @@ def test_the_hidden_effect_is_certified_and_nothing_else(damped: tuple[Discovery
     content = valid(damped[0])
     assert content["verdict"] == "named"
     (effect,) = content["effects"]
-    assert (effect["name"], effect["status"], effect["stage"]) == ("rotational_damping", "certified", "wrench")
+    assert (effect["name"], effect["status"], effect["stage"]) == (
+        "rotational_damping",
+        "certified",
+        "wrench",
+    )
     assert effect["log10_e"] >= content["bar_log10_e"] == pytest.approx(1.9, abs=0.1)
     assert effect["worth"]["share"] > 0.1
     for p in effect["parameters"].values():
@@ -64,7 +69,9 @@ def test_the_hidden_effect_is_certified_and_nothing_else(damped: tuple[Discovery
     assert content["line"] == damped[0].summary().splitlines()[0]
 
 
-def test_the_gap_closes_on_flights_that_were_not_searched(damped: tuple[Discovery, list[Discovery]]):
+def test_the_gap_closes_on_flights_that_were_not_searched(
+    damped: tuple[Discovery, list[Discovery]],
+):
     content = valid(damped[0])
     assert content["gap_on"] == "test"
     row = next(r for r in content["gap"] if r["group"] == "rotation" and r["horizon_s"] == 1.0)
@@ -81,7 +88,9 @@ def test_every_step_is_saved_as_stopped(damped: tuple[Discovery, list[Discovery]
     assert found.verdict == "named"
 
 
-def test_sizes_that_would_be_certified_are_those_of_what_is_absent(damped: tuple[Discovery, list[Discovery]]):
+def test_sizes_that_would_be_certified_are_those_of_what_is_absent(
+    damped: tuple[Discovery, list[Discovery]],
+):
     sizes = damped[0].minimum_detectable
     assert set(sizes) <= set(SHORT) - {"rotational_damping"}
     assert all(v > 0 for row in sizes.values() for v in row.values())
@@ -97,7 +106,9 @@ def test_clean_flights_miss_nothing(short: None):
 
 @pytest.mark.slow
 def test_without_test_flights_halves_judge_each_other(short: None):
-    assert [e["name"] for e in discover(vehicle(), small_world.flown(DAMPING)).effects()] == ["rotational_damping"]
+    assert [e["name"] for e in discover(vehicle(), small_world.flown(DAMPING)).effects()] == [
+        "rotational_damping"
+    ]
     alone = small_world.flown(DAMPING, seeds=(1,), seconds=8.0)
     assert [e["name"] for e in discover(vehicle(), alone).effects()] == ["rotational_damping"]
 
@@ -106,7 +117,10 @@ def test_without_test_flights_halves_judge_each_other(short: None):
 def test_more_effort_keeps_every_verdict(short: None):
     more = Effort(tried=2 * EFFORT.tried, iterations=90, behind=60.0)
     for hidden in ((), (DAMPING,)):
-        train, test = small_world.flown(*hidden), small_world.flown(*hidden, seeds=(11,), name="test")
+        train, test = (
+            small_world.flown(*hidden),
+            small_world.flown(*hidden, seeds=(11,), name="test"),
+        )
         few, many = (discover(vehicle(), train, test, effort=e) for e in (EFFORT, more))
         assert few.verdict == many.verdict
         assert [(n.name, n.status) for n in few.names] == [(n.name, n.status) for n in many.names]
@@ -114,14 +128,18 @@ def test_more_effort_keeps_every_verdict(short: None):
 
 @pytest.mark.slow
 def test_what_changed_since_a_model_was_identified_has_a_name(short: None):
-    before = discover(vehicle(), small_world.flown(), small_world.flown(seeds=(11,), name="test")).model
+    before = discover(
+        vehicle(), small_world.flown(), small_world.flown(seeds=(11,), name="test")
+    ).model
     train, test = small_world.flown(DAMPING), small_world.flown(DAMPING, seeds=(11,), name="test")
     found = discover(vehicle(), train, test, since=before)
     assert [e["name"] for e in found.effects()] == ["rotational_damping"]
 
 
 @pytest.mark.slow
-def test_further_flights_multiply_the_evidence_either_way(damped: tuple[Discovery, list[Discovery]]):
+def test_further_flights_multiply_the_evidence_either_way(
+    damped: tuple[Discovery, list[Discovery]],
+):
     found, content = damped[0], valid(damped[0])
     more = further(content, found.model, small_world.flown(DAMPING, seeds=(21,), name="more"))
     (before,), (after,) = content["effects"], more["effects"]
@@ -157,16 +175,27 @@ def test_further_flights_of_coloured_sensors_multiply_the_evidence_too(short: No
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "hidden",
-    [(), ("motor_lag",), ("rotor_drag",), ("accelerometer_bias",), ("steady_wind", "rotor_drag"),
-     ("motor_lag", "command_delay"), ("motor_lag", "battery_sag", "rotor_drag", "blade_flapping", "rotational_damping")],
+    [
+        (),
+        ("motor_lag",),
+        ("rotor_drag",),
+        ("accelerometer_bias",),
+        ("steady_wind", "rotor_drag"),
+        ("motor_lag", "command_delay"),
+        ("motor_lag", "battery_sag", "rotor_drag", "blade_flapping", "rotational_damping"),
+    ],
     ids="+".join,
-)  # fmt: skip
+)
 @pytest.mark.parametrize("noise", ["white", "gusts"])
 def test_the_whole_catalogue_on_flights_of_the_grid(hidden: tuple[str, ...], noise: str):
     ((_, plant, _, train, test),) = list(flown(Cell(hidden=hidden, noise=noise), [41]))
     found = discover(nominal(plant, "off", 41), train, test)
     # Gusts are there and have no name.
-    assert judge(found, hidden) in ("right", "group", *(("silent",) if noise == "gusts" and not hidden else ()))
+    assert judge(found, hidden) in (
+        "right",
+        "group",
+        *(("silent",) if noise == "gusts" and not hidden else ()),
+    )
 
 
 def test_flights_that_are_too_short_are_refused():
@@ -180,7 +209,9 @@ def test_flights_that_are_too_short_are_refused():
 def test_bad_data_stop_the_search_before_it_begins():
     channels = dict(small_world.flown().flights[0].segments[0].channels)
     channels["u1"], channels["u2"] = channels["u2"], channels["u1"]
-    data = dataset_from_arrays(small_world.flown().flights[0].segments[0].t, channels, name="swapped")
+    data = dataset_from_arrays(
+        small_world.flown().flights[0].segments[0].t, channels, name="swapped"
+    )
     found = discover(vehicle(), data)
     content = valid(found)
     assert content["verdict"] == "bad_data"

@@ -1,4 +1,5 @@
-"""Evidence by Laplace is the integral of likelihood times prior: exact for a linear model, and along one side at a bound."""
+"""Evidence by Laplace is the integral of likelihood times prior: exact for a linear model, and
+along one side at a bound."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Fits of a step run side by side, in processes or on a cluster, and the result is that of one process."""
+"""Fits of a step run side by side, in processes or on a cluster, and the result is that of one
+process."""
 
 from __future__ import annotations
 
@@ -25,7 +26,9 @@ def alone() -> list[Fitted]:
 
 @pytest.mark.slow
 def test_processes_give_the_same_numbers(alone: list[Fitted]):
-    with concurrent.futures.ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with concurrent.futures.ProcessPoolExecutor(
+        2, mp_context=multiprocessing.get_context("spawn")
+    ) as pool:
         flights = small_world.damped()
         flights.executor = pool
         assert [f.known for f in contested(flights)] == [f.known for f in alone]
@@ -51,7 +54,9 @@ def test_tasks_survive_the_wire():
     flights = small_world.damped()
     task = Task(structure=RIVALS[0], starts=(), tolerance=0.1, iterations=3)
     here = solved(flights.causes, flights.data, flights.options, task)
-    there = solved(*pickle.loads(pickle.dumps((flights.causes, flights.data, flights.options, task))))
+    there = solved(
+        *pickle.loads(pickle.dumps((flights.causes, flights.data, flights.options, task)))
+    )
     assert here[0].tolist() == there[0].tolist()
 
 

@@ -1,4 +1,5 @@
-"""The mean of the gusts of a flight belongs to the gusts: a steady force of every flight gains nothing beside them."""
+"""The mean of the gusts of a flight belongs to the gusts: a steady force of every flight gains
+nothing beside them."""
 
 from __future__ import annotations
 
@@ -13,13 +14,19 @@ RIDES = 12
 
 
 def gained(**world: float) -> float:
-    """Log evidence per ride of a steady force of its own, level and time of the gusts free in both structures."""
+    """Log evidence per ride of a steady force of its own, level and time of the gusts free in both
+    structures."""
     found = []
     for steady in (["b"], []):
         problem = make_problem(
-            gusty.model(), gusty.rides(RIDES, **world), predictor=Innovation(), criterion=Gaussian(),
-            free=[*steady, "disturbance.v.T"], noise=gusty.LEVELS, build=["b"],
-        )  # fmt: skip
+            gusty.model(),
+            gusty.rides(RIDES, **world),
+            predictor=Innovation(),
+            criterion=Gaussian(),
+            free=[*steady, "disturbance.v.T"],
+            noise=gusty.LEVELS,
+            build=["b"],
+        )
         theta, status = LevenbergMarquardt().solve(problem, problem.start)
         assert status.converged
         found.append(log_evidence(problem, theta, problem.evaluate(theta)))
@@ -27,7 +34,8 @@ def gained(**world: float) -> float:
 
 
 def test_a_force_that_is_the_mean_of_the_gusts_costs_evidence():
-    """Gusts that last as long as a ride have a mean there and start at any size: both are theirs."""
+    """Gusts that last as long as a ride have a mean there and start at any size: both are
+    theirs."""
     assert gained() < -0.5
 
 

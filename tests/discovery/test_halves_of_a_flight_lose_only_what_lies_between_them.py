@@ -1,4 +1,5 @@
-"""The halves of one flight are what lies well before its middle and well after it, whatever holes it has."""
+"""The halves of one flight are what lies well before its middle and well after it, whatever holes
+it has."""
 
 from __future__ import annotations
 
@@ -25,7 +26,9 @@ def stamps(data: Dataset) -> np.ndarray:
 @pytest.mark.parametrize("hole", [0.05, 3.0])
 def test_nothing_is_lost_but_around_the_middle(lengths: tuple[int, ...], hole: float) -> None:
     begins = np.cumsum([0.0, *(DT * n + hole for n in lengths[:-1])])
-    flight = Flight(name="one", segments=tuple(stretch(b, n) for b, n in zip(begins, lengths, strict=True)))
+    flight = Flight(
+        name="one", segments=tuple(stretch(b, n) for b, n in zip(begins, lengths, strict=True))
+    )
     whole = stamps(Dataset(flights=(flight,)))
     early, late = (stamps(h) for h in halves(Dataset(flights=(flight,))))
     assert late[0] - early[-1] >= APART - 1e-9

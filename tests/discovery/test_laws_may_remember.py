@@ -1,4 +1,5 @@
-"""What depends on the past is written down as such: a lag or a swing of a signal, with its time to be fitted."""
+"""What depends on the past is written down as such: a lag or a swing of a signal, with its time to
+be fitted."""
 
 from __future__ import annotations
 
@@ -20,7 +21,15 @@ from scenarios.plants.outside import RelaxingDrag, SloshingMass
 from scenarios.studies.discovery_outside import flights
 from tests.discovery.small_world import shorten, vehicle
 
-NAMES = (*(f"body_velocity.{a}" for a in "xyz"), *"pqr", *(f"attitude.{a}" for a in "wxyz"), "u1", "u2", "u3", "u4")
+NAMES = (
+    *(f"body_velocity.{a}" for a in "xyz"),
+    *"pqr",
+    *(f"attitude.{a}" for a in "wxyz"),
+    "u1",
+    "u2",
+    "u3",
+    "u4",
+)
 DT = 0.01
 
 
@@ -40,11 +49,18 @@ def every(z: np.ndarray, *parts: slice) -> list[Term]:
 
 def law(channel: str, *picked: Term) -> Axis:
     return Axis(
-        channel=channel, unit="N", rms=1.0, gain=100.0, lasts=1.0, needed=True, share=0.9,
+        channel=channel,
+        unit="N",
+        rms=1.0,
+        gain=100.0,
+        lasts=1.0,
+        needed=True,
+        share=0.9,
         terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
-        depends_on=(), codes=tuple(t.code for t in picked),
+        depends_on=(),
+        codes=tuple(t.code for t in picked),
         memories=tuple(None if t.memory is None else (t.memory, 0.3) for t in picked),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("memory", [Memory(time=0.2), Memory(time=0.1, damping=0.15)])
@@ -65,7 +81,11 @@ def test_a_memory_obeys_its_equation(memory: Memory):
 def test_terms_of_every_kind_are_offered_and_each_flight_starts_at_rest():
     z = features()
     whole, parted = every(z), every(z, slice(0, 300), slice(300, 600))
-    assert len({t.text for t in whole}) == len(whole) == 9 * (len(TIMES) + len(FREQUENCIES)) + len(TIMES)
+    assert (
+        len({t.text for t in whole})
+        == len(whole)
+        == 9 * (len(TIMES) + len(FREQUENCIES)) + len(TIMES)
+    )
     for a, b in zip(whole, parted, strict=True):
         np.testing.assert_array_equal(a.values[:300], b.values[:300])
         assert b.values[300] == 0.0
@@ -80,9 +100,17 @@ def test_the_file_of_a_remembered_law_integrates_what_the_term_says(tmp_path: Pa
     path = tmp_path / file_name(1)
     path.write_text(proposal_text(law("force.x", *picked), 1), encoding="utf-8")
     (effect,) = load_effects(path)
-    assert [p.name for p in effect.parameters(vehicle())] == ["c_1", "c_2", "time_1", "time_2", "damping_2"]
+    assert [p.name for p in effect.parameters(vehicle())] == [
+        "c_1",
+        "c_2",
+        "time_1",
+        "time_2",
+        "damping_2",
+    ]
     model = build_model(vehicle(), ("p", "q", "r", "ax", "ay", "az"), [effect])
-    assert model.states.names[-3:] == tuple(f"memory.proposal_force_x.{n}" for n in ("term_1", "term_2", "term_2_rate"))
+    assert model.states.names[-3:] == tuple(
+        f"memory.proposal_force_x.{n}" for n in ("term_1", "term_2", "term_2_rate")
+    )
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
     p = ca.SX.sym("p", len(model.parameters))
     f = ca.Function("f", [x, u, p], [ca.densify(model.f(0, x, u, p))])
@@ -94,7 +122,9 @@ def test_the_file_of_a_remembered_law_integrates_what_the_term_says(tmp_path: Pa
     time = 1 / (2 * np.pi * 1.0)
     (centre,) = (float(t.code.split(" - ")[1]) if " - " in t.code else 0.0 for t in picked[1:])
     np.testing.assert_allclose(
-        got, [(2.0 - 0.5) / 0.3, -0.2, (0.0 - centre - 0.1) / time**2 + 2 * DAMPING * 0.2 / time], rtol=2e-3
+        got,
+        [(2.0 - 0.5) / 0.3, -0.2, (0.0 - centre - 0.1) / time**2 + 2 * DAMPING * 0.2 / time],
+        rtol=2e-3,
     )
 
 
@@ -107,7 +137,9 @@ def test_terms_with_and_without_a_memory_share_a_file():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hidden", [RelaxingDrag(k=0.25), SloshingMass(mass=0.03)], ids=lambda e: e.name)
+@pytest.mark.parametrize(
+    "hidden", [RelaxingDrag(k=0.25), SloshingMass(mass=0.03)], ids=lambda e: e.name
+)
 def test_the_law_of_a_hidden_state_is_found_and_closes_the_gap(
     hidden: RelaxingDrag | SloshingMass, monkeypatch: pytest.MonkeyPatch
 ):
@@ -126,4 +158,7 @@ def test_a_proposal_next_to_an_earlier_one_has_a_name_of_its_own():
     earlier = proposed([law("force.x", every(z)[0])])
     (later,) = proposed([law("force.x", every(z)[1])], [e.name for e in earlier])
     assert [e.name for e in (*earlier, later)] == ["proposal_force_x", "further_proposal_force_x"]
-    assert len(build_model(vehicle(), ("p", "q", "r", "ax", "ay", "az"), [*earlier, later]).effects) == 2
+    assert (
+        len(build_model(vehicle(), ("p", "q", "r", "ax", "ay", "az"), [*earlier, later]).effects)
+        == 2
+    )

@@ -1,4 +1,5 @@
-"""What is left over is called a law only where a few signals explain it on flights that were left out."""
+"""What is left over is called a law only where a few signals explain it on flights that were left
+out."""
 
 from __future__ import annotations
 
@@ -21,9 +22,20 @@ from greybox.residual.laws.terms import terms
 from tests.discovery.small_world import flown, vehicle
 
 NAMES = (
-    "body_velocity.x", "body_velocity.y", "p", "q", "position.z",
-    "attitude.w", "attitude.x", "attitude.y", "attitude.z", "u1", "u2", "u3", "u4",
-)  # fmt: skip
+    "body_velocity.x",
+    "body_velocity.y",
+    "p",
+    "q",
+    "position.z",
+    "attitude.w",
+    "attitude.x",
+    "attitude.y",
+    "attitude.z",
+    "u1",
+    "u2",
+    "u3",
+    "u4",
+)
 
 
 def signals(n: int = 400, seed: int = 0) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -56,7 +68,13 @@ def law(y: np.ndarray, z: np.ndarray, flights: tuple[str, ...], seed: int = 0) -
     found = laws_of(offered, len(y), seed, ("thrust.c2", "torque.c2"))
     rms = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
     return Axis(
-        channel="torque.z", unit="N m", rms=rms, gain=100.0, lasts=1.0, needed=True, **found.get("torque.z", {})
+        channel="torque.z",
+        unit="N m",
+        rms=rms,
+        gain=100.0,
+        lasts=1.0,
+        needed=True,
+        **found.get("torque.z", {}),
     )
 
 
@@ -73,14 +91,18 @@ def test_a_planted_law_is_written_down_with_its_coefficients():
     assert found.share > 0.9
     assert "p" in found.depends_on
     assert {"north.y", "east.x"} & set(found.depends_on)  # the same thing, of a level craft
-    assert max(found.terms.get("north.y", 0), found.terms.get("east.x", 0)) == pytest.approx(0.3, abs=0.02)
+    assert max(found.terms.get("north.y", 0), found.terms.get("east.x", 0)) == pytest.approx(
+        0.3, abs=0.02
+    )
     assert found.terms["p |p|"] == pytest.approx(-0.2, abs=0.02)
     assert found.to_dict()["proposal"].startswith("torque.z = ")
 
 
 def test_a_product_of_two_signals_is_found():
     z, flights = signals(seed=4)
-    y = column(z, "body_velocity.x") * column(z, "q") + 0.1 * np.random.default_rng(2).standard_normal(len(z))
+    y = column(z, "body_velocity.x") * column(z, "q") + 0.1 * np.random.default_rng(
+        2
+    ).standard_normal(len(z))
     found = law(y, z, flights)
     assert found.lawful
     assert set(found.depends_on) == {"velocity.x", "q"}
@@ -110,7 +132,9 @@ def test_what_turns_its_sign_between_flights_is_no_law():
 
 def test_a_mean_is_no_law_and_bends_none():
     z, flights = signals(n=2000, seed=3)
-    found = law(2.0 + column(z, "q") + 0.7 * np.random.default_rng(6).standard_normal(len(z)), z, flights)
+    found = law(
+        2.0 + column(z, "q") + 0.7 * np.random.default_rng(6).standard_normal(len(z)), z, flights
+    )
     assert set(found.terms) == {"q"}
     assert found.terms["q"] == pytest.approx(1.0, abs=0.05)
 
@@ -176,7 +200,9 @@ def test_responses_are_what_a_force_does_to_the_innovations():
     """Against the filter itself, its model pushed by a small constant force."""
     data = flown(seconds=3.0)
     (segment,) = next(iter(data)).segments
-    model = fit(build_model(vehicle(), data.channels, ["constant_force"]), data, initialisation="noise").model
+    model = fit(
+        build_model(vehicle(), data.channels, ["constant_force"]), data, initialisation="noise"
+    ).model
     runner = Filter(model)
     p = model.flight_vector(segment.flight)
     moved = p.copy()

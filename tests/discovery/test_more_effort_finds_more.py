@@ -1,4 +1,5 @@
-"""Raising effort changes no verdict but towards more found: in linear worlds of known answers, drawn at random."""
+"""Raising effort changes no verdict but towards more found: in linear worlds of known answers,
+drawn at random."""
 
 from __future__ import annotations
 
@@ -25,19 +26,27 @@ FOUND = ("certified", "one of these", "not certified")
 
 
 def world(seed: int) -> tuple[World, World]:
-    """To teach and to judge: nine causes, of which some are alike and some act together, up to three are there."""
+    """To teach and to judge: nine causes, of which some are alike and some act together, up to
+    three are there."""
     rng = np.random.default_rng(seed)
-    hidden = {n: rng.normal(0.0, 1.0, k) for n, k in (("a", 1), ("c", 2), ("f", 1)) if rng.random() < 0.5}
+    hidden = {
+        n: rng.normal(0.0, 1.0, k) for n, k in (("a", 1), ("c", 2), ("f", 1)) if rng.random() < 0.5
+    }
     mixed = rng.uniform(-1.0, 1.0, 3)
     worlds = []
     for _ in range(2):
         a, d, h = (rng.standard_normal((SAMPLES, 1)) for _ in range(3))
         columns = {
-            "a": a, "b": 0.9 * a + 0.3 * rng.standard_normal((SAMPLES, 1)), "c": rng.standard_normal((SAMPLES, 2)),
-            "d": d, "e": a * mixed[0] - d * mixed[1] + 0.2 * rng.standard_normal((SAMPLES, 1)),
-            "f": d + 0.3 * h, "g": h, "h": a + h * mixed[2] + 0.3 * rng.standard_normal((SAMPLES, 1)),
+            "a": a,
+            "b": 0.9 * a + 0.3 * rng.standard_normal((SAMPLES, 1)),
+            "c": rng.standard_normal((SAMPLES, 2)),
+            "d": d,
+            "e": a * mixed[0] - d * mixed[1] + 0.2 * rng.standard_normal((SAMPLES, 1)),
+            "f": d + 0.3 * h,
+            "g": h,
+            "h": a + h * mixed[2] + 0.3 * rng.standard_normal((SAMPLES, 1)),
             "i": rng.standard_normal((SAMPLES, 3)),
-        }  # fmt: skip
+        }
         shared = rng.standard_normal((SAMPLES, 6))
         y = shared @ np.linspace(-2, 2, 6) + rng.standard_normal(SAMPLES)
         for name, size in hidden.items():
@@ -76,8 +85,11 @@ def test_no_verdict_is_lost_by_raising_effort():
 
 
 @pytest.mark.parametrize(("promise", "tried"), [(5.0, False), (500.0, True)])
-def test_colour_waits_for_what_gains_more_than_it_promises(promise: float, tried: bool, monkeypatch: pytest.MonkeyPatch):
-    """A motor lag bends into colour of every sensor, whose fits took nine tenths of the time that it took to name it."""
+def test_colour_waits_for_what_gains_more_than_it_promises(
+    promise: float, tried: bool, monkeypatch: pytest.MonkeyPatch
+):
+    """A motor lag bends into colour of every sensor, whose fits took nine tenths of the time that
+    it took to name it."""
 
     class Coloured(World):
         @property
@@ -91,8 +103,12 @@ def test_colour_waits_for_what_gains_more_than_it_promises(promise: float, tried
             """None joins."""
 
     module: Any = greybox.discovery.search
-    monkeypatch.setattr(module, "sensor_proposals", lambda *_: ([SimpleNamespace(name="colour")], promise))
-    monkeypatch.setattr(module, "scored", lambda flights, at: scores(flights.bare, sorted(at.structure)))
+    monkeypatch.setattr(
+        module, "sensor_proposals", lambda *_: ([SimpleNamespace(name="colour")], promise)
+    )
+    monkeypatch.setattr(
+        module, "scored", lambda flights, at: scores(flights.bare, sorted(at.structure))
+    )
     rng = np.random.default_rng(1)
     columns = {n: rng.standard_normal((SAMPLES, 1)) for n in ("a", "colour")}
     y = 3.0 * columns["a"][:, 0] + rng.standard_normal(SAMPLES)

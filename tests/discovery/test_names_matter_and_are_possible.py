@@ -1,4 +1,5 @@
-"""A name is worth something and of a size that a craft can have; otherwise it is said to be that, and is none."""
+"""A name is worth something and of a size that a craft can have; otherwise it is said to be that,
+and is none."""
 
 from __future__ import annotations
 
@@ -24,13 +25,17 @@ BAR, ALPHA = 6.0, 0.05
 
 
 def foresight(
-    level: float, noise: float = 0.0, groups: tuple[str, ...] = ("velocity", "rotation"), reading: float = 0.0
+    level: float,
+    noise: float = 0.0,
+    groups: tuple[str, ...] = ("velocity", "rotation"),
+    reading: float = 0.0,
 ) -> HeldOutErrors:
     rng = np.random.default_rng(0)
     own = {
         (g, h): [level * (1 + noise * rng.uniform(-1, 1)) * np.ones(20) for _ in range(12)]
-        for g in groups for h in (0.0, 0.1, 0.5)
-    }  # fmt: skip
+        for g in groups
+        for h in (0.0, 0.1, 0.5)
+    }
     return HeldOutErrors(own=own, floor={}, reading=dict.fromkeys(groups, reading))
 
 
@@ -80,12 +85,20 @@ def test_the_status_follows_from_evidence_worth_and_size(
     rivals: dict[str, float], better: float, odd: str, status: str
 ):
     bar = BAR if status != "supported" else 3.0  # twelve seconds of bets do not reach more
-    name = judged(certificate(**rivals), worth(foresight(1.0), foresight(1.0 - better)), odd, bar, ALPHA)
+    name = judged(
+        certificate(**rivals), worth(foresight(1.0), foresight(1.0 - better)), odd, bar, ALPHA
+    )
     assert name.status == status
 
 
 def test_shares_of_a_set_are_probabilities_and_follow_the_evidence():
-    name = judged(certificate(nothing=20.0, b=1.0, c_d=-5.0), worth(foresight(1.0), foresight(0.5)), "", BAR, ALPHA)
+    name = judged(
+        certificate(nothing=20.0, b=1.0, c_d=-5.0),
+        worth(foresight(1.0), foresight(0.5)),
+        "",
+        BAR,
+        ALPHA,
+    )
     assert list(name.shares) == ["a", "b", "c+d"]
     assert sum(name.shares.values()) == pytest.approx(1.0)
     assert name.shares["c+d"] > name.shares["a"] > name.shares["b"]
@@ -106,20 +119,31 @@ def test_a_size_that_no_craft_has_is_a_fault_of_the_data():
             object.__setattr__(d, "possible", np.inf)
 
 
-@pytest.mark.parametrize(("size", "why"), [(0.2, ""), (-0.4, "fault of the data"), (-0.5, "fault of the data")])
+@pytest.mark.parametrize(
+    ("size", "why"), [(0.2, ""), (-0.4, "fault of the data"), (-0.5, "fault of the data")]
+)
 def test_an_accelerometer_that_is_off_by_half_is_no_property_of_a_craft(size: float, why: str):
     """-0.5 was the bound at which a real nano quadrotor had its name."""
     with pytest.MonkeyPatch.context() as patch:
         small_world.shorten(patch, "accelerometer_scale")
         data = small_world.flown()
-        flights = Flights(causes=offer(small_world.vehicle(), data.channels, sample_time=0.01), data=data)
+        flights = Flights(
+            causes=offer(small_world.vehicle(), data.channels, sample_time=0.01), data=data
+        )
     structure = frozenset({"accelerometer_scale"})
     problem = problem_of(flights.causes, data, flights.options, structure)
     theta = problem.start.copy()
     theta[problem.index["accelerometer_scale.s_x", None]] = size
     value = Value(cost=0.0, likelihood=0.0, gradient=np.zeros(problem.n))
     status = Status(code=Code.CONVERGED, iterations=1, evaluations=1, decrement=0.0)
-    at = Fitted(structure=structure, problem=problem, theta=theta, value=value, status=status, log_evidence=0.0)
+    at = Fitted(
+        structure=structure,
+        problem=problem,
+        theta=theta,
+        value=value,
+        status=status,
+        log_evidence=0.0,
+    )
     said = impossible(at, flights, "accelerometer_scale")
     assert why in said and bool(said) == bool(why)
 

@@ -1,4 +1,5 @@
-"""Colour and a filter of a sensor are offered together; what of them is not there leaves the model again."""
+"""Colour and a filter of a sensor are offered together; what of them is not there leaves the model
+again."""
 
 from __future__ import annotations
 

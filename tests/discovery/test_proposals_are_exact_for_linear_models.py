@@ -1,4 +1,5 @@
-"""Predicted gains and what stands in for a cause: exact where the model is linear, whatever is collinear is found."""
+"""Predicted gains and what stands in for a cause: exact where the model is linear, whatever is
+collinear is found."""
 
 from __future__ import annotations
 
@@ -17,7 +18,9 @@ def test_the_predicted_gain_is_the_gain_in_evidence(names: tuple[str, ...]):
     exact = world.fit(names).log_evidence - world.fit(()).log_evidence
     predicted = scores(world).proposal(*names)
     assert predicted.gain == pytest.approx(exact, abs=1e-5)
-    assert predicted.start == pytest.approx({k: v for k, v in world.fit(names).known.items() if k[0][:2] != "b_"})
+    assert predicted.start == pytest.approx(
+        {k: v for k, v in world.fit(names).known.items() if k[0][:2] != "b_"}
+    )
 
 
 def test_a_bound_keeps_a_cause_from_gaining_on_the_wrong_side():
@@ -30,7 +33,12 @@ def test_a_bound_keeps_a_cause_from_gaining_on_the_wrong_side():
 def test_exact_collinearity_is_found_alone_and_in_pairs():
     world, _ = drawn(4, {"a": np.array([2.0])})
     half = np.random.default_rng(5).standard_normal((len(world.y), 1))
-    world.columns = {**world.columns, "one": half, "rest": world.columns["a"] - half, "twin": -2 * world.columns["a"]}
+    world.columns = {
+        **world.columns,
+        "one": half,
+        "rest": world.columns["a"] - half,
+        "twin": -2 * world.columns["a"],
+    }
     found = {frozenset(names): share for share, names, _ in scores(world, ("a",)).instead("a")}
     best = scores(world, ("a",)).instead("a")[0]
     assert best[1] == ("twin",)
@@ -47,11 +55,17 @@ def test_pairs_are_proposed_where_each_leaves_room_for_the_other():
     one = rng.standard_normal((n, 1))
     two = one + 0.2 * rng.standard_normal((n, 1))
     y = 3 * (two - one)[:, 0] + rng.standard_normal(n)
-    world = World(columns={"one": one, "two": two, "other": rng.standard_normal((n, 1))}, shared=np.ones((n, 1)), y=y)
+    world = World(
+        columns={"one": one, "two": two, "other": rng.standard_normal((n, 1))},
+        shared=np.ones((n, 1)),
+        y=y,
+    )
     best = proposals(scores(world), price=3.0)[0]
     assert set(best.causes) == {"one", "two"}
 
 
 def test_what_would_be_certified_shrinks_with_the_flights():
-    few, many = (scores(drawn(1, {}, samples=n)[0]).smallest("a", 6.0, 0.5)["a.k_0"] for n in (60, 960))
+    few, many = (
+        scores(drawn(1, {}, samples=n)[0]).smallest("a", 6.0, 0.5)["a.k_0"] for n in (60, 960)
+    )
     assert many == pytest.approx(few / 4, rel=0.3)

@@ -1,4 +1,5 @@
-"""A torque that no catalogue effect explains: no wrong name survives, and the proposed file closes the gap if used."""
+"""A torque that no catalogue effect explains: no wrong name survives, and the proposed file closes
+the gap if used."""
 
 from __future__ import annotations
 
@@ -26,7 +27,10 @@ def found() -> Discovery:
     with pytest.MonkeyPatch.context() as patch:
         shorten(patch)
         return discover(
-            vehicle(), flights(HIDDEN, (1, 2), 10.0, "train"), flights(HIDDEN, (11,), 10.0, "test"), attainable=True
+            vehicle(),
+            flights(HIDDEN, (1, 2), 10.0, "train"),
+            flights(HIDDEN, (11,), 10.0, "test"),
+            attainable=True,
         )
 
 
@@ -46,7 +50,9 @@ def test_the_law_is_the_magnets(found: Discovery):
     assert law.terms.get("north.y", law.terms.get("east.x")) == pytest.approx(3e-3, rel=0.25)
 
 
-def test_the_proposals_close_most_of_the_gap_and_load_as_a_users_effects(found: Discovery, tmp_path: Path):
+def test_the_proposals_close_most_of_the_gap_and_load_as_a_users_effects(
+    found: Discovery, tmp_path: Path
+):
     half = [r for r in found.gap if r.horizon_s == 0.5 and r.group == "rotation"]
     assert half[0].closed == pytest.approx(0.0, abs=0.05)
     assert half[0].with_proposals is not None
@@ -61,7 +67,10 @@ def test_the_proposals_close_most_of_the_gap_and_load_as_a_users_effects(found: 
     with pytest.MonkeyPatch.context() as patch:
         shorten(patch)
         again = discover(
-            vehicle(), flights(HIDDEN, (1, 2), 10.0, "train"), flights(HIDDEN, (11,), 10.0, "test"), own=own
+            vehicle(),
+            flights(HIDDEN, (1, 2), 10.0, "train"),
+            flights(HIDDEN, (11,), 10.0, "test"),
+            own=own,
         )
     names = {e["name"] for e in again.effects()}
     assert names

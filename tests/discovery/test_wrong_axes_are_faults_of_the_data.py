@@ -1,4 +1,5 @@
-"""Axes that are wrong are refused as a fault of the data before any search, and are no wind and no mounting angle."""
+"""Axes that are wrong are refused as a fault of the data before any search, and are no wind and no
+mounting angle."""
 
 from __future__ import annotations
 
@@ -19,8 +20,14 @@ ATTITUDE = ("qw", "qx", "qy", "qz")
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Of quaternions (4, n)."""
     (w, x, y, z), (i, j, k, m) = a, b
-    return np.array([w * i - x * j - y * k - z * m, w * j + x * i + y * m - z * k,
-                     w * k - x * m + y * i + z * j, w * m + x * k - y * j + z * i])  # fmt: skip
+    return np.array(
+        [
+            w * i - x * j - y * k - z * m,
+            w * j + x * i + y * m - z * k,
+            w * k - x * m + y * i + z * j,
+            w * m + x * k - y * j + z * i,
+        ]
+    )
 
 
 def yawed(degrees: float, world: bool) -> Callable[[Channels], Channels]:
@@ -45,7 +52,10 @@ def in_world_axes(channels: Channels) -> Channels:
 
 def changed(change: Callable[[Channels], Channels]) -> Dataset:
     """The short flights with channels that are changed."""
-    flights = [replace(f, segments=tuple(s.replace(change(s.channels)) for s in f.segments)) for f in flown()]
+    flights = [
+        replace(f, segments=tuple(s.replace(change(s.channels)) for s in f.segments))
+        for f in flown()
+    ]
     return Dataset(flights=tuple(flights))
 
 
@@ -57,7 +67,12 @@ def changed(change: Callable[[Channels], Channels]) -> Dataset:
         (yawed(28.0, world=False), "turned by 28 deg"),
         (in_world_axes, "the gyro is in world axes"),
     ],
-    ids=["markers by 90 degrees", "world by 90 degrees", "markers by 28 degrees", "rates in world axes"],
+    ids=[
+        "markers by 90 degrees",
+        "world by 90 degrees",
+        "markers by 28 degrees",
+        "rates in world axes",
+    ],
 )
 def test_they_stop_the_search_before_it_begins(change: Callable[[Channels], Channels], said: str):
     found = discover(vehicle(), changed(change))

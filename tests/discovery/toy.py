@@ -1,9 +1,10 @@
-"""A first-order system of the user's own whose candidates are known: small and fast problems for the score tests.
+"""A first-order system of the user's own whose candidates are known: small and fast problems for
+the score tests.
 
     x' = -a x + b u + q u^2 + s1 sin(2 x) + s2 x |x|,    y = x + e
 
-a and b are free, `square` = {q} and `bend` = {s1, s2} are candidates with null 0, `copy` = {g} enters like b does and
-cannot be told from it.
+a and b are free, `square` = {q} and `bend` = {s1, s2} are candidates with null 0, `copy` = {g}
+enters like b does and cannot be told from it.
 """
 
 from __future__ import annotations
@@ -43,8 +44,14 @@ def model() -> StateSpaceModel:
         inputs=Layout([Signal(name="u", unit="N")]),
         outputs=Layout([Signal(name="y", unit="m")]),
         parameters=(
-            *(Parameter(name=n, unit="1/s", nominal=v, lower=0.1 * v, upper=10 * v, scale=v) for n, v in core.items()),
-            *(Parameter(name=n, unit="1/s", nominal=0.0, lower=-5, upper=5, null=0.0, scale=0.1) for n in NULL),
+            *(
+                Parameter(name=n, unit="1/s", nominal=v, lower=0.1 * v, upper=10 * v, scale=v)
+                for n, v in core.items()
+            ),
+            *(
+                Parameter(name=n, unit="1/s", nominal=0.0, lower=-5, upper=5, null=0.0, scale=0.1)
+                for n in NULL
+            ),
         ),
         dynamics=_derivative,
         measurement=lambda t, x, u, p: [x[0]],
@@ -55,9 +62,11 @@ def model() -> StateSpaceModel:
     )
 
 
-def record(seed: int, truth: Mapping[str, float] | None = None, n: int = 400, bursts: bool = False) -> Dataset:
-    """n samples under random steps, white process and sensor noise; `truth` sets candidates. With `bursts` the steps are
-    small but for two stretches of 20 samples, in which alone u^2 is felt."""
+def record(
+    seed: int, truth: Mapping[str, float] | None = None, n: int = 400, bursts: bool = False
+) -> Dataset:
+    """n samples under random steps, white process and sensor noise; `truth` sets candidates. With
+    `bursts` the steps are small but for two stretches of 20 samples, in which alone u^2 is felt."""
     p = {"a": 1.0, "b": 2.0, **NULL, **(truth or {})}
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.uniform(-1, 1, n // 10), 10)

@@ -1,4 +1,5 @@
-"""The other project of the package index that is called greybox is noticed, and every hint names the right distribution."""
+"""The other project of the package index that is called greybox is noticed, and every hint names
+the right distribution."""
 
 from __future__ import annotations
 
@@ -45,14 +46,21 @@ def test_a_checkout_is_not_taken_for_it(tmp_path: Path, monkeypatch: pytest.Monk
 def test_the_project_has_the_name_and_version_that_hints_give() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     assert project["project"]["name"] == NAME
-    assert project["tool"]["setuptools"]["dynamic"]["version"]["attr"] == "greybox.distribution.VERSION"
+    assert (
+        project["tool"]["setuptools"]["dynamic"]["version"]["attr"]
+        == "greybox.distribution.VERSION"
+    )
     assert re.fullmatch(r"\d+\.\d+\.\d+", VERSION)
 
 
 def test_every_extra_that_a_hint_names_is_declared() -> None:
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
     files = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
-    files += [p for room in ("greybox", "mpc_export", "scenarios") for p in (ROOT / room).rglob("*.py")]
+    files += [
+        p for room in ("greybox", "mpc_export", "scenarios") for p in (ROOT / room).rglob("*.py")
+    ]
     wrong = []
     for path in files:
         text = path.read_text(encoding="utf-8")

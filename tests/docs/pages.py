@@ -2,9 +2,9 @@
 
 python    run top to bottom, one namespace and one folder per page
 console   lines that begin with "$ " (and lines after a trailing backslash) are commands: one bash with `set -eo pipefail`
-          runs them in the page's folder, the commands of this Python first in PATH. All other lines are output that must
-          come, in this order: blanks count as one, numbers agree within 5 % or one in their last decimal, "..." stands for
-          anything
+          runs them in the page's folder, the commands of this Python first in PATH. All other lines
+          are output that must come, in this order: blanks count as one, numbers agree within 5 % or
+          one in their last decimal, "..." stands for anything
 toml      parsed; one with the schema of vehicle files is read as one
 json      parsed
 c         a file that compiles (where there is a compiler), with the headers of the bundles that the page exported before
@@ -40,7 +40,8 @@ _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
 @dataclass(frozen=True)
 class Block:
-    """One fenced block: its language ("" where none is said), its text and the line of the page on which the text begins."""
+    """One fenced block: its language ("" where none is said), its text and the line of the page on
+    which the text begins."""
 
     language: str
     text: str
@@ -86,14 +87,19 @@ def _same_word(shown: str, came: str) -> bool:
     for a, b in zip(numbers, others):
         mantissa, _, exponent = a.partition("e")
         # A whole number is a count: it has no last digit to be off by.
-        last_digit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])) if a.strip("+-0123456789") else 0.0
+        last_digit = (
+            10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+            if a.strip("+-0123456789")
+            else 0.0
+        )
         if abs(float(a) - float(b)) > max(0.05 * abs(float(a)), 1.001 * last_digit):
             return False
     return True
 
 
 def same_line(shown: str, came: str) -> bool:
-    """Whether a line of output is the one shown: blanks count as one, numbers within 5 %, "..." for any words."""
+    """Whether a line of output is the one shown: blanks count as one, numbers within 5 %, "..." for
+    any words."""
     words, others = shown.split(), came.split()
 
     def match(i: int, j: int) -> bool:
@@ -116,37 +122,61 @@ def first_missing(shown: list[str], came: list[str]) -> str | None:
 
 
 def run_console(text: str, folder: Path) -> None:
-    """Run a console block in `folder` and compare what it shows. Raises `AssertionError` with the output."""
+    """Run a console block in `folder` and compare what it shows. Raises `AssertionError` with the
+    output."""
     script, shown = commands_and_output(text)
     environment = {
         **os.environ,
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
         "COLUMNS": "120",
     }
-    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment["PYTHONPATH"] = os.pathsep.join(
+        [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    )
     done = subprocess.run(
         ["bash", "-c", f"set -eo pipefail\n{script}"],
-        cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=600,
-    )  # fmt: skip
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=600,
+    )
     assert done.returncode == 0, f"exit code {done.returncode}:\n{script}\n{done.stdout}"
     missing = first_missing(shown, done.stdout.splitlines())
     assert missing is None, f"not in the output: {missing!r}\n{script}\n{done.stdout}"
 
 
 def run_c(text: str, folder: Path) -> None:
-    """Compile a C file strictly, without linking. Raises `AssertionError` with the compiler's messages."""
+    """Compile a C file strictly, without linking. Raises `AssertionError` with the compiler's
+    messages."""
     if shutil.which("cc") is None:
         return
     includes = [f"-I{p}" for p in folder.glob("*/c")]
     done = subprocess.run(
-        ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", *includes, "-x", "c", "-"],
-        input=text, capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
+        [
+            "cc",
+            "-std=c99",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            "-fsyntax-only",
+            *includes,
+            "-x",
+            "c",
+            "-",
+        ],
+        input=text,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     assert done.returncode == 0, done.stderr
 
 
 def run_page(path: Path, folder: Path) -> int:
-    """Execute every block of a page in `folder`, which is the current directory; returns how many were executed."""
+    """Execute every block of a page in `folder`, which is the current directory; returns how many
+    were executed."""
     namespace: dict[str, object] = {}
     executed = 0
     for block in blocks(path.read_text()):

@@ -1,4 +1,5 @@
-"""Every row of docs/accuracy.md names a test, or a command, that is there; a row marked slow names one that is."""
+"""Every row of docs/accuracy.md names a test, or a command, that is there; a row marked slow names
+one that is."""
 
 from __future__ import annotations
 
@@ -43,5 +44,7 @@ def test_slow_is_said_where_it_is() -> None:
 
 
 def test_every_row_of_a_table_has_its_proof() -> None:
-    rows = [r for r in PAGE.splitlines() if r.startswith("| ") and not r.startswith(("| what", "|---"))]
+    rows = [
+        r for r in PAGE.splitlines() if r.startswith("| ") and not r.startswith(("| what", "|---"))
+    ]
     assert [r for r in rows if "`tests/" not in r and "`python " not in r] == []

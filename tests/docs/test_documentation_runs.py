@@ -1,4 +1,5 @@
-"""Every fenced block of README.md and docs/ is executed (tests/docs/pages.py says how), and every link leads somewhere."""
+"""Every fenced block of README.md and docs/ is executed (tests/docs/pages.py says how), and every
+link leads somewhere."""
 
 from __future__ import annotations
 
@@ -28,7 +29,13 @@ def _has_code(page: Path) -> bool:
     return any(b.language not in ("text", "") for b in blocks(page.read_text()))
 
 
-LONG = ("docs/automatic.md", "docs/howto.md", "docs/own_model.md", "docs/plan.md", "docs/tutorial.md")
+LONG = (
+    "docs/automatic.md",
+    "docs/howto.md",
+    "docs/own_model.md",
+    "docs/plan.md",
+    "docs/tutorial.md",
+)
 """Pages that fit and plan for minutes: with the slow checks."""
 
 
@@ -56,17 +63,22 @@ def test_every_block_says_what_it_is() -> None:
 
 
 def shown_commands(page: str) -> list[str]:
-    """Lines `greybox ...` of sketches: of blocks that are only text, and of paragraphs that are indented by four."""
+    """Lines `greybox ...` of sketches: of blocks that are only text, and of paragraphs that are
+    indented by four."""
     text = "".join(b.text for b in blocks(page) if b.language == "text")
     indented = re.sub(r"^```.*?^```", "", page, flags=re.MULTILINE | re.DOTALL)
-    text += "".join(f"{line[4:]}\n" for line in indented.splitlines() if line.startswith("    ")) + "\n"
+    text += (
+        "".join(f"{line[4:]}\n" for line in indented.splitlines() if line.startswith("    ")) + "\n"
+    )
     lines = re.sub(r"\\\n\s*", " ", text).splitlines()
     parts = [part.partition("  #")[0].strip() for line in lines for part in line.split(";")]
     return [p for p in parts if p.startswith("greybox ") and "[" not in p]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_commands_that_are_only_shown_are_understood(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_that_are_only_shown_are_understood(
+    page: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     parser = build_parser()
     wrong = []
     for command in shown_commands(page.read_text()):
@@ -90,7 +102,9 @@ def test_every_link_leads_somewhere(page: Path) -> None:
             continue
         name, _, anchor = target.partition("#")
         file = (page.parent / name) if name else page
-        if not file.exists() or (anchor and file.suffix == ".md" and anchor not in _anchors(file.read_text())):
+        if not file.exists() or (
+            anchor and file.suffix == ".md" and anchor not in _anchors(file.read_text())
+        ):
             broken.append(target)
     assert not broken
 
@@ -104,7 +118,12 @@ def test_every_page_is_in_the_index() -> None:
 
 def test_a_console_block_fails_where_it_should(tmp_path: Path) -> None:
     run_console("$ printf 'mass  0.0334 kg\\nend\\n'\nmass 0.033 kg\n...\nend\n", tmp_path)
-    for wrong in ("$ false\n", "$ false | cat\n", "$ echo mass 1.2 kg\nmass 1.4 kg\n", "$ echo a; echo b\nb\na\n"):
+    for wrong in (
+        "$ false\n",
+        "$ false | cat\n",
+        "$ echo mass 1.2 kg\nmass 1.4 kg\n",
+        "$ echo a; echo b\nb\na\n",
+    ):
         with pytest.raises(AssertionError):
             run_console(wrong, tmp_path)
 
@@ -131,8 +150,15 @@ def test_a_wrong_block_of_any_kind_fails(language: str, tmp_path: Path) -> None:
 
 def test_shown_output_is_compared_word_by_word() -> None:
     assert commands_and_output("$ a \\\n    b\nout\n$ c\n") == ("a \\\n    b\nc", ["out"])
-    assert same_line("x = 1.00 ± 0.10", "x  = 1.04 ± 0.11") and not same_line("x = 1.00", "x = 1.06")
-    assert same_line("iteration ... decrease ...", "iteration 3 cost 5 decrease 1e-3") and not same_line("a b", "a b c")
+    assert same_line("x = 1.00 ± 0.10", "x  = 1.04 ± 0.11") and not same_line(
+        "x = 1.00", "x = 1.06"
+    )
+    assert same_line(
+        "iteration ... decrease ...", "iteration 3 cost 5 decrease 1e-3"
+    ) and not same_line("a b", "a b c")
     assert same_line("p: 1e-3,", "p: 1.02e-3,") and not same_line("+1", "-1")
     assert not same_line("3 files", "4 files") and same_line("100 ms", "104 ms")
-    assert first_missing(["b", "a"], ["a", "b"]) == "a" and first_missing(["a", "..."], ["0", "a"]) is None
+    assert (
+        first_missing(["b", "a"], ["a", "b"]) == "a"
+        and first_missing(["a", "..."], ["0", "a"]) is None
+    )

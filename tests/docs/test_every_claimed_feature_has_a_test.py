@@ -20,7 +20,9 @@ ELSEWHERE = ("Export", "Consumers")
 CLAIMS: dict[str, dict[str, str]] = {
     "Logs": {
         "PX4": "tests/cli/test_a_px4_log_goes_from_inspect_to_discover.py",
-        **dict.fromkeys(("ROS", "Betaflight", "ArduPilot", "Crazyflie", "MATLAB", "Parquet"), READERS),
+        **dict.fromkeys(
+            ("ROS", "Betaflight", "ArduPilot", "Crazyflie", "MATLAB", "Parquet"), READERS
+        ),
         "CSV as they come": "tests/data/test_csv_reader_keeps_every_value.py",
         "greybox inspect says what a log holds and lacks": "tests/cli/test_inspect_tells_what_a_log_is_good_for.py",
         "greybox check finds faults": "tests/cli/test_check_reports_to_people_and_machines.py",
@@ -67,7 +69,8 @@ CLAIMS: dict[str, dict[str, str]] = {
         "MuJoCo": "tests/simulators/test_mujoco_flies_what_the_model_flies.py",
         "crazyflow": "tests/simulators/test_drone_models_fly_what_the_statement_says.py",
         **dict.fromkeys(
-            ("PyBullet", "Gazebo", "PX4", "ArduPilot", "Isaac"), "tests/simulators/test_written_numbers_give_the_wrench.py"
+            ("PyBullet", "Gazebo", "PX4", "ArduPilot", "Isaac"),
+            "tests/simulators/test_written_numbers_give_the_wrench.py",
         ),
         "FlightGoggles": "tests/simulators/test_written_numbers_give_the_wrench.py",
         "JSBSim": "tests/simulators/test_simulators_fly_the_model_with_the_rest.py",
@@ -80,28 +83,39 @@ CLAIMS: dict[str, dict[str, str]] = {
         "test_tube_is_the_spread_of_the_closed_loop.py",
         "greybox mpc flies it": "tests/cli/test_mpc_flies_resumes_and_refuses.py",
     },
-}  # fmt: skip
+}
 POINTERS = ("How it works", "How it decides")
 """Links to a page that claim nothing."""
 
 COMMAND_TESTS = {
-    **{c: f"tests/cli/{t}.py" for c, t in {
-        "identify": "test_identify_runs_resumes_and_refuses", "vehicle": "test_vehicle_files_are_written_and_judged",
-        "plan": "test_plan_writes_flights_and_what_to_expect", "inspect": "test_inspect_tells_what_a_log_is_good_for",
-        "check": "test_check_reports_to_people_and_machines", "fit": "test_bad_input_to_fit_and_validate",
-        "validate": "test_bad_input_to_fit_and_validate", "profile": "test_own_models_and_profiles_from_the_command_line",
-        "frf": "test_frf_measures_flights_and_says_what_it_cannot", "learn": "test_learn_takes_linear_models_too",
-        "discover": "test_discover_writes_what_it_finds", "export": "test_export_writes_bundles",
-        "twin": "test_twin_writes_simulators_and_refuses", "mpc": "test_mpc_flies_resumes_and_refuses",
-        "demo": "test_the_demo_runs_without_a_checkout", "selftest": "test_selftest_says_what_works_and_what_to_do",
-        "completion": "test_the_command_line_is_light_quiet_and_completes",
-    }.items()},
+    **{
+        c: f"tests/cli/{t}.py"
+        for c, t in {
+            "identify": "test_identify_runs_resumes_and_refuses",
+            "vehicle": "test_vehicle_files_are_written_and_judged",
+            "plan": "test_plan_writes_flights_and_what_to_expect",
+            "inspect": "test_inspect_tells_what_a_log_is_good_for",
+            "check": "test_check_reports_to_people_and_machines",
+            "fit": "test_bad_input_to_fit_and_validate",
+            "validate": "test_bad_input_to_fit_and_validate",
+            "profile": "test_own_models_and_profiles_from_the_command_line",
+            "frf": "test_frf_measures_flights_and_says_what_it_cannot",
+            "learn": "test_learn_takes_linear_models_too",
+            "discover": "test_discover_writes_what_it_finds",
+            "export": "test_export_writes_bundles",
+            "twin": "test_twin_writes_simulators_and_refuses",
+            "mpc": "test_mpc_flies_resumes_and_refuses",
+            "demo": "test_the_demo_runs_without_a_checkout",
+            "selftest": "test_selftest_says_what_works_and_what_to_do",
+            "completion": "test_the_command_line_is_light_quiet_and_completes",
+        }.items()
+    },
     "linear": "tests/linear/test_linear_command.py",
     "compare": "tests/baselines/test_comparisons_judge_all_alike.py",
     "effects": "tests/conformance/test_catalogue_is_listed_as_declared.py",
     "examples": "tests/examples/test_shipped_flights_are_whole_and_licensed.py",
     "cite": "tests/cli/test_own_effects_from_a_file.py",
-}  # fmt: skip
+}
 
 
 def bullets(text: str) -> dict[str, str]:
@@ -148,5 +162,7 @@ def test_every_command_has_a_test_that_runs_it() -> None:
     assert sorted(COMMAND_TESTS) == sorted(COMMANDS)
     assert [f for f in COMMAND_TESTS.values() if not (ROOT / f).exists()] == []
     # The word stands in the test as an argument, or as part of a command line.
-    runs = {c: re.search(rf'"{c}"|[" ]{c} ', (ROOT / f).read_text()) for c, f in COMMAND_TESTS.items()}
+    runs = {
+        c: re.search(rf'"{c}"|[" ]{c} ', (ROOT / f).read_text()) for c, f in COMMAND_TESTS.items()
+    }
     assert [c for c, found in runs.items() if not found] == []

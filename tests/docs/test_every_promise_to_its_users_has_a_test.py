@@ -1,7 +1,9 @@
-"""What greybox promises to the people who use it, sentence by sentence, each with the test that shows it.
+"""What greybox promises to the people who use it, sentence by sentence, each with the test that
+shows it.
 
-The features of README have a table of their own (test_every_claimed_feature_has_a_test.py); this one holds how it is to
-use them: installation, other systems, notebooks, pages, recordings, documentation, words, progress, adoption.
+The features of README have a table of their own (test_every_claimed_feature_has_a_test.py); this
+one holds how it is to use them: installation, other systems, notebooks, pages, recordings,
+documentation, words, progress, adoption.
 """
 
 from __future__ import annotations
@@ -150,9 +152,18 @@ PROMISES: dict[str, dict[str, str]] = {
     },
 }
 FILES = (
-    "CITATION.cff", "codemeta.json", "CONTRIBUTING.md", "SECURITY.md", "Dockerfile", "paper/paper.md", "recipe/meta.yaml",
-    ".github/workflows/tests.yml", ".github/ISSUE_TEMPLATE/wrong_result.md", "LICENSE", "CHANGELOG.md",
-)  # fmt: skip
+    "CITATION.cff",
+    "codemeta.json",
+    "CONTRIBUTING.md",
+    "SECURITY.md",
+    "Dockerfile",
+    "paper/paper.md",
+    "recipe/meta.yaml",
+    ".github/workflows/tests.yml",
+    ".github/ISSUE_TEMPLATE/wrong_result.md",
+    "LICENSE",
+    "CHANGELOG.md",
+)
 
 
 @pytest.mark.parametrize("title", PROMISES)
@@ -162,7 +173,9 @@ def test_every_promise_has_a_test_that_is_there(title: str) -> None:
         text = (ROOT / "tests" / file).read_text(encoding="utf-8")
         assert re.search(rf"^def {name or 'test_'}", text, re.MULTILINE), f"{promise}: {where}"
         body = text[text.index(f"def {name or 'test_'}") :]
-        assert re.search(r"^    .*(assert|pytest\.raises|subprocess|run\()", body, re.MULTILINE), promise
+        assert re.search(r"^    .*(assert|pytest\.raises|subprocess|run\()", body, re.MULTILINE), (
+            promise
+        )
 
 
 @pytest.mark.parametrize("file", FILES)
@@ -179,7 +192,9 @@ def test_files_for_adoption_are_valid() -> None:
     cite = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert {"cff-version", "message", "title", "authors", "version"} <= set(cite)
     _, head, paper = (ROOT / "paper/paper.md").read_text(encoding="utf-8").split("---\n", 2)
-    assert {"title", "tags", "authors", "affiliations", "date", "bibliography"} <= set(yaml.safe_load(head))
+    assert {"title", "tags", "authors", "affiliations", "date", "bibliography"} <= set(
+        yaml.safe_load(head)
+    )
     titles = {line.strip("# ").lower() for line in paper.splitlines() if line.startswith("# ")}
     assert {"summary", "statement of need", "state of the field"} <= titles
     recipe = re.sub(r"{%.*%}\n", "", (ROOT / "recipe/meta.yaml").read_text(encoding="utf-8"))
@@ -190,7 +205,9 @@ def test_files_for_adoption_are_valid() -> None:
     systems = json.dumps(runs["jobs"])
     assert all(name in systems for name in ("ubuntu", "macos", "windows"))
     for form in (ROOT / ".github/ISSUE_TEMPLATE").glob("*.md"):
-        assert {"name", "about"} <= set(yaml.safe_load(form.read_text(encoding="utf-8").split("---")[1]))
+        assert {"name", "about"} <= set(
+            yaml.safe_load(form.read_text(encoding="utf-8").split("---")[1])
+        )
     docker = (ROOT / "Dockerfile").read_text(encoding="utf-8")
     assert re.search(r"^FROM python:3\.\d+", docker, re.MULTILINE)
     assert 'ENTRYPOINT ["greybox"]' in docker

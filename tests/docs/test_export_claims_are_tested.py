@@ -1,4 +1,5 @@
-"""What README and docs claim of exports and consumers is in a table of tests; a new claim without a test fails here."""
+"""What README and docs claim of exports and consumers is in a table of tests; a new claim without a
+test fails here."""
 
 from __future__ import annotations
 
@@ -42,7 +43,9 @@ CLAIMS = {
 
 def bullet(title: str) -> str:
     """One point of README's list, on one line."""
-    found = re.search(rf"^- \*\*{title}\*\*: (.*?)(?=^- \*\*|^```|^$)", README, re.DOTALL | re.MULTILINE)
+    found = re.search(
+        rf"^- \*\*{title}\*\*: (.*?)(?=^- \*\*|^```|^$)", README, re.DOTALL | re.MULTILINE
+    )
     assert found, title
     return " ".join(found[1].split())
 
@@ -81,8 +84,16 @@ def test_every_kind_of_fitted_thing_in_the_table_of_export_is_a_case_of_the_test
     from tests.mpc_export.predictor_cases import ALONE, PREDICTORS
 
     cases = " ".join({**PREDICTORS, **ALONE})
-    rows = re.findall(r"^\| (.*?) \| ", BUNDLE.split("| what is fitted |")[1].split("\n\n")[0], re.MULTILINE)
-    words = {"output hybrid": "output hybrid", "linear": "linear", "NARX": "NARX", "LSTM": "LSTM", "a GP alone": "GP alone"}
+    rows = re.findall(
+        r"^\| (.*?) \| ", BUNDLE.split("| what is fitted |")[1].split("\n\n")[0], re.MULTILINE
+    )
+    words = {
+        "output hybrid": "output hybrid",
+        "linear": "linear",
+        "NARX": "NARX",
+        "LSTM": "LSTM",
+        "a GP alone": "GP alone",
+    }
     identified = [r for r in rows if "physics" in r or set(r) <= set("-| ")]
     for row in (r for r in rows if r not in identified):
         said = [w for w in words if row.startswith(w) or f", {w}" in row]
@@ -100,7 +111,9 @@ def test_the_functions_in_the_table_are_functions_of_some_case():
     models = [cases.hybrid(), PREDICTORS["output hybrid, SISO"](), PREDICTORS["LSTM"]()]
     made: set[str] = set()
     for model in models:
-        groups, runtime = (GROUPS, ("gp.weights",)) if model is models[0] else (("covariance", "filter"), ())
+        groups, runtime = (
+            (GROUPS, ("gp.weights",)) if model is models[0] else (("covariance", "filter"), ())
+        )
         made |= set(model_functions(model, with_=groups, runtime_parameters=runtime).functions)
     assert sorted(named - made) == []
 

@@ -1,4 +1,5 @@
-"""The rules of docs/hardening.md name the tests that show them, and there is none without a test."""
+"""The rules of docs/hardening.md name the tests that show them, and there is none without a
+test."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ PAGE = (ROOT / "docs" / "hardening.md").read_text(encoding="utf-8")
 
 
 def rules() -> list[tuple[str, str]]:
-    """(Rule, test) of every line of the block under "Rules and their tests"; a test is file::function."""
+    """(Rule, test) of every line of the block under "Rules and their tests"; a test is
+    file::function."""
     block = PAGE.split("## Rules and their tests")[1].split("```")[1].splitlines()[1:]
     found: list[tuple[str, str]] = []
     for line in block:

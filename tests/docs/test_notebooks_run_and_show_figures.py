@@ -1,4 +1,5 @@
-"""Ten notebooks, kept as text in jupytext's percent format: each runs from top to bottom and draws."""
+"""Ten notebooks, kept as text in jupytext's percent format: each runs from top to bottom and
+draws."""
 
 from __future__ import annotations
 
@@ -15,8 +16,17 @@ from tests.docs.pages import ROOT
 
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.py"))
 TEN = {
-    "crazyflie", "px4", "betaflight", "own_csv", "own_model", "own_effect", "hybrid", "export_acados", "tube_mpc", "fleet",
-}  # fmt: skip
+    "crazyflie",
+    "px4",
+    "betaflight",
+    "own_csv",
+    "own_model",
+    "own_effect",
+    "hybrid",
+    "export_acados",
+    "tube_mpc",
+    "fleet",
+}
 LINES = 70
 """A notebook is read in one go."""
 
@@ -76,7 +86,9 @@ def test_it_runs_and_draws(path: Path, desk: Path):
     if path.stem == "px4":
         pytest.importorskip("pyulog")
         c = channels(rows=1200)
-        write_ulog(desk / "flight.ulg", c | {f"sp_{k}": np.zeros(1200) for k in "xyz"}, slow_every=1)
+        write_ulog(
+            desk / "flight.ulg", c | {f"sp_{k}": np.zeros(1200) for k in "xyz"}, slow_every=1
+        )
     if path.stem == "betaflight":
         pytest.importorskip("orangebox")
         write_betaflight(desk / "flight.bbl", channels(rows=1800))

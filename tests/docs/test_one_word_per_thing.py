@@ -12,7 +12,10 @@ from greybox.cli import build_parser
 from scenarios.studies.docs_glossary import WORDS, table
 from tests.docs.pages import ROOT
 
-PAGES = {p.relative_to(ROOT).as_posix(): p.read_text() for p in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))}
+PAGES = {
+    p.relative_to(ROOT).as_posix(): p.read_text()
+    for p in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))
+}
 
 
 def helps(parser: argparse.ArgumentParser) -> Iterator[str]:
@@ -54,4 +57,6 @@ def test_no_other_word_is_used_for_the_same_thing(texts: dict[str, str]):
 
 
 def test_words_are_found_in_any_form():
-    assert found("sampling time", "two Sampling\ntimes.") and not found("log", "a logger, log-like, catalog")
+    assert found("sampling time", "two Sampling\ntimes.") and not found(
+        "log", "a logger, log-like, catalog"
+    )

@@ -1,4 +1,5 @@
-"""What is read can be read: words per page and in all, and no long sentence on the learning path. Text only."""
+"""What is read can be read: words per page and in all, and no long sentence on the learning path.
+Text only."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ def words(text: str) -> list[str]:
 
 
 def sentences(text: str) -> list[str]:
-    """The sentences of paragraphs, items of lists and cells of tables; lines that are indented by four are code."""
+    """The sentences of paragraphs, items of lists and cells of tables; lines that are indented by
+    four are code."""
     text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", without_code(text))
     pieces, open_ = [""], False
     for line in text.splitlines():
@@ -48,7 +50,12 @@ def sentences(text: str) -> list[str]:
 
 def learning_path() -> list[str]:
     """The pages that docs/README.md numbers under its first title, in order."""
-    index = (DOCS / "README.md").read_text(encoding="utf-8").split("## Learning path")[1].split("\n## ")[0]
+    index = (
+        (DOCS / "README.md")
+        .read_text(encoding="utf-8")
+        .split("## Learning path")[1]
+        .split("\n## ")[0]
+    )
     return re.findall(r"^\d\. .*?\]\((\w+\.md)\)", index, flags=re.MULTILINE)
 
 
@@ -63,19 +70,31 @@ def test_the_learning_path_has_five_pages_and_each_leads_to_the_next() -> None:
     assert len(path) == 5
     for page, following in pairwise(path):
         last = (DOCS / page).read_text(encoding="utf-8").strip().splitlines()[-3:]
-        assert f"]({following})" in " ".join(last), f"{page} does not end with a link to {following}"
+        assert f"]({following})" in " ".join(last), (
+            f"{page} does not end with a link to {following}"
+        )
 
 
 @pytest.mark.parametrize("page", learning_path())
 def test_sentences_of_the_learning_path_are_short(page: str) -> None:
-    long = [s for s in sentences((DOCS / page).read_text(encoding="utf-8")) if len(words(s)) > SENTENCE]
+    long = [
+        s for s in sentences((DOCS / page).read_text(encoding="utf-8")) if len(words(s)) > SENTENCE
+    ]
     assert not long
 
 
 def test_sentences_are_told_apart() -> None:
     prose = "# T\n\nOne two. Three\nfour (five.) Six?\n\n- a [link](x.md)\n  goes on\n- b\n\n"
     text = f"{prose}| c | d e |\n\n    code\n\n```text\nno\n```\n"
-    assert sentences(text) == ["One two.", "Three four (five.", "Six?", "- a link goes on", "- b", "c", "d e"]
+    assert sentences(text) == [
+        "One two.",
+        "Three four (five.",
+        "Six?",
+        "- a link goes on",
+        "- b",
+        "c",
+        "d e",
+    ]
     assert words("| --- | a 1.5 += `b`") == ["a", "1.5", "`b`"]
     assert without_code("x\n```c\nint y;\n```\nz\n").split() == ["x", "z"]
 

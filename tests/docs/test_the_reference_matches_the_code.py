@@ -1,4 +1,5 @@
-"""The pages of reference are what the code says; all that is public is described, and pages execute every public name."""
+"""The pages of reference are what the code says; all that is public is described, and pages execute
+every public name."""
 
 from __future__ import annotations
 
@@ -27,7 +28,10 @@ def test_every_command_and_option_is_described() -> None:
     assert {name.split()[0] for name, _, _ in found} == set(COMMANDS)
     bare = [name for name, summary, child in found if not summary or not child.description]
     bare += [
-        f"{name} {a.dest}" for name, _, child in found for a in child._actions if a.help is None and a.choices is None
+        f"{name} {a.dest}"
+        for name, _, child in found
+        for a in child._actions
+        if a.help is None and a.choices is None
     ]
     assert not bare
 
@@ -38,13 +42,16 @@ def test_every_public_name_and_member_has_a_docstring() -> None:
         thing = getattr(greybox, name)
         bare += [name] if not inspect.getdoc(thing) else []
         for member, value in members(thing):
-            function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+            function = (
+                value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+            )
             bare += [f"{name}.{member}"] if not inspect.getdoc(function) else []
     assert not bare
 
 
 def used_names(source: str) -> set[str]:
-    """Names that Python text takes from the package: `greybox.NAME`, under any alias, or `from greybox import NAME`."""
+    """Names that Python text takes from the package: `greybox.NAME`, under any alias, or `from
+    greybox import NAME`."""
     tree = ast.parse(source)
     aliases = {
         a.asname or a.name
@@ -62,18 +69,25 @@ def used_names(source: str) -> set[str]:
     return found | {
         node.attr
         for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in aliases
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and node.value.id in aliases
     }
 
 
 def test_every_public_name_is_executed_by_some_page() -> None:
-    sources = ["".join(b.text for b in blocks(p.read_text()) if b.language == "python") for p in PAGES]
+    sources = [
+        "".join(b.text for b in blocks(p.read_text()) if b.language == "python") for p in PAGES
+    ]
     executed = set().union(*(used_names(s) for s in sources))
     assert sorted(set(greybox.__all__) - executed) == []
 
 
 def test_names_are_found_under_an_alias() -> None:
-    assert used_names("import greybox as gb\ngb.fit(x.check)\nfrom greybox import learn as l") == {"fit", "learn"}
+    assert used_names("import greybox as gb\ngb.fit(x.check)\nfrom greybox import learn as l") == {
+        "fit",
+        "learn",
+    }
 
 
 def _modules_with_examples() -> list[str]:
@@ -89,5 +103,7 @@ def _modules_with_examples() -> list[str]:
 
 @pytest.mark.parametrize("name", _modules_with_examples())
 def test_examples_in_docstrings_give_what_they_show(name: str) -> None:
-    result = doctest.testmod(importlib.import_module(name), optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+    result = doctest.testmod(
+        importlib.import_module(name), optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    )
     assert result.attempted > 0 and result.failed == 0

@@ -1,4 +1,5 @@
-"""docs/discovery.md is short, and the output that its worked example shows is what its commands print."""
+"""docs/discovery.md is short, and the output that its worked example shows is what its commands
+print."""
 
 from __future__ import annotations
 

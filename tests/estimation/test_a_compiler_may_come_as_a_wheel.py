@@ -1,4 +1,5 @@
-"""Where the system has no C compiler, that of the wheel `ziglang` is called; where it has one, never.
+"""Where the system has no C compiler, that of the wheel `ziglang` is called; where it has one,
+never.
 
 A stand-in for the wheel hands its arguments to the system's own compiler; the wheel itself is
 tried by tests/packaging.
@@ -27,7 +28,9 @@ print(f(3.0), compiler()[3:5], tuple(find_compiler(None)[3:5]), bool(version(com
 """
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler to stand in for that of the wheel")
+@pytest.mark.skipif(
+    shutil.which("cc") is None, reason="no C compiler to stand in for that of the wheel"
+)
 def test_with_an_empty_path_the_wheel_compiles(tmp_path: Path):
     stand_in = tmp_path / "wheel" / "ziglang"
     stand_in.mkdir(parents=True)
@@ -44,7 +47,11 @@ def test_with_an_empty_path_the_wheel_compiles(tmp_path: Path):
         "GREYBOX_CACHE": str(tmp_path / "cache"),
     }
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-c", PROGRAM],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.stdout == "6.0 ('ziglang', 'cc') ('ziglang', 'cc') True\n", done.stderr
 

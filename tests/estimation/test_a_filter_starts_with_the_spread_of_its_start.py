@@ -48,10 +48,12 @@ def cart() -> StateSpaceModel:
         initial={"x": 0.0, "v": 0.0},
         initial_sigma={"x": 2.0, "v": 1.0},
         sensor_sigma={"x": 0.2, "v": 0.3},
-    )  # fmt: skip
+    )
 
 
-def rides(count: int, *, n: int = 200, shaken: float = 0.0, seed: int = 0, every: int = 1) -> Dataset:
+def rides(
+    count: int, *, n: int = 200, shaken: float = 0.0, seed: int = 0, every: int = 1
+) -> Dataset:
     """Rides from unknown starts; x comes every so many samples."""
     whole: Dataset | None = None
     for i in range(count):
@@ -66,15 +68,21 @@ def rides(count: int, *, n: int = 200, shaken: float = 0.0, seed: int = 0, every
             x = np.array([x[0] + middle, ends + shaken * rng.normal()])
         seen = np.array(rows)
         seen[np.arange(n) % every != i % every, 0] = np.nan
-        one = dataset_from_arrays(DT * np.arange(n), {"f": force, "x": seen[:, 0], "v": seen[:, 1]}, name=f"ride{i}")
+        one = dataset_from_arrays(
+            DT * np.arange(n), {"f": force, "x": seen[:, 0], "v": seen[:, 1]}, name=f"ride{i}"
+        )
         whole = one if whole is None else whole + one
     assert whole is not None
     return whole
 
 
-def problem(data: Dataset, predictor: Innovation | Kalman, level: float, **choices: object) -> Problem:
+def problem(
+    data: Dataset, predictor: Innovation | Kalman, level: float, **choices: object
+) -> Problem:
     noise = {"noise.process.v": level / DT}  # an acceleration, held for a sample
-    return make_problem(cart(), data, predictor=predictor, criterion=Gaussian(), noise=noise, **choices)  # type: ignore
+    return make_problem(
+        cart(), data, predictor=predictor, criterion=Gaussian(), noise=noise, **choices
+    )  # type: ignore
 
 
 def test_stretches_cover_every_sample_once_and_grow_with_time():
@@ -92,7 +100,10 @@ def test_gains_of_a_linear_model_are_those_of_the_kalman_filter(level):
     """A plain Kalman loop from the spread of the start; between the nodes the gain of the nearest one."""
     own = problem(rides(1), Innovation(), level)
     found = Innovation().gains(own, own.start, False)[0]
-    lin, (x, window) = own.prepared(Innovation()).linearisation, own.prepared(Innovation()).reference
+    lin, (x, window) = (
+        own.prepared(Innovation()).linearisation,
+        own.prepared(Innovation()).reference,
+    )
     a, g, c, _ = lin.values(x, window, own.base, DT)
     q, r = (level / DT) ** 2, np.diag([0.04, 0.09])
     p, nodes = np.diag([4.0, 1.0]), {s.node for s in stretches(200, 1)}
@@ -117,7 +128,9 @@ def test_the_likelihood_of_a_linear_model_is_that_of_the_kalman_filter(level, ev
     data = rides(5, shaken=level, every=every)
     held, exact = (problem(data, p, level) for p in (Innovation(), Kalman()))
     assert held.n == exact.n, "no start is an unknown"
-    assert held.evaluate(held.start, 0).cost == pytest.approx(exact.evaluate(exact.start, 0).cost, abs=0.5)
+    assert held.evaluate(held.start, 0).cost == pytest.approx(
+        exact.evaluate(exact.start, 0).cost, abs=0.5
+    )
 
 
 def test_derivatives_through_the_gains_of_the_start_are_exact():
@@ -129,16 +142,22 @@ def test_derivatives_through_the_gains_of_the_start_are_exact():
         for j, scale in enumerate(own.scale):
             h = np.zeros(own.n)
             h[j] = 1e-5 * scale
-            numeric = (own.evaluate(theta + h, 0).cost - own.evaluate(theta - h, 0).cost) / (2e-5 * scale)
+            numeric = (own.evaluate(theta + h, 0).cost - own.evaluate(theta - h, 0).cost) / (
+                2e-5 * scale
+            )
             assert gradient[j] == pytest.approx(numeric, rel=1e-6, abs=1e-5)
 
 
 def blown(predictor: Innovation | Kalman, count: int) -> Problem:
     """The model of gusty carts at the truth."""
     return make_problem(
-        gusty.model(), gusty.rides(count), predictor=predictor, criterion=Gaussian(), noise=gusty.LEVELS,
+        gusty.model(),
+        gusty.rides(count),
+        predictor=predictor,
+        criterion=Gaussian(),
+        noise=gusty.LEVELS,
         free=["disturbance.v.T"],
-    )  # fmt: skip
+    )
 
 
 def test_a_gust_that_blew_before_the_flight_is_as_likely_as_one_that_comes_later():
@@ -149,20 +168,27 @@ def test_a_gust_that_blew_before_the_flight_is_as_likely_as_one_that_comes_later
     size = np.zeros(gusty.ROWS)
     for block in own.predictor.blocks(own, own.start, False):
         assert block.covariance is not None
-        size += [e @ np.linalg.solve(block.covariance[i], e) for e, i in zip(block.e, block.pattern, strict=True)]
+        size += [
+            e @ np.linalg.solve(block.covariance[i], e)
+            for e, i in zip(block.e, block.pattern, strict=True)
+        ]
     assert size[:4].mean() / (60 * 2) == pytest.approx(1.0, abs=0.2)
     assert size[30:].mean() / (60 * 2) == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_lasting_gust_starts_alike_in_every_filter_and_its_slopes_are_exact():
     own, exact = blown(Innovation(), 3), blown(Kalman(), 3)
-    assert own.evaluate(own.start, 0).cost == pytest.approx(exact.evaluate(exact.start, 0).cost, abs=0.3)
+    assert own.evaluate(own.start, 0).cost == pytest.approx(
+        exact.evaluate(exact.start, 0).cost, abs=0.3
+    )
     gradient = own.evaluate(own.start).gradient
     assert gradient is not None
     for j, scale in enumerate(own.scale):
         h = np.zeros(own.n)
         h[j] = 1e-5 * scale
-        numeric = (own.evaluate(own.start + h, 0).cost - own.evaluate(own.start - h, 0).cost) / (2e-5 * scale)
+        numeric = (own.evaluate(own.start + h, 0).cost - own.evaluate(own.start - h, 0).cost) / (
+            2e-5 * scale
+        )
         assert gradient[j] == pytest.approx(numeric, rel=1e-6, abs=1e-5), own.unknowns[j].name
 
 
@@ -171,13 +197,20 @@ def test_a_gust_whose_start_is_an_unknown_is_as_large_as_one_that_a_filter_carri
     """Its prior is the stationary state at the start values of level and time constant, a sensor's and a speed's stay."""
     for time in (gusty.TIME, gusty.TIME / 4):
         own = make_problem(
-            gusty.model(), gusty.rides(2), predictor=predictor, noise=gusty.LEVELS, free=["b"],
+            gusty.model(),
+            gusty.rides(2),
+            predictor=predictor,
+            noise=gusty.LEVELS,
+            free=["b"],
             values={"disturbance.v.T": time},
-        )  # fmt: skip
+        )
         for k, record in enumerate(own.records):
             sigma = [u.sigma for u in own.unknowns if u.flight == f"record {k}"]
             assert sigma == own.start_sigma(k).tolist()
-            size = gusty.LEVELS["noise.process.disturbance.v"] / (1 - np.exp(-2 * gusty.DT / time)) ** 0.5
+            size = (
+                gusty.LEVELS["noise.process.disturbance.v"]
+                / (1 - np.exp(-2 * gusty.DT / time)) ** 0.5
+            )
             assert sigma == pytest.approx([*record.x0_sigma[:2], size])
 
 
@@ -185,7 +218,12 @@ def test_rides_that_were_not_fitted_are_foretold_as_well_as_those_that_were():
     """No process noise: 40 starts of a ride each are not worse than those of the fit."""
     found = fit(cart(), rides(10), values={"m": 1.2, "b": 0.4})
     assert found["m"].value == pytest.approx(1.5, abs=4 * found["m"].std)
-    told = problem(rides(40, seed=100), Innovation(), 1e-6, values={n: e.value for n, e in found.parameters.items()})
+    told = problem(
+        rides(40, seed=100),
+        Innovation(),
+        1e-6,
+        values={n: e.value for n, e in found.parameters.items()},
+    )
     theta = told.start.copy()
     for name, (level, _, _) in found.noise.items():
         place = told.place(name)
@@ -198,10 +236,19 @@ def test_rides_that_were_not_fitted_are_foretold_as_well_as_those_that_were():
 def test_a_start_that_readings_do_not_tell_is_an_unknown():
     """Without a compass and at hover nothing tells the heading: a flight that moves does."""
     whole = flights(1, 40)
-    alone = {n: v for n, v in whole.flights[0].segments[0].channels.items() if not n.startswith(("q", "v"))}
+    alone = {
+        n: v
+        for n, v in whole.flights[0].segments[0].channels.items()
+        if not n.startswith(("q", "v"))
+    }
     alone["q"] = whole.flights[0].segments[0].channels["q"]
     data = dataset_from_arrays(whole.flights[0].segments[0].t, alone, name="blind")
-    own = make_problem(build_model(vehicle(), data.channels, ()), data, predictor=Innovation(), criterion=Gaussian())
+    own = make_problem(
+        build_model(vehicle(), data.channels, ()),
+        data,
+        predictor=Innovation(),
+        criterion=Gaussian(),
+    )
     unknown = {u.name for u in own.unknowns if u.kind == "initial"}
     assert "d_attitude.z" in unknown
     assert not {"d_position.x", "d_rate.x", "d_rate.z"} & unknown
@@ -218,7 +265,15 @@ def flights(count: int, first_seed: int) -> Dataset:
     """Flights of a simulator without gusts: sensors are noisy, nothing else is."""
     plant = nano([], process=ProcessNoise())
     seeds = list(range(first_seed, first_seed + count))
-    log = fly(plant, controller_for(plant), RandomWaypoints(), rich_excitation(), 6.0, seed=seeds, warm_up=1.0)
+    log = fly(
+        plant,
+        controller_for(plant),
+        RandomWaypoints(),
+        rich_excitation(),
+        6.0,
+        seed=seeds,
+        warm_up=1.0,
+    )
     whole: Dataset | None = None
     for i in range(count):
         one = {k: v for k, v in member(log, i).items() if not k.startswith("omega")}

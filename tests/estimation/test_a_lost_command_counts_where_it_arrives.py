@@ -1,4 +1,5 @@
-"""A row that the logger lost took its command along: the sample that this command reaches is trusted more, exactly so."""
+"""A row that the logger lost took its command along: the sample that this command reaches is
+trusted more, exactly so."""
 
 from __future__ import annotations
 
@@ -31,7 +32,9 @@ SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}
 def flight(tmp_path_factory):
     """(vehicle, whole log, the same with three rows in a hundred lost and their commands held)."""
     plant = x250()
-    log = fly(plant, controller_for(plant), RandomWaypoints(), rich_excitation(), 6.0, seed=4, warm_up=1.0)
+    log = fly(
+        plant, controller_for(plant), RandomWaypoints(), rich_excitation(), 6.0, seed=4, warm_up=1.0
+    )
     log = {k: v for k, v in log.items() if not k.startswith("omega")}
     t = log.pop("t")
     gone = np.random.default_rng(0).random(t.size) < 0.03
@@ -40,17 +43,22 @@ def flight(tmp_path_factory):
     holed = {k: np.where(gone, np.nan, v) for k, v in log.items()}
     for i in range(1, 5):
         holed[f"u{i}"] = np.where(gone, np.concatenate([[0.0], log[f"u{i}"][:-1]]), log[f"u{i}"])
-    vehicle = read_vehicle(write_vehicle(tmp_path_factory.mktemp("v") / "v.toml", plant, sigma=SIGMA))
+    vehicle = read_vehicle(
+        write_vehicle(tmp_path_factory.mktemp("v") / "v.toml", plant, sigma=SIGMA)
+    )
     return vehicle, dataset_from_arrays(t, log), dataset_from_arrays(t, holed), gone
 
 
 def problem_of(vehicle, data, effects=(), **choices):
     model = build_model(vehicle, data.channels, effects, sample_time=0.01)
-    return make_problem(model, data, predictor=Innovation(), criterion=Gaussian(), use_compiler=False, **choices)
+    return make_problem(
+        model, data, predictor=Innovation(), criterion=Gaussian(), use_compiler=False, **choices
+    )
 
 
 def late_by(whole, holed, gone, rows):
-    """The flight with what is measured written so many rows later than it was; rows stay lost with their commands."""
+    """The flight with what is measured written so many rows later than it was; rows stay lost with
+    their commands."""
     out = dict(holed.segments[0].channels)
     n = np.arange(gone.size)
     for name, v in whole.segments[0].channels.items():
@@ -85,21 +93,31 @@ def test_a_slow_sensor_is_not_a_lost_row(flight):
             slow[name][1::2] = slow[name][::2]
     problem = problem_of(vehicle, dataset_from_arrays(segment.t, slow))
     assert not any(
-        lost_bits(r.patterns).any() for r in make_records(problem.engine, dataset_from_arrays(segment.t, slow))
+        lost_bits(r.patterns).any()
+        for r in make_records(problem.engine, dataset_from_arrays(segment.t, slow))
     )
 
 
 def test_the_gain_is_best_for_the_state_after_the_sample():
     """With the lost command as part of the state, of which only the rest is corrected."""
     rng = np.random.default_rng(1)
-    a, g, c, d = np.eye(2) * 0.9, rng.normal(size=(2, 1)), rng.normal(size=(3, 2)), rng.normal(size=(3, 1))
+    a, g, c, d = (
+        np.eye(2) * 0.9,
+        rng.normal(size=(2, 1)),
+        rng.normal(size=(3, 2)),
+        rng.normal(size=(3, 1)),
+    )
     q, r = np.array([0.3]), np.array([0.1, 0.2, 0.4])
     b, h = rng.normal(size=(3, 2, 4)), rng.normal(size=(3, 3, 4))
     b[2], h[0], h[2] = 0.0, 0.0, 0.0
-    usual = stationary((a, g, c, d), q, r, np.full(2, 1e9), lost=Pushes(B=b, H=h, early=np.zeros((2, 4))))
+    usual = stationary(
+        (a, g, c, d), q, r, np.full(2, 1e9), lost=Pushes(B=b, H=h, early=np.zeros((2, 4)))
+    )
     off = b[0]
     for i in (0, 1):
-        big = np.block([[usual.P + off @ off.T, off], [off.T, np.eye(4)]])  # of the state and the command
+        big = np.block(
+            [[usual.P + off @ off.T, off], [off.T, np.eye(4)]]
+        )  # of the state and the command
         see, go = np.column_stack([c, h[i + 1]]), np.column_stack([a, b[i + 1]])
         s = see @ big @ see.T + (d * q) @ d.T + np.diag(r)
         k = (go @ big @ see.T + (g * q) @ d.T) @ np.linalg.inv(s)
@@ -118,17 +136,25 @@ def test_gains_where_nothing_arrives_are_the_usual_ones():
     b = zero.copy()
     b[1] = 1.0
     usual = stationary(
-        (np.eye(2) * 0.9, np.eye(2), np.eye(2), np.zeros((2, 2))), np.ones(2), np.ones(2), np.full(2, 1e9),
+        (np.eye(2) * 0.9, np.eye(2), np.eye(2), np.zeros((2, 2))),
+        np.ones(2),
+        np.ones(2),
+        np.full(2, 1e9),
         lost=Pushes(B=b, H=zero, early=zero[0]),
-    )  # fmt: skip
-    patterns = np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [3.0, 3.0], [0.0, 3.0], [5.0, 5.0], [8.0, 8.0]])
+    )
+    patterns = np.array(
+        [[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [3.0, 3.0], [0.0, 3.0], [5.0, 5.0], [8.0, 8.0]]
+    )
     few, which = usual.distinct(patterns)
     assert few[which].tolist() == [[0, 0], [1, 1], [1, 1], [3, 3], [0, 3], [1, 1], [3, 3]]
     for m, i in zip(patterns, which, strict=True):
         assert np.array_equal(usual.gain(m)[0], usual.gain(few[i])[0])
 
 
-DELAYS = [("command_delay", d) for d in (0.0, 0.01, 0.02)] + [("sensor_delay", 0.01), ("pose_delay", 0.01)]
+DELAYS = [("command_delay", d) for d in (0.0, 0.01, 0.02)] + [
+    ("sensor_delay", 0.01),
+    ("pose_delay", 0.01),
+]
 
 
 @pytest.mark.parametrize(("effect", "delay"), DELAYS)
@@ -151,10 +177,17 @@ def test_a_delay_is_seen_as_well_where_a_few_rows_are_lost(flight):
     """Its score test: a jump of the likelihood at no delay once took all of it."""
     vehicle, whole, holed, gone = flight
     tested = {}
-    for name, data in (("whole", late_by(whole, whole, gone & False, 0.3)), ("holed", late_by(whole, holed, gone, 0.3))):
-        at = fit(build_model(vehicle, data.channels, (), sample_time=0.01), data, initialisation="noise")
+    for name, data in (
+        ("whole", late_by(whole, whole, gone & False, 0.3)),
+        ("holed", late_by(whole, holed, gone, 0.3)),
+    ):
+        at = fit(
+            build_model(vehicle, data.channels, (), sample_time=0.01), data, initialisation="noise"
+        )
         large = build_model(vehicle, data.channels, ("command_delay",), sample_time=0.01)
-        problem, theta = with_candidate_sensitivities(at.problem, at.theta, large, data, {"command_delay.d": 0.0})
+        problem, theta = with_candidate_sensitivities(
+            at.problem, at.theta, large, data, {"command_delay.d": 0.0}
+        )
         value = problem.evaluate(theta)
         h, g = value.hessian, value.gradient
         rest = np.linalg.solve(h[:-1, :-1], np.column_stack([h[:-1, -1], g[:-1]]))
@@ -172,7 +205,9 @@ def test_of_a_linear_record_half_arrives_one_row_earlier(flight):
         other = replace(vehicle, actuator=replace(vehicle.actuator, hold=hold))
         problem = problem_of(other, whole)
         x, window = problem.prepared(Innovation()).reference
-        pushes = lost_commands(problem.dynamics).at(x, window, problem.parameters_of(problem.start, None), problem.dt)
+        pushes = lost_commands(problem.dynamics).at(
+            x, window, problem.parameters_of(problem.start, None), problem.dt
+        )
         moved[hold] = [np.abs(v).sum() for v in (pushes.B[0], pushes.early)]
     assert moved["zero"][1] == 0.0
     assert moved["linear"] == pytest.approx([moved["zero"][0] / 2] * 2, rel=1e-3)
@@ -182,12 +217,17 @@ def test_of_a_linear_record_half_arrives_one_row_earlier(flight):
 def test_a_lost_command_moves_what_commands_move_when_they_arrive(flight, delay, rows):
     vehicle, whole, _, _ = flight
     effects = ("command_delay",) if delay else ()
-    problem = problem_of(vehicle, whole, effects, values={"command_delay.d": delay} if delay else None)
+    problem = problem_of(
+        vehicle, whole, effects, values={"command_delay.d": delay} if delay else None
+    )
     x, window = problem.prepared(Innovation()).reference
-    pushes = lost_commands(problem.dynamics).at(x, window, problem.parameters_of(problem.start, None), problem.dt)
+    pushes = lost_commands(problem.dynamics).at(
+        x, window, problem.parameters_of(problem.start, None), problem.dt
+    )
     at = {n: i for i, n in enumerate(problem.dynamics.error_states.names)}
     spread = np.sqrt((pushes.B**2).sum(axis=2))
-    # Four independent commands, LOST of the mean command u each: rate = dt lever 2 c2 u LOST u sqrt(4) / J.
+    # Four independent commands, LOST of the mean command u each: rate = dt lever 2 c2 u LOST u
+    # sqrt(4) / J.
     u = problem.means["u1"]
     expected = problem.dt * 0.088 * 2 * 4.2 * u * LOST * u * 2 / 2.1e-3
     moved = spread[:, at["d_rate.x"]]
@@ -200,26 +240,38 @@ def test_a_lost_command_moves_what_commands_move_when_they_arrive(flight, delay,
 @pytest.mark.parametrize("effects", [(), ("motor_lag", "command_delay", "pose_delay")])
 def test_the_gradient_stays_exact(flight, effects):
     vehicle, _, holed, _ = flight
-    values = {"command_delay.d": 0.013, "motor_lag.tau": 0.03, "pose_delay.d": 0.012} if effects else None
+    values = (
+        {"command_delay.d": 0.013, "motor_lag.tau": 0.03, "pose_delay.d": 0.012}
+        if effects
+        else None
+    )
     problem = problem_of(vehicle, holed.split_by_time(at=1.5)[0], effects, values=values)
     assert any(lost_bits(r.patterns).any() for r in problem.records)
     theta = problem.start
     value = problem.evaluate(theta)
     checked = {
-        "inertia.xx", "thrust.c2", "noise.process.torque.y", "noise.process.force.z", "noise.sensor.q", *(values or ()),
-    }  # fmt: skip
+        "inertia.xx",
+        "thrust.c2",
+        "noise.process.torque.y",
+        "noise.process.force.z",
+        "noise.sensor.q",
+        *(values or ()),
+    }
     for i, u in enumerate(problem.unknowns):
         if u.name not in checked:
             continue
         step = np.zeros(problem.n)
         step[i] = 1e-5 * u.scale
-        slope = (problem.evaluate(theta + step, 0).cost - problem.evaluate(theta - step, 0).cost) / (2 * step[i])
+        slope = (
+            problem.evaluate(theta + step, 0).cost - problem.evaluate(theta - step, 0).cost
+        ) / (2 * step[i])
         assert abs(slope - value.gradient[i]) < 1e-4 * max(abs(slope), 1.0 / u.scale), u.name
 
 
 @pytest.mark.slow
 def test_late_commands_are_charged_to_the_sample_that_they_reach(flight):
-    """Charged to the row after the lost one, late commands made a lag of no length likelier than none."""
+    """Charged to the row after the lost one, late commands made a lag of no length likelier than
+    none."""
     vehicle, whole, holed, gone = flight
     late = late_by(whole, holed, gone, 2)
     likelihood = []
@@ -230,7 +282,12 @@ def test_late_commands_are_charged_to_the_sample_that_they_reach(flight):
         (block,) = found.problem.predictor.blocks(found.problem, found.theta, False)
         arrival = np.flatnonzero(gone)[:-3] + 3
         arrival = arrival[~gone[arrival]]
-        squares = np.array([block.e[k] @ np.linalg.solve(block.covariance[block.pattern[k]], block.e[k]) for k in arrival])
+        squares = np.array(
+            [
+                block.e[k] @ np.linalg.solve(block.covariance[block.pattern[k]], block.e[k])
+                for k in arrival
+            ]
+        )
         assert 0.5 < squares.mean() / block.e.shape[1] < 1.5
     assert likelihood[1] - likelihood[0] < 2.0
 

@@ -1,4 +1,5 @@
-"""Claim: work is spread over the cores of the process' affinity, not over those of the machine; the numbers stay."""
+"""Claim: work is spread over the cores of the process' affinity, not over those of the machine; the
+numbers stay."""
 
 from __future__ import annotations
 

@@ -48,9 +48,12 @@ def test_a_fit_hands_out_what_it_has(initialisation: str) -> None:
     progress = CtrlC()
     with pytest.raises(Interrupted) as stop:
         gb.fit(
-            motor.model(), motor.record(torque_noise=0.002), initialisation=initialisation, predictor="multi-step",
+            motor.model(),
+            motor.record(torque_noise=0.002),
+            initialisation=initialisation,
+            predictor="multi-step",
             progress=progress,
-        )  # fmt: skip
+        )
     kept = stop.value.kept
     assert isinstance(kept, Fit)
     assert not kept.converged
@@ -61,7 +64,10 @@ def test_a_fit_hands_out_what_it_has(initialisation: str) -> None:
 @pytest.mark.skipif(cores() < 2, reason="starts run side by side on two cores")
 def test_many_starts_stop_together() -> None:
     problem = make_problem(
-        motor.model(), motor.record(torque_noise=0.002), predictor=Innovation(), criterion=Gaussian()
+        motor.model(),
+        motor.record(torque_noise=0.002),
+        predictor=Innovation(),
+        criterion=Gaussian(),
     )
     second, told = threading.Event(), threading.Event()
     turn = itertools.count()

@@ -1,4 +1,5 @@
-"""Elements of a filter: many samples in one are the same samples one by one, with exact derivatives."""
+"""Elements of a filter: many samples in one are the same samples one by one, with exact
+derivatives."""
 
 from __future__ import annotations
 
@@ -20,7 +21,12 @@ def parts(seed: int) -> list[np.ndarray]:
     a = rng.normal(size=(N, N))
     a *= 1.02 / np.abs(np.linalg.eigvals(a)).max()
     shapes = ((N, NW), (NE, N), (NE, NW))
-    return [a, *(rng.normal(size=s) for s in shapes), np.exp(rng.normal(size=NW)), np.exp(rng.normal(size=NE))]
+    return [
+        a,
+        *(rng.normal(size=s) for s in shapes),
+        np.exp(rng.normal(size=NW)),
+        np.exp(rng.normal(size=NE)),
+    ]
 
 
 def directions(seed: int) -> list[np.ndarray]:
@@ -31,7 +37,8 @@ def directions(seed: int) -> list[np.ndarray]:
 def system(seed: int, along: int | None = None, by: float = 0.0) -> System:
     """With slopes; moved `by` along one of the directions without."""
     a, g, c, d, q, r = (
-        v + (0 if along is None else by * w[along]) for v, w in zip(parts(seed), directions(seed), strict=True)
+        v + (0 if along is None else by * w[along])
+        for v, w in zip(parts(seed), directions(seed), strict=True)
     )
     slopes = None if along is not None else tuple(directions(seed))
     return System(a=a, g=g, c=c, d=d, q=q, r=r, weak=np.full(N, np.inf), slopes=slopes)  # type: ignore[arg-type]
@@ -99,7 +106,9 @@ def test_slopes_are_central_differences(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_the_same_samples_for_ever_end_in_the_stationary_solution(seed):
     a, g, c, d, q, r = parts(seed)
-    expected = solve_discrete_are(a.T, c.T, (g * q) @ g.T, np.diag(r) + (d * q) @ d.T, s=(g * q) @ d.T)
+    expected = solve_discrete_are(
+        a.T, c.T, (g * q) @ g.T, np.diag(r) + (d * q) @ d.T, s=(g * q) @ d.T
+    )
     got = system(seed).element(ALL).settled()
     np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
@@ -107,7 +116,9 @@ def test_the_same_samples_for_ever_end_in_the_stationary_solution(seed):
 def test_without_noise_the_covariance_falls_like_one_over_k_and_stays_positive():
     """A constant seen k times: P = (1/p0 + k/r)^-1, exactly."""
     one, none = np.eye(1), np.zeros((1, 1))
-    s = System(a=one, g=one, c=one, d=none, q=np.zeros(1), r=np.array([0.25]), weak=np.array([np.inf]))
+    s = System(
+        a=one, g=one, c=one, d=none, q=np.zeros(1), r=np.array([0.25]), weak=np.array([np.inf])
+    )
     e = s.element(np.array([True]))
     for k in range(1, 24):
         e = e.then(e)

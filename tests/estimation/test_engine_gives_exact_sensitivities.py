@@ -1,4 +1,5 @@
-"""The recursion's derivatives are those of its own numbers; compiled C, virtual machine and open loop tell one story."""
+"""The recursion's derivatives are those of its own numbers; compiled C, virtual machine and open
+loop tell one story."""
 
 from __future__ import annotations
 
@@ -26,7 +27,10 @@ from greybox.plants.vehicle_file import write_vehicle
 DT = 0.01
 N = 25
 CROOKED = replace(
-    X250, products=(2e-4, -1e-4, 1.5e-4), center_of_mass=(3e-3, -2e-3, 4e-3), imu_position=(0.02, -0.01, 0.015)
+    X250,
+    products=(2e-4, -1e-4, 1.5e-4),
+    center_of_mass=(3e-3, -2e-3, 4e-3),
+    imu_position=(0.02, -0.01, 0.015),
 )
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
 
@@ -43,15 +47,23 @@ def middling() -> Dynamics:
     with tempfile.TemporaryDirectory() as folder:
         vehicle = read_vehicle(write_vehicle(Path(folder) / "v.toml", Quadrotor(X250)))
     inner = PhysicsModel(vehicle=vehicle, sensors=SENSORS[:5], sample_time=DT)
-    return with_disturbance(inner.with_effect("motor_lag", "command_delay", "rotor_drag"), ("torque",))
+    return with_disturbance(
+        inner.with_effect("motor_lag", "command_delay", "rotor_drag"), ("torque",)
+    )
 
 
 def values(model) -> np.ndarray:
     """Every parameter away from its null, a delay away from a whole number of samples."""
     out = []
     for i, p in enumerate(model.parameters):
-        moved = p.nominal + (0.4 * p.scale * (1 if i % 2 or p.lower == p.nominal else -1) if p.null is not None else 0)
-        out.append(0.0137 if p.name == "command_delay.d" else float(np.clip(moved, p.lower, p.upper)))
+        moved = p.nominal + (
+            0.4 * p.scale * (1 if i % 2 or p.lower == p.nominal else -1)
+            if p.null is not None
+            else 0
+        )
+        out.append(
+            0.0137 if p.name == "command_delay.d" else float(np.clip(moved, p.lower, p.upper))
+        )
     return np.array(out)
 
 
@@ -60,7 +72,8 @@ def scales(model) -> np.ndarray:
 
 
 class Scene:
-    """A short record with missing cells, a mild random gain for each of two patterns, and the run of an engine on it."""
+    """A short record with missing cells, a mild random gain for each of two patterns, and the run
+    of an engine on it."""
 
     def __init__(self, model, *, seed=0, gain_size=1.0) -> None:
         rng = np.random.default_rng(seed)
@@ -94,11 +107,18 @@ class Scene:
     def run(self, engine, *, x0=None, p=None, y=None, noise=0.0, s0=None, derivative=None, **more):
         want = frozenset({"states", "innovations", "outputs", "sensitivity", "state_sensitivity"})
         return engine.run(
-            x0=self.x0 if x0 is None else x0, inputs=engine.padded_inputs(self.u),
-            outputs=self.y if y is None else y, mask=self.mask, pattern=self.pattern,
-            gains=self.table(noise, derivative), p=self.p if p is None else p, dt=DT, s0=s0,
-            want=want if s0 is not None else frozenset({"states", "innovations", "outputs"}), **more,
-        )  # fmt: skip
+            x0=self.x0 if x0 is None else x0,
+            inputs=engine.padded_inputs(self.u),
+            outputs=self.y if y is None else y,
+            mask=self.mask,
+            pattern=self.pattern,
+            gains=self.table(noise, derivative),
+            p=self.p if p is None else p,
+            dt=DT,
+            s0=s0,
+            want=want if s0 is not None else frozenset({"states", "innovations", "outputs"}),
+            **more,
+        )
 
 
 def boxplus(model):
@@ -141,7 +161,14 @@ def test_sensitivity_to_every_parameter_is_the_central_difference(all_parameters
 @pytest.fixture(scope="module")
 def medium():
     model = middling()
-    active = ("mass", "inertia.yy", "motor_lag.tau", "command_delay.d", "rotor_drag.k_x", "disturbance.torque.T")
+    active = (
+        "mass",
+        "inertia.yy",
+        "motor_lag.tau",
+        "command_delay.d",
+        "rotor_drag.k_x",
+        "disturbance.torque.T",
+    )
     return engine_for(model, active), Scene(model, seed=1)
 
 
@@ -164,7 +191,9 @@ def test_sensitivity_through_the_gain_is_the_central_difference(medium):
     """A noise level moves nothing but the gain: its column lives on dK alone."""
     engine, scene = medium
     na = len(engine.active)
-    derivative = tuple(np.concatenate([np.zeros((na, *g.shape)), g[None]]) for g in scene.noise_gain)
+    derivative = tuple(
+        np.concatenate([np.zeros((na, *g.shape)), g[None]]) for g in scene.noise_gain
+    )
     run = scene.run(engine, s0=np.zeros((engine.nd, na + 1)), derivative=derivative)
     h = 1e-4
     ahead, behind = (scene.run(engine, noise=s * h).innovations for s in (1, -1))
@@ -181,7 +210,10 @@ def test_state_sensitivity_and_end_are_the_central_difference(medium):
     ahead, behind = (scene.run(engine, p=scene.p + s * h * e) for s in (1, -1))
     rows = [scene.model.states[f"rate.{a}"] for a in "xyz"]
     errors = [scene.model.error_states[f"d_rate.{a}"] for a in "xyz"]
-    close(run.state_sensitivity[:, errors, j], (ahead.states[:, rows] - behind.states[:, rows]) / (2 * h))
+    close(
+        run.state_sensitivity[:, errors, j],
+        (ahead.states[:, rows] - behind.states[:, rows]) / (2 * h),
+    )
     close(run.end_sensitivity[errors, j], (ahead.end[rows] - behind.end[rows]) / (2 * h))
 
 
@@ -193,9 +225,19 @@ def test_compiled_and_virtual_machine_agree(medium):
     assert not plain.compiled
     s0 = np.concatenate([np.zeros((engine.nd, len(engine.active))), np.eye(engine.nd)], axis=1)
     a, b = scene.run(engine, s0=s0), scene.run(plain, s0=s0)
-    for name in ("states", "innovations", "outputs", "sensitivity", "state_sensitivity", "end", "end_sensitivity"):
+    for name in (
+        "states",
+        "innovations",
+        "outputs",
+        "sensitivity",
+        "state_sensitivity",
+        "end",
+        "end_sensitivity",
+    ):
         got, expected = getattr(a, name), getattr(b, name)
-        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max(), err_msg=name)
+        np.testing.assert_allclose(
+            got, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max(), err_msg=name
+        )
     rows = np.array([0, 3, 7])
     starts = a.states[rows]
     for got, expected in zip(
@@ -249,19 +291,36 @@ def test_a_run_that_corrects_nothing_is_a_rollout(medium, use_compiler):
     engine = engine_for(medium[0].dynamics, medium[0].active, use_compiler=use_compiler)
     scene = medium[1]
     run = engine.run(
-        x0=scene.x0, inputs=engine.padded_inputs(scene.u), outputs=scene.y, mask=scene.mask, pattern=scene.pattern,
-        gains=GainTable(gain=np.zeros_like(scene.gain), zero=np.ones(2, dtype=np.int32)), p=scene.p, dt=DT,
+        x0=scene.x0,
+        inputs=engine.padded_inputs(scene.u),
+        outputs=scene.y,
+        mask=scene.mask,
+        pattern=scene.pattern,
+        gains=GainTable(gain=np.zeros_like(scene.gain), zero=np.ones(2, dtype=np.int32)),
+        p=scene.p,
+        dt=DT,
         want=frozenset({"states", "outputs"}),
-    )  # fmt: skip
+    )
     with_zero_gain = engine.run(
-        x0=scene.x0, inputs=engine.padded_inputs(scene.u), outputs=scene.y, mask=scene.mask, pattern=scene.pattern,
-        gains=GainTable(gain=np.zeros_like(scene.gain), zero=np.zeros(2, dtype=np.int32)), p=scene.p, dt=DT,
+        x0=scene.x0,
+        inputs=engine.padded_inputs(scene.u),
+        outputs=scene.y,
+        mask=scene.mask,
+        pattern=scene.pattern,
+        gains=GainTable(gain=np.zeros_like(scene.gain), zero=np.zeros(2, dtype=np.int32)),
+        p=scene.p,
+        dt=DT,
         want=frozenset({"states", "outputs"}),
-    )  # fmt: skip
+    )
     outputs, states = engine.rollout(
-        starts=scene.x0[None], rows=np.array([0]), horizon=N, inputs=engine.padded_inputs(scene.u), p=scene.p, dt=DT,
+        starts=scene.x0[None],
+        rows=np.array([0]),
+        horizon=N,
+        inputs=engine.padded_inputs(scene.u),
+        p=scene.p,
+        dt=DT,
         want_states=True,
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(run.states, states[0], rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(run.outputs, outputs[0], rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(with_zero_gain.states, states[0], rtol=1e-9, atol=1e-12)
@@ -271,10 +330,21 @@ def test_a_rollout_from_a_later_row_continues_the_first(medium):
     engine, scene = medium
     inputs = engine.padded_inputs(scene.u)
     whole, states = engine.rollout(
-        starts=scene.x0[None], rows=np.array([0]), horizon=N, inputs=inputs, p=scene.p, dt=DT, want_states=True
+        starts=scene.x0[None],
+        rows=np.array([0]),
+        horizon=N,
+        inputs=inputs,
+        p=scene.p,
+        dt=DT,
+        want_states=True,
     )
     tail, _ = engine.rollout(
-        starts=states[0, 10:11], rows=np.array([10]), horizon=N - 10, inputs=inputs, p=scene.p, dt=DT
+        starts=states[0, 10:11],
+        rows=np.array([10]),
+        horizon=N - 10,
+        inputs=inputs,
+        p=scene.p,
+        dt=DT,
     )
     np.testing.assert_allclose(tail[0], whole[0, 10:], rtol=1e-12, atol=1e-13)
 
@@ -286,9 +356,15 @@ def test_numbers_that_stop_being_finite_are_reported_with_their_sample(medium, u
     u = scene.u.copy()
     u[6, 0] = np.nan
     run = engine.run(
-        x0=scene.x0, inputs=engine.padded_inputs(u), outputs=scene.y, mask=scene.mask, pattern=scene.pattern,
-        gains=scene.table(), p=np.where(scene.p == 0.0137, 0.0, scene.p), dt=DT,
-    )  # fmt: skip
+        x0=scene.x0,
+        inputs=engine.padded_inputs(u),
+        outputs=scene.y,
+        mask=scene.mask,
+        pattern=scene.pattern,
+        gains=scene.table(),
+        p=np.where(scene.p == 0.0137, 0.0, scene.p),
+        dt=DT,
+    )
     assert run.failed_at == 6
 
 
@@ -296,7 +372,13 @@ def test_a_filter_that_is_told_the_truth_has_no_innovations(medium):
     engine, scene = medium
     inputs = engine.padded_inputs(scene.u)
     y, states = engine.rollout(
-        starts=scene.x0[None], rows=np.array([0]), horizon=N, inputs=inputs, p=scene.p, dt=DT, want_states=True
+        starts=scene.x0[None],
+        rows=np.array([0]),
+        horizon=N,
+        inputs=inputs,
+        p=scene.p,
+        dt=DT,
+        want_states=True,
     )
     run = scene.run(engine, y=y[0])
     assert np.abs(run.innovations).max() < 1e-11
@@ -312,6 +394,8 @@ def test_inputs_are_not_changed(medium):
 
 
 def test_an_engine_without_sensitivities_stands_in_for_none_that_has_them():
-    model = PhysicsModel(vehicle=everything().vehicle, effects=CATALOGUE[:1], sensors=SENSORS[:5], sample_time=DT)
+    model = PhysicsModel(
+        vehicle=everything().vehicle, effects=CATALOGUE[:1], sensors=SENSORS[:5], sample_time=DT
+    )
     assert not engine_for(model, (), sensitive=False).sensitive
     assert engine_for(model, ()).sensitive

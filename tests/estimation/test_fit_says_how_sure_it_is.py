@@ -1,4 +1,5 @@
-"""Claims about `fit`: truth within its errors, honest status, bounds, priors, and names for what cannot be identified."""
+"""Claims about `fit`: truth within its errors, honest status, bounds, priors, and names for what
+cannot be identified."""
 
 from __future__ import annotations
 
@@ -50,7 +51,9 @@ def test_white_innovations_take_fisher_errors(fitted: Fit) -> None:
 
 def test_sandwich_and_fisher_agree_when_the_model_is_right(fitted: Fit) -> None:
     shared = [i for i, u in enumerate(fitted.problem.unknowns) if u.kind == "parameter"]
-    ratio = np.sqrt(np.diag(fitted.covariance.sandwich)[shared] / np.diag(fitted.covariance.fisher)[shared])
+    ratio = np.sqrt(
+        np.diag(fitted.covariance.sandwich)[shared] / np.diag(fitted.covariance.fisher)[shared]
+    )
     assert 0.6 < np.median(ratio) < 1.6
 
 
@@ -62,7 +65,11 @@ def test_the_same_fit_twice_gives_the_same_numbers(fitted: Fit) -> None:
 
 def test_the_iteration_limit_is_not_convergence() -> None:
     data = flights()
-    result = fit(build_model(vehicle(), data.channels, EFFECTS), data, solver=LevenbergMarquardt(max_iterations=2))
+    result = fit(
+        build_model(vehicle(), data.channels, EFFECTS),
+        data,
+        solver=LevenbergMarquardt(max_iterations=2),
+    )
     assert not result.converged
     assert result.status.code is Code.MAX_ITERATIONS
     assert result.warnings[0].startswith("NOT converged")
@@ -76,7 +83,9 @@ def test_mass_and_everything_in_newtons_scale_jointly() -> None:
     result = fit(build_model(loose, data.channels, EFFECTS), data)
     texts = [c for c in result.unidentifiable if "mass" in c.names]
     assert len(texts) == 1
-    assert {"mass", "thrust.c2", "inertia.xx", "inertia.yy", "inertia.zz", "torque.c2"} <= set(texts[0].names)
+    assert {"mass", "thrust.c2", "inertia.xx", "inertia.yy", "inertia.zz", "torque.c2"} <= set(
+        texts[0].names
+    )
     assert "only as a ratio" in texts[0].text
     assert result["mass"].prior_influence > 0.99
     assert any("the priors decide" in w for w in result.warnings)
@@ -87,12 +96,16 @@ def test_a_known_mass_leaves_nothing_unidentified(fitted: Fit) -> None:
 
 
 def test_an_estimate_at_its_bound_has_no_two_sided_error() -> None:
-    """The plant has no blade flapping and no negative drag: force a bound by a prior range that excludes the truth."""
+    """The plant has no blade flapping and no negative drag: force a bound by a prior range that
+    excludes the truth."""
     data = flights(1)
     model = build_model(vehicle(), data.channels, EFFECTS)
     from dataclasses import replace
 
-    high = tuple(replace(p, lower=0.06, nominal=0.07) if p.name == "motor_lag.tau" else p for p in model.parameters)
+    high = tuple(
+        replace(p, lower=0.06, nominal=0.07) if p.name == "motor_lag.tau" else p
+        for p in model.parameters
+    )
     object.__setattr__(model, "parameters", high)
     result = fit(model, data)
     bound = result["motor_lag.tau"]
@@ -110,7 +123,9 @@ def test_per_flight_parameters_get_one_value_per_flight(fitted: Fit) -> None:
     assert set(each) == set(data.names)
     for value, std in each.values():
         assert abs(value - truth()["thrust.c2"]) < 4 * std
-    assert result.model.flight_spread["thrust.c2"][0] == pytest.approx(truth()["thrust.c2"], rel=0.01)
+    assert result.model.flight_spread["thrust.c2"][0] == pytest.approx(
+        truth()["thrust.c2"], rel=0.01
+    )
 
 
 def test_an_unknown_parameter_is_named_with_its_neighbours() -> None:

@@ -1,4 +1,5 @@
-"""An engine built for many parameters serves fits of any subset: the same cost, gradient, Hessian and estimates."""
+"""An engine built for many parameters serves fits of any subset: the same cost, gradient, Hessian
+and estimates."""
 
 import numpy as np
 import pytest
@@ -17,18 +18,26 @@ EVERY = tuple(p.name for p in model().parameters)
 
 
 @pytest.mark.parametrize(
-    "compiled", [pytest.param(True, marks=pytest.mark.skipif(compiler() is None, reason="no cc")), False]
+    "compiled",
+    [pytest.param(True, marks=pytest.mark.skipif(compiler() is None, reason="no cc")), False],
 )
 def test_value_gradient_and_hessian_are_those_of_an_own_build(compiled: bool):
     data = record(200)
-    common = {"predictor": Innovation(), "criterion": Gaussian(), "free": SOME, "use_compiler": compiled}
+    common = {
+        "predictor": Innovation(),
+        "criterion": Gaussian(),
+        "free": SOME,
+        "use_compiler": compiled,
+    }
     own = make_problem(model(), data, **common)
     shared = make_problem(model(), data, build=EVERY, **common)
     assert shared.engine.built == EVERY
     assert shared.engine.active == own.engine.active == SOME
     a, b = (p.evaluate(p.start) for p in (own, shared))
     assert b.cost == pytest.approx(a.cost, rel=1e-12)
-    np.testing.assert_allclose(b.gradient, a.gradient, rtol=1e-8, atol=1e-9 * np.abs(a.gradient).max())
+    np.testing.assert_allclose(
+        b.gradient, a.gradient, rtol=1e-8, atol=1e-9 * np.abs(a.gradient).max()
+    )
     np.testing.assert_allclose(b.hessian, a.hessian, rtol=1e-8, atol=1e-9 * np.abs(a.hessian).max())
 
 

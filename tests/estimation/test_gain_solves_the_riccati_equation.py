@@ -1,4 +1,5 @@
-"""The stationary gain: against scipy, against pencil and paper, against a recursion, and its derivative by differences."""
+"""The stationary gain: against scipy, against pencil and paper, against a recursion, and its
+derivative by differences."""
 
 from __future__ import annotations
 
@@ -30,11 +31,15 @@ def test_covariance_is_that_of_scipy_with_the_cross_term(seed):
     a, g, c, d, q, r = random_system(seed)
     weak = np.full(len(a), FAR)
     # Force noise that reaches the sensor too: S = G Q D'.
-    expected = solve_discrete_are(a.T, c.T, (g * q) @ g.T, np.diag(r) + (d * q) @ d.T, s=(g * q) @ d.T)
+    expected = solve_discrete_are(
+        a.T, c.T, (g * q) @ g.T, np.diag(r) + (d * q) @ d.T, s=(g * q) @ d.T
+    )
     got = solve_riccati(a, g, c, d, q, r, weak)
     np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
     without = solve_discrete_are(a.T, c.T, (g * q) @ g.T, np.diag(r) + (d * q) @ d.T)
-    assert np.abs(without - expected).max() > 1e-2 * np.abs(expected).max(), "the cross term matters here"
+    assert np.abs(without - expected).max() > 1e-2 * np.abs(expected).max(), (
+        "the cross term matters here"
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -44,8 +49,12 @@ def test_covariance_with_the_pseudo_sensor_is_that_of_scipy_with_the_sensor_writ
     weak = np.exp(np.random.default_rng(seed).normal(size=n))
     c2, d2 = np.vstack([c, np.eye(n)]), np.vstack([d, np.zeros((n, d.shape[1]))])
     r2 = np.concatenate([r, weak])
-    expected = solve_discrete_are(a.T, c2.T, (g * q) @ g.T, np.diag(r2) + (d2 * q) @ d2.T, s=(g * q) @ d2.T)
-    np.testing.assert_allclose(solve_riccati(a, g, c, d, q, r, weak), expected, rtol=1e-9, atol=1e-11)
+    expected = solve_discrete_are(
+        a.T, c2.T, (g * q) @ g.T, np.diag(r2) + (d2 * q) @ d2.T, s=(g * q) @ d2.T
+    )
+    np.testing.assert_allclose(
+        solve_riccati(a, g, c, d, q, r, weak), expected, rtol=1e-9, atol=1e-11
+    )
 
 
 def test_gain_and_innovation_covariance_are_the_fixed_point_of_the_kalman_recursion():
@@ -65,7 +74,8 @@ def test_gain_and_innovation_covariance_are_the_fixed_point_of_the_kalman_recurs
 
 
 def test_a_random_walk_seen_in_noise_has_the_golden_solution():
-    """P = P + q - P^2/(P + r) gives P^2 = q (P + r); with q = r = 1 P is the golden ratio (1 + sqrt 5)/2."""
+    """P = P + q - P^2/(P + r) gives P^2 = q (P + r); with q = r = 1 P is the golden ratio (1 + sqrt
+    5)/2."""
     one = np.eye(1)
     for q, r in ((1.0, 1.0), (0.04, 2.5)):
         p = (q + np.sqrt(q * q + 4 * q * r)) / 2
@@ -76,7 +86,8 @@ def test_a_random_walk_seen_in_noise_has_the_golden_solution():
 
 
 def test_noise_that_is_measured_perfectly_need_not_be_estimated():
-    """x+ = a x + w, y = x + w + v with small v: K = (a P + q)/(P + q + r), worked out from the scalar quadratic."""
+    """x+ = a x + w, y = x + w + v with small v: K = (a P + q)/(P + q + r), worked out from the
+    scalar quadratic."""
     a, q, r = 0.9, 2.0, 0.5
     # P = a^2 P + q - (a P + q)^2/(P + q + r)  <=>  P^2 + P (q + r - a^2 (q + r) - q + 2 a q) - q r = 0
     b = (q + r) * (1 - a * a) - q + 2 * a * q
@@ -90,7 +101,12 @@ def test_noise_that_is_measured_perfectly_need_not_be_estimated():
 def test_what_no_sensor_sees_stays_finite_and_leaves_the_rest_alone():
     """Two states that do not know of each other, one a random walk without a sensor."""
     a, g, c, d = np.eye(2), np.eye(2), np.array([[1.0, 0.0]]), np.zeros((1, 2))
-    seen = stationary((np.eye(1), np.eye(1), np.eye(1), np.zeros((1, 1))), np.ones(1), np.ones(1), np.array([1e10]))
+    seen = stationary(
+        (np.eye(1), np.eye(1), np.eye(1), np.zeros((1, 1))),
+        np.ones(1),
+        np.ones(1),
+        np.array([1e10]),
+    )
     both = stationary((a, g, c, d), np.ones(2), np.ones(1), np.full(2, 1e10))
     assert np.isfinite(both.P).all()
     assert both.P[1, 1] > 1e4
@@ -135,7 +151,9 @@ def test_derivatives_of_everything_are_central_differences(seed):
             ends.append({"P": at.P, "N": at.N, "S": at.S, "K": k, "partial S": s})
         for name, value in exact.items():
             numeric = (ends[0][name] - ends[1][name]) / (2 * h)
-            np.testing.assert_allclose(value[j], numeric, rtol=1e-5, atol=1e-6 * np.abs(numeric).max(), err_msg=name)
+            np.testing.assert_allclose(
+                value[j], numeric, rtol=1e-5, atol=1e-6 * np.abs(numeric).max(), err_msg=name
+            )
 
 
 @pytest.mark.parametrize("there", [(1, 1, 1, 1), (1, 0, 1, 0), (0, 0, 0, 1)])
@@ -170,7 +188,10 @@ def pendulum():
             Parameter(name="stiffness", unit="1/s^2", nominal=9.0),
             Parameter(name="friction", unit="1/s", nominal=0.4),
         ),
-        dynamics=lambda t, x, u, p: [x[1], -p["stiffness"] * ca.sin(x[0]) - p["friction"] * x[1] + u[0]],
+        dynamics=lambda t, x, u, p: [
+            x[1],
+            -p["stiffness"] * ca.sin(x[0]) - p["friction"] * x[1] + u[0],
+        ],
         measurement=lambda t, x, u, p: [x[0]],
         noise_states=("speed",),
     )
@@ -186,13 +207,16 @@ def test_linearisation_gives_the_matrices_of_a_model_and_their_slopes():
     np.testing.assert_array_equal(c, [[1, 0]])
     np.testing.assert_array_equal(d, [[0]])
     h = 1e-5
-    ahead, behind = (Linearisation(model, ()).values(x, u, p + np.array([0, s * h]), dt) for s in (1, -1))
+    ahead, behind = (
+        Linearisation(model, ()).values(x, u, p + np.array([0, s * h]), dt) for s in (1, -1)
+    )
     for slope, hi, lo in zip(slopes, ahead, behind, strict=True):
         np.testing.assert_allclose(slope[0], (hi - lo) / (2 * h), atol=1e-9)
 
 
 def test_innovations_of_a_simulated_system_have_the_promised_covariance():
-    """The claim behind the likelihood: cov(e) = S and e is white, with noise common to state and sensor."""
+    """The claim behind the likelihood: cov(e) = S and e is white, with noise common to state and
+    sensor."""
     rng = np.random.default_rng(8)
     a, g, c, d = (
         np.array([[0.95, 0.1], [0.0, 0.9]]),

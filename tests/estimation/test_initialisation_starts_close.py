@@ -1,4 +1,5 @@
-"""Claims: equation error starts close to the truth, instruments undo its closed-loop bias, noise starts save iterations."""
+"""Claims: equation error starts close to the truth, instruments undo its closed-loop bias, noise
+starts save iterations."""
 
 from __future__ import annotations
 
@@ -29,16 +30,25 @@ from tests.simulated import flights, truth, vehicle
 def first_order() -> StateSpaceModel:
     """x+ = a x + b u + w, y = x + v, with start values far off."""
     return StateSpaceModel(
-        name="first order", states=Layout([Signal(name="y", unit="1")]), inputs=Layout([Signal(name="u", unit="1")]),
+        name="first order",
+        states=Layout([Signal(name="y", unit="1")]),
+        inputs=Layout([Signal(name="u", unit="1")]),
         outputs=Layout([Signal(name="y", unit="1")]),
-        parameters=(Parameter(name="a", unit="1", nominal=0.5), Parameter(name="b", unit="1", nominal=1.0)),
-        dynamics=lambda t, x, u, p: [p["a"] * x[0] + p["b"] * u], measurement=lambda t, x, u, p: [x[0]], discrete=True,
-        initial_sigma={"y": 1.0}, sensor_sigma={"y": 0.3},
-    )  # fmt: skip
+        parameters=(
+            Parameter(name="a", unit="1", nominal=0.5),
+            Parameter(name="b", unit="1", nominal=1.0),
+        ),
+        dynamics=lambda t, x, u, p: [p["a"] * x[0] + p["b"] * u],
+        measurement=lambda t, x, u, p: [x[0]],
+        discrete=True,
+        initial_sigma={"y": 1.0},
+        sensor_sigma={"y": 0.3},
+    )
 
 
 def loop(seed: int, n: int = 3000) -> Dataset:
-    """a = 0.9, b = 0.5 under feedback u = 0.8 (sp - y): the measurement noise comes back through the command."""
+    """a = 0.9, b = 0.5 under feedback u = 0.8 (sp - y): the measurement noise comes back through
+    the command."""
     rng = np.random.default_rng(seed)
     sp = np.repeat(rng.choice([-1.0, 1.0], n // 10), 10)
     x, rows = 0.0, []
@@ -54,7 +64,9 @@ def loop(seed: int, n: int = 3000) -> Dataset:
 def test_instruments_undo_the_bias_that_feedback_brings() -> None:
     plain, instrumental = [], []
     for seed in range(20):
-        problem = make_problem(first_order(), loop(seed), predictor=Innovation(), criterion=Gaussian())
+        problem = make_problem(
+            first_order(), loop(seed), predictor=Innovation(), criterion=Gaussian()
+        )
         plain.append(equation_error(problem)[1])
         instrumental.append(equation_error(problem, instruments=["sp"])[1])
     error = np.std(instrumental) / np.sqrt(20)
@@ -64,7 +76,9 @@ def test_instruments_undo_the_bias_that_feedback_brings() -> None:
 
 
 def test_bad_instruments_are_named() -> None:
-    problem = make_problem(first_order(), loop(0, 200), predictor=Innovation(), criterion=Gaussian())
+    problem = make_problem(
+        first_order(), loop(0, 200), predictor=Innovation(), criterion=Gaussian()
+    )
     with pytest.raises(UnknownNameError, match="spp"):
         equation_error(problem, instruments=["spp"])
     s = loop(0, 200).segments[0]
@@ -75,7 +89,9 @@ def test_bad_instruments_are_named() -> None:
 
 
 def test_equation_error_starts_the_motor_within_a_few_per_cent() -> None:
-    problem = make_problem(motor.model(), motor.record(), predictor=Simulation(), criterion=Gaussian())
+    problem = make_problem(
+        motor.model(), motor.record(), predictor=Simulation(), criterion=Gaussian()
+    )
     start = equation_error(problem)
     for i, name in enumerate(("R", "L", "k", "J")):
         assert start[i] == pytest.approx(motor.TRUTH[name], rel=0.03), name
@@ -83,7 +99,10 @@ def test_equation_error_starts_the_motor_within_a_few_per_cent() -> None:
 
 def test_noise_start_finds_the_levels_within_a_factor_two() -> None:
     problem = make_problem(
-        motor.model(), motor.record(torque_noise=0.002), predictor=Innovation(), criterion=Gaussian()
+        motor.model(),
+        motor.record(torque_noise=0.002),
+        predictor=Innovation(),
+        criterion=Gaussian(),
     )
     start = noise_start(problem, equation_error(problem))
     level = {u.name: np.exp(v) for u, v in zip(problem.unknowns, start) if u.kind == "noise"}
@@ -95,7 +114,9 @@ def test_noise_start_finds_the_levels_within_a_factor_two() -> None:
 @functools.cache
 def quadrotor() -> Problem:
     data = flights()
-    model = build_model(vehicle(), data.channels, ("motor_lag", "command_delay", "rotor_drag", "rotational_damping"))
+    model = build_model(
+        vehicle(), data.channels, ("motor_lag", "command_delay", "rotor_drag", "rotational_damping")
+    )
     return make_problem(model, data, predictor=Innovation(), criterion=Gaussian())
 
 
@@ -110,11 +131,15 @@ def test_the_quadrotor_fit_needs_fewer_than_twelve_iterations() -> None:
     assert status.iterations < 12
     plain, other = LevenbergMarquardt().solve(problem, problem.start)
     assert status.iterations < other.iterations
-    assert problem.evaluate(theta, 0).cost == pytest.approx(problem.evaluate(plain, 0).cost, abs=1e-4)
+    assert problem.evaluate(theta, 0).cost == pytest.approx(
+        problem.evaluate(plain, 0).cost, abs=1e-4
+    )
 
 
 def test_multistart_finds_the_same_best_whatever_the_executor() -> None:
-    problem = make_problem(motor.model(), motor.record(), predictor=Simulation(), criterion=Gaussian())
+    problem = make_problem(
+        motor.model(), motor.record(), predictor=Simulation(), criterion=Gaussian()
+    )
     threads = multistart(problem, LevenbergMarquardt(), n=4, seed=3)
     with concurrent.futures.ThreadPoolExecutor(1) as one:
         again = multistart(problem, LevenbergMarquardt(), n=4, seed=3, executor=one)

@@ -70,7 +70,9 @@ def repeated(times: int) -> Dataset:
     segment = flights(1)[flights(1).names[0]].segments[0]
     n = segment.n * times
     return dataset_from_arrays(
-        segment.t[0] + np.arange(n) * 0.01, {c: np.tile(v, times) for c, v in segment.channels.items()}, name="long"
+        segment.t[0] + np.arange(n) * 0.01,
+        {c: np.tile(v, times) for c, v in segment.channels.items()},
+        name="long",
     )
 
 

@@ -36,7 +36,9 @@ PLAIN = Body(held=np.zeros((3, 3)), columns=(0, 1, 2), elements=SIX[:3])
 def stranger(tmp_path_factory) -> Vehicle:
     """The vehicle file of a stranger: no sigma anywhere."""
     path = tmp_path_factory.mktemp("vehicle") / "v.toml"
-    return read_vehicle(write_vehicle(path, plant(), errors={"inertia": 1.1}, schema="greybox.vehicle/2"))
+    return read_vehicle(
+        write_vehicle(path, plant(), errors={"inertia": 1.1}, schema="greybox.vehicle/2")
+    )
 
 
 @cache
@@ -47,7 +49,11 @@ def short_flight():
 def problem_of(vehicle: Vehicle, effects=EFFECTS, **options):
     model = build_model(vehicle, short_flight().channels, effects, sample_time=0.01)
     return make_problem(
-        model, short_flight(), predictor=PREDICTORS["innovation"](), criterion=CRITERIA["gaussian"](), **options
+        model,
+        short_flight(),
+        predictor=PREDICTORS["innovation"](),
+        criterion=CRITERIA["gaussian"](),
+        **options,
     )
 
 
@@ -93,7 +99,9 @@ def test_a_thousand_random_starts_are_moved_inside_by_what_is_free(held):
     lower, upper = np.where(diagonal, 0.05, -0.25), np.where(diagonal, 20.0, 0.25)
     for _ in range(1000):
         start = (
-            rng.uniform(lower, upper) if rng.uniform() < 0.5 else lower * (np.abs(upper / lower) ** rng.uniform(size=n))
+            rng.uniform(lower, upper)
+            if rng.uniform() < 0.5
+            else lower * (np.abs(upper / lower) ** rng.uniform(size=n))
         )
         moved = moved_inside([body], start, lower, upper)
         assert is_possible(body.inertia(moved))
@@ -145,7 +153,9 @@ def pulled(body: Body) -> Pulled:
 def test_two_hundred_searches_that_are_pulled_across_end_inside_and_at_one_place():
     problem, rng, costs = pulled(PLAIN), np.random.default_rng(5), []
     for _ in range(200):
-        theta, status = LevenbergMarquardt().solve(problem, problem.inside(rng.uniform(problem.lower, 4.0)))
+        theta, status = LevenbergMarquardt().solve(
+            problem, problem.inside(rng.uniform(problem.lower, 4.0))
+        )
         assert status.converged and is_possible(PLAIN.inertia(theta))
         costs.append(problem.evaluate(theta, 0).cost)
     assert np.ptp(costs) < 1e-4
@@ -165,7 +175,9 @@ def ends(vehicle: Vehicle, count: int) -> list[bool]:
     (body,) = problem.bodies
     out = []
     for _ in range(count):
-        theta, _ = LevenbergMarquardt(max_iterations=30).solve(problem, random_start(problem, rng, problem.start, 3.0))
+        theta, _ = LevenbergMarquardt(max_iterations=30).solve(
+            problem, random_start(problem, rng, problem.start, 3.0)
+        )
         out.append(is_possible(body.inertia(theta)))
     return out
 
@@ -199,7 +211,9 @@ def test_stated_moments_of_a_rounded_table_are_moved_inside_before_the_fit(stran
 def test_what_is_held_is_left_as_it_is(stranger):
     rounded = replace(stranger, inertia=tuple(map(tuple, np.diag([1.43e-5, 1.43e-5, 2.89e-5]))))
     fixed = ("inertia.xx", "inertia.yy", "inertia.zz", "products_of_inertia.Jxy")
-    problem = problem_of(rounded, fixed=(*fixed, "products_of_inertia.Jxz", "products_of_inertia.Jyz"))
+    problem = problem_of(
+        rounded, fixed=(*fixed, "products_of_inertia.Jxz", "products_of_inertia.Jyz")
+    )
     assert problem.bodies == () and problem.evaluate(problem.start, 0).valid
 
 
@@ -209,7 +223,9 @@ def test_files_of_schema_one_keep_their_bounds_and_know_no_wall(stranger):
     assert problem.bodies == ()
     declared = {d.name: d for d in problem.dynamics.parameters}
     sigma = old.quantities["thrust.c2"].sigma
-    assert declared["thrust.c2"].upper == pytest.approx(old.quantities["thrust.c2"].value + 4 * sigma)
+    assert declared["thrust.c2"].upper == pytest.approx(
+        old.quantities["thrust.c2"].value + 4 * sigma
+    )
     new = {d.name: d for d in problem_of(stranger).dynamics.parameters}
     assert new["inertia.zz"].upper == pytest.approx(20 * stranger.inertia[2][2])
     assert new["mass"].lower == pytest.approx(stranger.mass.value / 20)

@@ -1,4 +1,5 @@
-"""Noise levels to start from come from a linear filter; where the prediction runs away with them they are not taken."""
+"""Noise levels to start from come from a linear filter; where the prediction runs away with them
+they are not taken."""
 
 from __future__ import annotations
 
@@ -30,7 +31,13 @@ class Fragile:
 
 def test_levels_that_let_the_prediction_run_away_are_not_taken() -> None:
     problem = make_problem(
-        model(), record(1), predictor=Innovation(), criterion=Gaussian(), free=CORE, build=EVERY, values=NULL
+        model(),
+        record(1),
+        predictor=Innovation(),
+        criterion=Gaussian(),
+        free=CORE,
+        build=EVERY,
+        values=NULL,
     )
     whole = noise_start(problem)
     first = noise_start(problem, rounds=1)

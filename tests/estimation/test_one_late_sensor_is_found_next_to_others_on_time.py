@@ -1,4 +1,5 @@
-"""A gyro that shows its readings part of a sample late, next to sensors on time, is found with how late it is."""
+"""A gyro that shows its readings part of a sample late, next to sensors on time, is found with how
+late it is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""FitOptions: what `fit` takes as keywords is one frozen record, and a mistyped choice gets the nearest name."""
+"""FitOptions: what `fit` takes as keywords is one frozen record, and a mistyped choice gets the
+nearest name."""
 
 from __future__ import annotations
 
@@ -32,15 +33,20 @@ CHOICES = {"predictor": "simulation", "fixed": ["friction"], "values": {"frictio
 @pytest.mark.parametrize(
     ("record", "choices"),
     [
-        (FitOptions, FitChoices), (DiscoverOptions, DiscoverChoices), (GPOptions, GPChoices),
-        (PlanOptions, PlanChoices), (LinearSetup, LinearChoices),
+        (FitOptions, FitChoices),
+        (DiscoverOptions, DiscoverChoices),
+        (GPOptions, GPChoices),
+        (PlanOptions, PlanChoices),
+        (LinearSetup, LinearChoices),
     ],
 )
 def test_keywords_are_the_fields(record: type, choices: type):
     assert [f.name for f in dataclasses.fields(record)] == list(get_type_hints(choices))
 
 
-@pytest.mark.parametrize(("function", "record"), [(fit, FitOptions), (discover, DiscoverOptions), (plan, PlanOptions)])
+@pytest.mark.parametrize(
+    ("function", "record"), [(fit, FitOptions), (discover, DiscoverOptions), (plan, PlanOptions)]
+)
 def test_help_lists_every_choice_with_its_default(function: Callable[..., object], record: type):
     shown = inspect.signature(function).parameters
     for name, default in vars(record()).items():
@@ -65,16 +71,28 @@ def test_keywords_and_record_are_the_same_fit():
     ("call", "wrong", "near"),
     [
         (lambda **k: fit(motor.model(), motor.record(n=50), **k), "predicter", "predictor"),
-        (lambda **k: make_problem(motor.model(), motor.record(n=50), **k), "perflight", "per_flight"),
+        (
+            lambda **k: make_problem(motor.model(), motor.record(n=50), **k),
+            "perflight",
+            "per_flight",
+        ),
         (lambda **k: FitOptions().but(**k), "prior", "priors"),
         (lambda **k: discover(None, None, **k), "max_effect", "max_effects"),  # type: ignore[arg-type]
         (lambda **k: GPOptions().but(**k), "kernal", "kernel"),
         (lambda **k: plan(**k), "second", "seconds"),
-        (lambda **k: fit_linear([Record(u=np.zeros((9, 1)), y=np.zeros((9, 1)))], **k), "delay", "delays"),
+        (
+            lambda **k: fit_linear([Record(u=np.zeros((9, 1)), y=np.zeros((9, 1)))], **k),
+            "delay",
+            "delays",
+        ),
     ],
 )
-def test_a_mistyped_choice_gets_the_nearest_name(call: Callable[..., object], wrong: str, near: str):
-    with pytest.raises(UnknownNameError, match=rf"unknown option .*'{wrong}'.*did you mean.*\b{near}\b"):
+def test_a_mistyped_choice_gets_the_nearest_name(
+    call: Callable[..., object], wrong: str, near: str
+):
+    with pytest.raises(
+        UnknownNameError, match=rf"unknown option .*'{wrong}'.*did you mean.*\b{near}\b"
+    ):
         call(**{wrong: "x"})
 
 
@@ -94,10 +112,17 @@ def test_options_are_values():
 
 def test_the_command_line_says_what_the_options_say():
     options = FitOptions(
-        predictor="kalman", criterion="robust", disturbance=("force", "torque"), free=("mass",), per_flight=["mass"],
-        values={"mass": 1.25, "inertia.x": 0.002}, noise={"noise.sensor.p": 0.05}, estimate_noise="process", seed=4,
+        predictor="kalman",
+        criterion="robust",
+        disturbance=("force", "torque"),
+        free=("mass",),
+        per_flight=["mass"],
+        values={"mass": 1.25, "inertia.x": 0.002},
+        noise={"noise.sensor.p": 0.05},
+        estimate_noise="process",
+        seed=4,
         initialisation="noise",
-    )  # fmt: skip
+    )
     parser = argparse.ArgumentParser()
     model_options(parser)
     parser.add_argument("--seed", type=int, default=0)
@@ -108,7 +133,9 @@ def test_the_command_line_says_what_the_options_say():
 
 def test_options_as_plain_values_leave_out_defaults():
     assert FitOptions().to_dict() == {}
-    said = FitOptions(predictor=MultiStep(stride=5), priors={"mass": (1.0, np.float64(0.1))}, free=()).to_dict()
+    said = FitOptions(
+        predictor=MultiStep(stride=5), priors={"mass": (1.0, np.float64(0.1))}, free=()
+    ).to_dict()
     assert said == {"predictor": "multi-step", "priors": {"mass": [1.0, 0.1]}, "free": []}
 
 

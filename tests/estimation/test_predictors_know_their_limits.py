@@ -1,4 +1,5 @@
-"""Claims about predictors: exact gradients, limit cases (textbook filter, stationary gain, one step), one optimum."""
+"""Claims about predictors: exact gradients, limit cases (textbook filter, stationary gain, one
+step), one optimum."""
 
 from __future__ import annotations
 
@@ -46,15 +47,23 @@ def test_the_gradient_is_that_of_the_cost(name: str) -> None:
 def test_compiled_code_and_virtual_machine_give_the_same_numbers(name: str) -> None:
     data = with_gaps(motor.record(n=100, torque_noise=0.002))
     values = [
-        make_problem(motor.model(), data, predictor=PREDICTORS[name](), criterion=Gaussian(), use_compiler=compiled)
+        make_problem(
+            motor.model(),
+            data,
+            predictor=PREDICTORS[name](),
+            criterion=Gaussian(),
+            use_compiler=compiled,
+        )
         for compiled in (True, False)
     ]
     one, two = (p.evaluate(p.start) for p in values)
     assert one.cost == pytest.approx(two.cost, rel=1e-10)
-    np.testing.assert_allclose(one.gradient, two.gradient, rtol=1e-5, atol=1e-6 * np.abs(two.gradient).max())
+    np.testing.assert_allclose(
+        one.gradient, two.gradient, rtol=1e-5, atol=1e-6 * np.abs(two.gradient).max()
+    )
 
 
-# ------------------------------------------------------------------------------------------------ Kalman filter
+# ---------------------------------------------------------------------------------- Kalman filter
 
 
 def linear_model() -> StateSpaceModel:
@@ -64,13 +73,17 @@ def linear_model() -> StateSpaceModel:
         return [p["a"] * x[0] + 0.2 * x[1] + u, 0.8 * x[1] - 0.1 * x[0]]
 
     return StateSpaceModel(
-        name="linear", states=Layout([Signal(name="x1", unit="1"), Signal(name="x2", unit="1")]),
+        name="linear",
+        states=Layout([Signal(name="x1", unit="1"), Signal(name="x2", unit="1")]),
         inputs=Layout([Signal(name="u", unit="1")]),
         outputs=Layout([Signal(name="y", unit="1"), Signal(name="z", unit="1")]),
-        parameters=(Parameter(name="a", unit="1", nominal=0.9),), dynamics=f,
-        measurement=lambda t, x, u, p: [x[0] + 0.5 * x[1], x[1] - 0.3 * x[0]], discrete=True,
-        initial_sigma={"x1": 2.0, "x2": 0.7}, sensor_sigma={"y": 0.3, "z": 0.5},
-    )  # fmt: skip
+        parameters=(Parameter(name="a", unit="1", nominal=0.9),),
+        dynamics=f,
+        measurement=lambda t, x, u, p: [x[0] + 0.5 * x[1], x[1] - 0.3 * x[0]],
+        discrete=True,
+        initial_sigma={"x1": 2.0, "x2": 0.7},
+        sensor_sigma={"y": 0.3, "z": 0.5},
+    )
 
 
 def linear_data(n: int = 300) -> Dataset:
@@ -80,7 +93,11 @@ def linear_data(n: int = 300) -> Dataset:
     for k in range(n):
         y = np.array([[1, 0.5], [-0.3, 1]]) @ x + np.array([0.3, 0.5]) * rng.standard_normal(2)
         rows.append(y)
-        x = np.array([[0.9, 0.2], [-0.1, 0.8]]) @ x + np.array([u[k], 0.0]) + 0.1 * rng.standard_normal(2)
+        x = (
+            np.array([[0.9, 0.2], [-0.1, 0.8]]) @ x
+            + np.array([u[k], 0.0])
+            + 0.1 * rng.standard_normal(2)
+        )
     y = np.array(rows)
     y[10:14, 0] = np.nan
     y[40] = np.nan
@@ -88,7 +105,8 @@ def linear_data(n: int = 300) -> Dataset:
 
 
 def textbook(data: Dataset, q: FloatArray, r: FloatArray) -> tuple[float, FloatArray]:
-    """(negative log likelihood, last S) of the Kalman filter in its two-step form (update, then predict)."""
+    """(negative log likelihood, last S) of the Kalman filter in its two-step form (update, then
+    predict)."""
     s = data.segments[0]
     a, b = np.array([[0.9, 0.2], [-0.1, 0.8]]), np.array([1.0, 0.0])
     c = np.array([[1, 0.5], [-0.3, 1]])
@@ -99,7 +117,9 @@ def textbook(data: Dataset, q: FloatArray, r: FloatArray) -> tuple[float, FloatA
         ck, rk = c[there], np.diag(r[there])
         e = y[k][there] - ck @ x
         last = ck @ p @ ck.T + rk
-        cost += 0.5 * (e @ np.linalg.solve(last, e) + np.linalg.slogdet(last)[1] + e.size * np.log(2 * np.pi))
+        cost += 0.5 * (
+            e @ np.linalg.solve(last, e) + np.linalg.slogdet(last)[1] + e.size * np.log(2 * np.pi)
+        )
         gain = np.linalg.solve(last, ck @ p).T
         x, p = x + gain @ e, p - gain @ ck @ p
         x, p = a @ x + b * s.column("u")[k], a @ p @ a.T + np.diag(q)
@@ -111,7 +131,9 @@ LEVELS = {"noise.process.x1": 0.1, "noise.process.x2": 0.1}
 
 def test_on_a_linear_model_the_filter_is_the_textbook_filter() -> None:
     data = linear_data()
-    problem = make_problem(linear_model(), data, predictor=Kalman(), criterion=Gaussian(), noise=LEVELS)
+    problem = make_problem(
+        linear_model(), data, predictor=Kalman(), criterion=Gaussian(), noise=LEVELS
+    )
     cost, _ = textbook(data, np.array([0.01, 0.01]), np.array([0.09, 0.25]))
     assert problem.evaluate(problem.start).likelihood == pytest.approx(cost, abs=1e-10 * abs(cost))
 
@@ -124,7 +146,8 @@ def test_the_stationary_gain_is_the_filters_limit() -> None:
     (block,) = kalman.predictor.blocks(kalman, kalman.start, False)
     stationary = Innovation().riccati(fixed, fixed.start, False).S
     root = np.linalg.cholesky(stationary)
-    # The stationary solution has a pseudo-sensor of a hundred times the initial spread, hence not to the last digit.
+    # The stationary solution has a pseudo-sensor of a hundred times the initial spread, hence not
+    # to the last digit.
     np.testing.assert_allclose(block.variance[-1], np.diag(root) ** 2, rtol=2e-6)
     (other,) = fixed.predictor.blocks(fixed, fixed.start, False)
     unit = root / np.diag(root)
@@ -140,12 +163,13 @@ def test_filter_and_stationary_form_agree_on_the_motor() -> None:
     assert status.converged
     error = np.sqrt(np.diag(np.linalg.inv(full.evaluate(theta).hessian)))
     off = np.abs(theta - start[: full.n]) / error
-    # The friction torque bends within a swing, which only the filter's moving linearisation sees: b and c differ more.
+    # The friction torque bends within a swing, which only the filter's moving linearisation sees: b
+    # and c differ more.
     assert off[:4].max() < 0.2
     assert off[:6].max() < 1.5
 
 
-# ------------------------------------------------------------------------------------------------ k steps
+# ---------------------------------------------------------------------------------------- k steps
 
 
 def test_one_step_ahead_are_the_innovations() -> None:
@@ -166,25 +190,36 @@ def test_as_many_steps_as_samples_are_the_simulation() -> None:
     np.testing.assert_allclose(a.e, b.e, atol=1e-12)
 
 
-# ------------------------------------------------------------------------------------------------ multiple shooting
+# ------------------------------------------------------------------------------ multiple shooting
 
 
 def lorenz() -> StateSpaceModel:
-    """The Lorenz system: errors of a simulation grow e-fold every 1.1 time units, the hard case for a long record."""
+    """The Lorenz system: errors of a simulation grow e-fold every 1.1 time units, the hard case for
+    a long record."""
 
     def f(t: Any, x: Any, u: Any, p: Any) -> list[Any]:
-        return [p["sigma"] * (x[1] - x[0]), x[0] * (p["rho"] - x[2]) - x[1] + u, x[0] * x[1] - p["beta"] * x[2]]
+        return [
+            p["sigma"] * (x[1] - x[0]),
+            x[0] * (p["rho"] - x[2]) - x[1] + u,
+            x[0] * x[1] - p["beta"] * x[2],
+        ]
 
     names = [Signal(name=n, unit="1") for n in "xyz"]
     start = {"sigma": 8.0, "rho": 35.0, "beta": 2.0}
     return StateSpaceModel(
-        name="Lorenz", states=Layout(names), inputs=Layout([Signal(name="u", unit="1")]), outputs=Layout(names),
+        name="Lorenz",
+        states=Layout(names),
+        inputs=Layout([Signal(name="u", unit="1")]),
+        outputs=Layout(names),
         parameters=tuple(
-            Parameter(name=n, unit="1", nominal=v, scale=v, lower=0.1 * v, upper=10 * v) for n, v in start.items()
+            Parameter(name=n, unit="1", nominal=v, scale=v, lower=0.1 * v, upper=10 * v)
+            for n, v in start.items()
         ),
-        dynamics=f, measurement=lambda t, x, u, p: [x[0], x[1], x[2]], initial_sigma=dict.fromkeys("xyz", 5.0),
+        dynamics=f,
+        measurement=lambda t, x, u, p: [x[0], x[1], x[2]],
+        initial_sigma=dict.fromkeys("xyz", 5.0),
         sensor_sigma=dict.fromkeys("xyz", 0.3),
-    )  # fmt: skip
+    )
 
 
 @functools.cache
@@ -203,7 +238,9 @@ def orbit(seconds: float = 6.0, dt: float = 0.02) -> Dataset:
 
 
 def shooting(window: float) -> Problem:
-    return make_problem(lorenz(), orbit(), predictor=MultipleShooting(window_s=window), criterion=Gaussian())
+    return make_problem(
+        lorenz(), orbit(), predictor=MultipleShooting(window_s=window), criterion=Gaussian()
+    )
 
 
 @pytest.mark.parametrize("window", [0.2, 0.5, 1.0])

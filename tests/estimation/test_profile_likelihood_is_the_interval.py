@@ -1,4 +1,5 @@
-"""Claims: on a quadratic cost the profile interval is the symmetric one; what data do not identify has no end."""
+"""Claims: on a quadratic cost the profile interval is the symmetric one; what data do not identify
+has no end."""
 
 from __future__ import annotations
 
@@ -27,15 +28,22 @@ def line(product: bool = False) -> Problem:
     y = 2.0 * u + 0.5 * (not product) + 0.1 * rng.standard_normal(200)
     names = ("a", "b") if product else ("slope", "level")
     model = StateSpaceModel(
-        name="line", states=Layout([Signal(name="x", unit="1")]), inputs=Layout([Signal(name="u", unit="1")]),
+        name="line",
+        states=Layout([Signal(name="x", unit="1")]),
+        inputs=Layout([Signal(name="u", unit="1")]),
         outputs=Layout([Signal(name="y", unit="1")]),
         parameters=tuple(Parameter(name=n, unit="1", nominal=1.0) for n in names),
         dynamics=lambda t, x, u, p: [x[0]],
-        measurement=lambda t, x, u, p: [p["a"] * p["b"] * u if product else p["slope"] * u + p["level"]], discrete=True,
+        measurement=lambda t, x, u, p: [
+            p["a"] * p["b"] * u if product else p["slope"] * u + p["level"]
+        ],
+        discrete=True,
         sensor_sigma={"y": 0.1},
-    )  # fmt: skip
+    )
     data = dataset_from_arrays(0.01 * np.arange(200), {"u": u, "y": y})
-    return make_problem(model, data, predictor=Simulation(), criterion=LeastSquares(), estimate_initial=False)
+    return make_problem(
+        model, data, predictor=Simulation(), criterion=LeastSquares(), estimate_initial=False
+    )
 
 
 def optimum(problem: Problem) -> FloatArray:
@@ -59,14 +67,18 @@ def test_on_a_linear_model_the_interval_is_two_standard_errors(solver: str) -> N
 
 def test_a_factor_of_a_product_has_no_interval() -> None:
     problem = line(product=True)
-    found = profile(problem, LevenbergMarquardt(), optimum(problem), "a", grid=[0.5, 0.8, 1.5, 3.0, 6.0])
+    found = profile(
+        problem, LevenbergMarquardt(), optimum(problem), "a", grid=[0.5, 0.8, 1.5, 3.0, 6.0]
+    )
     assert found.upper == np.inf
     assert found.lower == -np.inf
     assert np.ptp(found.cost) < 1e-6
 
 
 def test_the_motors_profile_ends_where_the_likelihood_has_fallen_by_the_quantile() -> None:
-    problem = make_problem(motor.model(), motor.record(n=300), predictor=Simulation(), criterion=Gaussian())
+    problem = make_problem(
+        motor.model(), motor.record(n=300), predictor=Simulation(), criterion=Gaussian()
+    )
     theta = optimum(problem)
     found = profile(problem, LevenbergMarquardt(), theta, "b", level=0.68)
     again = profile(problem, LevenbergMarquardt(), theta, "b", grid=[found.lower, found.upper])

@@ -1,4 +1,5 @@
-"""The covariance that travels with an open-loop prediction is that of an ensemble of simulated futures."""
+"""The covariance that travels with an open-loop prediction is that of an ensemble of simulated
+futures."""
 
 import casadi as ca
 import numpy as np
@@ -17,7 +18,8 @@ DT, N, H = 0.05, 60, 20
 
 
 def pendulum() -> IdentifiedModel:
-    """A driven pendulum with an uncertain stiffness and a correlated torque; its angle is measured."""
+    """A driven pendulum with an uncertain stiffness and a correlated torque; its angle is
+    measured."""
     inner = StateSpaceModel(
         name="pendulum",
         states=Layout([Signal(name="angle", unit="rad"), Signal(name="rate", unit="rad/s")]),

@@ -1,5 +1,5 @@
-"""What predictors, criteria and solvers see of each other is declared: a user's own member fits in, and nothing of a
-problem can be changed on the way."""
+"""What predictors, criteria and solvers see of each other is declared: a user's own member fits in,
+and nothing of a problem can be changed on the way."""
 
 from __future__ import annotations
 
@@ -45,22 +45,37 @@ class Freewheel(Predictor[Still]):
     def prepare(self, problem: Problem) -> Still:
         self.made += 1
         count, engine = max(len(r.patterns) for r in problem.records), problem.engine
-        none = GainTable(gain=np.zeros((count, engine.nd, engine.ne)), zero=np.ones(count, dtype=np.int32))
+        none = GainTable(
+            gain=np.zeros((count, engine.nd, engine.ne)), zero=np.ones(count, dtype=np.int32)
+        )
         return Still(gains=none, made=self.made)
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         for i, r in enumerate(problem.records):
             x0, s0, columns = start_of(problem, theta, i)
             run = problem.engine.run(
-                x0=x0, inputs=r.inputs, outputs=r.outputs, mask=r.mask, pattern=r.pattern,
-                gains=problem.prepared(self).gains, p=problem.parameters_of(theta, r.flight), dt=r.dt,
-                s0=s0 if jacobian else None, want=frozenset({"innovations", "sensitivity"}),
-            )  # fmt: skip
+                x0=x0,
+                inputs=r.inputs,
+                outputs=r.outputs,
+                mask=r.mask,
+                pattern=r.pattern,
+                gains=problem.prepared(self).gains,
+                p=problem.parameters_of(theta, r.flight),
+                dt=r.dt,
+                s0=s0 if jacobian else None,
+                want=frozenset({"innovations", "sensitivity"}),
+            )
             assert run.innovations is not None
             yield Block(
-                record=r, e=run.innovations, mask=r.mask, jacobian=run.sensitivity, columns=columns,
-                covariance=None, covariance_slope=None, pattern=r.pattern,
-            )  # fmt: skip
+                record=r,
+                e=run.innovations,
+                mask=r.mask,
+                jacobian=run.sensitivity,
+                columns=columns,
+                covariance=None,
+                covariance_slope=None,
+                pattern=r.pattern,
+            )
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +89,9 @@ def test_a_predictor_with_the_abstract_members_alone_fits():
     known = fit(motor.model(), motor.record(), predictor="simulation")
     assert found.converged
     assert found.settings["predictor"] == "freewheel"
-    assert {n: e.value for n, e in found.parameters.items()} == {n: e.value for n, e in known.parameters.items()}
+    assert {n: e.value for n, e in found.parameters.items()} == {
+        n: e.value for n, e in known.parameters.items()
+    }
     assert found.model.sensor_noise == pytest.approx(known.model.sensor_noise)
     assert own.made == 1, "what it prepares is worked out once per problem"
     assert found.problem.prepared(own).made == 1
@@ -96,10 +113,16 @@ def test_predictors_say_what_they_have():
     assert {n for n, p in made.items() if p.has_noise} == {"innovation", "kalman"}
     assert {n for n, p in made.items() if not p.has_initial} == {"kalman"}
     assert {n for n, p in made.items() if p.one_step is not p} == {"k-step", "multi-step"}
-    assert {n for n, p in made.items() if p.misfit_is_sensor_noise} == {"simulation", "multiple-shooting"}
+    assert {n for n, p in made.items() if p.misfit_is_sensor_noise} == {
+        "simulation",
+        "multiple-shooting",
+    }
     assert made["k-step"].horizons == (10,)
     assert {n: p.name for n, p in made.items()} == {n: n for n in made}
-    assert all(hash(p) == hash(make()) and p == make() for p, make in zip(made.values(), PREDICTORS.values()))
+    assert all(
+        hash(p) == hash(make()) and p == make()
+        for p, make in zip(made.values(), PREDICTORS.values())
+    )
 
 
 def test_members_carry_the_name_of_the_catalogue():

@@ -19,13 +19,22 @@ from greybox.plants.vehicle_file import write_vehicle
 def test_a_fixed_point_gives_the_same_linearisation():
     with tempfile.TemporaryDirectory() as folder:
         vehicle = read_vehicle(write_vehicle(Path(folder) / "v.toml", Quadrotor(X250)))
-    model = PhysicsModel(vehicle=vehicle, sensors=SENSORS[:5]).with_effect("motor_lag", "rotor_drag")
+    model = PhysicsModel(vehicle=vehicle, sensors=SENSORS[:5]).with_effect(
+        "motor_lag", "rotor_drag"
+    )
     active = ("inertia.xx", "thrust.c2", "motor_lag.tau", "rotor_drag.k_x")
     x = model.reference({f"u{i}": 0.5 + 0.01 * i for i in range(1, 5)})
-    special = linearisation_at(model, active, x, model.reference({f"u{i}": 1.5 for i in range(1, 5)}))
-    assert linearisation_at(model, active, x, model.reference({f"u{i}": 1.5 for i in range(1, 5)})) is special
+    special = linearisation_at(
+        model, active, x, model.reference({f"u{i}": 1.5 for i in range(1, 5)})
+    )
+    assert (
+        linearisation_at(model, active, x, model.reference({f"u{i}": 1.5 for i in range(1, 5)}))
+        is special
+    )
     p = np.array([q.nominal + 0.1 * q.scale for q in model.parameters])
     window = np.full((len(model.inputs), 1), 0.55)
-    for plain, quick in zip(Linearisation(model, active)(x, window, p, 0.01), special(x, window, p, 0.01)):
+    for plain, quick in zip(
+        Linearisation(model, active)(x, window, p, 0.01), special(x, window, p, 0.01)
+    ):
         for a, b in zip(plain, quick):
             np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-12 * max(np.abs(a).max(), 1e-300))

@@ -47,10 +47,14 @@ def fitted() -> Fit:
 def at_estimates(data: Dataset, predictor: Innovation | Kalman) -> Problem:
     found = fitted()
     return make_problem(
-        build_model(vehicle(), data.channels, EFFECTS), data, predictor=predictor, criterion=Gaussian(),
+        build_model(vehicle(), data.channels, EFFECTS),
+        data,
+        predictor=predictor,
+        criterion=Gaussian(),
         values={n: e.value for n, e in found.parameters.items()},
-        noise={n: level for n, (level, _, _) in found.noise.items()}, estimate_noise=False,
-    )  # fmt: skip
+        noise={n: level for n, (level, _, _) in found.noise.items()},
+        estimate_noise=False,
+    )
 
 
 def test_the_shortest_pattern_is_found_in_spite_of_lost_samples():
@@ -82,7 +86,12 @@ def test_channels_without_a_pattern_are_all_there_as_before():
 
 def test_the_settled_covariances_are_those_of_the_kalman_recursion():
     rng = np.random.default_rng(3)
-    a, g, c, d = rng.normal(size=(4, 4)) / 2, rng.normal(size=(4, 2)), rng.normal(size=(3, 4)), rng.normal(size=(3, 2))
+    a, g, c, d = (
+        rng.normal(size=(4, 4)) / 2,
+        rng.normal(size=(4, 2)),
+        rng.normal(size=(3, 4)),
+        rng.normal(size=(3, 2)),
+    )
     q, r = np.array([1.0, 0.5]), np.array([0.1, 0.2, 0.3])
     mask = np.ones((500, 3))
     mask[np.arange(500) % 5 != 0, 0] = 0
@@ -110,13 +119,22 @@ def test_slopes_of_the_settled_covariances_are_central_differences():
     pattern = pattern_of(mask)
 
     def at(h: float) -> Settling:
-        return Settling(values=tuple(v + h * w for v, w in zip(values, way, strict=True)), q=q, r=r, weak=weak)
+        return Settling(
+            values=tuple(v + h * w for v, w in zip(values, way, strict=True)), q=q, r=r, weak=weak
+        )
 
     exact = Settling(
-        values=tuple(values), q=q, r=r, weak=weak, slopes=tuple(w[None] for w in way), dq=np.zeros((1, 2)),
+        values=tuple(values),
+        q=q,
+        r=r,
+        weak=weak,
+        slopes=tuple(w[None] for w in way),
+        dq=np.zeros((1, 2)),
         dr=np.zeros((1, 3)),
-    ).settled(pattern)  # fmt: skip
-    for own, ahead, behind in zip(exact, at(1e-6).settled(pattern), at(-1e-6).settled(pattern), strict=True):
+    ).settled(pattern)
+    for own, ahead, behind in zip(
+        exact, at(1e-6).settled(pattern), at(-1e-6).settled(pattern), strict=True
+    ):
         assert own.dP is not None
         np.testing.assert_allclose(own.dP[0], (ahead.P - behind.P) / 2e-6, rtol=1e-5, atol=1e-7)
 
@@ -143,9 +161,15 @@ def test_gains_of_all_channels_foretell_worse_and_less_white():
         for gains in (runner.settling.gains(own.record, None), held(runner.riccati, own.record)):
             table, covariance, _ = gains.tables()
             run = runner.engine.run(
-                x0=own.record.x0, inputs=own.record.inputs, outputs=own.record.outputs, mask=own.record.mask,
-                pattern=gains.pattern, gains=table, p=own.p, dt=own.record.dt,
-            )  # fmt: skip
+                x0=own.record.x0,
+                inputs=own.record.inputs,
+                outputs=own.record.outputs,
+                mask=own.record.mask,
+                pattern=gains.pattern,
+                gains=table,
+                p=own.p,
+                dt=own.record.dt,
+            )
             assert run.innovations is not None
             late = np.arange(own.record.n) >= 400  # the start is another matter
             e, s = run.innovations[late], covariance[gains.pattern[late]]

@@ -1,4 +1,5 @@
-"""The smoother's states are the conditional mean of the linear Gaussian model, given the whole record."""
+"""The smoother's states are the conditional mean of the linear Gaussian model, given the whole
+record."""
 
 import numpy as np
 import pytest
@@ -88,6 +89,8 @@ def test_transitions_are_the_derivatives_of_the_step():
     x = np.random.default_rng(1).standard_normal((5, 3))
     u = np.zeros((5, 1))
     found = transitions(runner.engine, x, np.arange(5), u, model.parameter_vector(), DT)
-    wanted = Linearisation(model.dynamics, ()).values(x[0], np.zeros((1, 1)), model.parameter_vector(), DT)
+    wanted = Linearisation(model.dynamics, ()).values(
+        x[0], np.zeros((1, 1)), model.parameter_vector(), DT
+    )
     assert found.end_sensitivity[3] == pytest.approx(wanted[0], abs=1e-12)
     assert -found.sensitivity[3] == pytest.approx(wanted[2], abs=1e-12)

@@ -1,4 +1,5 @@
-"""Claim: whichever solver, the same optimum: estimates within a thousandth of a standard error, cost within 1e-6."""
+"""Claim: whichever solver, the same optimum: estimates within a thousandth of a standard error,
+cost within 1e-6."""
 
 from __future__ import annotations
 
@@ -33,11 +34,17 @@ def precise(name: str) -> Any:
 @functools.cache
 def motor_problem(kind: str) -> tuple[Problem, FloatArray, FloatArray]:
     """(problem, start, optimum by Levenberg-Marquardt)."""
-    predictor, criterion = (Innovation(), Gaussian()) if kind == "innovation" else (Simulation(), LeastSquares())
+    predictor, criterion = (
+        (Innovation(), Gaussian()) if kind == "innovation" else (Simulation(), LeastSquares())
+    )
     data = motor.record(torque_noise=0.002 if kind == "innovation" else 0.0)
     problem = make_problem(motor.model(), data, predictor=predictor, criterion=criterion)
     start = noise_start(problem, equation_error(problem))
-    return problem, start, LevenbergMarquardt(tolerance=1e-12, max_iterations=200).solve(problem, start)[0]
+    return (
+        problem,
+        start,
+        LevenbergMarquardt(tolerance=1e-12, max_iterations=200).solve(problem, start)[0],
+    )
 
 
 @functools.cache
@@ -45,14 +52,20 @@ def quadrotor_problem(kind: str) -> tuple[Problem, FloatArray, FloatArray]:
     from greybox import build_model
 
     data = flights(count=1, seconds=4.0)
-    model = build_model(vehicle(), data.channels, ("motor_lag", "command_delay", "rotor_drag", "rotational_damping"))
+    model = build_model(
+        vehicle(), data.channels, ("motor_lag", "command_delay", "rotor_drag", "rotational_damping")
+    )
     if kind == "innovation":
         problem = make_problem(model, data, predictor=Innovation(), criterion=Gaussian())
     else:
         short = data.split_by_time(at=float(data.segments[0].t[0]) + 2.0)[0]
         problem = make_problem(model, short, predictor=Simulation(), criterion=LeastSquares())
     start = noise_start(problem, equation_error(problem))
-    return problem, start, LevenbergMarquardt(tolerance=1e-12, max_iterations=200).solve(problem, start)[0]
+    return (
+        problem,
+        start,
+        LevenbergMarquardt(tolerance=1e-12, max_iterations=200).solve(problem, start)[0],
+    )
 
 
 def same(problem: Problem, theta: FloatArray, best: FloatArray) -> None:
@@ -83,7 +96,9 @@ def test_on_the_quadrotor(name: str, kind: str) -> None:
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_an_active_bound_is_reached_exactly(name: str) -> None:
-    problem = make_problem(motor.model(), motor.record(), predictor=Simulation(), criterion=Gaussian())
+    problem = make_problem(
+        motor.model(), motor.record(), predictor=Simulation(), criterion=Gaussian()
+    )
     i = problem.place("J")
     assert i is not None
     unknowns = list(problem.unknowns)
@@ -94,7 +109,9 @@ def test_an_active_bound_is_reached_exactly(name: str) -> None:
     theta, status = precise(name).solve(bounded, start)
     assert status.converged, status.advice
     assert theta[i] == 2.2e-4
-    assert bounded.evaluate(theta, 0).cost == pytest.approx(bounded.evaluate(best, 0).cost, abs=1e-4)
+    assert bounded.evaluate(theta, 0).cost == pytest.approx(
+        bounded.evaluate(best, 0).cost, abs=1e-4
+    )
 
 
 @pytest.mark.parametrize("name", FAST)
@@ -115,22 +132,28 @@ def test_noise_levels_may_start_far_off(factor: float, steps: int, name: str) ->
         theta, status = SOLVERS[name]().solve(problem, best + np.where(level, np.log(factor), 0.0))
         assert status.converged
         assert status.iterations <= steps
-        assert problem.evaluate(theta, 0).cost == pytest.approx(problem.evaluate(best, 0).cost, abs=1e-5)
+        assert problem.evaluate(theta, 0).cost == pytest.approx(
+            problem.evaluate(best, 0).cost, abs=1e-5
+        )
 
 
 class Creeping:
-    """cost x^2/2 with a Hessian that is fifty times too large: every step takes two per cent of the way."""
+    """cost x^2/2 with a Hessian that is fifty times too large: every step takes two per cent of the
+    way."""
 
     lower, upper = np.array([-9.0]), np.array([9.0])
     unknowns = (SimpleNamespace(kind="parameter", origin=np.nan),)
 
     def evaluate(self, x, order=2):
         cost = 1e3 + 0.5 * float(x @ x)
-        return SimpleNamespace(cost=cost, likelihood=cost, valid=True, gradient=x.copy(), hessian=np.array([[50.0]]))
+        return SimpleNamespace(
+            cost=cost, likelihood=cost, valid=True, gradient=x.copy(), hessian=np.array([[50.0]])
+        )
 
 
 def test_a_search_ends_where_it_cannot_catch_up() -> None:
-    """Far above the target it stops as soon as its pace is known; a target that it reaches changes nothing."""
+    """Far above the target it stops as soon as its pace is known; a target that it reaches changes
+    nothing."""
     problem, start, best = quadrotor_problem("innovation")
     cost = problem.evaluate(best, 0).likelihood
     _, lost = LevenbergMarquardt(target=cost - 1e4).solve(problem, start)
@@ -156,11 +179,15 @@ def test_an_optimum_is_not_much_deeper_than_the_full_step_promises() -> None:
     falling = [1000.0, 900.0, 800.0, 700.0, 600.0, 500.0]
     assert not hopeless(falling, 50.0, target=501.0 - BEYOND * 50.0, left=50)
     assert hopeless(falling, 50.0, target=499.0 - BEYOND * 50.0, left=50)
-    assert not hopeless(falling[:-1], 0.0, target=-1e9, left=50)  # the first steps promise too little
+    assert not hopeless(
+        falling[:-1], 0.0, target=-1e9, left=50
+    )  # the first steps promise too little
 
 
 @pytest.mark.parametrize(("start", "arrived"), [(0.3, True), (4.0, False)])
-def test_a_search_that_runs_out_has_arrived_where_little_is_promised(start: float, arrived: bool) -> None:
+def test_a_search_that_runs_out_has_arrived_where_little_is_promised(
+    start: float, arrived: bool
+) -> None:
     solver = LevenbergMarquardt(damped=False, max_iterations=1)
     _, status = solver.solve(Creeping(), np.array([start]))  # type: ignore[arg-type]
     assert status.converged is arrived

@@ -1,5 +1,5 @@
-"""Where flights show a ratio alone the prior decides along a curved valley, and the solver follows it; noise levels whose
-Hessian is wrong do not hold it back."""
+"""Where flights show a ratio alone the prior decides along a curved valley, and the solver follows
+it; noise levels whose Hessian is wrong do not hold it back."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ UNKNOWNS = (
 
 @dataclass(frozen=True)
 class Ratio:
-    """thrust / (mass (1 + share)) = 1 is known to `ERROR`; the true curvature of the noise level is `wrong` times that of
-    its Hessian."""
+    """thrust / (mass (1 + share)) = 1 is known to `ERROR`; the true curvature of the noise level is
+    `wrong` times that of its Hessian."""
 
     unknowns: tuple[Unknown, ...] = UNKNOWNS
     wrong: float = 20.0
@@ -91,7 +91,9 @@ def test_a_search_follows_the_valley_while_a_level_overshoots() -> None:
     # Along the valley thrust = mass (1 + share) the prior alone decides.
     rows = np.linspace(0.5, 1.0, 1001)
     masses = np.linspace(0.9, 1.0, 501)[:, None]
-    prior = ((masses - 1) / 0.03) ** 2 + ((rows / masses - 1) / 0.3) ** 2 + ((rows - 0.6) / 0.1) ** 2
+    prior = (
+        ((masses - 1) / 0.03) ** 2 + ((rows / masses - 1) / 0.3) ** 2 + ((rows - 0.6) / 0.1) ** 2
+    )
     assert thrust == pytest.approx(rows[int(prior.argmin()) % rows.size], abs=2e-3)
 
 
@@ -113,6 +115,8 @@ def test_a_factor_that_is_pushed_to_its_bound_lands_on_it() -> None:
     """Half the mass as a load stood a rounding beside its bound, and had a name."""
     weak = tuple(replace(u, mean=0.1, sigma=0.01) if u.name == "thrust" else u for u in UNKNOWNS)
     for start in (-0.3, 0.0, 0.7):
-        found, status = LevenbergMarquardt().solve(Ratio(unknowns=weak), np.array([1.0, start, 1.0, 0.3]))
+        found, status = LevenbergMarquardt().solve(
+            Ratio(unknowns=weak), np.array([1.0, start, 1.0, 0.3])
+        )
         assert status.converged
         assert found[1] == Ratio(unknowns=weak).lower[1]

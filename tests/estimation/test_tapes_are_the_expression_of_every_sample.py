@@ -1,4 +1,5 @@
-"""A tape run for many samples at once gives what CasADi gives for each of them, whatever the expression and their number."""
+"""A tape run for many samples at once gives what CasADi gives for each of them, whatever the
+expression and their number."""
 
 from __future__ import annotations
 
@@ -18,18 +19,55 @@ from greybox.estimation.tape import CODE, MOST, ORDER, SAMPLES, tape_of
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
 ONE = {
-    "NEG": lambda x: -x, "SQ": lambda x: x * x, "TWICE": lambda x: 2 * x, "INV": lambda x: 1 / x, "NOT": ca.logic_not,
-    "SQRT": ca.sqrt, "FABS": ca.fabs, "EXP": ca.exp, "LOG": ca.log, "SIN": ca.sin, "COS": ca.cos, "TAN": ca.tan,
-    "ASIN": ca.asin, "ACOS": ca.acos, "ATAN": ca.atan, "FLOOR": ca.floor, "CEIL": ca.ceil, "ERF": ca.erf,
-    "SINH": ca.sinh, "COSH": ca.cosh, "TANH": ca.tanh, "ASINH": ca.asinh, "ACOSH": ca.acosh, "ATANH": ca.atanh,
-    "LOG1P": ca.log1p, "EXPM1": ca.expm1, "SIGN": ca.sign,
-}  # fmt: skip
+    "NEG": lambda x: -x,
+    "SQ": lambda x: x * x,
+    "TWICE": lambda x: 2 * x,
+    "INV": lambda x: 1 / x,
+    "NOT": ca.logic_not,
+    "SQRT": ca.sqrt,
+    "FABS": ca.fabs,
+    "EXP": ca.exp,
+    "LOG": ca.log,
+    "SIN": ca.sin,
+    "COS": ca.cos,
+    "TAN": ca.tan,
+    "ASIN": ca.asin,
+    "ACOS": ca.acos,
+    "ATAN": ca.atan,
+    "FLOOR": ca.floor,
+    "CEIL": ca.ceil,
+    "ERF": ca.erf,
+    "SINH": ca.sinh,
+    "COSH": ca.cosh,
+    "TANH": ca.tanh,
+    "ASINH": ca.asinh,
+    "ACOSH": ca.acosh,
+    "ATANH": ca.atanh,
+    "LOG1P": ca.log1p,
+    "EXPM1": ca.expm1,
+    "SIGN": ca.sign,
+}
 TWO = {
-    "ADD": lambda x, y: x + y, "SUB": lambda x, y: x - y, "MUL": lambda x, y: x * y, "DIV": lambda x, y: x / y,
-    "LT": ca.lt, "LE": ca.le, "EQ": ca.eq, "NE": ca.ne, "AND": ca.logic_and, "OR": ca.logic_or,
-    "IF_ELSE_ZERO": lambda c, x: ca.if_else(c, x, 0), "FMIN": ca.fmin, "FMAX": ca.fmax, "POW": lambda x, y: x**y,
-    "CONSTPOW": lambda x, _: x**2.5, "FMOD": ca.fmod, "COPYSIGN": ca.copysign, "ATAN2": ca.atan2, "HYPOT": ca.hypot,
-}  # fmt: skip
+    "ADD": lambda x, y: x + y,
+    "SUB": lambda x, y: x - y,
+    "MUL": lambda x, y: x * y,
+    "DIV": lambda x, y: x / y,
+    "LT": ca.lt,
+    "LE": ca.le,
+    "EQ": ca.eq,
+    "NE": ca.ne,
+    "AND": ca.logic_and,
+    "OR": ca.logic_or,
+    "IF_ELSE_ZERO": lambda c, x: ca.if_else(c, x, 0),
+    "FMIN": ca.fmin,
+    "FMAX": ca.fmax,
+    "POW": lambda x, y: x**y,
+    "CONSTPOW": lambda x, _: x**2.5,
+    "FMOD": ca.fmod,
+    "COPYSIGN": ca.copysign,
+    "ATAN2": ca.atan2,
+    "HYPOT": ca.hypot,
+}
 
 
 @cache
@@ -65,7 +103,7 @@ def check(function, *arguments, rtol=1e-12):
 def test_any_number_of_samples_gives_each_its_own(lanes):
     x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 2)
     sparse = ca.SX(ca.Sparsity.lower(3))
-    sparse[0, 0], sparse[2, 1], sparse[2, 2] = x[0] * u[1] - x[2], 2.5, ca.exp(-x[1] ** 2)
+    sparse[0, 0], sparse[2, 1], sparse[2, 2] = x[0] * u[1] - x[2], 2.5, ca.exp(-(x[1] ** 2))
     rng = np.random.default_rng(lanes)
     f = ca.Function("f", [x, u], [sparse, x * u[0] + x[::-1], u[1]])
     check(f, rng.normal(size=(lanes, 3)), rng.normal(size=(lanes, 2)))
@@ -100,7 +138,11 @@ def test_random_expressions_are_those_of_casadi(data):
         known.append(ONE[name](a) if name in ONE else TWO[name](a, b))
     kept = [known[data.draw(st.integers(0, len(known) - 1))] for _ in range(5)]
     rng = np.random.default_rng(0)
-    check(ca.Function("f", [x], [ca.vertcat(*kept, known[-1])]), rng.uniform(-1, 1, size=(5, 4)), rtol=1e-9)
+    check(
+        ca.Function("f", [x], [ca.vertcat(*kept, known[-1])]),
+        rng.uniform(-1, 1, size=(5, 4)),
+        rtol=1e-9,
+    )
 
 
 @needs_compiler

@@ -18,7 +18,9 @@ EFFECTS = ("motor_lag", "command_delay", "rotor_drag", "rotational_damping")
 def cut(rows: int) -> Dataset:
     """The first rows of a simulated flight."""
     one = flights().flights[0].segments[0]
-    return dataset_from_arrays(one.t[:rows], {k: v[:rows] for k, v in one.channels.items()}, name="cut")
+    return dataset_from_arrays(
+        one.t[:rows], {k: v[:rows] for k, v in one.channels.items()}, name="cut"
+    )
 
 
 @pytest.mark.parametrize("rows", [2, 20])
@@ -35,7 +37,9 @@ def test_a_short_flight_says_that_its_errors_are_too_small(rows: int, short: boo
     first = "\n".join(found.summary().splitlines()[:3])
     assert ("standard errors are too small" in first and "--hold-noise" in first) is short
     assert found.summary().count("standard errors are too small") == short
-    assert ("standard errors are too small" in found.warnings[0] if found.warnings else False) is short
+    assert (
+        "standard errors are too small" in found.warnings[0] if found.warnings else False
+    ) is short
 
 
 def test_levels_that_are_held_are_no_reason_for_doubt() -> None:

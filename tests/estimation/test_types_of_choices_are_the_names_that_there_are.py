@@ -1,4 +1,5 @@
-"""The literal types of choices, which an editor completes, list exactly the names that a fit takes."""
+"""The literal types of choices, which an editor completes, list exactly the names that a fit
+takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The structured secant of Dennis, Gay and Welsch (1981): the part of the Hessian that Gauss-Newton leaves out."""
+"""The structured secant of Dennis, Gay and Welsch (1981): the part of the Hessian that Gauss-Newton
+leaves out."""
 
 from __future__ import annotations
 
@@ -30,7 +31,9 @@ def test_the_secant_equation_holds_and_symmetry_stays(seed: int) -> None:
     change = true @ step
     found = with_secant(missing, step, change, plain)
     np.testing.assert_allclose(found, found.T, atol=1e-9 * np.abs(found).max())
-    np.testing.assert_allclose((plain + found) @ step, change, rtol=1e-7, atol=1e-7 * np.abs(change).max())
+    np.testing.assert_allclose(
+        (plain + found) @ step, change, rtol=1e-7, atol=1e-7 * np.abs(change).max()
+    )
 
 
 def test_a_gradient_that_falls_along_the_step_teaches_nothing() -> None:
@@ -72,7 +75,8 @@ class Quadratic:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_a_wrong_hessian_is_mended_on_the_way(seed: int) -> None:
-    """Ten times too large here, and too small there by a third: the optimum is reached to rounding in a few steps."""
+    """Ten times too large here, and too small there by a third: the optimum is reached to rounding
+    in a few steps."""
     true = matrix(seed)
     own = np.linalg.cholesky(true)
     told = own @ np.diag([10.0, 0.7, 3.0, 1.0]) @ own.T

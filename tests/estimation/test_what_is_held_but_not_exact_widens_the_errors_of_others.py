@@ -1,4 +1,5 @@
-"""A held parameter with a stated error widens the errors of others: as in the joint posterior where a ratio shows."""
+"""A held parameter with a stated error widens the errors of others: as in the joint posterior where
+a ratio shows."""
 
 from __future__ import annotations
 
@@ -22,19 +23,28 @@ MASS, SIGMA = 2.0, 0.02
 
 
 def cart(sigma: float = SIGMA, drag: float | None = None) -> StateSpaceModel:
-    """A damped cart of a weighed mass, pushed by gain times voltage: its speed shows gain over mass alone, unless the
-    `drag` [N s/m] that brakes it is known."""
+    """A damped cart of a weighed mass, pushed by gain times voltage: its speed shows gain over mass
+    alone, unless the `drag` [N s/m] that brakes it is known."""
     speed = Signal(name="speed", unit="m/s")
     return StateSpaceModel(
-        name="cart", states=Layout([speed]), inputs=Layout([Signal(name="u", unit="V")]), outputs=Layout([speed]),
+        name="cart",
+        states=Layout([speed]),
+        inputs=Layout([Signal(name="u", unit="V")]),
+        outputs=Layout([speed]),
         parameters=(
             Parameter(name="gain", unit="N/V", nominal=3.0, lower=0.01, upper=100.0, scale=3.0),
-            Parameter(name="mass", unit="kg", nominal=MASS, sigma=sigma, lower=0.1, upper=10.0, scale=2.0),
+            Parameter(
+                name="mass", unit="kg", nominal=MASS, sigma=sigma, lower=0.1, upper=10.0, scale=2.0
+            ),
         ),
-        dynamics=lambda t, x, u, p: [-(1.0 if drag is None else drag / p["mass"]) * x[0] + p["gain"] / p["mass"] * u],
+        dynamics=lambda t, x, u, p: [
+            -(1.0 if drag is None else drag / p["mass"]) * x[0] + p["gain"] / p["mass"] * u
+        ],
         measurement=lambda t, x, u, p: [x[0]],
-        noise_states=("speed",), initial_sigma={"speed": 0.1}, sensor_sigma={"speed": 0.02},
-    )  # fmt: skip
+        noise_states=("speed",),
+        initial_sigma={"speed": 0.1},
+        sensor_sigma={"speed": 0.02},
+    )
 
 
 def record(name: str = "run") -> Dataset:
@@ -57,7 +67,11 @@ def stds() -> dict[str, float]:
     considered = fit(cart(), data, fixed=["mass"], considered=["mass"], **CHOICES)
     joint = fit(cart(), data, **CHOICES)
     assert held["gain"].value == considered["gain"].value
-    return {"held": held["gain"].std, "considered": considered["gain"].std, "joint": joint["gain"].std}
+    return {
+        "held": held["gain"].std,
+        "considered": considered["gain"].std,
+        "joint": joint["gain"].std,
+    }
 
 
 def test_the_error_is_that_of_the_joint_posterior(stds):
@@ -101,7 +115,9 @@ def test_rounding_of_an_ill_conditioned_ratio_tells_nothing():
             free[:, 1] = free[:, 0] + apart * free[:, 1]
             held = free @ draw.normal(size=6)  # an exact combination: nothing is told of it
             columns = np.column_stack([free, held])
-            found = by_flights_alone(columns.T @ columns, np.arange(6), np.array([6]), np.array([0.03]))
+            found = by_flights_alone(
+                columns.T @ columns, np.arange(6), np.array([6]), np.array([0.03])
+            )
             assert found[0] > 0.03
 
 
@@ -114,7 +130,9 @@ def test_the_model_keeps_how_well_the_ratio_is_known_and_its_file_too(tmp_path):
         slope = np.array([1 / MASS, -found["gain"].value / MASS**2])
         ratio = np.sqrt(slope @ c[np.ix_(at, at)] @ slope)
         free = [joint.covariance_names.index(n) for n in ("gain", "mass")]
-        assert ratio == pytest.approx(np.sqrt(slope @ joint.covariance[np.ix_(free, free)] @ slope), rel=2e-2)
+        assert ratio == pytest.approx(
+            np.sqrt(slope @ joint.covariance[np.ix_(free, free)] @ slope), rel=2e-2
+        )
         assert np.sqrt(c[at[1], at[1]]) == pytest.approx(SIGMA)
         assert np.linalg.eigvalsh(c).min() > 0
 

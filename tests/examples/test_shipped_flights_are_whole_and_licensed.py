@@ -1,4 +1,5 @@
-"""Every shipped log has its checksum, licence and provenance, and loads unchanged with the vehicle file of its set."""
+"""Every shipped log has its checksum, licence and provenance, and loads unchanged with the vehicle
+file of its set."""
 
 from __future__ import annotations
 
@@ -39,7 +40,9 @@ def test_checksums_cover_every_log_and_hold(set_name):
     }
 
 
-@pytest.mark.parametrize(("set_name", "licence"), [("nanobench", "BSD 3-Clause"), ("arpl_crazyflie", "MIT License")])
+@pytest.mark.parametrize(
+    ("set_name", "licence"), [("nanobench", "BSD 3-Clause"), ("arpl_crazyflie", "MIT License")]
+)
 def test_licence_and_provenance_stand_beside_the_data(set_name, licence):
     folder = path(set_name)
     assert licence in (folder / "LICENSE").read_text()
@@ -82,7 +85,9 @@ def test_unknown_sets_and_flights():
         flight_path("nanobench", "B9_square")
 
 
-def test_the_command_copies_a_set_with_its_licence_and_touches_no_file_of_the_user(tmp_path, monkeypatch, capsys):
+def test_the_command_copies_a_set_with_its_licence_and_touches_no_file_of_the_user(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     assert main(["examples"]) == 0
     listed = capsys.readouterr().out
@@ -90,7 +95,9 @@ def test_the_command_copies_a_set_with_its_licence_and_touches_no_file_of_the_us
     for arguments in (["arpl_crazyflie"], ["arpl_crazyflie", "--out", "a b/ü"]):
         assert main(["examples", *arguments]) == 0
         folder = tmp_path / arguments[-1]
-        assert sorted(p.name for p in folder.iterdir()) == sorted(p.name for p in path("arpl_crazyflie").iterdir())
+        assert sorted(p.name for p in folder.iterdir()) == sorted(
+            p.name for p in path("arpl_crazyflie").iterdir()
+        )
     assert main(["examples", "arpl_crazyflie"]) == 0  # the same files once more
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "vehicle.toml").write_text("mine")
@@ -107,7 +114,9 @@ def test_they_are_there_as_an_attribute_of_greybox():
 
 
 @pytest.mark.parametrize("how", ["cut", "gone", "no file", "no sums"])
-def test_files_that_are_not_whole_are_one_line_and_nothing_is_copied(how, tmp_path, capsys, monkeypatch):
+def test_files_that_are_not_whole_are_one_line_and_nothing_is_copied(
+    how, tmp_path, capsys, monkeypatch
+):
     shutil.copytree(path("arpl_crazyflie"), tmp_path / "arpl_crazyflie")
     monkeypatch.setattr(examples, "ROOT", tmp_path)
     victim = tmp_path / "arpl_crazyflie" / ("SHA256SUMS" if how == "no sums" else "log15.csv.gz")

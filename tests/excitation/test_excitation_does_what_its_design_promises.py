@@ -1,4 +1,5 @@
-"""Excitation signals have the amplitude, band and timing of their design; references are smooth and start at rest."""
+"""Excitation signals have the amplitude, band and timing of their design; references are smooth and
+start at rest."""
 
 from __future__ import annotations
 
@@ -89,7 +90,13 @@ def test_chirp_sweeps_from_low_to_high():
 
 @pytest.mark.parametrize(
     "reference",
-    [Hover(yaw_rate=0.3), Circle(), FigureEight(heading=0.5), Lemniscate(climb=0.2), RandomWaypoints(yaw_swing=0.5)],
+    [
+        Hover(yaw_rate=0.3),
+        Circle(),
+        FigureEight(heading=0.5),
+        Lemniscate(climb=0.2),
+        RandomWaypoints(yaw_swing=0.5),
+    ],
     ids=lambda r: type(r).__name__,
 )
 def test_references_start_at_rest_and_their_derivatives_agree(reference):
@@ -119,20 +126,27 @@ def test_a_multichirp_excites_its_whole_band_at_all_times_and_nothing_else():
     frequency = np.fft.rfftfreq(800, 0.01)
     for start in range(0, 4000, 800):
         power = np.abs(np.fft.rfft(signal[start : start + 800] * np.hanning(800))) ** 2
-        bands = [power[(frequency >= low) & (frequency < high)].sum() for low, high in ((0.5, 2), (2, 7), (7, 21))]
+        bands = [
+            power[(frequency >= low) & (frequency < high)].sum()
+            for low, high in ((0.5, 2), (2, 7), (7, 21))
+        ]
         assert min(bands) > 0.05 * power.sum()
         assert power[frequency > 22.0].sum() < 0.01 * power.sum()
 
 
 def test_windows_switch_a_signal_on_and_off_and_totals_add_up():
-    steady = Windowed(signal=RandomSteps(amplitude=1.0), windows=((1.0, 2.0), (10.0, 1.0)), fade=0.0)(TIME, rng())
+    steady = Windowed(
+        signal=RandomSteps(amplitude=1.0), windows=((1.0, 2.0), (10.0, 1.0)), fade=0.0
+    )(TIME, rng())
     plain = RandomSteps(amplitude=1.0)(TIME, rng())
     inside = ((TIME > 1.001) & (TIME < 2.999)) | ((TIME > 10.001) & (TIME < 10.999))
     assert np.array_equal(steady[inside], plain[inside])
     assert not steady[(TIME < 0.999) | ((TIME > 3.001) & (TIME < 9.999)) | (TIME > 11.001)].any()
     wave = Multisine(rms=1.0, count=60)
     size = [np.sqrt(np.mean(Total(signals=(wave, wave))(TIME, rng(s)) ** 2)) for s in range(8)]
-    assert np.mean(size) == pytest.approx(np.sqrt(2.0), rel=0.1), "two independent draws, not one twice"
+    assert np.mean(size) == pytest.approx(np.sqrt(2.0), rel=0.1), (
+        "two independent draws, not one twice"
+    )
 
 
 def test_random_steps_hold_their_levels_as_long_as_they_promise():

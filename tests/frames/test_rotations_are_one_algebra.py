@@ -1,4 +1,5 @@
-"""Rotation algebra against definitions that do not use it: the matrix exponential, scipy's rotations, kinematics."""
+"""Rotation algebra against definitions that do not use it: the matrix exponential, scipy's
+rotations, kinematics."""
 
 from __future__ import annotations
 
@@ -31,7 +32,9 @@ vectors = st.tuples(*[st.floats(-10, 10)] * 3).map(np.array)
 turns = (
     st.tuples(*[st.floats(-1, 1)] * 3)
     .filter(lambda v: np.linalg.norm(v) > 1e-9)
-    .flatmap(lambda v: st.floats(0, np.pi - 1e-6).map(lambda a: a * np.array(v) / np.linalg.norm(v)))
+    .flatmap(
+        lambda v: st.floats(0, np.pi - 1e-6).map(lambda a: a * np.array(v) / np.linalg.norm(v))
+    )
 )
 
 
@@ -56,7 +59,9 @@ def test_a_rotation_matrix_is_orthonormal_and_right_handed(q):
 @quickly
 @given(quaternions, quaternions)
 def test_the_quaternion_product_is_the_matrix_product(a, b):
-    np.testing.assert_allclose(matrix(number(quat_multiply(ca.DM(a), ca.DM(b)))), matrix(a) @ matrix(b), atol=1e-14)
+    np.testing.assert_allclose(
+        matrix(number(quat_multiply(ca.DM(a), ca.DM(b)))), matrix(a) @ matrix(b), atol=1e-14
+    )
 
 
 @quickly
@@ -78,7 +83,9 @@ def test_exp_inverts_log_up_to_the_sign_of_the_quaternion(q):
     again = number(quat_exp(quat_log(ca.DM(q))))
     np.testing.assert_allclose(again * np.sign(again @ q), q, atol=1e-12)
     if abs(q[0]) > 1e-9:  # at half a turn both signs of the axis are right
-        np.testing.assert_allclose(number(quat_log(ca.DM(-q))), number(quat_log(ca.DM(q))), atol=1e-12)
+        np.testing.assert_allclose(
+            number(quat_log(ca.DM(-q))), number(quat_log(ca.DM(q))), atol=1e-12
+        )
     assert np.linalg.norm(number(quat_log(ca.DM(q)))) <= np.pi + 1e-12
 
 
@@ -99,7 +106,9 @@ def test_euler_angles_come_back(phi, theta, psi):
 @given(st.floats(-3.14, 3.14), st.floats(-1.5, 1.5), st.floats(-3.14, 3.14))
 def test_euler_angles_are_yaw_then_pitch_then_roll(phi, theta, psi):
     q = numeric("from_euler", [phi, theta, psi])[0]
-    np.testing.assert_allclose(matrix(q), Rotation.from_euler("ZYX", [psi, theta, phi]).as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(
+        matrix(q), Rotation.from_euler("ZYX", [psi, theta, phi]).as_matrix(), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("theta", [np.pi / 2, -np.pi / 2])
@@ -114,8 +123,12 @@ def test_euler_angles_stay_finite_where_roll_and_yaw_are_one(theta):
 @given(quaternions, vectors)
 def test_the_derivative_is_that_of_turning_by_omega_dt_in_body_axes(q, omega):
     h = 1e-6
-    ahead, behind = (number(quat_multiply(ca.DM(q), quat_exp(ca.DM(s * h * omega)))) for s in (1, -1))
-    np.testing.assert_allclose(number(quat_derivative(ca.DM(q), ca.DM(omega))), (ahead - behind) / (2 * h), atol=1e-8)
+    ahead, behind = (
+        number(quat_multiply(ca.DM(q), quat_exp(ca.DM(s * h * omega)))) for s in (1, -1)
+    )
+    np.testing.assert_allclose(
+        number(quat_derivative(ca.DM(q), ca.DM(omega))), (ahead - behind) / (2 * h), atol=1e-8
+    )
 
 
 @quickly
@@ -123,13 +136,19 @@ def test_the_derivative_is_that_of_turning_by_omega_dt_in_body_axes(q, omega):
 def test_a_rotation_matrix_obeys_poisson(q, omega):
     """dR/dt = R [omega]x, with dR/dt by the chain rule through dq/dt."""
     s = ca.SX.sym("q", 4)
-    rate = ca.Function("r", [s], [ca.jtimes(ca.vec(rotation_matrix(s)), s, quat_derivative(s, ca.DM(omega)))])(q)
-    np.testing.assert_allclose(ca.reshape(rate, 3, 3).full(), matrix(q) @ skew(ca.DM(omega)).full(), atol=1e-12)
+    rate = ca.Function(
+        "r", [s], [ca.jtimes(ca.vec(rotation_matrix(s)), s, quat_derivative(s, ca.DM(omega)))]
+    )(q)
+    np.testing.assert_allclose(
+        ca.reshape(rate, 3, 3).full(), matrix(q) @ skew(ca.DM(omega)).full(), atol=1e-12
+    )
 
 
 def test_exp_log_and_difference_are_smooth_at_the_identity():
     v = ca.SX.sym("v", 3)
-    slope = ca.Function("s", [v], [ca.jacobian(quat_exp(v), v), ca.jacobian(quat_log(quat_exp(v)), v)])
+    slope = ca.Function(
+        "s", [v], [ca.jacobian(quat_exp(v), v), ca.jacobian(quat_log(quat_exp(v)), v)]
+    )
     at_zero, round_trip = (m.full() for m in slope(np.zeros(3)))
     np.testing.assert_allclose(at_zero, np.vstack([np.zeros(3), 0.5 * np.eye(3)]), atol=1e-15)
     np.testing.assert_allclose(round_trip, np.eye(3), atol=1e-12)
@@ -141,11 +160,15 @@ def test_many_rotations_at_once_are_those_one_by_one():
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     v = rng.normal(size=(7, 3))
     world = numeric("rotate", q, v)
-    np.testing.assert_allclose(world, [matrix(a) @ b for a, b in zip(q, v, strict=True)], atol=1e-14)
+    np.testing.assert_allclose(
+        world, [matrix(a) @ b for a, b in zip(q, v, strict=True)], atol=1e-14
+    )
     np.testing.assert_allclose(numeric("rotate_inverse", q, world), v, atol=1e-14)
     small = 0.1 * v
     np.testing.assert_allclose(
         numeric("difference", q, numeric("multiply", q, numeric("exp", small))), small, atol=1e-12
     )
     np.testing.assert_allclose(numeric("log", numeric("exp", small)), small, atol=1e-12)
-    np.testing.assert_allclose(numeric("euler", q), [number(euler_zyx(ca.DM(a))) for a in q], atol=1e-15)
+    np.testing.assert_allclose(
+        numeric("euler", q), [number(euler_zyx(ca.DM(a))) for a in q], atol=1e-15
+    )

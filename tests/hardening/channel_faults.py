@@ -1,4 +1,5 @@
-"""Faults of channels as readers and users make them: units, frames, scales, clocks, sensors, motors.
+"""Faults of channels as readers and users make them: units, frames, scales, clocks, sensors,
+motors.
 
 A fault takes a raw log (clock of one rate) and gives a broken copy. `needs` are the channel groups
 that it touches.
@@ -112,7 +113,11 @@ def signs(names: str) -> Callable[[RawLog], RawLog]:
 def rows(raw: RawLog, keep: npt.NDArray[np.int64]) -> RawLog:
     """These rows."""
     return replace(
-        raw, t=raw.t[keep], rows=raw.rows[keep], channels={k: v[keep] for k, v in raw.channels.items()}, extra={}
+        raw,
+        t=raw.t[keep],
+        rows=raw.rows[keep],
+        channels={k: v[keep] for k, v in raw.channels.items()},
+        extra={},
     )
 
 
@@ -124,7 +129,9 @@ def step(raw: RawLog) -> float:
 def closed(raw: RawLog, keep: npt.NDArray[np.int64]) -> RawLog:
     """These rows on a clock that knows nothing of it."""
     out = rows(raw, keep)
-    return replace(out, t=raw.t[0] + step(raw) * np.arange(keep.size), rows=np.arange(1, keep.size + 1))
+    return replace(
+        out, t=raw.t[0] + step(raw) * np.arange(keep.size), rows=np.arange(1, keep.size + 1)
+    )
 
 
 def cut(seconds: float) -> Callable[[RawLog], RawLog]:
@@ -153,7 +160,9 @@ def late(seconds: float, *groups: str) -> Callable[[RawLog], RawLog]:
     def make(raw: RawLog) -> RawLog:
         for names in groups:
             if have(raw, names):
-                raw = put(raw, names, np.roll(block(raw, names), round(seconds / step(raw)), axis=0))
+                raw = put(
+                    raw, names, np.roll(block(raw, names), round(seconds / step(raw)), axis=0)
+                )
         return raw
 
     return make
@@ -291,8 +300,12 @@ def frames() -> dict[str, Fault]:
         out[f"motion capture yawed by {degrees:g} deg"] = f(pose, linear(yaw(degrees), P, V))
     for degrees in (10.0, 20.0):
         angle = np.radians(degrees)
-        out[f"attitude tilted by {degrees:g} deg in the world"] = f(f"{Q} {A}", tilted((angle, 0, 0), left=True))
-        out[f"attitude tilted by {degrees:g} deg in the body"] = f(f"{Q} {A}", tilted((0, angle, 0), left=False))
+        out[f"attitude tilted by {degrees:g} deg in the world"] = f(
+            f"{Q} {A}", tilted((angle, 0, 0), left=True)
+        )
+        out[f"attitude tilted by {degrees:g} deg in the body"] = f(
+            f"{Q} {A}", tilted((0, angle, 0), left=False)
+        )
     out["attitude yawed by 40 deg in the world"] = f(pose, tilted((0, 0, 0.7), left=True))
     out["attitude yawed by 40 deg in the body"] = f(f"{Q} {W}", tilted((0, 0, 0.7), left=False))
     for a, b, order in (("p", "q", "q p r"), ("p", "r", "r q p"), ("q", "r", "p r q")):
@@ -332,9 +345,15 @@ def units_and_scales() -> dict[str, Fault]:
         "velocity in feet/s": u(V, 3.28084),
         "battery in mV": u("vbat", 1e3),
         "rotor speeds in rpm": u("omega1 omega2 omega3 omega4", 60 / (2 * np.pi)),
-        "commands in percent": Fault(kind="units", needs="u1", make=of_commands(lambda x: 100.0 * x)),
-        "commands in PWM of 1000 to 2000": Fault(kind="units", needs="u1", make=of_commands(lambda x: 1e3 * (1 + x))),
-        "commands from -1 to 1": Fault(kind="units", needs="u1", make=of_commands(lambda x: 2.0 * x - 1.0)),
+        "commands in percent": Fault(
+            kind="units", needs="u1", make=of_commands(lambda x: 100.0 * x)
+        ),
+        "commands in PWM of 1000 to 2000": Fault(
+            kind="units", needs="u1", make=of_commands(lambda x: 1e3 * (1 + x))
+        ),
+        "commands from -1 to 1": Fault(
+            kind="units", needs="u1", make=of_commands(lambda x: 2.0 * x - 1.0)
+        ),
         "time in ms": Fault(kind="units", needs="u1", make=clock(1e3)),
         "time in us": Fault(kind="units", needs="u1", make=clock(1e6)),
         "gyro times 2": u(f"{W}", 2.0, s),
@@ -366,14 +385,22 @@ def of_time() -> dict[str, Fault]:
         "1 s cut out, clock closed up": f(pose, cut(1.0)),
         "1 s comes twice": f("u1", again(1.0)),
         "3 s come twice": f("u1", again(3.0)),
-        "2 s lost": f("u1", lambda r: rows(r, np.r_[0 : r.n // 2, r.n // 2 + round(2 / step(r)) : r.n])),
+        "2 s lost": f(
+            "u1", lambda r: rows(r, np.r_[0 : r.n // 2, r.n // 2 + round(2 / step(r)) : r.n])
+        ),
         "40 % lost": f("u1", lambda r: rows(r, np.r_[0 : int(0.3 * r.n), int(0.7 * r.n) : r.n])),
-        "10 % of the rows lost": f("u1", lambda r: rows(r, np.flatnonzero(random.random(r.n) > 0.1))),
+        "10 % of the rows lost": f(
+            "u1", lambda r: rows(r, np.flatnonzero(random.random(r.n) > 0.1))
+        ),
         "time set back by 0.5 s": f("u1", back),
         "time runs backward": f("u1", lambda r: rows(r, np.arange(r.n)[::-1])),
         "rows in any order": f("u1", lambda r: rows(r, np.random.default_rng(7).permutation(r.n))),
-        "an hour's jump": f("u1", lambda r: replace(r, t=r.t + 3600.0 * (np.arange(r.n) > r.n // 2))),
-        "stamps off by 3 ms": f("u1", lambda r: replace(r, t=r.t + np.random.default_rng(7).uniform(-3e-3, 3e-3, r.n))),
+        "an hour's jump": f(
+            "u1", lambda r: replace(r, t=r.t + 3600.0 * (np.arange(r.n) > r.n // 2))
+        ),
+        "stamps off by 3 ms": f(
+            "u1", lambda r: replace(r, t=r.t + np.random.default_rng(7).uniform(-3e-3, 3e-3, r.n))
+        ),
         "one stamp for two rows": f("u1", lambda r: replace(r, t=np.repeat(r.t[::2], 2)[: r.n])),
         "IMU 120 ms late": f(f"{W} {A} {Q}", late(0.12, W, A)),
         "pose 100 ms late": f(f"{Q} {W}", late(0.1, P, V, Q)),
@@ -414,12 +441,18 @@ def of_sensors() -> dict[str, Fault]:
         "position of 0 for five samples": f(P, lost(P, 0.0, 5)),
         "infinite samples": f(W, lost(W, 1e30, 3)),
         "NaN for 0.6 s": f(W, missing(0.6), "missing cells are no measurements"),
-        "gyro clips at half its range": f(W, lambda r: put(r, W, clip(block(r, W), 0.5 * np.nanmax(np.abs(block(r, W)))))),
-        "accelerometer clips": f(A, lambda r: put(r, A, clip(block(r, A), np.nanpercentile(block(r, A)[:, 2], 70)))),
+        "gyro clips at half its range": f(
+            W, lambda r: put(r, W, clip(block(r, W), 0.5 * np.nanmax(np.abs(block(r, W)))))
+        ),
+        "accelerometer clips": f(
+            A, lambda r: put(r, A, clip(block(r, A), np.nanpercentile(block(r, A)[:, 2], 70)))
+        ),
         "gyro in steps of 0.02 rad/s": f(
             W, lambda r: put(r, W, 0.02 * np.round(block(r, W) / 0.02)), "noise of 0.006 rad/s"
         ),
-        "quaternion of 5 digits": f(Q, lambda r: put(r, Q, np.round(block(r, Q), 5)), "noise of 1e-5"),
+        "quaternion of 5 digits": f(
+            Q, lambda r: put(r, Q, np.round(block(r, Q), 5)), "noise of 1e-5"
+        ),
         "accelerometer bias of 3 m/s^2": f(f"{A} {Q}", jump_all("ax", 3.0)),
         "position jumps by 0.5 m": f(P, jump(P, (0.5, 0.0, 0.0))),
         "attitude jumps by 20 deg": f(Q, turned_from_the_middle),
@@ -448,5 +481,11 @@ def of_motors() -> dict[str, Fault]:
     return out
 
 
-CHANNEL_FAULTS: dict[str, Fault] = {**frames(), **units_and_scales(), **of_time(), **of_sensors(), **of_motors()}
+CHANNEL_FAULTS: dict[str, Fault] = {
+    **frames(),
+    **units_and_scales(),
+    **of_time(),
+    **of_sensors(),
+    **of_motors(),
+}
 """Name -> fault."""

@@ -1,4 +1,5 @@
-"""Every fault of channels and vehicle files, put into sound flights: found, refused, survived or silent.
+"""Every fault of channels and vehicle files, put into sound flights: found, refused, survived or
+silent.
 
     python -m tests.hardening.fault_table [FOLDER ...]
 
@@ -51,11 +52,17 @@ def outcome(find: Callable[[], Said], clean: Said) -> str:
 
 def of_vehicle(vehicle: Vehicle, raw: RawLog) -> Said:
     """What a vehicle file is told by its own check, and by a flight."""
-    own = {(f.severity, "vehicle check", f.message) for f in check_vehicle(vehicle).findings if f.severity != "info"}
+    own = {
+        (f.severity, "vehicle check", f.message)
+        for f in check_vehicle(vehicle).findings
+        if f.severity != "info"
+    }
     return frozenset(own) | said(raw, vehicle)
 
 
-def table(raw: RawLog, vehicle: Vehicle, names: Sequence[str] | None = None) -> Iterator[tuple[str, str, str]]:
+def table(
+    raw: RawLog, vehicle: Vehicle, names: Sequence[str] | None = None
+) -> Iterator[tuple[str, str, str]]:
     """(class, fault, outcome) for every fault that this log can have, or those named."""
     clean = of_vehicle(vehicle, raw)
     for name, fault in CHANNEL_FAULTS.items():
@@ -65,10 +72,18 @@ def table(raw: RawLog, vehicle: Vehicle, names: Sequence[str] | None = None) -> 
             yield fault.kind, name, NONE
             continue
         found = outcome(lambda make=fault.make: said(make(raw), vehicle), clean)  # type: ignore[misc]
-        yield fault.kind, name, f"survived: {fault.harmless}" if found == SILENT and fault.harmless else found
+        yield (
+            fault.kind,
+            name,
+            f"survived: {fault.harmless}" if found == SILENT and fault.harmless else found,
+        )
     for name, change in VEHICLE_FAULTS.items():
         if names is None or name in names:
-            yield "vehicle file", name, outcome(lambda make=change: of_vehicle(make(vehicle), raw), clean)  # type: ignore[misc]
+            yield (
+                "vehicle file",
+                name,
+                outcome(lambda make=change: of_vehicle(make(vehicle), raw), clean),
+            )  # type: ignore[misc]
 
 
 def flights(folders: Sequence[str]) -> Iterator[tuple[str, RawLog, Vehicle]]:
@@ -85,7 +100,9 @@ def flights(folders: Sequence[str]) -> Iterator[tuple[str, RawLog, Vehicle]]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folders", nargs="*", metavar="FOLDER")
     arguments = parser.parse_args(argv)
     silent = 0
@@ -97,7 +114,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             counts[found.split(" ")[0].rstrip(":")] += 1
         silent += counts[SILENT]
         total = sum(n for w, n in counts.items() if w != NONE)
-        print(f"\n{total} faults: {', '.join(f'{n} {w}' for w, n in counts.items() if w != NONE)}\n", flush=True)
+        print(
+            f"\n{total} faults: {', '.join(f'{n} {w}' for w, n in counts.items() if w != NONE)}\n",
+            flush=True,
+        )
     return 1 if silent else 0
 
 

@@ -1,6 +1,8 @@
-"""Hostile copies of good files: values of a JSON or TOML tree replaced, removed, renamed; bytes flipped, cut, repeated.
+"""Hostile copies of good files: values of a JSON or TOML tree replaced, removed, renamed; bytes
+flipped, cut, repeated.
 
-A JSON tree is sealed again after it was changed: whoever writes a hostile file computes its checksums too.
+A JSON tree is sealed again after it was changed: whoever writes a hostile file computes its
+checksums too.
 """
 
 from __future__ import annotations
@@ -119,14 +121,22 @@ def sealed(tree: dict[str, Any]) -> dict[str, Any]:
         if "linear" in str(tree.get("schema")) or "bundle" in str(tree.get("schema"))
         else ("checksum", "versions")
     )
-    with contextlib.suppress(FileFormatError):  # nested too deeply for any checksum: refused for that
+    with contextlib.suppress(
+        FileFormatError
+    ):  # nested too deeply for any checksum: refused for that
         tree["checksum"] = checksum({k: v for k, v in tree.items() if k not in leave})
     return tree
 
 
 def places(tree: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     """Paths of all values below the root."""
-    items = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
+    items = (
+        tree.items()
+        if isinstance(tree, dict)
+        else enumerate(tree)
+        if isinstance(tree, list)
+        else ()
+    )
     for key, value in items:
         yield (*path, key)
         yield from places(value, (*path, key))
@@ -135,13 +145,19 @@ def places(tree: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 def _odd_value(rng: random.Random, old: Any) -> Any:
     if isinstance(old, (int, float)) and rng.random() < 0.5:
         return rng.choice(
-            [-old, old + 1, *([float(old) * 1e6, float(old) * 1e-6] if abs(old) < 1e300 else []), rng.choice(NUMBERS)]
+            [
+                -old,
+                old + 1,
+                *([float(old) * 1e6, float(old) * 1e-6] if abs(old) < 1e300 else []),
+                rng.choice(NUMBERS),
+            ]
         )
     return copy.deepcopy(rng.choice([rng.choice(c) for c in (CODE, PATHS, NUMBERS, TEXTS, OTHERS)]))
 
 
 def _one_change(tree: Any, rng: random.Random) -> None:
-    """One change at a random place; keys near the root are as likely as the entries of long arrays."""
+    """One change at a random place; keys near the root are as likely as the entries of long
+    arrays."""
     parent, depth = tree, 0
     while True:
         keys = list(parent) if isinstance(parent, dict) else range(len(parent))
@@ -156,7 +172,9 @@ def _one_change(tree: Any, rng: random.Random) -> None:
         case 0:
             del parent[key]
         case 1 if isinstance(parent, dict):
-            parent[rng.choice([f"{key}x", key.upper(), *CODE, *PATHS, "__class__"])] = parent.pop(key)
+            parent[rng.choice([f"{key}x", key.upper(), *CODE, *PATHS, "__class__"])] = parent.pop(
+                key
+            )
         case 1 | 2 if isinstance(parent, list):
             parent[key : key + 1] = [copy.deepcopy(child) for _ in range(rng.choice([2, 3, 50]))]
         case 2:
@@ -213,7 +231,11 @@ def _key(key: Any) -> str:
 
 def _toml(value: Any) -> str:
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{_key(k)} = {_toml(v)}" for k, v in value.items() if v is not None) + "}"
+        return (
+            "{"
+            + ", ".join(f"{_key(k)} = {_toml(v)}" for k, v in value.items() if v is not None)
+            + "}"
+        )
     if isinstance(value, list):
         return "[" + ", ".join(_toml(v) for v in value if v is not None) + "]"
     if isinstance(value, str):

@@ -1,4 +1,5 @@
-"""Faults as they happen to log files, each put into the text of a real flight (NanoBench, 100 Hz, own column names).
+"""Faults as they happen to log files, each put into the text of a real flight (NanoBench, 100 Hz,
+own column names).
 
 A fault takes the header and the numbers (rows, columns) and gives the bytes of the faulty file.
 """
@@ -45,7 +46,10 @@ class Sheet:
 
     def csv(self, *, end: str = "\n", mark: str = "") -> bytes:
         """The file's bytes."""
-        lines = [",".join(self.names), *(",".join("" if v != v else f"{v:.9g}" for v in row) for row in self.rows)]
+        lines = [
+            ",".join(self.names),
+            *(",".join("" if v != v else f"{v:.9g}" for v in row) for row in self.rows),
+        ]
         return (mark + end.join(lines) + end).encode()
 
 
@@ -53,7 +57,10 @@ class Sheet:
 def flight() -> Sheet:
     """The flight as it came."""
     header, *lines = gzip.decompress(flight_path(SET, FLIGHT).read_bytes()).decode().splitlines()
-    return Sheet(tuple(header.split(",")), np.array([[float(c or "nan") for c in line.split(",")] for line in lines]))
+    return Sheet(
+        tuple(header.split(",")),
+        np.array([[float(c or "nan") for c in line.split(",")] for line in lines]),
+    )
 
 
 def _random() -> np.random.Generator:

@@ -1,4 +1,5 @@
-"""What the cache of compiled models gives is what this user put there; else it is built again and said."""
+"""What the cache of compiled models gives is what this user put there; else it is built again and
+said."""
 
 from __future__ import annotations
 
@@ -74,7 +75,9 @@ DAMAGE = [cut, emptied, changed, opened_to_others, replaced_by_link, replaced_by
 def test_a_file_that_is_not_as_it_was_is_built_again_and_said(folder, capfd, damage, what):
     path = build(SOURCE)
     good = path.read_bytes()
-    index = next(p for p in path.parent.iterdir() if p.is_file() and p.suffix == "" and len(p.name) == 64)
+    index = next(
+        p for p in path.parent.iterdir() if p.is_file() and p.suffix == "" and len(p.name) == 64
+    )
     assert capfd.readouterr().err == ""
     damage(path if what == "library" else index)
     again = build(SOURCE)
@@ -90,11 +93,10 @@ def test_a_file_that_is_not_as_it_was_is_built_again_and_said(folder, capfd, dam
 
 def test_a_cut_library_does_not_end_the_command(folder):
     """The same through a process of its own, which SIGBUS would end."""
-    program = (
-        "from greybox.estimation.build import opened\n"
-        f"print(opened({SOURCE!r}).one())\n"
-    )  # fmt: skip
-    run = lambda: subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)  # noqa: E731
+    program = f"from greybox.estimation.build import opened\nprint(opened({SOURCE!r}).one())\n"
+    run = lambda: subprocess.run(  # noqa: E731
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
     assert run().stdout == "1\n"
     for library in (folder / "build").glob("*.so"):
         cut(library)
@@ -103,7 +105,9 @@ def test_a_cut_library_does_not_end_the_command(folder):
     assert "built again" in done.stderr
 
 
-def test_a_folder_that_others_may_write_is_closed_and_one_of_theirs_is_not_used(folder, capfd, monkeypatch):
+def test_a_folder_that_others_may_write_is_closed_and_one_of_theirs_is_not_used(
+    folder, capfd, monkeypatch
+):
     folder.mkdir()
     folder.chmod(0o777)
     assert cache.cache_root() == folder
@@ -124,7 +128,9 @@ def test_processors_do_not_share_what_is_compiled_for_one(folder, monkeypatch):
     keys = []
     for processor in ("one", "two"):
         monkeypatch.setattr(build_module, "_processor", lambda cc, processor=processor: processor)
-        keys.append((build_module._library(("cc",), native, ()), build_module._library(("cc",), SOURCE, ())))
+        keys.append(
+            (build_module._library(("cc",), native, ()), build_module._library(("cc",), SOURCE, ()))
+        )
     assert keys[0][0] != keys[1][0]
     assert keys[0][1] == keys[1][1]
 
@@ -132,7 +138,12 @@ def test_processors_do_not_share_what_is_compiled_for_one(folder, monkeypatch):
 def test_two_writers_leave_one_good_entry(folder):
     program = f"from greybox.estimation.build import opened\nprint(opened({SOURCE!r}).one())\n"
     both = [
-        subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        subprocess.Popen(
+            [sys.executable, "-c", program],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         for _ in range(2)
     ]
     assert [p.communicate() for p in both] == [("1\n", "")] * 2
@@ -142,10 +153,17 @@ def test_two_writers_leave_one_good_entry(folder):
 
 @pytest.mark.parametrize(
     "script",
-    ["echo 'internal error' >&2; exit 1", "exit 0", "kill -9 $$", "printf '\\377\\376' >&2; exit 4"],
+    [
+        "echo 'internal error' >&2; exit 1",
+        "exit 0",
+        "kill -9 $$",
+        "printf '\\377\\376' >&2; exit 4",
+    ],
     ids=["complains", "writes nothing", "is killed", "says no text"],
 )
-def test_a_compiler_that_fails_leaves_the_virtual_machine_and_one_line(folder, monkeypatch, tmp_path, capfd, script):
+def test_a_compiler_that_fails_leaves_the_virtual_machine_and_one_line(
+    folder, monkeypatch, tmp_path, capfd, script
+):
     cc = tmp_path / "cc"
     cc.write_text(f"#!/bin/sh\n{script}\n")
     cc.chmod(0o755)

@@ -1,4 +1,5 @@
-"""Two commands do not write into one folder, and a command that is killed leaves results of one run only.
+"""Two commands do not write into one folder, and a command that is killed leaves results of one run
+only.
 
 What each command leaves at every moment is asked where its tests run it (`tests/one_run.py`).
 """
@@ -47,7 +48,11 @@ def test_the_second_writer_is_refused_until_the_first_is_gone(
 
 @posix
 def test_what_came_to_nothing_leaves_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(OutputError), sole_writer(tmp_path / "b" / "c"), sole_writer(tmp_path / "b" / "c"):
+    with (
+        pytest.raises(OutputError),
+        sole_writer(tmp_path / "b" / "c"),
+        sole_writer(tmp_path / "b" / "c"),
+    ):
         pass
     assert list(tmp_path.iterdir()) == []
 
@@ -58,7 +63,13 @@ def test_the_watch_sees_what_it_is_for(tmp_path: Path) -> None:
         write_atomic(tmp_path / "a", "new")
         write_atomic(tmp_path / "b", "new")
     assert seen[-1] == {"a", "b"}
-    with pytest.raises(AssertionError, match=r"old \(True\) beside new"), results_of_one_run(tmp_path, "a", "b"):
+    with (
+        pytest.raises(AssertionError, match=r"old \(True\) beside new"),
+        results_of_one_run(tmp_path, "a", "b"),
+    ):
         write_atomic(tmp_path / "a", "new")
-    with pytest.raises(AssertionError, match="nothing was written"), results_of_one_run(tmp_path, "a"):
+    with (
+        pytest.raises(AssertionError, match="nothing was written"),
+        results_of_one_run(tmp_path, "a"),
+    ):
         pass

@@ -35,13 +35,19 @@ def long_log(path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("command", "says"), [("inspect", "0"), ("check", "1")])  # a flight again and again
+@pytest.mark.parametrize(
+    ("command", "says"), [("inspect", "0"), ("check", "1")]
+)  # a flight again and again
 def test_a_million_rows(tmp_path: Path, command: str, says: str) -> None:
     log = tmp_path / "long.csv"
     long_log(log)
     words = [command, str(log), "--vehicle", str(vehicle_path("nanobench"))]
     done = subprocess.run(
-        [sys.executable, "-c", MEASURED, *words], capture_output=True, text=True, check=False, timeout=1800
+        [sys.executable, "-c", MEASURED, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=1800,
     )
     code, kib = done.stdout.splitlines()[-1].split()
     assert code == says, done.stdout + done.stderr

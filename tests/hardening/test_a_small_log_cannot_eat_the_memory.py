@@ -1,4 +1,5 @@
-"""Small logs that unpack into gigabytes are refused in one line, within a bound and 50 times their size."""
+"""Small logs that unpack into gigabytes are refused in one line, within a bound and 50 times their
+size."""
 
 from __future__ import annotations
 
@@ -41,7 +42,11 @@ def gzip_bomb(path: Path) -> None:
 def mat_bomb(path: Path) -> None:
     """A compressed element that declares, and holds, a matrix of zeros."""
     size = HUGE // 2
-    head = struct.pack("<IIIIIIiiI", 6, 8, 6, 0, 5, 8, size // 8, 1, 1) + struct.pack("<I", 1) + b"x\0\0\0\0\0\0\0"
+    head = (
+        struct.pack("<IIIIIIiiI", 6, 8, 6, 0, 5, 8, size // 8, 1, 1)
+        + struct.pack("<I", 1)
+        + b"x\0\0\0\0\0\0\0"
+    )
     head += struct.pack("<II", 9, size)
     packer, out = zlib.compressobj(1), io.BytesIO()
     out.write(packer.compress(struct.pack("<II", 14, len(head) + size) + head))
@@ -97,8 +102,11 @@ def mcap_bomb(path: Path) -> None:
 
 
 BOMBS: dict[str, Callable[[Path], None]] = {
-    "flight.csv.gz": gzip_bomb, "flight.mat": mat_bomb, "flight.parquet": parquet_bomb, "flight.mcap": mcap_bomb,
-}  # fmt: skip
+    "flight.csv.gz": gzip_bomb,
+    "flight.mat": mat_bomb,
+    "flight.parquet": parquet_bomb,
+    "flight.mcap": mcap_bomb,
+}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="address spaces are bounded on Linux only")
@@ -107,7 +115,11 @@ def test_a_bomb_is_one_line(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     BOMBS[name](path)
     done = subprocess.run(
-        [sys.executable, "-c", CHILD, str(path), str(SMALL)], capture_output=True, text=True, check=False, timeout=120
+        [sys.executable, "-c", CHILD, str(path), str(SMALL)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
     )
     assert done.returncode == 0, done.stderr
     code, own, child = map(int, done.stdout.split()[-3:])

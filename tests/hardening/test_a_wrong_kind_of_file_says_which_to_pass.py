@@ -1,4 +1,5 @@
-"""A folder, or a file of another kind, where a model file is asked for: the line says which to pass."""
+"""A folder, or a file of another kind, where a model file is asked for: the line says which to
+pass."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""CasADi drops what its conversions of operands raise; an interrupt that arrives there comes again after them."""
+"""CasADi drops what its conversions of operands raise; an interrupt that arrives there comes again
+after them."""
 
 from __future__ import annotations
 
@@ -27,7 +28,9 @@ def as_python_starts() -> object:
 
 
 def multiply() -> None:
-    with pytest.raises((NotImplementedError, TypeError)):  # it is no matrix, which is all that CasADi says
+    with pytest.raises(
+        (NotImplementedError, TypeError)
+    ):  # it is no matrix, which is all that CasADi says
         ca.SX.sym("x") * PressesCtrlC()
 
 

@@ -1,4 +1,5 @@
-"""A hostile bundle is refused in one line: no code of it runs, no path leads out of it, no declared size is believed."""
+"""A hostile bundle is refused in one line: no code of it runs, no path leads out of it, no declared
+size is believed."""
 
 from __future__ import annotations
 
@@ -30,7 +31,10 @@ MANY = int(os.environ.get("GREYBOX_FUZZ", "5000"))
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small bundle: a linear model without C."""
     return write_bundle(
-        cases.linear(), tmp_path_factory.mktemp("bundle") / "box", targets=("casadi",), use_cache=False
+        cases.linear(),
+        tmp_path_factory.mktemp("bundle") / "box",
+        targets=("casadi",),
+        use_cache=False,
     ).folder
 
 
@@ -135,7 +139,9 @@ def _no_functions(tape: dict[str, Any]) -> None:
     tape["functions"] = {"f": hostile.CODE[0]}
 
 
-@pytest.mark.parametrize("change", [_huge_port, _huge_work, _negative_port, _unknown_operation, _no_functions])
+@pytest.mark.parametrize(
+    "change", [_huge_port, _huge_work, _negative_port, _unknown_operation, _no_functions]
+)
 def test_tapes_that_declare_too_much_or_nonsense_are_refused(change: Any, bundle: Path) -> None:
     retape(bundle, change)
     began = time.perf_counter()
@@ -146,17 +152,24 @@ def test_tapes_that_declare_too_much_or_nonsense_are_refused(change: Any, bundle
 
 def test_a_matrix_that_doubles_and_doubles_is_stopped(bundle: Path) -> None:
     port = {"name": "x", "rows": 1, "columns": 1}
-    steps = [["INPUT", [], [0], {"argument": 0}], *(["VERTCAT", [0, 0], [0], None] for _ in range(60))]
+    steps = [
+        ["INPUT", [], [0], {"argument": 0}],
+        *(["VERTCAT", [0, 0], [0], None] for _ in range(60)),
+    ]
     names = ["INPUT", "VERTCAT"]
 
     def bomb(tape: dict[str, Any]) -> None:
         tape["operations"] = names
         tape["functions"] = [
             {
-                "name": "f", "public": True, "kind": "matrix", "in": [port], "out": [port],
+                "name": "f",
+                "public": True,
+                "kind": "matrix",
+                "in": [port],
+                "out": [port],
                 "instructions": [[names.index(n), a, r, e] for n, a, r, e in steps],
             }
-        ]  # fmt: skip
+        ]
 
     retape(bundle, bomb)
     with pytest.raises(FileFormatError, match="more than 4000000 entries"):
@@ -166,7 +179,9 @@ def test_a_matrix_that_doubles_and_doubles_is_stopped(bundle: Path) -> None:
 def test_a_small_archive_that_unpacks_to_much_is_refused(bundle: Path) -> None:
     path = bundle / "python" / "functions.npz"
     head = io.BytesIO()
-    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (65_000_000,)})
+    np.lib.format.write_array_header_1_0(
+        head, {"descr": "<f8", "fortran_order": False, "shape": (65_000_000,)}
+    )
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
         archive.open("bomb.npy", "w", force_zip64=True) as f,
@@ -196,7 +211,8 @@ def test_pickled_objects_in_an_archive_are_refused(bundle: Path) -> None:
 
 
 def feed(folder: Path, seeds: range, capture: Any) -> int:
-    """Hostile manifests, read by greybox and (every twentieth) by the stand-alone verifier. Returns how many were read."""
+    """Hostile manifests, read by greybox and (every twentieth) by the stand-alone verifier. Returns
+    how many were read."""
     text = (folder / "manifest.json").read_text()
     tree, read = json.loads(text), 0
     before = sorted(folder.parent.rglob("*"))

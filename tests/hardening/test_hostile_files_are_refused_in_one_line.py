@@ -1,4 +1,5 @@
-"""Hostile vehicle and model files are read or refused in one line, at bounded cost; what was read can be used.
+"""Hostile vehicle and model files are read or refused in one line, at bounded cost; what was read
+can be used.
 
 `GREYBOX_FUZZ=N pytest -m slow tests/hardening` feeds N files of each kind.
 """
@@ -27,7 +28,8 @@ from tests.hardening import hostile
 MODELS = ("physics", "disturbed", "hybrid", "linear")
 MANY = int(os.environ.get("GREYBOX_FUZZ", "5000"))
 LONGEST = 20.0
-"""Seconds that no file may take, on a machine that does other things too; most take milliseconds."""
+"""Seconds that no file may take, on a machine that does other things too; most take
+milliseconds."""
 
 
 def said(error: GreyboxError) -> str:
@@ -40,7 +42,8 @@ def said(error: GreyboxError) -> str:
 
 
 def read_model(path: Path, kind: str) -> bool:
-    """Whether the file was read; if so the model has finite numbers, says its name, and is written again."""
+    """Whether the file was read; if so the model has finite numbers, says its name, and is written
+    again."""
     try:
         if kind == "linear":
             linear = LinearModel.load(path)
@@ -55,9 +58,13 @@ def read_model(path: Path, kind: str) -> bool:
     model.name.encode()
     n = len(model.covariance_names)
     for what in (
-        model.parameter_vector(), model.process_noise, model.sensor_noise, model.weak, model.reference_state,
+        model.parameter_vector(),
+        model.process_noise,
+        model.sensor_noise,
+        model.weak,
+        model.reference_state,
         model.reference_inputs,
-    ):  # fmt: skip
+    ):
         assert np.isfinite(what).all()
     assert model.covariance.shape == (n, n)
     assert set(model.covariance_names) <= set(model.values)
@@ -95,7 +102,9 @@ def feed(kind: str, seeds: range, folder: Path) -> Counter[str]:
             good = template_text(name) if vehicle else hostile.model_tree(kind)
             path.write_bytes(hostile.damaged(good.encode(), rng))
         elif vehicle:
-            path.write_text(hostile.to_toml(hostile.changed(copy.deepcopy(trees[name]), rng)), encoding="utf-8")
+            path.write_text(
+                hostile.to_toml(hostile.changed(copy.deepcopy(trees[name]), rng)), encoding="utf-8"
+            )
         else:
             tree = hostile.changed(hostile.good_model(kind), rng)
             path.write_text(json.dumps(hostile.sealed(tree)))
@@ -112,7 +121,9 @@ def feed(kind: str, seeds: range, folder: Path) -> Counter[str]:
 
 
 @pytest.mark.parametrize("kind", ["vehicle", *MODELS])
-def test_hundreds_of_hostile_files(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hundreds_of_hostile_files(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     count = feed(kind, range(150), tmp_path)
     assert count["read"] > 10
@@ -121,6 +132,8 @@ def test_hundreds_of_hostile_files(kind: str, tmp_path: Path, monkeypatch: pytes
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["vehicle", *MODELS])
-def test_thousands_of_hostile_files(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_thousands_of_hostile_files(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     print(kind, dict(feed(kind, range(1000, 1000 + MANY), tmp_path)))

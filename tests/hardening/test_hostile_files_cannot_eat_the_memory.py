@@ -1,4 +1,5 @@
-"""Reading takes at most 200 MB plus 20 times the size of a model file, whatever the file declares."""
+"""Reading takes at most 200 MB plus 20 times the size of a model file, whatever the file
+declares."""
 
 from __future__ import annotations
 
@@ -66,7 +67,11 @@ def test_memory_is_bounded_by_the_size_of_the_file(name: str, tmp_path: Path) ->
     path = tmp_path / "model.json"
     path.write_text(FILES[name]())
     done = subprocess.run(
-        [sys.executable, "-c", CHILD, str(path)], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-c", CHILD, str(path)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
     )
     grown, line = done.stdout.split(maxsplit=1)
     assert str(path) in line or "GP posterior" in line
@@ -125,7 +130,8 @@ def test_nesting_is_no_syntax_error(depth: int, tmp_path: Path) -> None:
 
 
 def archive(path: Path, entries: dict[str, tuple[int, int]], kind: str) -> None:
-    """An .npz whose arrays declare some numbers of a kind and hold some zero bytes: name -> (numbers, bytes)."""
+    """An .npz whose arrays declare some numbers of a kind and hold some zero bytes: name ->
+    (numbers, bytes)."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
         for name, (declared, held) in entries.items():
             with file.open(f"{name}.npy", "w", force_zip64=True) as entry:

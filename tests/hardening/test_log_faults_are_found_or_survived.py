@@ -1,4 +1,5 @@
-"""Faults put into the file of a real flight: `greybox check` blocks, warns, refuses the file, or the fault does no harm.
+"""Faults put into the file of a real flight: `greybox check` blocks, warns, refuses the file, or
+the fault does no harm.
 
 The table of docs/hardening.md says the same, fault by fault.
 """
@@ -23,21 +24,39 @@ CLEAN = {("warning", "alignment")}
 """What `check` says of the flight as it came: its gyro's clock wanders."""
 
 BLOCKED = {
-    "repeated rows": "clock", "clock jump": "gaps", "clock set back": "clock", "shuffled rows": "clock",
-    "time in ms": "clock", "wrong rate": "clock", "shifted clock": "alignment", "stuck sensor": "frozen",
-    "swapped axes": "attitude", "reversed axis": "attitude",
-    "body axes FRD": "gravity", "world axes NED": "gravity", "gyro in deg/s": "attitude",
-    "accelerometer in m/s^2": "gravity", "position in mm": "motion", "swapped motors": "motors",
-    "quaternion order": "attitude", "quaternion direction": "attitude",
-}  # fmt: skip
+    "repeated rows": "clock",
+    "clock jump": "gaps",
+    "clock set back": "clock",
+    "shuffled rows": "clock",
+    "time in ms": "clock",
+    "wrong rate": "clock",
+    "shifted clock": "alignment",
+    "stuck sensor": "frozen",
+    "swapped axes": "attitude",
+    "reversed axis": "attitude",
+    "body axes FRD": "gravity",
+    "world axes NED": "gravity",
+    "gyro in deg/s": "attitude",
+    "accelerometer in m/s^2": "gravity",
+    "position in mm": "motion",
+    "swapped motors": "motors",
+    "quaternion order": "attitude",
+    "quaternion direction": "attitude",
+}
 WARNED = {
-    "dropped rows": "gaps", "lost second": "gaps", "jitter": "clock", "spikes": "ranges",
-    "saturated sensor": "saturation", "constant channel": "frozen",
-}  # fmt: skip
+    "dropped rows": "gaps",
+    "lost second": "gaps",
+    "jitter": "clock",
+    "spikes": "ranges",
+    "saturated sensor": "saturation",
+    "constant channel": "frozen",
+}
 REFUSED = {
-    "truncated file": "cut off", "missing column": "motor_motor_m4", "thousands comma": "32 cells",
+    "truncated file": "cut off",
+    "missing column": "motor_motor_m4",
+    "thousands comma": "32 cells",
     "decimal comma": "semicolons",
-}  # fmt: skip
+}
 SURVIVED = ("NaN burst", "mixed line ends", "byte order mark", "quantised sensor")
 STEP = {"quantised sensor": 0.02}
 
@@ -80,7 +99,9 @@ def test_faults_that_are_warned_of(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_files_that_are_refused(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_that_are_refused(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = written(name, tmp_path)
     assert main(["check", str(path), "--vehicle", str(vehicle_path(SET))]) == 2
     said = capsys.readouterr()
@@ -102,15 +123,23 @@ def test_faults_that_do_no_harm(name: str, tmp_path: Path) -> None:
         a = np.concatenate([s.matrix([channel]) for s in faulty.segments])
         b = np.concatenate([s.matrix([channel]) for s in clean.segments])
         there = np.isfinite(a)
-        assert np.count_nonzero(np.isfinite(b)) - np.count_nonzero(there) == (lost if channel in ("p", "az") else 0)
+        assert np.count_nonzero(np.isfinite(b)) - np.count_nonzero(there) == (
+            lost if channel in ("p", "az") else 0
+        )
         step = STEP.get(name, 0.0) if channel == "p" else 0.0
         assert np.abs(a[there] - b[there]).max() <= 0.5 * step + 1e-12
 
 
 def test_the_page_says_what_happens() -> None:
-    rows = dict(re.findall(r"^\| ([^|]+?) \| [^|]+ \| ([^|]+?) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+    rows = dict(
+        re.findall(
+            r"^\| ([^|]+?) \| [^|]+ \| ([^|]+?) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE
+        )
+    )
     said = {
-        **{n: f"blocked by {c}" for n, c in BLOCKED.items()}, **{n: f"warning of {c}" for n, c in WARNED.items()},
-        **dict.fromkeys(REFUSED, "refused, one line"), **dict.fromkeys(SURVIVED, "survived"),
-    }  # fmt: skip
+        **{n: f"blocked by {c}" for n, c in BLOCKED.items()},
+        **{n: f"warning of {c}" for n, c in WARNED.items()},
+        **dict.fromkeys(REFUSED, "refused, one line"),
+        **dict.fromkeys(SURVIVED, "survived"),
+    }
     assert {n: rows.get(n) for n in said} == said

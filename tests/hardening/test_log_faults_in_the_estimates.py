@@ -1,8 +1,10 @@
-"""What each fault does to a fit: the largest shift of an estimate, in standard errors of the fit to the sound log.
+"""What each fault does to a fit: the largest shift of an estimate, in standard errors of the fit to
+the sound log.
 
-python -m pytest -m slow tests/hardening/test_log_faults_in_the_estimates.py -s prints the column of docs/hardening.md.
-Thrust, motor lag, drag and biases are fitted at 50 Hz; everything else stands as the vehicle file says it, and the noise
-levels as the sound log has them. `greybox discover` refuses what `check` blocks; `greybox fit` only says so.
+python -m pytest -m slow tests/hardening/test_log_faults_in_the_estimates.py -s prints the column of
+docs/hardening.md. Thrust, motor lag, drag and biases are fitted at 50 Hz; everything else stands as
+the vehicle file says it, and the noise levels as the sound log has them. `greybox discover` refuses
+what `check` blocks; `greybox fit` only says so.
 """
 
 from __future__ import annotations
@@ -24,26 +26,37 @@ from tests.hardening.test_log_faults_are_found_or_survived import SURVIVED, WARN
 
 EFFECTS = ("motor_lag", "battery_sag", "rotor_drag", "accelerometer_bias", "gyro_bias")
 FREE = (
-    "thrust.c2", "motor_lag.tau", "rotor_drag.k_x", "rotor_drag.k_y",
+    "thrust.c2",
+    "motor_lag.tau",
+    "rotor_drag.k_x",
+    "rotor_drag.k_y",
     *(f"{sensor}_bias.b_{axis}" for sensor in ("accelerometer", "gyro") for axis in "xyz"),
-)  # fmt: skip
+)
 HARMLESS = 0.5
 """Standard errors by which a fault that is called survived may move an estimate."""
 
 
 def fitted(content: bytes, noise: Mapping[str, float] | None) -> Fit:
-    """A fit of the flight in this file at 50 Hz; noise levels are estimated where none are given."""
+    """A fit of the flight in this file at 50 Hz; noise levels are estimated where none are
+    given."""
     vehicle = gb.read_vehicle(vehicle_path(SET))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.csv"
         path.write_bytes(content)
         data = gb.read_logs([path], vehicle, rate=50)
-    model = gb.build_model(vehicle, data.channels, EFFECTS, sample_time=1 / 50, kinematic_noise=True)
+    model = gb.build_model(
+        vehicle, data.channels, EFFECTS, sample_time=1 / 50, kinematic_noise=True
+    )
     return gb.fit(
-        model, data, free=FREE, values={"battery_sag.c_V": 1.0}, noise=noise, estimate_noise=noise is None,
+        model,
+        data,
+        free=FREE,
+        values={"battery_sag.c_V": 1.0},
+        noise=noise,
+        estimate_noise=noise is None,
         initialisation="equation-error" if noise is None else "nominal",
         solver=LevenbergMarquardt(tolerance=1e-3, max_iterations=20),
-    )  # fmt: skip
+    )
 
 
 @functools.cache

@@ -29,15 +29,35 @@ COMMANDS = {
     "plan": (["plan", "--vehicle", str(vehicle_path(ARPL))], "\n"),
     "mpc": (["mpc", "demo", "--flights", "2"], "\n"),
     "compare": (
-        ["compare", *FLIGHT, "--test", str(flight_path(ARPL, "log16")), "--rate", "100", "--effects", "motor_lag"],
+        [
+            "compare",
+            *FLIGHT,
+            "--test",
+            str(flight_path(ARPL, "log16")),
+            "--rate",
+            "100",
+            "--effects",
+            "motor_lag",
+        ],
         "...",
     ),
     "linear": (
-        ["linear", *FLIGHT, "--rate", "100", "--inputs", "u3+u4-u1-u2,u2+u3-u1-u4", "--outputs", "p,q",
-         "--order", "3", "--siso"],
+        [
+            "linear",
+            *FLIGHT,
+            "--rate",
+            "100",
+            "--inputs",
+            "u3+u4-u1-u2,u2+u3-u1-u4",
+            "--outputs",
+            "p,q",
+            "--order",
+            "3",
+            "--siso",
+        ],
         "linear-p",
     ),
-}  # fmt: skip
+}
 """Command -> (arguments, what it says when it is at work)."""
 
 
@@ -47,10 +67,14 @@ def interrupted(arguments: list[str], sign: str, folder: Path) -> str:
     at_work = threading.Event()
     with subprocess.Popen(
         [sys.executable, "-u", "-m", "greybox.cli", *arguments, "--out", "out"],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=folder, start_new_session=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=folder,
+        start_new_session=True,
         # Who starts the tests in the background of a script has them ignore the signal.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    ) as process:  # fmt: skip
+    ) as process:
 
         def listen() -> None:
             for line in process.stdout or ():
@@ -76,7 +100,9 @@ def interrupted(arguments: list[str], sign: str, folder: Path) -> str:
     assert said[-1].startswith(f"greybox {arguments[0]}: interrupted; ")
     assert said[-1].count("\n") == 1
     # What is said to have been kept is there, and nothing is where nothing is said to be.
-    assert ("nothing was written" in said[-1]) == (not any(p.is_file() for p in (folder / "out").rglob("*")))
+    assert ("nothing was written" in said[-1]) == (
+        not any(p.is_file() for p in (folder / "out").rglob("*"))
+    )
     with pytest.raises(ProcessLookupError):
         os.killpg(process.pid, 0)
     return text
@@ -96,7 +122,9 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of an interrupted fit."""
     folder = tmp_path_factory.mktemp("fit")
     (folder / "out").mkdir()
-    (folder / "out" / "report.html").write_text("<p>the report of an earlier fit, with other numbers</p>")
+    (folder / "out" / "report.html").write_text(
+        "<p>the report of an earlier fit, with other numbers</p>"
+    )
     (folder / "out" / "validate.json").write_text("{}")
     assert "best values so far" in interrupted(FIT, "iteration   1", folder)
     return folder
@@ -115,7 +143,9 @@ def test_nothing_half_written_is_left(command: str, tmp_path: Path) -> None:
     assert not {n for n in files(tmp_path) if n.endswith((".part", ".html"))}
 
 
-@pytest.mark.skipif(importlib.util.find_spec("gpytorch") is None, reason="the extra gp is not installed")
+@pytest.mark.skipif(
+    importlib.util.find_spec("gpytorch") is None, reason="the extra gp is not installed"
+)
 def test_learn_leaves_no_hybrid(fitted: Path, tmp_path: Path) -> None:
     interrupted(["learn", str(fitted / "out" / "model.json"), "--train", LOG], " % ", tmp_path)
     assert files(tmp_path) == set()

@@ -20,11 +20,24 @@ from mpc_export.readme import plain
 from tests.mpc_export import cases, compiled
 
 EVIL = (
-    "a /* b */ c", "*/ int evil; /*", "line\nnext", "\x1b[2J\x1b]0;owned\x07", "carriage\rreturn", "??/ trigraph",
+    "a /* b */ c",
+    "*/ int evil; /*",
+    "line\nnext",
+    "\x1b[2J\x1b]0;owned\x07",
+    "carriage\rreturn",
+    "??/ trigraph",
     "ends in \\",
-    "@CMAKE_COMMAND@ ${prefix} $(id) `id`", "<script>alert(1)</script>", "](javascript:x)", "\u202egnp.exe", "ünïcode",
-    "| cell | cell |", "/*/ */*", "//", "'''", '"""',
-)  # fmt: skip
+    "@CMAKE_COMMAND@ ${prefix} $(id) `id`",
+    "<script>alert(1)</script>",
+    "](javascript:x)",
+    "\u202egnp.exe",
+    "ünïcode",
+    "| cell | cell |",
+    "/*/ */*",
+    "//",
+    "'''",
+    '"""',
+)
 """Names that somebody could give a craft or a file."""
 
 
@@ -88,4 +101,3 @@ def test_a_bundle_of_a_craft_with_such_a_name_compiles_and_is_verified(tmp_path,
     said = capfd.readouterr().out
     assert "passed" in said
     assert all(ch.isprintable() or ch == "\n" for ch in said)
-

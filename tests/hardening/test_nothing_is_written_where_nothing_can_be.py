@@ -1,4 +1,5 @@
-"""Every command that writes says in one line that it cannot, before its work; all files go through one place."""
+"""Every command that writes says in one line that it cannot, before its work; all files go through
+one place."""
 
 from __future__ import annotations
 
@@ -21,13 +22,16 @@ WRITERS = {
     "greybox/files.py": "the one place",
     "greybox/estimation/build.py": "a temporary folder in the cache of compiled models",
     "greybox/estimation/cache.py": "the cache of compiled models",
-    "greybox/commands/missing_effect.py": "below the folder of the demo's --out, which is checked before",
+    "greybox/commands/missing_effect.py": "below the folder of the demo's --out, which is checked "
+    "before",
     "greybox/commands/selftest_checks.py": "a temporary folder",
     "greybox/data/readers/mat_child.py": "a temporary folder of its parent",
     "greybox/residual/laws/effect_file.py": "a temporary folder",
-    "greybox/plants/flight_log.py": "logs of a simulated craft, which nothing reads before they are whole",
+    "greybox/plants/flight_log.py": "logs of a simulated craft, which nothing reads before they "
+    "are whole",
     "greybox/plants/vehicle_file.py": "the vehicle file of a simulated craft, likewise",
-    "mpc_export/acados.py": "inside the temporary folder of a bundle, which is moved when it is whole",
+    "mpc_export/acados.py": "inside the temporary folder of a bundle, which is moved when it is "
+    "whole",
     "mpc_export/bundle.py": "the same",
     "mpc_export/c_code.py": "the same",
     "mpc_export/c_model.py": "the same",
@@ -37,13 +41,24 @@ WRITERS = {
     "mpc_export/tube/solver.py": "the cache of compiled controllers",
 }
 """Files that may open a file for writing, and where."""
-WRITING = {"write_text", "write_bytes", "mkdir", "makedirs", "copytree", "copyfile", "touch", "rename"}
+WRITING = {
+    "write_text",
+    "write_bytes",
+    "mkdir",
+    "makedirs",
+    "copytree",
+    "copyfile",
+    "touch",
+    "rename",
+}
 
 
 def parsers() -> Iterator[tuple[list[str], argparse.ArgumentParser]]:
     """Every command, with its parser; `vehicle` has commands of its own."""
 
-    def below(words: list[str], parser: argparse.ArgumentParser) -> Iterator[tuple[list[str], argparse.ArgumentParser]]:
+    def below(
+        words: list[str], parser: argparse.ArgumentParser
+    ) -> Iterator[tuple[list[str], argparse.ArgumentParser]]:
         inner = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
         if not inner:
             yield words, parser
@@ -55,7 +70,8 @@ def parsers() -> Iterator[tuple[list[str], argparse.ArgumentParser]]:
 
 
 def lines() -> list[list[str]]:
-    """A command line for every option of every command that names what is written; inputs are files that there are not."""
+    """A command line for every option of every command that names what is written; inputs are files
+    that there are not."""
     out = []
     for words, parser in parsers():
         needed: list[str] = []
@@ -79,7 +95,10 @@ def test_every_command_is_here() -> None:
 
 @pytest.mark.parametrize("line", lines(), ids=" ".join)
 def test_a_place_that_cannot_be_is_refused_before_the_work(
-    line: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    line: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("here")
@@ -116,8 +135,12 @@ def test_a_full_disk_is_refused_before_the_work(tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
     done = subprocess.run(
         [sys.executable, "-c", FULL, json.dumps(lines())],
-        capture_output=True, text=True, check=True, cwd=tmp_path, timeout=120,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=tmp_path,
+        timeout=120,
+    )
     assert done.stdout.split() == ["2"] * len(lines())
     said = done.stderr.splitlines()
     assert len(said) == len(lines())
@@ -156,9 +179,18 @@ def test_all_files_are_written_in_known_places() -> None:
             for node in ast.walk(ast.parse(source)):
                 if not isinstance(node, ast.Call):
                     continue
-                name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-                mode = [a.value for a in [*node.args[1:2], *(k.value for k in node.keywords if k.arg == "mode")]
-                        if isinstance(a, ast.Constant) and isinstance(a.value, str)]  # fmt: skip
-                if name in WRITING or (name == "open" and set("".join(mode)) & set("wax") and path.name != "cli.py"):
+                name = (
+                    node.func.attr
+                    if isinstance(node.func, ast.Attribute)
+                    else getattr(node.func, "id", "")
+                )
+                mode = [
+                    a.value
+                    for a in [*node.args[1:2], *(k.value for k in node.keywords if k.arg == "mode")]
+                    if isinstance(a, ast.Constant) and isinstance(a.value, str)
+                ]
+                if name in WRITING or (
+                    name == "open" and set("".join(mode)) & set("wax") and path.name != "cli.py"
+                ):
                     found.add(str(path.relative_to(ROOT)))
     assert found <= set(WRITERS)

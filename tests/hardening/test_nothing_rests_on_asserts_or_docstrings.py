@@ -1,4 +1,5 @@
-"""Python -OO, which drops asserts and docstrings, changes nothing: helps are whole, asserts only tell types."""
+"""Python -OO, which drops asserts and docstrings, changes nothing: helps are whole, asserts only
+tell types."""
 
 from __future__ import annotations
 
@@ -27,7 +28,9 @@ sys.stdout.write("\\n".join(texts(build_parser())))
 
 def test_every_command_helps_alike() -> None:
     helps = [
-        subprocess.run([sys.executable, *flags, "-c", HELPS], capture_output=True, text=True, check=True).stdout
+        subprocess.run(
+            [sys.executable, *flags, "-c", HELPS], capture_output=True, text=True, check=True
+        ).stdout
         for flags in ([], ["-OO"])
     ]
     assert len(helps[0]) > 10_000
@@ -45,7 +48,9 @@ def tells_a_type(test: ast.expr) -> bool:
         return isinstance(test.op, ast.And) and all(map(tells_a_type, test.values))
     if isinstance(test, ast.Call):
         return isinstance(test.func, ast.Name) and test.func.id == "isinstance"
-    return isinstance(test, ast.Compare) and all(isinstance(o, (ast.Is, ast.IsNot)) for o in test.ops)
+    return isinstance(test, ast.Compare) and all(
+        isinstance(o, (ast.Is, ast.IsNot)) for o in test.ops
+    )
 
 
 def test_asserts_only_tell_types() -> None:
@@ -78,6 +83,8 @@ def test_a_fit_is_the_same_number_by_number(tmp_path: Path) -> None:
     hashes = set()
     for name, flags in (("plain", []), ("optimised", ["-OO"])):
         out = tmp_path / name
-        subprocess.run([sys.executable, *flags, *fit, "--out", str(out)], capture_output=True, check=False)
+        subprocess.run(
+            [sys.executable, *flags, *fit, "--out", str(out)], capture_output=True, check=False
+        )
         hashes.add(hashlib.sha256((out / "model.json").read_bytes()).hexdigest())
     assert len(hashes) == 1

@@ -42,7 +42,8 @@ pytestmark = [
 def on(
     folder: Path, options: str, command: list[str], after: str = "", **environment: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run a command where `folder` is a disk with these mount options; `after` (shell) runs behind it."""
+    """Run a command where `folder` is a disk with these mount options; `after` (shell) runs behind
+    it."""
     folder.mkdir(exist_ok=True)
     there = shlex.quote(str(folder))
     script = f"mount -t tmpfs -o size=4m tmpfs {there} && "
@@ -51,9 +52,13 @@ def on(
     script += f"{{ {shlex.join(command)}; code=$?; {after or ':'}; exit $code; }}"
     kept = {k: v for k, v in os.environ.items() if k not in ("GREYBOX_CACHE", "XDG_CACHE_HOME")}
     return subprocess.run(
-        ["unshare", "-rm", "sh", "-c", script], env={**kept, **environment},
-        capture_output=True, text=True, check=False, timeout=600,
-    )  # fmt: skip
+        ["unshare", "-rm", "sh", "-c", script],
+        env={**kept, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
 
 
 def greybox_lines(text: str) -> list[str]:
@@ -62,7 +67,9 @@ def greybox_lines(text: str) -> list[str]:
     return [line for line in text.splitlines() if line.startswith("greybox: ")]
 
 
-def test_where_no_program_may_run_the_same_equations_run_without_the_compiler(tmp_path: Path) -> None:
+def test_where_no_program_may_run_the_same_equations_run_without_the_compiler(
+    tmp_path: Path,
+) -> None:
     disk, out = tmp_path / "noexec", tmp_path / "out"
     done = on(disk, "noexec", [*FIT, "--out", str(out)], HOME=str(disk), TMPDIR=str(disk))
     assert done.returncode in (0, 1, 3), done.stderr
@@ -87,7 +94,12 @@ def test_a_disk_that_is_full_or_fills_up_is_one_line(left: int, tmp_path: Path) 
     disk = tmp_path / "disk"
     fill = f"echo old > {disk}/out/fit.json; dd if=/dev/zero of={disk}/ballast bs=1k 2>/dev/null;"
     free = f"truncate -s -{4 * left}k {disk}/ballast;"
-    command = ["sh", "-c", f"mkdir {disk}/out; {fill} {free if left else ''} {shlex.join([*FIT, '--out', f'{disk}/out'])}"]
+    command = [
+        "sh",
+        "-c",
+        f"mkdir {disk}/out; {fill} {free if left else ''} "
+        f"{shlex.join([*FIT, '--out', f'{disk}/out'])}",
+    ]
     done = on(disk, "", command, after=f"ls -A {disk}/out; cat {disk}/out/fit.json")
     assert done.returncode == 2, done.stdout + done.stderr
     assert "Traceback" not in done.stderr

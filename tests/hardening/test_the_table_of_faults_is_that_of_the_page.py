@@ -1,4 +1,5 @@
-"""docs/hardening.md has every fault of channels and vehicle files with what became of it; none is silent."""
+"""docs/hardening.md has every fault of channels and vehicle files with what became of it; none is
+silent."""
 
 from __future__ import annotations
 
@@ -17,7 +18,9 @@ SOME = ("gyro times 2", "one sample of the gyro")
 
 def rows_of_page() -> dict[str, tuple[str, str]]:
     """Fault -> (class, outcome) as the page's table has them."""
-    (block,) = re.findall(r"^```text\nclass \| fault \| outcome\n(.*?)^```", PAGE.read_text("utf-8"), re.S | re.M)
+    (block,) = re.findall(
+        r"^```text\nclass \| fault \| outcome\n(.*?)^```", PAGE.read_text("utf-8"), re.S | re.M
+    )
     rows = [line.split(" | ") for line in block.splitlines()]
     assert len({fault for _, fault, _ in rows}) == len(rows)
     return {fault: (kind, outcome) for kind, fault, outcome in rows}
@@ -25,13 +28,19 @@ def rows_of_page() -> dict[str, tuple[str, str]]:
 
 def found(names: tuple[str, ...] | None) -> dict[str, tuple[str, str]]:
     ((_, raw, vehicle),) = flights(())
-    return {fault: (kind, outcome) for kind, fault, outcome in table(raw, vehicle, names) if outcome != NONE}
+    return {
+        fault: (kind, outcome)
+        for kind, fault, outcome in table(raw, vehicle, names)
+        if outcome != NONE
+    }
 
 
 def test_every_fault_has_a_row_and_none_is_silent() -> None:
     rows = rows_of_page()
     ((_, raw, _),) = flights(())
-    assert set(rows) == {n for n, f in CHANNEL_FAULTS.items() if have(raw, f.needs)} | set(VEHICLE_FAULTS)
+    assert set(rows) == {n for n, f in CHANNEL_FAULTS.items() if have(raw, f.needs)} | set(
+        VEHICLE_FAULTS
+    )
     assert not [fault for fault, (_, outcome) in rows.items() if SILENT in outcome]
 
 

@@ -14,7 +14,11 @@ def _rotors(change: Callable[[Sequence[Rotor]], Sequence[Rotor]]) -> Callable[[V
 
 
 def _moved(x: float, y: float) -> Callable[[Vehicle], Vehicle]:
-    return _rotors(lambda rs: [replace(r, position=(x * r.position[0], y * r.position[1], r.position[2])) for r in rs])
+    return _rotors(
+        lambda rs: [
+            replace(r, position=(x * r.position[0], y * r.position[1], r.position[2])) for r in rs
+        ]
+    )
 
 
 def _mass(factor: float) -> Callable[[Vehicle], Vehicle]:
@@ -37,7 +41,9 @@ VEHICLE_FAULTS: dict[str, Callable[[Vehicle], Vehicle]] = {
     "rotors in the order of another firmware": _rotors(lambda rs: [rs[1], rs[0], *rs[2:]]),
     "rotors numbered one place on": _rotors(lambda rs: [*rs[1:], rs[0]]),
     "all spins the wrong way": _rotors(lambda rs: [replace(r, spin=-r.spin) for r in rs]),
-    "two spins the wrong way": _rotors(lambda rs: [replace(r, spin=-r.spin) if i < 2 else r for i, r in enumerate(rs)]),
+    "two spins the wrong way": _rotors(
+        lambda rs: [replace(r, spin=-r.spin) if i < 2 else r for i, r in enumerate(rs)]
+    ),
     "rotor places in mm": _moved(1e3, 1e3),
     "rotor places in cm": _moved(100.0, 100.0),
     "rotor y to the right": _moved(1.0, -1.0),
@@ -49,4 +55,3 @@ VEHICLE_FAULTS: dict[str, Callable[[Vehicle], Vehicle]] = {
     "gravity negated": lambda v: replace(v, gravity=-v.gravity),
 }
 """Name -> the file as it was written down."""
-

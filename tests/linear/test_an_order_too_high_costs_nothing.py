@@ -1,4 +1,5 @@
-"""An order above the truth costs nothing: states that the data do not carry are left out; the rest is the likelihood's.
+"""An order above the truth costs nothing: states that the data do not carry are left out; the rest
+is the likelihood's.
 
 Where states cancel the likelihood is no bump: its maximum fits the record and foretells less.
 """
@@ -19,7 +20,9 @@ from scenarios.plants.linear_systems import random_system, simulate
 ORDER = 4
 
 
-def record(seed: int, samples: int = 4000, inputs: int = 1, outputs: int = 1) -> tuple[Record, Record]:
+def record(
+    seed: int, samples: int = 4000, inputs: int = 1, outputs: int = 1
+) -> tuple[Record, Record]:
     """Two halves of one record of a random system of order 4."""
     rng = np.random.default_rng(seed)
     u, y = simulate(rng, random_system(rng, ORDER, inputs, outputs), 2 * samples)
@@ -34,8 +37,11 @@ def log_det(system: Matrices, new: Record) -> float:
 
 
 @pytest.mark.parametrize(("inputs", "outputs"), [(1, 1), (2, 2)])
-def test_new_data_are_foretold_as_by_the_true_order_and_better_than_by_the_maximum(inputs: int, outputs: int) -> None:
-    """Sum over two systems, four states too many, beside the maximum at that order and both subspace estimates."""
+def test_new_data_are_foretold_as_by_the_true_order_and_better_than_by_the_maximum(
+    inputs: int, outputs: int
+) -> None:
+    """Sum over two systems, four states too many, beside the maximum at that order and both
+    subspace estimates."""
     lost = {"found": 0.0, "maximum": 0.0, "pbsid": 0.0, "ssarx": 0.0}
     for seed in range(10, 12):
         old, new = record(seed, 3000, inputs, outputs)
@@ -46,10 +52,15 @@ def test_new_data_are_foretold_as_by_the_true_order_and_better_than_by_the_maxim
             "maximum": find([scaled], ORDER + 4, Options(exact_order=True)).solution.system,
             **{s.method: s.realise(ORDER + 4) for s in decompose([scaled], ORDER + 4, Options())},
         }
-        score = {k: log_det(s.scaled(1 / scale.input_scale, 1 / scale.output_scale), new) for k, s in found.items()}
+        score = {
+            k: log_det(s.scaled(1 / scale.input_scale, 1 / scale.output_scale), new)
+            for k, s in found.items()
+        }
         for name in lost:
             lost[name] += score[name] - score["right"]
-    assert lost["found"] < 1e-3 and lost["found"] < min(lost["maximum"], lost["pbsid"], lost["ssarx"]), lost
+    assert lost["found"] < 1e-3 and lost["found"] < min(
+        lost["maximum"], lost["pbsid"], lost["ssarx"]
+    ), lost
 
 
 def test_the_fit_says_which_states_it_left_out() -> None:
@@ -72,15 +83,24 @@ def test_up_to_the_true_order_the_result_is_the_likelihoods_maximum(order: int) 
 
 @pytest.mark.parametrize(("parameters", "samples"), [(3, 3000), (10, 500)])
 def test_the_price_is_where_the_evidence_of_a_pair_is_even(parameters: int, samples: int) -> None:
-    """Both factors by quadrature: strengths under the most likely prior width, a pole under Jeffreys' prior."""
+    """Both factors by quadrature: strengths under the most likely prior width, a pole under
+    Jeffreys' prior."""
     gain, strengths = 2 * price_of_a_state(parameters, samples), 2 * (parameters - 1)
     widths = np.geomspace(1e-3, 1e3, 20001)  # prior variance of a strength in that of its estimate
     of_strengths = np.max(-0.5 * strengths * np.log1p(widths) + 0.5 * gain * widths / (1 + widths))
     side, edge = np.linspace(-1, 1, 2001), 1 - 3.0 / samples
     disc = side[:, None] + 1j * side[None, 1000:]
     inside = np.abs(disc) < 0.9  # the rest of the prior's mass has a closed form
-    prior = np.where(inside, (1 - np.abs(np.where(inside, disc, 0)) ** 2) ** -2, 0.0) * (side[1] - side[0]) ** 2
+    prior = (
+        np.where(inside, (1 - np.abs(np.where(inside, disc, 0)) ** 2) ** -2, 0.0)
+        * (side[1] - side[0]) ** 2
+    )
     mass = prior.sum() + np.pi / 2 * (edge**2 / (1 - edge**2) - 0.81 / 0.19)
     truth = 0.3 + 0.4j
-    of_pole = np.log(np.sum(prior * np.exp(-0.5 * gain * np.abs(disc - truth) ** 2 / (1 - np.abs(truth) ** 2) ** 2)) / mass)
+    of_pole = np.log(
+        np.sum(
+            prior * np.exp(-0.5 * gain * np.abs(disc - truth) ** 2 / (1 - np.abs(truth) ** 2) ** 2)
+        )
+        / mass
+    )
     assert of_strengths + of_pole == pytest.approx(0.0, abs=0.4)

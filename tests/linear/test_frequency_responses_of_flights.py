@@ -1,5 +1,6 @@
-"""Claims: `gb.frf` finds gain and lag within their errors and mixes commands as a pilot would; the model of the flights lies
-inside the circles and a wrong one is said to part, with the frequencies; what cannot be told is refused in one line."""
+"""Claims: `gb.frf` finds gain and lag within their errors and mixes commands as a pilot would; the
+model of the flights lies inside the circles and a wrong one is said to part, with the frequencies;
+what cannot be told is refused in one line."""
 
 from __future__ import annotations
 
@@ -56,7 +57,8 @@ def test_gain_and_lag_are_found_within_their_errors():
     assert found.usable.mean() > 0.7
     form = found.form
     assert form is not None and form.integrators == 1 and form.lag_std < 0.003
-    # Two samples of delay, one that the difference equation has, half a sample given back by the held command.
+    # Two samples of delay, one that the difference equation has, half a sample given back by the
+    # held command.
     assert abs(form.lag - 2.5 * DT) < 3 * form.lag_std + 5e-4
     assert abs(form.gain - 250) < 3 * form.gain_std + 5
     assert "roll shows in p after 5" in "\n".join(found.lines())

@@ -13,14 +13,17 @@ def records(seed=0, n=2, size=1, counts=(260, 200), coloured=True):
     rng = np.random.default_rng(seed)
     truth = random_system(rng, n, size, size, coloured=coloured)
     return [
-        Record(u=u, y=y + 0.5 * i, name=f"r{i}") for i, (u, y) in enumerate(simulate(rng, truth, c) for c in counts)
+        Record(u=u, y=y + 0.5 * i, name=f"r{i}")
+        for i, (u, y) in enumerate(simulate(rng, truth, c) for c in counts)
     ]
 
 
 @pytest.mark.parametrize(("size", "noise_model"), [(1, True), (1, False), (2, True)])
 def test_the_optimum_is_that_of_gauss_newton(size, noise_model):
     data = records(seed=0 if noise_model else 2, size=size, coloured=noise_model)
-    options = Options(noise_model=noise_model, settings=Settings(tolerance=1e-9, stable=not noise_model))
+    options = Options(
+        noise_model=noise_model, settings=Settings(tolerance=1e-9, stable=not noise_model)
+    )
     ours = fit_linear(data, 2, options=options)
     other = fit_linear(data, 2, options=options, solver="ipopt")
     assert other.converged
@@ -28,9 +31,14 @@ def test_the_optimum_is_that_of_gauss_newton(size, noise_model):
     samples = sum(len(r) for r in data)
     assert abs(ours.criterion - other.criterion) / samples < 1e-6
     assert abs(ours.log_det - other.log_det) < 1e-6
-    np.testing.assert_allclose(ours.model.matrices.gain(1.0), other.model.matrices.gain(1.0), rtol=1e-3)
     np.testing.assert_allclose(
-        ours.uncertainty.poles().covariance, other.uncertainty.poles().covariance, rtol=0.1, atol=1e-9
+        ours.model.matrices.gain(1.0), other.model.matrices.gain(1.0), rtol=1e-3
+    )
+    np.testing.assert_allclose(
+        ours.uncertainty.poles().covariance,
+        other.uncertainty.poles().covariance,
+        rtol=0.1,
+        atol=1e-9,
     )
 
 

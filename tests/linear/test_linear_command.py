@@ -62,9 +62,23 @@ def test_siso_gives_one_model_per_output(tmp_path):
 def test_a_channel_may_be_a_sum_of_columns(tmp_path):
     a = write(tmp_path / "a.csv")
     out = tmp_path / "out"
-    code = run("--train", a, "--inputs", "d=volt-0.5*flow", "--outputs", "speed", "--order", 2, "--out", out)
+    code = run(
+        "--train",
+        a,
+        "--inputs",
+        "d=volt-0.5*flow",
+        "--outputs",
+        "speed",
+        "--order",
+        2,
+        "--out",
+        out,
+    )
     assert code in (0, 1)
-    assert json.loads((out / "fit.json").read_text())["inputs"][0]["terms"] == [[1.0, "volt"], [-0.5, "flow"]]
+    assert json.loads((out / "fit.json").read_text())["inputs"][0]["terms"] == [
+        [1.0, "volt"],
+        [-0.5, "flow"],
+    ]
 
 
 def constant(table):
@@ -94,7 +108,12 @@ BAD = [
     ("empty output", blank, BOTH, "no value"),
     ("unknown column", None, ("--inputs", "volts", "--outputs", "speed"), "volts"),
     ("too short", lambda t: t[:12], (*BOTH, "--order", "6"), "few|short"),
-    ("both in and out", None, ("--inputs", "volt,speed", "--outputs", "speed"), "both input and output"),
+    (
+        "both in and out",
+        None,
+        ("--inputs", "volt,speed", "--outputs", "speed"),
+        "both input and output",
+    ),
     ("twice", None, ("--inputs", "volt,volt", "--outputs", "speed"), "twice"),
     ("order zero", None, (*BOTH, "--order", "0"), "--order"),
     ("order word", None, (*BOTH, "--order", "many"), "--order"),
@@ -103,7 +122,12 @@ BAD = [
     ("bad delay", None, (*BOTH, "--delay", "1,2,3"), "--delay"),
     ("negative delay", None, (*BOTH, "--delay=-1"), "--delay"),
     ("bad horizon", None, (*BOTH, "--horizons", "0"), "--horizons"),
-    ("two equal outputs", lambda t: np.column_stack([t[:, :4], t[:, 3]]), BOTH, "combination|without error|copies"),
+    (
+        "two equal outputs",
+        lambda t: np.column_stack([t[:, :4], t[:, 3]]),
+        BOTH,
+        "combination|without error|copies",
+    ),
 ]
 
 

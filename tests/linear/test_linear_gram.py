@@ -23,13 +23,19 @@ def test_products_of_sensitivities_are_those_of_the_jacobian(fitted):
     rng, (record,), system = case(3, fitted)
     p, modes = 2, Modes(system.predictor)
     assert separable(modes)
-    prediction = predict(system, record, rng.normal(size=fitted), rng.normal(size=p), np.eye(p), modes)
+    prediction = predict(
+        system, record, rng.normal(size=fitted), rng.normal(size=p), np.eye(p), modes
+    )
     whitener = np.linalg.inv(np.linalg.cholesky(np.cov(prediction.e.T)))
     tangent = Free(system=system).tangent()
     parts = Gram(system, modes, tangent, whitener).parts(record, prediction)
     information, gradient = pem._by_jacobian(system, record, prediction, modes, whitener, tangent)
-    np.testing.assert_allclose(parts.information, information, rtol=1e-8, atol=1e-9 * np.abs(information).max())
-    np.testing.assert_allclose(parts.gradient, gradient, rtol=1e-8, atol=1e-9 * np.abs(gradient).max())
+    np.testing.assert_allclose(
+        parts.information, information, rtol=1e-8, atol=1e-9 * np.abs(information).max()
+    )
+    np.testing.assert_allclose(
+        parts.gradient, gradient, rtol=1e-8, atol=1e-9 * np.abs(gradient).max()
+    )
 
 
 @pytest.mark.parametrize("fitted", [2, 3, 5])
@@ -51,7 +57,9 @@ def test_second_derivatives_are_those_of_finite_differences(fitted):
     for _ in range(4):
         a, b = (rng.normal(size=tangent.shape[1]) * h for _ in range(2))
         numeric = (product(a + b) - product(a - b) - product(b - a) + product(-a - b)) / 4
-        assert a @ parts.second @ b == pytest.approx(numeric, rel=1e-3, abs=1e-6 * h**2 * np.abs(parts.second).max())
+        assert a @ parts.second @ b == pytest.approx(
+            numeric, rel=1e-3, abs=1e-6 * h**2 * np.abs(parts.second).max()
+        )
 
 
 def test_hessian_is_that_of_the_criterion_at_a_wrong_order_over_two_records():
@@ -62,7 +70,9 @@ def test_hessian_is_that_of_the_criterion_at_a_wrong_order_over_two_records():
     nuisances = pem.start_nuisances(system, records, settings)
     here = pem.evaluate(system, nuisances, records, np.eye(2))
     normal = pem.normal_equations(point, records, here, settings)
-    assert np.abs(normal.hessian - normal.information).max() > 1e-3 * np.abs(normal.information).max()
+    assert (
+        np.abs(normal.hessian - normal.information).max() > 1e-3 * np.abs(normal.information).max()
+    )
 
     def criterion(step):
         return pem.evaluate(point.moved(step).system, nuisances, records, np.eye(2)).criterion
@@ -86,4 +96,6 @@ def test_modes_that_join_are_left_to_the_slow_way_and_it_gives_the_same():
     apart = system._replace(a=system.a + np.diag([0.0, 1e-3]))
     there = pem.evaluate(apart, nuisances, records, np.eye(2))
     fast = pem.normal_equations(Free(system=apart), records, there, settings)
-    assert np.linalg.eigvalsh(slow.information)[-1] == pytest.approx(np.linalg.eigvalsh(fast.information)[-1], rel=0.05)
+    assert np.linalg.eigvalsh(slow.information)[-1] == pytest.approx(
+        np.linalg.eigvalsh(fast.information)[-1], rel=0.05
+    )

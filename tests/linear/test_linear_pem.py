@@ -43,7 +43,9 @@ def test_all_starts_reach_the_same_optimum():
     _, _, _, record = data(2, count=2000)
     values = []
     for method in METHODS:
-        fit = fit_linear([record], 3, options=Options(methods=(method,), settings=Settings(tolerance=1e-4)))
+        fit = fit_linear(
+            [record], 3, options=Options(methods=(method,), settings=Settings(tolerance=1e-4))
+        )
         assert fit.converged
         values.append(fit.criterion)
     assert np.ptp(values) < 1e-3
@@ -52,7 +54,9 @@ def test_all_starts_reach_the_same_optimum():
 def test_likelihood_at_the_optimum_is_above_that_of_the_truth():
     _, system, lam, record = data(3, count=2000)
     fit = fit_linear([record], 3, center=False, options=Options(settings=Settings(offsets=False)))
-    truth = pem.evaluate(system, [pem.Nuisance(x0=np.zeros(3), offset=np.zeros(2))], [record], lam).criterion
+    truth = pem.evaluate(
+        system, [pem.Nuisance(x0=np.zeros(3), offset=np.zeros(2))], [record], lam
+    ).criterion
     gain = truth - fit.criterion
     d = fit.parameters + 3
     assert 0.2 * d < gain < 3 * d  # -2 log likelihood falls by chi-square with d degrees of freedom
@@ -67,7 +71,9 @@ def test_records_of_different_length_with_their_own_start_and_offset():
         records.append(Record(u=r.u, y=r.y + np.array([i, -2.0 * i]), name=r.name))
     fit = fit_linear(records, 3)
     np.testing.assert_allclose(np.array(fit.offsets), [[0, 0], [1, -2], [2, -4]], atol=0.35)
-    np.testing.assert_allclose(fit.model.matrices.poles(), np.sort_complex(np.linalg.eigvals(truth.a)), atol=0.05)
+    np.testing.assert_allclose(
+        fit.model.matrices.poles(), np.sort_complex(np.linalg.eigvals(truth.a)), atol=0.05
+    )
 
 
 def test_missing_samples_leave_the_estimate_where_it_was():
@@ -79,7 +85,10 @@ def test_missing_samples_leave_the_estimate_where_it_was():
     holes = fit_linear([Record(u=record.u, y=y)], 3)
     assert any("bridged" in w for w in holes.warnings)
     std = np.sqrt(whole.uncertainty.poles().covariance[:, 0, 0])
-    assert (np.abs(whole.model.matrices.poles().real - holes.model.matrices.poles().real) < 2.5 * std + 0.002).all()
+    assert (
+        np.abs(whole.model.matrices.poles().real - holes.model.matrices.poles().real)
+        < 2.5 * std + 0.002
+    ).all()
 
 
 def test_a_fit_converges_where_only_one_of_two_records_has_a_hole():
@@ -98,7 +107,9 @@ def test_a_fit_converges_where_only_one_of_two_records_has_a_hole():
 def test_predictor_is_stable_and_a_is_where_asked():
     rng = np.random.default_rng(6)
     u = rng.normal(size=(400, 1))
-    y = np.cumsum(u + 0.3 * rng.normal(size=u.shape), axis=0)  # a random walk: the pole sits on the unit circle
+    y = np.cumsum(
+        u + 0.3 * rng.normal(size=u.shape), axis=0
+    )  # a random walk: the pole sits on the unit circle
     free = fit_linear([Record(u=u, y=y)], 2)
     held = fit_linear([Record(u=u, y=y)], 2, options=Options(settings=Settings(stable=True)))
     assert spectral_radius(free.model.matrices.predictor) < 1.0
@@ -111,7 +122,9 @@ def test_estimate_does_not_depend_on_units():
     base = fit_linear([record], 3)
     other = fit_linear([Record(u=record.u * 1e3 + 5, y=record.y * 1e-4 - 2)], 3)
     np.testing.assert_allclose(base.model.matrices.poles(), other.model.matrices.poles(), atol=1e-5)
-    np.testing.assert_allclose(base.model.matrices.gain(1.0) * 1e-7, other.model.matrices.gain(1.0), rtol=1e-4)
+    np.testing.assert_allclose(
+        base.model.matrices.gain(1.0) * 1e-7, other.model.matrices.gain(1.0), rtol=1e-4
+    )
     jump = 2 * record.y.size * np.log(1e-4)
     assert other.criterion == pytest.approx(base.criterion + jump, rel=1e-9, abs=1e-2)
 
@@ -126,7 +139,9 @@ def test_a_fit_that_ran_out_of_iterations_says_so():
 def test_too_many_states_fit_no_undamped_line():
     rng = np.random.default_rng(0)
     u, e = rng.normal(size=(400, 1)), rng.normal(size=(400, 1))
-    line = np.cos(1.3 * np.arange(400))[:, None]  # a line in the noise of these records, and of no others
+    line = np.cos(1.3 * np.arange(400))[
+        :, None
+    ]  # a line in the noise of these records, and of no others
     fit = fit_linear([Record(u=u, y=np.roll(u, 1, axis=0) + e + 0.3 * line)], 4)
     assert spectral_radius(fit.model.matrices.predictor) < 1.0 - pem.FORGET / 400
 
@@ -139,7 +154,9 @@ def test_a_flat_fit_is_not_called_converged():
 
 def test_an_unstable_predictor_is_refused_as_a_start():
     _, _, _, record = data(9)
-    bad = Matrices(2 * np.eye(3), np.ones((3, 2)), np.ones((2, 3)), np.zeros((2, 2)), np.zeros((3, 2)))
+    bad = Matrices(
+        2 * np.eye(3), np.ones((3, 2)), np.ones((2, 3)), np.zeros((2, 2)), np.zeros((3, 2))
+    )
     with pytest.raises(FitError, match="unstable predictor"):
         pem.minimise(Free(system=bad), [record])
 
@@ -152,7 +169,9 @@ def test_input_delay_is_found_per_channel():
     # u'[k] = u[k + d]: the output sees u' with d samples of extra delay
     fit = fit_linear([Record(u=shifted[:-5], y=record.y[:-5])], 3, delays="auto")
     assert fit.model.delays == (4, 1)
-    np.testing.assert_allclose(fit.model.matrices.poles(), np.sort_complex(np.linalg.eigvals(truth.a)), atol=0.05)
+    np.testing.assert_allclose(
+        fit.model.matrices.poles(), np.sort_complex(np.linalg.eigvals(truth.a)), atol=0.05
+    )
 
 
 def test_rows_lost_in_every_record_and_at_the_edges_are_bridged():
@@ -166,7 +185,9 @@ def test_rows_lost_in_every_record_and_at_the_edges_are_bridged():
         spoiled.append(Record(u=r.u, y=y, name=r.name))
     full, holes = fit_linear(whole, 2), fit_linear(spoiled, 2)
     assert any("30 samples with missing outputs" in w for w in holes.warnings)
-    assert all(np.isnan(e[100:110]).all() and np.isfinite(e[3:100]).all() for e in holes.innovations)
+    assert all(
+        np.isnan(e[100:110]).all() and np.isfinite(e[3:100]).all() for e in holes.innovations
+    )
     gain, cov = full.uncertainty.response(np.array([0.0, 0.1, 0.3]), 1.0)
     other, _ = holes.uncertainty.response(np.array([0.0, 0.1, 0.3]), 1.0)
     assert (np.abs(gain - other) < 2 * np.sqrt(np.trace(cov, axis1=3, axis2=4))).all()
@@ -174,7 +195,8 @@ def test_rows_lost_in_every_record_and_at_the_edges_are_bridged():
 
 @pytest.mark.parametrize("radius", [1.02, 1.5, 30.0])
 def test_a_start_whose_model_explodes_is_polished_without_overflow(radius):
-    """A may be far outside the unit circle as long as the predictor is not; 1.5^2000 would overflow a simulation."""
+    """A may be far outside the unit circle as long as the predictor is not; 1.5^2000 would overflow
+    a simulation."""
     rng = np.random.default_rng(13)
     record = recorded(rng, random_system(rng, 2, 1, 1), 2000)
     records, _ = prepare([record])

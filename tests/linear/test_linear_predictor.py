@@ -11,7 +11,10 @@ from scenarios.plants.linear_systems import random_system
 def case(seed=0, count=60, defective=False):
     rng = np.random.default_rng(seed)
     truth = random_system(rng, 4, 2, 2)
-    system, lam = Matrices(truth.a, truth.b, truth.c, rng.normal(size=(2, 2)) * 0.1, truth.k), truth.noise
+    system, lam = (
+        Matrices(truth.a, truth.b, truth.c, rng.normal(size=(2, 2)) * 0.1, truth.k),
+        truth.noise,
+    )
     if defective:
         a = 0.5 * np.eye(4) + np.diag(np.ones(3), 1)
         system = Matrices(a, system.b, system.c, system.d, np.zeros((4, 2)))
@@ -20,7 +23,10 @@ def case(seed=0, count=60, defective=False):
 
 
 def differences(function, value, h=1e-6):
-    return np.stack([(function(value + h * e) - function(value - h * e)) / (2 * h) for e in np.eye(len(value))], axis=2)
+    return np.stack(
+        [(function(value + h * e) - function(value - h * e)) / (2 * h) for e in np.eye(len(value))],
+        axis=2,
+    )
 
 
 @pytest.mark.parametrize("defective", [False, True])
@@ -34,18 +40,25 @@ def test_sensitivities_equal_finite_differences(defective):
         return -pr.predict(moved, record, x0, offset, lam).e
 
     vector = pr.full_vector(system)
-    # moving a defective matrix by h gives nearly dependent modes, whose rounding a larger h outweighs
+    # moving a defective matrix by h gives nearly dependent modes, whose rounding a larger h
+    # outweighs
     h, tolerance = (1e-3, 1e-3) if defective else (1e-6, 1e-6)
     expected = differences(lambda v: predicted(v, x0, offset), vector, h)
     np.testing.assert_allclose(j, expected, rtol=10 * tolerance, atol=tolerance)
-    np.testing.assert_allclose(jx, differences(lambda v: predicted(vector, v, offset), x0), rtol=1e-6, atol=1e-7)
-    np.testing.assert_allclose(jc, differences(lambda v: predicted(vector, x0, v), offset), rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(
+        jx, differences(lambda v: predicted(vector, v, offset), x0), rtol=1e-6, atol=1e-7
+    )
+    np.testing.assert_allclose(
+        jc, differences(lambda v: predicted(vector, x0, v), offset), rtol=1e-6, atol=1e-7
+    )
 
 
 def test_modal_and_recursive_sensitivities_agree():
     _, system, lam, record, x0, offset = case(1, 400)
     prediction = pr.predict(system, record, x0, offset, lam)
-    for fast, slow in zip(pr.sensitivities(system, record, prediction), pr._recursive(system, record, prediction)):
+    for fast, slow in zip(
+        pr.sensitivities(system, record, prediction), pr._recursive(system, record, prediction)
+    ):
         np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-10)
 
 
@@ -81,9 +94,15 @@ def test_similarity_directions_change_no_output():
     step = similarity_directions(system) @ rng.normal(size=16)
     h = 1e-5
     up = pr.predict(
-        pr.from_full_vector(pr.full_vector(system) + h * step, system.sizes), record, np.zeros(4), zero, lam
+        pr.from_full_vector(pr.full_vector(system) + h * step, system.sizes),
+        record,
+        np.zeros(4),
+        zero,
+        lam,
     )
-    assert np.abs(up.e - base).max() < 50 * h**2 * np.abs(step).max() ** 2 * np.abs(base).max() + 1e-9
+    assert (
+        np.abs(up.e - base).max() < 50 * h**2 * np.abs(step).max() ** 2 * np.abs(base).max() + 1e-9
+    )
 
 
 def test_free_directions_number_as_many_as_the_theory_says():

@@ -1,4 +1,5 @@
-"""Vehicles for the tests of the model, as the simulated plants know them, and numbers in and out of its expressions."""
+"""Vehicles for the tests of the model, as the simulated plants know them, and numbers in and out of
+its expressions."""
 
 from __future__ import annotations
 
@@ -44,7 +45,9 @@ def vehicle_of(frame: Airframe) -> Vehicle:
 
 def model_of(frame: Airframe, *effects: str, sensors=SENSORS, dt: float = 0.01) -> PhysicsModel:
     """A model of a plant's airframe with named effects."""
-    return PhysicsModel(vehicle=vehicle_of(frame), sensors=tuple(sensors), sample_time=dt).with_effect(*effects)
+    return PhysicsModel(
+        vehicle=vehicle_of(frame), sensors=tuple(sensors), sample_time=dt
+    ).with_effect(*effects)
 
 
 def sensors(*names: str):
@@ -60,14 +63,17 @@ def vector(model, **values) -> np.ndarray:
 
 
 def function(model, which: str):
-    """f(x, u, p), h(x, u, p), step(x, U, p, w, dt) or output(x, U, p, w, dt) as a CasADi function."""
+    """f(x, u, p), h(x, u, p), step(x, U, p, w, dt) or output(x, U, p, w, dt) as a CasADi
+    function."""
     x, p = ca.SX.sym("x", len(model.states)), ca.SX.sym("p", len(model.parameters))
     if which in ("f", "h"):
         u = ca.SX.sym("u", len(model.inputs))
         return ca.Function(which, [x, u, p], [ca.densify(getattr(model, which)(0, x, u, p))])
     window = ca.SX.sym("U", len(model.inputs), sum(model.window) + 1)
     w, dt = ca.SX.sym("w", len(model.noises)), ca.SX.sym("dt")
-    return ca.Function(which, [x, window, p, w, dt], [ca.densify(getattr(model, which)(0, x, window, p, w, dt))])
+    return ca.Function(
+        which, [x, window, p, w, dt], [ca.densify(getattr(model, which)(0, x, window, p, w, dt))]
+    )
 
 
 def flat(value) -> np.ndarray:

@@ -22,14 +22,21 @@ def functions_of(model):
     x, p, w = (ca.SX.sym("v", len(n)) for n in (model.states, model.parameters, model.noises))
     window = ca.SX.sym("U", len(model.inputs), sum(model.window) + 1)
     return [
-        ca.Function("f", [x, window, p, w], [ca.densify(getattr(model, which)(0, x, window, p, w, DT))])
+        ca.Function(
+            "f", [x, window, p, w], [ca.densify(getattr(model, which)(0, x, window, p, w, DT))]
+        )
         for which in ("step", "output")
     ]
 
 
 def values_of(model, delay: float, tau: float = 0.02) -> list[float]:
     """Nominal values with this delay of the pose, this lag, and gusts that last for ever."""
-    changes = {"motor_lag.tau": tau, "pose_delay.d": delay, "disturbance.force.T": 1e9, "disturbance.torque.T": 1e9}
+    changes = {
+        "motor_lag.tau": tau,
+        "pose_delay.d": delay,
+        "disturbance.force.T": 1e9,
+        "disturbance.torque.T": 1e9,
+    }
     return [changes.get(d.name, d.nominal) for d in model.parameters]
 
 
@@ -48,12 +55,16 @@ def flown(model, values, x, steps: int, seed: int = 0):
 
 def start_of(model, push=()) -> np.ndarray:
     hover = [CROOKED.hover_speed] * 4
-    return state(model, velocity=[1.0, -0.5, 0.2], rate=[0.6, -0.4, 0.3], rotor=hover, disturbance=push)
+    return state(
+        model, velocity=[1.0, -0.5, 0.2], rate=[0.6, -0.4, 0.3], rotor=hover, disturbance=push
+    )
 
 
 @pytest.mark.parametrize(("steps", "tau"), [(1, 0.02), (1, 0.05), (2, 0.03)])
 def test_the_pose_of_some_samples_ago_is_the_one_that_was_there(steps, tau):
-    model = with_parts(model_of(CROOKED, *EFFECTS), [Disturbance(group="force"), Disturbance(group="torque")])
+    model = with_parts(
+        model_of(CROOKED, *EFFECTS), [Disturbance(group="force"), Disturbance(group="torque")]
+    )
     late, now = values_of(model, steps * DT, tau), values_of(model, 0.0, tau)
     states, windows = flown(model, late, start_of(model, PUSH), 8)
     _, output = functions_of(model)
@@ -79,7 +90,9 @@ def test_the_noise_of_the_coming_step_moves_no_pose_of_the_past():
     states, windows = flown(model, values, start_of(model), 8)
     _, output = functions_of(model)
     rows = [list(model.outputs.names).index(c) for c in POSE]
-    quiet, noisy = (flat(output(states[8], windows[8], values, w))[rows] for w in (np.zeros(6), PUSH))
+    quiet, noisy = (
+        flat(output(states[8], windows[8], values, w))[rows] for w in (np.zeros(6), PUSH)
+    )
     assert np.array_equal(quiet, noisy)
 
 
@@ -88,7 +101,9 @@ def test_what_lasts_is_a_gust_and_noise_together():
     model = model_of(CROOKED, *EFFECTS)
     values = values_of(model, 2 * DT)
     states, windows = flown(model, values, start_of(model), 4)
-    both = model.output(0, states[4], windows[4], ca.DM(values), ca.DM(0.3 * PUSH), DT, ca.DM(0.7 * PUSH))
+    both = model.output(
+        0, states[4], windows[4], ca.DM(values), ca.DM(0.3 * PUSH), DT, ca.DM(0.7 * PUSH)
+    )
     one = model.output(0, states[4], windows[4], ca.DM(values), ca.DM(PUSH), DT)
     rows = [list(model.outputs.names).index(c) for c in ("p", "q", "r", "ax", "ay", "az")]
     assert flat(both)[rows] == pytest.approx(flat(one)[rows], abs=1e-12)
@@ -96,7 +111,9 @@ def test_what_lasts_is_a_gust_and_noise_together():
 
 def test_a_learned_push_on_disturbance_states_shows_itself_in_the_outputs():
     dynamics = cases.hybrid().dynamics
-    x, p, w = (ca.SX.sym("v", len(n)) for n in (dynamics.states, dynamics.parameters, dynamics.noises))
+    x, p, w = (
+        ca.SX.sym("v", len(n)) for n in (dynamics.states, dynamics.parameters, dynamics.noises)
+    )
     window = ca.SX.sym("U", len(dynamics.inputs), sum(dynamics.window) + 1)
     y = dynamics.output(0, x, window, p, w, DT)
     inner = dynamics.inner.output(0, x, window, p, w, DT)

@@ -1,4 +1,5 @@
-"""command_saturation is a clip whose limits move inwards; at its null it is exactly nothing, with a one-sided slope."""
+"""command_saturation is a clip whose limits move inwards; at its null it is exactly nothing, with a
+one-sided slope."""
 
 from __future__ import annotations
 
@@ -50,4 +51,7 @@ def test_at_the_null_only_commands_at_a_limit_have_a_slope_and_it_points_inwards
 
 def test_bounds_never_let_the_limits_cross():
     for vehicle in (VEHICLE, NARROW):
-        assert sum(p.upper for p in EFFECT.parameters(vehicle)) <= vehicle.actuator.u_max - vehicle.actuator.u_min
+        assert (
+            sum(p.upper for p in EFFECT.parameters(vehicle))
+            <= vehicle.actuator.u_max - vehicle.actuator.u_min
+        )

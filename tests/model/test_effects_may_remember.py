@@ -43,8 +43,12 @@ def model(*effects: Effect | str) -> PhysicsModel:
 def test_its_states_stand_behind_the_body_and_before_the_rotors():
     both = model(Wake(), Clock(), "motor_lag")
     assert both.states.names[13:] == (
-        "memory.clock.c", "memory.wake.x", "memory.wake.y", "memory.wake.z", *(f"rotor.{i}" for i in range(1, 5))
-    )  # fmt: skip
+        "memory.clock.c",
+        "memory.wake.x",
+        "memory.wake.y",
+        "memory.wake.z",
+        *(f"rotor.{i}" for i in range(1, 5)),
+    )
     assert both.error_states.names[12] == "d_memory.clock.c"
     assert both.states.signals[14].unit == "m/s"
     x0, sigma = both.initial_state({})
@@ -74,7 +78,9 @@ def test_each_sees_its_own_memory():
     pushed = (np.array(f(x, [0.4] * 4, p)) - np.array(f(x, [0.4] * 4, vector(both)))).ravel()
     expected = np.array([-0.1, -0.05, 0.6 + 0.03]) / vehicle_of(X250).mass.value
     np.testing.assert_allclose(pushed[3:6], expected, atol=1e-12)
-    np.testing.assert_allclose(np.array(f(x, [0.4] * 4, p)).ravel()[13:], [-5.0, -5.0, -2.5, 5.0], atol=1e-9)
+    np.testing.assert_allclose(
+        np.array(f(x, [0.4] * 4, p)).ravel()[13:], [-5.0, -5.0, -2.5, 5.0], atol=1e-9
+    )
 
 
 def test_the_chart_is_addition():
@@ -184,5 +190,8 @@ def test_a_fit_finds_size_and_time_of_an_independent_plant_and_simulates_them():
         estimate = found.parameters[name]
         assert abs(estimate.value - truth) < 4 * estimate.std < 0.1 * truth
     bare = gb.fit(replace(own, effects=()), train, free=("thrust.c2",), initialisation="nominal")
-    ahead = [np.concatenate(predict_ahead(f.model, test).own[("position", 0.5)]).mean() for f in (bare, found)]
+    ahead = [
+        np.concatenate(predict_ahead(f.model, test).own[("position", 0.5)]).mean()
+        for f in (bare, found)
+    ]
     assert ahead[1] < 0.25 * ahead[0]

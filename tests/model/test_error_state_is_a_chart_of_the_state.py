@@ -1,4 +1,5 @@
-"""boxplus and boxminus invert each other, and the error-state Jacobians are what finite differences say."""
+"""boxplus and boxminus invert each other, and the error-state Jacobians are what finite differences
+say."""
 
 from __future__ import annotations
 
@@ -13,10 +14,15 @@ from greybox.model.noise import with_disturbance
 
 MODEL = model_of(CROOKED, "motor_lag", "rotor_drag")
 SYMBOLS = {
-    n: ca.SX.sym(n, len(layout)) for n, layout in (("x", MODEL.states), ("z", MODEL.states), ("d", MODEL.error_states))
+    n: ca.SX.sym(n, len(layout))
+    for n, layout in (("x", MODEL.states), ("z", MODEL.states), ("d", MODEL.error_states))
 }
-PLUS = ca.Function("plus", [SYMBOLS["x"], SYMBOLS["d"]], [MODEL.boxplus(SYMBOLS["x"], SYMBOLS["d"])])
-MINUS = ca.Function("minus", [SYMBOLS["z"], SYMBOLS["x"]], [MODEL.boxminus(SYMBOLS["z"], SYMBOLS["x"])])
+PLUS = ca.Function(
+    "plus", [SYMBOLS["x"], SYMBOLS["d"]], [MODEL.boxplus(SYMBOLS["x"], SYMBOLS["d"])]
+)
+MINUS = ca.Function(
+    "minus", [SYMBOLS["z"], SYMBOLS["x"]], [MODEL.boxminus(SYMBOLS["z"], SYMBOLS["x"])]
+)
 
 numbers = st.floats(-3, 3, allow_nan=False)
 quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1)
@@ -24,7 +30,9 @@ quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm
 
 def states():
     return st.builds(
-        lambda p, v, q, w: state(MODEL, position=p, velocity=v, attitude=np.array(q) / np.linalg.norm(q), rate=w),
+        lambda p, v, q, w: state(
+            MODEL, position=p, velocity=v, attitude=np.array(q) / np.linalg.norm(q), rate=w
+        ),
         *[st.tuples(numbers, numbers, numbers)] * 2,
         quaternions,
         st.tuples(numbers, numbers, numbers),
@@ -56,10 +64,18 @@ def test_boxplus_of_the_difference_arrives(x, z):
 def test_error_state_jacobian_of_a_step_is_the_finite_difference():
     rng = np.random.default_rng(2)
     x = state(
-        MODEL, position=[1, 2, 3], velocity=[1, -2, 0.5], attitude=np.array([0.7, 0.1, -0.5, 0.5]), rate=[1, 2, -1]
+        MODEL,
+        position=[1, 2, 3],
+        velocity=[1, -2, 0.5],
+        attitude=np.array([0.7, 0.1, -0.5, 0.5]),
+        rate=[1, 2, -1],
     )
     x[6:10] /= np.linalg.norm(x[6:10])
-    p, u, dt = vector(MODEL, rotor_drag__k_x=3e-5, rotor_drag__k_y=2e-5), rng.uniform(0.4, 0.7, size=4), 0.01
+    p, u, dt = (
+        vector(MODEL, rotor_drag__k_x=3e-5, rotor_drag__k_y=2e-5),
+        rng.uniform(0.4, 0.7, size=4),
+        0.01,
+    )
     symbol = SYMBOLS["x"]
     after = MODEL.step(0, symbol, ca.DM(u), ca.DM(p), ca.DM.zeros(6), dt)
     into, out = chart_jacobians(MODEL, symbol, after)
@@ -93,12 +109,16 @@ def test_the_linearisation_depends_on_neither_position_nor_heading():
         w, z = q[0], q[3]
         attitude = [w * pitched[0], -z * pitched[2], w * pitched[2], z * pitched[0]]
         velocity = [2 * np.cos(yaw), 2 * np.sin(yaw), 0.1]
-        return state(MODEL, position=position, velocity=velocity, attitude=attitude, rate=[0.5, -0.3, 0.2])
+        return state(
+            MODEL, position=position, velocity=velocity, attitude=attitude, rate=[0.5, -0.3, 0.2]
+        )
 
     here, there = state_at(0.0, [0, 0, 0]), state_at(2.1, [5, -3, 9])
     # The inner stages of Runge-Kutta see quaternions that are unit to second order in dt only.
     np.testing.assert_allclose(at(there).full(), at(here).full(), atol=1e-8)
-    np.testing.assert_allclose(seen(there, measured(there)).full(), seen(here, measured(here)).full(), atol=1e-9)
+    np.testing.assert_allclose(
+        seen(there, measured(there)).full(), seen(here, measured(here)).full(), atol=1e-9
+    )
 
 
 def test_a_disturbed_model_has_the_chart_of_its_parts():

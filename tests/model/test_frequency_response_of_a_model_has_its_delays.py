@@ -1,5 +1,5 @@
-"""Claim: a model's frequency response is that of its own steps: it agrees with a simulation, and with python-control; its
-step response is the same answer in time."""
+"""Claim: a model's frequency response is that of its own steps: it agrees with a simulation, and
+with python-control; its step response is the same answer in time."""
 
 from __future__ import annotations
 
@@ -60,7 +60,9 @@ def test_the_step_response_is_the_frequency_response_in_time():
     assert not impulse[:4, :, 0].any()
     assert impulse[1, :, 1].any()
     z = np.exp(-2j * np.pi * np.outer(FREQUENCY, model.dt * np.arange(400)))
-    np.testing.assert_allclose(np.tensordot(z, impulse, 1), response_of(model, FREQUENCY), rtol=1e-9)
+    np.testing.assert_allclose(
+        np.tensordot(z, impulse, 1), response_of(model, FREQUENCY), rtol=1e-9
+    )
 
 
 def test_a_craft_turns_after_its_delay_and_its_lag():
@@ -68,7 +70,11 @@ def test_a_craft_turns_after_its_delay_and_its_lag():
     model = identified({"motor_lag.tau": tau, "command_delay.d": delay})
     hover = model.dynamics.reference({f"u{i}": 0.7 for i in range(1, 5)})
     steps = step_response(replace(model, reference_state=hover), 30)
-    roll = steps[:, model.dynamics.innovations["p"], :4] @ np.sign([r.position[1] for r in model.physics.vehicle.rotors])
+    roll = steps[:, model.dynamics.innovations["p"], :4] @ np.sign(
+        [r.position[1] for r in model.physics.vehicle.rotors]
+    )
     gain = 4 * 0.1 * 10 * hover[model.dynamics.states["rotor.1"]] / 0.01
     t = np.maximum(model.sample_time * np.arange(30) - delay, 0.0)
-    np.testing.assert_allclose(roll, gain * (t - tau * (1 - np.exp(-t / tau))), rtol=0.02, atol=2e-3 * gain * tau)
+    np.testing.assert_allclose(
+        roll, gain * (t - tau * (1 - np.exp(-t / tau))), rtol=0.02, atol=2e-3 * gain * tau
+    )

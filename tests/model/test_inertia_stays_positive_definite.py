@@ -1,4 +1,5 @@
-"""No value within the bounds of products_of_inertia makes an inertia matrix that a body cannot turn with."""
+"""No value within the bounds of products_of_inertia makes an inertia matrix that a body cannot turn
+with."""
 
 from __future__ import annotations
 
@@ -27,7 +28,12 @@ def increments(vehicle):
 
 @pytest.mark.parametrize(
     "vehicle",
-    [vehicle_of(X250), vehicle_of(CROOKED), vehicle_of(DUCKIEDRONE), replace(vehicle_of(X250), inertia=LONG)],
+    [
+        vehicle_of(X250),
+        vehicle_of(CROOKED),
+        vehicle_of(DUCKIEDRONE),
+        replace(vehicle_of(X250), inertia=LONG),
+    ],
     ids=["x250", "crooked", "duckiedrone", "long"],
 )
 def test_every_corner_of_the_bounds_is_a_body_with_moments_down_to_the_promised_share(vehicle):
@@ -44,7 +50,10 @@ def test_every_corner_of_the_bounds_is_a_body_with_moments_down_to_the_promised_
 
 
 def test_the_bounds_leave_room():
-    """Of a diagonal matrix: a quarter of the moments, as for principal axes that are turned by more than ten degrees."""
+    """Of a diagonal matrix: a quarter of the moments, as for principal axes that are turned by more
+    than ten degrees."""
     limits = [p.upper for p in EFFECT.parameters(vehicle_of(X250))]
     j = np.diag(np.array(vehicle_of(X250).inertia))
-    assert limits == pytest.approx([0.25 * np.sqrt(j[a] * j[b]) for a, b in ((0, 1), (0, 2), (1, 2))])
+    assert limits == pytest.approx(
+        [0.25 * np.sqrt(j[a] * j[b]) for a, b in ((0, 1), (0, 2), (1, 2))]
+    )

@@ -19,7 +19,11 @@ def example(delays=(0, 0)):
     return LinearModel(
         name="rig",
         matrices=Matrices(
-            a, rng.normal(size=(3, 2)), rng.normal(size=(2, 3)), rng.normal(size=(2, 2)), 0.1 * rng.normal(size=(3, 2))
+            a,
+            rng.normal(size=(3, 2)),
+            rng.normal(size=(2, 3)),
+            rng.normal(size=(2, 2)),
+            0.1 * rng.normal(size=(3, 2)),
         ),
         noise=np.diag([0.1, 0.2]),
         dt=0.02,
@@ -73,7 +77,9 @@ def test_delays_become_states_or_are_refused():
 
 
 def test_a_continuous_system_is_sampled_exactly():
-    model = LinearModel.from_control(control.StateSpace([[-2.0]], [[3.0]], [[1.0]], [[0.0]]), dt=0.1)
+    model = LinearModel.from_control(
+        control.StateSpace([[-2.0]], [[3.0]], [[1.0]], [[0.0]]), dt=0.1
+    )
     assert model.matrices.a[0, 0] == pytest.approx(np.exp(-0.2))
     assert model.matrices.gain(1.0)[0, 0] == pytest.approx(1.5)
     with pytest.raises(ModelError, match="sample time"):

@@ -1,6 +1,8 @@
-"""Two derivations, one flight: the CasADi model and the NumPy plant that shares no line with it see the same second.
+"""Two derivations, one flight: the CasADi model and the NumPy plant that shares no line with it see
+the same second.
 
-They were written apart from the same statement of the physics. Where they differ, one of them is wrong.
+They were written apart from the same statement of the physics. Where they differ, one of them is
+wrong.
 """
 
 from __future__ import annotations
@@ -50,15 +52,24 @@ VALUES = {
     "gyro_scale": {"s_x": -0.03, "s_y": 0.02, "s_z": 0.05},
 }
 NEEDED = {
-    "steady_wind": ("rotor_drag", "parasitic_drag", "axial_inflow", "translational_lift", "blade_flapping"),
+    "steady_wind": (
+        "rotor_drag",
+        "parasitic_drag",
+        "axial_inflow",
+        "translational_lift",
+        "blade_flapping",
+    ),
     "motor_lag_asymmetry": ("motor_lag",),
 }
 """Effects without which another is not felt."""
 LOW = {"ground_effect"}
 """Effects that are felt near the ground only."""
 APPROXIMATE = ("pose_delay", "sensor_delay")
-"""Exact in the plant, of first or second order in the delay in the model: they have tests of their own."""
-BATTERY = Battery(full=12.5, empty=10.2, capacity=60.0, resistance=0.03, idle_current=0.4, full_current=60.0)
+"""Exact in the plant, of first or second order in the delay in the model: they have tests of their
+own."""
+BATTERY = Battery(
+    full=12.5, empty=10.2, capacity=60.0, resistance=0.03, idle_current=0.4, full_current=60.0
+)
 
 
 def in_the_plant(name, values):
@@ -74,9 +85,13 @@ def in_the_plant(name, values):
 
 
 def commands(n, seed):
-    """Hover plus a held random push on every rotor: fast enough to be felt, slow enough to stay in the air."""
+    """Hover plus a held random push on every rotor: fast enough to be felt, slow enough to stay in
+    the air."""
     rng = np.random.default_rng(seed)
-    return CROOKED.hover_speed + np.repeat(rng.uniform(-0.03, 0.03, size=(n // 4 + 1, 4)), 4, axis=0)[:n]
+    return (
+        CROOKED.hover_speed
+        + np.repeat(rng.uniform(-0.03, 0.03, size=(n // 4 + 1, 4)), 4, axis=0)[:n]
+    )
 
 
 @cache
@@ -92,7 +107,11 @@ def settings_of(name):
 
 def fly(effects, seed=1, substep=DT / 5, low=False):
     plant = Quadrotor(
-        CROOKED, [in_the_plant(n, v) for n, v in effects.items()], battery=BATTERY, sample_time=DT, substep=substep
+        CROOKED,
+        [in_the_plant(n, v) for n, v in effects.items()],
+        battery=BATTERY,
+        sample_time=DT,
+        substep=substep,
     )
     tilt = np.array([0.95, 0.1, -0.2, 0.15])
     start = {
@@ -117,9 +136,13 @@ def fly(effects, seed=1, substep=DT / 5, low=False):
     held_before[:4] = CROOKED.hover_speed
     padded = np.vstack([np.tile(held_before, (past, 1)), np.array(inputs)])
     x = state(
-        model, position=start["position"], velocity=start["velocity"], attitude=start["attitude"],
-        rate=start["rates"], rotor=first_rotors,
-    )  # fmt: skip
+        model,
+        position=start["position"],
+        velocity=start["velocity"],
+        attitude=start["attitude"],
+        rate=start["rates"],
+        rotor=first_rotors,
+    )
     step, output = function(model, "step"), function(model, "output")
     predicted = []
     for k in range(N):
@@ -133,8 +156,12 @@ SCALE = {"x": 1, "v": 1, "q": 1, "p": 1, "r": 1, "a": 10, "o": 1000, "y": 1, "z"
 
 
 def largest_difference(seen, predicted, names):
-    """Per column, relative to the size of such a signal (1 m, 1 m/s, 1 rad/s, 10 m/s^2, 1000 rad/s)."""
-    return {n: float(np.abs(d).max()) / SCALE[n[0]] for n, d in zip(names, (seen - predicted).T, strict=True)}
+    """Per column, relative to the size of such a signal (1 m, 1 m/s, 1 rad/s, 10 m/s^2, 1000
+    rad/s)."""
+    return {
+        n: float(np.abs(d).max()) / SCALE[n[0]]
+        for n, d in zip(names, (seen - predicted).T, strict=True)
+    }
 
 
 COMPARED = [e.name for e in CATALOGUE if e.name in VALUES]
@@ -153,7 +180,9 @@ def test_a_second_of_flight_with_an_effect_is_the_same(name):
 
 
 def test_with_the_same_steps_they_differ_by_rounding_alone():
-    difference = largest_difference(*fly({k: v for k, v in VALUES.items() if k != "motor_lag"}, substep=DT))
+    difference = largest_difference(
+        *fly({k: v for k, v in VALUES.items() if k != "motor_lag"}, substep=DT)
+    )
     assert max(difference.values()) < 1e-12, difference
 
 
@@ -172,23 +201,32 @@ def test_every_effect_that_a_plant_can_hide_is_compared():
 
 
 def test_all_effects_at_once_agree_too():
-    difference = largest_difference(*fly({k: v for k, v in VALUES.items() if k != "rotor_gyroscopic"}))
+    difference = largest_difference(
+        *fly({k: v for k, v in VALUES.items() if k != "rotor_gyroscopic"})
+    )
     assert max(difference.values()) < 1e-6, difference
 
 
 def test_rotors_that_lag_turn_the_body_by_their_mean_acceleration():
-    """Within a step the model takes dOmega/dt at its mean, so that with a lag the two differ a little."""
+    """Within a step the model takes dOmega/dt at its mean, so that with a lag the two differ a
+    little."""
     pair = ("motor_lag", "rotor_gyroscopic")
     seen, predicted, names = flown(*pair)
     plain, _, _ = flown("motor_lag")
-    difference, effect = largest_difference(seen, predicted, names), largest_difference(seen, plain, names)
+    difference, effect = (
+        largest_difference(seen, predicted, names),
+        largest_difference(seen, plain, names),
+    )
     assert all(difference[c] < 1e-3 * effect[c] for c in "pqr")
     assert max(largest_difference(*fly(VALUES)).values()) < 5e-4
 
 
-@pytest.mark.parametrize(("share", "tau", "close"), [(0.25, 0.03, 2e-6), (0.6, 0.03, 2e-6), (0.6, 0.8 * DT, 1e-4)])
+@pytest.mark.parametrize(
+    ("share", "tau", "close"), [(0.25, 0.03, 2e-6), (0.6, 0.03, 2e-6), (0.6, 0.8 * DT, 1e-4)]
+)
 def test_a_delay_of_a_fraction_of_a_sample_agrees_through_a_lag(share, tau, close):
-    """The rotor is exact; thrust, its square, follows the straight line with the rotor's mean and first moment."""
+    """The rotor is exact; thrust, its square, follows the straight line with the rotor's mean and
+    first moment."""
     effects = {"command_delay": {"d": (2 + share) * DT}, "motor_lag": {"tau": tau}}
     difference = largest_difference(*fly(effects))
     assert max(v for k, v in difference.items() if k.startswith("omega")) < 1e-12
@@ -196,13 +234,16 @@ def test_a_delay_of_a_fraction_of_a_sample_agrees_through_a_lag(share, tau, clos
 
 
 def delayed_errors(effects, name, delays):
-    """(largest difference of model and plant, largest change by the delay) per column, for each delay [s]."""
+    """(largest difference of model and plant, largest change by the delay) per column, for each
+    delay [s]."""
     plain, _, names = fly(effects)
     out = []
     for d in delays:
         seen, predicted, _ = fly(effects | {name: {"d": d}})
         past = 6  # the plant shows what it saw first until the delay has passed
-        out.append(tuple(largest_difference(seen[past:], b[past:], names) for b in (predicted, plain)))
+        out.append(
+            tuple(largest_difference(seen[past:], b[past:], names) for b in (predicted, plain))
+        )
     return out
 
 
@@ -211,20 +252,35 @@ FINE = 5
 
 
 def late_imu_errors(effects, parts, without=False):
-    """(largest difference of model and plant) per column, with an IMU that is late by parts / FINE of a sample.
+    """(largest difference of model and plant) per column, with an IMU that is late by parts / FINE
+    of a sample.
 
-    The states of the model are those of the instant that the IMU shows: it starts from the plant's at that instant."""
+    The states of the model are those of the instant that the IMU shows: it starts from the plant's
+    at that instant."""
     late = {"sensor_delay": {"d": parts * DT / FINE}}
     plant = Quadrotor(
-        CROOKED, [in_the_plant(n, v) for n, v in (effects | late).items()], sample_time=DT / FINE, substep=DT / FINE
+        CROOKED,
+        [in_the_plant(n, v) for n, v in (effects | late).items()],
+        sample_time=DT / FINE,
+        substep=DT / FINE,
     )
     tilt = np.array([0.95, 0.1, -0.2, 0.15])
     plant.reset(
-        0, position=(0.2, -0.1, 5.0), velocity=(2.0, -1.5, 0.5), attitude=tuple(tilt / np.linalg.norm(tilt)),
+        0,
+        position=(0.2, -0.1, 5.0),
+        velocity=(2.0, -1.5, 0.5),
+        attitude=tuple(tilt / np.linalg.norm(tilt)),
         rates=(1.0, -0.7, 0.5),
-    )  # fmt: skip
+    )
     model = model_of(CROOKED, *effects, *([] if without else late), dt=DT)
-    p = vector(model, **{f"{n}__{k}": v for n, own in (effects | ({} if without else late)).items() for k, v in own.items()})
+    p = vector(
+        model,
+        **{
+            f"{n}__{k}": v
+            for n, own in (effects | ({} if without else late)).items()
+            for k, v in own.items()
+        },
+    )
     u, seen, truth = commands(N, 1), [], []
     for k in range(N * FINE):
         row = plant.measure(u[k // FINE])
@@ -235,9 +291,13 @@ def late_imu_errors(effects, parts, without=False):
     first, past = 6, model.window[0]
     at = truth[first * FINE - (0 if without else parts)]
     x = state(
-        model, position=[at[c] for c in "xyz"], velocity=[at[f"v{c}"] for c in "xyz"],
-        attitude=[at[f"q{c}"] for c in "wxyz"], rate=[at[c] for c in "pqr"], rotor=[at[f"nu{i}"] for i in range(1, 5)],
-    )  # fmt: skip
+        model,
+        position=[at[c] for c in "xyz"],
+        velocity=[at[f"v{c}"] for c in "xyz"],
+        attitude=[at[f"q{c}"] for c in "wxyz"],
+        rate=[at[c] for c in "pqr"],
+        rotor=[at[f"nu{i}"] for i in range(1, 5)],
+    )
     padded = np.vstack([np.full((past, 4), CROOKED.hover_speed), u])
     step, output = function(model, "step"), function(model, "output")
     predicted = []
@@ -285,7 +345,8 @@ def test_delays_of_imu_and_pose_that_are_alike_are_late_commands():
     rows, w = commands(40, 3), np.zeros(6)
     for which in ("step", "output"):
         out = [
-            flat(function(m, which)(x, rows[30 - m.window[0] : 31].T, v, w, DT)) for m, v in ((both, p), (late, q))
+            flat(function(m, which)(x, rows[30 - m.window[0] : 31].T, v, w, DT))
+            for m, v in ((both, p), (late, q))
         ]
         timed = [i for i, n in enumerate(both.outputs.names) if not n.startswith("omega")]
         seen = timed if which == "output" else slice(None)
@@ -294,14 +355,16 @@ def test_delays_of_imu_and_pose_that_are_alike_are_late_commands():
 
 @pytest.mark.parametrize("share", [0.05, 0.4, 0.9])
 def test_a_delay_of_a_fraction_of_a_sample_without_lag(share):
-    """Commands change within a step, and an instant shows the one that is in force. Thrust, the square of a rotor speed
-    that jumps, follows the straight line with its mean and first moment."""
+    """Commands change within a step, and an instant shows the one that is in force. Thrust, the
+    square of a rotor speed that jumps, follows the straight line with its mean and first moment."""
     ((one, change),) = delayed_errors({}, "command_delay", ((1 + share) * DT,))
     for c in one:
         assert one[c] < (0.01 if c in ("ax", "ay", "az") else 0.05) * change[c] or one[c] < 1e-6, c
 
 
-@pytest.mark.parametrize("others", [{}, {"motor_lag": {"tau": 0.04}}, {"command_delay": {"d": 1.4 * DT}}])
+@pytest.mark.parametrize(
+    "others", [{}, {"motor_lag": {"tau": 0.04}}, {"command_delay": {"d": 1.4 * DT}}]
+)
 def test_a_late_pose_is_nearly_exact(others):
     """Also on rotors that jump: the pose was pushed by earlier commands, which the record has."""
     for error, change in delayed_errors(others, "pose_delay", (DT / 2, DT, 2 * DT)):

@@ -1,4 +1,5 @@
-"""States that no sensor feels are left out, and a disturbance is slow noise on the channel it is named after."""
+"""States that no sensor feels are left out, and a disturbance is slow noise on the channel it is
+named after."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ def kept(model):
         (("gyro",), (), {"rate"}),
         (("gyro", "accelerometer"), (), {"rate"}),
         (("gyro", "accelerometer"), ("motor_lag",), {"rate", "rotor"}),
-        # A drag lets the accelerometer feel the velocity, and gravity turns it: attitude comes along.
+        # A drag lets the accelerometer feel the velocity, and gravity turns it: attitude comes
+        # along.
         (("gyro", "accelerometer"), ("rotor_drag",), {"rate", "velocity", "attitude"}),
         (("gyro",), ("blade_flapping",), {"rate", "velocity", "attitude"}),
         (("gyro", "accelerometer"), ("constant_force",), {"rate", "attitude"}),
@@ -33,7 +35,7 @@ def kept(model):
         (("velocity",), (), {"velocity", "attitude", "rate"}),
         (("position",), (), {"position", "velocity", "attitude", "rate"}),
     ],
-)  # fmt: skip
+)
 def test_a_log_keeps_the_states_that_it_feels(names, effects, expected):
     model = model_of(X250, *effects, sensors=sensors(*names))
     assert kept(model) == expected
@@ -54,7 +56,11 @@ def test_the_reduced_model_is_the_full_one_seen_through_fewer_windows():
 
 
 def test_a_log_without_force_channels_has_no_force_noise():
-    assert model_of(X250, sensors=sensors("gyro")).noises.names == ("torque.x", "torque.y", "torque.z")
+    assert model_of(X250, sensors=sensors("gyro")).noises.names == (
+        "torque.x",
+        "torque.y",
+        "torque.z",
+    )
     assert len(model_of(X250, sensors=IMU).noises) == 6
 
 
@@ -94,16 +100,22 @@ def test_measured_speeds_drive_the_rotors_as_commands_would():
     x, u = state(by_command, rate=[1, 2, 3], velocity=[1, 0, 0]), np.array([0.5, 0.6, 0.55, 0.4])
     p = vector(by_command)
     np.testing.assert_allclose(
-        flat(function(by_speed, "f")(x, CROOKED.speed_max * u, p)), flat(function(by_command, "f")(x, u, p)), rtol=1e-12
+        flat(function(by_speed, "f")(x, CROOKED.speed_max * u, p)),
+        flat(function(by_command, "f")(x, u, p)),
+        rtol=1e-12,
     )
 
 
 def test_values_in_the_vehicle_file_become_nominal_and_misspelt_ones_are_an_error():
     from greybox.model.vehicle import Quantity
 
-    vehicle = replace(vehicle_of(X250), effects={"motor_lag": {"tau": Quantity(value=0.031, sigma=0.004)}})
+    vehicle = replace(
+        vehicle_of(X250), effects={"motor_lag": {"tau": Quantity(value=0.031, sigma=0.004)}}
+    )
     tau = next(
-        p for p in PhysicsModel(vehicle=vehicle).with_effect("motor_lag").parameters if p.name == "motor_lag.tau"
+        p
+        for p in PhysicsModel(vehicle=vehicle).with_effect("motor_lag").parameters
+        if p.name == "motor_lag.tau"
     )
     assert (tau.nominal, tau.sigma) == (0.031, 0.004)
     wrong = replace(vehicle, effects={"motor_lag": {"tua": Quantity(value=0.031)}})
@@ -130,7 +142,10 @@ def test_a_disturbance_enters_exactly_like_the_noise_of_its_channel():
 
 def test_a_disturbance_decays_with_its_time_constant_and_is_a_random_walk_without_one():
     drive = np.concatenate([np.zeros(6), 0.01 * np.arange(1, 7)])
-    for times, keep in (((0.5, 2.0), np.exp(-0.01 / np.repeat([0.5, 2.0], 3))), ((1e12, 1e12), np.ones(6))):
+    for times, keep in (
+        ((0.5, 2.0), np.exp(-0.01 / np.repeat([0.5, 2.0], 3))),
+        ((1e12, 1e12), np.ones(6)),
+    ):
         p = np.concatenate([vector(INNER), times])
         after = flat(function(DISTURBED, "step")(np.concatenate([X, D]), U, p, drive, 0.01))
         np.testing.assert_allclose(after[-6:], keep * D + drive[6:], rtol=1e-10)
@@ -140,7 +155,11 @@ def test_a_disturbance_names_a_channel_of_the_model():
     with pytest.raises(UnknownNameError, match=r"disturbance group 'forse'.*did you mean force"):
         with_disturbance(INNER, ("forse",))
     only = with_disturbance(INNER, ("torque",))
-    assert only.states.names[-3:] == ("disturbance.torque.x", "disturbance.torque.y", "disturbance.torque.z")
+    assert only.states.names[-3:] == (
+        "disturbance.torque.x",
+        "disturbance.torque.y",
+        "disturbance.torque.z",
+    )
     assert only.parameters[-1].name == "disturbance.torque.T"
     x0, sigma = only.initial_state({})
     assert x0.size == len(only.states)

@@ -1,4 +1,5 @@
-"""Effects from a user's file: the same class, held to the same basics, each mistake answered in one line."""
+"""Effects from a user's file: the same class, held to the same basics, each mistake answered in one
+line."""
 
 from __future__ import annotations
 
@@ -61,8 +62,11 @@ def test_an_own_effect_is_felt_and_gone_at_its_null(file):
     x, u = model.reference({}), [0.5] * 4
     x[model.states["attitude.w"]], x[model.states["attitude.z"]] = np.cos(0.3), np.sin(0.3)
     f = function(model, "f")
-    turned = flat(f(x, u, vector(model, magnet__m=2e-3))) - flat(f(x, u, vector(model, magnet__m=0.0)))
-    # Yawed by 0.6 rad to the left, north is at sin, cos of that in body axes: tau = m (0, 0, cos 0.6).
+    turned = flat(f(x, u, vector(model, magnet__m=2e-3))) - flat(
+        f(x, u, vector(model, magnet__m=0.0))
+    )
+    # Yawed by 0.6 rad to the left, north is at sin, cos of that in body axes: tau = m (0, 0, cos
+    # 0.6).
     expected = 2e-3 * np.cos(0.6) / X250.inertia[2]
     assert turned[model.states["rate.z"]] == pytest.approx(expected, rel=1e-9)
     assert np.count_nonzero(np.abs(turned) > 1e-15) == 1
@@ -89,14 +93,19 @@ def test_another_process_can_take_it(file, tmp_path):
     (tmp_path / "e.pickle").write_bytes(pickle.dumps(magnet))
     code = "import pickle, sys; print(pickle.load(open(sys.argv[1], 'rb')).name)"
     done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "e.pickle")], capture_output=True, text=True, check=True
+        [sys.executable, "-c", code, str(tmp_path / "e.pickle")],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert done.stdout.strip() == "magnet"
 
 
 def test_two_effects_of_one_name_are_refused(file):
     (one,) = load_effects(file())
-    (other,) = load_effects(file(GOOD.replace("torque of a magnet", "the torque of a magnet"), "b.py"))
+    (other,) = load_effects(
+        file(GOOD.replace("torque of a magnet", "the torque of a magnet"), "b.py")
+    )
     with pytest.raises(ModelError, match="two effects are named magnet"):
         build_model(vehicle_of(X250), COLUMNS, [one, other])
 
@@ -128,13 +137,20 @@ WRONG = {
         ("return (Parameter", "return [Parameter"), ('"moment"),)', '"moment")]')
     ),
     "returns torque; expected what stage wrench knows": changed(('"moment": p', '"torque": p')),
-    r"magnet.py:16: effect magnet, apply: AttributeError": changed(("flow.rotation", "flow.rotatoin")),
+    r"magnet.py:16: effect magnet, apply: AttributeError": changed(
+        ("flow.rotation", "flow.rotatoin")
+    ),
     r"magnet.py:16: effect magnet, apply: KeyError": changed(('p["m"]', 'p["n"]')),
     "does not vanish at its null": changed(('p["m"] * ca', '(1e-3 + p["m"]) * ca')),
     "not finite": changed(('p["m"] * ca', 'p["m"] / (flow.velocity[0] * 0) * ca')),
-    r"early = frozenset\(\['wind'\]\)": changed((BODY, 'return {"wind": p["m"] * ca.DM([1, 0, 0])}')),
+    r"early = frozenset\(\['wind'\]\)": changed(
+        (BODY, 'return {"wind": p["m"] * ca.DM([1, 0, 0])}')
+    ),
     "effect magnet: effect magnet needs missing_fact": changed(
-        ("    def parameters", "    needs = Needs(vehicle=('missing_fact',))\n\n    def parameters"),
+        (
+            "    def parameters",
+            "    needs = Needs(vehicle=('missing_fact',))\n\n    def parameters",
+        ),
         ("import Effect", "import Effect, Needs"),
     ),
 }
@@ -182,8 +198,12 @@ def test_an_own_lag_brings_rotor_states_and_stands_alone(file):
     assert "rotor.4" in model.states
     reference = PhysicsModel(vehicle=vehicle_of(X250)).with_effect("motor_lag")
     x, u = model.reference({}), np.array([[0.6, 0.5, 0.4, 0.7]]).T
-    step = flat(function(model, "step")(x, u, vector(model, slow_motor__tau=0.02), np.zeros(6), 0.01))
-    same = flat(function(reference, "step")(x, u, vector(reference, motor_lag__tau=0.04), np.zeros(6), 0.01))
+    step = flat(
+        function(model, "step")(x, u, vector(model, slow_motor__tau=0.02), np.zeros(6), 0.01)
+    )
+    same = flat(
+        function(reference, "step")(x, u, vector(reference, motor_lag__tau=0.04), np.zeros(6), 0.01)
+    )
     np.testing.assert_allclose(step, same, rtol=1e-12, atol=1e-12)
     with pytest.raises(ModelError, match="two lags"):
         model.with_effect("motor_lag")
@@ -196,7 +216,9 @@ def test_a_model_file_names_the_effects_file_that_it_needs(file):
     assert own["magnet"]["file"] == "magnet.py"
     names = ["motor_lag", "magnet"]
     assert effects_of(names, own, [magnet], where="m.json")[1] is magnet
-    with pytest.raises(FileFormatError, match=r"m.json: .*magnet of magnet.py.*load_effects\('magnet.py'\)"):
+    with pytest.raises(
+        FileFormatError, match=r"m.json: .*magnet of magnet.py.*load_effects\('magnet.py'\)"
+    ):
         effects_of(names, own, [], where="m.json")
     (other,) = load_effects(file(GOOD + "# changed since\n"))
     with pytest.raises(FileFormatError, match="not the one that the model was made with"):

@@ -1,6 +1,8 @@
-"""Claim: the file of a user's own model holds its equations, so that it is read and used without the program.
+"""Claim: the file of a user's own model holds its equations, so that it is read and used without
+the program.
 
-Equations come back as the same operations; a program is run only where it is named, and what is wrong with it is one line.
+Equations come back as the same operations; a program is run only where it is named, and what is
+wrong with it is one line.
 """
 
 from __future__ import annotations
@@ -28,9 +30,12 @@ from tests import motor
 def test_every_kind_of_operation_comes_back_bit_by_bit() -> None:
     x, p = ca.SX.sym("x", 3), ca.SX.sym("p", 2)
     values = ca.vertcat(
-        ca.tanh(x[0] / 0.05) + ca.if_else(x[0] > 0, p[0] ** 2, ca.atan2(p[1], x[1])), ca.sqrt(ca.fabs(x[2])) - p[0] ** 1.5,
-        ca.fmax(x[0], x[1]) * ca.exp(-x[2]) + ca.sign(x[1]) * ca.floor(3 * x[0]), 0.0, ca.erf(x[0]) / (1 + ca.sumsqr(x)),
-    )  # fmt: skip
+        ca.tanh(x[0] / 0.05) + ca.if_else(x[0] > 0, p[0] ** 2, ca.atan2(p[1], x[1])),
+        ca.sqrt(ca.fabs(x[2])) - p[0] ** 1.5,
+        ca.fmax(x[0], x[1]) * ca.exp(-x[2]) + ca.sign(x[1]) * ca.floor(3 * x[0]),
+        0.0,
+        ca.erf(x[0]) / (1 + ca.sumsqr(x)),
+    )
     f = ca.Function("f", [x, p], [values, ca.jacobian(values, x)])
     back = read_function("f", json.loads(json.dumps(write_function(f))))
     for point in np.random.default_rng(0).uniform(0.1, 2, (20, 5)):
@@ -66,7 +71,9 @@ def test_an_edited_file_is_refused(fitted: Fit, tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps(body))
     with pytest.raises(FileFormatError, match="checksum"):
         load_model(tmp_path / "a.json")
-    body["checksum"] = checksum({k: v for k, v in body.items() if k not in ("checksum", "versions")})
+    body["checksum"] = checksum(
+        {k: v for k, v in body.items() if k not in ("checksum", "versions")}
+    )
     (tmp_path / "a.json").write_text(json.dumps(body))
     with pytest.raises(FileFormatError, match="expression"):
         load_model(tmp_path / "a.json")
@@ -75,7 +82,9 @@ def test_an_edited_file_is_refused(fitted: Fit, tmp_path: Path) -> None:
 @pytest.mark.parametrize("damage", ["parameters", "dynamics", "noise_states"])
 def test_a_file_that_does_not_fit_itself_is_refused(damage: str) -> None:
     body = own_to_dict(motor.model())
-    body[damage] = body[damage][:-1] if damage != "dynamics" else body["measurement"] | {"results": [[1, 1]]}
+    body[damage] = (
+        body[damage][:-1] if damage != "dynamics" else body["measurement"] | {"results": [[1, 1]]}
+    )
     if damage == "noise_states":
         body[damage] = ["nowhere"]
     with pytest.raises((FileFormatError, UnknownNameError)):
@@ -101,7 +110,9 @@ PROGRAMS = {
 
 
 @pytest.mark.parametrize("case", PROGRAMS)
-def test_a_wrong_program_is_one_line(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_program_is_one_line(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     text, program, said = PROGRAMS[case]
     monkeypatch.chdir(tmp_path)
     if text is not None:

@@ -1,4 +1,5 @@
-"""Newton and Euler: invariants of free motion, signs of every moment, the paper's plus layout, convergence of the step."""
+"""Newton and Euler: invariants of free motion, signs of every moment, the paper's plus layout,
+convergence of the step."""
 
 from __future__ import annotations
 
@@ -52,7 +53,10 @@ def test_torque_free_tumbling_keeps_angular_momentum_in_the_world_and_energy():
     def invariants(x):
         b = blocks(model, x)
         kinetic = 0.5 * b["rate"] @ jay @ b["rate"]
-        flight = 0.5 * FREE.mass * b["velocity"] @ b["velocity"] + FREE.mass * FREE.gravity * b["position"][2]
+        flight = (
+            0.5 * FREE.mass * b["velocity"] @ b["velocity"]
+            + FREE.mass * FREE.gravity * b["position"][2]
+        )
         return rotation(b["attitude"]) @ jay @ b["rate"], kinetic, flight
 
     momentum, kinetic, flight = invariants(x0)
@@ -79,10 +83,17 @@ def test_the_quaternion_stays_unit_for_ten_thousand_steps():
     assert np.abs(np.linalg.norm(path[at : at + 4], axis=0) - 1).max() < 1e-12
 
 
-@pytest.mark.parametrize("effects", [(), ("rotor_drag", "rotational_damping"), ("motor_lag", "rotor_drag")])
+@pytest.mark.parametrize(
+    "effects", [(), ("rotor_drag", "rotational_damping"), ("motor_lag", "rotor_drag")]
+)
 def test_the_step_converges_with_fourth_order(effects):
     model = model_of(CROOKED, *effects, sensors=POSE)
-    known = {"rotor_drag__k_x": 5e-5, "rotor_drag__k_y": 3e-5, "rotational_damping__d_p": 4e-3, "motor_lag__tau": 0.08}
+    known = {
+        "rotor_drag__k_x": 5e-5,
+        "rotor_drag__k_y": 3e-5,
+        "rotational_damping__d_p": 4e-3,
+        "motor_lag__tau": 0.08,
+    }
     p = vector(model, **{k: v for k, v in known.items() if k.split("__")[0] in effects})
     u = np.array([0.56, 0.54, 0.55, 0.53])
     x0 = state(model, velocity=[3.0, 1.0, 0.0], rate=[3.0, -2.0, 1.0], rotor=[0.45, 0.55, 0.5, 0.6])
@@ -130,7 +141,8 @@ def test_positive_q_is_nose_down_and_positive_roll_moves_right():
 
 
 def test_the_papers_plus_layout():
-    """tau = [l(F2 - F4), l(F3 - F1), kappa(F1 - F2 + F3 - F4)]: 1 front, 2 left, 3 back, 4 right; 1 and 3 clockwise."""
+    """tau = [l(F2 - F4), l(F3 - F1), kappa(F1 - F2 + F3 - F4)]: 1 front, 2 left, 3 back, 4 right; 1
+    and 3 clockwise."""
     rng = np.random.default_rng(1)
     arm, kappa = PLUS.rotors[0].position[0], PLUS.torque[2] / PLUS.thrust[2]
     for _ in range(5):

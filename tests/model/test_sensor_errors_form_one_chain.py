@@ -1,4 +1,5 @@
-"""What the IMU reports: lever arm, then mounting angle, then scale, then bias, whatever the order of listing."""
+"""What the IMU reports: lever arm, then mounting angle, then scale, then bias, whatever the order
+of listing."""
 
 from __future__ import annotations
 
@@ -40,7 +41,9 @@ def test_the_chain_is_that_of_the_stage():
     size = np.linalg.norm(angle)
     turn = rotation([np.cos(size / 2), *(np.sin(size / 2) * angle / size)]).T
     expected_gyro = (1 + numbers("gyro_scale")) * (turn @ gyro) + numbers("gyro_bias")
-    expected_felt = (1 + numbers("accelerometer_scale")) * (turn @ felt) + numbers("accelerometer_bias")
+    expected_felt = (1 + numbers("accelerometer_scale")) * (turn @ felt) + numbers(
+        "accelerometer_bias"
+    )
     for names in (list(VALUES), list(VALUES)[::-1]):
         seen_gyro, seen_felt, _ = imu(names)
         np.testing.assert_allclose(seen_gyro, expected_gyro, rtol=1e-12)
@@ -48,9 +51,15 @@ def test_the_chain_is_that_of_the_stage():
 
 
 def test_a_scale_acts_on_the_prediction():
-    """The innovation is data minus scaled prediction: its size cannot shrink by scaling the data."""
+    """The innovation is data minus scaled prediction: its size cannot shrink by scaling the
+    data."""
     model = model_of(CROOKED, "accelerometer_scale")
-    p = vector(model, accelerometer_scale__s_x=0.5, accelerometer_scale__s_y=0.5, accelerometer_scale__s_z=0.5)
+    p = vector(
+        model,
+        accelerometer_scale__s_x=0.5,
+        accelerometer_scale__s_y=0.5,
+        accelerometer_scale__s_z=0.5,
+    )
     x = state(model)
     y = np.arange(1.0, 1.0 + len(model.outputs))
     y_hat = flat(function(model, "h")(x, [0.5] * 4, p))

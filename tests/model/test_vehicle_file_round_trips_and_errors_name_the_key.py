@@ -1,4 +1,5 @@
-"""A vehicle comes back exactly from its plain values; an error names the key; exact numbers and priors are told apart."""
+"""A vehicle comes back exactly from its plain values; an error names the key; exact numbers and
+priors are told apart."""
 
 from __future__ import annotations
 
@@ -27,14 +28,22 @@ PLAIN = {
         {"position": [-0.03, 0.03, 0.0], "spin": 1},
         {"position": [0.03, 0.03, 0.0], "spin": -1},
     ],
-    "actuator": {"thrust": [0.0, 0.0, 0.15], "thrust_sigma": [0.0, 0.0, 0.02], "torque": [0.0, 0.0, 0.001]},
+    "actuator": {
+        "thrust": [0.0, 0.0, 0.15],
+        "thrust_sigma": [0.0, 0.0, 0.02],
+        "torque": [0.0, 0.0, 0.001],
+    },
     "effects": {"motor_lag": {"tau": {"value": 0.03, "sigma": 0.01}}},
     "battery": {"nominal_voltage": 3.7},
     "noise": {"gyro": 0.02},
     "columns": {
         "rate": {"fields": ["gyro_x", "-gyro_y", "gyro_z"], "unit": "deg/s"},
         "velocity": {"fields": ["vx", "vy", "vz"], "causal": False},
-        "specific_force": {"fields": ["ax", "ay", "acc"], "scale": [1.0, 1.0, -9.81], "offset": 0.1},
+        "specific_force": {
+            "fields": ["ax", "ay", "acc"],
+            "scale": [1.0, 1.0, -9.81],
+            "offset": 0.1,
+        },
     },
 }
 
@@ -94,7 +103,9 @@ def test_two_channels_from_one_column_is_an_error():
 
 JUNK = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
     max_leaves=6,
 )
 
@@ -135,7 +146,10 @@ BARE = {
         {"position": [0.09, 0.12, 0.0], "spin": -1},
     ],
     "actuator": {"thrust": [0.0, 0.0, 4.0], "torque": [0.0, 0.0, 0.05]},
-    "effects": {"motor_lag": {"tau": 0.03}, "rotor_drag": {"k_x": 0.0, "k_y": {"value": 1e-5, "sigma": 0.0}}},
+    "effects": {
+        "motor_lag": {"tau": 0.03},
+        "rotor_drag": {"k_x": 0.0, "k_y": {"value": 1e-5, "sigma": 0.0}},
+    },
 }
 
 
@@ -181,7 +195,11 @@ def test_files_of_schema_one_keep_bare_numbers_exact():
 def test_what_was_believed_by_default_comes_back_as_that():
     vehicle = Vehicle.from_dict(BARE)
     again = Vehicle.from_dict(json.loads(json.dumps(vehicle.to_dict())))
-    assert again == vehicle and again.beliefs == vehicle.beliefs and pickle.loads(pickle.dumps(vehicle)) == vehicle
+    assert (
+        again == vehicle
+        and again.beliefs == vehicle.beliefs
+        and pickle.loads(pickle.dumps(vehicle)) == vehicle
+    )
     with pytest.raises(GreyboxError, match="did you mean mass"):
         Vehicle.from_dict(BARE | {"default_sigma": ["mas"]})
 

@@ -22,7 +22,9 @@ def needs_compiler() -> None:
         pytest.skip("C compiler is not installed")
 
 
-def compile_objects(bundle: ExportBundle, work: Path, compiler: str = "gcc", *flags: str) -> list[str]:
+def compile_objects(
+    bundle: ExportBundle, work: Path, compiler: str = "gcc", *flags: str
+) -> list[str]:
     """The library's two units, each under the strict flags that the bundle promises."""
     needs_compiler()
     name, objects = bundle.name, []
@@ -31,9 +33,21 @@ def compile_objects(bundle: ExportBundle, work: Path, compiler: str = "gcc", *fl
         objects.append(str(work / f"{stem}.o"))
         source = str(bundle.folder / "c" / f"{stem}.c")
         done = subprocess.run(
-            [compiler, *STRICT, *extra, *(flags or ("-O1",)), "-fPIC", "-c", source, "-o", objects[-1]],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
+            [
+                compiler,
+                *STRICT,
+                *extra,
+                *(flags or ("-O1",)),
+                "-fPIC",
+                "-c",
+                source,
+                "-o",
+                objects[-1],
+            ],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
         assert done.returncode == 0, done.stderr[:2000]
     return objects
 
@@ -54,16 +68,22 @@ def load(bundle: ExportBundle, library: Path) -> CLibrary:
     return CLibrary(library, bundle.manifest)
 
 
-def largest_difference(bundle: ExportBundle, library: CLibrary, functions, points) -> dict[str, float]:
-    """Function -> largest difference between C and CasADi over `points`, in units of each output's scale.
+def largest_difference(
+    bundle: ExportBundle, library: CLibrary, functions, points
+) -> dict[str, float]:
+    """Function -> largest difference between C and CasADi over `points`, in units of each output's
+    scale.
 
-    Every entry of a vector is a signal of its own scale (a torque beside a position), every matrix has one scale.
+    Every entry of a vector is a signal of its own scale (a torque beside a position), every matrix
+    has one scale.
     """
     worst: dict[str, float] = {}
     for entry in bundle.manifest["functions"]:
         made = functions[entry["name"]]
         given = [np.zeros(max(made.numel_in(i), 1)) for i in range(made.n_in())]
-        ours, theirs = ([np.zeros(max(made.numel_out(i), 1)) for i in range(made.n_out())] for _ in range(2))
+        ours, theirs = (
+            [np.zeros(max(made.numel_out(i), 1)) for i in range(made.n_out())] for _ in range(2)
+        )
         run_c = _c_call(library, entry, given, ours)
         buffer, run_casadi = made.buffer()
         for i, a in enumerate(given):
@@ -85,17 +105,25 @@ def largest_difference(bundle: ExportBundle, library: CLibrary, functions, point
                 gap[k] = np.maximum(gap[k], apart.max() if whole[k] else apart)
                 size[k] = np.maximum(size[k], large.max() if whole[k] else large)
         # What stays below a millionth of its neighbours is rounding.
-        worst[entry["name"]] = max(float((g / np.maximum(s, 1e-6 * s.max())).max()) for g, s in zip(gap, size))
+        worst[entry["name"]] = max(
+            float((g / np.maximum(s, 1e-6 * s.max())).max()) for g, s in zip(gap, size)
+        )
     return worst
 
 
 def _c_call(library: CLibrary, entry, given, results):
     """A function of nothing that calls the C function on these arrays."""
-    sizes, pointer = library.manifest["c"]["functions"][entry["name"]], ctypes.POINTER(ctypes.c_double)
+    sizes, pointer = (
+        library.manifest["c"]["functions"][entry["name"]],
+        ctypes.POINTER(ctypes.c_double),
+    )
     assert library.real is ctypes.c_double
     arg = (pointer * max(sizes["sz_arg"], 1))(*(a.ctypes.data_as(pointer) for a in given))
     res = (pointer * max(sizes["sz_res"], 1))(*(a.ctypes.data_as(pointer) for a in results))
-    iw, w = (library.integer * max(sizes["sz_iw"], 1))(), (ctypes.c_double * max(sizes["sz_w"], 1))()
+    iw, w = (
+        (library.integer * max(sizes["sz_iw"], 1))(),
+        (ctypes.c_double * max(sizes["sz_w"], 1))(),
+    )
     function = getattr(library.library, f"{library.manifest['name']}_{entry['name']}")
     return lambda: function(arg, res, iw, w, 0)
 
@@ -103,4 +131,6 @@ def _c_call(library: CLibrary, entry, given, results):
 def manifest_schema() -> dict:
     from importlib import resources
 
-    return dict(json.loads(resources.files("greybox.schemas").joinpath("manifest.json").read_text()))
+    return dict(
+        json.loads(resources.files("greybox.schemas").joinpath("manifest.json").read_text())
+    )

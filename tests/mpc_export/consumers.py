@@ -36,9 +36,14 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 
 def needs(*modules: str) -> pytest.MarkDecorator:
-    """Skip, by name, where a consumer is not installed. The gate on Linux x86-64 does not accept that."""
-    missing = [m for m in modules if (not ACADOS if m == "acados" else importlib.util.find_spec(m) is None)]
-    return pytest.mark.skipif(bool(missing), reason=f"consumer {', '.join(missing)} is not installed")
+    """Skip, by name, where a consumer is not installed. The gate on Linux x86-64 does not accept
+    that."""
+    missing = [
+        m for m in modules if (not ACADOS if m == "acados" else importlib.util.find_spec(m) is None)
+    ]
+    return pytest.mark.skipif(
+        bool(missing), reason=f"consumer {', '.join(missing)} is not installed"
+    )
 
 
 @functools.cache
@@ -48,7 +53,8 @@ def _folder() -> tempfile.TemporaryDirectory[str]:
 
 @functools.cache
 def bundle(kind: str) -> Path:
-    """A bundle with every target: "physics" has its mass as run-time parameter, "hybrid" a learned part."""
+    """A bundle with every target: "physics" has its mass as run-time parameter, "hybrid" a learned
+    part."""
     model = {"physics": cases.physics, "hybrid": cases.hybrid, "linear": cases.linear}[kind]()
     targets = {
         "physics": ("acados", "do-mpc", "rockit", "fmu"),
@@ -57,16 +63,30 @@ def bundle(kind: str) -> Path:
     }[kind]
     place = Path(_folder().name) / kind
     runtime = ("mass",) if kind == "physics" else ()
-    write_bundle(model, place, name=f"{kind}_model", targets=targets, runtime_parameters=runtime, use_cache=False)
+    write_bundle(
+        model,
+        place,
+        name=f"{kind}_model",
+        targets=targets,
+        runtime_parameters=runtime,
+        use_cache=False,
+    )
     return place
 
 
 def run(kind: str, script: str, *arguments: str) -> dict[str, Any]:
-    """What a bundle's script says of itself with --json, where neither greybox nor PyTorch is installed."""
+    """What a bundle's script says of itself with --json, where neither greybox nor PyTorch is
+    installed."""
     where = bundle(kind)
     command = [sys.executable, "-c", ALONE, str(where / "examples" / script), *arguments, "--json"]
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "ACADOS", "TERA", "LD_LIBRARY"))}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=where, env=environment, check=False)
+    environment = {
+        k: v
+        for k, v in os.environ.items()
+        if not k.startswith(("PYTHON", "ACADOS", "TERA", "LD_LIBRARY"))
+    }
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=where, env=environment, check=False
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     answer: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
     return answer

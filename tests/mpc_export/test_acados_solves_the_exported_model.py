@@ -26,7 +26,10 @@ def test_acados_finds_the_solution_that_ipopt_finds(kind):
     # And IPOPT's with the functions before they were exported, which the script knows nothing of.
     runtime = ("mass",) if kind == "physics" else ()
     own = of(
-        model_functions({"physics": cases.physics, "hybrid": cases.hybrid}[kind](), runtime_parameters=runtime), "m"
+        model_functions(
+            {"physics": cases.physics, "hybrid": cases.hybrid}[kind](), runtime_parameters=runtime
+        ),
+        "m",
     )
     _, expected = solve(own, hover(own, 20))
     assert np.abs(np.array(got["inputs"]) - expected).max() < 1e-4
@@ -46,7 +49,12 @@ def test_explicit_and_implicit_dynamics_are_f(tmp_path, monkeypatch):
         sim.code_export_directory = str(tmp_path / "generated")
         sim.parameter_values = model.parameter_values
         options = sim.solver_options
-        options.T, options.integrator_type, options.num_stages, options.num_steps = model.dt, "ERK", 4, 1
+        options.T, options.integrator_type, options.num_stages, options.num_steps = (
+            model.dt,
+            "ERK",
+            4,
+            1,
+        )
         solver = AcadosSimSolver(sim, json_file=str(tmp_path / "sim.json"), verbose=False)
         x = model.reference_state[: model.own_states] + 0.01
         u = model.reference_inputs + 0.05
@@ -59,9 +67,13 @@ def test_explicit_and_implicit_dynamics_are_f(tmp_path, monkeypatch):
     k2 = f(x + h / 2 * k1, u, p)
     k3 = f(x + h / 2 * k2, u, p)
     k4 = f(x + h * k3, u, p)
-    np.testing.assert_allclose(got, (x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)).full().ravel(), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        got, (x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)).full().ravel(), rtol=1e-12, atol=1e-12
+    )
     dynamics = sim.model
-    gap = ca.Function("gap", [dynamics.x, dynamics.xdot, dynamics.u, dynamics.p], [dynamics.f_impl_expr])
+    gap = ca.Function(
+        "gap", [dynamics.x, dynamics.xdot, dynamics.u, dynamics.p], [dynamics.f_impl_expr]
+    )
     assert float(ca.norm_inf(gap(x, k1, u, p))) == 0.0
 
 
@@ -84,7 +96,9 @@ def test_an_unpacked_wheel_is_laid_out_as_acados_wants_it(tmp_path):
         (tmp_path / "wheel" / "acados" / part).mkdir(parents=True)
     home = lay_out(tmp_path / "wheel", tmp_path / "home")
     assert sorted(p.name for p in home.iterdir()) == ["bin", "include", "interfaces", "lib"]
-    assert (home / "interfaces" / "acados_template" / "acados_template").resolve().name == "acados_template"
+    assert (
+        home / "interfaces" / "acados_template" / "acados_template"
+    ).resolve().name == "acados_template"
     with pytest.raises(FileNotFoundError, match="no unpacked comma-deps-acados"):
         lay_out(tmp_path / "nothing", tmp_path / "other")
 
@@ -110,7 +124,9 @@ def test_the_difference_of_f_and_f_d_is_the_delay():
     slow = of(model_functions(cases.physics(0.013)), "slow")
     found = explicit_difference(slow)
     assert set(found) == set(slow.states[: slow.own_states])
-    assert 0.005 < found["rotor.1"] < 0.1, "a change of a tenth that comes a sample late is seen in the rotors"
+    assert 0.005 < found["rotor.1"] < 0.1, (
+        "a change of a tenth that comes a sample late is seen in the rotors"
+    )
     # The uncertain delay would keep its history states at zero delay too.
     at_once = replace(cases.physics(0.0), covariance_names=("mass",), covariance=np.array([[1e-8]]))
     quick = of(model_functions(at_once), "quick")

@@ -1,4 +1,5 @@
-"""A bundle is written whole or not at all, only where it may be, says what it holds, and needs nothing of greybox."""
+"""A bundle is written whole or not at all, only where it may be, says what it holds, and needs
+nothing of greybox."""
 
 from __future__ import annotations
 
@@ -41,11 +42,18 @@ def cache(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def linear(tmp_path_factory):
-    return write_bundle(cases.linear(), tmp_path_factory.mktemp("linear") / "box", with_=("filter",), use_cache=False)
+    return write_bundle(
+        cases.linear(),
+        tmp_path_factory.mktemp("linear") / "box",
+        with_=("filter",),
+        use_cache=False,
+    )
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()
+    }
 
 
 @pytest.mark.parametrize("kind", ["linear", "hybrid"])
@@ -93,7 +101,11 @@ def test_two_exports_are_the_same_bytes(tmp_path):
     two = write_bundle(cases.physics(), tmp_path / "c" / "b", use_cache=False)
     first, second = content(one.folder), content(two.folder)
     assert first.keys() == second.keys()
-    assert [n for n in first if first[n] != second[n] and not n.startswith("casadi/") and n != "manifest.json"] == []
+    assert [
+        n
+        for n in first
+        if first[n] != second[n] and not n.startswith("casadi/") and n != "manifest.json"
+    ] == []
 
 
 def test_only_a_bundle_is_replaced(tmp_path):
@@ -208,14 +220,18 @@ def test_golden_vectors_reach_the_edge_and_far_outside(tmp_path):
     assert last[0][0] == "in.x.0" and last[0][-1].startswith("out.x_next.")
 
 
-# ------------------------------------------------------------------------------------------------ the verifier
+# ----------------------------------------------------------------------------------- the verifier
 
 
 def run_verifier(*arguments) -> subprocess.CompletedProcess[str]:
     """As a user would, where neither greybox nor this repository can be imported."""
     script = ROOT / "mpc_export" / "verify.py"
     return subprocess.run(
-        [sys.executable, "-I", str(script), *map(str, arguments)], capture_output=True, text=True, check=False, cwd="/"
+        [sys.executable, "-I", str(script), *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd="/",
     )
 
 
@@ -273,7 +289,9 @@ def test_a_manifest_that_was_edited_is_found(linear, tmp_path, capsys):
     assert "changed since the export: manifest.json" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("damage", ["short row", "no rows", "not numbers", "gone", "tape", "manifest"])
+@pytest.mark.parametrize(
+    "damage", ["short row", "no rows", "not numbers", "gone", "tape", "manifest"]
+)
 def test_damage_ends_in_one_line(linear, tmp_path, capsys, damage):
     copy = Path(shutil.copytree(linear.folder, tmp_path / "copy"))
     golden, tape = copy / "golden" / "f_d.csv", copy / "python" / "functions.json"
@@ -285,7 +303,11 @@ def test_damage_ends_in_one_line(linear, tmp_path, capsys, damage):
     elif damage == "manifest":
         sealed(copy, functions=[{}])
     else:
-        rows = {"short row": first.rpartition(",")[0], "no rows": "", "not numbers": first.replace(".", "x")}[damage]
+        rows = {
+            "short row": first.rpartition(",")[0],
+            "no rows": "",
+            "not numbers": first.replace(".", "x"),
+        }[damage]
         golden.write_text(f"{head}\n{rows}".strip() + "\n")
     assert verify.main([str(copy), "--no-c"]) == 1
     said = capsys.readouterr().err
@@ -296,7 +318,11 @@ def test_damage_ends_in_one_line(linear, tmp_path, capsys, damage):
 def test_names_in_a_manifest_lead_nowhere_else(linear, tmp_path, capsys, name):
     copy = Path(shutil.copytree(linear.folder, tmp_path / "copy"))
     functions = linear.manifest["functions"]
-    for changes in ({"name": name}, {"functions": [{**functions[0], "name": name}]}, {"files": {"../secret": "00"}}):
+    for changes in (
+        {"name": name},
+        {"functions": [{**functions[0], "name": name}]},
+        {"files": {"../secret": "00"}},
+    ):
         sealed(copy, **{"name": linear.name, "functions": functions, **changes})
         assert verify.main([str(copy)]) == 1
         out = capsys.readouterr()
@@ -318,22 +344,31 @@ def odd_model(kind: str):
     """Models with fewer states, other inputs, or of the user's own making."""
     if kind == "own":
         return hybrid_cases.pendulum_model()
-    sensors = tuple(s for s in SENSORS if s.name in {"imu": ("gyro",), "speed": ("gyro", "attitude")}[kind])
+    sensors = tuple(
+        s for s in SENSORS if s.name in {"imu": ("gyro",), "speed": ("gyro", "attitude")}[kind]
+    )
     how = {"imu": {"effects": (effect_by_name("motor_lag"),)}, "speed": {"input": "speed"}}[kind]
     dynamics = PhysicsModel(vehicle=specimen.crooked(), sensors=sensors, sample_time=0.01, **how)
     model = hybrid_cases.craft_model(dynamics)
     level = 400.0 if kind == "speed" else 0.5
     return replace(
-        model, reference_state=dynamics.reference({}), reference_inputs=np.full(4, level), covariance_names=(),
+        model,
+        reference_state=dynamics.reference({}),
+        reference_inputs=np.full(4, level),
+        covariance_names=(),
         covariance=np.zeros((0, 0)),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("kind", ["imu", "speed", "own"])
 def test_models_of_other_shapes_pass_the_verifier(tmp_path, kind, capsys):
     compiled.needs_compiler()
     made = write_bundle(
-        odd_model(kind), tmp_path / kind, real="float", with_=("filter", "covariance", "target"), use_cache=False
+        odd_model(kind),
+        tmp_path / kind,
+        real="float",
+        with_=("filter", "covariance", "target"),
+        use_cache=False,
     )
     jsonschema.validate(made.manifest, compiled.manifest_schema())
     assert verify.verify(made.folder)
@@ -355,7 +390,7 @@ def test_limits_and_schema_are_the_same_on_both_sides():
     assert manifest.TOLERANCE == {"double": 1e-10, "float": 1e-4}
 
 
-# ------------------------------------------------------------------------------------------------ fewer points
+# ----------------------------------------------------------------------------------- fewer points
 
 
 def test_fewer_points_keep_mean_and_variance_where_they_are():
@@ -387,6 +422,8 @@ def test_the_bundle_states_its_reduction(tmp_path):
 
 
 def test_another_rate_and_held_commands_are_noted(tmp_path):
-    made = write_bundle(replace(cases.physics()), tmp_path / "b", dt=0.005, targets=(), use_cache=False)
+    made = write_bundle(
+        replace(cases.physics()), tmp_path / "b", dt=0.005, targets=(), use_cache=False
+    )
     assert any("identified at 0.01 s" in n for n in made.manifest["notes"])
     assert made.manifest["delay"]["history"]["u1"] == 3

@@ -29,7 +29,9 @@ LIMIT = {"double": 1e-10, "float": 1e-4}
 @pytest.fixture(scope="module")
 def hybrid(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hybrid") / "quad"
-    return write_bundle(cases.hybrid(), folder, with_=("covariance", "filter", "target"), use_cache=False)
+    return write_bundle(
+        cases.hybrid(), folder, with_=("covariance", "filter", "target"), use_cache=False
+    )
 
 
 @pytest.fixture(scope="module")
@@ -56,25 +58,37 @@ def with_effect(effect):
     identified = hybrid_cases.craft_model(model).with_values(values)
     inputs = np.array([3.8 if name == "vbat" else 0.5 for name in model.inputs.names])
     return replace(
-        identified, reference_state=model.reference({"u1": 0.5, "z": 1.0}), reference_inputs=inputs,
-        covariance_names=(), covariance=np.zeros((0, 0)),
-    )  # fmt: skip
+        identified,
+        reference_state=model.reference({"u1": 0.5, "z": 1.0}),
+        reference_inputs=inputs,
+        covariance_names=(),
+        covariance=np.zeros((0, 0)),
+    )
 
 
 SOME = ("battery_sag", "ground_effect", "sensor_delay")
 
 
-@pytest.mark.parametrize("effect", [*(effect_by_name(n) for n in SOME), Wake()], ids=lambda e: e.name)
+@pytest.mark.parametrize(
+    "effect", [*(effect_by_name(n) for n in SOME), Wake()], ids=lambda e: e.name
+)
 def test_some_effects_alone_in_double(tmp_path, effect):
     bundle = write_bundle(with_effect(effect), tmp_path / "one", targets=("c",), use_cache=False)
-    library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0"))
-    gaps = compiled.largest_difference(bundle, library, bundle.functions.functions, points(bundle.functions, 60))
+    library = compiled.load(
+        bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0")
+    )
+    gaps = compiled.largest_difference(
+        bundle, library, bundle.functions.functions, points(bundle.functions, 60)
+    )
     assert max(gaps.values()) < LIMIT["double"], gaps
 
 
 def test_a_hybrid_in_double(hybrid, library):
     gaps = compiled.largest_difference(
-        hybrid, compiled.load(hybrid, library), hybrid.functions.functions, points(hybrid.functions, 300)
+        hybrid,
+        compiled.load(hybrid, library),
+        hybrid.functions.functions,
+        points(hybrid.functions, 300),
     )
     assert len(gaps) == len(hybrid.manifest["functions"])
     assert max(gaps.values()) < LIMIT["double"], gaps
@@ -83,9 +97,13 @@ def test_a_hybrid_in_double(hybrid, library):
 @pytest.mark.parametrize("kind", ["hybrid", "linear"])
 def test_single_precision(tmp_path, kind):
     model = {"hybrid": cases.hybrid, "linear": cases.linear}[kind]()
-    bundle = write_bundle(model, tmp_path / "single", real="float", with_=("filter", "covariance"), use_cache=False)
+    bundle = write_bundle(
+        model, tmp_path / "single", real="float", with_=("filter", "covariance"), use_cache=False
+    )
     flags = ("-O0", "-Wdouble-promotion")
-    library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", *flags))
+    library = compiled.load(
+        bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", *flags)
+    )
     every = {g.name: g for g in golden_vectors(bundle.functions, 12)}
     for entry in bundle.manifest["functions"]:
         golden = every[entry["name"]]
@@ -103,8 +121,12 @@ def test_single_precision(tmp_path, kind):
 def test_weights_and_mass_change_at_run_time_in_c_too(tmp_path):
     model = cases.hybrid()
     runtime = ("mass", "gp.weights")
-    bundle = write_bundle(model, tmp_path / "rt", targets=("c",), runtime_parameters=runtime, use_cache=False)
-    library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0"))
+    bundle = write_bundle(
+        model, tmp_path / "rt", targets=("c",), runtime_parameters=runtime, use_cache=False
+    )
+    library = compiled.load(
+        bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0")
+    )
     rng, some = np.random.default_rng(4), points(bundle.functions, 20)
     for point in some:
         point["p"] = point["p"] * rng.uniform(0.5, 1.5, point["p"].size)
@@ -117,7 +139,9 @@ def test_weights_and_mass_change_at_run_time_in_c_too(tmp_path):
 def test_every_effect_alone_over_ten_thousand_points(tmp_path, effect):
     bundle = write_bundle(with_effect(effect), tmp_path / "one", targets=("c",), use_cache=False)
     library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib"))
-    gaps = compiled.largest_difference(bundle, library, bundle.functions.functions, points(bundle.functions, 10_000))
+    gaps = compiled.largest_difference(
+        bundle, library, bundle.functions.functions, points(bundle.functions, 10_000)
+    )
     assert max(gaps.values()) < LIMIT["double"], gaps
 
 
@@ -125,10 +149,16 @@ def test_every_effect_alone_over_ten_thousand_points(tmp_path, effect):
 @pytest.mark.parametrize("kernel", ["se", "linear+se", "matern32", "linear+matern52"])
 def test_hybrids_over_ten_thousand_points(tmp_path, kernel):
     bundle = write_bundle(
-        cases.hybrid(50, kernel), tmp_path / "h", targets=("c",), with_=("covariance", "filter"), use_cache=False
+        cases.hybrid(50, kernel),
+        tmp_path / "h",
+        targets=("c",),
+        with_=("covariance", "filter"),
+        use_cache=False,
     )
     library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib"))
-    gaps = compiled.largest_difference(bundle, library, bundle.functions.functions, points(bundle.functions, 10_000))
+    gaps = compiled.largest_difference(
+        bundle, library, bundle.functions.functions, points(bundle.functions, 10_000)
+    )
     assert max(gaps.values()) < LIMIT["double"], gaps
 
 
@@ -139,9 +169,15 @@ def test_hybrids_over_ten_thousand_points(tmp_path, kernel):
 def test_self_test_and_wrapper_compile_strictly_and_pass(hybrid, objects, tmp_path, compiler):
     if compiler not in compiled.COMPILERS:
         pytest.skip(f"{compiler} is not installed")
-    made = objects if compiler == "gcc" else compiled.compile_objects(hybrid, tmp_path, compiler, "-O0")
+    made = (
+        objects
+        if compiler == "gcc"
+        else compiled.compile_objects(hybrid, tmp_path, compiler, "-O0")
+    )
     source = hybrid.folder / "c" / f"{hybrid.name}_selftest.c"
-    subprocess.run([compiler, *STRICT, "-O0", source, *made, "-o", tmp_path / "selftest", "-lm"], check=True)
+    subprocess.run(
+        [compiler, *STRICT, "-O0", source, *made, "-o", tmp_path / "selftest", "-lm"], check=True
+    )
     done = subprocess.run([tmp_path / "selftest"], capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "passed" in done.stdout, done.stdout
 
@@ -151,7 +187,10 @@ def test_no_address_error_and_no_undefined_behaviour(hybrid, tmp_path):
     flags = ["-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-std=c99"]
     source = [hybrid.folder / "c" / f"{hybrid.name}{s}.c" for s in ("", "_model", "_selftest")]
     done = subprocess.run(
-        ["gcc", *flags, *source, "-o", tmp_path / "selftest", "-lm"], capture_output=True, text=True, check=False
+        ["gcc", *flags, *source, "-o", tmp_path / "selftest", "-lm"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if done.returncode and "sanitize" in done.stderr:
         pytest.skip("no sanitizers")
@@ -168,7 +207,10 @@ def test_the_self_test_finds_a_wrong_number(hybrid, objects, tmp_path):
     wrong = text[: place.start(1)] + repr(float(place[1]) + 1e-6) + text[place.end(1) :]
     (tmp_path / f"{name}_selftest.c").write_text(wrong)
     source = [tmp_path / f"{name}_selftest.c", *objects]
-    subprocess.run(["gcc", "-std=c99", "-O0", f"-I{folder}", *source, "-o", tmp_path / "selftest", "-lm"], check=True)
+    subprocess.run(
+        ["gcc", "-std=c99", "-O0", f"-I{folder}", *source, "-o", tmp_path / "selftest", "-lm"],
+        check=True,
+    )
     done = subprocess.run([tmp_path / "selftest"], capture_output=True, text=True, check=False)
     assert done.returncode == 1 and "FAILED" in done.stdout
 
@@ -176,7 +218,11 @@ def test_the_self_test_finds_a_wrong_number(hybrid, objects, tmp_path):
 def test_the_library_has_no_writable_data(hybrid, library):
     symbols = subprocess.run(["nm", library], capture_output=True, text=True, check=True).stdout
     own = [line.split() for line in symbols.splitlines()]
-    writable = [w[-1] for w in own if len(w) == 3 and w[1] in "bBdD" and not w[-1].startswith(("_", "completed", "__"))]
+    writable = [
+        w[-1]
+        for w in own
+        if len(w) == 3 and w[1] in "bBdD" and not w[-1].startswith(("_", "completed", "__"))
+    ]
     assert writable == []
     needed = {w[-1].split("@")[0] for w in own if w[0] == "U"}
     assert not needed & {"malloc", "free", "calloc", "printf", "fprintf", "puts"}
@@ -187,10 +233,22 @@ def test_cpp_takes_the_header(hybrid, objects, tmp_path):
         pytest.skip("C++ compiler is not installed")
     folder, name = hybrid.folder / "c", hybrid.name
     done = subprocess.run(
-        ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", folder / f"{name}_example.cpp", *objects, "-o",
-         tmp_path / "example", "-lm"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [
+            "g++",
+            "-std=c++17",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            folder / f"{name}_example.cpp",
+            *objects,
+            "-o",
+            tmp_path / "example",
+            "-lm",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr[:2000]
     done = subprocess.run([tmp_path / "example"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
@@ -226,12 +284,24 @@ def test_return_codes_tell_what_is_wrong(hybrid, objects, tmp_path):
     text = CODES.replace("NAME", name).replace("UP_", f"{name.upper()}_")
     (tmp_path / "codes.c").write_text(text)
     source = [tmp_path / "codes.c", *objects]
-    command = ["gcc", "-std=c99", "-O0", "-w", f"-I{folder}", *source, "-o", tmp_path / "codes", "-lm"]
+    command = [
+        "gcc",
+        "-std=c99",
+        "-O0",
+        "-w",
+        f"-I{folder}",
+        *source,
+        "-o",
+        tmp_path / "codes",
+        "-lm",
+    ]
     subprocess.run(command, check=True)
     done = subprocess.run([tmp_path / "codes"], capture_output=True, text=True, check=False)
     assert done.returncode == 0
     assert done.stdout.split() == ["0", "1", "1", "2", "0", "3"]
-    wrong = subprocess.run([*command, f"-D{name.upper()}_EXPECTED_ABI=1u"], capture_output=True, text=True, check=False)
+    wrong = subprocess.run(
+        [*command, f"-D{name.upper()}_EXPECTED_ABI=1u"], capture_output=True, text=True, check=False
+    )
     assert wrong.returncode != 0
     assert "another layout" in wrong.stderr
 
@@ -260,7 +330,16 @@ def test_a_missing_measurement_may_be_nan_and_a_wrong_one_may_not(hybrid, object
     text = MISSING.replace("NAME", hybrid.name).replace("UP_", f"{hybrid.name.upper()}_")
     (tmp_path / "missing.c").write_text(text)
     source = [tmp_path / "missing.c", *objects]
-    command = ["gcc", "-std=c99", "-O0", f"-I{hybrid.folder / 'c'}", *source, "-o", tmp_path / "missing", "-lm"]
+    command = [
+        "gcc",
+        "-std=c99",
+        "-O0",
+        f"-I{hybrid.folder / 'c'}",
+        *source,
+        "-o",
+        tmp_path / "missing",
+        "-lm",
+    ]
     subprocess.run(command, check=True)
     done = subprocess.run([tmp_path / "missing"], capture_output=True, text=True, check=False)
     assert done.returncode == 0 and done.stdout.split() == ["0", "0", "3"]
@@ -268,13 +347,18 @@ def test_a_missing_measurement_may_be_nan_and_a_wrong_one_may_not(hybrid, object
 
 def test_the_layout_number_knows_every_order(hybrid):
     functions = hybrid.functions
-    source = write_c(list(functions.functions.values())[:2], hybrid.folder.parent / "abi", prefix="abi")
+    source = write_c(
+        list(functions.functions.values())[:2], hybrid.folder.parent / "abi", prefix="abi"
+    )
     number = abi_number(functions, source)
     assert abi_number(functions, source) == number
     for name in ("innovations", "features", "learned", "targets"):
         other = replace(functions, **{name: Layout(list(getattr(functions, name))[::-1])})
         assert abi_number(other, source) != number, name
-    assert abi_number(replace(functions, covariance_names=functions.covariance_names[::-1]), source) != number
+    assert (
+        abi_number(replace(functions, covariance_names=functions.covariance_names[::-1]), source)
+        != number
+    )
 
 
 @pytest.mark.slow
@@ -283,11 +367,21 @@ def test_cmake_builds_tests_and_installs(hybrid, tmp_path):
         pytest.skip("no cmake")
     build = tmp_path / "build"
     subprocess.run(
-        ["cmake", "-S", hybrid.folder / "c", "-B", build, f"-DCMAKE_INSTALL_PREFIX={tmp_path / 'in'}"],
-        check=True, capture_output=True,
-    )  # fmt: skip
+        [
+            "cmake",
+            "-S",
+            hybrid.folder / "c",
+            "-B",
+            build,
+            f"-DCMAKE_INSTALL_PREFIX={tmp_path / 'in'}",
+        ],
+        check=True,
+        capture_output=True,
+    )
     subprocess.run(["cmake", "--build", build], check=True, capture_output=True)
-    subprocess.run(["ctest", "--test-dir", build, "--output-on-failure"], check=True, capture_output=True)
+    subprocess.run(
+        ["ctest", "--test-dir", build, "--output-on-failure"], check=True, capture_output=True
+    )
     subprocess.run(["cmake", "--install", build], check=True, capture_output=True)
     made = {p.name for p in (tmp_path / "in").rglob("*") if p.is_file()}
     assert {"lib" + hybrid.name + ".a", f"{hybrid.name}.pc", f"{hybrid.name}_model.h"} <= made

@@ -1,4 +1,5 @@
-"""Generated C computes what CasADi computes, compiles strictly, keeps no state, and in float holds no double arithmetic."""
+"""Generated C computes what CasADi computes, compiles strictly, keeps no state, and in float holds
+no double arithmetic."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ pytestmark = pytest.mark.skipif(not COMPILERS, reason="C compiler is not install
 
 
 def functions() -> list[Any]:
-    """Dense and sparse products of both directions, scalar and vector calls, a nested function, constants of all sizes."""
+    """Dense and sparse products of both directions, scalar and vector calls, a nested function,
+    constants of all sizes."""
     rng = np.random.default_rng(0)
     a, b = rng.standard_normal((23, 11)), rng.standard_normal((23, 3))
     sparse = ca.sparsify(ca.DM(np.tril(rng.standard_normal((11, 11)))))
@@ -30,7 +32,14 @@ def functions() -> list[Any]:
     inner = ca.Function(
         "inner",
         [s],
-        [ca.vertcat(ca.atan2(s[0], s[1] + 1e-300), ca.fmax(s[3:], 0.5), ca.sqrt(s[3] ** 2 + 1), ca.floor(s[4]))],
+        [
+            ca.vertcat(
+                ca.atan2(s[0], s[1] + 1e-300),
+                ca.fmax(s[3:], 0.5),
+                ca.sqrt(s[3] ** 2 + 1),
+                ca.floor(s[4]),
+            )
+        ],
         {"never_inline": True},
     )
     x, y = ca.MX.sym("x", 11), ca.MX.sym("y", 23, 3)
@@ -47,7 +56,9 @@ def functions() -> list[Any]:
         ["x", "y"],
         ["far", "near", "lower", "turned", "gaps"],
     )
-    second = ca.Function("first_n", [x], [ca.tanh(x) * ca.DM(b[:11, 0]), ca.DM(a).T @ (ca.DM(a) @ ca.cos(x))])
+    second = ca.Function(
+        "first_n", [x], [ca.tanh(x) * ca.DM(b[:11, 0]), ca.DM(a).T @ (ca.DM(a) @ ca.cos(x))]
+    )
     return [first, second]
 
 
@@ -63,7 +74,16 @@ def single(tmp_path_factory: pytest.TempPathFactory) -> CSource:
 
 def library(source: CSource, *flags: str, cc: str = COMPILERS[0] if COMPILERS else "cc") -> Path:
     out = source.source.with_suffix(".so")
-    command = [cc, *(flags or ("-std=c99", "-O2")), "-fPIC", "-shared", "-o", str(out), str(source.source), "-lm"]
+    command = [
+        cc,
+        *(flags or ("-std=c99", "-O2")),
+        "-fPIC",
+        "-shared",
+        "-o",
+        str(out),
+        str(source.source),
+        "-lm",
+    ]
     subprocess.run(command, check=True, capture_output=True)
     return out
 
@@ -76,13 +96,17 @@ def test_c_equals_casadi(double: CSource) -> None:
         for scale in (0.1, 3.0):
             args = [scale * rng.standard_normal(f.size_in(i)) for i in range(f.n_in())]
             for got, want in zip(c.call(args), f.call(args)):
-                assert np.abs(np.asarray(got - want)).max() <= 1e-12 * max(1.0, np.abs(np.asarray(want)).max())
+                assert np.abs(np.asarray(got - want)).max() <= 1e-12 * max(
+                    1.0, np.abs(np.asarray(want)).max()
+                )
 
 
 @pytest.mark.parametrize("cc", COMPILERS)
 @pytest.mark.parametrize("kind", ["double", "single"])
 @pytest.mark.parametrize("level", ["-O0", "-O3"])
-def test_source_compiles_strictly(cc: str, kind: str, level: str, request: pytest.FixtureRequest) -> None:
+def test_source_compiles_strictly(
+    cc: str, kind: str, level: str, request: pytest.FixtureRequest
+) -> None:
     source: CSource = request.getfixturevalue(kind)
     done = subprocess.run(
         [cc, *STRICT_FLAGS, level, "-c", str(source.source), "-o", "/dev/null"],
@@ -98,17 +122,22 @@ def test_the_header_is_taken_by_cpp(double: CSource) -> None:
     user = double.source.with_name("user.cpp")
     user.write_text(
         f'#include "{double.header.name}"\n'
-        "int main() { return demo_first(nullptr, nullptr, nullptr, nullptr, 0) + DEMO_FIRST_SZ_W; }\n"
+        "int main() { return demo_first(nullptr, nullptr, nullptr, nullptr, 0) + DEMO_FIRST_SZ_W; "
+        "}\n"
     )
     subprocess.run(["g++", "-Wall", "-Werror", "-c", str(user), "-o", "/dev/null"], check=True)
 
 
 def symbols(path: Path) -> list[tuple[str, str]]:
     text = subprocess.run(["nm", str(path)], capture_output=True, text=True, check=True).stdout
-    return [(m[1], m[2]) for m in re.finditer(r"^[0-9a-f ]{16,17} ?(\w) (\S+)$", text, re.MULTILINE)]
+    return [
+        (m[1], m[2]) for m in re.finditer(r"^[0-9a-f ]{16,17} ?(\w) (\S+)$", text, re.MULTILINE)
+    ]
 
 
-def test_nothing_that_changes_is_stored_and_nothing_but_libm_is_called(double: CSource, tmp_path: Path) -> None:
+def test_nothing_that_changes_is_stored_and_nothing_but_libm_is_called(
+    double: CSource, tmp_path: Path
+) -> None:
     out = tmp_path / "x.o"
     subprocess.run(["gcc", "-std=c99", "-O0", "-c", str(double.source), "-o", str(out)], check=True)
     found = symbols(out)
@@ -125,9 +154,23 @@ def test_float_objects_hold_no_double_arithmetic(single: CSource, tmp_path: Path
     out = tmp_path / "x.o"
     subprocess.run(["gcc", "-std=c99", "-O1", "-c", str(single.source), "-o", str(out)], check=True)
     called = {n for kind, n in symbols(out) if kind == "U"}
-    assert called <= {"atan2f", "expf", "fmaxf", "sqrtf", "floorf", "tanhf", "cosf", "memset", "memcpy"}
-    code = subprocess.run(["objdump", "-d", str(out)], capture_output=True, text=True, check=True).stdout
-    if "xmm" in code:  # x86: conversions and arithmetic of scalar and packed doubles end in sd and pd
+    assert called <= {
+        "atan2f",
+        "expf",
+        "fmaxf",
+        "sqrtf",
+        "floorf",
+        "tanhf",
+        "cosf",
+        "memset",
+        "memcpy",
+    }
+    code = subprocess.run(
+        ["objdump", "-d", str(out)], capture_output=True, text=True, check=True
+    ).stdout
+    if (
+        "xmm" in code
+    ):  # x86: conversions and arithmetic of scalar and packed doubles end in sd and pd
         assert not re.search(r"\b(cvt\w*[sp]d\w*|(?:add|mul|sub|div|sqrt)[sp]d)\b", code)
 
 
@@ -152,9 +195,13 @@ def test_float_agrees_to_its_precision(single: CSource) -> None:
 
 
 def test_literals_and_calls_become_float_ones() -> None:
-    text = "a = 2.*b + 1.5e-3 - exp(x[10]) * casadi_exp(3) + 1e-300 + 1e308; /* 2.5 exp( */\n#define P 2.5\nq = y1e5;"
+    text = (
+        "a = 2.*b + 1.5e-3 - exp(x[10]) * casadi_exp(3) + 1e-300 + 1e308; /* 2.5 exp( "
+        "*/\n#define P 2.5\nq = y1e5;"
+    )
     assert single_precision(text) == (
-        "a = 2.f*b + 1.5e-3f - expf(x[10]) * casadi_exp(3) + 0.f + INFINITY; /* 2.5 exp( */\n#define P 2.5\nq = y1e5;"
+        "a = 2.f*b + 1.5e-3f - expf(x[10]) * casadi_exp(3) + 0.f + INFINITY; /* 2.5 exp( "
+        "*/\n#define P 2.5\nq = y1e5;"
     )
 
 
@@ -165,8 +212,10 @@ class Twice:
 
     def c_source(self, symbol: str, real: str) -> tuple[dict[str, str], str]:
         return {"two": "static const casadi_real two = 2.0;\n"}, (
-            f"static int {symbol}(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {{\n"
-            "  int i;\n  if (res[0]) for (i = 0; i < 11; ++i) res[0][i] = two*arg[0][i];\n  return 0;\n}\n"
+            f"static int {symbol}(const casadi_real** arg, casadi_real** res, casadi_int* iw, "
+            f"casadi_real* w, int mem) {{\n"
+            "  int i;\n  if (res[0]) for (i = 0; i < 11; ++i) res[0][i] = two*arg[0][i];\n  return "
+            "0;\n}\n"
         )
 
 
@@ -188,6 +237,8 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="twice"):
         write_c([f, f], tmp_path, prefix="x")
     x = ca.MX.sym("x")
-    solver = ca.qpsol("solver", "qrqp", {"x": x, "f": (x - 1) ** 2}, {"print_iter": False, "print_header": False})
+    solver = ca.qpsol(
+        "solver", "qrqp", {"x": x, "f": (x - 1) ** 2}, {"print_iter": False, "print_header": False}
+    )
     with pytest.raises(ModelError, match="stdio"):
         write_c([ca.Function("f", [x], [solver(lbx=0, ubx=x)["x"]])], tmp_path, prefix="x")

@@ -1,4 +1,5 @@
-"""The Gaussian process in our own C gives what its CasADi expressions give: every kernel, near the data and far away."""
+"""The Gaussian process in our own C gives what its CasADi expressions give: every kernel, near the
+data and far away."""
 
 from __future__ import annotations
 
@@ -27,10 +28,16 @@ pytestmark = pytest.mark.skipif(not COMPILERS, reason="C compiler is not install
 
 
 def posterior(
-    names: tuple[str, ...], *, points: int = 21, method: str = "sgpr", silent: tuple[int, ...] = (), noise: float = 0.01,
+    names: tuple[str, ...],
+    *,
+    points: int = 21,
+    method: str = "sgpr",
+    silent: tuple[int, ...] = (),
+    noise: float = 0.01,
     inputs: int = 4,
-) -> GPPosterior:  # fmt: skip
-    """One output per kernel name ("same" shares the one before); inputs and outputs scaled and shifted."""
+) -> GPPosterior:
+    """One output per kernel name ("same" shares the one before); inputs and outputs scaled and
+    shifted."""
     n_in, rng = inputs, np.random.default_rng(7)
     x = rng.standard_normal((200, n_in))
     kernels: list[Kernel] = []
@@ -48,7 +55,10 @@ def posterior(
                 reach=np.full(n_in, 4.0) if linear else None,
             )
         )
-    y = [np.sin(x[:, j % n_in]) + 0.5 * x[:, 0] + 0.1 * rng.standard_normal(200) for j in range(len(names))]
+    y = [
+        np.sin(x[:, j % n_in]) + 0.5 * x[:, 0] + 0.1 * rng.standard_normal(200)
+        for j in range(len(names))
+    ]
     if method == "exact":
         numbers = [sparse.exact(k, x[:points].T, v[:points], noise) for k, v in zip(kernels, y)]
     else:
@@ -107,7 +117,10 @@ def largest_difference(kernel: GPKernel, library: Path, points: list[Any]) -> fl
     """Over all results, relative to the largest value of each."""
     c, f = ca.external(f"m_{kernel.name}", str(library)), kernel.function()
     pairs = [
-        (np.asarray(ca.vertcat(*map(ca.vec, c.call([z])))), np.asarray(ca.vertcat(*map(ca.vec, f.call([z])))))
+        (
+            np.asarray(ca.vertcat(*map(ca.vec, c.call([z])))),
+            np.asarray(ca.vertcat(*map(ca.vec, f.call([z])))),
+        )
         for z in points
     ]
     got, want = (np.hstack(v) for v in zip(*pairs))
@@ -133,7 +146,12 @@ def test_every_kind_equals_its_expressions(case: str, tmp_path: Path) -> None:
         GPKernel(name="gp_mean", posterior=gp, which=("mean",)),
         GPKernel(name="gp_jac", posterior=gp, which=("mean", "mean_jacobian")),
         GPKernel(name="gp_all", posterior=gp, which=ALL),
-        GPKernel(name="gp_far", posterior=gp, which=("distance", "variance_jacobian", "variance"), noise=True),
+        GPKernel(
+            name="gp_far",
+            posterior=gp,
+            which=("distance", "variance_jacobian", "variance"),
+            noise=True,
+        ),
         GPKernel(name="gp_new", posterior=gp, which=("variance",), noise="flight"),
     ]
     source = write_c([k.function() for k in kernels], tmp_path, prefix="m", kernels=kernels)
@@ -145,9 +163,17 @@ def test_every_kind_equals_its_expressions(case: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("cc", COMPILERS)
 @pytest.mark.parametrize(
-    "flags", [("-O0",), ("-O3", "-U__SSE2__"), ("-O2", "-mavx2", "-mfma"), ("-fsanitize=undefined,address", "-g")]
+    "flags",
+    [
+        ("-O0",),
+        ("-O3", "-U__SSE2__"),
+        ("-O2", "-mavx2", "-mfma"),
+        ("-fsanitize=undefined,address", "-g"),
+    ],
 )
-def test_every_width_of_vectors_gives_the_same(cc: str, flags: tuple[str, ...], tmp_path: Path) -> None:
+def test_every_width_of_vectors_gives_the_same(
+    cc: str, flags: tuple[str, ...], tmp_path: Path
+) -> None:
     """Compiled strictly by both compilers; run as a program, so that the sanitisers can watch."""
     if "-mavx2" in flags and "avx2" not in Path("/proc/cpuinfo").read_text():
         pytest.skip("this processor has no AVX2")
@@ -164,7 +190,8 @@ def test_every_width_of_vectors_gives_the_same(cc: str, flags: tuple[str, ...], 
         '#include <stdio.h>\n#include "m.h"\nint main(void) {\n'
         f"  static const double z[] = {{{', '.join(map(repr, map(float, z)))}}};\n"
         f"  double r[{sum(sizes)}], w[M_GP_ALL_SZ_W + 1];\n  m_int iw[M_GP_ALL_SZ_IW + 1];\n"
-        "  const double* arg[M_GP_ALL_SZ_ARG] = {z};\n  double* res[M_GP_ALL_SZ_RES] = {0};\n  int i;\n"
+        "  const double* arg[M_GP_ALL_SZ_ARG] = {z};\n  double* res[M_GP_ALL_SZ_RES] = {0};\n  int "
+        "i;\n"
         + "".join(f"  res[{i}] = r + {sum(sizes[:i])};\n" for i in range(len(sizes)))
         + "  if (m_gp_all(arg, res, iw, w, 0)) return 1;\n"
         f'  for (i = 0; i < {sum(sizes)}; ++i) printf("%.17g\\n", r[i]);\n  return 0;\n}}\n'
@@ -188,7 +215,10 @@ def test_the_merged_factor_is_the_difference_of_the_two() -> None:
     assert np.array_equal(merged, np.tril(merged))
     want = first.T @ first - second.T @ second
     np.testing.assert_allclose(merged.T @ merged, want, atol=1e-9 * np.abs(first.T @ first).max())
-    assert merged_factor(first, 3.0 * second) is None or np.linalg.norm(3.0 * second @ np.linalg.inv(first), 2) <= 1.0
+    assert (
+        merged_factor(first, 3.0 * second) is None
+        or np.linalg.norm(3.0 * second @ np.linalg.inv(first), 2) <= 1.0
+    )
 
 
 def test_nearly_singular_covariances_keep_the_variance() -> None:
@@ -216,23 +246,40 @@ def test_a_gp_inside_another_function_is_replaced(tmp_path: Path) -> None:
     assert source.kernels == ("gp_jac",)
     c = ca.external("m_outer", str(compiled(source)))
     for point in inputs(gp, 20):
-        np.testing.assert_allclose(np.asarray(c(point)), np.asarray(f(point)), rtol=1e-11, atol=1e-12)
+        np.testing.assert_allclose(
+            np.asarray(c(point)), np.asarray(f(point)), rtol=1e-11, atol=1e-12
+        )
 
 
 def test_weights_and_silent_outputs_can_come_from_the_call(tmp_path: Path) -> None:
-    """p holds three other numbers, then the weights column by column; outputs that are off have no variance."""
+    """p holds three other numbers, then the weights column by column; outputs that are off have no
+    variance."""
     gp = CASES["silent"]
-    kernel = GPKernel(name="gp", posterior=gp, which=("mean", "variance", "mean_jacobian"), weights=(1, 3), silent=True)
+    kernel = GPKernel(
+        name="gp",
+        posterior=gp,
+        which=("mean", "variance", "mean_jacobian"),
+        weights=(1, 3),
+        silent=True,
+    )
     z, p = ca.MX.sym("z", 4), ca.MX.sym("p", 3 + gp.weights.size)
     f = ca.Function("gp", [z, p], [ca.MX(3, 1), ca.MX(3, 1), ca.MX(3, 4)])
-    f = ca.Function("gp", [z, p], [ca.densify(ca.sin(v)) + p[0] for v in (z[:3], z[:3], ca.repmat(z[:3], 1, 4))])
+    f = ca.Function(
+        "gp", [z, p], [ca.densify(ca.sin(v)) + p[0] for v in (z[:3], z[:3], ca.repmat(z[:3], 1, 4))]
+    )
     c = ca.external("m_gp", str(compiled(write_c([f], tmp_path, prefix="m", kernels=[kernel]))))
     weights = 2.0 * gp.weights
     twice = replace(gp, weights=weights)
     for point in inputs(gp, 10):
-        mean, variance, slope = c(point, np.concatenate([[9.0, 9.0, 9.0], weights.ravel(order="F")]))
-        np.testing.assert_allclose(np.asarray(mean), np.asarray(twice.mean(point)), rtol=1e-11, atol=1e-12)
-        np.testing.assert_allclose(np.asarray(slope), np.asarray(twice.mean_jacobian(point)), rtol=1e-10, atol=1e-12)
+        mean, variance, slope = c(
+            point, np.concatenate([[9.0, 9.0, 9.0], weights.ravel(order="F")])
+        )
+        np.testing.assert_allclose(
+            np.asarray(mean), np.asarray(twice.mean(point)), rtol=1e-11, atol=1e-12
+        )
+        np.testing.assert_allclose(
+            np.asarray(slope), np.asarray(twice.mean_jacobian(point)), rtol=1e-10, atol=1e-12
+        )
         want = np.asarray(gp.variance(point)).ravel() * [1.0, 0.0, 1.0]
         np.testing.assert_allclose(np.asarray(variance).ravel(), want, rtol=1e-11, atol=1e-12)
 
@@ -260,9 +307,17 @@ def test_float_is_right_to_a_few_of_its_digits(tmp_path: Path) -> None:
     gp = posterior(("se", "linear+se", "matern52"), points=30, noise=0.1)
     kernel = GPKernel(name="gp_all", posterior=gp, which=ALL)
     source = write_c([kernel.function()], tmp_path, prefix="m", kernels=[kernel], real="float")
-    subprocess.run(["gcc", *STRICT_FLAGS, "-c", str(source.source), "-o", str(tmp_path / "x.o")], check=True)
-    names = subprocess.run(["nm", str(tmp_path / "x.o")], capture_output=True, text=True, check=True).stdout
-    assert {line.split()[-1] for line in names.splitlines() if " U " in line} <= {"sqrtf", "memset", "memcpy"}
+    subprocess.run(
+        ["gcc", *STRICT_FLAGS, "-c", str(source.source), "-o", str(tmp_path / "x.o")], check=True
+    )
+    names = subprocess.run(
+        ["nm", str(tmp_path / "x.o")], capture_output=True, text=True, check=True
+    ).stdout
+    assert {line.split()[-1] for line in names.splitlines() if " U " in line} <= {
+        "sqrtf",
+        "memset",
+        "memcpy",
+    }
     run, f = ctypes.CDLL(str(compiled(source))).m_gp_all, source.functions[0]
     pointer = ctypes.POINTER(ctypes.c_float)
     casadi = kernel.function()
@@ -275,7 +330,10 @@ def test_float_is_right_to_a_few_of_its_digits(tmp_path: Path) -> None:
         assert run(arg, res, None, (ctypes.c_float * (f.sz_w + 1))(), 0) == 0
         for i, (o, v) in enumerate(zip(out, casadi.call([z.astype(float)]))):
             want = np.asarray(v).ravel(order="F")
-            worst[i], size[i] = max(worst[i], np.abs(o - want).max()), max(size[i], np.abs(want).max())
+            worst[i], size[i] = (
+                max(worst[i], np.abs(o - want).max()),
+                max(size[i], np.abs(want).max()),
+            )
     assert (worst <= 1e-4 * size).all(), worst / size
 
 

@@ -23,7 +23,9 @@ _missing = cortex.missing_tool()
 pytestmark = pytest.mark.skipif(_missing is not None, reason=f"{_missing} is not installed")
 
 
-def assert_close(run: cortex.CortexRun, function: Any, arguments: list[Any], tolerance: float) -> None:
+def assert_close(
+    run: cortex.CortexRun, function: Any, arguments: list[Any], tolerance: float
+) -> None:
     """Every result to `tolerance` of its largest value, given arguments as they are after rounding to float."""
     rounded = [np.asarray(a, dtype=np.float32).astype(float) for a in arguments]
     for got, want in zip(run.results[function.name()], function.call(rounded)):
@@ -47,7 +49,9 @@ def test_fifty_points_fit_a_small_part(tmp_path: Path) -> None:
 
 def test_a_hybrid_step_runs_with_its_jacobians(tmp_path: Path) -> None:
     model = HybridModel(inner=craft(), posterior=push(craft(), points=12))
-    kernel = GPKernel(name="gp_mean_jac", posterior=model.posterior, which=("mean", "mean_jacobian"))
+    kernel = GPKernel(
+        name="gp_mean_jac", posterior=model.posterior, which=("mean", "mean_jacobian")
+    )
     step = rk4(derivative(model, learned=kernel.function()), 0.02)
     source = write_c([step], tmp_path, prefix="m", kernels=[kernel], real="float")
     assert cortex.double_helpers(source, tmp_path) == []

@@ -19,7 +19,9 @@ def test_the_loop_runs_and_every_step_is_solved(kind):
     model = load(consumers.bundle(kind), ("f_d", "boxplus"))
     x = hover(model).start
     for u in got["inputs"]:
-        assert np.all(np.array(u) >= model.lower - 1e-9) and np.all(np.array(u) <= model.upper + 1e-9)
+        assert np.all(np.array(u) >= model.lower - 1e-9) and np.all(
+            np.array(u) <= model.upper + 1e-9
+        )
         x = model["f_d"](x, u, model.parameter_values).full().ravel()
     np.testing.assert_allclose(got["state"], x, rtol=1e-10, atol=1e-10)
 

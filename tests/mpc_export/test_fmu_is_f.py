@@ -30,7 +30,9 @@ def test_its_description_is_valid_and_names_everything():
     )
     assert description.fmiVersion == "3.0"
     known = {v.name: v for v in description.modelVariables}
-    assert set(model.states[: model.own_states]) | set(model.inputs) | {"mass", "y.az"} <= set(known)
+    assert set(model.states[: model.own_states]) | set(model.inputs) | {"mass", "y.az"} <= set(
+        known
+    )
     assert float(known["mass"].start) == pytest.approx(float(model.parameter_values[0]))
     assert known["mass"].causality == "parameter"
     assert description.numberOfContinuousStates == model.own_states

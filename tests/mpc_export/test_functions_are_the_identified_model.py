@@ -62,37 +62,51 @@ def test_f_d_and_h_are_the_models_own_step_and_output(kind):
     x, p = ca.SX.sym("x", len(dynamics.states)), ca.SX.sym("p", len(dynamics.parameters))
     u = ca.SX.sym("u", len(dynamics.inputs), past + 1 + future)
     w = np.zeros(len(dynamics.noises))
-    own = ca.Function("own", [x, u, p], [getattr(dynamics, n)(0, x, u, p, w, functions.dt) for n in ("step", "output")])
+    own = ca.Function(
+        "own",
+        [x, u, p],
+        [getattr(dynamics, n)(0, x, u, p, w, functions.dt) for n in ("step", "output")],
+    )
     values = functions.sampled.values
     vector = [values[d.name] for d in dynamics.parameters]
     rng = np.random.default_rng(1)
     for _ in range(20):
         point = cases.point(functions, rng)
         after, y = (
-            v.full().ravel() for v in own(point["x"][: functions.own_states], own_window(functions, point), vector)
+            v.full().ravel()
+            for v in own(point["x"][: functions.own_states], own_window(functions, point), vector)
         )
         got = call(functions, "f_d", point)["x_next"].ravel()
         np.testing.assert_allclose(got[: after.size], after, rtol=1e-12, atol=1e-13)
-        np.testing.assert_allclose(call(functions, "h", point)["y"].ravel(), y, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(
+            call(functions, "h", point)["y"].ravel(), y, rtol=1e-12, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("kind", ["physics", "linear"])
 def test_history_states_shift_the_commands(kind):
     functions = exported(kind)
-    assert functions.delay == ({"u1": 2, "u2": 2, "u3": 2, "u4": 2} if kind == "physics" else {"u": 2})
+    assert functions.delay == (
+        {"u1": 2, "u2": 2, "u3": 2, "u4": 2} if kind == "physics" else {"u": 2}
+    )
     point = cases.point(functions, np.random.default_rng(2))
     after = call(functions, "f_d", point)["x_next"].ravel()
     names = functions.states.names
     for name, steps in functions.delay.items():
         assert after[names.index(f"history.{name}.1")] == point["u"][functions.inputs[name]]
         for lag in range(2, steps + 1):
-            assert after[names.index(f"history.{name}.{lag}")] == point["x"][names.index(f"history.{name}.{lag - 1}")]
+            assert (
+                after[names.index(f"history.{name}.{lag}")]
+                == point["x"][names.index(f"history.{name}.{lag - 1}")]
+            )
 
 
 def test_a_delay_of_whole_samples_needs_no_more_history_than_its_length():
     lengths = {}
     for delay in (0.0, 0.02):
-        model = replace(cases.physics(delay), covariance_names=("mass",), covariance=np.array([[1e-8]]))
+        model = replace(
+            cases.physics(delay), covariance_names=("mass",), covariance=np.array([[1e-8]])
+        )
         lengths[delay] = model_functions(model).delay.get("u1", 0)
     assert lengths == {0.0: 0, 0.02: 2}
 
@@ -111,8 +125,11 @@ def test_jacobians_are_the_slopes(kind):
         return point[variable] + direction
 
     for name, error, first in (
-        ("f_d_jac", True, "x_next"), ("f_d_jac_raw", False, "x_next"), ("h_jac_raw", False, "y"), ("f_jac_raw", False, "dx"),
-    ):  # fmt: skip
+        ("f_d_jac", True, "x_next"),
+        ("f_d_jac_raw", False, "x_next"),
+        ("h_jac_raw", False, "y"),
+        ("f_jac_raw", False, "dx"),
+    ):
         if name not in functions.functions:
             assert kind == "linear" and name == "f_jac_raw"
             continue
@@ -122,7 +139,9 @@ def test_jacobians_are_the_slopes(kind):
         got = call(functions, name, base)
         slopes = list(got.values())[1:]
         for variable, slope in zip("xup", slopes, strict=True):
-            size = {"p": np.maximum(np.abs(point["p"]), 1e-3)}.get(variable, np.ones(slope.shape[1]))
+            size = {"p": np.maximum(np.abs(point["p"]), 1e-3)}.get(
+                variable, np.ones(slope.shape[1])
+            )
             for j in rng.permutation(slope.shape[1])[:25]:
                 direction = np.zeros(slope.shape[1])
                 direction[j] = eps * size[j]
@@ -147,7 +166,9 @@ def test_the_filter_is_the_identified_one(kind):
     functions, model = exported(kind), KINDS[kind]()
     runner = Filter(model, use_compiler=False)
     n = functions.own_error_states
-    np.testing.assert_allclose(functions.noise.covariance[:n, :n], runner.riccati.P, rtol=1e-6, atol=1e-14)
+    np.testing.assert_allclose(
+        functions.noise.covariance[:n, :n], runner.riccati.P, rtol=1e-6, atol=1e-14
+    )
     rng = np.random.default_rng(5)
     for _ in range(5):
         point = cases.point(functions, rng)
@@ -157,7 +178,10 @@ def test_the_filter_is_the_identified_one(kind):
         np.testing.assert_allclose(found["S"], s, atol=1e-12 * s.max())
         np.testing.assert_allclose(found["K"][:n], gain, atol=1e-8 * np.abs(gain).max())
         x, window, y = point["x"][: functions.own_states], own_window(functions, point), point["y"]
-        after, e, y_hat = (v.full().ravel() for v in runner.engine.value(x, window, y, model.parameter_vector(), 0.01))
+        after, e, y_hat = (
+            v.full().ravel()
+            for v in runner.engine.value(x, window, y, model.parameter_vector(), 0.01)
+        )
         corrected = runner.engine.move(after, gain @ (e * there)).full().ravel()
         step = call(functions, "filter_step", point)
         np.testing.assert_allclose(step["e"].ravel(), e, atol=1e-11)
@@ -187,7 +211,9 @@ def test_the_filter_of_a_linear_model_is_its_innovation_form():
     x = point["x"][:3]
     e = point["y"] - (m.c @ x + m.d @ u + model.output_offset)
     want = m.a @ x + m.b @ u + m.k @ e
-    np.testing.assert_allclose(call(functions, "filter_step", point)["x_next"].ravel()[:3], want, atol=1e-12)
+    np.testing.assert_allclose(
+        call(functions, "filter_step", point)["x_next"].ravel()[:3], want, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("kind", ["physics", "hybrid"])
@@ -201,26 +227,44 @@ def test_uncertainty_travels_as_greybox_propagates_it(kind):
     record = _Record(inputs=commands, n=horizon + 2, dt=0.01)
     always = np.ones(len(model.dynamics.innovations))
     settled = RecordGains(
-        solutions=(runner.riccati,), rows=((0, always),), pattern=np.zeros(horizon + 2, dtype=np.int32)
+        solutions=(runner.riccati,),
+        rows=((0, always),),
+        pattern=np.zeros(horizon + 2, dtype=np.int32),
     )
     filtered = Filtered(
-        record=record, states=np.tile(start, (horizon + 2, 1)), innovations=np.zeros((1, 1)), outputs=np.zeros((1, 1)),
-        covariance=np.zeros((1, 1, 1)), p=model.parameter_vector(), gains=settled,
-    )  # fmt: skip
+        record=record,
+        states=np.tile(start, (horizon + 2, 1)),
+        innovations=np.zeros((1, 1)),
+        outputs=np.zeros((1, 1)),
+        covariance=np.zeros((1, 1, 1)),
+        p=model.parameter_vector(),
+        gains=settled,
+    )
     ahead = list(Propagator(runner, use_compiler=False).run(filtered, np.array([0]), horizon))
     n, size = functions.own_error_states, functions.sizes
     x = np.concatenate([start, *(commands[past + 1 - lag] for lag in (1, 2))])
     values = {"S": functions.noise.covariance.copy(), "K": np.zeros((size["n_u"], size["n_d"]))}
-    values |= {"c": np.zeros((size["n_d"], size["n_g"])), "b": np.zeros((size["n_d"], size["n_theta"]))}
+    values |= {
+        "c": np.zeros((size["n_d"], size["n_g"])),
+        "b": np.zeros((size["n_d"], size["n_theta"])),
+    }
     # greybox takes B_d at the reference point, the exported step where the path is: put the former into the latter.
-    reference = {"x": functions.reference[0], "u": functions.reference[1], "p": functions.parameter_values}
+    reference = {
+        "x": functions.reference[0],
+        "u": functions.reference[1],
+        "p": functions.parameter_values,
+    }
     far = call(functions, "B_d", reference)["B_d"] if kind == "hybrid" else None
     for h in range(1, horizon):
         point = {"x": x, "u": commands[past + h], "p": functions.parameter_values, **values}
         found = call(functions, "consider_step", point)
         if far is not None:
             here = call(functions, "B_d", point)["B_d"]
-            deviation = np.sqrt(functions["gp_variance"](call(functions, "gp_features", point)["z"], []).full().ravel())
+            deviation = np.sqrt(
+                functions["gp_variance"](call(functions, "gp_features", point)["z"], [])
+                .full()
+                .ravel()
+            )
             found["c_next"] = found["c_next"] + (far - here) * deviation
         x = call(functions, "f_d", point)["x_next"].ravel()
         values |= {k.removesuffix("_next"): v for k, v in found.items() if k.endswith("_next")}
@@ -242,9 +286,13 @@ def test_covariance_steps_are_the_formula():
     learned = b_d @ np.diag(variance) @ b_d.T
     open_loop = jac["A"] @ point["S"] @ jac["A"].T + learned + functions.noise.process
     closed = jac["A"] + jac["B"] @ point["K"]
-    np.testing.assert_allclose(call(functions, "covariance_step", point)["S_next"], open_loop, atol=1e-12)
+    np.testing.assert_allclose(
+        call(functions, "covariance_step", point)["S_next"], open_loop, atol=1e-12
+    )
     want = closed @ point["S"] @ closed.T + learned + functions.noise.process
-    np.testing.assert_allclose(call(functions, "covariance_feedback", point)["S_next"], want, atol=1e-12)
+    np.testing.assert_allclose(
+        call(functions, "covariance_feedback", point)["S_next"], want, atol=1e-12
+    )
     assert variance.min() > 0
 
 
@@ -257,16 +305,22 @@ def test_targets_hold_the_reference_under_the_disturbance(kind):
         x[functions.states["disturbance.force.x"]] = 0.03
     r = np.array([0.5, -0.2, 1.0, 2.8])
     for _ in range(12):
-        x, u, residual = (v.full().ravel() for v in functions["target_step"](x, u, functions.parameter_values, r))
+        x, u, residual = (
+            v.full().ravel() for v in functions["target_step"](x, u, functions.parameter_values, r)
+        )
     assert residual[0] < 1e-12
     held = x.copy()
     for _ in range(50):
         held = functions["f_d"](held, u, functions.parameter_values).full().ravel()
-        for name in functions.states.names:  # the disturbances fade by themselves; the target takes them as they are
+        for name in (
+            functions.states.names
+        ):  # the disturbances fade by themselves; the target takes them as they are
             if name.startswith("disturbance"):
                 held[functions.states[name]] = x[functions.states[name]]
     np.testing.assert_allclose(held, x, atol=1e-9)
-    np.testing.assert_allclose(x[[functions.states[f"position.{a}"] for a in "xyz"]], r[:3], atol=1e-10)
+    np.testing.assert_allclose(
+        x[[functions.states[f"position.{a}"] for a in "xyz"]], r[:3], atol=1e-10
+    )
     assert x[functions.states["disturbance.torque.y"]] == 2e-5
 
 
@@ -299,7 +353,8 @@ def test_run_time_parameters_act_like_another_model():
     other = replace(
         heavy,
         dynamics=HybridModel(
-            inner=model.dynamics.inner, posterior=replace(posterior, weights=-2.0 * posterior.weights)
+            inner=model.dynamics.inner,
+            posterior=replace(posterior, weights=-2.0 * posterior.weights),
         ),
     )
     baked = model_functions(other)
@@ -339,9 +394,31 @@ def test_battery_voltage_is_a_parameter_and_noise_keeps_its_intensity_at_another
     from greybox.model.model import build_model
     from tests import simulated
 
-    columns = ("u1", "u2", "u3", "u4", "vbat", "p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz", "x", "y", "z")
+    columns = (
+        "u1",
+        "u2",
+        "u3",
+        "u4",
+        "vbat",
+        "p",
+        "q",
+        "r",
+        "ax",
+        "ay",
+        "az",
+        "qw",
+        "qx",
+        "qy",
+        "qz",
+        "x",
+        "y",
+        "z",
+    )
     dynamics = build_model(
-        simulated.vehicle(), columns, ("motor_lag", "command_delay", "battery_sag"), sample_time=0.01
+        simulated.vehicle(),
+        columns,
+        ("motor_lag", "command_delay", "battery_sag"),
+        sample_time=0.01,
     )
     values = {"command_delay.d": 0.013, "motor_lag.tau": 0.04, "battery_sag.c_V": 1.0}
     model = hybrid_cases.craft_model(dynamics).with_values(values)
@@ -352,7 +429,9 @@ def test_battery_voltage_is_a_parameter_and_noise_keeps_its_intensity_at_another
     # Two short steps under one command end where one long step ends, and their noise adds up to the same.
     # Noise at the end of one long step: rates gain dt w/J, so that variances add over the two short ones.
     rate = slow.error_states["d_rate.x"]
-    np.testing.assert_allclose(2 * fast.noise.process[rate, rate], slow.noise.process[rate, rate], rtol=1e-4)
+    np.testing.assert_allclose(
+        2 * fast.noise.process[rate, rate], slow.noise.process[rate, rate], rtol=1e-4
+    )
     x, u, p = *slow.reference, slow.parameter_values
     u = u + 0.1
     x = np.concatenate([x[: slow.own_states], u, u])
@@ -391,7 +470,9 @@ def test_disturbances_decay_and_spread_alike_at_another_rate(dt):
         assert after[at] == pytest.approx(0.02 * np.exp(-dt / time), rel=1e-12)
         fresh, usual = other.noise.process[error, error], own.noise.process[error, error]
         assert usual > 0
-        assert fresh / -np.expm1(-2 * dt / time) == pytest.approx(usual / -np.expm1(-2 * own.dt / time), rel=1e-9)
+        assert fresh / -np.expm1(-2 * dt / time) == pytest.approx(
+            usual / -np.expm1(-2 * own.dt / time), rel=1e-9
+        )
 
 
 def test_what_cannot_be_exported_is_refused():

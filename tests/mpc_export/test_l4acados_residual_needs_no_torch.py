@@ -1,4 +1,5 @@
-"""The learned residual in l4acados's shape: exact, with slopes and variance, from a bundle, without PyTorch."""
+"""The learned residual in l4acados's shape: exact, with slopes and variance, from a bundle, without
+PyTorch."""
 
 from __future__ import annotations
 
@@ -22,7 +23,9 @@ def horizon(model, n: int = 7) -> np.ndarray:
     rng = np.random.default_rng(3)
     rows = []
     for _ in range(n):
-        x = model["boxplus"](model.reference_state, 0.1 * rng.standard_normal(len(model.error_states)))
+        x = model["boxplus"](
+            model.reference_state, 0.1 * rng.standard_normal(len(model.error_states))
+        )
         rows.append(np.concatenate([x.full().ravel(), rng.uniform(0.2, 0.8, len(model.inputs))]))
     return np.array(rows)
 

@@ -1,4 +1,5 @@
-"""No argument, however wild, makes exported C leave its memory, do what C does not define, hang, or remember.
+"""No argument, however wild, makes exported C leave its memory, do what C does not define, hang, or
+remember.
 
 GREYBOX_FUZZ=1000000 python -m pytest -m slow THIS_FILE -s   # a million calls each, double and float
 """
@@ -29,12 +30,17 @@ def table(bundle: ExportBundle) -> str:
     texts = [
         f"typedef {real} real;\ntypedef {integer} integer;",
         "typedef int (*called_as)(const real **, real **, integer *, real *, int);",
-        "typedef struct { const char *name; called_as call; int n_arg, n_res, sz_arg, sz_res, sz_iw, sz_w;"
+        "typedef struct { const char *name; called_as call; int n_arg, n_res, sz_arg, sz_res, "
+        "sz_iw, sz_w;"
         " const int *arg, *res; const real *nominal; } function;",
     ]
     rows = []
     for k, entry in enumerate(bundle.manifest["functions"]):
-        name, sizes, g = entry["name"], bundle.manifest["c"]["functions"][entry["name"]], golden[entry["name"]]
+        name, sizes, g = (
+            entry["name"],
+            bundle.manifest["c"]["functions"][entry["name"]],
+            golden[entry["name"]],
+        )
         values = np.concatenate([v[1] for v in g.arguments.values()])
         given = [v.shape[1] for v in g.arguments.values()]
         got = [p["rows"] * p["columns"] for p in entry["results"]]
@@ -43,13 +49,18 @@ def table(bundle: ExportBundle) -> str:
             f"int {symbol}(const real **, real **, integer *, real *, int);\n"
             f"static const int arg_{k}[] = {{{', '.join(map(str, [*given, 0]))}}}, "
             f"res_{k}[] = {{{', '.join(map(str, [*got, 0]))}}};\n"
-            f"static const real nominal_{k}[] = {{{', '.join(f'(real){v!r}' for v in [*values.tolist(), 0.0])}}};"
+            f"static const real nominal_{k}[] = "
+            f"{{{', '.join(f'(real){v!r}' for v in [*values.tolist(), 0.0])}}};"
         )
         numbers = ", ".join(str(sizes[s]) for s in ("sz_arg", "sz_res", "sz_iw", "sz_w"))
         rows.append(
-            f'{{"{name}", {symbol}, {len(given)}, {len(got)}, {numbers}, arg_{k}, res_{k}, nominal_{k}}}'
+            f'{{"{name}", {symbol}, {len(given)}, {len(got)}, {numbers}, arg_{k}, res_{k}, '
+            f"nominal_{k}}}"
         )
-    texts.append(f"enum {{ COUNT = {len(rows)} }};\nstatic const function FUNCTIONS[COUNT] = {{{', '.join(rows)}}};")
+    texts.append(
+        f"enum {{ COUNT = {len(rows)} }};\nstatic const function FUNCTIONS[COUNT] = "
+        f"{{{', '.join(rows)}}};"
+    )
     return "\n".join(texts) + "\n"
 
 
@@ -57,11 +68,20 @@ def program(folder: Path, model: str, real: str, flags: tuple[str, ...]) -> str:
     """The fuzz of a model's bundle, compiled."""
     compiled.needs_compiler()
     more = {"hybrid": ("filter", "covariance")}.get(model, ("filter",))
-    bundle = write_bundle(MODELS[model](), folder / "b", targets=("c",), real=real, with_=more, use_cache=False)
+    bundle = write_bundle(
+        MODELS[model](), folder / "b", targets=("c",), real=real, with_=more, use_cache=False
+    )
     source = folder / "fuzz.c"
     source.write_text(table(bundle) + "".join(f.read_text() for f in FUZZ))
     out = str(folder / "fuzz")
-    made = [compiled.COMPILERS[0], "-std=c99", *flags, "-w", str(source), str(bundle.folder / "c" / f"{bundle.name}.c")]
+    made = [
+        compiled.COMPILERS[0],
+        "-std=c99",
+        *flags,
+        "-w",
+        str(source),
+        str(bundle.folder / "c" / f"{bundle.name}.c"),
+    ]
     done = subprocess.run([*made, "-o", out, "-lm"], capture_output=True, text=True, check=False)
     if done.returncode and "sanitize" in done.stderr:
         pytest.skip("no sanitizers")

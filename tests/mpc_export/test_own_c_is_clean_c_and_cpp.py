@@ -1,7 +1,8 @@
-"""Every line of C that greybox writes into an export itself compiles without a warning under gcc and clang, and as C++.
+"""Every line of C that greybox writes into an export itself compiles without a warning under gcc
+and clang, and as C++.
 
-CasADi's own generated functions are excepted (unused parameters, numbers as truth values); they compile
-as C++ all the same.
+CasADi's own generated functions are excepted (unused parameters, numbers as truth values); they
+compile as C++ all the same.
 """
 
 from __future__ import annotations
@@ -34,7 +35,10 @@ def complaints(source: Path, compiler: tuple[str, ...], *flags: str) -> str:
     if shutil.which(compiler[0]) is None:
         pytest.skip(f"{compiler[0]} is not installed")
     done = subprocess.run(
-        [*compiler, *flags, "-fsyntax-only", str(source)], capture_output=True, text=True, check=False
+        [*compiler, *flags, "-fsyntax-only", str(source)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     return done.stderr[:3000] if done.returncode or done.stderr else ""
 
@@ -43,7 +47,12 @@ def complaints(source: Path, compiler: tuple[str, ...], *flags: str) -> str:
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_kernels_and_products(functions, tmp_path, real, compiler):
     integer = "long long int" if real == "double" else "int"
-    parts = [RESTRICT, "#include <math.h>", f"#define casadi_real {real}", f"#define casadi_int {integer}"]
+    parts = [
+        RESTRICT,
+        "#include <math.h>",
+        f"#define casadi_real {real}",
+        f"#define casadi_int {integer}",
+    ]
     shared: dict[str, str] = {}
     bodies = []
     for k, kernel in enumerate(_kernels(functions)):
@@ -52,7 +61,9 @@ def test_kernels_and_products(functions, tmp_path, real, compiler):
         bodies.append(body)
     text = "\n".join([*PRODUCTS.values(), *shared.values(), *bodies])
     source = tmp_path / "own.c"
-    source.write_text("\n".join([*parts, text if real == "double" else single_precision(text)]) + "\n")
+    source.write_text(
+        "\n".join([*parts, text if real == "double" else single_precision(text)]) + "\n"
+    )
     assert bodies
     assert complaints(source, compiler, *WARNINGS, "-Wno-unused-function") == ""
 
@@ -60,7 +71,9 @@ def test_kernels_and_products(functions, tmp_path, real, compiler):
 @pytest.mark.parametrize("compiler", C + CPP, ids=lambda c: c[0])
 def test_wrapper_and_self_test(functions, tmp_path, compiler):
     golden = golden_vectors(functions, 2)
-    made = write_c(list(functions.functions.values()), tmp_path, prefix="quad", kernels=_kernels(functions))
+    made = write_c(
+        list(functions.functions.values()), tmp_path, prefix="quad", kernels=_kernels(functions)
+    )
     CModel(functions, made, "0", golden).write(tmp_path)
     for name in ("quad_model.c", "quad_selftest.c"):
         assert complaints(tmp_path / name, compiler, *WARNINGS) == ""
@@ -69,5 +82,18 @@ def test_wrapper_and_self_test(functions, tmp_path, compiler):
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", C + CPP, ids=lambda c: c[0])
 def test_the_whole_export_is_c_and_cpp(functions, tmp_path, compiler):
-    made = write_c(list(functions.functions.values()), tmp_path, prefix="quad", kernels=_kernels(functions))
-    assert complaints(made.source, compiler, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-unused-parameter") == ""
+    made = write_c(
+        list(functions.functions.values()), tmp_path, prefix="quad", kernels=_kernels(functions)
+    )
+    assert (
+        complaints(
+            made.source,
+            compiler,
+            "-Wall",
+            "-Wextra",
+            "-Wpedantic",
+            "-Werror",
+            "-Wno-unused-parameter",
+        )
+        == ""
+    )

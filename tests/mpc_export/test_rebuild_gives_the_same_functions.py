@@ -1,4 +1,5 @@
-"""The tape of a bundle gives the same functions again, with an interpreter that needs casadi and numpy only."""
+"""The tape of a bundle gives the same functions again, with an interpreter that needs casadi and
+numpy only."""
 
 from __future__ import annotations
 
@@ -52,7 +53,9 @@ def arguments(function, point):
 def test_every_function_comes_back_bit_by_bit(tmp_path, kind, groups, runtime):
     functions = model_functions(KINDS[kind](), with_=groups, runtime_parameters=runtime)
     back = rebuild.load(put(functions.functions.values(), tmp_path))
-    assert list(back) == [n for n in back if n in functions.functions] and set(back) == set(functions.functions)
+    assert list(back) == [n for n in back if n in functions.functions] and set(back) == set(
+        functions.functions
+    )
     rng = np.random.default_rng(0)
     for spread in (1.0, 1.0, 30.0):
         point = cases.point(functions, rng, spread)
@@ -77,11 +80,25 @@ def test_matrix_operations_survive(tmp_path):
     z[[0, 1], 2] = y
     z[1, 1] += c
     results = [
-        ca.vertcat(x[0, 1], x[2, 2], y), x[[0, 2], [1, 2]], ca.if_else(y[0] > 1, y[1], 3), z, sparse @ x, sparse.T + x,
-        ca.horzsplit(x, 1)[1] * c, ca.vertcat(*ca.vertsplit(x, [0, 1, 3])[::-1]), ca.repmat(y, 1, 3), ca.norm_2(y),
-        ca.mmin(x), ca.diagcat(y, c), ca.project(x, ca.Sparsity.upper(3)), ca.jacobian(ca.sin(x @ x), x), sparse[1:, :2],
-        ca.norm_1(y) * ca.norm_inf(x), ca.atan2(y[0], y[1]) ** 3, ca.logic_and(c > 0, y < 0.5),
-    ]  # fmt: skip
+        ca.vertcat(x[0, 1], x[2, 2], y),
+        x[[0, 2], [1, 2]],
+        ca.if_else(y[0] > 1, y[1], 3),
+        z,
+        sparse @ x,
+        sparse.T + x,
+        ca.horzsplit(x, 1)[1] * c,
+        ca.vertcat(*ca.vertsplit(x, [0, 1, 3])[::-1]),
+        ca.repmat(y, 1, 3),
+        ca.norm_2(y),
+        ca.mmin(x),
+        ca.diagcat(y, c),
+        ca.project(x, ca.Sparsity.upper(3)),
+        ca.jacobian(ca.sin(x @ x), x),
+        sparse[1:, :2],
+        ca.norm_1(y) * ca.norm_inf(x),
+        ca.atan2(y[0], y[1]) ** 3,
+        ca.logic_and(c > 0, y < 0.5),
+    ]
     inner = ca.Function("inner", [x, y], [x[:, 1] * y[0], y])
     results += inner(x, y)
     function = ca.Function("f", [x, y, c, sparse], results)
@@ -159,7 +176,9 @@ def test_other_versions_of_casadi_rebuild_the_same_functions(tmp_path, version):
         check=False,
     )
     if install.returncode:
-        pytest.skip(f"casadi {version} cannot be installed here: {install.stderr.strip().splitlines()[-1:]}")
+        pytest.skip(
+            f"casadi {version} cannot be installed here: {install.stderr.strip().splitlines()[-1:]}"
+        )
     done = subprocess.run([python, "-c", RUN, folder], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout.splitlines()[-1])

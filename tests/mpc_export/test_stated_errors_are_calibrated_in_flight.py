@@ -1,4 +1,5 @@
-"""calibrate_step holds its level on any sequence of errors, and costs next to nothing where nothing is wrong."""
+"""calibrate_step holds its level on any sequence of errors, and costs next to nothing where nothing
+is wrong."""
 
 from __future__ import annotations
 
@@ -18,11 +19,13 @@ from tests.mpc_export.test_the_filter_adapts_in_flight import pushed_cart
 
 HALF = norm.ppf(0.5 + 0.5 * LEVEL)
 OWN = Calibration(every=1, multiples=(0, 5), sigma=np.ones((20, 2)), dt=0.01)
-"""Twenty outputs at two horizons: the next sample, and one whose scales are four updates old when they are judged."""
+"""Twenty outputs at two horizons: the next sample, and one whose scales are four updates old when
+they are judged."""
 
 
 def calibrated(errors, samples, own=OWN):
-    """(missed, scale in force for the error of that sample), each (n, n_e, n_h); `errors` maps (sample, scale) to E."""
+    """(missed, scale in force for the error of that sample), each (n, n_e, n_h); `errors` maps
+    (sample, scale) to E."""
     step = calibrate_function(own)
     theta, missed, scales = own.start()["theta"], [], []
     late = [a + d for a, d in zip(own.first, own.delays, strict=True)]
@@ -42,8 +45,8 @@ def bound(own, samples):
 
 
 def adversary(k, issued):
-    """Outputs 0 to 4 miss whenever they may, 5 to 9 never do, 10 to 14 change by the thousand, 15 to 19 do what is least
-    expected: small while the scale is large, large while it is small."""
+    """Outputs 0 to 4 miss whenever they may, 5 to 9 never do, 10 to 14 change by the thousand, 15
+    to 19 do what is least expected: small while the scale is large, large while it is small."""
     largest, least = 0.999 * WIDEST * HALF, 1.001 * HALF / WIDEST
     e = np.empty_like(issued)
     e[:5] = np.minimum(1.001 * HALF * issued[:5], largest)
@@ -80,7 +83,9 @@ def test_tails_heavier_than_gaussian_keep_the_level():
 def test_errors_that_triple_are_held_again_within_150_samples():
     rng = np.random.default_rng(2)
     own = Calibration(every=1, multiples=(0,), sigma=np.ones((200, 1)), dt=0.01)
-    missed, _ = calibrated(lambda k, s: (3.0 if k >= 500 else 1.0) * rng.standard_normal(s.shape), 900, own)
+    missed, _ = calibrated(
+        lambda k, s: (3.0 if k >= 500 else 1.0) * rng.standard_normal(s.shape), 900, own
+    )
     assert missed[500:510].mean() > 0.35
     assert missed[650:900].mean() < 0.07
 
@@ -97,7 +102,8 @@ def test_what_is_not_measured_changes_nothing_and_what_is_no_number_has_missed()
 
 
 def flights(functions, count, samples, seed=0):
-    """Errors (due samples, flights, n_h) of `count` simulated flights of pushed_cart, and of the longest forecasts anew."""
+    """Errors (due samples, flights, n_h) of `count` simulated flights of pushed_cart, and of the
+    longest forecasts anew."""
     rng, own = np.random.default_rng(seed), functions.calibration
     root = np.linalg.cholesky(functions.noise.process + 1e-15 * np.eye(2))
     b = functions.parameter_values
@@ -110,7 +116,9 @@ def flights(functions, count, samples, seed=0):
         u = rng.standard_normal((1, count))
         y = true[:1] + 0.1 * rng.standard_normal((1, count))
         after = np.array(run["filter_step"](x, u, p, y, there)[0])
-        under_way, clock, e, seen = (np.array(v) for v in run["forecast_step"](x, after, u, p, y, there, under_way, clock))
+        under_way, clock, e, seen = (
+            np.array(v) for v in run["forecast_step"](x, after, u, p, y, there, under_way, clock)
+        )
         pushes.append(u)
         if k % own.every == 0 and k >= own.samples[-1]:
             assert (seen == 1).all()
@@ -153,8 +161,12 @@ def test_a_flight_begins_with_zeros_in_place_of_forecasts():
 
 def test_the_export_calibrates_in_c(tmp_path):
     compiled.needs_compiler()
-    bundle = write_bundle(cases.linear(), tmp_path / "own", targets=("c",), with_=("calibrate",), use_cache=False)
-    library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0"))
+    bundle = write_bundle(
+        cases.linear(), tmp_path / "own", targets=("c",), with_=("calibrate",), use_cache=False
+    )
+    library = compiled.load(
+        bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0")
+    )
     functions = model_functions(cases.linear(), with_=("calibrate",))
     own = functions.calibration
 
@@ -162,7 +174,10 @@ def test_the_export_calibrates_in_c(tmp_path):
         entry = next(f for f in bundle.manifest["functions"] if f["name"] == name)
         given = [np.ravel(a, order="F").astype(float).tolist() for a in arguments]
         shapes = [(r["rows"], r["columns"]) for r in entry["results"]]
-        return [np.reshape(r, s, order="F") for r, s in zip(library.call(entry, given), shapes, strict=True)]
+        return [
+            np.reshape(r, s, order="F")
+            for r, s in zip(library.call(entry, given), shapes, strict=True)
+        ]
 
     def flown(call):
         rng = np.random.default_rng(3)
@@ -171,7 +186,9 @@ def test_the_export_calibrates_in_c(tmp_path):
         for _ in range(120):
             u, y = rng.standard_normal(2), 5.0 * rng.standard_normal(2)
             after, _, _ = call("filter_step", x, u, p, y, there)
-            under_way, clock, e, seen = call("forecast_step", x, after, u, p, y, there, under_way, clock)
+            under_way, clock, e, seen = call(
+                "forecast_step", x, after, u, p, y, there, under_way, clock
+            )
             theta, scale = call("calibrate_step", theta, e, seen, own.sigma, LEVEL, GAIN)
             x = after
             out.append(scale)
@@ -188,9 +205,16 @@ def test_the_export_calibrates_in_c(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "real"),
-    [(cases.hybrid, "double"), (cases.hybrid, "float"), (PREDICTORS["NARX"], "double"), (ALONE["GP alone"], "double")],
+    [
+        (cases.hybrid, "double"),
+        (cases.hybrid, "float"),
+        (PREDICTORS["NARX"], "double"),
+        (ALONE["GP alone"], "double"),
+    ],
 )
 def test_the_self_test_of_a_calibrated_bundle_passes(tmp_path, source, real):
     compiled.needs_compiler()
-    bundle = write_bundle(source(), tmp_path / "own", real=real, targets=("c",), with_=("calibrate",), use_cache=False)
+    bundle = write_bundle(
+        source(), tmp_path / "own", real=real, targets=("c",), with_=("calibrate",), use_cache=False
+    )
     assert verify([str(bundle.folder)]) == 0

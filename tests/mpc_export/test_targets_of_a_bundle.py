@@ -25,7 +25,15 @@ CARRIED += [ROOT / "examples" / f"{e}.py" for e in EXAMPLES.values()]
 
 @pytest.mark.parametrize("path", CARRIED, ids=lambda p: p.name)
 def test_what_a_bundle_carries_imports_nothing_of_ours(path):
-    allowed = sys.stdlib_module_names | {"casadi", "numpy", "consumers", "acados_template", "do_mpc", "rockit", "fmpy"}
+    allowed = sys.stdlib_module_names | {
+        "casadi",
+        "numpy",
+        "consumers",
+        "acados_template",
+        "do_mpc",
+        "rockit",
+        "fmpy",
+    }
     tree = ast.parse(path.read_text(encoding="utf-8"))
     typing_only = {
         id(inner)
@@ -58,15 +66,40 @@ def test_a_bundle_lists_its_targets_and_carries_their_scripts():
 def test_a_loaded_bundle_is_the_model_that_was_exported(kind):
     runtime = ("mass",) if kind == "physics" else ()
     model = {"physics": cases.physics, "hybrid": cases.hybrid}[kind]()
-    own, loaded = of(model_functions(model, runtime_parameters=runtime), f"{kind}_model"), load(consumers.bundle(kind))
-    for name in ("name", "dt", "states", "error_states", "inputs", "outputs", "parameters", "units", "own_states"):
+    own, loaded = (
+        of(model_functions(model, runtime_parameters=runtime), f"{kind}_model"),
+        load(consumers.bundle(kind)),
+    )
+    for name in (
+        "name",
+        "dt",
+        "states",
+        "error_states",
+        "inputs",
+        "outputs",
+        "parameters",
+        "units",
+        "own_states",
+    ):
         assert getattr(loaded, name) == getattr(own, name), name
-    arrays = ("parameter_values", "reference_state", "reference_inputs", "lower", "upper", "state_scale", "input_scale")
+    arrays = (
+        "parameter_values",
+        "reference_state",
+        "reference_inputs",
+        "lower",
+        "upper",
+        "state_scale",
+        "input_scale",
+    )
     for name in arrays:
-        np.testing.assert_allclose(getattr(loaded, name), getattr(own, name), rtol=1e-15, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(loaded, name), getattr(own, name), rtol=1e-15, err_msg=name
+        )
     assert set(own.functions) <= set(loaded.functions)
     x, u, p = own.reference_state + 0.01, own.reference_inputs, own.parameter_values
-    np.testing.assert_allclose(loaded["f_d"](x, u, p).full(), own["f_d"](x, u, p).full(), atol=1e-14)
+    np.testing.assert_allclose(
+        loaded["f_d"](x, u, p).full(), own["f_d"](x, u, p).full(), atol=1e-14
+    )
 
 
 def test_the_history_of_a_held_command_is_that_command():
@@ -89,10 +122,21 @@ def test_unknown_functions_and_targets_are_refused(tmp_path):
 def test_the_command_line_writes_runnable_scripts(tmp_path):
     save_model(cases.hybrid(), tmp_path / "model.json")
     out = tmp_path / "craft"
-    assert main(["export", str(tmp_path / "model.json"), "--out", str(out), "--target", "l4acados,fmu"]) == 0
-    assert sorted(p.name for p in (out / "examples").iterdir()) == ["fmu_simulate.py", "l4acados_hover.py"]
+    assert (
+        main(
+            ["export", str(tmp_path / "model.json"), "--out", str(out), "--target", "l4acados,fmu"]
+        )
+        == 0
+    )
+    assert sorted(p.name for p in (out / "examples").iterdir()) == [
+        "fmu_simulate.py",
+        "l4acados_hover.py",
+    ]
     assert sorted(p.name for p in (out / "python" / "consumers").iterdir()) == [
-        "__init__.py", "exported.py", "hover.py", "l4acados.py"
-    ]  # fmt: skip
+        "__init__.py",
+        "exported.py",
+        "hover.py",
+        "l4acados.py",
+    ]
     assert (out / "fmu" / "craft.fmu").is_file()
     assert (out / "LICENSES" / "CasADi-MIT-0.txt").is_file()

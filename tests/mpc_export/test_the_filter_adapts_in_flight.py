@@ -34,7 +34,10 @@ TRUE = {"accelerometer_bias.b_x": 0.25, "accelerometer_bias.b_y": -0.3, "mass": 
 def craft():
     """Accelerometer biases and the mass differ from flight to flight."""
     own = make_model()
-    return replace(own, flight_spread={**own.flight_spread, "mass": (own.values["mass"], 0.1 * own.values["mass"])})
+    return replace(
+        own,
+        flight_spread={**own.flight_spread, "mass": (own.values["mass"], 0.1 * own.values["mass"])},
+    )
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +97,9 @@ def test_learned_weights_get_the_numbers_of_their_batch_fit():
     found, covariance, _ = flown(functions, segment)
     unsure = np.flatnonzero(np.diag(own.covariance)[4:])
     kept = [*range(4), *(4 + unsure)]
-    root = np.linalg.inv(np.linalg.cholesky(own.covariance[np.ix_(kept, kept)] + 1e-12 * np.eye(len(kept))))
+    root = np.linalg.inv(
+        np.linalg.cholesky(own.covariance[np.ix_(kept, kept)] + 1e-12 * np.eye(len(kept)))
+    )
     size = np.linalg.inv(np.linalg.cholesky(functions.noise.innovation))
     prior = np.concatenate([own.mean, np.zeros(len(unsure))])
 
@@ -120,9 +125,14 @@ def test_learned_weights_get_the_numbers_of_their_batch_fit():
 
 def test_a_change_in_flight_is_followed_with_a_memory_and_averaged_without(functions):
     model = functions.model
-    first, second = (fly(model, 800, noise=1.0, seed=s, changes={"mass": m}) for s, m in ((1, 0.042), (2, 0.046)))
+    first, second = (
+        fly(model, 800, noise=1.0, seed=s, changes={"mass": m}) for s, m in ((1, 0.042), (2, 0.046))
+    )
     both = first.replace(
-        {n: np.concatenate([first.channels[n][:400], second.channels[n][400:]]) for n in first.channels}
+        {
+            n: np.concatenate([first.channels[n][:400], second.channels[n][400:]])
+            for n in first.channels
+        }
     )
     at = functions.adapted.names.index("mass")
     with_memory, without = (flown(functions, both, memory=m)[0][-1, at] for m in (2.0, 0.0))
@@ -136,7 +146,9 @@ def test_nothing_measured_leaves_the_spread_between_flights(functions):
     blind[150:] = 0.0
     found, covariance, _ = flown(functions, segment, memory=0.2, there=blind)
     n = len(functions.adapted.rows)
-    np.testing.assert_allclose(covariance[:n, :n], functions.adapted.covariance[:n, :n], rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(
+        covariance[:n, :n], functions.adapted.covariance[:n, :n], rtol=1e-3, atol=1e-9
+    )
     np.testing.assert_allclose(found[-1], functions.adapted.mean, rtol=1e-3, atol=1e-3)
 
 
@@ -154,9 +166,12 @@ def test_wild_readings_leave_parameters_and_discrepancy_inside_the_physics():
     model = craft()
     pushed = with_disturbance(model.dynamics, ("force", "torque"), time=2.0)
     model = replace(
-        hybrid_cases.craft_model(pushed), flight_spread=model.flight_spread, reference_inputs=model.reference_inputs,
-        sample_time=DT, reference_state=pushed.reference({f"u{i}": 0.849 for i in range(1, 5)}),
-    )  # fmt: skip
+        hybrid_cases.craft_model(pushed),
+        flight_spread=model.flight_spread,
+        reference_inputs=model.reference_inputs,
+        sample_time=DT,
+        reference_state=pushed.reference({f"u{i}": 0.849 for i in range(1, 5)}),
+    )
     functions = model_functions(model, with_=("adapt",))
     own = functions.adapted
     x, p, v = start(functions, fly(make_model(), 3))
@@ -180,20 +195,30 @@ def test_wild_readings_leave_parameters_and_discrepancy_inside_the_physics():
 
 def test_the_plain_export_adapts_in_c(tmp_path, functions):
     compiled.needs_compiler()
-    bundle = write_bundle(craft(), tmp_path / "own", targets=("c",), with_=("adapt",), use_cache=False)
-    library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0"))
+    bundle = write_bundle(
+        craft(), tmp_path / "own", targets=("c",), with_=("adapt",), use_cache=False
+    )
+    library = compiled.load(
+        bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0")
+    )
     entry = next(f for f in bundle.manifest["functions"] if f["name"] == "adapt_step")
 
     def in_c(*arguments):
         given = [np.ravel(a, order="F").astype(float).tolist() for a in arguments]
         shapes = [(r["rows"], r["columns"]) for r in entry["results"]]
-        return [np.reshape(r, s, order="F") for r, s in zip(library.call(entry, given), shapes, strict=True)]
+        return [
+            np.reshape(r, s, order="F")
+            for r, s in zip(library.call(entry, given), shapes, strict=True)
+        ]
 
     segment = fly(functions.model, 60, noise=1.0, changes=TRUE)
     c, casadi = (flown(functions, segment, step)[0] for step in (in_c, None))
     np.testing.assert_allclose(c, casadi, rtol=1e-9, atol=1e-11)
     header = (bundle.folder / "c" / "own_model.h").read_text()
-    assert "#define OWN_A_MASS" in header and f"own_adapted_covariance[{functions.adapted.covariance.size}]" in header
+    assert (
+        "#define OWN_A_MASS" in header
+        and f"own_adapted_covariance[{functions.adapted.covariance.size}]" in header
+    )
     assert bundle.manifest["adapted"]["names"] == list(functions.adapted.names)
 
 
@@ -201,7 +226,9 @@ def test_the_plain_export_adapts_in_c(tmp_path, functions):
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_the_self_test_of_an_adaptive_bundle_passes(tmp_path, real):
     compiled.needs_compiler()
-    bundle = write_bundle(craft(), tmp_path / "own", real=real, targets=("c",), with_=("adapt",), use_cache=False)
+    bundle = write_bundle(
+        craft(), tmp_path / "own", real=real, targets=("c",), with_=("adapt",), use_cache=False
+    )
     assert verify([str(bundle.folder)]) == 0
 
 
@@ -209,17 +236,27 @@ def pushed_cart(states):
     """A mass that friction slows and an unknown acceleration b pushes. Measured is its place, or the speed as only state."""
     names = {1: ("v",), 2: ("s", "v")}[states]
     dynamics = StateSpaceModel(
-        name="cart", states=Layout([Signal(name=n, unit="m") for n in names]),
-        inputs=Layout([Signal(name="u", unit="m/s^2")]), outputs=Layout([Signal(name="y", unit="m")]),
+        name="cart",
+        states=Layout([Signal(name=n, unit="m") for n in names]),
+        inputs=Layout([Signal(name="u", unit="m/s^2")]),
+        outputs=Layout([Signal(name="y", unit="m")]),
         parameters=(Parameter(name="b", unit="m/s^2", nominal=0.0, scale=1.0),),
         dynamics=lambda t, x, u, p: [*([x[1]] if states == 2 else []), u[0] - x[-1] + p["b"]],
-        measurement=lambda t, x, u, p: [x[0]], noise_states=("v",),
-    )  # fmt: skip
+        measurement=lambda t, x, u, p: [x[0]],
+        noise_states=("v",),
+    )
     return IdentifiedModel(
-        dynamics=dynamics, values=ParameterValues({"b": 0.0}), process_noise=np.array([1.0]), sensor_noise=np.array([0.1]),
-        weak=np.full(states, 1e4), reference_state=np.zeros(states), reference_inputs=np.zeros(1), sample_time=0.01,
-        flight_spread={"b": (0.0, 1.0)}, per_flight={},
-    )  # fmt: skip
+        dynamics=dynamics,
+        values=ParameterValues({"b": 0.0}),
+        process_noise=np.array([1.0]),
+        sensor_noise=np.array([0.1]),
+        weak=np.full(states, 1e4),
+        reference_state=np.zeros(states),
+        reference_inputs=np.zeros(1),
+        sample_time=0.01,
+        flight_spread={"b": (0.0, 1.0)},
+        per_flight={},
+    )
 
 
 @pytest.mark.parametrize(("states", "memory"), [(2, 0.0), (2, 0.5), (2, 5.0), (1, 0.5)])
@@ -228,16 +265,24 @@ def test_the_stated_error_is_the_one_made_with_a_memory_too(states, memory):
     functions = model_functions(pushed_cart(states), with_=("adapt",))
     flights, n, rng = 200, 800, np.random.default_rng(0)
     keep = np.exp(-0.01 / memory) if memory else 1.0
-    _, a, _, by = (np.array(r) for r in functions["f_d_jac"](np.zeros(states), np.zeros(1), np.zeros(1)))
+    _, a, _, by = (
+        np.array(r) for r in functions["f_d_jac"](np.zeros(states), np.zeros(1), np.zeros(1))
+    )
     root = np.linalg.cholesky(functions.noise.process + 1e-15 * np.eye(states))
     on = np.block([[a, by[:, :1]], [np.zeros((1, states)), keep]])
     noise = scipy.linalg.block_diag(functions.noise.process, 1 - keep**2)
     b, true = rng.standard_normal(flights), np.zeros((states, flights))
     x, p = np.zeros((states, flights)), np.zeros((1, flights))
     v = np.tile(functions.adapted.covariance, (1, flights))
-    judge = scipy.linalg.block_diag(functions.noise.covariance + functions.adapted.covariance[1:, 1:], 1.0)
+    judge = scipy.linalg.block_diag(
+        functions.noise.covariance + functions.adapted.covariance[1:, 1:], 1.0
+    )
     step, made, stated, best = functions["adapt_step"].map(flights), [], [], []
-    blank, there, memories = np.zeros((1, flights)), np.ones((1, flights)), np.full((1, flights), memory)
+    blank, there, memories = (
+        np.zeros((1, flights)),
+        np.ones((1, flights)),
+        np.full((1, flights), memory),
+    )
     for k in range(n):
         y = true[:1] + 0.1 * rng.standard_normal((1, flights))
         x, p, v = (np.array(r) for r in step(x, blank, p, y, there, v, memories)[:3])
@@ -256,18 +301,29 @@ def test_the_stated_error_is_the_one_made_with_a_memory_too(states, memory):
 def test_a_torque_is_bounded_by_what_the_mixer_makes_of_full_and_idle_rotors():
     own = craft()
     vehicle = own.physics.vehicle
-    values = {**own.values, "thrust.c0": 0.01, "thrust.c1": 0.02, "thrust.c2": 0.1, "center_of_mass.x": 0.004}
+    values = {
+        **own.values,
+        "thrust.c0": 0.01,
+        "thrust.c1": 0.02,
+        "thrust.c2": 0.1,
+        "center_of_mass.x": 0.004,
+    }
     actuator = replace(vehicle.actuator, u_min=0.1, u_max=0.8)
     limited = replace(
-        own, values=ParameterValues(values),
+        own,
+        values=ParameterValues(values),
         dynamics=replace(own.dynamics, vehicle=replace(vehicle, actuator=actuator)),
-    )  # fmt: skip
+    )
     limits = authority(limited)
     most = {"x": 0.0, "y": 0.0, "z": 0.0}
     for commands in itertools.product((0.1, 0.8), repeat=4):
         total = np.zeros(3)
         for u, rotor in zip(commands, vehicle.rotors, strict=True):
-            arm = np.array(rotor.position) - [0.004, values["center_of_mass.y"], values["center_of_mass.z"]]
+            arm = np.array(rotor.position) - [
+                0.004,
+                values["center_of_mass.y"],
+                values["center_of_mass.z"],
+            ]
             total += np.cross(arm, [0.0, 0.0, 0.01 + 0.02 * u + 0.1 * u**2])
             total[2] -= rotor.spin * sum(values[f"torque.c{k}"] * u**k for k in range(3))
         most = {a: max(m, abs(t)) for (a, m), t in zip(most.items(), total, strict=True)}
@@ -277,7 +333,9 @@ def test_a_torque_is_bounded_by_what_the_mixer_makes_of_full_and_idle_rotors():
 
 
 def test_what_cannot_adapt_is_refused_in_one_line():
-    with pytest.raises(ModelError, match="no parameter of this model differs between its training flights"):
+    with pytest.raises(
+        ModelError, match="no parameter of this model differs between its training flights"
+    ):
         model_functions(replace(make_model(), flight_spread={}), with_=("adapt",))
     with pytest.raises(ModelError, match="adapt needs the physics model"):
         model_functions(cases.linear(), with_=("adapt",))

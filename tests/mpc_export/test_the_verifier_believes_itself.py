@@ -1,4 +1,5 @@
-"""`python -m mpc_export.verify` judges by its own limits, scales and list of files, and always ends."""
+"""`python -m mpc_export.verify` judges by its own limits, scales and list of files, and always
+ends."""
 
 from __future__ import annotations
 
@@ -16,7 +17,9 @@ from tests.mpc_export import cases
 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory):
-    return write_bundle(cases.linear(), tmp_path_factory.mktemp("good") / "box", use_cache=False).folder
+    return write_bundle(
+        cases.linear(), tmp_path_factory.mktemp("good") / "box", use_cache=False
+    ).folder
 
 
 @pytest.fixture
@@ -42,7 +45,10 @@ def wrong_golden(folder):
     path.write_text("\n".join(rows) + "\n")
     from hashlib import sha256
 
-    change(folder, lambda m: m["files"].update({"golden/f_d.csv": sha256(path.read_bytes()).hexdigest()}))
+    change(
+        folder,
+        lambda m: m["files"].update({"golden/f_d.csv": sha256(path.read_bytes()).hexdigest()}),
+    )
 
 
 def test_a_good_bundle_passes_and_a_wrong_number_does_not(bundle):

@@ -1,4 +1,5 @@
-"""RK4 with the stages' own Jacobians is the exact derivative of RK4, and calls the Gaussian process once a stage."""
+"""RK4 with the stages' own Jacobians is the exact derivative of RK4, and calls the Gaussian process
+once a stage."""
 
 from __future__ import annotations
 
@@ -60,7 +61,11 @@ def points(model: Dynamics, n: int) -> list[tuple[Any, Any]]:
 @pytest.mark.parametrize("substeps", [1, 3])
 def test_it_is_the_derivative_of_the_integrator(kind: str, substeps: int) -> None:
     model: Any = craft() if kind == "physics" else hybrid()
-    ours, theirs, p = rk4(derivative(model), 0.05, substeps=substeps), plain(model, 0.05, substeps), parameters(model)
+    ours, theirs, p = (
+        rk4(derivative(model), 0.05, substeps=substeps),
+        plain(model, 0.05, substeps),
+        parameters(model),
+    )
     for x, u in points(model, 10):
         for got, want in zip(ours(x, u, p), theirs(x, u, p)):
             scale = max(1.0, np.abs(np.asarray(want)).max())
@@ -69,12 +74,19 @@ def test_it_is_the_derivative_of_the_integrator(kind: str, substeps: int) -> Non
 
 def test_every_stage_calls_the_gaussian_process_once(tmp_path: Path) -> None:
     model = hybrid()
-    kernel = GPKernel(name="gp_mean_jac", posterior=model.posterior, which=("mean", "mean_jacobian"))
+    kernel = GPKernel(
+        name="gp_mean_jac", posterior=model.posterior, which=("mean", "mean_jacobian")
+    )
     step = rk4(derivative(model, learned=kernel.function()), 0.02)
     source = write_c([step], tmp_path, prefix="m", kernels=[kernel])
     assert source.kernels == ("gp_mean_jac",)
     text = source.source.read_text()
-    symbol = {m[1]: m[2] for m in re.finditer(r"^/\* (\w+):\(.*\) \*/\nstatic int (casadi_f\d+)\(", text, re.MULTILINE)}
+    symbol = {
+        m[1]: m[2]
+        for m in re.finditer(
+            r"^/\* (\w+):\(.*\) \*/\nstatic int (casadi_f\d+)\(", text, re.MULTILINE
+        )
+    }
     assert text.count(f"if ({symbol['f_slope']}(") == 4
     assert text.count(f"if ({symbol['gp_mean_jac']}(") == 1
 

@@ -1,8 +1,9 @@
 """greybox as on a system that is neither Linux nor macOS, as far as Linux can play it: `python -m
 tests.packaging.foreign_system COMMAND ...`.
 
-What only POSIX has is taken away, processes are spawned, there is no compiler, and a text file that is opened without its
-encoding by code of ours is an error (elsewhere the default is not UTF-8). The lines run again in every spawned process.
+What only POSIX has is taken away, processes are spawned, there is no compiler, and a text file that
+is opened without its encoding by code of ours is an error (elsewhere the default is not UTF-8). The
+lines run again in every spawned process.
 """
 
 from __future__ import annotations
@@ -15,11 +16,46 @@ import warnings
 
 MODULES = ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "syslog")
 OF_OS = (
-    "fork", "forkpty", "getuid", "geteuid", "getgid", "getegid", "setuid", "statvfs", "fstatvfs", "sysconf", "killpg",
-    "setsid", "getpgid", "getloadavg", "sched_getaffinity", "sched_setaffinity", "mkfifo", "nice", "chown", "lchown",
-    "posix_fadvise", "posix_fallocate", "posix_spawn", "wait3", "wait4", "O_NOFOLLOW", "O_DIRECTORY", "O_NONBLOCK",
-)  # fmt: skip
-OF_SIGNAL = ("SIGKILL", "SIGALRM", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGXCPU", "SIGPIPE", "alarm", "setitimer")
+    "fork",
+    "forkpty",
+    "getuid",
+    "geteuid",
+    "getgid",
+    "getegid",
+    "setuid",
+    "statvfs",
+    "fstatvfs",
+    "sysconf",
+    "killpg",
+    "setsid",
+    "getpgid",
+    "getloadavg",
+    "sched_getaffinity",
+    "sched_setaffinity",
+    "mkfifo",
+    "nice",
+    "chown",
+    "lchown",
+    "posix_fadvise",
+    "posix_fallocate",
+    "posix_spawn",
+    "wait3",
+    "wait4",
+    "O_NOFOLLOW",
+    "O_DIRECTORY",
+    "O_NONBLOCK",
+)
+OF_SIGNAL = (
+    "SIGKILL",
+    "SIGALRM",
+    "SIGHUP",
+    "SIGUSR1",
+    "SIGUSR2",
+    "SIGXCPU",
+    "SIGPIPE",
+    "alarm",
+    "setitimer",
+)
 
 
 def strip() -> None:

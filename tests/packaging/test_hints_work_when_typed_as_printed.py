@@ -1,7 +1,9 @@
-"""In an empty environment with nothing but the wheel, what "Usual fix: pip install ..." says is typed as printed, and helps.
+"""In an empty environment with nothing but the wheel, what "Usual fix: pip install ..." says is
+typed as printed, and helps.
 
-Typed are the hints for shell completion and for logs of PX4, Parquet and Betaflight; hints for the other extras are not.
-Slow (asks PyPI; PyTorch's index for the extra `gp`). The wheel is found as a released one would be, by its name.
+Typed are the hints for shell completion and for logs of PX4, Parquet and Betaflight; hints for the
+other extras are not. Slow (asks PyPI; PyTorch's index for the extra `gp`). The wheel is found as a
+released one would be, by its name.
 """
 
 from __future__ import annotations
@@ -28,17 +30,31 @@ class Installed:
         subprocess.run([sys.executable, "-m", "venv", str(folder / "venv")], check=True)
         self.folder = folder / "my flights, Übung"
         self.folder.mkdir()
-        clean = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV", "PYTHONHOME")}
+        clean = {
+            k: v
+            for k, v in os.environ.items()
+            if k not in ("PYTHONPATH", "VIRTUAL_ENV", "PYTHONHOME")
+        }
         path = f"{folder / 'venv' / 'bin'}{os.pathsep}{clean['PATH']}"
-        self.environment = {**clean, "PATH": path, "PIP_FIND_LINKS": str(wheels), "PIP_QUIET": "1",
-                            "PIP_DISABLE_PIP_VERSION_CHECK": "1"}  # fmt: skip
+        self.environment = {
+            **clean,
+            "PATH": path,
+            "PIP_FIND_LINKS": str(wheels),
+            "PIP_QUIET": "1",
+            "PIP_DISABLE_PIP_VERSION_CHECK": "1",
+        }
 
     def type(self, line: str) -> subprocess.CompletedProcess[str]:
         """Run a line of a shell in a folder whose name has blanks and an umlaut."""
         return subprocess.run(
-            ["bash", "-c", line], cwd=self.folder, env=self.environment,
-            capture_output=True, text=True, check=False, timeout=3000,
-        )  # fmt: skip
+            ["bash", "-c", line],
+            cwd=self.folder,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=3000,
+        )
 
 
 @pytest.fixture(scope="module")

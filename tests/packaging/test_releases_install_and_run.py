@@ -1,8 +1,10 @@
-"""Wheel and sdist, built from what git knows, install and run outside the tree: Python 3.11 to 3.13, old and new versions.
+"""Wheel and sdist, built from what git knows, install and run outside the tree: Python 3.11 to
+3.13, old and new versions.
 
-`make test-releases` (about three minutes an environment; asks PyPI). Pythons are looked for in PYTHONS (paths, separated by
-blanks or colons), PATH and pyenv; one that is absent is listed as skipped. PyTorch (the extra `gp`) is not installed here:
-it is 500 MB, and `make test` has it on Python 3.11.
+`make test-releases` (about three minutes an environment; asks PyPI). Pythons are looked for in
+PYTHONS (paths, separated by blanks or colons), PATH and pyenv; one that is absent is listed as
+skipped. PyTorch (the extra `gp`) is not installed here: it is 500 MB, and `make test` has it on
+Python 3.11.
 """
 
 from __future__ import annotations
@@ -40,8 +42,11 @@ def _version(python: str) -> str:
     try:
         done = subprocess.run(
             [python, "-c", "import sys, venv; print('%d.%d' % sys.version_info[:2])"],
-            capture_output=True, text=True, check=False, timeout=30,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=30,
+        )
     except OSError:
         return ""
     return done.stdout.strip() if done.returncode == 0 else ""
@@ -61,7 +66,9 @@ def pythons() -> dict[str, str]:
 
 def tracked() -> list[str]:
     """Files of the packages, as git has them."""
-    done = subprocess.run(["git", "ls-files", *PACKAGES], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["git", "ls-files", *PACKAGES], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     if done.returncode != 0 or not done.stdout:
         pytest.skip("no git checkout")
     return done.stdout.split("\n")[:-1]
@@ -78,7 +85,9 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     subprocess.run([sys.executable, "-m", "venv", str(folder / "builder")], check=True)
     subprocess.run([str(python), "-m", "pip", "install", "-q", "build"], check=True)
     subprocess.run(
-        [str(python), "-m", "build", "-o", str(folder), str(folder / "tree")], check=True, capture_output=True
+        [str(python), "-m", "build", "-o", str(folder), str(folder / "tree")],
+        check=True,
+        capture_output=True,
     )
     return folder
 
@@ -107,8 +116,12 @@ def test_it_installs_and_runs(version: str, settings: str, built: Path, tmp_path
     kind, versions = SETTINGS[settings]
     (archive,) = built.glob(f"*.{kind}")
     python = tmp_path / "venv" / "bin" / "python"
-    clean = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV", "PYTHONHOME")}
-    subprocess.run([pythons()[version], "-m", "venv", str(tmp_path / "venv")], check=True, env=clean)
+    clean = {
+        k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV", "PYTHONHOME")
+    }
+    subprocess.run(
+        [pythons()[version], "-m", "venv", str(tmp_path / "venv")], check=True, env=clean
+    )
     install = [str(python), "-m", "pip", "install", "-q", "--disable-pip-version-check", *versions]
     subprocess.run([*install, f"{archive}[logs,completion]"], check=True, env=clean, timeout=3600)
     subprocess.run([str(python), "-m", "pip", "check"], check=True, env=clean)
@@ -116,8 +129,14 @@ def test_it_installs_and_runs(version: str, settings: str, built: Path, tmp_path
     away.mkdir()
     done = subprocess.run(
         [str(python), str(SMOKE), str(ROOT / "README.md"), str(WRITERS)],
-        cwd=away, env=clean, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False, timeout=3600,
-    )  # fmt: skip
+        cwd=away,
+        env=clean,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+        timeout=3600,
+    )
     assert done.returncode == 0, done.stdout
     said = subprocess.run(
         [str(python), "-m", "pip", "list"], capture_output=True, text=True, check=True, env=clean
@@ -134,11 +153,15 @@ def test_the_bounds_are_the_versions_that_were_tried() -> None:
     extras = project["optional-dependencies"]
     asked = dict(
         re.findall(
-            r"^([\w-]+)>=([\d.]+)", "\n".join([*project["dependencies"], *extras["logs"], *extras["completion"]]), re.M
+            r"^([\w-]+)>=([\d.]+)",
+            "\n".join([*project["dependencies"], *extras["logs"], *extras["completion"]]),
+            re.M,
         )
     )
     pinned: dict[str, str] = {}
-    for name, version in re.findall(r"^([\w-]+)==([\d.]+)", (ROOT / "constraints-lowest.txt").read_text(), re.M):
+    for name, version in re.findall(
+        r"^([\w-]+)==([\d.]+)", (ROOT / "constraints-lowest.txt").read_text(), re.M
+    ):
         pinned.setdefault(name, version)
 
     def whole(version: str) -> tuple[int, ...]:
@@ -148,10 +171,14 @@ def test_the_bounds_are_the_versions_that_were_tried() -> None:
 
 
 def test_nothing_but_the_packages_is_installed() -> None:
-    asked = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]["find"]
+    asked = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"][
+        "find"
+    ]
     here = [p.parent.name for p in ROOT.glob("*/__init__.py")]
     assert "scenarios" in here
-    assert {n for n in here if any(fnmatch.fnmatch(n, pattern) for pattern in asked["include"])} == set(PACKAGES)
+    assert {
+        n for n in here if any(fnmatch.fnmatch(n, pattern) for pattern in asked["include"])
+    } == set(PACKAGES)
 
 
 def test_example_flights_are_installed_with_licence_and_provenance() -> None:
@@ -163,7 +190,9 @@ def test_example_flights_are_installed_with_licence_and_provenance() -> None:
 
 
 def test_what_is_not_python_is_declared_as_package_data() -> None:
-    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"][
+        "package-data"
+    ]
     there = {
         str(path)
         for package, patterns in declared.items()

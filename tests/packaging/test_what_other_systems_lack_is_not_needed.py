@@ -1,5 +1,6 @@
-"""What can be tried of Windows and macOS on Linux: no make, no compiler, nothing that only POSIX has, spawned processes,
-lines that end in CR LF, blanks and other letters in paths, an installation that cannot be written."""
+"""What can be tried of Windows and macOS on Linux: no make, no compiler, nothing that only POSIX
+has, spawned processes, lines that end in CR LF, blanks and other letters in paths, an installation
+that cannot be written."""
 
 from __future__ import annotations
 
@@ -23,13 +24,26 @@ from tests.docs.pages import ROOT
 MAPPING = 'schema = "greybox.mapping/1"\r\n[battery]\r\nfields = ["pwr_pm_vbat"]\r\n'
 
 
-def run(folder: Path, *words: str, code: int = 0, root: Path = ROOT) -> subprocess.CompletedProcess[str]:
+def run(
+    folder: Path, *words: str, code: int = 0, root: Path = ROOT
+) -> subprocess.CompletedProcess[str]:
     """A command on the foreign system, in a folder."""
     done = subprocess.run(
-        [sys.executable, "-X", "warn_default_encoding", "-m", "tests.packaging.foreign_system", *words],
-        cwd=folder, capture_output=True, text=True, encoding="utf-8", check=False,
+        [
+            sys.executable,
+            "-X",
+            "warn_default_encoding",
+            "-m",
+            "tests.packaging.foreign_system",
+            *words,
+        ],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        check=False,
         env={**os.environ, "PYTHONPATH": str(root), "PYTHONDONTWRITEBYTECODE": "1"},
-    )  # fmt: skip
+    )
     assert done.returncode == code, done.stdout + done.stderr
     assert "Traceback" not in done.stderr, done.stderr
     return done
@@ -56,7 +70,9 @@ def test_files_with_other_ends_of_lines_and_paths_are_the_same(desk: Path):
     for name, values in theirs.channels.items():
         np.testing.assert_array_equal(values, ours.channels[name][: len(values)])
     marked = desk / "with a mark.toml"
-    marked.write_bytes("\N{ZERO WIDTH NO-BREAK SPACE}".encode() + (desk / "Größe.toml").read_bytes())
+    marked.write_bytes(
+        "\N{ZERO WIDTH NO-BREAK SPACE}".encode() + (desk / "Größe.toml").read_bytes()
+    )
     assert read_vehicle(marked) == vehicle  # as Notepad writes UTF-8
 
 
@@ -73,14 +89,24 @@ def test_commands_need_nothing_that_only_posix_has(desk: Path):
 def test_text_files_are_opened_with_their_encoding():
     """Elsewhere the default is not UTF-8: a file that is read by it is another one."""
     bare = []
-    for path in (p for package in ("greybox", "mpc_export") for p in (ROOT / package).rglob("*.py")):
+    for path in (
+        p for package in ("greybox", "mpc_export") for p in (ROOT / package).rglob("*.py")
+    ):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if not isinstance(node, ast.Call):
                 continue
             given = {k.arg for k in node.keywords}
             method = node.func.attr if isinstance(node.func, ast.Attribute) else ""
-            alone = method in ("read_text", "write_text") and not given & {"encoding", None} and len(node.args) < 2
-            if alone or ("text" in given and "encoding" not in given and method in ("run", "Popen", "check_output")):
+            alone = (
+                method in ("read_text", "write_text")
+                and not given & {"encoding", None}
+                and len(node.args) < 2
+            )
+            if alone or (
+                "text" in given
+                and "encoding" not in given
+                and method in ("run", "Popen", "check_output")
+            ):
                 bare.append(f"{path.relative_to(ROOT)}:{node.lineno}")
     assert bare == []
 
@@ -89,10 +115,22 @@ def test_text_files_are_opened_with_their_encoding():
 def test_a_fit_and_its_export_work_there(desk: Path):
     train, test = "B2_circle_fast_rep1 é.csv", "B3_figure8_fast_rep1 é.csv"
     effects = "motor_lag,command_delay,rotor_drag,rotational_damping"
-    words = ["--vehicle", "Größe.toml", "--train", train, "--test", test, "--manual", "--effects", effects]
+    words = [
+        "--vehicle",
+        "Größe.toml",
+        "--train",
+        train,
+        "--test",
+        test,
+        "--manual",
+        "--effects",
+        effects,
+    ]
     run(desk, "fit", *words, "--max-iterations", "12", "--out", "Ergebnis 1", code=1)
     model = str(Path("Ergebnis 1") / "model.json")
-    assert "How it answers to commands" in (desk / "Ergebnis 1" / "report.html").read_text(encoding="utf-8")
+    assert "How it answers to commands" in (desk / "Ergebnis 1" / "report.html").read_text(
+        encoding="utf-8"
+    )
     run(desk, "export", model, "--even-so", "--name", "quad", "--out", "Bündel")
     assert (desk / "Bündel" / "manifest.json").exists()
 
@@ -101,7 +139,9 @@ def test_a_fit_and_its_export_work_there(desk: Path):
 def test_an_installation_that_cannot_be_written_serves(desk: Path, tmp_path: Path):
     root = tmp_path / "read only"
     for package in ("greybox", "mpc_export"):
-        shutil.copytree(ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__")
+        )
     (root / "tests" / "packaging").mkdir(parents=True)
     shutil.copy(ROOT / "tests" / "packaging" / "foreign_system.py", root / "tests" / "packaging")
     before = {p: p.stat().st_mtime_ns for p in root.rglob("*")}

@@ -30,15 +30,23 @@ def rivals() -> dict[str, Fit]:
 
 @pytest.mark.slow
 def test_speed_separates_drags_and_hover_does_not():
-    found = {(s.manoeuvre.name, s.amplitude): s.expected for s in separations(rivals(), library=SHORT, seconds=4.0)}
+    found = {
+        (s.manoeuvre.name, s.amplitude): s.expected
+        for s in separations(rivals(), library=SHORT, seconds=4.0)
+    }
     assert found["hover", 0.0] < 0.1
     assert found["forward_and_back", 4.0] > found["forward_and_back", 1.5] > 1.0
     best = separating_manoeuvre(rivals(), library=SHORT, seconds=4.0)
     assert best is not None
     assert (best["name"], best["amplitude"]) == ("forward_and_back", 4.0)
-    assert best["seconds_to_bic_10"] == pytest.approx(4.0 * 5 / best["expected_log_likelihood_ratio"])
+    assert best["seconds_to_bic_10"] == pytest.approx(
+        4.0 * 5 / best["expected_log_likelihood_ratio"]
+    )
     assert [r["name"] for r in best["runners_up"]] == ["hover"]
-    assert best["runners_up"][0]["seconds_to_bic_10"] is None or best["runners_up"][0]["seconds_to_bic_10"] > 100
+    assert (
+        best["runners_up"][0]["seconds_to_bic_10"] is None
+        or best["runners_up"][0]["seconds_to_bic_10"] > 100
+    )
 
 
 def test_a_flight_follows_its_path_and_its_commands_are_within_limits():
@@ -53,7 +61,13 @@ def test_a_flight_follows_its_path_and_its_commands_are_within_limits():
 
 
 def test_what_the_vehicle_cannot_fly_is_left_out():
-    wild = Manoeuvre(name="wild", text="", unit="m/s^2", amplitudes=(1.0,), twist=lambda t, a: (0.0, 0.0, 0.0, 9.0))
+    wild = Manoeuvre(
+        name="wild",
+        text="",
+        unit="m/s^2",
+        amplitudes=(1.0,),
+        twist=lambda t, a: (0.0, 0.0, 0.0, 9.0),
+    )
     assert flown(rivals()["rotor_drag"].model, wild, 1.0, seconds=2.0) is None
     assert separating_manoeuvre(rivals(), library=(wild,), seconds=2.0) is None
 
@@ -61,6 +75,6 @@ def test_what_the_vehicle_cannot_fly_is_left_out():
 def test_rivals_that_predict_the_same_never_part():
     never = Separation(manoeuvre=SHORT[0], amplitude=0.0, seconds=6.0, expected=0.0)
     assert never.to_dict()["seconds_to_bic_10"] is None
-    assert Separation(manoeuvre=SHORT[0], amplitude=0.0, seconds=6.0, expected=30.0).seconds_to_clear == pytest.approx(
-        1.0
-    )
+    assert Separation(
+        manoeuvre=SHORT[0], amplitude=0.0, seconds=6.0, expected=30.0
+    ).seconds_to_clear == pytest.approx(1.0)

@@ -19,13 +19,17 @@ from greybox.planning.limits import Limits
 from greybox.planning.planning_case import planning_case
 from greybox.planning.setpoints import csv, setpoints
 
-LIMITS = Limits(box=(3.0, 2.0, 2.0), floor=0.4, speed=2.0, tilt=np.radians(25.0), command=(0.1, 0.9))
+LIMITS = Limits(
+    box=(3.0, 2.0, 2.0), floor=0.4, speed=2.0, tilt=np.radians(25.0), command=(0.1, 0.9)
+)
 
 
 def vehicle(**changes: object) -> Vehicle:
     """The template; as a file of schema /1, whose bare numbers are exact and whose fits know no wall at the triangle
     inequality (these flights say little of the yaw inertia, and a noise-free fit goes as far as it may)."""
-    return Vehicle.from_dict(tomllib.loads(template_text("x")) | {"schema": "greybox.vehicle/1"} | changes)
+    return Vehicle.from_dict(
+        tomllib.loads(template_text("x")) | {"schema": "greybox.vehicle/1"} | changes
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +46,9 @@ def test_the_expected_flight_keeps_every_limit(made):
     assert LIMITS.broken(made.log) == []
     use = LIMITS.used(made.log)
     assert use["x"] <= 1.5 and use["y"] <= 1.0 and 0.4 <= use["lowest"] <= use["highest"] <= 2.0
-    assert use["speed"] <= 2.0 and use["tilt"] <= np.radians(25.0) and use["commands_outside"] <= 0.01
+    assert (
+        use["speed"] <= 2.0 and use["tilt"] <= np.radians(25.0) and use["commands_outside"] <= 0.01
+    )
     assert use["speed"] > 0.5, "a plan that hardly moves is no plan"
     assert made.seconds == 25.0
 
@@ -85,7 +91,9 @@ def test_look_alikes_are_judged_in_both_directions(made):
 def scaled(made):
     """The plan's subject with the mass known, so that nothing but noise is left to decide the common scale."""
     return planning_case(
-        vehicle(), effects=["rotor_drag", "command_delay"], free=[n for n in made.subject.free if n != "mass"]
+        vehicle(),
+        effects=["rotor_drag", "command_delay"],
+        free=[n for n in made.subject.free if n != "mass"],
     )
 
 
@@ -115,7 +123,10 @@ def test_what_was_known_before_counts_and_twice_as_long_is_root_two(made):
     once, twice = made.errors["command_delay.d"], errors(made.subject, double)["command_delay.d"]
     # The prior of the scale has a little part in it.
     assert once[0] / twice[0] == pytest.approx(np.sqrt(2), rel=1e-3)
-    assert all(std <= made.subject.known_before.get(n, np.inf) * (1 + 1e-9) for n, (std, _) in made.errors.items())
+    assert all(
+        std <= made.subject.known_before.get(n, np.inf) * (1 + 1e-9)
+        for n, (std, _) in made.errors.items()
+    )
 
 
 def test_only_ratios_are_said_to_be_seen_where_nothing_fixes_the_scale(made):
@@ -133,7 +144,9 @@ def test_the_choice_is_the_best_of_all_where_all_can_be_tried():
         told[str(k)] = Information(names=s.free, matrix=a @ a.T)
     score = Score(s, s.free)
     chosen = choose(told, 6, score)
-    allowed = [c for c in itertools.combinations_with_replacement(told, 6) if max(map(c.count, c)) <= 2]
+    allowed = [
+        c for c in itertools.combinations_with_replacement(told, 6) if max(map(c.count, c)) <= 2
+    ]
     best = max(score(sum(told[n].matrix for n in c)) for c in allowed)
     assert score(sum(told[n].matrix for n in chosen)) == pytest.approx(best, abs=2e-3)
 
@@ -141,7 +154,9 @@ def test_the_choice_is_the_best_of_all_where_all_can_be_tried():
 def test_setpoints_only_needs_no_injected_signal(made):
     every = excitation_blocks(made.subject.flying, LIMITS, seconds=5.0)
     plain = excitation_blocks(made.subject.flying, LIMITS, seconds=5.0, setpoints_only=True)
-    assert not any(p.injected for p in plain) and {p.name for p in plain} == {p.name for p in every if not p.injected}
+    assert not any(p.injected for p in plain) and {p.name for p in plain} == {
+        p.name for p in every if not p.injected
+    }
     columns = setpoints([(p, 1.0) for p in plain], LIMITS, 0.01, 9.81)
     assert not any(columns[f"inj_{n}"].any() for n in ("roll", "pitch", "yaw", "thrust"))
 
@@ -159,7 +174,9 @@ def test_every_piece_starts_and_ends_at_home():
 
 def test_multisines_of_different_inputs_are_orthogonal():
     s = planning_case(vehicle())
-    (p,) = [p for p in excitation_blocks(s.flying, LIMITS, seconds=5.0) if p.name == "all_multisine"]
+    (p,) = [
+        p for p in excitation_blocks(s.flying, LIMITS, seconds=5.0) if p.name == "all_multisine"
+    ]
     t = np.arange(0, 5, 0.005)
     table = np.array([p.twist(float(v), 1.0) for v in t])
     r = np.corrcoef(table.T)
@@ -177,7 +194,9 @@ def test_a_piece_is_made_smaller_until_it_fits():
 
 def test_a_model_brings_its_values_and_what_its_flights_told(fitted):
     after = planning_case(model=fitted.model, effects=["rotor_drag"])
-    assert after.known_before["command_delay.d"] == pytest.approx(fitted["command_delay.d"].std, rel=1e-3)
+    assert after.known_before["command_delay.d"] == pytest.approx(
+        fitted["command_delay.d"].std, rel=1e-3
+    )
     assert after.values["command_delay.d"] == fitted["command_delay.d"].value
     assert set(after.wanted) == {"rotor_drag.k_x", "rotor_drag.k_y"}
 
@@ -201,12 +220,21 @@ def test_bad_wishes_are_one_line(options, error, words):
 
 
 def test_limits_without_room_are_refused():
-    for bad in ({"box": (0.1, 4.0, 2.5)}, {"floor": 3.0}, {"speed": 0.0}, {"tilt": 1.5}, {"command": (0.9, 0.1)}):
+    for bad in (
+        {"box": (0.1, 4.0, 2.5)},
+        {"floor": 3.0},
+        {"speed": 0.0},
+        {"tilt": 1.5},
+        {"command": (0.9, 0.1)},
+    ):
         with pytest.raises(GreyboxError, match="no room"):
             Limits(**bad)
     with pytest.raises(GreyboxError, match="exact"):
         plan(
             vehicle(
-                mass=0.5, inertia_sigma=[0.0] * 3, effects={}, actuator={"thrust": [0, 0, 5.0], "torque": [0, 0, 0.08]}
+                mass=0.5,
+                inertia_sigma=[0.0] * 3,
+                effects={},
+                actuator={"thrust": [0, 0, 5.0], "torque": [0, 0, 0.08]},
             )
         )

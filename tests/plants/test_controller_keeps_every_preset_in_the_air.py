@@ -1,4 +1,5 @@
-"""The cascade controller flies every preset along every reference, from noisy measurements, with its loops excited."""
+"""The cascade controller flies every preset along every reference, from noisy measurements, with
+its loops excited."""
 
 from __future__ import annotations
 
@@ -7,7 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.excitation import Circle, FigureEight, Hover, Lemniscate, RandomWaypoints, rich_excitation
+from greybox.excitation import (
+    Circle,
+    FigureEight,
+    Hover,
+    Lemniscate,
+    RandomWaypoints,
+    rich_excitation,
+)
 from greybox.plants.airframe import Airframe
 from greybox.plants.controller import CascadeController
 from greybox.plants.effects import BatterySag, CommandDelay, MotorLag, RotorAsymmetry, RotorDrag
@@ -25,13 +33,17 @@ def deviation(log, goal):
 @pytest.mark.parametrize("gains", [DEFAULT, SOFT, STIFF], ids=["default", "soft", "stiff"])
 def test_hover_with_excitation_for_several_seeds(make, gains):
     plant = make(EFFECTS)
-    log = fly(plant, controller_for(plant, gains), Hover(), rich_excitation(0.5), 2.0, seed=[1, 2, 3])
+    log = fly(
+        plant, controller_for(plant, gains), Hover(), rich_excitation(0.5), 2.0, seed=[1, 2, 3]
+    )
     assert deviation(log, np.array([0.0, 0.0, 1.0])) < 0.15
     assert all(np.all((log[f"u{i}"] >= 0) & (log[f"u{i}"] <= 1)) for i in range(1, 5))
 
 
 @pytest.mark.parametrize(
-    "reference", [Circle(), FigureEight(), Lemniscate(), RandomWaypoints(), Circle(yaw_rate=0.8)], ids=repr
+    "reference",
+    [Circle(), FigureEight(), Lemniscate(), RandomWaypoints(), Circle(yaw_rate=0.8)],
+    ids=repr,
 )
 def test_references_are_followed(reference):
     plant = nano(EFFECTS)
@@ -42,7 +54,13 @@ def test_references_are_followed(reference):
 
 
 def test_integrators_carry_a_wrong_mass_a_weak_rotor_and_a_falling_battery():
-    plant = nano((*EFFECTS, RotorAsymmetry(delta=(0.06, -0.06, 0.03, -0.03)), BatterySag(nominal_voltage=3.8, c_V=1.0)))
+    plant = nano(
+        (
+            *EFFECTS,
+            RotorAsymmetry(delta=(0.06, -0.06, 0.03, -0.03)),
+            BatterySag(nominal_voltage=3.8, c_V=1.0),
+        )
+    )
     belief: Airframe = replace(plant.airframe, mass=0.9 * plant.airframe.mass)
     log = fly(plant, CascadeController(belief), Hover(), None, 12.0, seed=2)
     late = log["t"] > 8.0

@@ -1,4 +1,5 @@
-"""Every effect of a simulated plant is the identity at its null, and none of them is idle away from it."""
+"""Every effect of a simulated plant is the identity at its null, and none of them is idle away from
+it."""
 
 from __future__ import annotations
 
@@ -124,7 +125,8 @@ def test_asymmetry_must_sum_to_zero():
 
 
 def test_a_delay_of_two_samples_and_a_half_is_exact():
-    """A command step arrives late by exactly the delay: compare with the same step commanded later."""
+    """A command step arrives late by exactly the delay: compare with the same step commanded
+    later."""
     late, early = Quadrotor(NANO, [CommandDelay(d=0.025)]), Quadrotor(NANO)
     hover, up = NANO.hover_speed, 0.8
     for k in range(20):
@@ -142,7 +144,9 @@ def test_motor_lag_is_the_exact_exponential():
     hover = NANO.hover_speed
     for _ in range(7):
         plant.step([0.9] * 4, 0.01)
-    assert plant.states()["nu1"] == pytest.approx(0.9 + (hover - 0.9) * np.exp(-0.07 / 0.03), abs=1e-14)
+    assert plant.states()["nu1"] == pytest.approx(
+        0.9 + (hover - 0.9) * np.exp(-0.07 / 0.03), abs=1e-14
+    )
 
 
 def test_a_rotor_may_spin_down_more_slowly_than_up():
@@ -166,15 +170,24 @@ def test_a_late_pose_is_the_pose_of_that_instant_and_leaves_the_imu_alone():
             plant.step(u, 0.01)
         seen.append(rows)
     for name in ("qw", "qx", "qy", "qz", "x", "y", "z", "vx", "vy", "vz"):
-        assert [r[name] for r in seen[0][4:]] == pytest.approx([r[name] for r in seen[1][2:-2]], abs=1e-5), name
-        assert seen[0][1][name] == pytest.approx(seen[1][0][name], abs=1e-12), "before the flight nothing moved"
+        assert [r[name] for r in seen[0][4:]] == pytest.approx(
+            [r[name] for r in seen[1][2:-2]], abs=1e-5
+        ), name
+        assert seen[0][1][name] == pytest.approx(seen[1][0][name], abs=1e-12), (
+            "before the flight nothing moved"
+        )
     for name in ("p", "q", "r", "ax", "ay", "az"):
-        assert [r[name] for r in seen[0]] == pytest.approx([r[name] for r in seen[1]], abs=1e-6), name
+        assert [r[name] for r in seen[0]] == pytest.approx([r[name] for r in seen[1]], abs=1e-6), (
+            name
+        )
 
 
 def test_a_late_imu_is_the_imu_of_that_instant_and_leaves_the_pose_alone():
     """A delay of one and a half samples: compare with a plant that is measured at half samples."""
-    late, plain = Quadrotor(NANO, [SensorDelay(d=0.015), MotorLag(tau=0.04)]), Quadrotor(NANO, [MotorLag(tau=0.04)])
+    late, plain = (
+        Quadrotor(NANO, [SensorDelay(d=0.015), MotorLag(tau=0.04)]),
+        Quadrotor(NANO, [MotorLag(tau=0.04)]),
+    )
     held, half = [], []
     for k in range(12):
         u = [0.7 + 0.1 * np.sin(k + i) for i in range(4)]
@@ -184,7 +197,9 @@ def test_a_late_imu_is_the_imu_of_that_instant_and_leaves_the_pose_alone():
             half.append(plain.measure())
             plain.step(u, 0.005)
     for name in ("p", "q", "r", "ax", "ay", "az"):
-        assert [r[name] for r in held[3:]] == pytest.approx([r[name] for r in half[3:-4:2]], abs=2e-4), name
+        assert [r[name] for r in held[3:]] == pytest.approx(
+            [r[name] for r in half[3:-4:2]], abs=2e-4
+        ), name
     assert [r["vz"] for r in held] == pytest.approx([r["vz"] for r in half[::2]], abs=1e-6)
 
 
@@ -228,7 +243,9 @@ def test_the_gyroscopic_moment_does_no_work_and_spinning_up_turns_the_body_the_o
     spun, idle = Quadrotor(NANO, [lag, effect]), Quadrotor(NANO, [lag])
     for p in (spun, idle):
         p.step([0.9, 0.5, 0.9, 0.5], 0.01)
-    assert spun.states()["r"] < idle.states()["r"], "counter-clockwise rotors speed up: the body turns clockwise"
+    assert spun.states()["r"] < idle.states()["r"], (
+        "counter-clockwise rotors speed up: the body turns clockwise"
+    )
 
 
 def test_a_saturated_rotor_stays_where_it_is():

@@ -1,4 +1,5 @@
-"""A simulated flight written to disk is a flight log and a vehicle file as the file contract has them."""
+"""A simulated flight written to disk is a flight log and a vehicle file as the file contract has
+them."""
 
 from __future__ import annotations
 
@@ -35,7 +36,9 @@ def test_a_log_survives_the_file_bit_by_bit(log, tmp_path):
     with path.open() as file:
         rows = list(csv.reader(file))
     assert rows[0] == COLUMNS
-    assert np.array_equal(np.array(rows[1:], dtype=float), np.stack([log[c] for c in COLUMNS], axis=-1))
+    assert np.array_equal(
+        np.array(rows[1:], dtype=float), np.stack([log[c] for c in COLUMNS], axis=-1)
+    )
     assert len(rows) == 51
 
 

@@ -1,4 +1,5 @@
-"""Noise has the stated levels, reaches what it should reach, and repeats with its seed, alone or in a batch."""
+"""Noise has the stated levels, reaches what it should reach, and repeats with its seed, alone or in
+a batch."""
 
 from __future__ import annotations
 
@@ -35,7 +36,9 @@ def test_force_noise_kicks_velocity_by_the_spectral_level_and_is_felt_by_the_acc
     before, after = one_step(Quadrotor(FRAME, process=ProcessNoise(force=q)), range(3000))
     kick = after["vx"] / 0.01
     assert np.std(kick) == pytest.approx(q / np.sqrt(0.01) / 0.5, rel=0.05)
-    assert kick == pytest.approx(before["ax"], abs=1e-9), "the accelerometer at t_k sees the force that begins at t_k"
+    assert kick == pytest.approx(before["ax"], abs=1e-9), (
+        "the accelerometer at t_k sees the force that begins at t_k"
+    )
     assert np.std(after["ax"]) == pytest.approx(q / np.sqrt(0.01) / 0.5, rel=0.05)
     assert abs(np.corrcoef(before["ax"], after["ax"])[0, 1]) < 0.06
 
@@ -73,7 +76,9 @@ def test_a_drifting_force_walks_and_a_bounded_one_settles():
 
 
 def test_sensor_noise_has_the_stated_levels():
-    sensors = SensorNoise(gyro=0.02, accelerometer=0.1, attitude=0.003, position=0.004, velocity=0.05)
+    sensors = SensorNoise(
+        gyro=0.02, accelerometer=0.1, attitude=0.003, position=0.004, velocity=0.05
+    )
     plant = Quadrotor(FRAME, sensors=sensors)
     plant.reset(range(4000))
     seen = plant.measure()

@@ -1,4 +1,5 @@
-"""The simulated plant obeys Newton and Euler: equilibrium, invariants, signs, accelerometers that feel no gravity."""
+"""The simulated plant obeys Newton and Euler: equilibrium, invariants, signs, accelerometers that
+feel no gravity."""
 
 from __future__ import annotations
 
@@ -8,7 +9,13 @@ import numpy as np
 import pytest
 
 from greybox.plants.airframe import Airframe, Rotor, plus_layout, x_layout
-from greybox.plants.effects import BladeFlapping, CenterOfMassOffset, ParasiticDrag, RotationalDamping, RotorDrag
+from greybox.plants.effects import (
+    BladeFlapping,
+    CenterOfMassOffset,
+    ParasiticDrag,
+    RotationalDamping,
+    RotorDrag,
+)
 from greybox.plants.quadrotor import Quadrotor
 
 FRAME = Airframe(
@@ -60,7 +67,9 @@ def test_free_fall_is_weightless_and_parabolic():
         plant.step(IDLE, 0.01)
     seen = plant.measure(IDLE)
     assert [seen["ax"], seen["ay"], seen["az"]] == pytest.approx([0, 0, 0], abs=1e-12)
-    assert [seen["x"], seen["y"], seen["z"]] == pytest.approx([2.0, -1.0, 103.0 - 0.5 * 9.80665], abs=1e-9)
+    assert [seen["x"], seen["y"], seen["z"]] == pytest.approx(
+        [2.0, -1.0, 103.0 - 0.5 * 9.80665], abs=1e-9
+    )
 
 
 def test_torque_free_tumbling_keeps_angular_momentum_in_the_world_and_energy():
@@ -94,7 +103,10 @@ def test_stronger_left_rotors_roll_right_and_stronger_rear_rotors_pitch_the_nose
     frame = replace(FRAME, rotors=layout, products=(0.0, 0.0, 0.0), torque=(0.0, 0.0, 0.0))
     for axis, sign in ((1, "p"), (0, "q")):
         plant = Quadrotor(frame)
-        u = [0.5 + 0.05 * (1 if axis == 1 else -1) * np.sign(rotor.position[axis]) for rotor in layout]
+        u = [
+            0.5 + 0.05 * (1 if axis == 1 else -1) * np.sign(rotor.position[axis])
+            for rotor in layout
+        ]
         for _ in range(5):
             plant.step(u, 0.01)
         seen = plant.measure()
@@ -132,12 +144,18 @@ def test_moments_follow_the_published_plus_layout():
     plant = Quadrotor(frame, substep=1e-5)
     plant.step(u, 1e-5)
     seen = plant.measure()
-    assert [seen[n] * j / 1e-5 for n, j in zip("pqr", frame.inertia)] == pytest.approx(expected, rel=1e-3)
+    assert [seen[n] * j / 1e-5 for n, j in zip("pqr", frame.inertia)] == pytest.approx(
+        expected, rel=1e-3
+    )
 
 
 @pytest.mark.parametrize(
     "effect",
-    [RotorDrag(k_x=1e-4, k_y=2e-4), ParasiticDrag(c_x=0.02, c_y=0.03, c_z=0.04), RotationalDamping(d_p=1e-3, d_r=2e-3)],
+    [
+        RotorDrag(k_x=1e-4, k_y=2e-4),
+        ParasiticDrag(c_x=0.02, c_y=0.03, c_z=0.04),
+        RotationalDamping(d_p=1e-3, d_r=2e-3),
+    ],
 )
 def test_drag_takes_energy_away(effect):
     plain, dragged = Quadrotor(FRAME), Quadrotor(FRAME, [effect])
@@ -167,7 +185,9 @@ def test_positive_flapping_lifts_the_nose_in_forward_flight():
 
 
 def test_an_imu_off_the_centre_of_mass_feels_the_centripetal_acceleration():
-    frame = replace(FRAME, imu_position=(0.1, 0.0, 0.0), products=(0.0, 0.0, 0.0), torque=(0.0, 0.0, 0.0))
+    frame = replace(
+        FRAME, imu_position=(0.1, 0.0, 0.0), products=(0.0, 0.0, 0.0), torque=(0.0, 0.0, 0.0)
+    )
     plant = Quadrotor(frame)
     plant.reset(0, rates=(0.0, 0.0, 5.0))
     assert plant.measure()["ax"] == pytest.approx(-0.1 * 25.0)

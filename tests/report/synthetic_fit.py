@@ -1,4 +1,5 @@
-"""A made-up but realistic fit, its flights and its validation, for looking at reports and for testing them."""
+"""A made-up but realistic fit, its flights and its validation, for looking at reports and for
+testing them."""
 
 from __future__ import annotations
 
@@ -19,7 +20,12 @@ from greybox.validation.horizon import HorizonAccumulator
 from greybox.validation.metrics import channel_metrics
 from greybox.validation.whiteness import whiteness
 
-FLIGHTS = ("B2_circle_fast_rep1", "B3_figure8_fast_rep1", "B5_helix_medium_rep2", "B7_oval_fast_rep1")
+FLIGHTS = (
+    "B2_circle_fast_rep1",
+    "B3_figure8_fast_rep1",
+    "B5_helix_medium_rep2",
+    "B7_oval_fast_rep1",
+)
 SHARED = {
     # name: (value, std, unit, prior value, prior sigma, prior influence)
     "mass": (0.0427, 0.0011, "kg", 0.0425, 0.003, 0.78),
@@ -91,8 +97,28 @@ def make_fit() -> dict[str, Any]:
                 "schema": "greybox.fit/1",
                 "model": {
                     "name": "quadrotor",
-                    "effects": ["motor_lag", "command_delay", "rotor_drag", "blade_flapping", "rotational_damping"],
-                    "states": ["x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r"],
+                    "effects": [
+                        "motor_lag",
+                        "command_delay",
+                        "rotor_drag",
+                        "blade_flapping",
+                        "rotational_damping",
+                    ],
+                    "states": [
+                        "x",
+                        "y",
+                        "z",
+                        "vx",
+                        "vy",
+                        "vz",
+                        "qw",
+                        "qx",
+                        "qy",
+                        "qz",
+                        "p",
+                        "q",
+                        "r",
+                    ],
                     "inputs": ["u1", "u2", "u3", "u4"],
                     "outputs": list(UNITS),
                 },
@@ -106,7 +132,8 @@ def make_fit() -> dict[str, Any]:
                 "status": {
                     "converged": True,
                     "code": "small_step",
-                    "advice": "Converged: the last step changed no parameter by more than 0.1 % of its std.",
+                    "advice": "Converged: the last step changed no parameter by more than 0.1 % of "
+                    "its std.",
                     "iterations": 17,
                     "seconds": 41.3,
                 },
@@ -125,7 +152,8 @@ def make_fit() -> dict[str, Any]:
                 },
                 "correlations": {"names": names, "matrix": matrix},
                 "unidentifiable": [
-                    "mass and thrust.c2 only as a ratio: without a measured mass only their ratio shows."
+                    "mass and thrust.c2 only as a ratio: without a measured mass only their ratio "
+                    "shows."
                 ],
                 "flights": [
                     {
@@ -139,8 +167,14 @@ def make_fit() -> dict[str, Any]:
                 ],
                 "warnings": ["B7_oval_fast_rep1: 41 samples of vbat are frozen; they were masked."],
                 "data_hash": "sha256:" + "ab12" * 16,
-                "versions": {"greybox": "0.1.0", "casadi": "3.8.2", "numpy": "2.4.6", "python": "3.11.7"},
-                "command": "greybox fit --vehicle vehicle.toml --train B2.csv B3.csv --effects motor_lag --out fit",
+                "versions": {
+                    "greybox": "0.1.0",
+                    "casadi": "3.8.2",
+                    "numpy": "2.4.6",
+                    "python": "3.11.7",
+                },
+                "command": "greybox fit --vehicle vehicle.toml --train B2.csv B3.csv --effects "
+                "motor_lag --out fit",
             }
         )
     )
@@ -153,7 +187,9 @@ def make_flights(n: int = 3880) -> dict[str, FlightSeries]:
         t = np.arange(n) * 0.01
         channels = {}
         for j, (channel, unit) in enumerate(UNITS.items()):
-            clean = np.sin((0.9 + 0.2 * j) * t + i) * (1 + 0.5 * np.sin(0.31 * t)) + 0.2 * np.sin(9 * t) * (j < 3)
+            clean = np.sin((0.9 + 0.2 * j) * t + i) * (1 + 0.5 * np.sin(0.31 * t)) + 0.2 * np.sin(
+                9 * t
+            ) * (j < 3)
             measured = clean + 0.05 * rng.standard_normal(n)
             measured[700:730] = np.nan
             drift = lfilter([0.02], [1, -0.98], rng.standard_normal(n))
@@ -164,16 +200,23 @@ def make_flights(n: int = 3880) -> dict[str, FlightSeries]:
                 ahead=clean + 1.5 * drift,
             )
         role = "test" if i < 2 else "train"
-        flights[name] = FlightSeries(t=t, channels=channels, role=role, replay=make_replay(n * 0.01))
+        flights[name] = FlightSeries(
+            t=t, channels=channels, role=role, replay=make_replay(n * 0.01)
+        )
     return flights
 
 
 def make_replay(seconds: float) -> Replay:
-    """A craft that flies a figure eight and leans into it; the model leaves it by 0.3 m and 10 degrees in a second."""
+    """A craft that flies a figure eight and leans into it; the model leaves it by 0.3 m and 10
+    degrees in a second."""
 
     def poses(t: np.ndarray, off: np.ndarray) -> np.ndarray:
-        place = np.column_stack([2 * np.sin(0.7 * t), np.sin(1.4 * t) + 0.3 * off**2, 1.5 + 0.3 * np.sin(0.3 * t)])
-        angles = np.column_stack([0.4 * np.sin(1.4 * t) + np.radians(10) * off, -0.3 * np.cos(0.7 * t), 0.2 * t])
+        place = np.column_stack(
+            [2 * np.sin(0.7 * t), np.sin(1.4 * t) + 0.3 * off**2, 1.5 + 0.3 * np.sin(0.3 * t)]
+        )
+        angles = np.column_stack(
+            [0.4 * np.sin(1.4 * t) + np.radians(10) * off, -0.3 * np.cos(0.7 * t), 0.2 * t]
+        )
         return np.hstack([place, numeric("from_euler", angles)])
 
     step, k = 0.05, 20
@@ -183,7 +226,9 @@ def make_replay(seconds: float) -> Replay:
     grid = origins[:, None] + step * np.arange(k + 1)
     off = np.broadcast_to(step * np.arange(k + 1), grid.shape)
     predicted = poses(grid.ravel(), off.ravel()).reshape(*grid.shape, 7)
-    return Replay(begin=0.0, step=step, stride=stride, measured=poses(t, 0 * t), predicted=predicted)
+    return Replay(
+        begin=0.0, step=step, stride=stride, measured=poses(t, 0 * t), predicted=predicted
+    )
 
 
 def make_validation() -> dict[str, Any]:
@@ -237,7 +282,9 @@ def _validation() -> str:
         },
         "one_step": {
             c: channel_metrics(
-                np.sin(np.arange(3000) / 50), np.sin(np.arange(3000) / 50) + 0.02 * innovations[:, i], unit=UNITS[c]
+                np.sin(np.arange(3000) / 50),
+                np.sin(np.arange(3000) / 50) + 0.02 * innovations[:, i],
+                unit=UNITS[c],
             ).to_dict()
             for i, c in enumerate(names)
         },
@@ -246,7 +293,10 @@ def _validation() -> str:
             innovations, inputs, names=names, input_names=["u1", "u2", "u3", "u4"]
         ).to_dict(),
         "coverage": {
-            c: [interval_coverage([innovations[:, i]], 1.0, nominal=level).to_dict() for level in LEVELS]
+            c: [
+                interval_coverage([innovations[:, i]], 1.0, nominal=level).to_dict()
+                for level in LEVELS
+            ]
             for i, c in enumerate(names)
         },
         "warnings": [],

@@ -81,7 +81,11 @@ def test_warnings_come_before_everything_else(page: str) -> None:
 
 def test_a_fit_that_did_not_converge_says_so_first() -> None:
     fit = make_fit()
-    fit["status"] = {"converged": False, "code": "max_iter", "advice": "Ran out of iterations: start nearer."}
+    fit["status"] = {
+        "converged": False,
+        "code": "max_iter",
+        "advice": "Ran out of iterations: start nearer.",
+    }
     page = fit_report(fit)
     assert "did not converge" in page
     assert page.index("Ran out of iterations") < page.index("What was fitted</h2>")
@@ -120,7 +124,14 @@ def test_optional_parts_may_be_missing() -> None:
         p["prior_influence"] = None
         p["prior"] = None
     validation = make_validation()
-    for key in ("curves", "whiteness", "cross_correlation", "coverage", "dead_reckoning", "one_step"):
+    for key in (
+        "curves",
+        "whiteness",
+        "cross_correlation",
+        "coverage",
+        "dead_reckoning",
+        "one_step",
+    ):
         del validation[key]
     validation["adapted_on"] = None
     _tree(fit_report(fit, {}, validation))
@@ -129,7 +140,9 @@ def test_optional_parts_may_be_missing() -> None:
 def test_short_flights_with_one_missing_channel_are_drawn() -> None:
     t = np.arange(5) * 0.01
     gone = ChannelSeries(measured=np.full(5, np.nan), unit="m")
-    flights = {"a": FlightSeries(t=t, channels={"x": gone, "soc": ChannelSeries(measured=np.ones(5))})}
+    flights = {
+        "a": FlightSeries(t=t, channels={"x": gone, "soc": ChannelSeries(measured=np.ones(5))})
+    }
     page = fit_report(make_fit(), flights)
     assert "soc" in page
     _tree(page)
@@ -140,7 +153,9 @@ def test_diverged_numbers_are_dashes_not_nan() -> None:
     validation["horizons"][2]["groups"]["position"]["mae"] = None
     validation["simerr"]["position"] = None
     validation["curves"]["model"]["position"][40:] = [None] * 10
-    page = re.sub(r"<script\b.*?</script>", "", fit_report(make_fit(), {}, validation), flags=re.DOTALL)
+    page = re.sub(
+        r"<script\b.*?</script>", "", fit_report(make_fit(), {}, validation), flags=re.DOTALL
+    )
     assert "nan" not in re.sub(r"<[^>]*>", " ", page).lower().split()
 
 

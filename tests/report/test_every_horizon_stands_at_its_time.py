@@ -1,4 +1,5 @@
-"""Ceiling and floor are drawn at the times at which they were computed, whether all horizons are known or a few."""
+"""Ceiling and floor are drawn at the times at which they were computed, whether all horizons are
+known or a few."""
 
 from __future__ import annotations
 
@@ -15,7 +16,9 @@ from tests.report.synthetic_fit import make_validation
 @pytest.mark.parametrize("kept", ["all", "model only"])
 def test_every_row_at_its_own_times(kept: str, monkeypatch: pytest.MonkeyPatch) -> None:
     content: dict[str, Any] = make_validation()
-    content["curves"] = {k.replace("_", " "): v for k, v in content["curves"].items()}  # as `validate` writes them
+    content["curves"] = {
+        k.replace("_", " "): v for k, v in content["curves"].items()
+    }  # as `validate` writes them
     if kept == "model only":
         content["curves"] = {"model": content["curves"]["model"]}
     drawn: list[tuple[list[float], dict[str, Any]]] = []

@@ -1,4 +1,5 @@
-"""Reports in headless Chromium: no console errors, nothing cut off at phone width, both colour schemes, keyboard, paper."""
+"""Reports in headless Chromium: no console errors, nothing cut off at phone width, both colour
+schemes, keyboard, paper."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ from tests.report.test_the_page_shows_how_outputs_follow_commands import answers
 from tests.residual.test_learn_report_says_what_was_learned import content as learned
 
 pytestmark = pytest.mark.skipif(
-    not (shutil.which("chromium") and shutil.which("chromedriver")) or importlib.util.find_spec("selenium") is None,
+    not (shutil.which("chromium") and shutil.which("chromedriver"))
+    or importlib.util.find_spec("selenium") is None,
     reason="Chromium, its driver or selenium (extra `test`) is not installed",
 )
 PAGES = {
@@ -55,19 +57,30 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     options = webdriver.ChromeOptions()
     options.binary_location = str(shutil.which("chromium"))
     for flag in (
-        "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-        "--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-quic",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+        "--disable-dev-shm-usage",
         f"--user-data-dir={tmp_path_factory.mktemp('chromium')}",
-    ):  # fmt: skip
+    ):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(str(shutil.which("chromedriver"))))
+    driver = webdriver.Chrome(
+        options=options, service=webdriver.ChromeService(str(shutil.which("chromedriver")))
+    )
     yield driver
     driver.quit()
 
 
 @pytest.fixture(scope="module", params=PAGES)
-def page(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, browser: Any) -> Any:
+def page(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, browser: Any
+) -> Any:
     path = tmp_path_factory.mktemp("page") / f"{request.param}.html"
     path.write_text(PAGES[request.param](), encoding="utf-8")
     browser.get(path.as_uri())
@@ -88,7 +101,9 @@ def scheme(browser: Any, name: str) -> None:
 
 def test_the_console_stays_empty_and_nothing_is_fetched(page: Any):
     assert [entry["message"] for entry in page.get_log("browser")] == []
-    fetched = page.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
+    fetched = page.execute_script(
+        "return performance.getEntriesByType('resource').map(e => e.name)"
+    )
     assert [f for f in fetched if not f.startswith("data:")] == []
 
 
@@ -96,7 +111,8 @@ def test_the_console_stays_empty_and_nothing_is_fetched(page: Any):
 def test_nothing_is_wider_than_the_screen(page: Any, screen: tuple[int, int]):
     size(page, *screen)
     wide, texts = page.execute_script(
-        "const small = [...document.querySelectorAll('svg text')].map(t => t.getBoundingClientRect().height).filter(h => h);"
+        "const small = [...document.querySelectorAll('svg text')].map(t => "
+        "t.getBoundingClientRect().height).filter(h => h);"
         "return [document.documentElement.scrollWidth, small]"
     )
     assert wide <= screen[0]
@@ -130,7 +146,8 @@ def test_the_keyboard_reaches_every_link_fold_and_table_that_scrolls(page: Any):
 
     size(page, *DESKTOP)
     wanted = page.execute_script(
-        "const all = [...document.querySelectorAll('a[href], summary, button, input, select, [tabindex=\"0\"]')];"
+        "const all = [...document.querySelectorAll('a[href], summary, button, input, select, "
+        '[tabindex="0"]\')];'
         "window.wanted = all.filter(e => e.checkVisibility()); return window.wanted.length"
     )
     page.execute_script("document.activeElement.blur(); window.scrollTo(0, 0)")
@@ -148,22 +165,31 @@ def test_it_is_there_within_a_second(page: Any):
 
     # The end of the load event is set after its handlers, perhaps later than a script runs.
     loaded = "return performance.getEntriesByType('navigation')[0].loadEventEnd / 1000"
-    seconds = [(page.refresh(), WebDriverWait(page, 60).until(lambda b: b.execute_script(loaded)))[1] for _ in range(3)]
+    seconds = [
+        (page.refresh(), WebDriverWait(page, 60).until(lambda b: b.execute_script(loaded)))[1]
+        for _ in range(3)
+    ]
     assert min(seconds) < 1.0
 
 
-@pytest.mark.skipif(AXE is None, reason="axe-core is not there: npm install axe-core, AXE_CORE=.../axe.min.js")
+@pytest.mark.skipif(
+    AXE is None, reason="axe-core is not there: npm install axe-core, AXE_CORE=.../axe.min.js"
+)
 def test_axe_finds_nothing_serious(page: Any):
-    """Rules of WCAG 2.1, as axe-core judges them. The page's own policy forbids scripts of others: it is lifted here."""
+    """Rules of WCAG 2.1, as axe-core judges them. The page's own policy forbids scripts of others:
+    it is lifted here."""
     page.execute_cdp_cmd("Page.setBypassCSP", {"enabled": True})
     page.refresh()
     for colours in ("light", "dark"):
         scheme(page, colours)
         page.execute_script(Path(str(AXE)).read_text(encoding="utf-8"))
-        found = page.execute_async_script("const done = arguments[0]; axe.run().then(r => done(r.violations))")
+        found = page.execute_async_script(
+            "const done = arguments[0]; axe.run().then(r => done(r.violations))"
+        )
         serious = [v for v in found if v["impact"] in ("serious", "critical")]
         assert [(v["id"], v["nodes"][0]["html"][:200]) for v in serious] == []
-        # The same with everything open, curves zoomed with a cursor, sliders moved and the replay running.
+        # The same with everything open, curves zoomed with a cursor, sliders moved and the replay
+        # running.
         page.execute_script(USED)
     page.execute_cdp_cmd("Page.setBypassCSP", {"enabled": False})
     page.refresh()
@@ -174,8 +200,10 @@ def test_the_first_screen_is_the_headline(page: Any):
     size(page, *DESKTOP)
     ends = page.execute_script(
         "window.scrollTo(0, 0); const end = e => e.getBoundingClientRect().bottom;"
-        "const next = [...document.querySelectorAll('h3')].find(h => h.textContent === 'What to do next');"
-        "return [end(document.querySelector('.good, .bad')), end(document.querySelector('figure')), end(next)]"
+        "const next = [...document.querySelectorAll('h3')].find(h => h.textContent === 'What to do "
+        "next');"
+        "return [end(document.querySelector('.good, .bad')), "
+        "end(document.querySelector('figure')), end(next)]"
     )
     assert ends == sorted(ends)
     assert ends[-1] < DESKTOP[1]
@@ -202,7 +230,9 @@ def test_a_drag_zooms_all_figures_of_the_same_time_and_a_double_click_takes_it_b
     assert page.execute_script(LABELS, first) == []
     paths = "return arguments[0].querySelector('.axes > .curve > path').getAttribute('d')"
     before = page.execute_script(paths, beside)
-    ActionChains(page).move_to_element_with_offset(first, -40, 0).click_and_hold().move_by_offset(90, 0).release().perform()
+    ActionChains(page).move_to_element_with_offset(first, -40, 0).click_and_hold().move_by_offset(
+        90, 0
+    ).release().perform()
     assert len(page.execute_script(LABELS, first)) > 6
     assert page.execute_script(LABELS, beside) != []
     assert page.execute_script(paths, beside) != before
@@ -216,14 +246,21 @@ def test_a_drag_zooms_all_figures_of_the_same_time_and_a_double_click_takes_it_b
 def test_a_bode_figure_zooms_with_its_band_and_its_points(page: Any):
     """Where a curve goes on the drawing of a range, its band and its markers go too."""
     flight_figures(page)
-    bode = next(f for f in page.find_elements("css selector", "svg[data-axes]") if "over" in f.get_attribute("aria-label"))
+    bode = next(
+        f
+        for f in page.find_elements("css selector", "svg[data-axes]")
+        if "over" in f.get_attribute("aria-label")
+    )
     places = (
         "const a = arguments[0].querySelector('.axes'), box = e => e.getBoundingClientRect();"
         "const at = s => [...a.querySelectorAll(':scope > ' + s)].map(box);"
-        "return [at('.curve > g use').map(r => r.x + r.width / 2), ...['.band path', '.curve > path'].map(s =>"
+        "return [at('.curve > g use').map(r => r.x + r.width / 2), ...['.band path', '.curve > "
+        "path'].map(s =>"
         " at(s).map(r => [r.left, r.right, r.top, r.bottom]))]"
     )
-    page.execute_script("arguments[0].scrollIntoView({behavior: 'instant'}); arguments[0].focus()", bode)
+    page.execute_script(
+        "arguments[0].scrollIntoView({behavior: 'instant'}); arguments[0].focus()", bode
+    )
     before = page.execute_script(places, bode)
     for view in ("whole", "zoomed"):
         dots, bands, curves = now = page.execute_script(places, bode)
@@ -244,7 +281,11 @@ def test_the_cursor_tells_by_mouse_and_by_keyboard_what_the_curves_are_there(pag
 
     figures = flight_figures(page)
     ActionChains(page).move_to_element(figures[0]).perform()
-    shown = [f for f in figures if page.execute_script("return !!arguments[0].querySelector('.cursor')", f)]
+    shown = [
+        f
+        for f in figures
+        if page.execute_script("return !!arguments[0].querySelector('.cursor')", f)
+    ]
     assert len(shown) == 6  # three panels of the liveliest seconds, three of the whole flight
     page.execute_script("arguments[0].focus()", figures[3])
     figures[3].send_keys(Keys.ARROW_RIGHT)
@@ -273,7 +314,12 @@ def test_the_ghost_is_where_the_model_said_and_its_distance_is_right(page: Any):
     for horizon, off, angle in ((0.5, 7.5, 5.0), (1.0, 30.0, 10.0)):
         said, drawn, width = page.execute_script(move, 12.0, horizon)
         numbers = [float(v) for v in re.findall(r"\d+\.\d+", said)]
-        assert numbers == [12.0, horizon, pytest.approx(off, abs=0.3), pytest.approx(angle, abs=0.2)]
+        assert numbers == [
+            12.0,
+            horizon,
+            pytest.approx(off, abs=0.3),
+            pytest.approx(angle, abs=0.2),
+        ]
         assert drawn > 5000
         assert width > 600
     assert page.get_log("browser") == []
@@ -284,7 +330,8 @@ def test_no_table_of_the_page_is_cut_off_on_a_desk(page: Any, width: int):
     size(page, width, 900)
     cut = page.execute_script(
         "document.querySelectorAll('details').forEach(d => { d.open = true; });"
-        "return [...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth + 1)"
+        "return [...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > "
+        "e.clientWidth + 1)"
         ".map(e => e.textContent.slice(0, 60))"
     )
     page.refresh()
@@ -293,7 +340,9 @@ def test_no_table_of_the_page_is_cut_off_on_a_desk(page: Any, width: int):
 
 def test_it_prints_to_paper(page: Any):
     for folds in ("closed", "open"):
-        printed = base64.b64decode(page.execute_cdp_cmd("Page.printToPDF", {"printBackground": True})["data"])
+        printed = base64.b64decode(
+            page.execute_cdp_cmd("Page.printToPDF", {"printBackground": True})["data"]
+        )
         assert printed[:5] == b"%PDF-"
         assert 5_000 < len(printed) < 4_000_000, folds
         page.execute_script("document.querySelectorAll('details').forEach(d => { d.open = true; })")

@@ -1,4 +1,5 @@
-"""Thinning a curve keeps its extremes and its gaps; numbers are rounded to what their spread allows."""
+"""Thinning a curve keeps its extremes and its gaps; numbers are rounded to what their spread
+allows."""
 
 import matplotlib
 import numpy as np
@@ -69,6 +70,8 @@ def test_drawing_leaves_matplotlib_as_it_was() -> None:
     figure = figures.correlogram([1, 2], [0.1, 0.5], 0.2, title="p")
     first = to_svg(figure, name="a", label="x")
     assert dict(matplotlib.rcParams) == before
-    assert first == to_svg(figures.correlogram([1, 2], [0.1, 0.5], 0.2, title="p"), name="a", label="x")
+    assert first == to_svg(
+        figures.correlogram([1, 2], [0.1, 0.5], 0.2, title="p"), name="a", label="x"
+    )
     assert "var(--ink)" in first
     assert "#0b" not in first

@@ -29,10 +29,17 @@ def page() -> str:
 
 def test_the_result_comes_first_and_the_settings_last(page: str):
     order = [
-        "NOT JUDGED", "<figure>", "What is missing:", "What to do next</h3>", 'class="warnings"',
-        "How far ahead it predicts</h2>", "Parameters</h2>", "What the data can and cannot tell</h2>",
-        "What was fitted</h2>", "How to reproduce this</h2>",
-    ]  # fmt: skip
+        "NOT JUDGED",
+        "<figure>",
+        "What is missing:",
+        "What to do next</h3>",
+        'class="warnings"',
+        "How far ahead it predicts</h2>",
+        "Parameters</h2>",
+        "What the data can and cannot tell</h2>",
+        "What was fitted</h2>",
+        "How to reproduce this</h2>",
+    ]
     places = [page.index(words) for words in order]
     assert places == sorted(places)
 
@@ -51,7 +58,9 @@ def test_rotation_is_in_degrees_by_the_numbers(page: str):
 
 
 def test_attitude_is_roll_pitch_yaw_without_jumps():
-    turned = np.radians(np.column_stack([10 + np.zeros(50), -20 + np.zeros(50), np.linspace(150, 400, 50)]))
+    turned = np.radians(
+        np.column_stack([10 + np.zeros(50), -20 + np.zeros(50), np.linspace(150, 400, 50)])
+    )
     q = numeric("from_euler", turned)
     ahead = numeric("from_euler", turned + np.radians([1.0, 2.0, 3.0]))
     q[7] = np.nan
@@ -65,7 +74,9 @@ def test_attitude_is_roll_pitch_yaw_without_jumps():
     for i, (name, off) in enumerate(zip(shown, (1.0, 2.0, 3.0), strict=True)):
         assert shown[name].unit == "deg"
         assert shown[name].one_step is None
-        np.testing.assert_allclose(shown[name].measured[good], np.degrees(turned[good, i]), atol=1e-9)
+        np.testing.assert_allclose(
+            shown[name].measured[good], np.degrees(turned[good, i]), atol=1e-9
+        )
         gap = np.asarray(shown[name].ahead)[good] - shown[name].measured[good]
         np.testing.assert_allclose(gap, off, atol=1e-9)
         assert np.isnan(shown[name].measured[7])
@@ -78,7 +89,12 @@ def test_a_log_without_a_whole_quaternion_keeps_its_columns():
 
 @pytest.mark.parametrize(
     ("share", "said"),
-    [(1.03, "all of it: at the floor"), (0.996, "all of it: at the floor"), (0.99, "99 %"), (-0.1, "-10 %")],
+    [
+        (1.03, "all of it: at the floor"),
+        (0.996, "all of it: at the floor"),
+        (0.99, "99 %"),
+        (-0.1, "-10 %"),
+    ],
 )
 def test_more_than_all_of_a_gap_is_at_the_floor(share: float, said: str):
     assert closed_in_words(share) == said
@@ -100,8 +116,14 @@ def test_every_estimate_with_a_spread_has_a_t(page: str):
 
 
 PLACES = {
-    "discover": (lambda: discover_report(discovery()), ["MISSING: rotor_drag", "<figure>", "What to do next</h3>", "<nav"]),
-    "learn": (lambda: learn_report(learned()), ["NOT JUDGED", "<figure>", "What to do next</h3>", 'class="warnings"']),
+    "discover": (
+        lambda: discover_report(discovery()),
+        ["MISSING: rotor_drag", "<figure>", "What to do next</h3>", "<nav"],
+    ),
+    "learn": (
+        lambda: learn_report(learned()),
+        ["NOT JUDGED", "<figure>", "What to do next</h3>", 'class="warnings"'],
+    ),
     "identify": (
         lambda: identify_report(identified(), {}, links={}, validation=make_validation()),
         ["USABLE", "<figure>", "What to do next</h3>", "<nav", "Stages</h2>"],
@@ -115,4 +137,6 @@ def test_every_page_has_its_result_its_figure_and_the_next_step_before_all_else(
     page = make()
     places = [page.index(words) for words in order]
     assert places == sorted(places)
-    assert page.index("How to reproduce this</h2>") == page.rindex("</h2>") - len("How to reproduce this")
+    assert page.index("How to reproduce this</h2>") == page.rindex("</h2>") - len(
+        "How to reproduce this"
+    )

@@ -1,5 +1,6 @@
-"""Claims: the page of a fit shows what `gb.frf` finds in its flights with the model over it, says first what must be known
-before it is believed, and shows steps as large as the flights' own commands; where flights tell none it says why."""
+"""Claims: the page of a fit shows what `gb.frf` finds in its flights with the model over it, says
+first what must be known before it is believed, and shows steps as large as the flights' own
+commands; where flights tell none it says why."""
 
 from __future__ import annotations
 
@@ -61,17 +62,31 @@ def test_the_pairs_are_those_of_frf_and_the_model_lies_over_them(shown: tuple[Da
 
 def test_steps_are_as_large_as_the_commands_of_the_flights(shown: tuple[Dataset, Responses]):
     data, found = shown
-    roll = np.concatenate([sum(sign * f.segments[0].column(f"u{j + 1}") for j, sign in enumerate(SIGNS)) / 4 for f in data])
+    roll = np.concatenate(
+        [
+            sum(sign * f.segments[0].column(f"u{j + 1}") for j, sign in enumerate(SIGNS)) / 4
+            for f in data
+        ]
+    )
     step = next(s for s in found.steps if s.input == "roll")
     assert step.size == pytest.approx(np.std(roll))
-    # Thrust 5 u^2 N at four rotors, arms of 0.1 m, 0.01 kg m^2: the left wing goes up, at a constant rate of turn.
+    # Thrust 5 u^2 N at four rotors, arms of 0.1 m, 0.01 kg m^2: the left wing goes up, at a
+    # constant rate of turn.
     assert step.unit == "rad/s" and step.values[0] == 0 and np.all(np.diff(step.values)[2:] > 0)
 
 
 def test_the_page_says_first_that_a_loop_is_closed():
     page = fit_report(make_fit(), responses=answers(flown(feedback=0.5)))
-    said, figure = page.index("a closed loop"), page.index("Magnitude, phase and coherence of p over roll")
-    assert page.index("How it answers to commands</h2>") < said < figure < page.index("Step response of the model")
+    said, figure = (
+        page.index("a closed loop"),
+        page.index("Magnitude, phase and coherence of p over roll"),
+    )
+    assert (
+        page.index("How it answers to commands</h2>")
+        < said
+        < figure
+        < page.index("Step response of the model")
+    )
     assert "greybox frf --references" in page
 
 

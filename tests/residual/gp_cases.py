@@ -35,18 +35,27 @@ def posterior_of(
     noise: float = 0.01,
     **more: object,
 ) -> GPPosterior:
-    """A posterior from standardised numbers; `scales` draws input and output scalings, else they are 1 and 0."""
+    """A posterior from standardised numbers; `scales` draws input and output scalings, else they
+    are 1 and 0."""
     n_in, n_out = support.shape[1], len(kernels)
     draw = scales.uniform if scales is not None else None
     return GPPosterior(
-        inputs=layout("z", n_in), outputs=layout("y", n_out), method=method, kernels=tuple(kernels),
-        input_mean=draw(-1, 1, n_in) if draw else np.zeros(n_in), input_scale=draw(0.2, 5, n_in) if draw else np.ones(n_in),
+        inputs=layout("z", n_in),
+        outputs=layout("y", n_out),
+        method=method,
+        kernels=tuple(kernels),
+        input_mean=draw(-1, 1, n_in) if draw else np.zeros(n_in),
+        input_scale=draw(0.2, 5, n_in) if draw else np.ones(n_in),
         output_mean=draw(-1, 1, n_out) if draw else np.zeros(n_out),
         output_scale=draw(0.2, 5, n_out) if draw else np.ones(n_out),
-        support=support, weights=np.stack([n.weights for n in numbers], axis=1),
-        explained=np.stack([n.explained for n in numbers]), uncertain=np.stack([n.uncertain for n in numbers]),
-        noise=np.full(n_out, noise), domain=Domain(lower=-np.ones(n_in), upper=np.ones(n_in)), **more,
-    )  # fmt: skip
+        support=support,
+        weights=np.stack([n.weights for n in numbers], axis=1),
+        explained=np.stack([n.explained for n in numbers]),
+        uncertain=np.stack([n.uncertain for n in numbers]),
+        noise=np.full(n_out, noise),
+        domain=Domain(lower=-np.ones(n_in), upper=np.ones(n_in)),
+        **more,
+    )
 
 
 def sparse_case(
@@ -64,6 +73,8 @@ def sparse_case(
     kernels = [make_kernel(name, n_in, rng) for _ in range(n_out)]
     if share:
         kernels = [kernels[0]] * n_out
-    y = np.stack([np.sin(x[:, j % n_in]) + 0.1 * rng.standard_normal(n) for j in range(n_out)], axis=1)
+    y = np.stack(
+        [np.sin(x[:, j % n_in]) + 0.1 * rng.standard_normal(n) for j in range(n_out)], axis=1
+    )
     numbers = [sparse.collapsed(k, x[:points].T, x.T, y[:, j], 0.01) for j, k in enumerate(kernels)]
     return posterior_of(numbers, kernels, x[:points], scales=rng)

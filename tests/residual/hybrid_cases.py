@@ -30,22 +30,51 @@ DT = 0.02
 @functools.cache
 def craft() -> PhysicsModel:
     """A nano quadrotor with motor lag and delay, so that the command window is longer than one sample."""
-    columns = ("u1", "u2", "u3", "u4", "p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz", "x", "y", "z", "vbat")
-    return build_model(simulated.vehicle(), columns, ("motor_lag", "command_delay", "rotor_drag"), sample_time=0.01)
+    columns = (
+        "u1",
+        "u2",
+        "u3",
+        "u4",
+        "p",
+        "q",
+        "r",
+        "ax",
+        "ay",
+        "az",
+        "qw",
+        "qx",
+        "qy",
+        "qz",
+        "x",
+        "y",
+        "z",
+        "vbat",
+    )
+    return build_model(
+        simulated.vehicle(), columns, ("motor_lag", "command_delay", "rotor_drag"), sample_time=0.01
+    )
 
 
 def push(
-    dynamics: Dynamics, names: tuple[str, ...] = FEATURES, channels: tuple[str, ...] = CHANNELS, *, points: int = 6,
-    seed: int = 0, silent: bool = False, kernel: str = "se",
-) -> GPPosterior:  # fmt: skip
+    dynamics: Dynamics,
+    names: tuple[str, ...] = FEATURES,
+    channels: tuple[str, ...] = CHANNELS,
+    *,
+    points: int = 6,
+    seed: int = 0,
+    silent: bool = False,
+    kernel: str = "se",
+) -> GPPosterior:
     """A process with random weights of unit variance and a random posterior covariance."""
     rng = np.random.default_rng(seed)
     n_in, n_out = len(names), len(channels)
     own = Kernel(
-        family=kernel.removeprefix("linear+"), lengthscales=np.full(n_in, 2.0), variance=1.0,
+        family=kernel.removeprefix("linear+"),
+        lengthscales=np.full(n_in, 2.0),
+        variance=1.0,
         slopes=np.full(n_in, 0.3) if kernel.startswith("linear+") else None,
         reach=np.full(n_in, 4.0) if kernel.startswith("linear+") else None,
-    )  # fmt: skip
+    )
     support = rng.standard_normal((points, n_in))
     outputs = Layout([dynamics.noises.signals[dynamics.noises[c]] for c in channels])
     theta = rng.standard_normal((n_out, points))
@@ -55,17 +84,26 @@ def push(
         numbers.append(variational(own, support.T, theta[j], root))
     zero = 0.0 if silent else 1.0
     return GPPosterior(
-        inputs=feature_layout(dynamics, names), outputs=outputs, method="svgp", kernels=(own,) * n_out,
-        input_mean=np.zeros(n_in), input_scale=np.ones(n_in), output_mean=np.zeros(n_out),
-        output_scale=np.array([SIZES.get(c.split(".")[0], 1.0) for c in channels]), support=support,
+        inputs=feature_layout(dynamics, names),
+        outputs=outputs,
+        method="svgp",
+        kernels=(own,) * n_out,
+        input_mean=np.zeros(n_in),
+        input_scale=np.ones(n_in),
+        output_mean=np.zeros(n_out),
+        output_scale=np.array([SIZES.get(c.split(".")[0], 1.0) for c in channels]),
+        support=support,
         weights=zero * np.stack([n.weights for n in numbers], axis=1),
         explained=zero * np.stack([n.explained for n in numbers]),
-        uncertain=zero * np.stack([n.uncertain for n in numbers]), noise=np.ones(n_out),
+        uncertain=zero * np.stack([n.uncertain for n in numbers]),
+        noise=np.ones(n_out),
         domain=Domain(lower=-np.ones(n_in), upper=np.ones(n_in)),
-    )  # fmt: skip
+    )
 
 
-def drawn_weights(posterior: GPPosterior, output: int, size: int, rng: np.random.Generator) -> np.ndarray:
+def drawn_weights(
+    posterior: GPPosterior, output: int, size: int, rng: np.random.Generator
+) -> np.ndarray:
     """`size` functions of the process as weights of its kernel values (size, M): mean plus the posterior's spread.
 
     uncertain' uncertain is the covariance of these weights, and the conditional variance between the support points is
@@ -80,12 +118,19 @@ def craft_model(dynamics: Dynamics) -> IdentifiedModel:
     physics = craft()
     values = ParameterValues({d.name: d.nominal for d in dynamics.parameters})
     return IdentifiedModel(
-        dynamics=dynamics, values=values, covariance_names=("mass",), covariance=np.array([[1e-8]]),
-        process_noise=dynamics.noise_scale(0.01), sensor_noise=dynamics.sensor_scale(),
-        weak=np.full(len(dynamics.error_states), 1e3), reference_state=dynamics.reference({"u1": 0.7}),
-        reference_inputs=np.array([3.8 if n == "vbat" else 0.7 for n in physics.inputs.names]), sample_time=0.01,
-        trained_on=("run0",), data_hash="0" * 64,
-    )  # fmt: skip
+        dynamics=dynamics,
+        values=values,
+        covariance_names=("mass",),
+        covariance=np.array([[1e-8]]),
+        process_noise=dynamics.noise_scale(0.01),
+        sensor_noise=dynamics.sensor_scale(),
+        weak=np.full(len(dynamics.error_states), 1e3),
+        reference_state=dynamics.reference({"u1": 0.7}),
+        reference_inputs=np.array([3.8 if n == "vbat" else 0.7 for n in physics.inputs.names]),
+        sample_time=0.01,
+        trained_on=("run0",),
+        data_hash="0" * 64,
+    )
 
 
 def hybrid(**choices: object) -> HybridModel:
@@ -104,21 +149,32 @@ def pendulum() -> StateSpaceModel:
         dynamics=lambda t, x, u, p: [x[1], u - p["k"] * ca.sin(x[0]) - 0.3 * x[1]],
         measurement=lambda t, x, u, p: [x[0], x[1]],
         noise_states=("rate",),
-    )  # fmt: skip
+    )
 
 
 def pendulum_model(levels: tuple[float, float] = (0.3, 0.3)) -> IdentifiedModel:
     """The pendulum with a correlated torque disturbance."""
     dynamics = with_disturbance(pendulum(), ("rate",), time=0.5)
     return IdentifiedModel(
-        dynamics=dynamics, values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}),
-        process_noise=np.array(levels), sensor_noise=np.array([0.005, 0.01]), weak=np.full(3, 1e4),
-        reference_state=np.zeros(3), reference_inputs=np.zeros(1), sample_time=DT,
-    )  # fmt: skip
+        dynamics=dynamics,
+        values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}),
+        process_noise=np.array(levels),
+        sensor_noise=np.array([0.005, 0.01]),
+        weak=np.full(3, 1e4),
+        reference_state=np.zeros(3),
+        reference_inputs=np.zeros(1),
+        sample_time=DT,
+    )
 
 
 def swings(
-    count: int, seed: int, *, hidden: float, period: float, seconds: float = 16.0, name: str = "swing"
+    count: int,
+    seed: int,
+    *,
+    hidden: float,
+    period: float,
+    seconds: float = 16.0,
+    name: str = "swing",
 ) -> Dataset:
     """Flights of the true pendulum, with -hidden rate |rate| on top; `period` [s] is that of the drive's slowest part."""
     rng = np.random.default_rng(seed)
@@ -127,11 +183,16 @@ def swings(
     for i in range(count):
         t = DT * np.arange(n)
         phase = rng.uniform(0, 2 * np.pi, 3)
-        u = sum(a * np.sin(2 * np.pi * m * t / period + f) for a, m, f in zip((2.0, 1.5, 1.0), (1, 2.3, 3.7), phase))
+        u = sum(
+            a * np.sin(2 * np.pi * m * t / period + f)
+            for a, m, f in zip((2.0, 1.5, 1.0), (1, 2.3, 3.7), phase)
+        )
         x, rows = np.array([0.2, 0.0]), []
 
         def slope(x: np.ndarray, push: float) -> np.ndarray:
-            return np.array([x[1], push - 9.0 * np.sin(x[0]) - 0.3 * x[1] - hidden * x[1] * abs(x[1])])
+            return np.array(
+                [x[1], push - 9.0 * np.sin(x[0]) - 0.3 * x[1] - hidden * x[1] * abs(x[1])]
+            )
 
         for k in range(n):
             rows.append(x)

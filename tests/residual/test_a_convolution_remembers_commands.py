@@ -1,6 +1,8 @@
-"""A temporal convolution is that of PyTorch, and learns on the physics what earlier commands still do.
+"""A temporal convolution is that of PyTorch, and learns on the physics what earlier commands still
+do.
 
-In a hybrid it looks back through the command window; in an export the earlier commands are its state.
+In a hybrid it looks back through the command window; in an export the earlier commands are its
+state.
 """
 
 from __future__ import annotations
@@ -24,7 +26,12 @@ from greybox.residual.features import feature_layout, lag_of, reach, with_lags
 from greybox.residual.files import load_model, save_model
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.learn import Learned, learn
-from greybox.residual.learners.temporal_convolution import CHANNELS, MOST_LAGS, Network, TemporalConvolution
+from greybox.residual.learners.temporal_convolution import (
+    CHANNELS,
+    MOST_LAGS,
+    Network,
+    TemporalConvolution,
+)
 from greybox.residual.posterior import Domain
 from greybox.symbolic import FloatArray, Layout
 from mpc_export.functions import model_functions
@@ -48,7 +55,9 @@ def late_push(seed: int, n: int = 400) -> Dataset:
             rate = x[1] + DT / 4 * (push - 9.0 * np.sin(x[0]) - 0.3 * x[1])
             x = np.array([x[0] + DT / 4 * rate, rate])
     y = rows + rng.standard_normal((n, 2)) * [0.005, 0.01]
-    return dataset_from_arrays(DT * np.arange(n), {"u": u, "y": y[:, 0], "w": y[:, 1]}, name=f"f{seed}")
+    return dataset_from_arrays(
+        DT * np.arange(n), {"u": u, "y": y[:, 0], "w": y[:, 1]}, name=f"f{seed}"
+    )
 
 
 def flights(*seeds: int) -> Dataset:
@@ -84,7 +93,9 @@ def test_its_features_are_those_of_pytorchs_convolutions() -> None:
     for k in range(3):
         kernel = torch.stack([w[3 * k + 1], w[3 * k]], dim=2)
         past = torch.nn.functional.pad(h, (2**k, 0))
-        bent = torch.tanh(torch.nn.functional.conv1d(past, kernel, w[3 * k + 2].ravel(), dilation=2**k))
+        bent = torch.tanh(
+            torch.nn.functional.conv1d(past, kernel, w[3 * k + 2].ravel(), dilation=2**k)
+        )
         h = bent + h if k else bent
     joined = torch.cat([h[:, :, -1], torch.from_numpy(rows[:, list(net.now)])], dim=1)
     hidden = torch.tanh(joined @ w[-3].T + w[-2].T).numpy() / np.sqrt(5)
@@ -95,7 +106,8 @@ def test_its_features_are_those_of_pytorchs_convolutions() -> None:
 
 
 def test_it_looks_back_for_a_time_not_for_a_number_of_samples() -> None:
-    """140 ms: of motors and wakes, whatever the log's rate; from 222 Hz on the number of samples is bounded."""
+    """140 ms: of motors and wakes, whatever the log's rate; from 222 Hz on the number of samples is
+    bounded."""
     lags = TemporalConvolution().lags
     assert [lags(1 / rate) for rate in (50, 100, 200)] == [7, 14, 28]
     assert lags(1e-3) == MOST_LAGS and lags(1.0) == 1
@@ -130,10 +142,18 @@ def drawn() -> IdentifiedModel:
     inputs, one, m = feature_layout(base.dynamics, names), np.ones(len(names)), phi.numel_out(0)
     noises = base.dynamics.noises
     silent = silent_features(
-        phi, method="tcn", inputs=inputs, outputs=Layout([noises.signals[noises["rate"]]]), input_mean=0 * one,
-        input_scale=one, output_scale=np.ones(1), domain=Domain(lower=-one, upper=one),
-    )  # fmt: skip
-    posterior = replace(silent, weights=rng.standard_normal((m, 1)), root=0.1 * rng.standard_normal((1, m, m)))
+        phi,
+        method="tcn",
+        inputs=inputs,
+        outputs=Layout([noises.signals[noises["rate"]]]),
+        input_mean=0 * one,
+        input_scale=one,
+        output_scale=np.ones(1),
+        domain=Domain(lower=-one, upper=one),
+    )
+    posterior = replace(
+        silent, weights=rng.standard_normal((m, 1)), root=0.1 * rng.standard_normal((1, m, m))
+    )
     return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
 
 
@@ -141,7 +161,11 @@ def test_its_file_and_its_export_are_the_same_model(tmp_path: Path) -> None:
     """The exported step, fed its own history, walks as the model with its command window does."""
     model = load_model(save_model(drawn(), tmp_path / "hybrid.json"))
     dynamics = model.dynamics
-    assert isinstance(dynamics, HybridModel) and dynamics.window == (LAGS, 0) and dynamics.inner.window == (0, 0)
+    assert (
+        isinstance(dynamics, HybridModel)
+        and dynamics.window == (LAGS, 0)
+        and dynamics.inner.window == (0, 0)
+    )
     functions = model_functions(model)
     assert functions.states.names[-LAGS:] == tuple(f"history.u.{k}" for k in range(1, LAGS + 1))
     rng, n = np.random.default_rng(4), len(dynamics.states)
@@ -150,7 +174,9 @@ def test_its_file_and_its_export_are_the_same_model(tmp_path: Path) -> None:
     for k in range(LAGS, len(u)):
         x = functions["f_d"](x, u[k], functions.parameter_values).full().ravel()
         window = ca.DM(u[k - LAGS : k + 1][None])
-        own = np.asarray(ca.DM(dynamics.step(0, ca.DM(own), window, p, np.zeros(len(dynamics.noises)), DT))).ravel()
+        own = np.asarray(
+            ca.DM(dynamics.step(0, ca.DM(own), window, p, np.zeros(len(dynamics.noises)), DT))
+        ).ravel()
         assert np.allclose(x[:n], own, rtol=1e-9, atol=1e-12)
         assert np.array_equal(x[n:], u[k : k - LAGS : -1])
     held = ca.DM(u[0] * np.ones((1, LAGS + 1)))
@@ -160,14 +186,21 @@ def test_its_file_and_its_export_are_the_same_model(tmp_path: Path) -> None:
     assert np.allclose(z.full().ravel()[1:], u[0])
     twin = DrawnPush(hybrid=dynamics)
     past, whole = ca.DM(u[: LAGS + 1][None]), [d.nominal for d in twin.parameters]
-    steps = [d.step(0, ca.DM(own), past, q, np.zeros(len(dynamics.noises)), DT) for d, q in ((dynamics, p), (twin, whole))]
+    steps = [
+        d.step(0, ca.DM(own), past, q, np.zeros(len(dynamics.noises)), DT)
+        for d, q in ((dynamics, p), (twin, whole))
+    ]
     assert np.allclose(*(ca.DM(v).full() for v in steps), rtol=1e-10)
     with pytest.raises(ModelError, match="earlier commands, sample by sample"):
         model_functions(model, dt=2 * DT)
 
 
 def test_lags_are_names_of_inputs_only() -> None:
-    assert lag_of("u1[t-12]") == ("u1", 12) and lag_of("u1[t]") == ("u1", 0) and reach(("p", "u1[t-3]", "u2[t-2]")) == 3
+    assert (
+        lag_of("u1[t-12]") == ("u1", 12)
+        and lag_of("u1[t]") == ("u1", 0)
+        and reach(("p", "u1[t-3]", "u2[t-2]")) == 3
+    )
     assert pendulum().window == (0, 0)
     with pytest.raises(UnknownNameError, match="feature"):
         learn(pendulum_model(), flights(1), features=("rate[t-1]",), learner="sparse")
@@ -175,5 +208,11 @@ def test_lags_are_names_of_inputs_only() -> None:
 
 @pytest.mark.slow
 def test_any_learner_may_look_back() -> None:
-    found = learn(pendulum_model((0.3, 1.0)), flights(1, 2), features=(f"u[t-{LATE}]",), points=6, learner="sparse")
+    found = learn(
+        pendulum_model((0.3, 1.0)),
+        flights(1, 2),
+        features=(f"u[t-{LATE}]",),
+        points=6,
+        learner="sparse",
+    )
     assert not found.null and squared(found.model) < 0.5 * squared(found.base)

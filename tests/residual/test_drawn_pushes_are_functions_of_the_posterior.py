@@ -1,5 +1,5 @@
-"""Draws of a learned push have the posterior's mean and variance, near its support and far from it, and are functions:
-the same place, the same push."""
+"""Draws of a learned push have the posterior's mean and variance, near its support and far from it,
+and are functions: the same place, the same push."""
 
 from __future__ import annotations
 
@@ -19,9 +19,20 @@ from greybox.residual.hybrid import HybridModel
 from greybox.simulators.draws import draw
 from greybox.simulators.make import twin
 from scenarios.twins.written import load
-from tests.residual.hybrid_cases import CHANNELS, FEATURES, craft, craft_model, hybrid, pendulum, pendulum_model, push
+from tests.residual.hybrid_cases import (
+    CHANNELS,
+    FEATURES,
+    craft,
+    craft_model,
+    hybrid,
+    pendulum,
+    pendulum_model,
+    push,
+)
 
-PLACES = np.array([[0.0, 0.0, 0.0, 0.0], [0.5, -0.3, 0.2, 0.1], [1.0, 1.0, -1.0, 0.5], [6.0, -5.0, 4.0, 5.0]])
+PLACES = np.array(
+    [[0.0, 0.0, 0.0, 0.0], [0.5, -0.3, 0.2, 0.1], [1.0, 1.0, -1.0, 0.5], [6.0, -5.0, 4.0, 5.0]]
+)
 
 
 def drawn(model: HybridModel, count: int = 1500) -> np.ndarray:
@@ -30,7 +41,9 @@ def drawn(model: HybridModel, count: int = 1500) -> np.ndarray:
     weights = push.draw(count, np.random.default_rng(0))
     z, w = ca.SX.sym("z", len(FEATURES)), ca.SX.sym("w", weights.shape[1])
     function = ca.Function("push", [z, w], [push._push(z, w)]).map(count)
-    return np.stack([np.array(function(np.tile(p[:, None], count), weights.T)).T for p in PLACES], axis=1)
+    return np.stack(
+        [np.array(function(np.tile(p[:, None], count), weights.T)).T for p in PLACES], axis=1
+    )
 
 
 @pytest.mark.parametrize("kernel", ["se", "matern32", "linear+matern52"])
@@ -61,14 +74,20 @@ def test_at_a_support_point_a_draw_is_that_of_its_weights() -> None:
 
 
 def test_draws_of_an_exact_process_know_no_more_than_its_noise_lets() -> None:
-    """60 noisy samples of one number, sigma 1: as uncertain as the posterior, not as if they were exact."""
+    """60 noisy samples of one number, sigma 1: as uncertain as the posterior, not as if they were
+    exact."""
     base = pendulum_model()
     post = push(base.dynamics, ("rate",), ("rate",), points=4)
     at, kernel = np.linspace(-3.0, 3.0, 60)[:, None], post.kernels[0]
     first = np.linalg.inv(np.linalg.cholesky(kernel.covariance(at.T, at.T) + np.eye(60)))
     weights = first.T @ first @ np.sin(at)
     exact = replace(
-        post, method="exact", support=at, weights=weights, explained=first[None], uncertain=np.zeros((1, 60, 60))
+        post,
+        method="exact",
+        support=at,
+        weights=weights,
+        explained=first[None],
+        uncertain=np.zeros((1, 60, 60)),
     )
     drawn = DrawnPush(hybrid=HybridModel(inner=base.dynamics, posterior=exact))
     numbers = drawn.draw(2000, np.random.default_rng(1))
@@ -86,10 +105,18 @@ def test_draws_of_features_have_the_covariance_of_their_weights() -> None:
     dynamics, rng = craft(), np.random.default_rng(2)
     from_process = hybrid().posterior
     post = silent_features(
-        phi, method="sparse", inputs=feature_layout(dynamics, FEATURES), outputs=from_process.outputs,
-        input_mean=np.zeros(4), input_scale=np.ones(4), output_scale=from_process.output_scale, domain=from_process.domain,
-    )  # fmt: skip
-    post = replace(post, weights=rng.standard_normal((3, 3)), root=0.3 * rng.standard_normal((3, 3, 3)))
+        phi,
+        method="sparse",
+        inputs=feature_layout(dynamics, FEATURES),
+        outputs=from_process.outputs,
+        input_mean=np.zeros(4),
+        input_scale=np.ones(4),
+        output_scale=from_process.output_scale,
+        domain=from_process.domain,
+    )
+    post = replace(
+        post, weights=rng.standard_normal((3, 3)), root=0.3 * rng.standard_normal((3, 3, 3))
+    )
     model = HybridModel(inner=dynamics, posterior=post)
     found = drawn(model)[:, 1:]
     mean, variance = post.evaluate(PLACES[1:])
@@ -102,10 +129,15 @@ def looking_back(inner: Dynamics, channel: str, beyond: int) -> HybridModel:
     u = inner.inputs.names[0]
     post = push(inner, (u, f"{u}[t-{inner.window[0] + beyond}]"), (channel,))
     # hover in the middle of the support: the push changes with the command
-    return HybridModel(inner=inner, posterior=replace(post, input_mean=np.full(2, 0.6), input_scale=np.full(2, 0.1)))
+    return HybridModel(
+        inner=inner,
+        posterior=replace(post, input_mean=np.full(2, 0.6), input_scale=np.full(2, 0.1)),
+    )
 
 
-@pytest.mark.parametrize(("inner", "channel"), [(pendulum(), "rate"), (craft(), "force.x")], ids=["no window", "delay"])
+@pytest.mark.parametrize(
+    ("inner", "channel"), [(pendulum(), "rate"), (craft(), "force.x")], ids=["no window", "delay"]
+)
 def test_draws_look_back_as_far_as_the_hybrid(inner: Dynamics, channel: str) -> None:
     """At its nominal weights a draw is the hybrid, and its oldest command pushes."""
     model = looking_back(inner, channel, 3)
@@ -118,7 +150,9 @@ def test_draws_look_back_as_far_as_the_hybrid(inner: Dynamics, channel: str) -> 
     def after(dynamics: Dynamics, commands: np.ndarray) -> list[np.ndarray]:
         p = ca.DM([q.nominal for q in dynamics.parameters])
         given = (0.0, ca.DM(x), ca.DM(commands), p, ca.DM(w), 0.01)
-        return [np.array(ca.DM(value)) for value in (dynamics.step(*given), dynamics.output(*given))]
+        return [
+            np.array(ca.DM(value)) for value in (dynamics.step(*given), dynamics.output(*given))
+        ]
 
     for mine, its in zip(after(push, window), after(model, window), strict=True):
         np.testing.assert_allclose(mine, its, rtol=1e-12, atol=1e-13)
@@ -144,7 +178,11 @@ def test_simulate_flies_every_draw_with_its_own_push(tmp_path: Path) -> None:
     x = module.START.copy()
     x[3:6] = 0.4, -0.2, 0.1
     d = model.dynamics
-    state, u, p = ca.SX.sym("x", len(d.states)), ca.SX.sym("u", *window.T.shape), model.parameter_vector()
+    state, u, p = (
+        ca.SX.sym("x", len(d.states)),
+        ca.SX.sym("u", *window.T.shape),
+        model.parameter_vector(),
+    )
     w = np.zeros(len(d.noises))
     step = ca.Function("step", [state, u], [d.step(0.0, state, u, p, w, model.sample_time)])
     mean = module.step(x, window)

@@ -1,4 +1,5 @@
-"""The posterior's expressions: SX, MX, C and arrays agree, Jacobians are derivatives, variances are never negative."""
+"""The posterior's expressions: SX, MX, C and arrays agree, Jacobians are derivatives, variances are
+never negative."""
 
 from __future__ import annotations
 
@@ -24,7 +25,10 @@ KERNELS = ("se", "matern32", "matern52", "linear+se", "linear+matern32")
 @pytest.mark.parametrize("name", KERNELS)
 def test_sx_mx_and_arrays_agree(name, share):
     posterior = sparse_case(name, share=share)
-    z = np.random.default_rng(5).standard_normal((30, 3)) * posterior.input_scale + posterior.input_mean
+    z = (
+        np.random.default_rng(5).standard_normal((30, 3)) * posterior.input_scale
+        + posterior.input_mean
+    )
     mean, variance = posterior.evaluate(z, noise=True)
     functions = [posterior.function(which=QUANTITIES, noise=True, symbol=s) for s in (ca.MX, ca.SX)]
     for i, row in enumerate(z):
@@ -33,7 +37,9 @@ def test_sx_mx_and_arrays_agree(name, share):
             np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(mx[0].ravel(), mean[i], rtol=1e-13, atol=1e-13)
         np.testing.assert_allclose(mx[1].ravel(), variance[i], rtol=1e-11, atol=1e-13)
-        np.testing.assert_allclose(posterior.mean(row).full().ravel(), mean[i], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(
+            posterior.mean(row).full().ravel(), mean[i], rtol=1e-12, atol=1e-12
+        )
     np.testing.assert_allclose(posterior.evaluate_mean(z), mean, rtol=1e-13, atol=1e-13)
     assert functions[0].name_in() == ["z"] and tuple(functions[0].name_out()) == QUANTITIES
 
@@ -57,13 +63,22 @@ def test_jacobians_are_derivatives(name):
     posterior = sparse_case(name)
     z = ca.SX.sym("z", 3)
     f = ca.Function(
-        "f", [z], [posterior.mean_jacobian(z), ca.jacobian(posterior.mean(z), z), posterior.variance_jacobian(z),
-                   ca.jacobian(posterior.variance(z), z)],
-    )  # fmt: skip
+        "f",
+        [z],
+        [
+            posterior.mean_jacobian(z),
+            ca.jacobian(posterior.mean(z), z),
+            posterior.variance_jacobian(z),
+            ca.jacobian(posterior.variance(z), z),
+        ],
+    )
     rng = np.random.default_rng(7)
     for spread in (0.5, 1.0, 3.0, 30.0):
         jm, am, jv, av = (
-            v.full() for v in f(rng.standard_normal(3) * spread * posterior.input_scale + posterior.input_mean)
+            v.full()
+            for v in f(
+                rng.standard_normal(3) * spread * posterior.input_scale + posterior.input_mean
+            )
         )
         np.testing.assert_allclose(jm, am, rtol=1e-9, atol=1e-10 * (1 + np.abs(am).max()))
         np.testing.assert_allclose(jv, av, rtol=1e-8, atol=1e-9 * (1 + np.abs(av).max()))
@@ -74,14 +89,20 @@ def test_jacobians_agree_with_finite_differences():
     z, h = np.array([0.3, -0.2, 0.8]), 1e-6
     steps = h * posterior.input_scale * np.eye(3)
     up, down = posterior.evaluate(z + steps), posterior.evaluate(z - steps)
-    for jacobian, a, b in zip((posterior.mean_jacobian(z), posterior.variance_jacobian(z)), up, down):
+    for jacobian, a, b in zip(
+        (posterior.mean_jacobian(z), posterior.variance_jacobian(z)), up, down
+    ):
         expected = (a - b).T / (2 * h * posterior.input_scale)
         np.testing.assert_allclose(jacobian.full(), expected, rtol=1e-5, atol=1e-7)
 
 
 @settings(max_examples=25, deadline=None)
 @given(
-    st.sampled_from(KERNELS), st.integers(0, 10_000), st.floats(1e-9, 1.0), st.floats(0.1, 30.0), st.floats(1e-3, 1e3)
+    st.sampled_from(KERNELS),
+    st.integers(0, 10_000),
+    st.floats(1e-9, 1.0),
+    st.floats(0.1, 30.0),
+    st.floats(1e-3, 1e3),
 )
 def test_the_variance_is_never_negative(name, seed, noise, scale, spread):
     """Nearly singular covariances, doubled support points and far queries included."""
@@ -97,7 +118,8 @@ def test_the_variance_is_never_negative(name, seed, noise, scale, spread):
     prior = kernel.prior_variance(queries.T).ravel()
     assert np.isfinite(mean).all()
     assert (variance >= 0).all()
-    # A posterior knows no less than the prior, but for what rounding does to nearly singular matrices.
+    # A posterior knows no less than the prior, but for what rounding does to nearly singular
+    # matrices.
     assert (variance[:, 0] <= prior * (1 + 1e-4)).all()
     distance = posterior.evaluate_distance(queries)
     assert (distance >= 0).all() and (distance <= 1).all()
@@ -105,12 +127,15 @@ def test_the_variance_is_never_negative(name, seed, noise, scale, spread):
 
 @pytest.mark.parametrize("name", KERNELS)
 def test_far_away_only_the_physics_is_left(name):
-    """The mean goes to the output's mean, the variance to the kernel's, the distance to one: a linear part as well."""
+    """The mean goes to the output's mean, the variance to the kernel's, the distance to one: a
+    linear part as well."""
     posterior = sparse_case(name)
     for direction in np.eye(3):
         far = posterior.input_mean + 400.0 * posterior.input_scale * direction
         mean, variance = posterior.evaluate(far[None, :])
-        np.testing.assert_allclose(mean[0], posterior.output_mean, atol=1e-6 * posterior.output_scale.max())
+        np.testing.assert_allclose(
+            mean[0], posterior.output_mean, atol=1e-6 * posterior.output_scale.max()
+        )
         limit = [k.variance for k in posterior.kernels] * posterior.output_scale**2
         np.testing.assert_allclose(variance[0], limit, rtol=1e-6)
         assert posterior.evaluate_distance(far[None, :])[0] == pytest.approx(1.0, abs=1e-6)
@@ -140,7 +165,11 @@ def test_outputs_without_information_are_constant():
     x = rng.standard_normal((30, 2))
     numbers = [sparse.collapsed(k, x[:8].T, x.T, x[:, 0], 0.1) for k in kernels]
     silent = sparse.Numbers(
-        weights=np.zeros(8), explained=np.zeros((8, 8)), uncertain=np.zeros((8, 8)), jitter=0.0, log_likelihood=None
+        weights=np.zeros(8),
+        explained=np.zeros((8, 8)),
+        uncertain=np.zeros((8, 8)),
+        jitter=0.0,
+        log_likelihood=None,
     )
     posterior = posterior_of([numbers[0], silent], kernels, x[:8])
     assert posterior.active == (True, False)

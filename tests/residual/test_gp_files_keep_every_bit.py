@@ -1,4 +1,5 @@
-"""A saved posterior comes back bit by bit, and what is damaged, foreign or executable is refused in one line."""
+"""A saved posterior comes back bit by bit, and what is damaged, foreign or executable is refused in
+one line."""
 
 from __future__ import annotations
 

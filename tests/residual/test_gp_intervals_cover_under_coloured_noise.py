@@ -1,4 +1,5 @@
-"""With noise correlated in time, intervals of the function cover only if the noise is inflated by its correlation time."""
+"""With noise correlated in time, intervals of the function cover only if the noise is inflated by
+its correlation time."""
 
 from __future__ import annotations
 
@@ -44,19 +45,38 @@ def test_intervals_cover():
         t, flights = 0.01 * np.arange(1000), 3
         z = np.concatenate(
             [
-                np.stack([sum(np.sin(2 * np.pi * f * t + p) for f, p in zip(rng.uniform(0.05, 1.0, 5), rng.uniform(0, 6, 5)))
-                          for _ in range(2)], axis=1)
+                np.stack(
+                    [
+                        sum(
+                            np.sin(2 * np.pi * f * t + p)
+                            for f, p in zip(rng.uniform(0.05, 1.0, 5), rng.uniform(0, 6, 5))
+                        )
+                        for _ in range(2)
+                    ],
+                    axis=1,
+                )
                 for _ in range(flights)
             ]
-        )  # fmt: skip
+        )
         truth = np.sin(z[:, 0]) + 0.5 * z[:, 1] * np.tanh(z[:, 0])
         y = truth + 0.4 * np.concatenate([coloured(rng, t.size, 0.9) for _ in range(flights)])
         posterior = train_gp(
-            z, y[:, None], inputs=layout("z", 2), outputs=layout("y", 1), points=30, restarts=1, subset=120, hold_out=0,
-            groups=np.repeat(range(flights), t.size), noise_inflation=inflation, guard=False,
-        ).posterior  # fmt: skip
+            z,
+            y[:, None],
+            inputs=layout("z", 2),
+            outputs=layout("y", 1),
+            points=30,
+            restarts=1,
+            subset=120,
+            hold_out=0,
+            groups=np.repeat(range(flights), t.size),
+            noise_inflation=inflation,
+            guard=False,
+        ).posterior
         mean, variance = posterior.evaluate(z)
-        return np.mean(np.abs(mean[:, 0] - truth) < 1.96 * np.sqrt(variance[:, 0])), posterior.noise_inflation[0]
+        return np.mean(
+            np.abs(mean[:, 0] - truth) < 1.96 * np.sqrt(variance[:, 0])
+        ), posterior.noise_inflation[0]
 
     honest, naive = [run(seed, "auto") for seed in range(4)], [run(seed, 1.0) for seed in range(2)]
     assert np.mean([c for c, _ in naive]) < 0.7

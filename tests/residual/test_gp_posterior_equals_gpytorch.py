@@ -1,4 +1,5 @@
-"""The plain-number posterior is GPyTorch's: exact, SGPR and SVGP, for every kernel, under exact Cholesky settings."""
+"""The plain-number posterior is GPyTorch's: exact, SGPR and SVGP, for every kernel, under exact
+Cholesky settings."""
 
 from __future__ import annotations
 
@@ -38,7 +39,9 @@ def data(seed, n=60, n_in=3):
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((n, n_in))
     y = np.sin(x[:, 0]) + 0.5 * x[:, 1] + 0.1 * rng.standard_normal(n)
-    queries = np.concatenate([x[:5], rng.standard_normal((40, n_in)), 3.0 * rng.standard_normal((10, n_in))])
+    queries = np.concatenate(
+        [x[:5], rng.standard_normal((40, n_in)), 3.0 * rng.standard_normal((10, n_in))]
+    )
     return rng, x, y, queries
 
 
@@ -47,19 +50,24 @@ def tolerance(condition):
 
 
 def agrees(posterior, queries, mean, variance, condition):
-    """Both in units of the output: mean to the tolerance times the output scale, variance times the prior variance."""
+    """Both in units of the output: mean to the tolerance times the output scale, variance times the
+    prior variance."""
     z = queries * posterior.input_scale + posterior.input_mean
     got_mean, got_variance = posterior.evaluate(z)
     scale = float(posterior.output_scale[0])
     prior = posterior.kernels[0].prior_variance(queries.T).ravel()
-    assert np.abs((got_mean[:, 0] - posterior.output_mean[0]) / scale - mean).max() <= tolerance(condition)
+    assert np.abs((got_mean[:, 0] - posterior.output_mean[0]) / scale - mean).max() <= tolerance(
+        condition
+    )
     assert (np.abs(got_variance[:, 0] / scale**2 - variance) / prior).max() <= tolerance(condition)
     assert (got_variance >= 0).all()
 
 
 def exact_gpytorch(kernel, x, y, noise, queries):
     likelihood = torch_gp.gpytorch_likelihood(noise)
-    model = torch_gp.ExactModel(torch.tensor(x), torch.tensor(y), likelihood, torch_gp.gpytorch_kernel(kernel))
+    model = torch_gp.ExactModel(
+        torch.tensor(x), torch.tensor(y), likelihood, torch_gp.gpytorch_kernel(kernel)
+    )
     model.eval(), likelihood.eval()
     with exact_settings():
         out = model(torch.tensor(queries))
@@ -71,9 +79,13 @@ def exact_gpytorch(kernel, x, y, noise, queries):
 def test_exact(name, noise):
     rng, x, y, queries = data(1)
     kernel = make_kernel(name, 3, rng)
-    posterior = posterior_of([sparse.exact(kernel, x.T, y, noise)], [kernel], x, method="exact", scales=rng)
+    posterior = posterior_of(
+        [sparse.exact(kernel, x.T, y, noise)], [kernel], x, method="exact", scales=rng
+    )
     matrix = kernel.covariance(x.T, x.T) + noise * np.eye(len(x))
-    agrees(posterior, queries, *exact_gpytorch(kernel, x, y, noise, queries), np.linalg.cond(matrix))
+    agrees(
+        posterior, queries, *exact_gpytorch(kernel, x, y, noise, queries), np.linalg.cond(matrix)
+    )
 
 
 @pytest.mark.parametrize("correction", [True, False])
@@ -84,14 +96,18 @@ def test_sgpr(name, noise, correction):
     kernel, support = make_kernel(name, 3, rng), x[:15] + 0.01
     likelihood = torch_gp.gpytorch_likelihood(noise)
     inducing = gpytorch.kernels.InducingPointKernel(
-        torch_gp.gpytorch_kernel(kernel), inducing_points=torch.tensor(support), likelihood=likelihood
+        torch_gp.gpytorch_kernel(kernel),
+        inducing_points=torch.tensor(support),
+        likelihood=likelihood,
     )
     model = torch_gp.ExactModel(torch.tensor(x), torch.tensor(y), likelihood, inducing)
     model.eval(), likelihood.eval()
     with exact_settings(correction):
         out = model(torch.tensor(queries))
         mean, variance = out.mean.numpy(), out.variance.numpy()
-        if not correction:  # GPyTorch 1.15 then leaves the conditional prior variance out at the queries, too
+        if (
+            not correction
+        ):  # GPyTorch 1.15 then leaves the conditional prior variance out at the queries, too
             variance += (torch_gp.gpytorch_kernel(kernel)(torch.tensor(queries), diag=True)).numpy()
             variance -= inducing(torch.tensor(queries), diag=True).numpy()
     numbers = sparse.collapsed(kernel, support.T, x.T, y, noise, correction=correction)
@@ -108,15 +124,21 @@ def test_svgp(name, jitter):
     rng, x, _, queries = data(3)
     kernel, support = make_kernel(name, 3, rng), x[:15]
     m = len(support)
-    mean, root = rng.standard_normal(m), np.tril(0.2 * rng.standard_normal((m, m))) + 0.5 * np.eye(m)
-    model = torch_gp.VariationalModel(torch.tensor(support), torch_gp.gpytorch_kernel(kernel), jitter)
+    mean, root = (
+        rng.standard_normal(m),
+        np.tril(0.2 * rng.standard_normal((m, m))) + 0.5 * np.eye(m),
+    )
+    model = torch_gp.VariationalModel(
+        torch.tensor(support), torch_gp.gpytorch_kernel(kernel), jitter
+    )
     q = model.variational_strategy._variational_distribution
     q.variational_mean.data, q.chol_variational_covar.data = torch.tensor(mean), torch.tensor(root)
     model.variational_strategy.variational_params_initialized.fill_(1)
     model.eval()
     with exact_settings():
         out = model(torch.tensor(queries))
-        # GPyTorch also adds its jitter to the variance at the query, which is no part of the process.
+        # GPyTorch also adds its jitter to the variance at the query, which is no part of the
+        # process.
         expected = out.mean.numpy(), out.variance.numpy() - jitter
     numbers = sparse.variational(kernel, support.T, mean, root, jitter=jitter)
     posterior = posterior_of([numbers], [kernel], support, method="svgp", scales=rng)
@@ -143,7 +165,10 @@ def test_likelihoods_are_gpytorchs():
     rng, x, y, _ = data(5)
     kernel = make_kernel("se", 3, rng)
     model = torch_gp.ExactModel(
-        torch.tensor(x), torch.tensor(y), torch_gp.gpytorch_likelihood(0.05), torch_gp.gpytorch_kernel(kernel)
+        torch.tensor(x),
+        torch.tensor(y),
+        torch_gp.gpytorch_likelihood(0.05),
+        torch_gp.gpytorch_kernel(kernel),
     )
     model.train()
     mll = gpytorch.mlls.ExactMarginalLogLikelihood(model.likelihood, model)
@@ -152,7 +177,7 @@ def test_likelihoods_are_gpytorchs():
     exact = sparse.exact(kernel, x.T, y, 0.05).log_likelihood
     assert exact == pytest.approx(expected, rel=1e-10)
     # All samples as support points: the bound is tight. Fewer: it is below.
-    assert sparse.collapsed(kernel, x.T, x.T, y, 0.05, correction=False).log_likelihood == pytest.approx(
-        exact, rel=1e-6
-    )
+    assert sparse.collapsed(
+        kernel, x.T, x.T, y, 0.05, correction=False
+    ).log_likelihood == pytest.approx(exact, rel=1e-6)
     assert sparse.collapsed(kernel, x[:10].T, x.T, y, 0.05, correction=False).log_likelihood < exact

@@ -1,4 +1,5 @@
-"""A sparse posterior at 50-100 support points: RMSE close to the full GP's, variance not below it, points that pay."""
+"""A sparse posterior at 50-100 support points: RMSE close to the full GP's, variance not below it,
+points that pay."""
 
 from __future__ import annotations
 
@@ -14,7 +15,10 @@ def smooth_inputs(seed, n, n_in=6):
     rng = np.random.default_rng(seed)
     t = 0.01 * np.arange(n)
     columns = [
-        sum(np.sin(2 * np.pi * f * t + p) for f, p in zip(rng.uniform(0.1, 3, 4), rng.uniform(0, 6.28, 4)))
+        sum(
+            np.sin(2 * np.pi * f * t + p)
+            for f, p in zip(rng.uniform(0.1, 3, 4), rng.uniform(0, 6.28, 4))
+        )
         for _ in range(n_in)
     ]
     return np.stack(columns, axis=1) / np.sqrt(2.0)
@@ -34,7 +38,8 @@ def moments(kernel, numbers, support, x):
 
 @pytest.mark.parametrize("points", [50, 100])
 def test_error_and_variance_of_the_full_gp_are_kept(points):
-    """Functions drawn from the prior, noise of 0.3 standard deviations; 5 % in the median, 7 % at worst, 1 % of variance."""
+    """Functions drawn from the prior, noise of 0.3 standard deviations; 5 % in the median, 7 % at
+    worst, 1 % of variance."""
     ratios, shares = [], []
     for seed in range(4):
         rng = np.random.default_rng(seed)
@@ -123,9 +128,16 @@ def test_auto_points_come_with_their_curve():
     x = smooth_inputs(3, 900, 2)
     y = np.sin(2 * x[:, :1]) + 0.1 * np.random.default_rng(0).standard_normal((900, 1))
     trained = train_gp(
-        x, y, inputs=layout("z", 2), outputs=layout("y", 1), points="auto", restarts=1, subset=150,
-        groups=np.repeat(range(6), 150), noise_inflation=1.0,
-    )  # fmt: skip
+        x,
+        y,
+        inputs=layout("z", 2),
+        outputs=layout("y", 1),
+        points="auto",
+        restarts=1,
+        subset=150,
+        groups=np.repeat(range(6), 150),
+        noise_inflation=1.0,
+    )
     curve = trained.report.curve
     assert curve is not None and trained.posterior.points == curve.chosen
     best = min(curve.trials, key=lambda t: t.nlpd)

@@ -1,4 +1,5 @@
-"""Training: what is dropped is counted, what did not converge says so, what explains nothing is set to zero."""
+"""Training: what is dropped is counted, what did not converge says so, what explains nothing is set
+to zero."""
 
 from __future__ import annotations
 
@@ -26,7 +27,9 @@ def flights(seed=0, groups=4, n=150, noise=0.1):
 
 
 def train(z, y, **more):
-    return train_gp(z, y, inputs=layout("z", z.shape[1]), outputs=layout("y", y.shape[1]), **(QUICK | more))
+    return train_gp(
+        z, y, inputs=layout("z", z.shape[1]), outputs=layout("y", y.shape[1]), **(QUICK | more)
+    )
 
 
 def test_a_curve_is_learnt_and_noise_is_not():
@@ -39,7 +42,9 @@ def test_a_curve_is_learnt_and_noise_is_not():
     assert np.sqrt(np.mean((mean[:, 0] - truth[:, 0]) ** 2)) < 0.1 * truth[:, 0].std()
     assert (mean[:, 1] == 0).all()
     # The leftover and the noise together are what the data show.
-    np.testing.assert_allclose(variance[:, 1] + trained.posterior.noise[1], np.mean(y[:, 1] ** 2), rtol=1e-9)
+    np.testing.assert_allclose(
+        variance[:, 1] + trained.posterior.noise[1], np.mean(y[:, 1] ** 2), rtol=1e-9
+    )
     assert curve.noise_std == pytest.approx(0.5, rel=0.1)
     assert curve.rmse < 0.5 * curve.rmse_constant and curve.gain > curve.gain_error
     assert any("y1" in w for w in trained.report.warnings)
@@ -47,7 +52,8 @@ def test_a_curve_is_learnt_and_noise_is_not():
 
 
 def test_a_gain_in_few_blocks_counts_and_luck_does_not():
-    """Ten blocks that all gain, one of them most of it: less than two standard errors, and yet no accident."""
+    """Ten blocks that all gain, one of them most of it: less than two standard errors, and yet no
+    accident."""
     block = np.repeat(np.arange(10), 20)
     level = np.array([0.4, 0.2, 0.1, 0.1, 1.0, 3.5, 0.5, 0.1, 0.3, 0.3])
     assert level.mean() < 2.0 * level.std(ddof=1) / np.sqrt(10)
@@ -56,7 +62,9 @@ def test_a_gain_in_few_blocks_counts_and_luck_does_not():
     rng = np.random.default_rng(0)
     for blocks in (10, 30):
         block = np.repeat(np.arange(blocks), 20)
-        passed = [better_by_chance(rng.standard_normal(block.size), block) <= CHANCE for _ in range(400)]
+        passed = [
+            better_by_chance(rng.standard_normal(block.size), block) <= CHANCE for _ in range(400)
+        ]
         assert 0.01 < np.mean(passed) < 0.08
 
 
@@ -133,9 +141,19 @@ def test_noise_per_flight_is_found_where_it_is():
     trained = train(z, y, groups=group, noise="auto", hold_out=0)
     assert trained.report.outputs[0].noise_per_group
     levels = {k: float(np.sqrt(v[0])) for k, v in trained.posterior.group_noise.items()}
-    assert levels["f2"] == pytest.approx(2.0, rel=0.15) and levels["f0"] == pytest.approx(0.4, rel=0.15)
-    assert trained.posterior.variance(z[0], noise="f2") > trained.posterior.variance(z[0], noise="f0")
-    even = train(z, truth[:, :1] + 0.4 * rng.standard_normal((len(z), 1)), groups=group, noise="auto", hold_out=0)
+    assert levels["f2"] == pytest.approx(2.0, rel=0.15) and levels["f0"] == pytest.approx(
+        0.4, rel=0.15
+    )
+    assert trained.posterior.variance(z[0], noise="f2") > trained.posterior.variance(
+        z[0], noise="f0"
+    )
+    even = train(
+        z,
+        truth[:, :1] + 0.4 * rng.standard_normal((len(z), 1)),
+        groups=group,
+        noise="auto",
+        hold_out=0,
+    )
     assert not even.report.outputs[0].noise_per_group and not even.posterior.group_noise
 
 
@@ -190,9 +208,15 @@ def test_polish_does_not_lose_likelihood():
     support = x[:8]
     from greybox.residual import sparse
 
-    before = sparse.collapsed(kernel, support.T, x.T, y[:, 0], 0.01, correction=False).log_likelihood
-    kernels, noise, moved, status = torch_gp.polish(x, y, [kernel], np.array([0.01]), support, iterations=50)
-    after = sparse.collapsed(kernels[0], moved.T, x.T, y[:, 0], noise[0], correction=False).log_likelihood
+    before = sparse.collapsed(
+        kernel, support.T, x.T, y[:, 0], 0.01, correction=False
+    ).log_likelihood
+    kernels, noise, moved, status = torch_gp.polish(
+        x, y, [kernel], np.array([0.01]), support, iterations=50
+    )
+    after = sparse.collapsed(
+        kernels[0], moved.T, x.T, y[:, 0], noise[0], correction=False
+    ).log_likelihood
     assert status in ("converged", "iteration limit") and after > before + 1.0
 
 

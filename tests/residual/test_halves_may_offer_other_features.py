@@ -1,4 +1,5 @@
-"""Features that are made again from half of the flights may be more or fewer, and are judged all the same."""
+"""Features that are made again from half of the flights may be more or fewer, and are judged all
+the same."""
 
 from __future__ import annotations
 
@@ -15,7 +16,9 @@ def half(features: int, outputs: int, seed: int) -> Judged:
     rng = np.random.default_rng(seed)
     root = 0.1 * rng.normal(size=(size, size))
     hessian = np.eye(size) + root @ root.T
-    return Judged(left_hessian=hessian, left_gradient=gradient, hessian=hessian[None], gradient=gradient[None])
+    return Judged(
+        left_hessian=hessian, left_gradient=gradient, hessian=hessian[None], gradient=gradient[None]
+    )
 
 
 def test_a_law_of_three_terms_beside_one_of_two_gains_what_both_gain():

@@ -1,4 +1,5 @@
-"""The uncertainty of a learned push travels along a prediction as one error, checked against drawn functions."""
+"""The uncertainty of a learned push travels along a prediction as one error, checked against drawn
+functions."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ NAMES = ("angle", "rate")
 
 
 def learned(lengthscale: float, level: float) -> tuple[IdentifiedModel, GPPosterior]:
-    """A pendulum with a push that is known up to `level` of a prior with this length-scale; a grid of support points."""
+    """A pendulum with a push that is known up to `level` of a prior with this length-scale; a grid
+    of support points."""
     base = pendulum_model((1e-3, 1e-3))
     inner = base.dynamics
     kernel = Kernel(family="se", lengthscales=np.full(2, lengthscale), variance=1.0)
@@ -32,15 +34,27 @@ def learned(lengthscale: float, level: float) -> tuple[IdentifiedModel, GPPoster
     rng = np.random.default_rng(5)
     numbers = variational(kernel, grid.T, 0.5 * rng.standard_normal(25), level * np.eye(25))
     posterior = GPPosterior(
-        inputs=feature_layout(inner, NAMES), outputs=Layout([inner.noises.signals[inner.noises["rate"]]]), method="svgp",
-        kernels=(kernel,), input_mean=np.zeros(2), input_scale=np.array([0.5, 1.5]), output_mean=np.zeros(1),
-        output_scale=np.ones(1), support=grid, weights=numbers.weights[:, None], explained=numbers.explained[None],
-        uncertain=numbers.uncertain[None], noise=np.ones(1), domain=Domain(lower=-np.ones(2), upper=np.ones(2)),
-    )  # fmt: skip
+        inputs=feature_layout(inner, NAMES),
+        outputs=Layout([inner.noises.signals[inner.noises["rate"]]]),
+        method="svgp",
+        kernels=(kernel,),
+        input_mean=np.zeros(2),
+        input_scale=np.array([0.5, 1.5]),
+        output_mean=np.zeros(1),
+        output_scale=np.ones(1),
+        support=grid,
+        weights=numbers.weights[:, None],
+        explained=numbers.explained[None],
+        uncertain=numbers.uncertain[None],
+        noise=np.ones(1),
+        domain=Domain(lower=-np.ones(2), upper=np.ones(2)),
+    )
     return replace(base, dynamics=HybridModel(inner=inner, posterior=posterior)), posterior
 
 
-def ensemble(model: IdentifiedModel, posterior: GPPosterior, x0: np.ndarray, u: np.ndarray, size: int) -> np.ndarray:
+def ensemble(
+    model: IdentifiedModel, posterior: GPPosterior, x0: np.ndarray, u: np.ndarray, size: int
+) -> np.ndarray:
     """States (H + 1, 3, size) of futures, each with its own drawn function and no other noise."""
     weights = drawn_weights(posterior, 0, size, np.random.default_rng(0)).T
     s = [ca.SX.sym(n, k) for n, k in (("x", 3), ("u", 1), ("c", posterior.points))]
@@ -48,7 +62,9 @@ def ensemble(model: IdentifiedModel, posterior: GPPosterior, x0: np.ndarray, u: 
     value = ca.dot(s[2], posterior.kernels[0].covariance(posterior.support.T, z, ca))
     inner = model.dynamics.inner
     p = ca.DM([d.nominal for d in inner.parameters])
-    step = ca.Function("step", s, [inner.step(0, s[0], s[1], p, ca.vertcat(value, 0.0), DT)]).map(size)
+    step = ca.Function("step", s, [inner.step(0, s[0], s[1], p, ca.vertcat(value, 0.0), DT)]).map(
+        size
+    )
     x = np.repeat(x0[:, None], size, axis=1)
     out = [x]
     for k in range(H):
@@ -57,19 +73,28 @@ def ensemble(model: IdentifiedModel, posterior: GPPosterior, x0: np.ndarray, u: 
     return np.array(out)
 
 
-def stated_and_found(lengthscale: float, level: float, size: int = 3000) -> tuple[np.ndarray, np.ndarray]:
-    """(stated, found) variances of angle and rate at h = 2..H that the learned push alone brings."""
+def stated_and_found(
+    lengthscale: float, level: float, size: int = 3000
+) -> tuple[np.ndarray, np.ndarray]:
+    """(stated, found) variances of angle and rate at h = 2..H that the learned push alone
+    brings."""
     model, posterior = learned(lengthscale, level)
     runner = Filter(model)
     segment = swings(1, 2, hidden=0.0, period=3.0, seconds=3.0).flights[0].segments[0]
     filtered = runner.run(segment)
     ahead = list(Propagator(runner).run(filtered, np.array([ORIGIN]), H))
     quiet = replace(model, dynamics=model.dynamics.inner)
-    silent = replace(posterior, uncertain=np.zeros_like(posterior.uncertain), explained=posterior.explained)
+    silent = replace(
+        posterior, uncertain=np.zeros_like(posterior.uncertain), explained=posterior.explained
+    )
     known = replace(model, dynamics=HybridModel(inner=quiet.dynamics, posterior=silent))
     rest = list(Propagator(Filter(known)).run(filtered, np.array([ORIGIN]), H))
-    stated = np.array([np.diag(a.covariance[0])[:2] - np.diag(b.covariance[0])[:2] for a, b in zip(ahead, rest)])
-    found = ensemble(model, posterior, filtered.states[ORIGIN + 1], segment.channels["u"], size).var(axis=2)[:, :2]
+    stated = np.array(
+        [np.diag(a.covariance[0])[:2] - np.diag(b.covariance[0])[:2] for a, b in zip(ahead, rest)]
+    )
+    found = ensemble(
+        model, posterior, filtered.states[ORIGIN + 1], segment.channels["u"], size
+    ).var(axis=2)[:, :2]
     return stated[1:], found[1:H]
 
 

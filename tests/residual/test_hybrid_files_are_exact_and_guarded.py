@@ -1,4 +1,5 @@
-"""A hybrid file gives back every bit, follows its schema, is refused in one line where damaged, and needs no PyTorch."""
+"""A hybrid file gives back every bit, follows its schema, is refused in one line where damaged, and
+needs no PyTorch."""
 
 from __future__ import annotations
 
@@ -26,7 +27,9 @@ from tests.residual.hybrid_cases import craft_model, hybrid
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return save_model(craft_model(hybrid(kernel="linear+se")), tmp_path_factory.mktemp("hybrid") / "hybrid.json")
+    return save_model(
+        craft_model(hybrid(kernel="linear+se")), tmp_path_factory.mktemp("hybrid") / "hybrid.json"
+    )
 
 
 def step_of(model: IdentifiedModel) -> np.ndarray:
@@ -35,7 +38,9 @@ def step_of(model: IdentifiedModel) -> np.ndarray:
     x = model.reference_state + 0.05 * np.sin(np.arange(len(d.states)))
     past, future = d.window
     u = np.repeat(model.reference_inputs[:, None], past + 1 + future, axis=1)
-    return np.asarray(ca.DM(d.step(0, ca.DM(x), ca.DM(u), ca.DM(model.parameter_vector()), ca.DM.zeros(6), 0.01)))
+    return np.asarray(
+        ca.DM(d.step(0, ca.DM(x), ca.DM(u), ca.DM(model.parameter_vector()), ca.DM.zeros(6), 0.01))
+    )
 
 
 def test_the_round_trip_is_exact(file: Path, tmp_path: Path) -> None:
@@ -69,7 +74,9 @@ def test_horizon_noise_survives(tmp_path: Path) -> None:
     assert np.array_equal(got.horizon_noise, 1.7 * model.process_noise)
 
 
-def signed(change: Callable[[dict[str, Any]], object]) -> Callable[[dict[str, Any]], dict[str, Any]]:
+def signed(
+    change: Callable[[dict[str, Any]], object],
+) -> Callable[[dict[str, Any]], dict[str, Any]]:
     """A change by somebody who also renews the checksum."""
 
     def edit(body: dict[str, Any]) -> dict[str, Any]:
@@ -102,7 +109,9 @@ DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], str]] = {
 
 
 @pytest.mark.parametrize("case", DAMAGE, ids=lambda c: c.replace(" ", "-"))
-def test_damage_is_one_clear_line(case: str, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damage_is_one_clear_line(
+    case: str, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     change, word = DAMAGE[case]
     broken = write_json(tmp_path / "broken.json", change(read_json(file)))
     code = main(["validate", str(broken), "--log", "nowhere.csv"])
@@ -113,7 +122,9 @@ def test_damage_is_one_clear_line(case: str, file: Path, tmp_path: Path, capsys:
     assert word in lines[0]
 
 
-def test_a_cut_file_is_one_clear_line(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_cut_file_is_one_clear_line(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "cut.json").write_text(file.read_text()[:2000])
     assert main(["validate", str(tmp_path / "cut.json"), "--log", "nowhere.csv"]) == 2
     lines = capsys.readouterr().err.strip().splitlines()

@@ -1,4 +1,5 @@
-"""A hybrid is a Dynamics: one set of numbers in SX, MX and C, the physics where it is silent or far from its data."""
+"""A hybrid is a Dynamics: one set of numbers in SX, MX and C, the physics where it is silent or far
+from its data."""
 
 from __future__ import annotations
 
@@ -15,7 +16,16 @@ from greybox.residual.features import features
 from greybox.residual.hybrid import HybridModel
 from greybox.symbolic import Layout, Signal
 from greybox.validation.open_loop import GroupReader
-from tests.residual.hybrid_cases import CHANNELS, FEATURES, SIZES, craft, craft_model, hybrid, pendulum, push
+from tests.residual.hybrid_cases import (
+    CHANNELS,
+    FEATURES,
+    SIZES,
+    craft,
+    craft_model,
+    hybrid,
+    pendulum,
+    push,
+)
 
 DT = 0.01
 
@@ -39,7 +49,9 @@ def functions(dynamics, symbol) -> ca.Function:
         "step": dynamics.step(0, s["x"], s["U"], s["p"], s["w"], DT),
         "output": dynamics.output(0, s["x"], s["U"], s["p"], s["w"], DT),
     }
-    return ca.Function("all", list(s.values()), [ca.densify(v) for v in values.values()], list(s), list(values))
+    return ca.Function(
+        "all", list(s.values()), [ca.densify(v) for v in values.values()], list(s), list(values)
+    )
 
 
 def points(dynamics, count: int = 4, seed: int = 1, speed: float = 1.0):
@@ -53,7 +65,11 @@ def points(dynamics, count: int = 4, seed: int = 1, speed: float = 1.0):
         x[[i for i, n in enumerate(names) if n.startswith("velocity")]] *= 10 * speed
         q = [i for i, n in enumerate(names) if n.startswith("attitude")]
         x[q] /= np.linalg.norm(x[q])
-        u = np.repeat([[3.8] if n == "vbat" else [0.7] for n in dynamics.inputs.names], past + 1 + future, axis=1)
+        u = np.repeat(
+            [[3.8] if n == "vbat" else [0.7] for n in dynamics.inputs.names],
+            past + 1 + future,
+            axis=1,
+        )
         w = dynamics.noise_scale(DT) * rng.standard_normal(len(dynamics.noises))
         yield x, u + 0.05 * rng.standard_normal(u.shape), p, w
 
@@ -75,7 +91,9 @@ def test_the_compiled_rollout_is_the_step_repeated():
     call = functions(model, ca.SX)
     n, x, p, w = 12, np.array([0.4, -1.0]), np.array([9.0]), np.zeros(1)
     inputs = np.random.default_rng(3).standard_normal((n, 1))
-    got, _ = engine.rollout(starts=x[None], rows=np.array([0]), horizon=n, inputs=inputs, p=p, dt=DT)
+    got, _ = engine.rollout(
+        starts=x[None], rows=np.array([0]), horizon=n, inputs=inputs, p=p, dt=DT
+    )
     for k in range(n):
         values = call(x=x, U=inputs[k], p=p, w=w)
         assert got[0, k] == pytest.approx(np.asarray(values["output"])[:, 0], rel=1e-12, abs=1e-12)
@@ -112,7 +130,9 @@ def test_the_step_starts_along_f():
     s = arguments(model, ca.SX)
     h = 1e-5
     after = model.step(0, s["x"], s["U"], s["p"], s["w"], h)
-    call = ca.Function("c", list(s.values()), [(after - s["x"]) / h, model.f(0, s["x"], s["U"], s["p"], s["w"])])
+    call = ca.Function(
+        "c", list(s.values()), [(after - s["x"]) / h, model.f(0, s["x"], s["U"], s["p"], s["w"])]
+    )
     slope, f = call([0.4, -1.0], [0.3], [9.0], [0.1])
     assert np.asarray(slope) == pytest.approx(np.asarray(f), rel=1e-3)
     plain = pendulum().f(0, ca.DM([0.4, -1.0]), ca.DM([0.3]), ca.DM([9.0]), ca.DM([0.1]))
@@ -123,8 +143,13 @@ def test_far_away_it_is_the_physics_and_says_so():
     model = hybrid(kernel="linear+se")
     s = arguments(model, ca.SX)
     z = model.learned_inputs(s["x"], s["U"])
-    look = ca.Function("d", [s["x"], s["U"]], [model.learned_mean(s["x"], s["U"]), model.posterior.distance(z)])
-    near, far = (look(x, u) for x, u in ((a[0], a[1]) for s in (1.0, 300.0) for a in points(model, 1, speed=s)))
+    look = ca.Function(
+        "d", [s["x"], s["U"]], [model.learned_mean(s["x"], s["U"]), model.posterior.distance(z)]
+    )
+    near, far = (
+        look(x, u)
+        for x, u in ((a[0], a[1]) for s in (1.0, 300.0) for a in points(model, 1, speed=s))
+    )
     sizes = np.array([SIZES[c.split(".")[0]] for c in CHANNELS])
     assert np.max(np.abs(np.asarray(near[0])[:, 0]) / sizes) > 0.1
     assert np.max(np.abs(np.asarray(far[0])[:, 0]) / sizes) < 1e-9
@@ -166,10 +191,13 @@ def test_an_identified_hybrid_keeps_its_physics():
 
 
 def test_a_feature_beyond_the_command_window_is_refused():
-    """A negative place would count from the end: a later command under the name of an earlier one."""
+    """A negative place would count from the end: a later command under the name of an earlier
+    one."""
     dynamics, x, window = pendulum(), ca.SX.sym("x", 2), ca.SX.sym("U", 1, 3)
     assert str(features(dynamics, ("u[t-2]",), x, window)) == "U_0"
-    with pytest.raises(ModelError, match="further back than the command window; expected 3 earlier samples; got 2"):
+    with pytest.raises(
+        ModelError, match="further back than the command window; expected 3 earlier samples; got 2"
+    ):
         features(dynamics, ("u[t-3]",), x, window)
 
 
@@ -180,5 +208,10 @@ def test_its_velocity_is_read_however_far_it_looks_back():
     reader, d = GroupReader(model), model.dynamics
     states = np.array([model.reference_state])
     states[0, 3:6] = 0.4, -0.2, 0.1
-    values = reader.values(np.zeros((1, len(d.outputs))), states, model.parameter_vector(), model.reference_inputs[None])
+    values = reader.values(
+        np.zeros((1, len(d.outputs))),
+        states,
+        model.parameter_vector(),
+        model.reference_inputs[None],
+    )
     np.testing.assert_allclose(values["velocity"][0], [0.4, -0.2, 0.1], atol=1e-9)

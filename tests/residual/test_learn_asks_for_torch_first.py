@@ -14,7 +14,9 @@ from greybox.residual.train import check_extra
 @pytest.mark.parametrize("missing", ["torch", "gpytorch"])
 def test_learn_says_so_before_it_reads_anything(monkeypatch, capsys, missing):
     real = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda n, *a: None if n == missing else real(n, *a))
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda n, *a: None if n == missing else real(n, *a)
+    )
     with pytest.raises(MissingExtraError, match=f"no {missing}"):
         check_extra()
     assert main(["learn", "there_is_no_model.json", "--train", "there_is_no_log.csv"]) == 2

@@ -1,4 +1,5 @@
-"""learn lowers the errors of motions that it has not seen, learns nothing from clean flights, and repeats itself."""
+"""learn lowers the errors of motions that it has not seen, learns nothing from clean flights, and
+repeats itself."""
 
 from __future__ import annotations
 
@@ -89,7 +90,9 @@ def test_the_same_seed_gives_the_same_numbers():
     assert np.allclose(a.weights, b.weights, rtol=1e-10, atol=1e-10 * np.abs(a.weights).max())
     assert np.allclose(a.support, b.support, rtol=0, atol=1e-12)
     assert first.model.horizon_noise == pytest.approx(again.model.horizon_noise, rel=1e-10)
-    assert list(first.candidates.values()) == pytest.approx(list(again.candidates.values()), rel=1e-10)
+    assert list(first.candidates.values()) == pytest.approx(
+        list(again.candidates.values()), rel=1e-10
+    )
 
 
 @pytest.mark.parametrize("hidden", [HIDDEN, 0.0])

@@ -1,4 +1,5 @@
-"""What depends on the place in the room is a choice: a set of features on request, where a position is measured."""
+"""What depends on the place in the room is a choice: a set of features on request, where a position
+is measured."""
 
 from __future__ import annotations
 
@@ -23,6 +24,8 @@ def test_the_place_competes_on_request_alone():
 
 
 def test_a_place_that_nobody_measures_is_refused():
-    blind = build_model(example_vehicle(), ["qw", "qx", "qy", "qz", "p", "q", "r", "ax", "ay", "az"])
+    blind = build_model(
+        example_vehicle(), ["qw", "qx", "qy", "qz", "p", "q", "r", "ax", "ay", "az"]
+    )
     with pytest.raises(ModelError, match="no position is measured"):
         feature_sets(craft_model(blind), place=True)

@@ -1,4 +1,5 @@
-"""Bad input to greybox learn: one clear line, exit code 2, nothing written; good input to the page and the files."""
+"""Bad input to greybox learn: one clear line, exit code 2, nothing written; good input to the page
+and the files."""
 
 from __future__ import annotations
 
@@ -22,7 +23,15 @@ from tests.residual.hybrid_cases import craft, craft_model, hybrid
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("learn")
     true_plant = plant()
-    log = fly(true_plant, controller_for(true_plant), Hover(), rich_excitation(), 3.0, seed=[1, 2], warm_up=0.5)
+    log = fly(
+        true_plant,
+        controller_for(true_plant),
+        Hover(),
+        rich_excitation(),
+        3.0,
+        seed=[1, 2],
+        warm_up=0.5,
+    )
     for i, name in enumerate("ab"):
         write_log(folder / f"{name}.csv", member(log, i), drop=["omega"])
     model: IdentifiedModel = replace(craft_model(craft()), trained_on=("a",))
@@ -46,15 +55,33 @@ CASES = {
     "a hybrid": (["hybrid.json", "--train", "a.csv"], "already"),
     "no such log": (["model.json", "--train", "nowhere.csv"], "nowhere.csv"),
     "train is test": (["model.json", "--train", "a.csv", "--test", "a.csv"], "both train and test"),
-    "unknown feature": (["model.json", "--train", "a.csv", "--inputs", "body_velocity.v"], "body_velocity"),
-    "place and features": (["model.json", "--train", "a.csv", "--place", "--inputs", "p"], "--place"),
+    "unknown feature": (
+        ["model.json", "--train", "a.csv", "--inputs", "body_velocity.v"],
+        "body_velocity",
+    ),
+    "place and features": (
+        ["model.json", "--train", "a.csv", "--place", "--inputs", "p"],
+        "--place",
+    ),
     "place of a linear model": (["linear.json", "--train", "a.csv", "--place"], "linear model"),
-    "a guard of a law": (["linear.json", "--train", "a.csv", "--guard", "--learner", "sparse"], "--guard"),
+    "a guard of a law": (
+        ["linear.json", "--train", "a.csv", "--guard", "--learner", "sparse"],
+        "--guard",
+    ),
     "unknown kernel": (["model.json", "--train", "a.csv", "--kernel", "rbf"], "se"),
     "no such learner": (["model.json", "--train", "a.csv", "--learner", "nets"], "random-features"),
-    "no such file of a learner": (["model.json", "--train", "a.csv", "--learner", "nets.py:Net"], "nets.py"),
-    "a kernel of a law": (["model.json", "--train", "a.csv", "--learner", "sparse", "--kernel", "matern32"], "kernel"),
-    "chosen features": (["model.json", "--train", "a.csv", "--learner", "neural", "--points", "auto"], "number"),
+    "no such file of a learner": (
+        ["model.json", "--train", "a.csv", "--learner", "nets.py:Net"],
+        "nets.py",
+    ),
+    "a kernel of a law": (
+        ["model.json", "--train", "a.csv", "--learner", "sparse", "--kernel", "matern32"],
+        "kernel",
+    ),
+    "chosen features": (
+        ["model.json", "--train", "a.csv", "--learner", "neural", "--points", "auto"],
+        "number",
+    ),
     "no points": (["model.json", "--train", "a.csv", "--points", "0"], "--points"),
     "points in words": (["model.json", "--train", "a.csv", "--points", "many"], "--points"),
     "no adaptation": (["model.json", "--train", "a.csv", "--adapt", "0"], "--adapt"),
@@ -68,7 +95,11 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.replace(" ", "-"))
 def test_bad_input_is_one_line(
-    case: str, files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    case: str,
+    files: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     arguments, word = CASES[case]
     monkeypatch.chdir(files)

@@ -1,4 +1,5 @@
-"""The page of greybox learn: words, before and after, honest marks; complete or not, it is one well-formed safe page."""
+"""The page of greybox learn: words, before and after, honest marks; complete or not, it is one
+well-formed safe page."""
 
 from __future__ import annotations
 
@@ -18,7 +19,9 @@ def content() -> dict[str, Any]:
     after = make_validation()
     for i, row in enumerate(after["horizons"]):
         for e in row["groups"].values():
-            e.update(coverage50=0.5, coverage68=0.7, coverage95=0.95 if i < 2 else 0.71, nlpd=-3.0 + i)
+            e.update(
+                coverage50=0.5, coverage68=0.7, coverage95=0.95 if i < 2 else 0.71, nlpd=-3.0 + i
+            )
     before = make_validation()
     for row in before["horizons"]:
         for e in row["groups"].values():
@@ -26,19 +29,54 @@ def content() -> dict[str, Any]:
     outputs = [{"name": f"force.{a}", "unit": "N", "learned": True} for a in "xyz"]
     outputs += [{"name": f"torque.{a}", "unit": "N m", "learned": False} for a in "xyz"]
     return {
-        "schema": "greybox.learn/1", "model": "nano + GP(force)", "kind": "dynamics", "null": False,
-        "candidates": [{"name": "motion, broad kernel", "held_out_gain": 0.31}, {"name": "velocity", "held_out_gain": 0.0}],
-        "chosen": "motion, broad kernel", "features": ["body_velocity.x", "p"], "outputs": outputs, "points": 40,
-        "fit": {"status": "converged", "iterations": 2, "cost_before": 10.0, "cost_after": 6.0, "held_out_gain": 0.31,
-                "strengths": {"force.x": 1.0, "torque.x": None}},
+        "schema": "greybox.learn/1",
+        "model": "nano + GP(force)",
+        "kind": "dynamics",
+        "null": False,
+        "candidates": [
+            {"name": "motion, broad kernel", "held_out_gain": 0.31},
+            {"name": "velocity", "held_out_gain": 0.0},
+        ],
+        "chosen": "motion, broad kernel",
+        "features": ["body_velocity.x", "p"],
+        "outputs": outputs,
+        "points": 40,
+        "fit": {
+            "status": "converged",
+            "iterations": 2,
+            "cost_before": 10.0,
+            "cost_after": 6.0,
+            "held_out_gain": 0.31,
+            "strengths": {"force.x": 1.0, "torque.x": None},
+        },
         "calibration": {"factors": {"force": 2.6, "torque": 0.4}, "learned": 0.3, "gain": 0.12},
-        "training": [{"candidate": "motion", "method": "sgpr", "kernel": "se", "points": 40, "seconds": {}, "warnings": [],
-                      "outputs": [{"name": "force.x", "status": "converged", "signal_std": 0.01, "noise_std": 0.002,
-                                   "gain": None}]}],
-        "trained_on": ["a", "b"], "data_hash": "0" * 64, "seconds": 12.0, "warnings": ["something to know"],
-        "versions": {"greybox": "1"}, "command": "greybox learn model.json --train a.csv b.csv",
+        "training": [
+            {
+                "candidate": "motion",
+                "method": "sgpr",
+                "kernel": "se",
+                "points": 40,
+                "seconds": {},
+                "warnings": [],
+                "outputs": [
+                    {
+                        "name": "force.x",
+                        "status": "converged",
+                        "signal_std": 0.01,
+                        "noise_std": 0.002,
+                        "gain": None,
+                    }
+                ],
+            }
+        ],
+        "trained_on": ["a", "b"],
+        "data_hash": "0" * 64,
+        "seconds": 12.0,
+        "warnings": ["something to know"],
+        "versions": {"greybox": "1"},
+        "command": "greybox learn model.json --train a.csv b.csv",
         "validation": {"before": before, "after": after},
-    }  # fmt: skip
+    }
 
 
 def text_of(page: str) -> str:
@@ -65,13 +103,16 @@ def test_it_says_what_was_learned_and_how_far_it_helps() -> None:
 def test_growing_errors_advise_against_it() -> None:
     worse = content()
     worse["validation"]["before"], worse["validation"]["after"] = (
-        worse["validation"]["after"], worse["validation"]["before"],
-    )  # fmt: skip
+        worse["validation"]["after"],
+        worse["validation"]["before"],
+    )
     assert "keep the physics model" in text_of(learn_report(worse))
     assert "keep the physics model" not in text_of(learn_report(content()))
 
 
-@pytest.mark.parametrize("missing", ["validation", "before", "coverage", "curves", "training", "command"])
+@pytest.mark.parametrize(
+    "missing", ["validation", "before", "coverage", "curves", "training", "command"]
+)
 def test_what_is_not_there_is_left_out(missing: str) -> None:
     some = copy.deepcopy(content())
     if missing in ("validation", "training", "command"):

@@ -1,4 +1,5 @@
-"""Noise levels that a fit drove away come back one by one; a group's common factor cannot bring them."""
+"""Noise levels that a fit drove away come back one by one; a group's common factor cannot bring
+them."""
 
 import numpy as np
 import pytest
@@ -23,10 +24,13 @@ def test_levels_are_found_from_wherever_a_fit_left_them(data, start):
 
 @pytest.mark.slow
 def test_levels_are_right_on_average():
-    """One level scatters by 4 % (the likelihood of 1600 samples): five per cent are three errors of the mean of six."""
+    """One level scatters by 4 % (the likelihood of 1600 samples): five per cent are three errors of
+    the mean of six."""
     found = [
         refit_noise(
-            hybrid_cases.pendulum_model((0.354, 0.3)), hybrid_cases.swings(2, seed, hidden=0.0, period=5.0), each=True
+            hybrid_cases.pendulum_model((0.354, 0.3)),
+            hybrid_cases.swings(2, seed, hidden=0.0, period=5.0),
+            each=True,
         ).process_noise
         for seed in range(1, 7)
     ]

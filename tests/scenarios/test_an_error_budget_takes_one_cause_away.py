@@ -1,4 +1,5 @@
-"""The budget of errors finds the cause that was hidden, on a flight that a model with a torque of its own made."""
+"""The budget of errors finds the cause that was hidden, on a flight that a model with a torque of
+its own made."""
 
 from __future__ import annotations
 
@@ -44,9 +45,14 @@ def flown(model: IdentifiedModel, name: str, size: float) -> Flight:
     for k in range(N):
         x[at] = size * np.sin(2 * np.pi * k * DT / 0.8)
         y, after = engine.rollout(
-            starts=x[None], rows=np.array([k]), horizon=2, inputs=engine.padded_inputs(np.vstack([u, u[:2]])),
-            p=model.parameter_vector(), dt=DT, want_states=True,
-        )  # fmt: skip
+            starts=x[None],
+            rows=np.array([k]),
+            horizon=2,
+            inputs=engine.padded_inputs(np.vstack([u, u[:2]])),
+            p=model.parameter_vector(),
+            dt=DT,
+            want_states=True,
+        )
         assert after is not None
         outputs.append(y[0, 0])
         states.append(x.copy())
@@ -65,10 +71,15 @@ def errors() -> dict[str, dict[str, float]]:
     model = pushed_model()
     flights = Dataset(flights=(flown(model, "f", 2e-6),))
     rows = run(model, flights, flights, 5)
-    return {label: {g: float(e.rmse[49]) for g, e in row.table().groups.items()} for label, row in rows.items()}
+    return {
+        label: {g: float(e.rmse[49]) for g, e in row.table().groups.items()}
+        for label, row in rows.items()
+    }
 
 
-def test_rotation_is_mended_by_the_torque_that_was_hidden_and_not_by_force(errors: dict[str, dict[str, float]]) -> None:
+def test_rotation_is_mended_by_the_torque_that_was_hidden_and_not_by_force(
+    errors: dict[str, dict[str, float]],
+) -> None:
     plain = errors["the model"]
     for g in ("rotation", "rate"):
         assert errors["torque throughout"][g] < 0.1 * plain[g]
@@ -82,4 +93,6 @@ def test_regression_finds_a_linear_law() -> None:
     x = np.random.default_rng(0).normal(size=(20_000, 3))
     law = np.array([[1.0, 0.0], [0.0, -2.0], [0.5, 0.0]])
     found = regression(x, x @ law)
-    np.testing.assert_allclose(regressed(x[:50], found), x[:50] @ law / 1.1, atol=0.05)  # the ridge shrinks by a tenth
+    np.testing.assert_allclose(
+        regressed(x[:50], found), x[:50] @ law / 1.1, atol=0.05
+    )  # the ridge shrinks by a tenth

@@ -1,4 +1,5 @@
-"""The DC motor reaches the steady state that its parameters imply, and never gives more power than it takes."""
+"""The DC motor reaches the steady state that its parameters imply, and never gives more power than
+it takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The grid of the discovery judges as it says, resumes where it was, and its intervals are Wilson's."""
+"""The grid of the discovery judges as it says, resumes where it was, and its intervals are
+Wilson's."""
 
 from __future__ import annotations
 
@@ -16,7 +17,14 @@ from greybox.plants.effects import MotorLag, RotorAsymmetry
 from greybox.plants.presets import X250
 from scenarios.studies import discovery_grid
 from scenarios.studies.discovery_cells import Cell, cases, scaled
-from scenarios.studies.discovery_summary import confusion, false_names, recall, summary, wilson, write_docs
+from scenarios.studies.discovery_summary import (
+    confusion,
+    false_names,
+    recall,
+    summary,
+    wilson,
+    write_docs,
+)
 
 
 def found(*names: str, groups: Sequence[tuple[str, ...]] = (), verdict: str = "named") -> Discovery:
@@ -24,7 +32,10 @@ def found(*names: str, groups: Sequence[tuple[str, ...]] = (), verdict: str = "n
     return cast(
         Discovery,
         SimpleNamespace(
-            fit=True, effects=lambda: [{"name": n} for n in names], ambiguous=lambda: sets, verdict=verdict
+            fit=True,
+            effects=lambda: [{"name": n} for n in names],
+            ambiguous=lambda: sets,
+            verdict=verdict,
         ),
     )
 
@@ -62,21 +73,40 @@ def test_sizes_scale_every_parameter_and_nothing_else():
     for name, effects in cases(X250).items():
         for e in effects:
             twice = scaled(e, 2.0)
-            assert {k: 2 * v for k, v in e.parameters().items()} == pytest.approx(twice.parameters()), name
+            assert {k: 2 * v for k, v in e.parameters().items()} == pytest.approx(
+                twice.parameters()
+            ), name
     assert scaled(MotorLag(tau=0.04), 0.5) == MotorLag(tau=0.02)
-    assert scaled(RotorAsymmetry(delta=(0.1, -0.1, 0, 0)), 2.0).parameters()["rotor_asymmetry.delta_2"] == -0.2
+    assert (
+        scaled(RotorAsymmetry(delta=(0.1, -0.1, 0, 0)), 2.0).parameters()["rotor_asymmetry.delta_2"]
+        == -0.2
+    )
 
 
 def row(
-    judged: str, hidden: Sequence[str] = (), names: Sequence[str] = (), seed: int = 1000, **more: Any
+    judged: str,
+    hidden: Sequence[str] = (),
+    names: Sequence[str] = (),
+    seed: int = 1000,
+    **more: Any,
 ) -> dict[str, Any]:
     cell = Cell(hidden=tuple(hidden))
     return {
-        **cell.to_dict(), "kind": cell.kind, "seed": seed, "in_noise": 1.0 if hidden else None, "judged": judged,
-        "effects": {n: {"k": [1.01, 0.02]} for n in names}, "truth": {f"{n}.k": 1.0 for n in hidden},
-        "log10_e": dict.fromkeys(names, 5.0), "ambiguous": [], "unnamed": [], "closed": None, "took": 1.0,
-        "verdict": "named", **more,
-    }  # fmt: skip
+        **cell.to_dict(),
+        "kind": cell.kind,
+        "seed": seed,
+        "in_noise": 1.0 if hidden else None,
+        "judged": judged,
+        "effects": {n: {"k": [1.01, 0.02]} for n in names},
+        "truth": {f"{n}.k": 1.0 for n in hidden},
+        "log10_e": dict.fromkeys(names, 5.0),
+        "ambiguous": [],
+        "unnamed": [],
+        "closed": None,
+        "took": 1.0,
+        "verdict": "named",
+        **more,
+    }
 
 
 def test_a_false_name_on_clean_flights_counts_at_the_level_of_its_e_value():
@@ -88,14 +118,22 @@ def test_a_false_name_on_clean_flights_counts_at_the_level_of_its_e_value():
 
 
 def test_recall_and_precision_count_members_of_groups():
-    rows = [row("extra", ("a", "b"), ("a", "c")), row("group", ("a", "b"), ("a",), ambiguous=[{"b": 0.6, "d": 0.4}])]
+    rows = [
+        row("extra", ("a", "b"), ("a", "c")),
+        row("group", ("a", "b"), ("a",), ambiguous=[{"b": 0.6, "d": 0.4}]),
+    ]
     assert recall(rows) == [
         "pair: recall 3/4 = 75.0 % (30.1-95.4), precision 3/4 = 75.0 % (30.1-95.4)",
     ]
 
 
 def test_confusion_counts_every_single_effect_once():
-    rows = [row("right", ("a",), ("a",)), row("wrong", ("a",), ("b",)), row("silent", ("b",)), row("group", ("b",))]
+    rows = [
+        row("right", ("a",), ("a",)),
+        row("wrong", ("a",), ("b",)),
+        row("silent", ("b",)),
+        row("group", ("b",)),
+    ]
     hidden, said, counts = confusion(rows)
     assert hidden == ["a", "b"]
     assert counts.sum() == 4
@@ -128,10 +166,14 @@ def test_tables_and_figures_use_judging_seeds_only(tmp_path: Path):
     text = (tmp_path / "discovery_results.md").read_text()
     assert "2 logs with seeds from 1000 on" in text
     assert "wrong: b" not in text
-    assert (tmp_path / "images" / "discovery_confusion.svg").read_text().lstrip().startswith("<?xml")
+    assert (
+        (tmp_path / "images" / "discovery_confusion.svg").read_text().lstrip().startswith("<?xml")
+    )
 
 
-def test_results_that_are_kept_can_be_summed_up_but_not_added_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_results_that_are_kept_can_be_summed_up_but_not_added_to(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     out = tmp_path / "grid.jsonl.gz"
     out.write_bytes(gzip.compress((json.dumps(row("right", ("a",), ("a",))) + "\n").encode()))
     before = out.read_bytes()

@@ -1,4 +1,5 @@
-"""Plants outside the catalogue: no relative of an effect that greybox knows, gone at their null, felt away from it."""
+"""Plants outside the catalogue: no relative of an effect that greybox knows, gone at their null,
+felt away from it."""
 
 from __future__ import annotations
 
@@ -13,14 +14,23 @@ from scenarios.studies import discovery_outside
 from scenarios.studies.discovery_outside import CASES, affected, by_learning, flights, report
 
 NULLS: dict[str, PlantEffect] = {
-    "magnet": outside.Magnet(), "sloshing_mass": outside.SloshingMass(), "thrust_gap": outside.ThrustGap(),
-    "wall": outside.Wall(), "warm_motors": outside.WarmMotors(), "tether": outside.Tether(),
-    "power_drag": outside.PowerDrag(), "quadratic_damping": outside.QuadraticDamping(),
-    "exponential_ground": outside.ExponentialGround(), "relaxing_drag": outside.RelaxingDrag(),
-    "hysteretic_damping": outside.HystereticDamping(), "munk_moment": outside.MunkMoment(),
-    "air_outlet": outside.AirOutlet(), "plate_in_wake": outside.PlateInWake(), "loose_arm": outside.LooseArm(),
+    "magnet": outside.Magnet(),
+    "sloshing_mass": outside.SloshingMass(),
+    "thrust_gap": outside.ThrustGap(),
+    "wall": outside.Wall(),
+    "warm_motors": outside.WarmMotors(),
+    "tether": outside.Tether(),
+    "power_drag": outside.PowerDrag(),
+    "quadratic_damping": outside.QuadraticDamping(),
+    "exponential_ground": outside.ExponentialGround(),
+    "relaxing_drag": outside.RelaxingDrag(),
+    "hysteretic_damping": outside.HystereticDamping(),
+    "munk_moment": outside.MunkMoment(),
+    "air_outlet": outside.AirOutlet(),
+    "plate_in_wake": outside.PlateInWake(),
+    "loose_arm": outside.LooseArm(),
     "returning_wake": outside.ReturningWake(),
-}  # fmt: skip
+}
 
 
 def path(*effects: PlantEffect) -> np.ndarray:
@@ -31,7 +41,12 @@ def path(*effects: PlantEffect) -> np.ndarray:
     for k in range(50):
         plant.step(0.54 + 0.03 * np.sin(0.3 * k + np.arange(4)), 0.01)
         row = plant.measure(noise=False)
-        rows.append([row[c] for c in ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")])
+        rows.append(
+            [
+                row[c]
+                for c in ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")
+            ]
+        )
     return np.array(rows)
 
 
@@ -79,12 +94,27 @@ def test_the_share_is_of_what_the_effect_adds_to_the_least_error():
 
 def test_the_table_counts_cases_and_families(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(discovery_outside, "least", lambda seed: {"position": 1.0})
-    gap = [{"group": "position", "before": 2.0, "floor": 0.0, "closed": 0.5, "with_proposals": None}]
-    row = {"wrong": [], "flagged": ["force.x"], "right_axis": True, "gap": gap, "case": "wall", "seed": 1}
-    text = report([row, {**row, "case": "power_drag", "wrong": ["ground_effect"], "right_axis": False}])
+    gap = [
+        {"group": "position", "before": 2.0, "floor": 0.0, "closed": 0.5, "with_proposals": None}
+    ]
+    row = {
+        "wrong": [],
+        "flagged": ["force.x"],
+        "right_axis": True,
+        "gap": gap,
+        "case": "wall",
+        "seed": 1,
+    }
+    text = report(
+        [row, {**row, "case": "power_drag", "wrong": ["ground_effect"], "right_axis": False}]
+    )
     assert [line.split()[:3] for line in text.splitlines()[1:]] == [
-        ["wall", "1", "0"], ["power_drag", "1", "1"], ["outside", "1", "0"], ["relatives", "1", "1"], ["all", "2", "1"],
-    ]  # fmt: skip
+        ["wall", "1", "0"],
+        ["power_drag", "1", "1"],
+        ["outside", "1", "0"],
+        ["relatives", "1", "1"],
+        ["all", "2", "1"],
+    ]
     assert all("0.667, 0.667" in line for line in text.splitlines()[1:])
     taught = {"learned": {"rmse": {"position": 1.0}}}
     lines = report([{**row, **taught}, {**row, "case": "power_drag"}]).splitlines()

@@ -1,4 +1,5 @@
-"""RotorPy, MuJoCo, drone-models and PyBullet are plants: frames, signs, sensors, seeds as in the contract."""
+"""RotorPy, MuJoCo, drone-models and PyBullet are plants: frames, signs, sensors, seeds as in the
+contract."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ COLUMNS = [
 ARMS = np.array([rotor.position for rotor in FRAME.rotors])
 SPINS = np.array([rotor.spin for rotor in FRAME.rotors])
 ROUGH = {"pybullet": 15.0}
-"""By this factor tolerances are wider where gyroscopic moments are integrated to first order only."""
+"""By this factor tolerances are wider where gyroscopic moments are integrated to first order
+only."""
 
 
 def wiggle(k: int) -> list[float]:

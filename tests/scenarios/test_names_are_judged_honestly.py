@@ -1,4 +1,5 @@
-"""The judge of names: what a discovery.json says, when it is right, what is counted, who can see."""
+"""The judge of names: what a discovery.json says, when it is right, what is counted, who can
+see."""
 
 from __future__ import annotations
 
@@ -195,15 +196,29 @@ def test_the_command_judges_a_program_and_does_not_repeat_it(tmp_path, capsys):
 
 def row(**changes):
     return {
-        "asked": "clean", "cell": "clean", "seed": 1, "simulator": "mujoco", "gusts": False,
-        "sensors": "ideal", "file": "exact", "hidden": [], "judged": "right", "names": {},
-        "sets": [], "traces": [], "seconds": 5.0, "flights": 2, "power": None,
-    } | changes  # fmt: skip
+        "asked": "clean",
+        "cell": "clean",
+        "seed": 1,
+        "simulator": "mujoco",
+        "gusts": False,
+        "sensors": "ideal",
+        "file": "exact",
+        "hidden": [],
+        "judged": "right",
+        "names": {},
+        "sets": [],
+        "traces": [],
+        "seconds": 5.0,
+        "flights": 2,
+        "power": None,
+    } | changes
 
 
 def test_shares_come_with_exact_intervals_and_logs_without_power_apart():
     rows = [
-        row(seed=s, largest_log10_e=e, log10_e={"a": e}) for s in range(20) for e in [0.5 if s else 2.0]
+        row(seed=s, largest_log10_e=e, log10_e={"a": e})
+        for s in range(20)
+        for e in [0.5 if s else 2.0]
     ]
     said = summary(rows)
     # upper bound of none of 20: 1 - 0.025^(1/20)
@@ -238,9 +253,16 @@ def test_draws_are_of_flight_size():
 
 def test_evidence_for_the_truth_is_shown_against_the_number_of_flights():
     rows = [
-        row(asked=f"power:{n}", flights=n, hidden=["a"], log10_e={"a|b": 1.0 * n, "c": 50.0},
-            largest_log10_e=50.0, judged="set", sets=[["a", "b"]])
+        row(
+            asked=f"power:{n}",
+            flights=n,
+            hidden=["a"],
+            log10_e={"a|b": 1.0 * n, "c": 50.0},
+            largest_log10_e=50.0,
+            judged="set",
+            sets=[["a", "b"]],
+        )
         for n in (1, 2, 4)
-    ]  # fmt: skip
+    ]
     assert "power, 4 flights: named 1 of 1" in summary(rows)
     assert "log10 E of the true cause 4.0" in summary(rows)

@@ -1,4 +1,5 @@
-"""The scores and the table of the paper's experiment, on predictors whose scores are known beforehand."""
+"""The scores and the table of the paper's experiment, on predictors whose scores are known
+beforehand."""
 
 from __future__ import annotations
 
@@ -11,12 +12,25 @@ import pytest
 from scenarios.studies import paper_experiment
 from scenarios.studies.paper_data import OUTPUTS, TEST, paper_data
 from scenarios.studies.paper_methods import HORIZON, LEAKS, METHODS, ORIGINS, Outcome
-from scenarios.studies.paper_scores import FLOOR, PAPER, floor, intensity, qualities, scores, table, verdict
+from scenarios.studies.paper_scores import (
+    FLOOR,
+    PAPER,
+    floor,
+    intensity,
+    qualities,
+    scores,
+    table,
+    verdict,
+)
 
 
 def outcome(mean, variance):
     return Outcome(
-        mean=mean, variance=np.broadcast_to(variance, mean.shape), parameters=1, seconds=2.0, microseconds=3.0
+        mean=mean,
+        variance=np.broadcast_to(variance, mean.shape),
+        parameters=1,
+        seconds=2.0,
+        microseconds=3.0,
     )
 
 
@@ -62,19 +76,25 @@ def test_a_cheat_is_betrayed_by_its_error_to_the_truth(data):
 
 
 def test_nlpd_is_that_of_the_standardised_channels_and_lowest_at_the_right_variance(data):
-    right, wide = (scores(data, outcome(data.truth.y, k * data.truth.sensor))["nlpd"] for k in (1.0, 4.0))
+    right, wide = (
+        scores(data, outcome(data.truth.y, k * data.truth.sensor))["nlpd"] for k in (1.0, 4.0)
+    )
     assert right < wide - 0.2
     assert right == pytest.approx(floor(data)["nlpd"], abs=0.1)
 
 
 def test_a_sigma_that_grows_with_the_manoeuvre_is_seen(data):
     grows = 1e-3 * np.repeat(intensity(data)[:, None], 6, axis=1) ** 2
-    assert scores(data, outcome(data.truth.y, grows))["sigma_follows_intensity"] == pytest.approx(1.0)
+    assert scores(data, outcome(data.truth.y, grows))["sigma_follows_intensity"] == pytest.approx(
+        1.0
+    )
 
 
 def test_errors_left_are_white_for_an_oracle_and_coloured_for_what_lags_behind(data):
     truth, sensor = data.truth.y, data.truth.sensor
-    right, late = (scores(data, outcome(mean, sensor)) for mean in (truth, np.roll(truth, 3, axis=0)))
+    right, late = (
+        scores(data, outcome(mean, sensor)) for mean in (truth, np.roll(truth, 3, axis=0))
+    )
     assert right["coloured"] <= 1 and late["coloured"] == 6
     assert late["correlation"] > 3 * right["correlation"]
     assert late["mse_truth_hard"] > late["mse_truth_calm"] > 0
@@ -90,9 +110,16 @@ def test_a_free_run_is_held_against_the_truth_at_its_own_instant(data):
 def test_qualities_are_ratios_of_what_was_measured():
     def row(**changes):
         return {
-            "mse_truth": 1.0, "mse_truth_hard": 2.0, "mse_truth_calm": 1.0, "named": 3, "parameters": 9,
-            "coverage95": 0.9, "sigma_follows_intensity": None, "seconds": 4.0, "microseconds": 50.0,
-        } | changes  # fmt: skip
+            "mse_truth": 1.0,
+            "mse_truth_hard": 2.0,
+            "mse_truth_calm": 1.0,
+            "named": 3,
+            "parameters": 9,
+            "coverage95": 0.9,
+            "sigma_follows_intensity": None,
+            "seconds": 4.0,
+            "microseconds": 50.0,
+        } | changes
 
     whole = {"seed": 1, "methods": {"PEM linear MIMO": row(), "GP": row(mse_truth_hard=0.5)}}
     less = {"seed": 1, "methods": {"GP": row(mse_truth=3.0)}}
@@ -124,7 +151,8 @@ def test_results_are_kept_per_method_and_only_the_missing_is_computed(tmp_path):
 
 @pytest.mark.slow
 def test_the_whole_study_runs_prints_and_draws(tmp_path, monkeypatch, capsys):
-    """With quick stand-ins for the methods; what it prints is the table, the verdict, and the leaks apart."""
+    """With quick stand-ins for the methods; what it prints is the table, the verdict, and the leaks
+    apart."""
     monkeypatch.setattr(paper_experiment, "METHODS", {"GP": mean, "hybrid nonlinear": oracle})
     monkeypatch.setattr(paper_experiment, "LEAKS", {"cheat": cheat})
     few = ["--seeds", "1", "--first", "2", "--quiet-seeds", "0", "--short-seeds", "0"]
@@ -143,7 +171,12 @@ def test_the_whole_study_runs_prints_and_draws(tmp_path, monkeypatch, capsys):
 
 def test_the_verdict_counts_seeds_and_ratios():
     def seed(hybrid, other):
-        return {"methods": {"h": {"mse": hybrid, "mse_truth": hybrid}, "o": {"mse": other, "mse_truth": other}}}
+        return {
+            "methods": {
+                "h": {"mse": hybrid, "mse_truth": hybrid},
+                "o": {"mse": other, "mse_truth": other},
+            }
+        }
 
     text = verdict([seed(1.0, 4.0), seed(3.0, 4.0), seed(5.0, 4.0)], ["h"], ["o"])
     assert "in 2 of 3 seeds" in text

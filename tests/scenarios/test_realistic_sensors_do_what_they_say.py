@@ -1,4 +1,5 @@
-"""Every ingredient of the realistic sensors has its stated size and shape, and can be switched on alone."""
+"""Every ingredient of the realistic sensors has its stated size and shape, and can be switched on
+alone."""
 
 from __future__ import annotations
 
@@ -17,10 +18,21 @@ N, DT = 20000, 0.01
 @pytest.fixture(scope="module")
 def still():
     """A vehicle that hangs still: whatever moves is sensor."""
-    log = {n: np.zeros(N) for n in ("p", "q", "r", "ax", "ay", "az", "x", "y", "z", "vx", "vy", "vz")}
-    log |= {"t": DT * np.arange(N), "qw": np.ones(N), "qx": np.zeros(N), "qy": np.zeros(N), "qz": np.zeros(N)}
+    log = {
+        n: np.zeros(N) for n in ("p", "q", "r", "ax", "ay", "az", "x", "y", "z", "vx", "vy", "vz")
+    }
+    log |= {
+        "t": DT * np.arange(N),
+        "qw": np.ones(N),
+        "qx": np.zeros(N),
+        "qy": np.zeros(N),
+        "qz": np.zeros(N),
+    }
     log |= {f"u{i}": np.full(N, 0.54321) for i in range(1, 5)}
-    return log | {f"omega{i}": np.full(N, 2 * np.pi * f) for i, f in enumerate((187.0, 191.0, 205.0, 212.0), 1)}
+    return log | {
+        f"omega{i}": np.full(N, 2 * np.pi * f)
+        for i, f in enumerate((187.0, 191.0, 205.0, 212.0), 1)
+    }
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +40,9 @@ def moving(still):
     """Slow sines in every channel, the attitude a steady turn."""
     t = still["t"]
     wave = np.sin(2.0 * t)
-    log = still | {n: wave.copy() for n in ("p", "q", "r", "ax", "ay", "az", "x", "y", "z", "vx", "vy", "vz")}
+    log = still | {
+        n: wave.copy() for n in ("p", "q", "r", "ax", "ay", "az", "x", "y", "z", "vx", "vy", "vz")
+    }
     return log | {"qw": np.cos(0.5 * t), "qz": np.sin(0.5 * t)}
 
 
@@ -48,17 +62,22 @@ def test_one_ingredient_repeats_with_its_seed_and_leaves_the_input_alone(moving,
     first, second = only(moving, name), only(moving, name)
     assert all(np.array_equal(first[k], second[k]) for k in first)
     assert all(np.array_equal(moving[k], before[k]) for k in moving)
-    assert any(first[k].size != moving[k].size or not np.array_equal(first[k], moving[k]) for k in moving)
+    assert any(
+        first[k].size != moving[k].size or not np.array_equal(first[k], moving[k]) for k in moving
+    )
 
 
 @pytest.mark.parametrize(
-    ("column", "level", "time"), [("q", 0.01, 0.05), ("az", 0.1, 0.05), ("y", 0.003, 0.2), ("vx", 0.02, 0.2)]
+    ("column", "level", "time"),
+    [("q", 0.01, 0.05), ("az", 0.1, 0.05), ("y", 0.003, 0.2), ("vx", 0.02, 0.2)],
 )
 def test_colour_has_its_level_and_correlation_time(still, column, level, time):
     noise = only(still, "colour")[column]
     lag = round(time / DT)
     assert np.std(noise) == pytest.approx(level, rel=0.1)
-    assert np.mean(noise[lag:] * noise[:-lag]) / np.var(noise) == pytest.approx(np.exp(-1.0), abs=0.08)
+    assert np.mean(noise[lag:] * noise[:-lag]) / np.var(noise) == pytest.approx(
+        np.exp(-1.0), abs=0.08
+    )
 
 
 def test_coloured_attitude_is_a_small_rotation(still):
@@ -88,7 +107,9 @@ def test_low_pass_delays_slow_and_damps_fast_signals_of_the_imu_alone(moving):
 def test_delay_moves_the_pose_and_not_the_imu(moving):
     out = only(moving, "pose_delay")
     assert out["x"][10:] == pytest.approx(np.sin(2.0 * (moving["t"][10:] - 0.015)), abs=1e-4)
-    assert 2 * np.arctan2(out["qz"], out["qw"])[10:300] == pytest.approx(moving["t"][10:300] - 0.015, abs=1e-6)
+    assert 2 * np.arctan2(out["qz"], out["qw"])[10:300] == pytest.approx(
+        moving["t"][10:300] - 0.015, abs=1e-6
+    )
     assert np.array_equal(out["p"], moving["p"])
 
 

@@ -1,4 +1,5 @@
-"""Faults of the robustness study break what they name, for as long as they say, and its table counts outcomes."""
+"""Faults of the robustness study break what they name, for as long as they say, and its table
+counts outcomes."""
 
 import math
 
@@ -13,7 +14,8 @@ CLEAN = dict.fromkeys(ALL, 1.0)
 
 
 def arrived(name, count, seed=3):
-    """Measurements that arrive in the samples from the fault's begin on; None where the controller is not called."""
+    """Measurements that arrive in the samples from the fault's begin on; None where the controller
+    is not called."""
     rng = np.random.default_rng([seed, 77])
     return [FAULTS[name].seen(dict(CLEAN), k, rng) for k in range(count)]
 
@@ -42,7 +44,9 @@ def test_measurements_break_for_as_long_as_they_say():
     one = arrived("inf-one", 60)
     assert [sum(math.isinf(v) for v in y.values()) for y in one] == [1] * 50 + [0] * 10
     assert len({next(c for c, v in y.items() if math.isinf(v)) for y in one[:50]}) == 1
-    assert len({str(arrived("inf-one", 1, seed)) for seed in range(10)}) > 3  # another channel in another flight
+    assert (
+        len({str(arrived("inf-one", 1, seed)) for seed in range(10)}) > 3
+    )  # another channel in another flight
     assert [y is None for y in arrived("late-10", 12)] == [True] * 10 + [False] * 2
     many = arrived("spikes", 4000)
     off = [k for k, y in enumerate(many) if y != CLEAN]
@@ -53,11 +57,22 @@ def test_measurements_break_for_as_long_as_they_say():
 def test_the_table_counts_outcomes_and_depths():
     def row(seed, outcome, crossed):
         return {
-            "fault": "rotor-75", "seed": seed, "outcome": outcome, "broken_count": seed, "crossed": crossed, "rmse": 0.05,
-            "tilt": 0.5, "events": {"doubted: p": 2},
-        }  # fmt: skip
+            "fault": "rotor-75",
+            "seed": seed,
+            "outcome": outcome,
+            "broken_count": seed,
+            "crossed": crossed,
+            "rmse": 0.05,
+            "tilt": 0.5,
+            "events": {"doubted: p": 2},
+        }
 
-    rows = [row(0, "landed", {}), row(1, "crashed", {"wall": 0.012}), row(0, "in the air", {}), row(0, "course", {})]
+    rows = [
+        row(0, "landed", {}),
+        row(1, "crashed", {"wall": 0.012}),
+        row(0, "in the air", {}),
+        row(0, "course", {}),
+    ]
     line = table(rows).splitlines()[1].split()
     assert line[:9] == ["rotor-75", "4", "1", "1", "2", "1", "1", "12.0", "mm"]
     assert "doubted: p: 2" in table(rows)

@@ -1,4 +1,5 @@
-"""Sensor faults have the stated size, touch only the named columns and never change the log they are given."""
+"""Sensor faults have the stated size, touch only the named columns and never change the log they
+are given."""
 
 from __future__ import annotations
 

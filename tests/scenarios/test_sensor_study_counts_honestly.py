@@ -1,4 +1,5 @@
-"""The study of realistic sensors: what counts as right, false physics and false sensor, and its intervals."""
+"""The study of realistic sensors: what counts as right, false physics and false sensor, and its
+intervals."""
 
 from __future__ import annotations
 
@@ -10,9 +11,13 @@ from scenarios.studies.discovery_sensors import judge, realism_of, summary, wils
 
 def row(effect="clean", effects=(), groups=(), unnamed=(), ingredients="all", verdict="named"):
     return {
-        "effect": effect, "effects": dict.fromkeys(effects), "groups": list(groups), "unnamed": list(unnamed),
-        "ingredients": ingredients, "verdict": verdict,
-    }  # fmt: skip
+        "effect": effect,
+        "effects": dict.fromkeys(effects),
+        "groups": list(groups),
+        "unnamed": list(unnamed),
+        "ingredients": ingredients,
+        "verdict": verdict,
+    }
 
 
 @pytest.mark.parametrize(
@@ -37,9 +42,10 @@ def test_right_means_the_truth_and_no_other_physics(case, right):
 
 def test_late_commands_are_all_sensors_late_alike_only_where_they_are():
     said = {
-        "alternatives": {"command_delay": ["sensor_delay+pose_delay"]}, "truth": {"sensor_delay.d": 0.02},
+        "alternatives": {"command_delay": ["sensor_delay+pose_delay"]},
+        "truth": {"sensor_delay.d": 0.02},
         "effects": {"command_delay": {"d": [0.0198, 1e-4]}},
-    }  # fmt: skip
+    }
     late = row(effect="sensor_delay", effects=["command_delay"])
     assert not judge(late)["right"]
     assert judge(late | said)["right"]

@@ -1,4 +1,5 @@
-"""A shock changes what it says and nothing else of a flight in a foreign simulator, and the study counts it honestly."""
+"""A shock changes what it says and nothing else of a flight in a foreign simulator, and the study
+counts it honestly."""
 
 from __future__ import annotations
 
@@ -6,7 +7,18 @@ import numpy as np
 import pytest
 
 from scenarios.foreign.draw import draw, plant_of
-from scenarios.studies.shocks import BACK, HEIGHT, LEVEL, SHOCKS, WINDOW, WINDOWS, Corner, back, row_of, summary
+from scenarios.studies.shocks import (
+    BACK,
+    HEIGHT,
+    LEVEL,
+    SHOCKS,
+    WINDOW,
+    WINDOWS,
+    Corner,
+    back,
+    row_of,
+    summary,
+)
 
 
 @pytest.fixture(params=["rotorpy", "mujoco"])
@@ -74,7 +86,9 @@ def test_the_path_runs_in_the_corner_and_its_derivatives_are_its_own():
     later, sooner = corner.sample(times + step), corner.sample(np.maximum(times - step, 0.0))
     wide = (times + step - np.maximum(times - step, 0.0))[:, None]
     np.testing.assert_allclose((later.position - sooner.position) / wide, path.velocity, atol=1e-4)
-    np.testing.assert_allclose((later.velocity - sooner.velocity) / wide, path.acceleration, atol=1e-3)
+    np.testing.assert_allclose(
+        (later.velocity - sooner.velocity) / wide, path.acceleration, atol=1e-3
+    )
 
 
 def test_rows_count_time_beyond_and_a_lost_flight_is_beyond_for_good():

@@ -1,4 +1,5 @@
-"""The paper's literal hybrid gains what its inputs tell, and is refused where a linear model misses nothing."""
+"""The paper's literal hybrid gains what its inputs tell, and is refused where a linear model misses
+nothing."""
 
 import pytest
 

@@ -1,4 +1,5 @@
-"""The record of the paper's experiment: its parts, its truth, the noise floor, and what a command gives away."""
+"""The record of the paper's experiment: its parts, its truth, the noise floor, and what a command
+gives away."""
 
 from __future__ import annotations
 
@@ -59,10 +60,13 @@ def test_the_process_floor_is_the_spread_of_the_next_sample_over_repeated_flight
 
 
 def test_the_command_of_the_same_instant_carries_the_noise_of_the_measurement():
-    """Why u_k may not enter a prediction of y(t_k): the controller computed it from y(t_k); u_(k-1) is innocent."""
+    """Why u_k may not enter a prediction of y(t_k): the controller computed it from y(t_k); u_(k-1)
+    is innocent."""
     members = 2000
     batch = plant()
-    log = fly(batch, controller_for(batch), Hover(), None, 2 * DT, DT, range(members), record_clean=True)
+    log = fly(
+        batch, controller_for(batch), Hover(), None, 2 * DT, DT, range(members), record_clean=True
+    )
     noise, roll = log["p"] - log["clean.p"], log["u2"] - log["u4"]
     assert abs(np.corrcoef(roll[0], noise[0])[0, 1]) > 0.12
     assert abs(np.corrcoef(roll[0], noise[1])[0, 1]) < 4.0 / np.sqrt(members)

@@ -1,4 +1,5 @@
-"""The tube study counts what it says: limits, coverage of sets, paired costs; its shortcuts change nothing."""
+"""The tube study counts what it says: limits, coverage of sets, paired costs; its shortcuts change
+nothing."""
 
 import numpy as np
 import pytest
@@ -9,9 +10,17 @@ from scenarios.studies import tube_coverage, tube_mpc, tube_tuning
 
 def record(seed, *, margin=0.01, tilt=0.8, crashed=False, cost=0.2, controller="tube-10"):
     return {
-        "controller": controller, "seed": seed, "crashed": crashed, "margins": {"wall": margin, "ceiling": np.inf},
-        "tilt": tilt, "rmse": 0.04, "cost": cost, "events": 0, "median_ms": 3.0, "p99_ms": 5.0,
-    }  # fmt: skip
+        "controller": controller,
+        "seed": seed,
+        "crashed": crashed,
+        "margins": {"wall": margin, "ceiling": np.inf},
+        "tilt": tilt,
+        "rmse": 0.04,
+        "cost": cost,
+        "events": 0,
+        "median_ms": 3.0,
+        "p99_ms": 5.0,
+    }
 
 
 def test_the_table_of_the_route_is_the_course():

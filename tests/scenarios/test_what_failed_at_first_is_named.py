@@ -1,4 +1,5 @@
-"""The flights on which the first search failed, drawn again: the plain command names what hides there and nothing else."""
+"""The flights on which the first search failed, drawn again: the plain command names what hides
+there and nothing else."""
 
 from __future__ import annotations
 
@@ -25,7 +26,17 @@ def test_the_truth_is_named_and_nothing_else(claim: str, tmp_path: Path) -> None
     case = case_of(cell, seed)
     pytest.importorskip(case.simulator, reason="foreign simulators come with the extra judge")
     assert simulator in (None, case.simulator)
-    asked = ["--cells", cell, "--seeds", str(seed), str(seed), "--seconds", "8", "--out", str(tmp_path)]
+    asked = [
+        "--cells",
+        cell,
+        "--seeds",
+        str(seed),
+        str(seed),
+        "--seconds",
+        "8",
+        "--out",
+        str(tmp_path),
+    ]
     assert main(asked) == 0
     (row,) = map(json.loads, (tmp_path / "rows.jsonl").read_text(encoding="utf-8").splitlines())
     assert row["judged"] in ("right", "set")

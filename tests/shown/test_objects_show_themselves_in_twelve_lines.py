@@ -1,4 +1,5 @@
-"""Public objects print at most twelve lines, show escaped HTML, hand over their table and plot into matplotlib axes."""
+"""Public objects print at most twelve lines, show escaped HTML, hand over their table and plot into
+matplotlib axes."""
 
 from __future__ import annotations
 
@@ -67,20 +68,32 @@ def discovery() -> Discovery:
 
     worth = Worth(share=0.4, seen=True, group="velocity", horizon=0.5, log_e=9.0, seconds=20)
     return Discovery(
-        verdict="stopped", omega_known=False, seconds=1.0, bar=3.0 * LOG10,
+        verdict="stopped",
+        omega_known=False,
+        seconds=1.0,
+        bar=3.0 * LOG10,
         names=(
-            name("rotor_drag", "certified", 12.0, worth), name("wind", "not certified", -1.0, None),
+            name("rotor_drag", "certified", 12.0, worth),
+            name("wind", "not certified", -1.0, None),
             name("center_of_mass_offset", "trace", 4.0, None),
         ),
-    )  # fmt: skip
+    )
 
 
 def profile() -> Profile:
     grid = np.linspace(0.02, 0.04, 5)
     return Profile(
-        name="motor_lag.tau", flight=None, unit="s", estimate=0.03, grid=grid, cost=(grid - 0.03) ** 2 * 1e5,
-        converged=np.ones(5, dtype=bool), level=0.95, lower=0.022, upper=0.038,
-    )  # fmt: skip
+        name="motor_lag.tau",
+        flight=None,
+        unit="s",
+        estimate=0.03,
+        grid=grid,
+        cost=(grid - 0.03) ** 2 * 1e5,
+        converged=np.ones(5, dtype=bool),
+        level=0.95,
+        lower=0.022,
+        upper=0.038,
+    )
 
 
 @functools.cache
@@ -108,7 +121,13 @@ def bundle() -> ExportBundle:
 def identified() -> Identified:
     model = fitted().model
     return Identified(
-        verdict=None, model=model, why="of fit", fit=model, discovery=None, learned=None, folder=Path("out")
+        verdict=None,
+        model=model,
+        why="of fit",
+        fit=model,
+        discovery=None,
+        learned=None,
+        folder=Path("out"),
     )
 
 
@@ -233,7 +252,10 @@ def _type_checking(source: typing.Any, name: str) -> type:
     from greybox.linear.frf_result import FrequencyResponse
     from greybox.model.linear import LinearModel
 
-    return {k.__name__: k for k in (FrequencyResponse, IdentifiedModel, LinearModel, OutputHybrid, Profile)}[name]
+    return {
+        k.__name__: k
+        for k in (FrequencyResponse, IdentifiedModel, LinearModel, OutputHybrid, Profile)
+    }[name]
 
 
 def test_plots_give_axes_with_names() -> None:

@@ -30,10 +30,18 @@ NAMES = ("thrust.c2", "inertia.xx", "inertia.yy", "inertia.zz")
 def model(off: float = 1.0) -> IdentifiedModel:
     """The simulated craft as it is, thrust `off`, known within a percent."""
     data = simulated.flights(1, 10.0)
-    physics = build_model(simulated.vehicle(), data.channels, ("motor_lag", "rotor_drag", "gyro_bias"), sample_time=0.01)
+    physics = build_model(
+        simulated.vehicle(),
+        data.channels,
+        ("motor_lag", "rotor_drag", "gyro_bias"),
+        sample_time=0.01,
+    )
     settled = {d.name: d.null if d.null is not None else d.nominal for d in physics.parameters}
     true = {k: v for k, v in simulated.truth().items() if k in settled}
-    own = {"thrust.c2": off * true["thrust.c2"], "inertia.zz": 0.97 * true["inertia.zz"]}  # no body has the plant's own
+    own = {
+        "thrust.c2": off * true["thrust.c2"],
+        "inertia.zz": 0.97 * true["inertia.zz"],
+    }  # no body has the plant's own
     values = ParameterValues({**settled, **true, **own})
     sigma = 0.01 * np.array([values[n] for n in NAMES])
     return IdentifiedModel(
@@ -85,13 +93,18 @@ def test_pushes_counted_on_flights_hold_another_one(monkeypatch: pytest.MonkeyPa
     m = replace(model(), process_noise=0.2 * model().process_noise)
     few = draw(m, 60, seed=1)
     counted = with_push_levels(m, few, simulated.flights(4, 9.0, first_seed=60), seed=1)
-    assert counted.levels.shape == few.levels.shape and "pushes, counted on 4 flights" in counted.summary()
+    assert (
+        counted.levels.shape == few.levels.shape
+        and "pushes, counted on 4 flights" in counted.summary()
+    )
     assert np.ptp(few.levels, axis=0).max() == 0.0
     unseen = simulated.flights(1, 10.0)
     before, after = (
         {(r.group, r.seconds): r for r in coverage(m, d, unseen, seed=1)} for d in (few, counted)
     )
-    shares = [[r[g, h].share for g in ("velocity", "rate") for h in (0.5, 1.0)] for r in (before, after)]
+    shares = [
+        [r[g, h].share for g in ("velocity", "rate") for h in (0.5, 1.0)] for r in (before, after)
+    ]
     assert np.mean(shares[1]) > np.mean(shares[0]) + 0.1
     assert np.mean(shares[1]) > 0.85
 
@@ -129,7 +142,8 @@ def test_a_flight_without_velocity_counts_by_its_other_sensors(place: int) -> No
     flights[place] = replace(
         flights[place],
         segments=tuple(
-            replace(s, channels={k: v for k, v in s.channels.items() if k not in blind}) for s in flights[place].segments
+            replace(s, channels={k: v for k, v in s.channels.items() if k not in blind})
+            for s in flights[place].segments
         ),
     )
     found = with_push_levels(model(), few_draws(), Dataset(flights=tuple(flights)), seed=1)
@@ -142,15 +156,24 @@ def test_every_file_has_the_level_of_pushes_ahead() -> None:
     whole = with_disturbance(m.dynamics, ["force"], time=0.5)
     values = ParameterValues({d.name: d.nominal for d in whole.parameters}).replace(dict(m.values))
     m = replace(
-        m, dynamics=whole, values=values, process_noise=whole.noise_scale(0.01), weak=np.full(len(whole.error_states), 1e3),
+        m,
+        dynamics=whole,
+        values=values,
+        process_noise=whole.noise_scale(0.01),
+        weak=np.full(len(whole.error_states), 1e3),
         reference_state=whole.reference({}),
-    )  # fmt: skip
+    )
     calibrated = replace(m, horizon_noise=3.0 * m.process_noise)
-    said = [Craft.of(one).pushes for one in (m, replace(m, process_noise=3.0 * m.process_noise), calibrated)]
+    said = [
+        Craft.of(one).pushes
+        for one in (m, replace(m, process_noise=3.0 * m.process_noise), calibrated)
+    ]
     assert "unexplained force" in said[0] and said[0] != said[1] == said[2]
     draws = draw(calibrated, 20, seed=1)
     np.testing.assert_array_equal(draws.levels[0], calibrated.noise_ahead)
-    np.testing.assert_array_equal(coverage_module.module_of(calibrated, draws)["NOISE"], calibrated.noise_ahead)
+    np.testing.assert_array_equal(
+        coverage_module.module_of(calibrated, draws)["NOISE"], calibrated.noise_ahead
+    )
 
 
 @pytest.mark.slow
@@ -158,8 +181,13 @@ def test_pushes_that_are_counted_on_flights_of_no_fit_are_said() -> None:
     flights = simulated.flights(1, 7.0, first_seed=60)
     (name,) = flights.names
     for trained_on, said in (((name,), False), ((), False), (("morning",), True)):
-        notes = twin(replace(model(), trained_on=trained_on), ["numpy"], draws=20, train=flights).notes
-        assert (f"pushes are counted on {name}, but the model says that it was fitted to morning" in str(notes)) is said
+        notes = twin(
+            replace(model(), trained_on=trained_on), ["numpy"], draws=20, train=flights
+        ).notes
+        assert (
+            f"pushes are counted on {name}, but the model says that it was fitted to morning"
+            in str(notes)
+        ) is said
 
 
 def test_too_short_flights_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,5 +200,7 @@ def test_too_short_flights_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_too_few_draws_are_refused_and_not_divided_by() -> None:
     m = model()
     for few in (1, 19):
-        with pytest.raises(DataError, match=f"too few draws for bands; expected 20 or more; got {few}"):
+        with pytest.raises(
+            DataError, match=f"too few draws for bands; expected 20 or more; got {few}"
+        ):
             coverage(m, draw(m, few), simulated.flights(1, 10.0))

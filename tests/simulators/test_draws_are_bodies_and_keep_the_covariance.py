@@ -70,7 +70,11 @@ def test_a_ratio_that_flights_know_is_kept_where_the_mass_was_only_held() -> Non
     held = {"mass": (0.15 * mass, {"thrust.c2": thrust / mass})}
     wide = (0.15**2 + 0.01**2) * thrust**2
     model = replace(
-        model, covariance_names=("thrust.c2",), covariance=np.array([[wide]]), considered=held, flight_spread={}
+        model,
+        covariance_names=("thrust.c2",),
+        covariance=np.array([[wide]]),
+        considered=held,
+        flight_spread={},
     )
     draws = draw(model, 4000, seed=1)
     c2, m = draws.column("thrust.c2"), draws.column("mass")
@@ -81,7 +85,8 @@ def test_a_ratio_that_flights_know_is_kept_where_the_mass_was_only_held() -> Non
 
 
 def test_thrust_of_every_flight_is_drawn_with_the_mass_that_was_held() -> None:
-    """Thrust over mass differs by 1 % between flights; both are off by the error of the mass together."""
+    """Thrust over mass differs by 1 % between flights; both are off by the error of the mass
+    together."""
     model = uncertain((0.02,) * 6)
     thrust, mass = model.values["thrust.c2"], model.values["mass"]
     model = replace(
@@ -100,7 +105,9 @@ def test_thrust_of_every_flight_is_drawn_with_the_mass_that_was_held() -> None:
 
 def test_products_of_inertia_are_drawn_with_the_moments() -> None:
     model = uncertain((0.1,) * 6)
-    products = {f"products_of_inertia.{n}": v for n, v in (("Jxy", 8e-4), ("Jxz", -3e-4), ("Jyz", 2e-4))}
+    products = {
+        f"products_of_inertia.{n}": v for n, v in (("Jxy", 8e-4), ("Jxz", -3e-4), ("Jyz", 2e-4))
+    }
     rounder = {"inertia.xx": 0.010, "inertia.yy": 0.011, "inertia.zz": 0.014}
     whole = identified({**{n: model.values[n] for n in NAMES}, **products, **rounder})
     names = (*NAMES[:3], *products)
@@ -108,7 +115,9 @@ def test_products_of_inertia_are_drawn_with_the_moments() -> None:
     model = replace(whole, covariance_names=names, covariance=np.diag(sigma**2))
     draws = draw(model, 8000, seed=2)
     columns = np.array([draws.column(n) for n in names])
-    np.testing.assert_allclose(columns.mean(axis=1), [model.values[n] for n in names], rtol=0.02, atol=1e-5)
+    np.testing.assert_allclose(
+        columns.mean(axis=1), [model.values[n] for n in names], rtol=0.02, atol=1e-5
+    )
     np.testing.assert_allclose(columns.std(axis=1), sigma, rtol=0.15)
     np.testing.assert_allclose(np.corrcoef(columns), np.eye(6), atol=0.1)
     wide = draw(replace(model, covariance=25 * model.covariance), 1000, seed=2)
@@ -130,8 +139,8 @@ def test_a_narrow_posterior_comes_back() -> None:
 
 
 def test_a_flat_craft_is_drawn_as_its_posterior_among_bodies() -> None:
-    """The truth by rejection: normal draws of which those that no body has are thrown away. Thrust, which is known far
-    better over the inertia about x than by itself, goes with it."""
+    """The truth by rejection: normal draws of which those that no body has are thrown away. Thrust,
+    which is known far better over the inertia about x than by itself, goes with it."""
     model = uncertain((0.2, 0.2, 0.2, 0.2, 0.1, 0.1), correlation=0.0)
     flat = {"inertia.xx": 0.01, "inertia.yy": 0.0105, "inertia.zz": 0.0195}
     values = model.values.replace(flat)
@@ -155,7 +164,9 @@ def test_a_flat_craft_is_drawn_as_its_posterior_among_bodies() -> None:
     assert np.median(ours) == pytest.approx(float(np.median(truth)), rel=0.03)
     zz, *_ = (line for line in draws.summary().splitlines() if "inertia.zz" in line)
     assert "sigma below the identified 0.0195: cut to what can be" in zz
-    assert "identified" not in draw(uncertain((0.03,) * 6), 4000, seed=3).summary(), "no body was cut"
+    assert "identified" not in draw(uncertain((0.03,) * 6), 4000, seed=3).summary(), (
+        "no body was cut"
+    )
 
 
 def test_a_moment_of_its_own_in_every_flight_is_drawn_as_a_bodys_too() -> None:

@@ -42,7 +42,9 @@ def dynamics_of(package: str) -> Rates:
     if package == "drone-models":
         if importlib.util.find_spec("drone_models") is None:
             pytest.skip("drone-models comes with the extra judge")
-        importlib.import_module("scenarios.foreign.drone_models_plant")  # imports it as it wants to be
+        importlib.import_module(
+            "scenarios.foreign.drone_models_plant"
+        )  # imports it as it wants to be
         from drone_models.first_principles import dynamics
     else:
         pytest.importorskip("crazyflow")

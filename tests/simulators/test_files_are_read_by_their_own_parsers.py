@@ -1,5 +1,6 @@
-"""Files that no simulator flies here, read by the parsers that their simulators use, where these are Python packages:
-libsdformat (inside Drake), Pixar's USD and ArduPilot's pymavlink. What they understand is the craft."""
+"""Files that no simulator flies here, read by the parsers that their simulators use, where these
+are Python packages: libsdformat (inside Drake), Pixar's USD and ArduPilot's pymavlink. What they
+understand is the craft."""
 
 from __future__ import annotations
 
@@ -73,7 +74,9 @@ def rotation(w: float, x: float, y: float, z: float) -> Array:
     )
 
 
-def test_pymavlink_reads_every_motor_parameter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pymavlink_reads_every_motor_parameter(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     mavparm = pytest.importorskip("pymavlink.mavparm")
     written("ardupilot", tmp_path)
     path = tmp_path / "ardupilot" / "motors.parm"

@@ -58,7 +58,9 @@ def test_there_and_back(target: str, tmp_path: Path) -> None:
     found = read_vehicle(vehicle)
     effects = {n: q for own in found.effects.values() for n, q in own.items()}
     for name_, q in {**found.quantities, **effects}.items():
-        assert q.sigma > 0 or q.value == 0.0, f"a file of a simulator says nothing of the error of {name_}"
+        assert q.sigma > 0 or q.value == 0.0, (
+            f"a file of a simulator says nothing of the error of {name_}"
+        )
     again = written(target, Craft.of(model_of(found)))
     second = next(t for n, t in again.items() if Path(n).suffix == Path(name).suffix)
     # noise and the size of the domain are not in these files

@@ -31,7 +31,9 @@ def noisy() -> IdentifiedModel:
         model,
         dynamics=dynamics,
         values=type(model.values)({**model.values, **own}),
-        process_noise=np.concatenate([model.process_noise, [level[n.split(".")[0]] for n in extra]]),
+        process_noise=np.concatenate(
+            [model.process_noise, [level[n.split(".")[0]] for n in extra]]
+        ),
     )
 
 

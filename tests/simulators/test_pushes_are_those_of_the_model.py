@@ -27,7 +27,9 @@ TIMES = {"disturbance.force.T": 0.8, "disturbance.torque.T": 0.2}
 def model(values: Mapping[str, float]) -> IdentifiedModel:
     """The example craft, pushed about by a force for .8 s and a torque for .2 s."""
     plain = identified(values, gravity=9.80665)
-    whole = with_disturbance(with_disturbance(plain.dynamics, ["force"], time=0.8), ["torque"], time=0.2)
+    whole = with_disturbance(
+        with_disturbance(plain.dynamics, ["force"], time=0.8), ["torque"], time=0.2
+    )
     settled = ParameterValues({d.name: d.nominal for d in whole.parameters})
     return replace(
         plain,
@@ -61,7 +63,9 @@ def test_new_pushes_have_the_models_strength_and_time(tmp_path: Path) -> None:
     start = np.array([np.concatenate(module.Pushes(seed=s).step(0.01)) for s in range(400)])
     assert start[:, 0].std() == pytest.approx(seen[:, 0].std(), rel=0.2), "it begins as it goes on"
     coarse = module.Pushes(seed=2)
-    assert np.std([coarse.step(0.1)[0] for _ in range(8000)]) == pytest.approx(seen[:, :3].std(), rel=0.15)
+    assert np.std([coarse.step(0.1)[0] for _ in range(8000)]) == pytest.approx(
+        seen[:, :3].std(), rel=0.15
+    )
 
 
 def test_a_known_push_fades_and_none_stays_none(tmp_path: Path) -> None:
@@ -77,7 +81,10 @@ def test_a_known_push_fades_and_none_stays_none(tmp_path: Path) -> None:
     assert "rotorpy/pushes.py" not in plain.files and "pushes.py" not in plain.summary()
 
 
-@pytest.mark.parametrize("target", [pytest.param("rotorpy", marks=pytest.mark.slow), "mujoco", "drone-models", "pybullet"])
+@pytest.mark.parametrize(
+    "target",
+    [pytest.param("rotorpy", marks=pytest.mark.slow), "mujoco", "drone-models", "pybullet"],
+)
 def test_a_simulator_with_the_present_push_flies_the_model(target: str, tmp_path: Path) -> None:
     m = model({"motor_lag.tau": 0.05, "rotational_damping.d_p": 0.02})
     twin(m, [target, "numpy"], out=tmp_path)
@@ -99,7 +106,9 @@ def test_a_simulator_with_the_present_push_flies_the_model(target: str, tmp_path
     start = Start(rotors=np.full(4, hover), push=PUSH, **START)
     rest = (tmp_path / target / "rest.py").is_file()
     try:
-        theirs = FLYERS[target](tmp_path / target, start, u.T, np.full((5, 4), hover), 0.01, rest=rest)[:, :13]
+        theirs = FLYERS[target](
+            tmp_path / target, start, u.T, np.full((5, 4), hover), 0.01, rest=rest
+        )[:, :13]
     except MissingSimulator as missing:
         pytest.skip(str(missing))
     assert max(agreement(np.array(ours).T, theirs.T).values()) < 0.01

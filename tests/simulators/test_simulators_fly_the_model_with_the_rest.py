@@ -1,5 +1,6 @@
-"""PyBullet and JSBSim, given the written files, are within 1 % of what their statements say over half
-a second; and with the force and moment of rest.py every simulator is within 1 % of the whole model."""
+"""PyBullet and JSBSim, given the written files, are within 1 % of what their statements say over
+half a second; and with the force and moment of rest.py every simulator is within 1 % of the whole
+model."""
 
 from __future__ import annotations
 

@@ -79,9 +79,17 @@ def test_the_statement_is_as_its_schema_says(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_table_of_effects_is_what_every_target_writes(tmp_path: Path) -> None:
-    """Status and size of every cell are those of the target's own LOST.txt, and no row of it is left out."""
-    values = {**AERODYNAMICS, "rotational_damping.d_p": 0.01, "thrust.c1": 0.5, "gyro_bias.b_x": 0.01}
-    made = gb.twin(identified({k: v for k, v in values.items() if k != "steady_wind.w_y"}), out=tmp_path)
+    """Status and size of every cell are those of the target's own LOST.txt, and no row of it is
+    left out."""
+    values = {
+        **AERODYNAMICS,
+        "rotational_damping.d_p": 0.01,
+        "thrust.c1": 0.5,
+        "gyro_bias.b_x": 0.01,
+    }
+    made = gb.twin(
+        identified({k: v for k, v in values.items() if k != "steady_wind.w_y"}), out=tmp_path
+    )
     shown = made.summary().split("goes astray by it:\n")[1].split("\n\n")
     cells: dict[str, dict[str, str]] = {}
     for block in shown:
@@ -100,7 +108,9 @@ def test_the_table_of_effects_is_what_every_target_writes(tmp_path: Path) -> Non
         # what the file has no row for is said
         rows = re.findall(r"^  (\S.*?) +(said|folded|lost) (.*)$", written, flags=re.MULTILINE)
         assert {e for e, _, _ in rows} <= set(own)
-        assert {e for e, cell in own.items() if not cell.startswith(("said", "all"))} - {e for e, _, _ in rows} <= {TOGETHER}
+        assert {e for e, cell in own.items() if not cell.startswith(("said", "all"))} - {
+            e for e, _, _ in rows
+        } <= {TOGETHER}
         for effect, status, text in rows:
             astray = re.search(r"after 0.5 s (\S+) mm", text)
             said, *number = own[effect].split()

@@ -185,7 +185,11 @@ def test_flightgoggles() -> None:
         lift = p["thrust_coefficient"] * (a + b + c + d) / p["vehicle_mass"]
         drag = -p["drag_coefficient"] * np.linalg.norm(v) * v
         force = turn.T @ drag + np.array([0.0, 0.0, lift])
-        moment = [lever * (a + b - c - d), lever * (-a + b + c - d), p["torque_coefficient"] * (-a + b - c + d)]
+        moment = [
+            lever * (a + b - c - d),
+            lever * (-a + b + c - d),
+            p["torque_coefficient"] * (-a + b - c + d),
+        ]
         np.testing.assert_allclose(force, ours[:3, k], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(np.array(moment) / inertia, ours[3:, k], rtol=1e-8, atol=1e-8)
     assert p["min_arming_thrust"] < 1.1 * craft.mass * craft.gravity
@@ -335,7 +339,9 @@ def test_ardupilot(further: Mapping[str, float]) -> None:
     p = dict(r.split(",") for r in files["motors.parm"].splitlines() if r[0] != "#")
     assert float(p["SIM_WIND_SPD"]) == pytest.approx(np.linalg.norm(wind))
     assert int(p["SIM_WIND_T"]) == 1, "0 would scale the wind by the root of height over 60 m"
-    said = {w.effect: w.how for w in target_by_name("ardupilot").words(Craft.of(identified(values)))}
+    said = {
+        w.effect: w.how for w in target_by_name("ardupilot").words(Craft.of(identified(values)))
+    }
     assert "first 5 s" in said["steady_wind"]
     assert "air density" in said["thrust map"]
     # drag goes with the root of the thrust, which is the speed only where c1 = 0; the statement has

@@ -1,4 +1,5 @@
-"""However large an effect is, its evidence is a number: ln P(chi-square > x) against closed forms."""
+"""However large an effect is, its evidence is a number: ln P(chi-square > x) against closed
+forms."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Claims: the 95 % bands hold the true response in 95 % of records, also by references in a closed loop and with two
-inputs at once; a gap is never bridged; feedback is told from its absence."""
+"""Claims: the 95 % bands hold the true response in 95 % of records, also by references in a closed
+loop and with two inputs at once; a gap is never bridged; feedback is told from its absence."""
 
 from __future__ import annotations
 

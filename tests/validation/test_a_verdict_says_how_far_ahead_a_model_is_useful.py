@@ -1,4 +1,5 @@
-"""A model is useful as far ahead as it beats the last value; calm flights excuse small errors, never large ones."""
+"""A model is useful as far ahead as it beats the last value; calm flights excuse small errors,
+never large ones."""
 
 from __future__ import annotations
 
@@ -24,7 +25,9 @@ LIVELY = {"position": 0.44, "velocity": 0.65, "rotation": 0.15, "rate": 0.77}
 """Change within half a second of the flights in the unit of each group."""
 
 
-def errors(curve: np.ndarray, *, blocks: int = 20, spread: float = 0.0, seed: int = 0) -> GroupErrors:
+def errors(
+    curve: np.ndarray, *, blocks: int = 20, spread: float = 0.0, seed: int = 0
+) -> GroupErrors:
     """Errors that grow along `curve` (H,), with a relative `spread` from block to block."""
     rng = np.random.default_rng(seed)
     noise = rng.standard_normal(blocks)
@@ -34,13 +37,22 @@ def errors(curve: np.ndarray, *, blocks: int = 20, spread: float = 0.0, seed: in
     mae = sums.sum(axis=0) / counts.sum(axis=0)
     n = counts.sum(axis=0).astype(np.int64)
     return GroupErrors(
-        mae=mae, rmse=mae, n=n, diverged=0 * n, origins=int(n[0]), left_out=0, block_sums=sums, block_counts=counts
+        mae=mae,
+        rmse=mae,
+        n=n,
+        diverged=0 * n,
+        origins=int(n[0]),
+        left_out=0,
+        block_sums=sums,
+        block_counts=counts,
     )
 
 
 def table(label: str, curves: dict[str, np.ndarray], **options: float) -> HorizonTable:
     groups = {g: errors(c, **options) for g, c in curves.items()}
-    return HorizonTable(label=label, sample_time=DT, required=50, groups=groups, flights={"a": groups})
+    return HorizonTable(
+        label=label, sample_time=DT, required=50, groups=groups, flights={"a": groups}
+    )
 
 
 def held(scale: float = 1.0) -> dict[str, np.ndarray]:
@@ -57,9 +69,16 @@ def own(ratio: float = 0.4, **groups: np.ndarray) -> dict[str, np.ndarray]:
     return {g: ratio * c * groups.get(g, 1.0) for g, c in held().items()}
 
 
-def verdict_of(model: dict[str, np.ndarray], last: dict[str, np.ndarray] | None = None, **options: object) -> Verdict:
+def verdict_of(
+    model: dict[str, np.ndarray], last: dict[str, np.ndarray] | None = None, **options: object
+) -> Verdict:
     last = held() if last is None else last
-    return judge(table("model", model), table("persistence", last), table("dead reckoning", floor()), **options)
+    return judge(
+        table("model", model),
+        table("persistence", last),
+        table("dead reckoning", floor()),
+        **options,
+    )
 
 
 def test_a_model_that_beats_the_last_value_everywhere_is_useful_as_far_as_was_judged() -> None:
@@ -81,7 +100,10 @@ def test_what_is_only_level_with_the_last_value_is_not_called_below_it() -> None
     found = verdict_of(own(rotation=level))
     assert found.outcome is Outcome.USABLE and found.useful_seconds == pytest.approx(1.0)
     assert "errors stay below" not in found.line
-    assert "no error is above holding the last value by more than chance (rotation: level with it)" in found.line
+    assert (
+        "no error is above holding the last value by more than chance (rotation: level with it)"
+        in found.line
+    )
     own_angle, last = (np.degrees(v) for v in (0.4 * 2.53 * LIVELY["rotation"], LIVELY["rotation"]))
     assert f"rotation {own_angle:.2g} deg (last value {last:.2g}" in found.line
     said = next(line for line in in_words(found) if line.startswith("rotation"))
@@ -101,7 +123,9 @@ def test_worse_within_a_tenth_of_a_second_is_not_usable_and_says_from_where() ->
     found = verdict_of(own(rotation=np.where(SECONDS < 0.025, 1.0, 4.0)))
     assert found.outcome is Outcome.NOT_USABLE
     assert found.exit_code == 1
-    assert found.line.startswith("NOT USABLE: rotation is worse than holding the last value from 0.03 s on")
+    assert found.line.startswith(
+        "NOT USABLE: rotation is worse than holding the last value from 0.03 s on"
+    )
     assert "Likely: " in found.line
     assert "; next: " in found.line
     assert found.anchor == "docs/bad_fit.md#rotation-worse-than-the-last-value"
@@ -141,7 +165,9 @@ def test_chance_excuses_a_little_and_only_where_blocks_differ() -> None:
     calm_blocks = verdict_of(slightly)
     assert calm_blocks.useful_seconds == 0.0
     noisy = judge(
-        table("model", slightly, spread=0.3, seed=1), table("persistence", held()), table("dead reckoning", floor())
+        table("model", slightly, spread=0.3, seed=1),
+        table("persistence", held()),
+        table("dead reckoning", floor()),
     )
     rate = next(g for g in noisy.groups if g.name == "rate")
     assert rate.worse_from is None
@@ -159,9 +185,15 @@ def test_the_standard_error_is_that_of_repeated_draws() -> None:
         sums = counts * factors[:, None]
         n = np.array([1000])
         model = GroupErrors(
-            mae=np.array([factors.mean()]), rmse=np.array([1.0]), n=n, diverged=0 * n, origins=1000, left_out=0,
-            block_sums=sums, block_counts=counts,
-        )  # fmt: skip
+            mae=np.array([factors.mean()]),
+            rmse=np.array([1.0]),
+            n=n,
+            diverged=0 * n,
+            origins=1000,
+            left_out=0,
+            block_sums=sums,
+            block_counts=counts,
+        )
         last = replace(model, mae=np.array([1.0]), block_sums=counts * 1.0)
         means.append(factors.mean() - 1.0)
         stated.append(standard_error(model, last, 1)[0])
@@ -171,7 +203,9 @@ def test_the_standard_error_is_that_of_repeated_draws() -> None:
 def test_calm_flights_are_too_calm_to_judge_and_the_line_says_which_flight_would_tell() -> None:
     hover = held(0.1)
     model = {g: 1.5 * c for g, c in hover.items()}
-    found = judge(table("model", model), table("persistence", hover), table("dead reckoning", floor(0.1)))
+    found = judge(
+        table("model", model), table("persistence", hover), table("dead reckoning", floor(0.1))
+    )
     assert found.outcome is Outcome.TOO_CALM
     assert found.exit_code == 0
     assert found.line.startswith("too calm to judge position and velocity and rotation and rate")
@@ -211,13 +245,17 @@ def test_an_offset_of_the_accelerometer_spoils_no_model_that_sees_thrust() -> No
 
 
 def test_the_flights_that_were_fitted_are_named_as_such() -> None:
-    assert verdict_of(own(), judged_on=FITTED_FLIGHTS).line.endswith("[judged on the flights that were fitted]")
+    assert verdict_of(own(), judged_on=FITTED_FLIGHTS).line.endswith(
+        "[judged on the flights that were fitted]"
+    )
 
 
 def test_a_group_that_was_measured_and_could_not_be_judged_is_named() -> None:
     known = {g: c for g, c in own().items() if g != "position"}
     last = {g: held()[g] for g in known}
-    found = judge(replace(table("model", known), unjudged=("position",)), table("persistence", last))
+    found = judge(
+        replace(table("model", known), unjudged=("position",)), table("persistence", last)
+    )
     assert found.outcome is Outcome.PARTLY_JUDGED
     assert found.exit_code == 0
     assert found.line.startswith("position could not be judged: too many samples missing")
@@ -236,7 +274,10 @@ def test_too_little_data_is_refused() -> None:
 
 
 def test_causes_come_before_consequences() -> None:
-    hints = [Hint(symptom=Symptom.NOT_CONVERGED), Hint(symptom=Symptom.BOUNDS, detail="mass, inertia.xx")]
+    hints = [
+        Hint(symptom=Symptom.NOT_CONVERGED),
+        Hint(symptom=Symptom.BOUNDS, detail="mass, inertia.xx"),
+    ]
     reason, _, anchor = likely(hints, Symptom.RATE)
     assert "mass, inertia.xx" in reason
     assert anchor == Symptom.BOUNDS.anchor

@@ -1,4 +1,5 @@
-"""Coverage is nominal for calibrated errors, low for overconfident ones, and its interval knows correlation."""
+"""Coverage is nominal for calibrated errors, low for overconfident ones, and its interval knows
+correlation."""
 
 import numpy as np
 import pytest
@@ -35,7 +36,9 @@ def test_vector_coverage_uses_the_whole_covariance() -> None:
     assert distance.mean() == pytest.approx(3.0, abs=0.12)
     assert coverage_of_distances([distance], dimension=3).honest
     shape = np.diag(np.diag(root @ root.T))
-    assert mahalanobis_squared(np.array([[np.nan, 0, 0], [1.0, 0, 0]]), shape)[1] == pytest.approx(1.0)
+    assert mahalanobis_squared(np.array([[np.nan, 0, 0], [1.0, 0, 0]]), shape)[1] == pytest.approx(
+        1.0
+    )
     assert np.isnan(mahalanobis_squared(np.array([[np.nan, 0, 0]]), shape)[0])
 
 
@@ -50,7 +53,10 @@ def test_clopper_pearson_reference_values() -> None:
     # The classic table: 0 of 10 -> upper 0.3085; 5 of 10 -> 0.1871 .. 0.8129.
     assert binomial_interval(0, 10).high == pytest.approx(0.3085, abs=1e-4)
     both = binomial_interval(5, 10)
-    assert (both.low, both.high) == (pytest.approx(0.1871, abs=1e-4), pytest.approx(0.8129, abs=1e-4))
+    assert (both.low, both.high) == (
+        pytest.approx(0.1871, abs=1e-4),
+        pytest.approx(0.8129, abs=1e-4),
+    )
 
 
 def test_bad_uncertainties_are_refused() -> None:
@@ -66,7 +72,10 @@ def test_block_bootstrap_covers_the_mean_of_correlated_flights_where_samples_do_
     rng = np.random.default_rng(5)
     trials, inside, naive = 60, 0, 0
     for seed in range(trials):
-        flights = [0.3 * rng.standard_normal() + lfilter([1], [1, -0.9], rng.standard_normal(400)) for _ in range(8)]
+        flights = [
+            0.3 * rng.standard_normal() + lfilter([1], [1, -0.9], rng.standard_normal(400))
+            for _ in range(8)
+        ]
         interval = block_bootstrap(flights, block=40, draws=200, seed=seed)
         everything = np.concatenate(flights)
         inside += interval.low <= 0.0 <= interval.high

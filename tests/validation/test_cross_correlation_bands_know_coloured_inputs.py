@@ -1,4 +1,5 @@
-"""Smooth inputs and coloured innovations do not fake a dependence; a real one is found, feedback is not one."""
+"""Smooth inputs and coloured innovations do not fake a dependence; a real one is found, feedback is
+not one."""
 
 import numpy as np
 import pytest
@@ -44,7 +45,9 @@ def test_feedback_alone_raises_no_alarm_but_is_visible_at_negative_lags() -> Non
     rejected = 0
     for seed in range(60):
         e = np.random.default_rng(seed).standard_normal(3000)
-        u = lfilter([0.0, 0.5], [1, -0.8], e) + 0.3 * np.random.default_rng(seed + 999).standard_normal(3000)
+        u = lfilter([0.0, 0.5], [1, -0.8], e) + 0.3 * np.random.default_rng(
+            seed + 999
+        ).standard_normal(3000)
         pair = cross_correlation(e, u).pairs[0]
         rejected += pair.p_value < 0.01
         assert abs(pair.r[24]) > pair.band

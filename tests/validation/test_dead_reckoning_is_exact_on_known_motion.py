@@ -1,4 +1,5 @@
-"""Dead reckoning reproduces a rigid-body motion whose gyro and accelerometer readings are known in closed form."""
+"""Dead reckoning reproduces a rigid-body motion whose gyro and accelerometer readings are known in
+closed form."""
 
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ DT, N, H = 0.01, 600, 50
 
 
 def _motion(turn: float = 2.0):
-    """A circle flown at constant speed while the body turns at `turn` about a fixed, tilted axis of its own."""
+    """A circle flown at constant speed while the body turns at `turn` about a fixed, tilted axis of
+    its own."""
     t = np.arange(N) * DT
     w = 1.5
     position = np.stack([np.cos(w * t), np.sin(w * t), 0.5 * t], axis=1)
@@ -48,7 +50,8 @@ def _errors(bias: ImuBias | None = None, offset_gyro=0.0, offset_acc=0.0) -> dic
 def test_exact_to_the_order_of_the_integration() -> None:
     worst = _errors()
     assert worst["rotation"][-1] < 1e-12
-    # Linear interpolation of an acceleration of 2.25 m/s^2 at up to 3.5 rad/s: h^2/12 a'' t is about 1e-4 m/s.
+    # Linear interpolation of an acceleration of 2.25 m/s^2 at up to 3.5 rad/s: h^2/12 a'' t is
+    # about 1e-4 m/s.
     assert worst["velocity"][-1] < 2e-4
     assert worst["position"][-1] < 1e-4
 
@@ -58,7 +61,12 @@ def test_free_fall_and_hover_are_exact() -> None:
     for force, drop in ((0.0, -0.5 * GRAVITY * 0.25), (GRAVITY, 0.0)):
         imu = ImuRecord.of(np.zeros((H + 1, 3)), np.tile([0, 0, force], (H + 1, 1)), sample_time=DT)
         out = dead_reckoning(
-            imu, k, attitude=np.eye(4)[:1], velocity=np.zeros((1, 3)), position=np.zeros((1, 3)), steps=H
+            imu,
+            k,
+            attitude=np.eye(4)[:1],
+            velocity=np.zeros((1, 3)),
+            position=np.zeros((1, 3)),
+            steps=H,
         )
         assert out["position"][0, -1, 2] == pytest.approx(drop, abs=1e-12)
 
@@ -79,7 +87,9 @@ def test_the_past_of_an_origin_does_not_matter_and_the_end_of_the_record_is_not_
     position, velocity, attitude, rate, force = _motion()
     imu = ImuRecord.of(rate, force, sample_time=DT)
     k = np.array([N - 10])
-    out = dead_reckoning(imu, k, attitude=attitude[k], velocity=velocity[k], position=position[k], steps=H)
+    out = dead_reckoning(
+        imu, k, attitude=attitude[k], velocity=velocity[k], position=position[k], steps=H
+    )
     assert np.isfinite(out["position"][0, :9]).all()
     assert np.isnan(out["position"][0, 9:]).all()
     assert "velocity" not in dead_reckoning(imu, k, attitude=attitude[k], steps=H)
@@ -95,7 +105,8 @@ def test_missing_imu_samples_are_counted_and_a_missing_sensor_is_refused() -> No
         ImuRecord.of(rate, np.zeros((20, 3)), sample_time=DT)
     with pytest.raises(DataError, match="adaptation window"):
         estimate_imu_bias(
-            ImuRecord.of(np.zeros((30, 3)), np.zeros((30, 3)), sample_time=DT), attitude=np.tile(np.eye(4)[0], (30, 1))
+            ImuRecord.of(np.zeros((30, 3)), np.zeros((30, 3)), sample_time=DT),
+            attitude=np.tile(np.eye(4)[0], (30, 1)),
         )
 
 

@@ -1,4 +1,5 @@
-"""Estimates that no craft has, or that deny what was measured, are said as statements about the model with what to try."""
+"""Estimates that no craft has, or that deny what was measured, are said as statements about the
+model with what to try."""
 
 from __future__ import annotations
 
@@ -22,7 +23,12 @@ CRAFT = Vehicle.from_dict(
         "inertia": [[3e-5, 0.0, 0.0], [0.0, 3e-5, 0.0], [0.0, 0.0, 5e-5]],
         "rotor": [
             {"position": [x, y, 0.0], "spin": s}
-            for x, y, s in ((0.03, -0.03, 1), (-0.03, -0.03, -1), (-0.03, 0.03, 1), (0.03, 0.03, -1))
+            for x, y, s in (
+                (0.03, -0.03, 1),
+                (-0.03, -0.03, -1),
+                (-0.03, 0.03, 1),
+                (0.03, 0.03, -1),
+            )
         ],
         "actuator": {"thrust": [0.0, 0.0, 0.15], "torque": [0.0, 0.0, 9e-4]},
     }
@@ -58,7 +64,11 @@ def test_a_weighed_mass_that_the_flights_deny_is_a_statement_about_thrust():
     (found,) = judged(estimate("mass", 0.031)).findings
     assert (found.kind, found.severity, found.parameters) == ("overruled", "doubtful", ("mass",))
     assert "mass was weighed (43 +- 0.4 g) but the flights want 31 g" in found.statement
-    assert "thrust per command" in found.likely and "hold mass" in found.attempt and "free thrust.c2" in found.attempt
+    assert (
+        "thrust per command" in found.likely
+        and "hold mass" in found.attempt
+        and "free thrust.c2" in found.attempt
+    )
     (other,) = judged(estimate("mass", 0.031), estimate("thrust.c2", 0.15)).findings
     assert "ratio" in other.likely and "free thrust" not in other.attempt
 
@@ -132,12 +142,18 @@ def test_three_parameters_at_bounds_are_one_missing_cause():
     two = [estimate(n, CRAFT.quantities[n].value, at_bound=True) for n in ("mass", "inertia.xx")]
     assert judged(*two).findings == ()
     (found,) = judged(*two, estimate("inertia.yy", 3e-5, at_bound=True)).findings
-    assert found.kind == "bounds" and "3 of 3 parameters" in found.statement and "motor_lag" in found.attempt
+    assert (
+        found.kind == "bounds"
+        and "3 of 3 parameters" in found.statement
+        and "motor_lag" in found.attempt
+    )
 
 
 def test_the_record_is_plain_and_the_limits_have_sources():
     report = judged(estimate("mass", 0.031), estimate("torque.c2", -2e-4))
-    assert [f.severity for f in report.findings] == sorted((f.severity for f in report.findings), reverse=True)
+    assert [f.severity for f in report.findings] == sorted(
+        (f.severity for f in report.findings), reverse=True
+    )
     assert json.loads(json.dumps(report.to_dict()))["possible"] is False
     assert all(limit.source for limit in LIMITS.values())
     assert report.lines()[0].startswith("impossible: ")
@@ -166,4 +182,7 @@ def test_nobody_is_told_to_add_what_the_model_has():
     assert untried(advice, {"motor_lag", "command_delay"}) == "measure the arms"
     assert untried(ADVICE["mass"][1], {"battery_sag"}) == "free thrust.c2, hold mass (--fixed mass)"
     assert untried(ADVICE["mass"][1], set()) == ADVICE["mass"][1]
-    assert untried("add rotor_asymmetry", {"rotor_asymmetry"}) == "look at the innovations and at greybox check"
+    assert (
+        untried("add rotor_asymmetry", {"rotor_asymmetry"})
+        == "look at the innovations and at greybox check"
+    )

@@ -27,13 +27,17 @@ def test_closed_is_the_share_of_the_excess_over_the_floor():
 
 
 def test_a_model_without_change_closes_nothing_and_one_at_the_floor_all():
-    same, done = (gap((blocks(4.0), blocks(1.0)), (blocks(level), blocks(1.0)))[0] for level in (4.0, 1.0))
+    same, done = (
+        gap((blocks(4.0), blocks(1.0)), (blocks(level), blocks(1.0)))[0] for level in (4.0, 1.0)
+    )
     assert same.closed == pytest.approx(0.0)
     assert done.closed == pytest.approx(1.0)
 
 
 def test_worse_than_before_is_negative():
-    assert gap((blocks(4.0), blocks(1.0)), (blocks(7.0), blocks(1.0)))[0].closed == pytest.approx(-1.0)
+    assert gap((blocks(4.0), blocks(1.0)), (blocks(7.0), blocks(1.0)))[0].closed == pytest.approx(
+        -1.0
+    )
 
 
 @pytest.mark.parametrize(("before", "judged"), [(1.19, False), (1.21, True)])
@@ -50,7 +54,11 @@ def test_without_an_imu_the_floor_is_unknown_and_counts_as_zero():
 
 
 def test_the_interval_holds_the_share_and_follows_its_seed():
-    before, after, floor = blocks(9.0, seed=1, spread=0.5), blocks(3.0, seed=2, spread=0.5), blocks(1.0, seed=3)
+    before, after, floor = (
+        blocks(9.0, seed=1, spread=0.5),
+        blocks(3.0, seed=2, spread=0.5),
+        blocks(1.0, seed=3),
+    )
     a, b, c = (gap((before, floor), (after, floor), seed=s)[0] for s in (0, 0, 1))
     assert a.ci95 == b.ci95
     assert a.ci95 != c.ci95
@@ -72,10 +80,22 @@ def test_every_group_of_the_table_is_listed_once_in_order():
 def test_laws_that_make_the_test_flights_worse_are_said():
     def row(group: str, closed: float | None, laws: float | None) -> GapRow:
         return GapRow(
-            group=group, unit="m", horizon_s=0.5, before=1.0, after=0.5, floor=0.1, closed=closed, ci95=None,
+            group=group,
+            unit="m",
+            horizon_s=0.5,
+            before=1.0,
+            after=0.5,
+            floor=0.1,
+            closed=closed,
+            ci95=None,
             with_proposals=laws,
-        )  # fmt: skip
+        )
 
-    rows = [row("position", 0.5, 0.9), row("velocity", 0.5, 0.45), row("rate", 0.5, -6.0), row("rotation", None, None)]
+    rows = [
+        row("position", 0.5, 0.9),
+        row("velocity", 0.5, 0.45),
+        row("rate", 0.5, -6.0),
+        row("rotation", None, None),
+    ]
     assert outgrown(rows) == ["rate 0.5 s ahead"]
     assert outgrown([row("rate", 0.5, None)]) == []

@@ -1,4 +1,5 @@
-"""Multi-step tables follow the IDSIA definition: norms, geodesic angle, complete origins that never cross a gap."""
+"""Multi-step tables follow the IDSIA definition: norms, geodesic angle, complete origins that never
+cross a gap."""
 
 import json
 
@@ -58,7 +59,10 @@ def test_origins_have_all_steps_and_never_cross_a_gap() -> None:
 
 def _ramp(n: int = 120, speed: float = 2.0) -> dict[str, np.ndarray]:
     t = np.arange(n) * DT
-    return {"position": np.stack([speed * t, 0 * t, 0 * t], axis=1), "rate": np.ones((n, 3)) * t[:, None]}
+    return {
+        "position": np.stack([speed * t, 0 * t, 0 * t], axis=1),
+        "rate": np.ones((n, 3)) * t[:, None],
+    }
 
 
 def test_persistence_of_a_ramp_by_hand() -> None:
@@ -84,7 +88,9 @@ def test_pooling_weights_flights_by_their_origins() -> None:
     accumulator = HorizonAccumulator(label="model", sample_time=DT)
     for name, n, error in (("a", 10, 1.0), ("b", 30, 3.0)):
         reference = {"position": np.zeros((n + 50, 3))}
-        accumulator.add(name, {"position": np.full((n, 50, 3), [error, 0, 0])}, reference, np.arange(n))
+        accumulator.add(
+            name, {"position": np.full((n, 50, 3), [error, 0, 0])}, reference, np.arange(n)
+        )
     table = accumulator.table()
     assert table.groups["position"].mae[0] == pytest.approx((10 + 90) / 40)
     assert table.groups["position"].rmse[0] == pytest.approx(np.sqrt((10 + 270) / 40))
@@ -100,7 +106,9 @@ def test_adding_in_pieces_changes_nothing() -> None:
     for part in np.array_split(np.arange(150), 7):
         pieces.add("a", {"velocity": predicted[part]}, reference, part)
     assert dump_json(whole.table().to_dict()).count("mae") == 6
-    np.testing.assert_allclose(whole.table().groups["velocity"].mae, pieces.table().groups["velocity"].mae)
+    np.testing.assert_allclose(
+        whole.table().groups["velocity"].mae, pieces.table().groups["velocity"].mae
+    )
 
 
 def test_missing_reference_drops_the_origin_or_the_step() -> None:
@@ -122,7 +130,9 @@ def test_missing_reference_drops_the_origin_or_the_step() -> None:
 
 def test_longer_horizons_do_not_cost_origins_of_the_short_ones() -> None:
     accumulator = HorizonAccumulator(label="m", sample_time=DT, steps=80)
-    accumulator.add("a", {"rate": np.zeros((50, 80, 3))}, {"rate": np.ones((100, 3))}, np.arange(50))
+    accumulator.add(
+        "a", {"rate": np.zeros((50, 80, 3))}, {"rate": np.ones((100, 3))}, np.arange(50)
+    )
     table = accumulator.table()
     assert table.groups["rate"].n[49] == 50
     assert table.groups["rate"].n[79] == 20
@@ -154,7 +164,11 @@ def test_coverage_of_calibrated_predictions_is_nominal() -> None:
     covariance = np.broadcast_to((spread**2)[None, :, None, None] * np.eye(3), (n, 50, 3, 3))
     accumulator = HorizonAccumulator(label="m", sample_time=DT)
     accumulator.add(
-        "a", {"rotation": predicted}, {"rotation": reference}, np.arange(n), covariances={"rotation": covariance}
+        "a",
+        {"rotation": predicted},
+        {"rotation": reference},
+        np.arange(n),
+        covariances={"rotation": covariance},
     )
     coverage = accumulator.table().groups["rotation"].coverage
     assert coverage[0.68].mean() == pytest.approx(0.68, abs=0.01)

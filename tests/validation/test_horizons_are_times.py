@@ -1,4 +1,5 @@
-"""A horizon is a time: the same in seconds at every rate, never less than a sample, and never samples by mistake."""
+"""A horizon is a time: the same in seconds at every rate, never less than a sample, and never
+samples by mistake."""
 
 from __future__ import annotations
 
@@ -28,7 +29,9 @@ def test_samples_are_taken_where_they_are_asked_for() -> None:
     assert horizons_of(samples=(50, 1, 10), sample_time=0.02).steps == (1, 10, 50)
 
 
-@pytest.mark.parametrize("seconds", [(), (0.0,), (-0.1,), (1, 10, 50), (float("nan"),), (float("inf"),)])
+@pytest.mark.parametrize(
+    "seconds", [(), (0.0,), (-0.1,), (1, 10, 50), (float("nan"),), (float("inf"),)]
+)
 def test_what_is_no_time_ahead_is_refused(seconds: tuple[float, ...]) -> None:
     with pytest.raises(DataError, match="seconds"):
         horizons_of(seconds, sample_time=0.01)

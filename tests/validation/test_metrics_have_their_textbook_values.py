@@ -15,7 +15,8 @@ SERIES = arrays(np.float64, st.integers(3, 40), elements=st.floats(-100, 100, wi
 
 
 def test_hand_computed() -> None:
-    # errors 0, 0, 0, -2; sum of squares 4; spread of Y about 2.5: 5; variance of e about -0.5: (3 * 0.25 + 2.25) = 3
+    # errors 0, 0, 0, -2; sum of squares 4; spread of Y about 2.5: 5; variance of e about -0.5: (3 *
+    # 0.25 + 2.25) = 3
     assert metrics.mse(Y, P) == pytest.approx(1.0)
     assert metrics.rmse(Y, P) == pytest.approx(1.0)
     assert metrics.mae(Y, P) == pytest.approx(0.5)
@@ -71,7 +72,10 @@ def test_fit_measures_do_not_depend_on_units(y: np.ndarray, scale: float, offset
     if np.ptp(y) < 1e-2:
         return
     p = y + np.cos(np.arange(len(y)))
-    a, b = metrics.channel_metrics(y, p), metrics.channel_metrics(scale * y + offset, scale * p + offset)
+    a, b = (
+        metrics.channel_metrics(y, p),
+        metrics.channel_metrics(scale * y + offset, scale * p + offset),
+    )
     assert b.rmse == pytest.approx(scale * a.rmse, rel=1e-6, abs=1e-9)
     assert b.r2 == pytest.approx(a.r2, rel=1e-5, abs=1e-7)
     assert a.fit == pytest.approx(100 * (1 - np.sqrt(1 - a.r2)), rel=1e-9)

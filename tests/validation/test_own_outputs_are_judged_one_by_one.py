@@ -1,6 +1,7 @@
 """Claim: any outputs, in their own units and under any name, have a multi-step table and a verdict.
 
-A model of the user's own is judged over samples of its own clock, output by output, against holding the last value.
+A model of the user's own is judged over samples of its own clock, output by output, against holding
+the last value.
 """
 
 from __future__ import annotations
@@ -35,10 +36,16 @@ def renamed(names: dict[str, str], model: StateSpaceModel) -> StateSpaceModel:
 def test_the_table_has_the_outputs_in_their_units(fitted: Fit) -> None:
     seen = gb.validate(fitted.model, motor.record(seed=4, name="other"))
     assert seen.table is not None and seen.verdict is not None
-    assert {g: seen.table.kinds[g].unit for g in seen.table.groups} == {"current": "A", "speed": "rad/s"}
+    assert {g: seen.table.kinds[g].unit for g in seen.table.groups} == {
+        "current": "A",
+        "speed": "rad/s",
+    }
     assert seen.horizons == (1, 10, 50, 100)
     assert "speed [rad/s], mean absolute error" in seen.table_text()
-    assert seen.verdict.exit_code == 0 and {g.name for g in seen.verdict.groups} == {"current", "speed"}
+    assert seen.verdict.exit_code == 0 and {g.name for g in seen.verdict.groups} == {
+        "current",
+        "speed",
+    }
     cover = seen.table.groups["speed"].coverage
     assert cover is not None and 0.85 < float(np.nanmean(cover[0.95])) <= 1.0
 
@@ -48,24 +55,39 @@ def test_names_of_channel_groups_mean_nothing_special(fitted: Fit) -> None:
     model = renamed(names, motor.model())
     data = motor.record(seed=4, name="other")
     flights = tuple(
-        replace(f, segments=tuple(s.replace({names[k]: s.column(k) for k in names}) for s in f.segments)) for f in data
+        replace(
+            f, segments=tuple(s.replace({names[k]: s.column(k) for k in names}) for s in f.segments)
+        )
+        for f in data
     )
     usual = gb.validate(fitted.model, data)
     other = gb.validate(replace(fitted.model, dynamics=model), Dataset(flights=flights))
     assert usual.table is not None and other.table is not None
     for before, after in names.items():
         assert np.array_equal(usual.table.groups[before].mae, other.table.groups[after].mae)
-    assert other.verdict is not None and other.verdict.useful_seconds == usual.verdict.useful_seconds  # type: ignore[union-attr]
+    assert (
+        other.verdict is not None and other.verdict.useful_seconds == usual.verdict.useful_seconds
+    )  # type: ignore[union-attr]
 
 
 def test_a_group_of_a_vehicle_stays_one_where_it_is_whole() -> None:
-    columns = [Signal(name=n, unit="m") for n in GROUPS["position"].columns] + [Signal(name="speed", unit="rad/s")]
+    columns = [Signal(name=n, unit="m") for n in GROUPS["position"].columns] + [
+        Signal(name="speed", unit="rad/s")
+    ]
     model = StateSpaceModel(
-        **{**vars(motor.model()), "outputs": Layout(columns), "measurement": lambda t, x, u, p: [x[0], x[0], x[1], x[1]],
-           "sensor_sigma": None}
-    )  # fmt: skip
+        **{
+            **vars(motor.model()),
+            "outputs": Layout(columns),
+            "measurement": lambda t, x, u, p: [x[0], x[0], x[1], x[1]],
+            "sensor_sigma": None,
+        }
+    )
     found = groups_of(model)
-    assert set(found) == {"position", "speed"} and found["position"] is GROUPS["position"] and found["speed"].own
+    assert (
+        set(found) == {"position", "speed"}
+        and found["position"] is GROUPS["position"]
+        and found["speed"].own
+    )
 
 
 def test_a_model_that_is_worse_than_the_last_value_is_not_usable(fitted: Fit) -> None:

@@ -1,4 +1,5 @@
-"""Left-out pieces are a guard away from what was fitted, lose nothing else, and keep the names of their flights."""
+"""Left-out pieces are a guard away from what was fitted, lose nothing else, and keep the names of
+their flights."""
 
 from __future__ import annotations
 
@@ -17,7 +18,10 @@ DT = 0.02
 def flight(name: str, seconds: float = 30.0, *, start: float = 100.0, gap: bool = False) -> Flight:
     t = start + DT * np.arange(round(seconds / DT))
     parts = (t,) if not gap else (t[: len(t) // 2], t[len(t) // 2 + 25 :])
-    return Flight(name=name, segments=tuple(Segment(t=p, channels={"p": np.sin(p)}, flight=name) for p in parts))
+    return Flight(
+        name=name,
+        segments=tuple(Segment(t=p, channels={"p": np.sin(p)}, flight=name) for p in parts),
+    )
 
 
 def times(data: Dataset, name: str) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""Regions for a flight that was not seen: as wide as the differences between the seen flights ask for, no wider."""
+"""Regions for a flight that was not seen: as wide as the differences between the seen flights ask
+for, no wider."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ def flights(rng, count, spread, samples=400):
 
 @pytest.mark.parametrize(("count", "spread"), [(5, 0.3), (10, 0.3), (10, 0.15), (8, 0.0)])
 def test_the_share_expected_of_a_new_flight_is_what_was_asked_for(count, spread):
-    """Over many sets of flights the mean coverage on the next flight is 95 %; with a pooled level it is less."""
+    """Over many sets of flights the mean coverage on the next flight is 95 %; with a pooled level
+    it is less."""
     rng = np.random.default_rng(count)
     covered, pooled = [], []
     for _ in range(120):

@@ -1,4 +1,5 @@
-"""validate uses no later sample, crosses no gap, and is exact on data that the model itself made."""
+"""validate uses no later sample, crosses no gap, and is exact on data that the model itself
+made."""
 
 from __future__ import annotations
 
@@ -34,28 +35,51 @@ COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz", "p", "q", "r", "ax", "ay", "az
 def make_model(**changes: object) -> IdentifiedModel:
     vehicle = read_vehicle(vehicle_path("nanobench"))
     dynamics = PhysicsModel(
-        vehicle=vehicle, sensors=sensors_for(COLUMNS, vehicle), effects=(effect_by_name("accelerometer_bias"),)
+        vehicle=vehicle,
+        sensors=sensors_for(COLUMNS, vehicle),
+        effects=(effect_by_name("accelerometer_bias"),),
     )
     values = ParameterValues({d.name: d.nominal for d in dynamics.parameters})
     hover = {f"u{i}": 0.849 for i in range(1, 5)}
     fields = {
-        "dynamics": dynamics, "values": values, "process_noise": np.array([4e-3] * 3 + [1e-5] * 3),
-        "sensor_noise": np.array([1e-3] * 3 + [3e-3] * 3 + [2e-2] * 3 + [5e-2] * 3), "weak": np.full(12, 100.0),
-        "reference_state": dynamics.reference(hover), "reference_inputs": np.full(4, 0.849), "sample_time": DT,
+        "dynamics": dynamics,
+        "values": values,
+        "process_noise": np.array([4e-3] * 3 + [1e-5] * 3),
+        "sensor_noise": np.array([1e-3] * 3 + [3e-3] * 3 + [2e-2] * 3 + [5e-2] * 3),
+        "weak": np.full(12, 100.0),
+        "reference_state": dynamics.reference(hover),
+        "reference_inputs": np.full(4, 0.849),
+        "sample_time": DT,
         "flight_spread": {f"accelerometer_bias.b_{a}": (0.0, 0.3) for a in "xyz"},
-    }  # fmt: skip
+    }
     return IdentifiedModel(**{**fields, **changes})
 
 
-def fly(model: IdentifiedModel, n: int, *, seed: int = 0, noise: float = 0.0, changes: dict | None = None) -> Segment:
-    """A flight that obeys the model exactly, with white sensor noise of `noise` times the model's levels."""
+def fly(
+    model: IdentifiedModel,
+    n: int,
+    *,
+    seed: int = 0,
+    noise: float = 0.0,
+    changes: dict | None = None,
+) -> Segment:
+    """A flight that obeys the model exactly, with white sensor noise of `noise` times the model's
+    levels."""
     rng = np.random.default_rng(seed)
     engine = engine_for(model.dynamics, (), use_compiler=False)
-    u = 0.849 + 0.003 * np.sin(np.arange(n)[:, None] * DT * rng.uniform(2, 9, 4) + rng.uniform(0, 6, 4))
+    u = 0.849 + 0.003 * np.sin(
+        np.arange(n)[:, None] * DT * rng.uniform(2, 9, 4) + rng.uniform(0, 6, 4)
+    )
     start, _ = model.dynamics.initial_state({})
     p = model.parameter_vector(changes)
     y, x = engine.rollout(
-        starts=start[None], rows=np.array([0]), horizon=n, inputs=engine.padded_inputs(u), p=p, dt=DT, want_states=True
+        starts=start[None],
+        rows=np.array([0]),
+        horizon=n,
+        inputs=engine.padded_inputs(u),
+        p=p,
+        dt=DT,
+        want_states=True,
     )
     sigma = np.array([1e-3] * 3 + [1.5e-3] * 4 + [2e-2] * 3 + [5e-2] * 3)
     measured = y[0] + noise * sigma * rng.standard_normal(y[0].shape)
@@ -67,7 +91,9 @@ def fly(model: IdentifiedModel, n: int, *, seed: int = 0, noise: float = 0.0, ch
 
 
 def dataset(*segments: Segment) -> Dataset:
-    return Dataset(flights=(Flight(name="f", segments=segments, noncausal=frozenset({"vx", "vy", "vz"})),))
+    return Dataset(
+        flights=(Flight(name="f", segments=segments, noncausal=frozenset({"vx", "vy", "vz"})),)
+    )
 
 
 def test_the_true_model_predicts_its_own_flight_exactly() -> None:
@@ -75,7 +101,8 @@ def test_the_true_model_predicts_its_own_flight_exactly() -> None:
     result = validate(model, dataset(fly(model, 200)), measured_start=True, use_compiler=False)
     assert set(result.table.groups) == {"position", "velocity", "rotation", "rate"}
     for table in (result.table, result.measured_start):
-        # The velocity starts from a line through the first tenth of a second of positions: not exact.
+        # The velocity starts from a line through the first tenth of a second of positions: not
+        # exact.
         limit = {"position": 3e-4, "velocity": 5e-4, "rotation": 1e-5, "rate": 1e-5}
         worst = {g: e.mae[:50].max() for g, e in table.groups.items()}
         assert {g: e for g, e in worst.items() if e > limit[g]} == {}
@@ -89,7 +116,11 @@ def test_a_prediction_does_not_change_with_later_measurements() -> None:
     from greybox.estimation.filtering import Filter
 
     segment = fly(model, 160, noise=1.0)
-    later = {n: np.where(np.arange(160) > 80, v + 0.3, v) for n, v in segment.channels.items() if not n.startswith("u")}
+    later = {
+        n: np.where(np.arange(160) > 80, v + 0.3, v)
+        for n, v in segment.channels.items()
+        if not n.startswith("u")
+    }
     filt, reader = Filter(model, use_compiler=False), GroupReader(model)
     both = [
         predict_from(filt.engine, reader, filt.run(s), np.array([60, 80]), steps=50)
@@ -137,9 +168,13 @@ def test_drop_outs_here_and_there_take_no_group_from_the_verdict(share: float) -
 def test_a_group_measured_only_where_no_origin_is_could_not_be_judged() -> None:
     model = make_model()
     segment = fly(model, 400, noise=1.0)
-    result = validate(model, dataset(without_samples(segment, np.arange(400) < 370)), use_compiler=False)
+    result = validate(
+        model, dataset(without_samples(segment, np.arange(400) < 370)), use_compiler=False
+    )
     assert result.table.unjudged == ("position", "rotation")
-    assert "osition and rotation could not be judged: too many samples missing" in result.verdict.line
+    assert (
+        "osition and rotation could not be judged: too many samples missing" in result.verdict.line
+    )
     assert result.verdict.outcome is not Outcome.USABLE
     assert result.judged().verdict == result.verdict
 
@@ -151,9 +186,13 @@ def test_smoothed_channels_are_a_reference_and_never_a_measurement() -> None:
     with_v, without = (validate(model, dataset(s), use_compiler=False) for s in (segment, quiet))
     assert "velocity" in with_v.table.groups
     assert "velocity" not in without.table.groups
-    np.testing.assert_array_equal(with_v.table.groups["position"].mae, without.table.groups["position"].mae)
+    np.testing.assert_array_equal(
+        with_v.table.groups["position"].mae, without.table.groups["position"].mae
+    )
     sensors = sensors_for([*COLUMNS, "vx", "vy", "vz"], model.dynamics.vehicle)
-    wrong = replace(model, dynamics=replace(model.dynamics, sensors=sensors), sensor_noise=np.full(15, 0.1))
+    wrong = replace(
+        model, dynamics=replace(model.dynamics, sensors=sensors), sensor_noise=np.full(15, 0.1)
+    )
     with pytest.raises(ModelError, match="vx"):
         validate(wrong, dataset(segment), use_compiler=False)
 
@@ -165,7 +204,9 @@ def test_measured_start_puts_the_measured_values_into_the_state() -> None:
 
     segment = fly(model, 120, noise=3.0)
     reader, filtered = GroupReader(model), Filter(model, use_compiler=False).run(segment)
-    references = {g: segment.matrix(GROUPS[g].columns) for g in ("position", "velocity", "rotation", "rate")}
+    references = {
+        g: segment.matrix(GROUPS[g].columns) for g in ("position", "velocity", "rotation", "rate")
+    }
     origins = np.arange(20, 60)
     states = started_at_measurement(filtered, reader, origins, references)
     outputs = np.zeros((len(origins), len(COLUMNS)))
@@ -194,23 +235,37 @@ def test_logs_without_pose_are_judged_by_rate_and_specific_force() -> None:
     dynamics = PhysicsModel(vehicle=vehicle, sensors=sensors_for(COLUMNS[7:], vehicle))
     pose = make_model()
     model = IdentifiedModel(
-        dynamics=dynamics, values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}),
-        process_noise=pose.process_noise, sensor_noise=np.array([2e-2] * 3 + [5e-2] * 3),
-        weak=np.full(len(dynamics.error_states), 100.0), reference_state=dynamics.reference({}),
-        reference_inputs=np.full(4, 0.849), sample_time=DT,
-    )  # fmt: skip
+        dynamics=dynamics,
+        values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}),
+        process_noise=pose.process_noise,
+        sensor_noise=np.array([2e-2] * 3 + [5e-2] * 3),
+        weak=np.full(len(dynamics.error_states), 100.0),
+        reference_state=dynamics.reference({}),
+        reference_inputs=np.full(4, 0.849),
+        sample_time=DT,
+    )
     segment = fly(pose, 150, noise=1.0)
     imu = Segment(
-        t=segment.t, channels={n: v for n, v in segment.channels.items() if n in COLUMNS[7:] or n[0] == "u"}, flight="f"
+        t=segment.t,
+        channels={n: v for n, v in segment.channels.items() if n in COLUMNS[7:] or n[0] == "u"},
+        flight="f",
     )
-    result = validate(model, Dataset(flights=(Flight(name="f", segments=(imu,)),)), use_compiler=False)
+    result = validate(
+        model, Dataset(flights=(Flight(name="f", segments=(imu,)),)), use_compiler=False
+    )
     assert set(result.table.groups) == {"rate", "specific_force"}
     assert result.dead_reckoning is None
 
 
 def test_the_result_is_valid_and_the_coverage_of_the_true_model_is_honest() -> None:
     model = make_model()
-    result = validate(model, dataset(fly(model, 900, noise=1.0)), adapt=1.0, measured_start=True, use_compiler=False)
+    result = validate(
+        model,
+        dataset(fly(model, 900, noise=1.0)),
+        adapt=1.0,
+        measured_start=True,
+        use_compiler=False,
+    )
     schema = json.loads(resources.files("greybox").joinpath("schemas/validate.json").read_text())
     jsonschema.Draft202012Validator(schema).validate(json.loads(dump_json(result.to_dict())))
     assert result.one_step["p"].rmse == pytest.approx(0.02, rel=0.1)
@@ -222,7 +277,9 @@ def test_a_setpoint_elsewhere_is_no_extrapolation_and_a_faster_rate_is() -> None
     model = make_model()
     segment = fly(model, 300)
     far = replace(segment, channels={**segment.channels, "sp_x": np.full(segment.n, 9.0)})
-    said = validate(replace(model, domain={"sp_x": (-1.0, 1.0), "q": (-1e-9, 1e-9)}), dataset(far)).warnings
+    said = validate(
+        replace(model, domain={"sp_x": (-1.0, 1.0), "q": (-1e-9, 1e-9)}), dataset(far)
+    ).warnings
     assert [w for w in said if "outside the training range" in w and "q (" in w]
     assert not [w for w in said if "sp_x" in w]
 
@@ -263,13 +320,25 @@ def test_the_command_writes_a_valid_result(tmp_path, capsys) -> None:
     segment = fly(model, 300, noise=1.0)
     vehicle = (vehicle_path("nanobench").read_text()).split("[columns.")[0]
     (tmp_path / "v.toml").write_text(vehicle)
-    plain = replace(model, dynamics=replace(model.dynamics, vehicle=read_vehicle(tmp_path / "v.toml")))
+    plain = replace(
+        model, dynamics=replace(model.dynamics, vehicle=read_vehicle(tmp_path / "v.toml"))
+    )
     plain.save(tmp_path / "model.json")
     names = [n for n in segment.channels if not n.startswith("v")]
     table = np.column_stack([segment.t, segment.matrix(names)])
-    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(["t", *names]), comments="")
-    arguments = ["validate", str(tmp_path / "model.json"), "--log", str(tmp_path / "log.csv"), "--keep-ground"]
-    assert main([*arguments, "--horizons-samples", "1,20", "--json", str(tmp_path / "out.json")]) == 0
+    np.savetxt(
+        tmp_path / "log.csv", table, delimiter=",", header=",".join(["t", *names]), comments=""
+    )
+    arguments = [
+        "validate",
+        str(tmp_path / "model.json"),
+        "--log",
+        str(tmp_path / "log.csv"),
+        "--keep-ground",
+    ]
+    assert (
+        main([*arguments, "--horizons-samples", "1,20", "--json", str(tmp_path / "out.json")]) == 0
+    )
     result = json.loads((tmp_path / "out.json").read_text())
     assert [row["h"] for row in result["horizons"]] == [1, 20]
     assert set(result["horizons"][0]["groups"]) == {"position", "rotation", "rate"}

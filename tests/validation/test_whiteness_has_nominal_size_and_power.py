@@ -1,4 +1,5 @@
-"""The whiteness tests alarm as often as they say on white noise, and always on an autoregression."""
+"""The whiteness tests alarm as often as they say on white noise, and always on an
+autoregression."""
 
 from collections.abc import Callable
 
@@ -110,7 +111,9 @@ def test_bad_input() -> None:
 
 
 def test_text_names_every_channel() -> None:
-    text = whiteness(np.random.default_rng(0).standard_normal((300, 2)), names=["p", "q"], max_lag=5).format()
+    text = whiteness(
+        np.random.default_rng(0).standard_normal((300, 2)), names=["p", "q"], max_lag=5
+    ).format()
     assert "p" in text
     assert "all channels together" in text
 
@@ -135,11 +138,19 @@ def test_a_cumulated_periodogram_of_white_noise_stays_in_its_band(missing: float
 
 
 def test_a_cumulated_periodogram_shows_where_the_power_is() -> None:
-    assert left_the_band(lambda rng: lfilter([1.0], [1.0, -0.3], rng.standard_normal(600)), 100) > 0.95
+    assert (
+        left_the_band(lambda rng: lfilter([1.0], [1.0, -0.3], rng.standard_normal(600)), 100) > 0.95
+    )
     share, _ = cumulated_periodogram([np.sin(2 * np.pi * 0.1 * np.arange(1000))[:, None]])
     grid = np.linspace(0.0, 0.5, PERIODOGRAM_POINTS)
     assert share[grid < 0.095].max() < 0.01
     assert share[grid > 0.105].min() > 0.99
-    both = [np.random.default_rng(1).standard_normal((400, 1)), np.random.default_rng(2).standard_normal((101, 1))]
+    both = [
+        np.random.default_rng(1).standard_normal((400, 1)),
+        np.random.default_rng(2).standard_normal((101, 1)),
+    ]
     assert cumulated_periodogram(both)[0][-1] == pytest.approx(1.0)
-    assert cumulated_periodogram([np.ones((50, 1))]) == (pytest.approx(np.zeros(PERIODOGRAM_POINTS)), np.inf)
+    assert cumulated_periodogram([np.ones((50, 1))]) == (
+        pytest.approx(np.zeros(PERIODOGRAM_POINTS)),
+        np.inf,
+    )

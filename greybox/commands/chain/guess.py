@@ -27,7 +27,10 @@ def guessed_vehicle(
     found = vehicle_from_log(logs[0])
     # Before anybody weighs a craft for it.
     if unfit := inspect_log(logs[0]).unfit:
-        say(f"this log cannot be fitted ({'; '.join(unfit)}): greybox inspect {shlex.quote(logs[0])} says what to log")
+        say(
+            f"this log cannot be fitted ({'; '.join(unfit)}): greybox inspect "
+            f"{shlex.quote(logs[0])} says what to log"
+        )
     for line in found.known:
         say(f"from the log: {line}")
     for line in found.to_measure:

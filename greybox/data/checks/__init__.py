@@ -1,4 +1,5 @@
-"""The data-fault gate: one check = one file; a fault is reported as a fault before anything is called physics."""
+"""The data-fault gate: one check = one file; a fault is reported as a fault before anything is
+called physics."""
 
 from __future__ import annotations
 
@@ -41,7 +42,17 @@ from greybox.data.raw import RawLog, measurable
 from greybox.data.readers import LogMapping
 from greybox.errors import DataError, UnknownNameError
 
-__all__ = ["CHECKS", "Check", "CheckReport", "Finding", "FlightSummary", "Severity", "Unjudged", "check", "check_logs"]
+__all__ = [
+    "CHECKS",
+    "Check",
+    "CheckReport",
+    "Finding",
+    "FlightSummary",
+    "Severity",
+    "Unjudged",
+    "check",
+    "check_logs",
+]
 
 RELATIONS = (motion.RELATION, attitude.RELATION, acceleration.RELATION)
 """What kinematics makes equal, each one file."""
@@ -72,12 +83,15 @@ NAMES = tuple(sorted({c.name for c in CHECKS if c is not KINEMATICS} | {r.name f
 """What a finding can be of, and what can be accepted."""
 
 
-def check(data: Dataset | Sequence[RawLog], vehicle: Airframe, *, accept: Iterable[str] = ()) -> CheckReport:
-    """Look for data faults. Raw logs (`read_table`) show everything; a data set no longer shows faults of its clock.
+def check(
+    data: Dataset | Sequence[RawLog], vehicle: Airframe, *, accept: Iterable[str] = ()
+) -> CheckReport:
+    """Look for data faults. Raw logs (`read_table`) show everything; a data set no longer shows
+    faults of its clock.
 
-    Blocking findings of the checks named in `accept` do not block; the report keeps them and says so. Raises
-    `DataError` where two logs have the same name or one is none (no rows, no channels, stamps that are no numbers), and
-    `UnknownNameError` for a check that there is not.
+    Blocking findings of the checks named in `accept` do not block; the report keeps them and says
+    so. Raises `DataError` where two logs have the same name or one is none (no rows, no channels,
+    stamps that are no numbers), and `UnknownNameError` for a check that there is not.
     """
     accepted = tuple(dict.fromkeys(accept))
     for name in accepted:
@@ -87,7 +101,10 @@ def check(data: Dataset | Sequence[RawLog], vehicle: Airframe, *, accept: Iterab
     names = [log.flight for log in logs]
     double = sorted({n for n in names if names.count(n) > 1})
     if double:
-        raise DataError(f"flight names given twice: {', '.join(double)}", fix="give each log once, under its own name")
+        raise DataError(
+            f"flight names given twice: {', '.join(double)}",
+            fix="give each log once, under its own name",
+        )
     findings: list[Finding] = []
     unjudged: list[Unjudged] = []
     flights: list[FlightSummary] = []
@@ -126,13 +143,21 @@ FRAMES = (*(r.name for r in RELATIONS), "alignment")
 """Checks that find axes, units or clocks wrong."""
 
 
-def _without_consequences(findings: list[Finding], unjudged: list[Unjudged]) -> tuple[list[Finding], list[Unjudged]]:
+def _without_consequences(
+    findings: list[Finding], unjudged: list[Unjudged]
+) -> tuple[list[Finding], list[Unjudged]]:
     """Motors are not judged by a gyro whose axes, unit or clock are wrong."""
-    wrong = {f.flight for f in findings if f.severity == "blocking" and f.check in FRAMES and "p, q, r" in f.where}
+    wrong = {
+        f.flight
+        for f in findings
+        if f.severity == "blocking" and f.check in FRAMES and "p, q, r" in f.where
+    }
     dropped = {f.flight for f in findings if f.check == "motors" and f.flight in wrong}
     kept = [f for f in findings if not (f.check == "motors" and f.flight in wrong)]
     reason = "the gyro's axes, unit or clock are wrong"
-    return kept, unjudged + [Unjudged(check="motors", flight=n, reason=reason) for n in sorted(dropped)]
+    return kept, unjudged + [
+        Unjudged(check="motors", flight=n, reason=reason) for n in sorted(dropped)
+    ]
 
 
 def check_logs(
@@ -142,7 +167,8 @@ def check_logs(
     mapping: str | os.PathLike[str] | LogMapping | None = None,
     accept: Iterable[str] = (),
 ) -> CheckReport:
-    """Read logs and look for data faults, those of the clock included. Raises what `read_table` and `check` raise."""
+    """Read logs and look for data faults, those of the clock included. Raises what `read_table` and
+    `check` raise."""
     return check([read_table(p, vehicle, mapping=mapping) for p in paths], vehicle, accept=accept)
 
 
@@ -150,7 +176,9 @@ def _as_raw(flight: Flight) -> RawLog:
     t = np.concatenate([s.t for s in flight.segments])
     return RawLog(
         t=t,
-        channels={n: np.concatenate([s.channels[n] for s in flight.segments]) for n in flight.channels},
+        channels={
+            n: np.concatenate([s.channels[n] for s in flight.segments]) for n in flight.channels
+        },
         extra={},
         rows=np.arange(1, t.size + 1, dtype=np.int64),
         flight=flight.name,

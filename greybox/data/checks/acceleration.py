@@ -2,8 +2,8 @@
 specific force, turned into the world by the attitude, less gravity.
 
 It sees a world frame that is turned, mirrored or upside down against the attitude, and an
-accelerometer in world or other body axes. Without an accelerometer the thrust that the commands give
-stands for it, up to its size; without a velocity the position does.
+accelerometer in world or other body axes. Without an accelerometer the thrust that the commands
+give stands for it, up to its size; without a velocity the position does.
 """
 
 from __future__ import annotations
@@ -12,7 +12,14 @@ import numpy as np
 
 from greybox.data.checks.kinematics import Relation, Streams
 from greybox.data.checks.relations import Reading
-from greybox.data.checks.signals import FloatArray, centred, derivative, increments, smoothed, turned
+from greybox.data.checks.signals import (
+    FloatArray,
+    centred,
+    derivative,
+    increments,
+    smoothed,
+    turned,
+)
 from greybox.data.checks.view import View
 
 SPAN = 0.4
@@ -56,23 +63,35 @@ def streams(view: View) -> Streams | str:
 
     fix = "log ax, ay, az as the accelerometer measures them, in body axes (forward, left, up)"
     quaternion = (
-        "put a minus sign before qx, qy, qz in [columns.attitude]: the quaternion turns body into world"
+        "put a minus sign before qx, qy, qz in [columns.attitude]: the quaternion turns "
+        "body into world"
     )
     readings = [
         reading("", "", turned("rotate", quaternions, force)),
-        reading("the quaternion turns world into body", quaternion, turned("rotate_inverse", quaternions, force)),
+        reading(
+            "the quaternion turns world into body",
+            quaternion,
+            turned("rotate_inverse", quaternions, force),
+        ),
     ]
     if measured:
         readings.append(reading("the specific force is in world axes", fix, force))
         for text, matrix in ABOUT_THRUST.items():
             other = np.column_stack([force[:, :2] @ np.array(matrix).T, force[:, 2]])
-            readings.append(reading(f"the accelerometer's {text}", fix, turned("rotate", quaternions, other)))
+            readings.append(
+                reading(f"the accelerometer's {text}", fix, turned("rotate", quaternions, other))
+            )
     if moving:
         world = turned("rotate", quaternions, velocity)
         body = "rotate vx, vy, vz into the world before logging, or log the velocity in world axes"
         given = readings[0]
         readings.append(
-            Reading(text="the velocity is in body axes", fix=body, y=centred(world[n:] - world[:-n]), x=given.x)
+            Reading(
+                text="the velocity is in body axes",
+                fix=body,
+                y=centred(world[n:] - world[:-n]),
+                x=given.x,
+            )
         )
     return Streams(
         readings=tuple(readings),
@@ -80,7 +99,8 @@ def streams(view: View) -> Streams | str:
         span=n,
         power=-1.0 if moving else -2.0,
         scaled=measured,
-        where=f"{'vx, vy, vz' if moving else 'x, y, z'} against {'ax..az' if measured else 'u1..'} with qw..qz",
+        where=f"{'vx, vy, vz' if moving else 'x, y, z'} against {'ax..az' if measured else 'u1..'} "
+        "with qw..qz",
     )
 
 
@@ -98,7 +118,8 @@ RELATION = Relation(
     streams="velocity and specific force",
     factor="the velocity changes {0} times as much as the specific force says",
     where="vx, vy, vz against ax..az with qw..qz",
-    fix="say the frame of position, velocity and attitude in [columns.position] and so on: NED, or ours (east, north, up)",
+    fix="say the frame of position, velocity and attitude in [columns.position] and so on: NED, or "
+    "ours (east, north, up)",
     least=0.05,
     much=0.4,
     units=(),

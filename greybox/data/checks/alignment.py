@@ -1,7 +1,8 @@
-"""Check of stream alignment: attitude against gyro over the flight, and when each channel answers to the command.
+"""Check of stream alignment: attitude against gyro over the flight, and when each channel answers
+to the command.
 
-Windowed cross-correlation gives the offset and how it drifts. A positive offset means that the gyro is late against the
-attitude.
+Windowed cross-correlation gives the offset and how it drifts. A positive offset means that the gyro
+is late against the attitude.
 """
 
 from __future__ import annotations
@@ -11,7 +12,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
-from greybox.data.checks.signals import attitude_rate, best_lag, correlation, peak, shifted, smoothed, windowed
+from greybox.data.checks.signals import (
+    attitude_rate,
+    best_lag,
+    correlation,
+    peak,
+    shifted,
+    smoothed,
+    windowed,
+)
 from greybox.data.checks.torque import torque_regression
 from greybox.data.checks.view import FloatArray, View
 
@@ -35,7 +44,8 @@ ANSWERS = 0.05
 
 
 def run(view: View) -> Iterator[Finding | Unjudged]:
-    """Findings on offsets and drift between the streams, and on the delay from command to motion."""
+    """Findings on offsets and drift between the streams, and on the delay from command to
+    motion."""
     offset = None
     if view.has("attitude", "rate"):
         windows = window_offsets(view)
@@ -43,15 +53,24 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             offset = float(np.median(windows[:, 1]))
             yield _offset(view, windows, offset)
         else:
-            yield Unjudged(check="alignment", flight=view.name, reason="gyro and attitude are never alike")
+            yield Unjudged(
+                check="alignment", flight=view.name, reason="gyro and attitude are never alike"
+            )
     else:
-        what = "no airborne stretch" if view.flight is None else "no attitude" if view.has("rate") else "no gyro"
+        what = (
+            "no airborne stretch"
+            if view.flight is None
+            else "no attitude"
+            if view.has("rate")
+            else "no gyro"
+        )
         yield Unjudged(check="alignment", flight=view.name, reason=what)
     yield from _answers(view, offset)
 
 
 def window_offsets(view: View) -> FloatArray:
-    """(K, 3): middle of the window [s], how late the gyro is against the attitude [samples], correlation there."""
+    """(K, 3): middle of the window [s], how late the gyro is against the attitude [samples],
+    correlation there."""
     half = max(1, round(HALF_WINDOW / view.dt))
     gyro = smoothed(view.group("rate"), half)
     rate = attitude_rate(view.group("attitude"), view.dt, half)
@@ -80,15 +99,28 @@ def _offset(view: View, windows: FloatArray, offset: float) -> Finding:
         slope = float(np.polyfit(since, windows[:, 1], 1)[0]) * dt
     late = "late" if offset > 0 else "early"
     if abs(offset) >= max(BLOCKING / dt, 2.0):
-        severity, text = "blocking", f"the gyro is {abs(offset):.1f} samples {late} against the attitude"
+        severity, text = (
+            "blocking",
+            f"the gyro is {abs(offset):.1f} samples {late} against the attitude",
+        )
     elif abs(offset) > 1.0 or drift > 2.0:
         severity = "warning"
-        text = f"the gyro is {abs(offset):.1f} samples {late} against the attitude and wanders by {drift:.1f}"
+        text = (
+            f"the gyro is {abs(offset):.1f} samples {late} against the attitude and wanders by "
+            f"{drift:.1f}"
+        )
     else:
-        severity, text = "info", f"gyro and attitude are aligned within {max(abs(offset), drift):.1f} samples"
+        severity, text = (
+            "info",
+            f"gyro and attitude are aligned within {max(abs(offset), drift):.1f} samples",
+        )
     return Finding(
         check="alignment",
-        severity="blocking" if severity == "blocking" else "warning" if severity == "warning" else "info",
+        severity="blocking"
+        if severity == "blocking"
+        else "warning"
+        if severity == "warning"
+        else "info",
         flight=view.name,
         where="p, q, r against qw..qz",
         message=text,
@@ -100,7 +132,8 @@ def _offset(view: View, windows: FloatArray, offset: float) -> Finding:
             "drift_s_per_s": slope,
             "windows": int(windows.shape[0]),
         },
-        fix="log all streams with one clock, stamped at the source; or shift one of them and fit a delay per flight",
+        fix="log all streams with one clock, stamped at the source; or shift one of them and fit a "
+        "delay per flight",
     )
 
 
@@ -117,9 +150,14 @@ def _answers(view: View, offset: float | None) -> Iterator[Finding | Unjudged]:
             severity="blocking",
             flight=view.name,
             where="p, q, r against the commands",
-            message=f"the motion fits the commands best {abs(lag) * 1e3:.0f} ms {'after' if lag > 0 else 'before'} them, "
+            message=f"the motion fits the commands best {abs(lag) * 1e3:.0f} ms "
+            f"{'after' if lag > 0 else 'before'} them, "
             "which no craft does: they are not on one clock",
-            evidence={"lag_s": lag, "share": found.searched_share, "share_plausible": found.plausible_share},
+            evidence={
+                "lag_s": lag,
+                "share": found.searched_share,
+                "share_plausible": found.plausible_share,
+            },
             fix="shift the commands against the sensors, or log both on one clock",
         )
         return
@@ -134,7 +172,9 @@ def _answers(view: View, offset: float | None) -> Iterator[Finding | Unjudged]:
     if lift is not None:
         evidence["az_s"] = lift
     if not evidence:
-        yield Unjudged(check="alignment", flight=view.name, reason="no motion that answers to the commands")
+        yield Unjudged(
+            check="alignment", flight=view.name, reason="no motion that answers to the commands"
+        )
         return
     late = bool(rolls) and max(rolls) < 0.5 * view.dt
     yield Finding(
@@ -144,14 +184,16 @@ def _answers(view: View, offset: float | None) -> Iterator[Finding | Unjudged]:
         where="each channel against the commands",
         message="the motion does not lag the commands: the commands are logged too late"
         if late
-        else "motion follows the commands by " + ", ".join(f"{v * 1e3:.0f} ms ({k[:-2]})" for k, v in evidence.items()),
+        else "motion follows the commands by "
+        + ", ".join(f"{v * 1e3:.0f} ms ({k[:-2]})" for k, v in evidence.items()),
         evidence=evidence,
         fix="log the command at the instant it is sent; check that the log is not one row late",
     )
 
 
 def _lift_lag(view: View) -> float | None:
-    """Lag [s] of the vertical specific force behind the sum of the squared commands; None where it is not seen."""
+    """Lag [s] of the vertical specific force behind the sum of the squared commands; None where it
+    is not seen."""
     if not view.has("specific_force"):
         return None
     half = max(1, round(0.02 / view.dt))
@@ -166,5 +208,7 @@ def _lift_lag(view: View) -> float | None:
 
 
 CHECK = Check(
-    name="alignment", question="Are the streams on one clock, and when does each answer to the command?", run=per_flight(run)
+    name="alignment",
+    question="Are the streams on one clock, and when does each answer to the command?",
+    run=per_flight(run),
 )

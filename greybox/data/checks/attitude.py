@@ -1,6 +1,7 @@
 """Relation of the attitude to the gyro: the turn over a time is the integral of the body rate.
 
-It sees quaternion order and direction (body to world), gyro axes and unit, and a gyro in world axes.
+It sees quaternion order and direction (body to world), gyro axes and unit, and a gyro in world
+axes.
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ from greybox.data.checks.view import View
 SPAN = 0.2
 """Time [s] over which turns are taken."""
 DEGREES = 180.0 / np.pi
-MEND = "correct the order or the signs of the quaternion in [columns.attitude] (body to world, scalar first)"
+MEND = (
+    "correct the order or the signs of the quaternion in [columns.attitude] (body to world, "
+    "scalar first)"
+)
 
 ORDERS = {
     "": (0, 1, 2, 3),
@@ -28,7 +32,8 @@ CONJUGATE = "the quaternion turns world into body: negate qx, qy, qz"
 
 
 def quaternion_readings() -> Iterator[tuple[str, tuple[int, ...], FloatArray]]:
-    """(what it would mean, column order, signs) of the quaternion readings; the first is the one given."""
+    """(what it would mean, column order, signs) of the quaternion readings; the first is the one
+    given."""
     for signs, inverse in (((1.0, 1.0, 1.0, 1.0), ""), ((1.0, -1.0, -1.0, -1.0), CONJUGATE)):
         for text, order in ORDERS.items():
             yield "; ".join(part for part in (text, inverse) if part), order, np.array(signs)
@@ -62,12 +67,17 @@ RELATION = Relation(
     streams="gyro and attitude",
     factor="the attitude turns {0} times as far as the gyro says",
     where="p, q, r against qw..qz",
-    fix="say the gyro's axes: [columns.rate] frame = 'FRD', or a minus sign; or the frame of [columns.attitude]",
+    fix="say the gyro's axes: [columns.rate] frame = 'FRD', or a minus sign; or the frame of "
+    "[columns.attitude]",
     least=0.01,
     much=0.03,
     units=(
         (1.0 / DEGREES, "the gyro is in deg/s", "set unit = 'deg/s' in [columns.rate]"),
-        (DEGREES, "the gyro was scaled from deg/s to rad/s twice", "drop the unit or scale in [columns.rate]"),
+        (
+            DEGREES,
+            "the gyro was scaled from deg/s to rad/s twice",
+            "drop the unit or scale in [columns.rate]",
+        ),
     ),
     blocking=1.7,
     streams_of=streams,

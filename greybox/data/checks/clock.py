@@ -31,7 +31,11 @@ def run(view: View) -> Iterator[Finding]:
                 flight=view.name,
                 where=f"t, row {raw.rows[k]}",
                 message=f"{text} ({raw.t[k - 1]:.15g} s, then {raw.t[k]:.15g} s)",
-                evidence={f"{what}_rows": count, "first_row": int(raw.rows[k]), "step_s": float(steps[k - 1])},
+                evidence={
+                    f"{what}_rows": count,
+                    "first_row": int(raw.rows[k]),
+                    "step_s": float(steps[k - 1]),
+                },
                 fix="sort the log by time or drop the repeated rows",
             )
     if view.clock is None:
@@ -59,4 +63,8 @@ def run(view: View) -> Iterator[Finding]:
         )
 
 
-CHECK = Check(name="clock", question="Does time go forward, in seconds, at a steady rate?", run=per_flight(run))
+CHECK = Check(
+    name="clock",
+    question="Does time go forward, in seconds, at a steady rate?",
+    run=per_flight(run),
+)

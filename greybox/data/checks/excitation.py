@@ -1,4 +1,5 @@
-"""Check of excitation: whether the flight moves enough about and along every axis to be worth a fit."""
+"""Check of excitation: whether the flight moves enough about and along every axis to be worth a
+fit."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ LEAST_RATE = 0.03
 """Body rate [rad/s RMS] below which an axis is called still."""
 
 LEAST_COMMAND = 0.003
-"""Change of a command combination (share of the range, RMS about its 1 s mean) below which it is called still."""
+"""Change of a command combination (share of the range, RMS about its 1 s mean) below which it is
+called still."""
 
 LEAST_TIME = 5.0
 """Shorter flights [s] are worth a warning."""
@@ -24,7 +26,9 @@ LEAST_TIME = 5.0
 def run(view: View) -> Iterator[Finding | Unjudged]:
     """Findings on axes that hardly move, with the size of motion and command per axis."""
     if view.flight is None:
-        yield Unjudged(check="excitation", flight=view.name, reason="no airborne stretch on a usable clock")
+        yield Unjudged(
+            check="excitation", flight=view.name, reason="no airborne stretch on a usable clock"
+        )
         return
     evidence: dict[str, float] = {"duration_s": view.flight.duration}
     still = []
@@ -61,7 +65,8 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         where=", ".join(still) or f"{view.flight.duration:.1f} s of flight",
         message=text,
         evidence=evidence,
-        fix="fly doublets or chirps about that axis; parameters that only it shows will keep their prior",
+        fix="fly doublets or chirps about that axis; parameters that only it shows will keep their "
+        "prior",
     )
 
 

@@ -19,7 +19,8 @@ MOST_NAMED = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One observation. `where` names channels, rows or times; `evidence` are numbers with the unit in their name.
+    """One observation. `where` names channels, rows or times; `evidence` are numbers with the unit
+    in their name.
 
     "blocking": a fit on this log would be wrong; "warning": it may be; "info": worth knowing.
     """
@@ -47,14 +48,17 @@ Outcome = Finding | Unjudged
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One check: its name, the question it answers, and the function that answers it for the flights of a craft."""
+    """One check: its name, the question it answers, and the function that answers it for the
+    flights of a craft."""
 
     name: str
     question: str
     run: Callable[[Sequence[View]], Iterable[Outcome]]
 
 
-def per_flight(run: Callable[[View], Iterable[Outcome]]) -> Callable[[Sequence[View]], Iterable[Outcome]]:
+def per_flight(
+    run: Callable[[View], Iterable[Outcome]],
+) -> Callable[[Sequence[View]], Iterable[Outcome]]:
     """The check of one flight, made on every flight."""
 
     def every(views: Sequence[View]) -> Iterable[Outcome]:
@@ -78,7 +82,8 @@ class FlightSummary:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class CheckReport(Shown):
-    """All findings of a set of flights, the most severe first, and the checks that could not be made.
+    """All findings of a set of flights, the most severe first, and the checks that could not be
+    made.
 
     `accepted` are the checks whose blocking findings somebody who knows better has overruled.
     """
@@ -92,12 +97,16 @@ class CheckReport(Shown):
     @property
     def blocking(self) -> tuple[Finding, ...]:
         """The findings that forbid a fit."""
-        return tuple(f for f in self.findings if f.severity == "blocking" and f.check not in self.accepted)
+        return tuple(
+            f for f in self.findings if f.severity == "blocking" and f.check not in self.accepted
+        )
 
     @property
     def overruled(self) -> tuple[Finding, ...]:
         """The findings that would forbid a fit had they not been accepted."""
-        return tuple(f for f in self.findings if f.severity == "blocking" and f.check in self.accepted)
+        return tuple(
+            f for f in self.findings if f.severity == "blocking" and f.check in self.accepted
+        )
 
     @property
     def ok(self) -> bool:
@@ -143,18 +152,24 @@ class CheckReport(Shown):
         """One row per finding."""
         return [
             {
-                "severity": f.severity, "flight": f.flight, "check": f.check, "where": f.where, "finding": f.message,
+                "severity": f.severity,
+                "flight": f.flight,
+                "check": f.check,
+                "where": f.where,
+                "finding": f.message,
                 "usual fix": f.fix,
             }
             for f in self.findings
-        ]  # fmt: skip
+        ]
 
     def summary(self) -> str:
         """The report as text for a terminal."""
         lines = [f"checked {len(self.flights)} log(s) of {self.vehicle}: {self.verdict}"]
         for same in self._alike():
             finding = same[0]
-            flights = ", ".join(f.flight for f in same[:MOST_NAMED]) + (", ..." if len(same) > MOST_NAMED else "")
+            flights = ", ".join(f.flight for f in same[:MOST_NAMED]) + (
+                ", ..." if len(same) > MOST_NAMED else ""
+            )
             names = flights if len(same) == 1 else f"{len(same)} flights ({flights})"
             word = "accepted" if finding in self.overruled else finding.severity
             lines.append(f"{word:8s} {names} [{finding.check}] {finding.where}: {finding.message}")
@@ -165,7 +180,9 @@ class CheckReport(Shown):
                 lines.append(f"         usual fix: {finding.fix}")
         if self.overruled:
             checks = ", ".join(dict.fromkeys(f.check for f in self.overruled))
-            lines.append(f"accepted all the same: {checks}; whatever is built on these logs carries that")
+            lines.append(
+                f"accepted all the same: {checks}; whatever is built on these logs carries that"
+            )
         reasons: dict[tuple[str, str], int] = {}
         for item in self.not_judged:
             reasons[item.check, item.reason] = reasons.get((item.check, item.reason), 0) + 1

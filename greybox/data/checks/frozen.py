@@ -22,7 +22,8 @@ FROZEN_ROWS = 10
 """... and for this many rows ..."""
 
 COARSE = 3.0
-"""... in which it usually changes by more than this many of its smallest steps: coarse numbers of a calm flight repeat."""
+"""... in which it usually changes by more than this many of its smallest steps: coarse numbers of a
+calm flight repeat."""
 
 BLOCKING_SHARE = 0.05
 
@@ -34,7 +35,8 @@ def frozen_runs(values: FloatArray, rows: int) -> list[tuple[int, int]]:
 
 
 def _moves(values: FloatArray, rows: int) -> bool:
-    """Whether (N, k) usually changes over so many rows by more than `COARSE` of its smallest steps."""
+    """Whether (N, k) usually changes over so many rows by more than `COARSE` of its smallest
+    steps."""
     step = np.abs(np.diff(values, axis=0))
     step = step[step > 0]
     change = np.abs(values[rows:] - values[:-rows]).max(axis=1)
@@ -45,7 +47,9 @@ def _moves(values: FloatArray, rows: int) -> bool:
 def run(view: View) -> Iterator[Finding | Unjudged]:
     """Findings on measured groups that stand still in flight, and on channels that never move."""
     if view.flight is None or view.clock is None:
-        yield Unjudged(check="frozen", flight=view.name, reason="no airborne stretch on a usable clock")
+        yield Unjudged(
+            check="frozen", flight=view.name, reason="no airborne stretch on a usable clock"
+        )
         return
     log = view.increasing
     first, last = view.flight.segments[0].t[0], view.flight.segments[-1].t[-1]
@@ -58,7 +62,10 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             continue
         values = np.column_stack([log.channels[n][rows] for n in names])
         known = np.isfinite(values)
-        low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
+        low, high = (
+            np.where(known, values, np.inf).min(axis=0),
+            np.where(known, values, -np.inf).max(axis=0),
+        )
         dead = [n for n, same in zip(names, low == high, strict=True) if same]
         if dead and len(dead) < len(names) and group in ("rate", "specific_force"):
             yield _dead(view, dead)
@@ -75,7 +82,8 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             severity="blocking" if share > BLOCKING_SHARE else "warning",
             flight=view.name,
             where=f"{', '.join(names)}, from t = {t[longest[0]]:.3f} s",
-            message=f"{', '.join(names)} keep{'s' if len(names) == 1 else ''} the value {kept} for {seconds:.3f} s",
+            message=f"{', '.join(names)} keep{'s' if len(names) == 1 else ''} the value {kept} for "
+            f"{seconds:.3f} s",
             evidence={
                 "frozen_rows": total,
                 "frozen_share": share,

@@ -34,8 +34,13 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             severity="blocking" if share > LOST else "warning",
             flight=view.name,
             where=f"t = {log.t[longest]:.3f} s, row {log.rows[longest]}",
-            message=f"{gaps.size} gap(s); the longest is {steps[longest]:.3f} s; segments end there",
-            evidence={"gaps": int(gaps.size), "longest_s": float(steps[longest]), "lost_share": share},
+            message=f"{gaps.size} gap(s); the longest is {steps[longest]:.3f} s; segments end "
+            "there",
+            evidence={
+                "gaps": int(gaps.size),
+                "longest_s": float(steps[longest]),
+                "lost_share": share,
+            },
             fix="log with more bandwidth, or use the part without gaps",
         )
     short = np.flatnonzero((steps > 1.5 * dt) & (steps <= max(MAX_GAP, 1.5 * dt)))

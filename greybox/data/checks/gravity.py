@@ -19,10 +19,14 @@ FAST = 0.2
 DEEP = 0.1
 """Flying this far [m] below the ground means that z points down."""
 
-DOWN = "set frame = 'NED' in [columns.position] and [columns.velocity] (turns down to up, north to y)"
+DOWN = (
+    "set frame = 'NED' in [columns.position] and [columns.velocity] (turns down to up, north to y)"
+)
 
 
-def _finding(view: View, severity: str, message: str, fix: str, evidence: dict[str, float], where: str) -> Finding:
+def _finding(
+    view: View, severity: str, message: str, fix: str, evidence: dict[str, float], where: str
+) -> Finding:
     return Finding(
         check="gravity",
         severity="blocking" if severity == "blocking" else "warning",
@@ -43,7 +47,9 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     force = view.group("specific_force")
     known = force[np.isfinite(force).all(axis=1)]
     if known.shape[0] < 10:
-        yield Unjudged(check="gravity", flight=view.name, reason="fewer than 10 samples of specific force")
+        yield Unjudged(
+            check="gravity", flight=view.name, reason="fewer than 10 samples of specific force"
+        )
         return
     size = float(np.median(np.linalg.norm(known, axis=1)))
     mean = known.mean(axis=0)
@@ -52,28 +58,48 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     where = "ax, ay, az"
     if straight < 0.6:
         text = "the specific force has no lasting direction: gravity was taken out"
-        fix = "log the raw accelerometer (it reads +9.81 at rest), not the acceleration of the craft"
+        fix = (
+            "log the raw accelerometer (it reads +9.81 at rest), not the acceleration of the craft"
+        )
         yield _finding(view, "blocking", text, fix, {**evidence, "straightness": straight}, where)
         return
     share = size / GRAVITY
     if 1 / GRAVITY / 2 < share < 2 / GRAVITY:
         fix = "set unit = 'g' in [columns.specific_force]"
-        yield _finding(view, "blocking", f"the specific force is in g (median size {size:.3g})", fix, evidence, where)
+        yield _finding(
+            view,
+            "blocking",
+            f"the specific force is in g (median size {size:.3g})",
+            fix,
+            evidence,
+            where,
+        )
     elif GRAVITY / 2 < share < GRAVITY * 2:
         text = f"the specific force was scaled from g twice (median size {size:.3g})"
-        yield _finding(view, "blocking", text, "drop the unit or scale in [columns.specific_force]", evidence, where)
+        yield _finding(
+            view,
+            "blocking",
+            text,
+            "drop the unit or scale in [columns.specific_force]",
+            evidence,
+            where,
+        )
     elif not 0.6 < share < 1.6:
         text = f"the median specific force in flight is {size:.3g} m/s^2"
         severity = "blocking" if not 0.3 < share < 3 else "warning"
-        yield _finding(view, severity, text, "check the unit in [columns.specific_force]", evidence, where)
+        yield _finding(
+            view, severity, text, "check the unit in [columns.specific_force]", evidence, where
+        )
     axis = int(np.argmax(np.abs(mean)))
     if axis != 2 or mean[2] < 0:
         shown = f"{'-' if mean[axis] < 0 else '+'}{'xyz'[axis]}"
         text = f"thrust acts along {shown} of the accelerometer, not along +z"
         fix = (
-            "say which axes: frame = 'FRD' in [columns.specific_force] and [columns.rate] (x forward, y right, z down)"
+            "say which axes: frame = 'FRD' in [columns.specific_force] and [columns.rate] (x "
+            "forward, y right, z down)"
             if axis == 2
-            else "turn the fields of [columns.specific_force] and [columns.rate] to forward, left, up"
+            else "turn the fields of [columns.specific_force] and [columns.rate] to forward, left, "
+            "up"
         ) + "; specific force at rest is (0, 0, +9.81)"
         yield _finding(view, "blocking", text, fix, evidence, where)
         return
@@ -81,7 +107,8 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
 
 
 def _below_the_ground(view: View) -> float | None:
-    """How far [m] the craft flies below every place where its motors stood still; None where that is not seen."""
+    """How far [m] the craft flies below every place where its motors stood still; None where that
+    is not seen."""
     log = view.increasing
     names = group_names("command", len(view.vehicle.rotors))
     mean = np.mean([log.channels[n] for n in names], axis=0) - view.vehicle.actuator.u_min
@@ -92,7 +119,11 @@ def _below_the_ground(view: View) -> float | None:
     level = float(np.median(running))
     flown = z[(mean > 0.7 * level) & np.isfinite(z)]
     half = log.n // 2
-    stood = [part for rows in (slice(0, half), slice(half, None)) if (part := _idle(mean, z, level, rows)).size >= 10]
+    stood = [
+        part
+        for rows in (slice(0, half), slice(half, None))
+        if (part := _idle(mean, z, level, rows)).size >= 10
+    ]
     if flown.size < 10 or not stood:
         return None
     return min(float(np.median(part)) for part in stood) - float(np.median(flown))
@@ -103,7 +134,8 @@ def _idle(mean: FloatArray, z: FloatArray, level: float, rows: slice) -> FloatAr
 
 
 def _up(view: View, force: FloatArray, evidence: dict[str, float]) -> Iterator[Finding]:
-    """The same in the world: mean specific force must point up, and climbing must need more of it."""
+    """The same in the world: mean specific force must point up, and climbing must need more of
+    it."""
     if view.has("attitude"):
         quaternions = view.group("attitude")
         known = np.isfinite(quaternions).all(axis=1) & np.isfinite(force).all(axis=1)
@@ -117,7 +149,9 @@ def _up(view: View, force: FloatArray, evidence: dict[str, float]) -> Iterator[F
             text = f"the mean specific force is {angle:.0f} deg from the world's up"
             fix = "check the quaternion (body to world, z up) and the accelerometer's axes"
             severity = "blocking" if angle > ANGLES[1] else "warning"
-            yield _finding(view, severity, text, fix, {**evidence, "tilt_deg": angle}, "ax..az with qw..qz")
+            yield _finding(
+                view, severity, text, fix, {**evidence, "tilt_deg": angle}, "ax..az with qw..qz"
+            )
     else:
         world = force
     name = "z" if view.flight is not None and "z" in view.flight.channels else None
@@ -125,7 +159,10 @@ def _up(view: View, force: FloatArray, evidence: dict[str, float]) -> Iterator[F
         return
     depth = _below_the_ground(view)
     if depth is not None and depth > DEEP:
-        text = f"the craft flies {depth:.2f} m below the place where it stood: the world's z points down"
+        text = (
+            f"the craft flies {depth:.2f} m below the place where it stood: the world's z "
+            "points down"
+        )
         yield _finding(view, "blocking", text, DOWN, {**evidence, "depth_m": depth}, "z")
         return
     half = max(1, round(0.1 / view.dt))
@@ -140,5 +177,7 @@ def _up(view: View, force: FloatArray, evidence: dict[str, float]) -> Iterator[F
 
 
 CHECK = Check(
-    name="gravity", question="Is the specific force in m/s^2, along +z, and up in the world?", run=per_flight(run)
+    name="gravity",
+    question="Is the specific force in m/s^2, along +z, and up in the world?",
+    run=per_flight(run),
 )

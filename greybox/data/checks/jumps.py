@@ -27,11 +27,13 @@ JUMP = 20.0
 BOTH = 4.0
 """... and rows are missing there where another group steps by this much too."""
 TWICE = 0.1
-"""Stretches of at least this time [s] and ten rows that are there twice, number by number, are said."""
+"""Stretches of at least this time [s] and ten rows that are there twice, number by number, are
+said."""
 
 
 def steps(values: FloatArray, side: int) -> FloatArray:
-    """Size of the step behind each sample (N,) of (N, k); 0 at the ends and next to missing ones."""
+    """Size of the step behind each sample (N,) of (N, k); 0 at the ends and next to missing
+    ones."""
     n = values.shape[0]
     out = np.zeros(n)
     if n < 2 * side + 4:
@@ -50,7 +52,9 @@ def steps(values: FloatArray, side: int) -> FloatArray:
 def run(view: View) -> Iterator[Finding | Unjudged]:
     """Findings on jumps and on stretches that come twice."""
     if view.flight is None:
-        yield Unjudged(check="jumps", flight=view.name, reason="no airborne stretch on a usable clock")
+        yield Unjudged(
+            check="jumps", flight=view.name, reason="no airborne stretch on a usable clock"
+        )
         return
     repeated = list(_repeated(view))
     if repeated:
@@ -91,7 +95,10 @@ def _jumps(view: View, sizes: dict[str, FloatArray], side: int) -> Iterator[Find
     t = float(view.time[k])
     jumping = [g for g, v in size.items() if v > BOTH]
     if several:
-        message = f"{' and '.join(jumping)} jump together at t = {t:.2f} s: rows are missing there, but the clock goes on"
+        message = (
+            f"{' and '.join(jumping)} jump together at t = {t:.2f} s: rows are missing "
+            "there, but the clock goes on"
+        )
     else:
         message = f"the {jumping[0]} jumps at t = {t:.2f} s"
     if len(places) > 1:
@@ -102,7 +109,8 @@ def _jumps(view: View, sizes: dict[str, FloatArray], side: int) -> Iterator[Find
         flight=view.name,
         where=f"t = {t:.3f} s",
         message=message,
-        evidence={"time_s": t, "places": len(places)} | {f"{g}_over_usual": v for g, v in size.items()},
+        evidence={"time_s": t, "places": len(places)}
+        | {f"{g}_over_usual": v for g, v in size.items()},
         fix="cut the log there into two, or give the rows after it their true times",
     )
 
@@ -112,7 +120,9 @@ def _repeated(view: View) -> Iterator[Finding]:
     log = view.increasing
     names = [n for n in log.channels if n != "vbat"]
     rows = np.nan_to_num(np.column_stack([log.channels[n] for n in names]))
-    keys: npt.NDArray[np.void] = np.ascontiguousarray(rows).view(f"V{rows.dtype.itemsize * rows.shape[1]}")[:, 0]
+    keys: npt.NDArray[np.void] = np.ascontiguousarray(rows).view(
+        f"V{rows.dtype.itemsize * rows.shape[1]}"
+    )[:, 0]
     _, first, which = np.unique(keys, return_index=True, return_inverse=True)
     back = np.arange(log.n) - first[which]  # how many rows ago it was there for the first time
     least = max(10, round(TWICE * view.rate))
@@ -126,11 +136,18 @@ def _repeated(view: View) -> Iterator[Finding]:
             severity="blocking",
             flight=view.name,
             where=f"row {log.rows[a]}",
-            message=f"{b - a} rows from t = {log.t[a]:.2f} s are those from t = {log.t[a - back[a]]:.2f} s again",
-            evidence={"rows": int(b - a), "time_s": float(log.t[a]), "before_s": float(log.t[a - back[a]])},
+            message=f"{b - a} rows from t = {log.t[a]:.2f} s are those from t = "
+            f"{log.t[a - back[a]]:.2f} s again",
+            evidence={
+                "rows": int(b - a),
+                "time_s": float(log.t[a]),
+                "before_s": float(log.t[a - back[a]]),
+            },
             fix="drop the stretch that is there twice, or keep one part of the log",
         )
         return
 
 
-CHECK = Check(name="jumps", question="Does the motion go on where the clock does?", run=per_flight(run))
+CHECK = Check(
+    name="jumps", question="Does the motion go on where the clock does?", run=per_flight(run)
+)

@@ -106,7 +106,9 @@ def related(relation: Relation, view: View) -> Related | str:
             break
         found = moments(reading, view.dt, streams.span, REACH)
         if found is not None:
-            between = mixed(first, reading, view.dt, streams.span, tried[0].sums.lag) if tried else None
+            between = (
+                mixed(first, reading, view.dt, streams.span, tried[0].sums.lag) if tried else None
+            )
             tried.append(Tried(text=reading.text, fix=reading.fix, sums=found, mixed=between))
         elif not tried:
             return "too short"
@@ -122,7 +124,9 @@ def _moved(stream: FloatArray) -> float:
 
 def together(parts: Sequence[Related]) -> Related:
     """Several flights as one, with the readings that all have."""
-    texts = [t.text for t in parts[0].tried if all(t.text in [s.text for s in p.tried] for p in parts)]
+    texts = [
+        t.text for t in parts[0].tried if all(t.text in [s.text for s in p.tried] for p in parts)
+    ]
     tried = []
     for text in texts:
         found = [next(s for s in p.tried if s.text == text) for p in parts]
@@ -136,11 +140,14 @@ def together(parts: Sequence[Related]) -> Related:
             )
         )
     size = float(np.sqrt(np.mean([p.size**2 for p in parts])))
-    return Related(streams=parts[0].streams, tried=tuple(tried), prompt=None, size=size, sample=parts[0].sample)
+    return Related(
+        streams=parts[0].streams, tried=tuple(tried), prompt=None, size=size, sample=parts[0].sample
+    )
 
 
 def judge(relation: Relation, views: Sequence[View]) -> tuple[list[Outcome], dict[str, Related]]:
-    """The findings of a relation on all flights, and the flights on which the reading given holds."""
+    """The findings of a relation on all flights, and the flights on which the reading given
+    holds."""
     out: list[Outcome] = []
     holds: dict[str, Related] = {}
     for view in views:
@@ -175,14 +182,19 @@ def _better(relation: Relation, found: Related) -> Better | None:
     return better_reading(found.tried, found.streams.axes, relation.fix)
 
 
-def _misread(relation: Relation, flight: str, found: Related, better: Better, flights: int = 1) -> Finding:
+def _misread(
+    relation: Relation, flight: str, found: Related, better: Better, flights: int = 1
+) -> Finding:
     evidence = {"share_as_given": better.given_share, "share_explained": better.share}
     if better.angle:
         evidence |= {"angle_deg": better.angle, "angle_error_deg": better.angle_error}
     if flights > 1:
         evidence["flights"] = flights
     message = f"{relation.streams} agree only when {better.text}"
-    message += f" (explains {100 * better.share:.0f} % of the motion, as given {100 * better.given_share:.0f} %)"
+    message += (
+        f" (explains {100 * better.share:.0f} % of the motion, as given "
+        f"{100 * better.given_share:.0f} %)"
+    )
     return Finding(
         check=relation.name,
         severity="blocking" if better.blocks else "warning",
@@ -201,7 +213,8 @@ def _unlike(relation: Relation, flight: str, found: Related) -> Finding:
         severity="warning",
         flight=flight,
         where=found.streams.where or relation.where,
-        message=f"{relation.streams} agree poorly (correlation {np.sqrt(share):.2f}) in every reading",
+        message=f"{relation.streams} agree poorly (correlation {np.sqrt(share):.2f}) in every "
+        "reading",
         evidence={"share_as_given": share, "motion_rms": found.size},
         fix="check what both columns hold, their noise, and that both are on one clock",
     )
@@ -218,7 +231,9 @@ def run(views: Sequence[View], relations: Sequence[Relation]) -> Iterator[Outcom
         there = {r.name: held[r.name][view.name] for r in relations if view.name in held[r.name]}
         yield from _sizes(view.name, relations, there, pooled)
         for relation in relations:
-            if relation.name in there and relation.name != "attitude":  # its delay is the alignment's
+            if (
+                relation.name in there and relation.name != "attitude"
+            ):  # its delay is the alignment's
                 yield from _late(relation, view.name, there[relation.name])
 
 
@@ -228,8 +243,11 @@ def _sizes(
     there: Mapping[str, Related],
     pooled: Mapping[str, Moments],
 ) -> Iterator[Finding]:
-    """Findings on factors: of the clock where two relations give the same one, of channels otherwise."""
-    factors = {n: f for n, r in there.items() if r.streams.scaled and (f := factor(r.given)) is not None}
+    """Findings on factors: of the clock where two relations give the same one, of channels
+    otherwise."""
+    factors = {
+        n: f for n, r in there.items() if r.streams.scaled and (f := factor(r.given)) is not None
+    }
     clocks = {n: f.to_the(1.0 / there[n].streams.power) for n, f in factors.items()}
     off = [c for c in clocks.values() if c.clear]
     low, high = max((c.low for c in off), default=0.0), min((c.high for c in off), default=0.0)
@@ -240,9 +258,11 @@ def _sizes(
             severity="blocking",
             flight=flight,
             where="t",
-            message=f"the time runs {rate:.3g} times as fast as the motion: {', '.join(clocks)} say so alike",
+            message=f"the time runs {rate:.3g} times as fast as the motion: {', '.join(clocks)} "
+            "say so alike",
             evidence={"clock_rate": rate, "lowest": low, "highest": high},
-            fix="correct the time stamps (unit in [columns.time]), or the rate at which the log was written",
+            fix="correct the time stamps (unit in [columns.time]), or the rate at which the log "
+            "was written",
         )
         return
     for relation in relations:
@@ -250,8 +270,11 @@ def _sizes(
             yield from _factor(relation, flight, there[relation.name], pooled.get(relation.name))
 
 
-def _factor(relation: Relation, flight: str, found: Related, pooled: Moments | None) -> Iterator[Finding]:
-    """A finding where y and x differ by a factor, in all axes or in some, in this flight or in all."""
+def _factor(
+    relation: Relation, flight: str, found: Related, pooled: Moments | None
+) -> Iterator[Finding]:
+    """A finding where y and x differ by a factor, in all axes or in some, in this flight or in
+    all."""
     for sums in (found.given, pooled) if pooled is not None else (found.given,):
         axes = {a: factor(sums, [i]) for i, a in enumerate(found.streams.axes)}
         clear = {a: f for a, f in axes.items() if f is not None and f.clear}
@@ -267,11 +290,16 @@ def _factor(relation: Relation, flight: str, found: Related, pooled: Moments | N
 
 
 def _of_size(relation: Relation, flight: str, found: Related, size: Factor, which: str) -> Finding:
-    text, fix = relation.factor.format(f"{size.value:.3g}") + which, "check the units of both in [columns]"
+    text, fix = (
+        relation.factor.format(f"{size.value:.3g}") + which,
+        "check the units of both in [columns]",
+    )
     for usual, meaning, mend in relation.units:
         if 0.5 < size.value / usual < 2.0:
             text, fix = f"{meaning} ({text})", mend
-    severity: Severity = "blocking" if max(size.low, 1.0 / size.high) > relation.blocking else "warning"
+    severity: Severity = (
+        "blocking" if max(size.low, 1.0 / size.high) > relation.blocking else "warning"
+    )
     return Finding(
         check=relation.name,
         severity=severity,
@@ -297,7 +325,8 @@ def _late(relation: Relation, flight: str, found: Related) -> Iterator[Finding]:
         severity="warning",
         flight=flight,
         where=found.streams.where or relation.where,
-        message=f"{first} is {1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'} against {second}",
+        message=f"{first} is {1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'} against "
+        f"{second}",
         evidence={"delay_s": late, "share_explained": shares[0], "share_as_given": shares[1]},
         fix="log all streams with one clock, stamped at the source; or shift one of them",
     )

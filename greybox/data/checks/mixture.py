@@ -1,4 +1,5 @@
-"""Between two readings of the same columns: how far the data stand on the way from one to the other.
+"""Between two readings of the same columns: how far the data stand on the way from one to the
+other.
 
 Two readings predict the same motion y by x and by x + d (body or world axes, say). Where the craft
 stays nearly level and at one heading d is small, so that both explain about as much of y, and
@@ -8,7 +9,8 @@ into M, and what is left of d is what no constant matrix makes of x. The partial
 Frisch and Waugh (Econometrica 1(4), 1933) gives w without solving for M.
 
 Sound sensors leave a part of the motion unexplained, and it is no white noise: levers, filters and
-clocks follow the motion. Where what is left of d is smaller than that, w weighs them and not the readings.
+clocks follow the motion. Where what is left of d is smaller than that, w weighs them and not the
+readings.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from greybox.data.checks.signals import FloatArray
 LEAST = 1e-9
 """A share of d below which M x explains all of it: rounding."""
 FLOOR = 5e-4
-"""The share of the motion that sound sensors leave unexplained: readings that differ by less are one."""
+"""The share of the motion that sound sensors leave unexplained: readings that differ by less are
+one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,16 +41,20 @@ class Mixture:
     dy: FloatArray
 
     def weights(self) -> tuple[float, FloatArray]:
-        """Weight w of the second reading, and the weights (B,) with one block left out each; w is
-        NaN where the readings differ by a constant matrix alone, or by less than sensors resolve."""
+        """Weight w of the second reading, and the weights (B,) with one block left out each; w
+        is NaN where the readings differ by a constant matrix alone, or by less than sensors
+        resolve."""
         every = [np.asarray(m.sum(axis=0)) for m in (self.xx, self.xd, self.dd, self.xy, self.dy)]
         blocks = (self.xx, self.xd, self.dd, self.xy, self.dy)
         others = [total - part for total, part in zip(every, blocks, strict=True)]
         return float(_weight([m[None] for m in every])[0]), _weight(others)
 
 
-def mixture(y: FloatArray, x: FloatArray, other: FloatArray, starts: npt.NDArray[np.int64]) -> Mixture:
-    """Sums of rows of y, x and the other reading's x, (N, 3) each; `starts` (B,) are the blocks' first rows."""
+def mixture(
+    y: FloatArray, x: FloatArray, other: FloatArray, starts: npt.NDArray[np.int64]
+) -> Mixture:
+    """Sums of rows of y, x and the other reading's x, (N, 3) each; `starts` (B,) are the blocks'
+    first rows."""
     d = other - x
 
     def sums(a: FloatArray, b: FloatArray) -> FloatArray:

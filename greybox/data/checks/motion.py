@@ -1,4 +1,5 @@
-"""Relation of the position to the velocity: the displacement over a time is the velocity's integral."""
+"""Relation of the position to the velocity: the displacement over a time is the velocity's
+integral."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ def streams(view: View) -> Streams | str:
         readings.append(
             Reading(
                 text="the velocity is in body axes",
-                fix="rotate vx, vy, vz into the world before logging, or log the velocity of the estimator in world axes",
+                fix="rotate vx, vy, vz into the world before logging, or log the velocity of the "
+                "estimator in world axes",
                 y=moved,
                 x=increments(world, view.dt, n),
             )
@@ -37,7 +39,8 @@ RELATION = Relation(
     streams="position and velocity",
     factor="the position moves {0} times as far as the velocity says",
     where="x, y, z against vx, vy, vz",
-    fix="correct fields and frame in [columns.position] or [columns.velocity]: both in one world frame, z up",
+    fix="correct fields and frame in [columns.position] or [columns.velocity]: both in one world "
+    "frame, z up",
     least=0.02,
     much=0.2,
     units=((1e3, "the position is in mm", "set unit = 'mm' in [columns.position]"),),

@@ -1,7 +1,9 @@
-"""Check of the motors: order of the commands, spin directions, and the gyro's unit where there is no attitude.
+"""Check of the motors: order of the commands, spin directions, and the gyro's unit where there is
+no attitude.
 
-The torques found by regression are compared with those that position and spin of the vehicle file promise, over all
-flights of a craft together. Another order is said only where it explains far more of them.
+The torques found by regression are compared with those that position and spin of the vehicle file
+promise, over all flights of a craft together. Another order is said only where it explains far more
+of them.
 """
 
 from __future__ import annotations
@@ -16,15 +18,24 @@ import numpy as np
 from greybox.data.airframe import Airframe, ThrustMap, Weighed
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged
 from greybox.data.checks.relations import CLEAR, LEAST, LEFT, jackknife
-from greybox.data.checks.torque import Sums, Torque, directions, expected_signs, joined_sums, torque_regression
+from greybox.data.checks.torque import (
+    Sums,
+    Torque,
+    directions,
+    expected_signs,
+    joined_sums,
+    torque_regression,
+)
 from greybox.data.checks.view import FloatArray, View
 
 SEEN = 0.08
-"""Share of the angular acceleration's variance that the commands must explain before a verdict on roll and pitch."""
+"""Share of the angular acceleration's variance that the commands must explain before a verdict on
+roll and pitch."""
 
 SEEN_YAW = 0.02
 AGREE = 0.25
-"""Share of what the commands explain from which torques in the promised directions agree with them."""
+"""Share of what the commands explain from which torques in the promised directions agree with
+them."""
 
 MOST_ROTORS = 6
 """Orders are searched up to this many rotors."""
@@ -44,7 +55,8 @@ class Verdict:
 
 
 def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
-    """Findings on motor order and spin, over all flights of the craft together: the best excited weigh most."""
+    """Findings on motor order and spin, over all flights of the craft together: the best excited
+    weigh most."""
     found: dict[str, Torque] = {}
     for view in views:
         torque = torque_regression(view) if view.has("rate", "command") else None
@@ -71,7 +83,10 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
         if alone is not None:
             text = f"in this flight {alone.message}; all flights together say otherwise"
             yield _finding(name, replace(alone, severity="warning", message=text))
-    craft_is = [*_spins(craft, promised, max(t.share[2] for t in found.values())), *_strength(views[0].vehicle, craft)]
+    craft_is = [
+        *_spins(craft, promised, max(t.share[2] for t in found.values())),
+        *_strength(views[0].vehicle, craft),
+    ]
     for name in found:
         for said in craft_is:
             if isinstance(said, str):
@@ -93,7 +108,8 @@ def _finding(flight: str, verdict: Verdict, flights: int = 1) -> Finding:
 
 
 def _order(sums: Sums, promised: FloatArray) -> Verdict | None:
-    """What is wrong with the order of the commands; None where the one given agrees or nothing fits far better."""
+    """What is wrong with the order of the commands; None where the one given agrees or nothing fits
+    far better."""
     n = promised.shape[1]
     agreement = sums.total.agreement(promised)[:, 0]
     evidence = {f"agreement_{a}": float(c) for a, c in zip(AXES, agreement, strict=True)}
@@ -104,13 +120,21 @@ def _order(sums: Sums, promised: FloatArray) -> Verdict | None:
     best = total.agreement(promised[:, order])[:, 0]
 
     def left(part: Sums) -> FloatArray:
-        other, given = (1.0 - part.agreement(p)[:2].mean(axis=0) for p in (promised[:, order], promised))
+        other, given = (
+            1.0 - part.agreement(p)[:2].mean(axis=0) for p in (promised[:, order], promised)
+        )
         return np.log((other + LEAST) / (given + LEAST))
 
     far = float(left(total)[0]) + CLEAR * jackknife(left(sums.left_out)) < np.log(LEFT)
     moved = [f"u{i + 1} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
-    says = f"(of what the commands explain, roll {agreement[0]:+.2f}, pitch {agreement[1]:+.2f} where +1 is right)"
-    fix = "compare rotor positions and the fields of [columns.command] with the craft, and the signs of the gyro axes"
+    says = (
+        f"(of what the commands explain, roll {agreement[0]:+.2f}, pitch {agreement[1]:+.2f} "
+        "where +1 is right)"
+    )
+    fix = (
+        "compare rotor positions and the fields of [columns.command] with the craft, and the "
+        "signs of the gyro axes"
+    )
     evidence["agreement_other_order"] = float(best[:2].mean())
     if moved and far and bool((best[:2] >= AGREE).all()):
         return Verdict(
@@ -118,14 +142,16 @@ def _order(sums: Sums, promised: FloatArray) -> Verdict | None:
             where="u1.. against p, q, r",
             message=f"the motor order is wrong: {', '.join(moved)} {says}",
             evidence=evidence,
-            fix="reorder the fields of [columns.command] or the [[rotor]] tables (or correct the sign of a gyro axis)",
+            fix="reorder the fields of [columns.command] or the [[rotor]] tables (or correct the "
+            "sign of a gyro axis)",
         )
     if bool((agreement[:2] >= AGREE).all()):
         return None
     return Verdict(
         severity="warning",
         where="u1.. against p, q, r",
-        message=f"the torques of the commands fit the rotor positions poorly {says}, and no other order fits far better",
+        message=f"the torques of the commands fit the rotor positions poorly {says}, and no other "
+        "order fits far better",
         evidence=evidence,
         fix=fix,
     )
@@ -173,14 +199,16 @@ def _strength(vehicle: Airframe, sums: Sums) -> Iterator[Verdict]:
     yield Verdict(
         severity="blocking",
         where="p, q, r",
-        message=f"angular acceleration {ratio:.3g} times what thrust and inertia promise: the gyro is {what}",
+        message=f"angular acceleration {ratio:.3g} times what thrust and inertia promise: the gyro "
+        f"is {what}",
         evidence={"found_over_promised": ratio},
         fix="set the unit in [columns.rate] (deg/s, rad/s), or correct inertia and thrust",
     )
 
 
 def promised_gain(vehicle: Airframe) -> FloatArray | None:
-    """Size of the roll and pitch gains (2,) [rad/s^2 per u^2] that the vehicle file promises; None where it is silent.
+    """Size of the roll and pitch gains (2,) [rad/s^2 per u^2] that the vehicle file promises; None
+    where it is silent.
 
     The thrust map is taken by its slope at the thrust that carries the weight.
     """
@@ -205,5 +233,7 @@ def promised_gain(vehicle: Airframe) -> FloatArray | None:
 
 
 CHECK = Check(
-    name="motors", question="Does every command drive the rotor that the vehicle file says, with its spin?", run=run
+    name="motors",
+    question="Does every command drive the rotor that the vehicle file says, with its spin?",
+    run=run,
 )

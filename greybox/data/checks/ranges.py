@@ -1,4 +1,5 @@
-"""Check of ranges: values that no such channel can have, commands out of range, quaternions not of unit length."""
+"""Check of ranges: values that no such channel can have, commands out of range, quaternions not of
+unit length."""
 
 from __future__ import annotations
 
@@ -21,8 +22,10 @@ UNIT_SLACK = 0.02
 """Largest deviation of a quaternion's length from 1."""
 
 FIXES = {
-    "command": "give the range of the commands: [columns.command] limits = [0, 65535], [1000, 2000] or what the log says",
-    "rotor_speed": "check the unit: rad/s (unit = 'rpm' in [columns.rotor_speed]), and actuator.speed_max",
+    "command": "give the range of the commands: [columns.command] limits = [0, 65535], [1000, "
+    "2000] or what the log says",
+    "rotor_speed": "check the unit: rad/s (unit = 'rpm' in [columns.rotor_speed]), and "
+    "actuator.speed_max",
     "rate": "check the unit: rad/s (unit = 'deg/s' in [columns.rate])",
     "specific_force": "check the unit: m/s^2",
     "attitude": "check which columns hold the quaternion",
@@ -74,7 +77,8 @@ def run(view: View) -> Iterator[Finding]:
 
 
 def _removed(view: View) -> Iterator[Finding]:
-    """Samples inside their range that no craft can have made: every command takes them as missing."""
+    """Samples inside their range that no craft can have made: every command takes them as
+    missing."""
     for removed in view.possible.removed:
         if removed.reason == OUTSIDE:
             continue
@@ -83,7 +87,9 @@ def _removed(view: View) -> Iterator[Finding]:
         share = removed.count / max(int(np.isfinite(before).sum()), 1)
         # A blow that no rotor gave; where the flight is not known, nothing is known to be one.
         landing = view.flight is not None and not any(view.in_flight(t) for t in gone)
-        severity: Severity = "blocking" if share > REMOVED_SHARE else "info" if landing else "warning"
+        severity: Severity = (
+            "blocking" if share > REMOVED_SHARE else "info" if landing else "warning"
+        )
         yield Finding(
             check="ranges",
             severity=severity,

@@ -1,11 +1,12 @@
-"""How two measured streams relate: which reading of their axes explains the motion, by which factor,
-how late. One estimation for position, velocity, attitude, rates and specific force.
+"""How two measured streams relate: which reading of their axes explains the motion, by which
+factor, how late. One estimation for position, velocity, attitude, rates and specific force.
 
 Both streams are increments over the same span that kinematics makes equal, y = x. A reading (other
-axes, signs, another frame) predicts another x or y. Readings are compared by the share of y's sum of
-squares that they explain once size is set aside, the squared correlation; how sure a difference is
-comes from leaving out one block of time after the other (jackknife). Rotations are those of Wahba's
-problem (SIAM Review 7(3), 1965), solved by singular values (Markley, J. Astronaut. Sci. 36(3), 1988).
+axes, signs, another frame) predicts another x or y. Readings are compared by the share of y's sum
+of squares that they explain once size is set aside, the squared correlation; how sure a difference
+is comes from leaving out one block of time after the other (jackknife). Rotations are those of
+Wahba's problem (SIAM Review 7(3), 1965), solved by singular values (Markley, J. Astronaut. Sci.
+36(3), 1988).
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from greybox.data.checks.mixture import FLOOR, Mixture, mixture
 from greybox.data.checks.signals import FloatArray
 
 BLOCK = 2.0
-"""Length of the blocks [s] that are left out one by one; shorter where a flight has fewer than 8."""
+"""Length of the blocks [s] that are left out one by one; shorter where a flight has fewer than
+8."""
 FEWEST_BLOCKS = 5
 LAG_STEP = 0.01
 """Steps of the lags that are tried [s]."""
@@ -58,8 +60,8 @@ class Reading:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Moments:
-    """Sums over blocks of time of one reading: y x^T (B, 3, 3), y^2 and x^2 (B, 3). `lag` [s] is the
-    median delay, positive where y is late against x."""
+    """Sums over blocks of time of one reading: y x^T (B, 3, 3), y^2 and x^2 (B, 3). `lag` [s] is
+    the median delay, positive where y is late against x."""
 
     cross: FloatArray
     yy: FloatArray
@@ -83,7 +85,10 @@ class Moments:
     def total(self) -> Moments:
         """The sums over all blocks, as one block."""
         return Moments(
-            cross=self.cross.sum(axis=0)[None], yy=self.yy.sum(axis=0)[None], xx=self.xx.sum(axis=0)[None], lag=self.lag
+            cross=self.cross.sum(axis=0)[None],
+            yy=self.yy.sum(axis=0)[None],
+            xx=self.xx.sum(axis=0)[None],
+            lag=self.lag,
         )
 
     def correlation(self, turn: Matrix, rows: Sequence[int] = (0, 1, 2)) -> FloatArray:
@@ -106,7 +111,8 @@ class Moments:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tried:
-    """A reading with its sums; `mixed` with those of the reading given where both foretell one y."""
+    """A reading with its sums; `mixed` with those of the reading given where both foretell one
+    y."""
 
     text: str
     fix: str
@@ -127,8 +133,8 @@ def joined(parts: Sequence[Moments]) -> Moments:
 def _rows(
     y: FloatArray, x: FloatArray, dt: float, span: int, lags: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None:
-    """(rows at which y, and x at all of these lags [samples], are known; where blocks of them start);
-    None where fewer than `FEWEST_BLOCKS` blocks are left."""
+    """(rows at which y, and x at all of these lags [samples], are known; where blocks of them
+    start); None where fewer than `FEWEST_BLOCKS` blocks are left."""
     most = int(np.abs(lags).max())
     rows = np.arange(most, y.shape[0] - most, max(1, span // 8))
     rows = rows[np.isfinite(y[rows]).all(axis=1)]
@@ -169,7 +175,9 @@ def moments(reading: Reading, dt: float, span: int, reach: float) -> Moments | N
     y = reading.y[rows]
     yy = np.add.reduceat(y * y, starts, axis=0)
     cross, xx = np.zeros((lags.size, starts.size, 3, 3)), np.zeros((lags.size, starts.size, 3))
-    for i, lag in enumerate(lags.tolist()):  # one at a time: all of them together are too much memory
+    for i, lag in enumerate(
+        lags.tolist()
+    ):  # one at a time: all of them together are too much memory
         x = reading.x[rows - lag]
         cross[i] = np.add.reduceat(y[:, :, None] * x[:, None, :], starts, axis=0)
         xx[i] = np.add.reduceat(x * x, starts, axis=0)
@@ -181,7 +189,12 @@ def moments(reading: Reading, dt: float, span: int, reach: float) -> Moments | N
     at = lags[best] * dt
     weight = np.argsort(at)
     middle = np.searchsorted(np.cumsum(yy.sum(axis=1)[weight]), 0.5 * yy.sum())
-    return Moments(cross=cross[best, block], yy=yy, xx=xx[best, block], lag=float(at[weight[min(middle, at.size - 1)]]))
+    return Moments(
+        cross=cross[best, block],
+        yy=yy,
+        xx=xx[best, block],
+        lag=float(at[weight[min(middle, at.size - 1)]]),
+    )
 
 
 def axis_readings() -> Iterator[tuple[str, Matrix, tuple[int, ...]]]:
@@ -231,15 +244,17 @@ def far_better(
     """(share that `better` explains when turned, share that `given` explains), where the first is
     clearly and far better; None where it is not.
 
-    What the one leaves over what the other leaves must be below `LEFT`, and that by `CLEAR` standard
-    errors of its logarithm; or, where what is left is mostly noise, the correlations must differ by
-    `APART` standard errors.
+    What the one leaves over what the other leaves must be below `LEFT`, and that by `CLEAR`
+    standard errors of its logarithm; or, where what is left is mostly noise, the correlations must
+    differ by `APART` standard errors.
     """
     if better.blocks != given.blocks:
         return None
 
     def left(one: Moments, other: Moments) -> FloatArray:
-        return np.log((1.0 - one.share(turn, rows) + LEAST) / (1.0 - other.share(EYE, rows) + LEAST))
+        return np.log(
+            (1.0 - one.share(turn, rows) + LEAST) / (1.0 - other.share(EYE, rows) + LEAST)
+        )
 
     def ahead(one: Moments, other: Moments) -> FloatArray:
         return one.correlation(turn, rows) - other.correlation(EYE, rows)
@@ -251,19 +266,25 @@ def far_better(
         return None
     parts = better.left_out(), given.left_out()
     clear = ratio + CLEAR * jackknife(left(*parts)) < np.log(LEFT)
-    return share if clear or float(ahead(more, less)[0]) > APART * jackknife(ahead(*parts)) else None
+    return (
+        share if clear or float(ahead(more, less)[0]) > APART * jackknife(ahead(*parts)) else None
+    )
 
 
 def nearer(between: Mixture | None) -> bool:
-    """Whether the data are nearer to the other reading than to the one given, by `CLEAR` standard errors."""
+    """Whether the data are nearer to the other reading than to the one given, by `CLEAR` standard
+    errors."""
     if between is None:
         return False
     weight, others = between.weights()
     return bool(weight - 0.5 > CLEAR * jackknife(others))
 
 
-def better_reading(readings: Sequence[Tried], names: tuple[str, str, str], fix: str) -> Better | None:
-    """The reading that explains the motion far better than the first, or that the data are nearer to.
+def better_reading(
+    readings: Sequence[Tried], names: tuple[str, str, str], fix: str
+) -> Better | None:
+    """The reading that explains the motion far better than the first, or that the data are nearer
+    to.
 
     `names` are those of x's axes, `fix` what to do where these are exchanged or turned. Of readings
     that explain about the same the simplest is taken: another frame, then the fewest axes.
@@ -273,11 +294,15 @@ def better_reading(readings: Sequence[Tried], names: tuple[str, str, str], fix: 
     every: tuple[int, ...] = (0, 1, 2)
     tried = [(r, EYE, every, 0) for r in readings[1:]]
     for text, matrix, rows in axis_readings():
-        tried.append((Tried(text=text.format(*names), fix=fix, sums=given), matrix, rows, len(rows)))
+        tried.append(
+            (Tried(text=text.format(*names), fix=fix, sums=given), matrix, rows, len(rows))
+        )
     good = []
     for one, turn, rows, rank in tried:
         whole = float(one.sums.total().share(turn)[0])
-        if far_better(one.sums, given, turn, rows) is not None or (whole > max(share, SEEN) and nearer(one.mixed)):
+        if far_better(one.sums, given, turn, rows) is not None or (
+            whole > max(share, SEEN) and nearer(one.mixed)
+        ):
             good.append((rank, Better(text=one.text, fix=one.fix, share=whole, given_share=share)))
     turned = _turned(given, names, fix)
     if not good:
@@ -289,7 +314,8 @@ def better_reading(readings: Sequence[Tried], names: tuple[str, str, str], fix: 
 
 
 def _turned(sums: Moments, names: tuple[str, str, str], fix: str) -> Better | None:
-    """A rotation by an angle that is clear of what mounts and noise make; None where there is none."""
+    """A rotation by an angle that is clear of what mounts and noise make; None where there is
+    none."""
     turn = sums.total().rotation()
     more, less = (float(sums.total().share(m)[0]) for m in (turn, EYE))
     if more < SEEN:
@@ -298,7 +324,11 @@ def _turned(sums: Moments, names: tuple[str, str, str], fix: str) -> Better | No
     parts = sums.left_out()
     others = np.array(
         [
-            _vector(Moments(cross=parts.cross[i][None], yy=parts.yy[i][None], xx=parts.xx[i][None], lag=0.0).rotation())
+            _vector(
+                Moments(
+                    cross=parts.cross[i][None], yy=parts.yy[i][None], xx=parts.xx[i][None], lag=0.0
+                ).rotation()
+            )
             for i in range(sums.blocks)
         ]
     )
@@ -316,7 +346,9 @@ def _turned(sums: Moments, names: tuple[str, str, str], fix: str) -> Better | No
 
 def _vector(turn: Matrix) -> FloatArray:
     """Rotation vector (3,) [rad] of a rotation matrix."""
-    half = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2.0
+    half = (
+        np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2.0
+    )
     sine, cosine = float(np.linalg.norm(half)), (float(np.trace(turn)) - 1.0) / 2.0
     angle = float(np.arctan2(sine, cosine))
     if sine < 1e-6:

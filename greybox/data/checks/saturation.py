@@ -13,21 +13,26 @@ from greybox.data.checks.view import View
 SHARE = 0.01
 CLIPPED_ROWS = 5
 BELOW = 0.05
-"""A sensor that clips shows its largest value more often than all others within this share of the way from it to the
-median: motion passes."""
+"""A sensor that clips shows its largest value more often than all others within this share of the
+way from it to the median: motion passes."""
 SENSORS = ("rate", "specific_force")
 
 
 def run(view: View) -> Iterator[Finding | Unjudged]:
     """Findings on commands at u_min or u_max and on clipped sensors in flight."""
     if view.flight is None:
-        yield Unjudged(check="saturation", flight=view.name, reason="no airborne stretch on a usable clock")
+        yield Unjudged(
+            check="saturation", flight=view.name, reason="no airborne stretch on a usable clock"
+        )
         return
     actuator = view.vehicle.actuator
     tiny = 1e-3 * (actuator.u_max - actuator.u_min)
     u = view.group("command")
     u = u[np.isfinite(u).all(axis=1)]
-    for what, mask in (("u_max", u >= actuator.u_max - tiny), ("u_min", u <= actuator.u_min + tiny)):
+    for what, mask in (
+        ("u_max", u >= actuator.u_max - tiny),
+        ("u_min", u <= actuator.u_min + tiny),
+    ):
         share = float(mask.any(axis=1).mean())
         if share > SHARE:
             worst = int(np.argmax(mask.mean(axis=0)))
@@ -56,11 +61,14 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
                         severity="warning",
                         flight=view.name,
                         where=f"channel {name}, row {log.rows[int(np.nanargmax(size))]}",
-                        message=f"{clipped} row(s) at the same extreme value {top:.5g}: the sensor clips",
+                        message=f"{clipped} row(s) at the same extreme value {top:.5g}: the sensor "
+                        "clips",
                         evidence={"rows": clipped, "limit": top},
                         fix="set a larger sensor range, or leave these cells empty",
                     )
                     break
 
 
-CHECK = Check(name="saturation", question="Do commands or sensors reach their limits?", run=per_flight(run))
+CHECK = Check(
+    name="saturation", question="Do commands or sensors reach their limits?", run=per_flight(run)
+)

@@ -1,4 +1,5 @@
-"""Small signal tools of the checks: smoothing, derivatives, shifts and correlations that leave missing samples out."""
+"""Small signal tools of the checks: smoothing, derivatives, shifts and correlations that leave
+missing samples out."""
 
 from __future__ import annotations
 
@@ -20,7 +21,9 @@ def smoothed(values: FloatArray, half: int) -> FloatArray:
     if half == 0 or values.shape[0] < width:
         return values.copy() if half == 0 else out
     known = np.isfinite(values)
-    total = np.cumsum(np.vstack([np.zeros((1, values.shape[1])), np.where(known, values, 0.0)]), axis=0)
+    total = np.cumsum(
+        np.vstack([np.zeros((1, values.shape[1])), np.where(known, values, 0.0)]), axis=0
+    )
     count = np.cumsum(np.vstack([np.zeros((1, values.shape[1])), known.astype(np.float64)]), axis=0)
     mean = (total[width:] - total[:-width]) / width
     out[half:-half] = np.where(count[width:] - count[:-width] == width, mean, np.nan)
@@ -39,7 +42,9 @@ def increments(values: FloatArray, dt: float, n: int) -> FloatArray:
     """Integral over n samples from each on, (N - n, k); missing where one of them is."""
     steps = 0.5 * (values[1:] + values[:-1]) * dt
     there = np.asarray(np.isfinite(steps).all(axis=1))
-    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(np.where(there[:, None], steps, 0.0), axis=0)])
+    total = np.vstack(
+        [np.zeros((1, values.shape[1])), np.cumsum(np.where(there[:, None], steps, 0.0), axis=0)]
+    )
     lost = np.concatenate([[0], np.cumsum(~there)])
     out = total[n:] - total[:-n]
     out[lost[n:] != lost[:-n]] = np.nan
@@ -56,7 +61,8 @@ def turned(how: str, quaternions: FloatArray, vectors: FloatArray) -> FloatArray
 
 
 def turns(quaternions: FloatArray, n: int) -> FloatArray:
-    """Rotation vector (N - n, 3) [rad] in body axes over n samples from each on, of quaternions (N, 4)."""
+    """Rotation vector (N - n, 3) [rad] in body axes over n samples from each on, of quaternions (N,
+    4)."""
     out = np.full((max(quaternions.shape[0] - n, 0), 3), np.nan)
     before, after = quaternions[:-n], quaternions[n:]
     known = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
@@ -87,7 +93,8 @@ def shifted(values: FloatArray, rows: int) -> FloatArray:
 
 
 def attitude_rate(quaternions: FloatArray, dt: float, half: int) -> FloatArray:
-    """Body rate (N, 3) [rad/s] from quaternions (N, 4): the turn over 2 half samples, divided by its time."""
+    """Body rate (N, 3) [rad/s] from quaternions (N, 4): the turn over 2 half samples, divided by
+    its time."""
     out = np.full((quaternions.shape[0], 3), np.nan)
     if quaternions.shape[0] > 2 * half:
         out[half:-half] = turns(quaternions, 2 * half) / (2 * half * dt)
@@ -97,12 +104,16 @@ def attitude_rate(quaternions: FloatArray, dt: float, half: int) -> FloatArray:
 def products(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64]) -> FloatArray:
     """Correlations (L, k, k) of the columns of a (N, k) with those of b moved later by each lag.
 
-    Normalised so that the trace of a matrix is the correlation of all columns together, and that of the matrix with its
-    columns exchanged or turned round the correlation with b exchanged or turned round. Zero where too little is known.
+    Normalised so that the trace of a matrix is the correlation of all columns together, and that of
+    the matrix with its columns exchanged or turned round the correlation with b exchanged or turned
+    round. Zero where too little is known.
     """
     n, k = a.shape
     out = np.zeros((lags.size, k, k))
-    known_a, known_b = np.asarray(np.isfinite(a).all(axis=1)), np.asarray(np.isfinite(b).all(axis=1))
+    known_a, known_b = (
+        np.asarray(np.isfinite(a).all(axis=1)),
+        np.asarray(np.isfinite(b).all(axis=1)),
+    )
     for i, lag in enumerate(lags.tolist()):
         first, last = max(lag, 0), min(n, n + lag)
         if last - first < MINIMUM:
@@ -120,10 +131,14 @@ def products(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64]) -> Float
 
 
 def windowed(
-    a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64], starts: npt.NDArray[np.int64], length: int
+    a: FloatArray,
+    b: FloatArray,
+    lags: npt.NDArray[np.int64],
+    starts: npt.NDArray[np.int64],
+    length: int,
 ) -> FloatArray:
-    """Correlations (W, L) of all columns of a (N, k) together with those of b moved later by each lag, in windows of
-    `length` rows from `starts` (W,) on. Zero where too little is known."""
+    """Correlations (W, L) of all columns of a (N, k) together with those of b moved later by each
+    lag, in windows of `length` rows from `starts` (W,) on. Zero where too little is known."""
     out = np.zeros((starts.size, lags.size))
     if not starts.size:
         return out
@@ -145,19 +160,23 @@ def windowed(
         sums = [within(v) for v in (known, x, y, x * x, y * y, x * y)]
         count, (sx, sy, xx, yy, xy) = np.maximum(sums[0], 1.0), sums[1:]
         product = (xy - sx * sy / count).sum(axis=1)
-        size = np.sqrt(np.maximum((xx - sx**2 / count).sum(axis=1) * (yy - sy**2 / count).sum(axis=1), 0.0))
+        size = np.sqrt(
+            np.maximum((xx - sx**2 / count).sum(axis=1) * (yy - sy**2 / count).sum(axis=1), 0.0)
+        )
         enough = (sums[0][:, 0] >= MINIMUM) & (size > 0)
         out[enough, i] = product[enough] / size[enough]
     return out
 
 
 def correlation(a: FloatArray, b: FloatArray) -> float:
-    """Correlation of all columns together, (N, k) each, means removed per column; 0 where too little is known."""
+    """Correlation of all columns together, (N, k) each, means removed per column; 0 where too
+    little is known."""
     return float(np.trace(products(a, b, np.zeros(1, dtype=np.int64))[0]))
 
 
 def best_lag(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64]) -> tuple[float, float]:
-    """(lag in samples, correlation) at which b, moved later by the lag, is most like a; the lag between samples too."""
+    """(lag in samples, correlation) at which b, moved later by the lag, is most like a; the lag
+    between samples too."""
     return peak(np.trace(products(a, b, lags), axis1=1, axis2=2), lags)
 
 

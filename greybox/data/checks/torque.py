@@ -1,7 +1,9 @@
-"""Regression of angular acceleration on the commands: which rotor turns the craft which way, how strongly, how late.
+"""Regression of angular acceleration on the commands: which rotor turns the craft which way, how
+strongly, how late.
 
-d(omega)/dt = B (u_i^2, late by a lag) + E (a_x, a_y) + c, per axis. The lateral specific force stands for the velocity
-of the craft (drag), whose moment would otherwise be read as a property of the rotors under feedback.
+d(omega)/dt = B (u_i^2, late by a lag) + E (a_x, a_y) + c, per axis. The lateral specific force
+stands for the velocity of the craft (drag), whose moment would otherwise be read as a property of
+the rotors under feedback.
 """
 
 from __future__ import annotations
@@ -35,8 +37,9 @@ BLOCKS = 8
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sums:
-    """Sums of the regression per axis and block, of one flight or several: `xx` (3, B, n, n) of the squared commands,
-    `xy` (3, B, n) of these and the angular acceleration. Everything else and the sum of the commands are taken out."""
+    """Sums of the regression per axis and block, of one flight or several: `xx` (3, B, n, n) of the
+    squared commands, `xy` (3, B, n) of these and the angular acceleration. Everything else and the
+    sum of the commands are taken out."""
 
     xx: FloatArray
     xy: FloatArray
@@ -58,8 +61,8 @@ class Sums:
         return np.einsum("aij,aj->ai", inverse, total.xy[:, 0])
 
     def agreement(self, promised: FloatArray) -> FloatArray:
-        """Of what the commands explain, the share (3, B) that torques in the promised directions (3, n) explain,
-        negative where they act the other way round."""
+        """Of what the commands explain, the share (3, B) that torques in the promised directions
+        (3, n) explain, negative where they act the other way round."""
         inverse = np.linalg.pinv(self.xx, rcond=1e-3, hermitian=True)
         most = np.einsum("abi,abij,abj->ab", self.xy, inverse, self.xy)
         along = np.einsum("ai,abi->ab", promised, self.xy)
@@ -70,27 +73,33 @@ class Sums:
 def joined_sums(flights: Sequence[Sums]) -> Sums:
     """The blocks of several flights together."""
     return Sums(
-        xx=np.concatenate([f.xx for f in flights], axis=1), xy=np.concatenate([f.xy for f in flights], axis=1)
+        xx=np.concatenate([f.xx for f in flights], axis=1),
+        xy=np.concatenate([f.xy for f in flights], axis=1),
     )
 
 
-def _sums(u: FloatArray, rows: npt.NDArray[np.int64], lag: int, other: FloatArray, turn: FloatArray) -> Sums:
+def _sums(
+    u: FloatArray, rows: npt.NDArray[np.int64], lag: int, other: FloatArray, turn: FloatArray
+) -> Sums:
     """Sums (1, B, ...) of one axis."""
     x = shifted(u, lag)[rows]
     basis = _basis(np.column_stack([other[rows], x.sum(axis=1)]))
     x, y = _without(basis, x), _without(basis, turn[rows, None])[:, 0]
     parts = np.array_split(np.arange(rows.size), BLOCKS)
-    return Sums(xx=np.array([[x[p].T @ x[p] for p in parts]]), xy=np.array([[x[p].T @ y[p] for p in parts]]))
+    return Sums(
+        xx=np.array([[x[p].T @ x[p] for p in parts]]), xy=np.array([[x[p].T @ y[p] for p in parts]])
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Torque:
     """Per axis (roll, pitch, yaw) how the rotors turn the craft.
 
-    `gains` (3, n) [rad/s^2 per u^2] of each rotor, `lag` (3,) [s] at which they explain most, `share` (3,) of variance
-    that they explain beyond everything else, `sums` of the regression over blocks of time. These use lags that a craft
-    can have; `searched_lag` [s] and `searched_share` are the best of roll and pitch together over all lags, and
-    `plausible_share` the best of these over the plausible ones.
+    `gains` (3, n) [rad/s^2 per u^2] of each rotor, `lag` (3,) [s] at which they explain most,
+    `share` (3,) of variance that they explain beyond everything else, `sums` of the regression over
+    blocks of time. These use lags that a craft can have; `searched_lag` [s] and `searched_share`
+    are the best of roll and pitch together over all lags, and `plausible_share` the best of these
+    over the plausible ones.
     """
 
     gains: FloatArray
@@ -105,14 +114,23 @@ class Torque:
     def misaligned(self) -> bool:
         """Whether commands and motion fit clearly better at a lag that no craft has."""
         outside = not -1e-9 <= self.searched_lag <= LARGEST_LAG + 1e-9
-        return outside and self.searched_share > CLEARLY * self.plausible_share and self.searched_share > 0.15
+        return (
+            outside
+            and self.searched_share > CLEARLY * self.plausible_share
+            and self.searched_share > 0.15
+        )
 
 
 def _solve(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Least squares (k, 3); directions that the data hardly move (below 1 % of the largest) get no gain."""
+    """Least squares (k, 3); directions that the data hardly move (below 1 % of the largest) get no
+    gain."""
     scale = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
     scaled = x / scale
-    return np.asarray(np.linalg.pinv(scaled.T @ scaled, rcond=1e-4, hermitian=True) @ (scaled.T @ y) / scale[:, None])
+    return np.asarray(
+        np.linalg.pinv(scaled.T @ scaled, rcond=1e-4, hermitian=True)
+        @ (scaled.T @ y)
+        / scale[:, None]
+    )
 
 
 _KNOWN: weakref.WeakKeyDictionary[View, Torque | None] = weakref.WeakKeyDictionary()
@@ -154,7 +172,10 @@ def _regression(view: View) -> Torque | None:
         gains[i] = b.T
     plausible = np.flatnonzero((lags >= 0) & (lags * dt <= LARGEST_LAG + 1e-9))
     best = plausible[shares[plausible].argmax(axis=0)]
-    sums = [_sums(u, np.flatnonzero(known), int(lags[best[axis]]), other, turn[:, axis]) for axis in range(3)]
+    sums = [
+        _sums(u, np.flatnonzero(known), int(lags[best[axis]]), other, turn[:, axis])
+        for axis in range(3)
+    ]
     axes = np.arange(3)
     both = shares[:, :2].mean(axis=1)
     return Torque(
@@ -181,7 +202,8 @@ def _without(basis: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def expected_signs(view: View) -> FloatArray:
-    """Direction of the torque of each rotor, (3, n), rows roll, pitch, yaw, zero mean and unit length where not zero.
+    """Direction of the torque of each rotor, (3, n), rows roll, pitch, yaw, zero mean and unit
+    length where not zero.
 
     Lift at (x, y) gives (y, -x); the drag torque of a rotor is -spin.
     """

@@ -1,4 +1,5 @@
-"""View: one flight as the checks see it: the raw rows, and its airborne part on a uniform clock of at most 250 Hz."""
+"""View: one flight as the checks see it: the raw rows, and its airborne part on a uniform clock of
+at most 250 Hz."""
 
 from __future__ import annotations
 
@@ -115,10 +116,13 @@ class View:
     @property
     def time(self) -> FloatArray:
         """Log time of the rows of `joined` (N,) [s], NaN between segments."""
-        return self._stack([s.t[:, None] for s in self.flight.segments] if self.flight else [])[:, 0]
+        return self._stack([s.t[:, None] for s in self.flight.segments] if self.flight else [])[
+            :, 0
+        ]
 
     def joined(self, names: Sequence[str]) -> FloatArray:
-        """The airborne samples (N, len(names)) of all segments, with stretches of NaN between them."""
+        """The airborne samples (N, len(names)) of all segments, with stretches of NaN between
+        them."""
         return self._stack([s.matrix(names) for s in self.flight.segments] if self.flight else [])
 
     def _stack(self, parts: Sequence[FloatArray]) -> FloatArray:

@@ -1,7 +1,7 @@
 """Log formats: the calls that turn a file of any format into a conditioned flight.
 
-Files are read in greybox.data.readers, one file per format; units and frames of the contract are made there and in
-`canonical`.
+Files are read in greybox.data.readers, one file per format; units and frames of the contract are
+made there and in `canonical`.
 """
 
 from __future__ import annotations
@@ -23,20 +23,31 @@ __all__ = ["RawLog", "Table", "read_log", "read_logs", "read_possible", "read_ta
 Path = str | os.PathLike[str]
 
 
-def read_table(path: Path, vehicle: Airframe | None = None, *, mapping: Path | LogMapping | None = None) -> RawLog:
+def read_table(
+    path: Path, vehicle: Airframe | None = None, *, mapping: Path | LogMapping | None = None
+) -> RawLog:
     """Read a log of any format into canonical channels on its own clock, which is not judged here.
 
-    `mapping` is a mapping file (schema "greybox.mapping/1") that says which fields are which channels, for logs whose
-    names greybox does not know; what it leaves open the vehicle's `columns` say. Raises `DataError` or
-    `UnknownNameError` where the file is not a log of this vehicle.
+    `mapping` is a mapping file (schema "greybox.mapping/1") that says which fields are which
+    channels, for logs whose names greybox does not know; what it leaves open the vehicle's
+    `columns` say. Raises `DataError` or `UnknownNameError` where the file is not a log of this
+    vehicle.
     """
-    return to_channels(read_columns(path, mapping_for(vehicle, mapping)), vehicle, where=os.fspath(path))
+    return to_channels(
+        read_columns(path, mapping_for(vehicle, mapping)), vehicle, where=os.fspath(path)
+    )
 
 
 def mapping_for(vehicle: Airframe | None, mapping: Path | LogMapping | None) -> LogMapping:
-    """What a mapping file (or its path) and the vehicle's `columns` say of a log; the file comes first. Raises
-    `DataError`, `UnknownNameError`."""
-    said = mapping if isinstance(mapping, LogMapping) else LogMapping() if mapping is None else read_mapping(mapping)
+    """What a mapping file (or its path) and the vehicle's `columns` say of a log; the file comes
+    first. Raises `DataError`, `UnknownNameError`."""
+    said = (
+        mapping
+        if isinstance(mapping, LogMapping)
+        else LogMapping()
+        if mapping is None
+        else read_mapping(mapping)
+    )
     return said if vehicle is None else said.over(vehicle.columns)
 
 
@@ -47,9 +58,11 @@ def read_possible(
     mapping: Path | LogMapping | None = None,
     keep_impossible: bool = False,
 ) -> RawLog:
-    """`read_table` with samples that this vehicle cannot have made as missing cells, listed in `removed`.
+    """`read_table` with samples that this vehicle cannot have made as missing cells, listed in
+    `removed`.
 
-    The door by which every command and `read_logs` get logs; a data-fault check looks at `read_table`.
+    The door by which every command and `read_logs` get logs; a data-fault check looks at
+    `read_table`.
     """
     raw = read_table(path, vehicle, mapping=mapping)
     return raw if vehicle is None or keep_impossible else without_impossible(raw, vehicle)
@@ -65,13 +78,15 @@ def read_log(
     mapping: Path | LogMapping | None = None,
     keep_impossible: bool = False,
 ) -> Flight:
-    """Read one log of any format and condition it: uniform clock, gaps as missing cells or breaks, airborne part only.
+    """Read one log of any format and condition it: uniform clock, gaps as missing cells or breaks,
+    airborne part only.
 
-    `rate` [Hz] resamples to that rate (None: the log's own); `trim=False` keeps take-off and landing; `max_gap` [s] is
-    the longest stretch without samples inside a segment. Samples that the vehicle cannot have made become missing and are
-    listed in `removed` (`keep_impossible`: they stay). The flight's `notes` say what was done. The flight is named after
-    the file. Without a vehicle only the column `t` is demanded. Raises `DataError`, also where time goes back or
-    stands still, and `UnknownNameError` for a column that the vehicle names and the log has not.
+    `rate` [Hz] resamples to that rate (None: the log's own); `trim=False` keeps take-off and
+    landing; `max_gap` [s] is the longest stretch without samples inside a segment. Samples that the
+    vehicle cannot have made become missing and are listed in `removed` (`keep_impossible`: they
+    stay). The flight's `notes` say what was done. The flight is named after the file. Without a
+    vehicle only the column `t` is demanded. Raises `DataError`, also where time goes back or stands
+    still, and `UnknownNameError` for a column that the vehicle names and the log has not.
     """
     raw = read_possible(path, vehicle, mapping=mapping, keep_impossible=keep_impossible)
     return condition(raw, vehicle, rate=rate, trim=trim, max_gap=max_gap, where=os.fspath(path))
@@ -87,7 +102,8 @@ def read_logs(
     mapping: Path | LogMapping | None = None,
     keep_impossible: bool = False,
 ) -> Dataset:
-    """Read several logs of one vehicle (see `read_log`) into a data set. Raises `DataError` for equal file names."""
+    """Read several logs of one vehicle (see `read_log`) into a data set. Raises `DataError` for
+    equal file names."""
     if mapping is not None and not isinstance(mapping, LogMapping):
         mapping = read_mapping(mapping)
     return Dataset(

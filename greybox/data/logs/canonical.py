@@ -1,4 +1,5 @@
-"""From a table to canonical channels: what is needed must be there, and every value must be a number."""
+"""From a table to canonical channels: what is needed must be there, and every value must be a
+number."""
 
 from __future__ import annotations
 
@@ -12,18 +13,23 @@ from greybox.errors import DataError
 
 
 def to_channels(table: Table, vehicle: Airframe | None, *, where: str) -> RawLog:
-    """The columns of a table that are channels; the others are kept. Without a vehicle only `t` is demanded.
+    """The columns of a table that are channels; the others are kept. Without a vehicle only `t` is
+    demanded.
 
-    Raises `DataError` for fewer than two rows, no value or text in a needed column, an infinite value, or a column that is
-    not there (`t`, and with a vehicle every command).
+    Raises `DataError` for fewer than two rows, no value or text in a needed column, an infinite
+    value, or a column that is not there (`t`, and with a vehicle every command).
     """
     if table.rows.size < 2:
-        raise DataError(f"{table.rows.size} row", where=where, expected="at least 2", fix="export the whole log")
+        raise DataError(
+            f"{table.rows.size} row", where=where, expected="at least 2", fix="export the whole log"
+        )
     wanted = _wanted(table, vehicle)
     notes: list[str] = list(table.notes)
     channels: dict[str, FloatArray] = {}
     empty: list[str] = []
-    needed = {TIME} | (set() if vehicle is None else set(group_names("command", len(vehicle.rotors))))
+    needed = {TIME} | (
+        set() if vehicle is None else set(group_names("command", len(vehicle.rotors)))
+    )
     for name in (TIME, *wanted):
         if name not in table.columns:
             if name in needed:
@@ -33,8 +39,11 @@ def to_channels(table: Table, vehicle: Airframe | None, *, where: str) -> RawLog
         if not np.isfinite(values).any():
             column = table.origins.get(name, name)
             if name in needed:
-                raise DataError(f"column '{column}' ({name}) holds no value", where=where,
-                                fix="log it, or name another column")  # fmt: skip
+                raise DataError(
+                    f"column '{column}' ({name}) holds no value",
+                    where=where,
+                    fix="log it, or name another column",
+                )
             empty.append(name)
             notes.append(f"channel {name}: column '{column}' holds no value; left out")
             continue
@@ -44,10 +53,15 @@ def to_channels(table: Table, vehicle: Airframe | None, *, where: str) -> RawLog
     if missing.size:
         raise DataError(
             f"{missing.size} time stamp(s) missing",
-            where=f"{where}, row {table.rows[missing[0]]}, column '{table.origins.get(TIME, TIME)}'",
+            where=f"{where}, row {table.rows[missing[0]]}, column "
+            f"'{table.origins.get(TIME, TIME)}'",
             fix="delete the rows without a time",
         )
-    extra = {name: column for name, column in table.columns.items() if name != TIME and name not in wanted}
+    extra = {
+        name: column
+        for name, column in table.columns.items()
+        if name != TIME and name not in wanted
+    }
     if extra:
         notes.append("columns kept but not used: " + ", ".join(extra))
     return RawLog(
@@ -77,9 +91,11 @@ def _absent(name: str, table: Table, where: str) -> DataError:
         f"no column '{name}' for {'the time' if name == TIME else f'the command {name}'}",
         where=where,
         got=f"columns {known}",
-        fix="`greybox inspect` says what the log lacks and how to log it; a mapping file can name it"
+        fix="`greybox inspect` says what the log lacks and how to log it; a mapping file can name "
+        "it"
         if table.canonical
-        else f"log it, or say in [columns] of the vehicle file, or in a mapping file, which column is {name}",
+        else "log it, or say in [columns] of the vehicle file, or in a mapping file, which column "
+        f"is {name}",
     )
 
 
@@ -92,7 +108,8 @@ def _values(table: Table, name: str, where: str) -> FloatArray:
     if infinite.size:
         raise DataError(
             f"{infinite.size} infinite value(s), or larger than any sensor writes ({LARGEST:.2g})",
-            where=f"{where}, row {table.rows[infinite[0]]}, column '{table.origins.get(name, name)}' ({name})",
+            where=f"{where}, row {table.rows[infinite[0]]}, column "
+            f"'{table.origins.get(name, name)}' ({name})",
             fix="leave the cell empty where the value is missing",
         )
     return values

@@ -1,4 +1,5 @@
-"""Reader of comma-separated logs, plain or gzip: header row, numbers, empty cell or nan = missing."""
+"""Reader of comma-separated logs, plain or gzip: header row, numbers, empty cell or nan =
+missing."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ _GZIP_MAGIC = b"\x1f\x8b"
 
 
 def read_csv(path: str | os.PathLike[str]) -> Table:
-    """Read a CSV file. Raises `DataError`, with file, row and column, where it is not one table of a header and rows.
+    """Read a CSV file. Raises `DataError`, with file, row and column, where it is not one table of
+    a header and rows.
 
     A file is read as gzip when it begins like one, whatever its name.
     """
@@ -33,7 +35,9 @@ def read_csv(path: str | os.PathLike[str]) -> Table:
     lines = text.splitlines()
     numbers = [i for i, line in enumerate(lines) if line.strip()]
     if not numbers:
-        raise DataError("the file is empty", where=where, fix="export the log again, with a header row")
+        raise DataError(
+            "the file is empty", where=where, fix="export the log again, with a header row"
+        )
     header = _header(lines[numbers[0]], where, numbers[0] + 1)
     body = [lines[i] for i in numbers[1:]]
     if not body:
@@ -51,13 +55,21 @@ def _content(path: str | os.PathLike[str], where: str) -> tuple[bytes, str]:
     except FileNotFoundError:
         raise DataError("no such log", where=where, fix="check the path") from None
     except IsADirectoryError:
-        raise DataError("a folder, not a log", where=where, fix="name the log files in it") from None
+        raise DataError(
+            "a folder, not a log", where=where, fix="name the log files in it"
+        ) from None
     except OSError as error:
-        raise DataError(f"cannot read: {error.strerror or error}", where=where, fix="check the permissions") from None
+        raise DataError(
+            f"cannot read: {error.strerror or error}", where=where, fix="check the permissions"
+        ) from None
     digest = hashlib.sha256(content).hexdigest()
     packed = content.startswith(_GZIP_MAGIC)
     if where.endswith(".gz") and not packed:
-        raise DataError("not a gzip file, in spite of its name", where=where, fix="rename it, or compress it again")
+        raise DataError(
+            "not a gzip file, in spite of its name",
+            where=where,
+            fix="rename it, or compress it again",
+        )
     if packed:
         try:
             most = allowance(path) // 4  # text, numbers and what lies between them
@@ -65,11 +77,15 @@ def _content(path: str | os.PathLike[str], where: str) -> tuple[bytes, str]:
                 content = stream.read(most + 1)
             if len(content) > most:
                 raise DataError(
-                    f"the gzip file unpacks to more than {most / 2**20:.0f} MiB", where=where, fix="cut the log into pieces"
+                    f"the gzip file unpacks to more than {most / 2**20:.0f} MiB",
+                    where=where,
+                    fix="cut the log into pieces",
                 )
         except (OSError, EOFError, zlib.error) as error:
             raise DataError(
-                f"the gzip file is damaged ({error})", where=where, fix="copy or compress the log again"
+                f"the gzip file is damaged ({error})",
+                where=where,
+                fix="copy or compress the log again",
             ) from None
     return content, digest
 
@@ -81,7 +97,10 @@ def _text(content: bytes, where: str) -> str:
         return content.decode("utf-8-sig")
     except ValueError:
         raise DataError(
-            "not a text file", where=where, expected="a CSV file in UTF-8", fix="convert the log to CSV first"
+            "not a text file",
+            where=where,
+            expected="a CSV file in UTF-8",
+            fix="convert the log to CSV first",
         ) from None
 
 
@@ -98,15 +117,21 @@ def _header(line: str, where: str, row: int) -> list[str]:
     for delimiter, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
         if line.count(delimiter) >= max(len(cells), 1):
             raise DataError(
-                f"columns are separated by {name}", where=f"{where}, row {row}", fix="export the log with commas"
+                f"columns are separated by {name}",
+                where=f"{where}, row {row}",
+                fix="export the log with commas",
             )
     if len(cells) == 1 and len(cells[0].split()) > 1:
         raise DataError(
-            "columns are separated by spaces", where=f"{where}, row {row}", fix="export the log with commas"
+            "columns are separated by spaces",
+            where=f"{where}, row {row}",
+            fix="export the log with commas",
         )
     if all(_is_number(c) for c in cells):
         raise DataError(
-            "no header row: the first row holds numbers", where=f"{where}, row {row}", fix="add the column names"
+            "no header row: the first row holds numbers",
+            where=f"{where}, row {row}",
+            fix="add the column names",
         )
     header = [c or f"unnamed{i + 1}" for i, c in enumerate(cells)]
     double = sorted({c for c in header if header.count(c) > 1})
@@ -122,7 +147,9 @@ def _header(line: str, where: str, row: int) -> list[str]:
 def _numeric(body: list[str], header: list[str]) -> dict[str, npt.NDArray[Any]] | None:
     """The fast path: every cell is a number. None where it is not."""
     try:
-        values = np.loadtxt(body, delimiter=",", comments=None, quotechar='"', ndmin=2, dtype=np.float64)
+        values = np.loadtxt(
+            body, delimiter=",", comments=None, quotechar='"', ndmin=2, dtype=np.float64
+        )
     except ValueError:
         return None
     if values.shape != (len(body), len(header)):
@@ -130,12 +157,16 @@ def _numeric(body: list[str], header: list[str]) -> dict[str, npt.NDArray[Any]] 
     return {name: np.ascontiguousarray(values[:, j]) for j, name in enumerate(header)}
 
 
-def _cells(body: list[str], width: int, rows: npt.NDArray[np.int64], where: str) -> Iterator[list[str]]:
+def _cells(
+    body: list[str], width: int, rows: npt.NDArray[np.int64], where: str
+) -> Iterator[list[str]]:
     for line, row in zip(body, rows, strict=True):
         try:
             cells = next(csv.reader([line], skipinitialspace=True, strict=True))
         except csv.Error as error:
-            raise DataError(f"not a CSV row ({error})", where=f"{where}, row {row}", fix="close the quotes") from None
+            raise DataError(
+                f"not a CSV row ({error})", where=f"{where}, row {row}", fix="close the quotes"
+            ) from None
         if len(cells) != width:
             raise DataError(
                 f"{len(cells)} cells",
@@ -149,7 +180,8 @@ def _cells(body: list[str], width: int, rows: npt.NDArray[np.int64], where: str)
 def _careful(
     body: list[str], header: list[str], rows: npt.NDArray[np.int64], where: str
 ) -> dict[str, npt.NDArray[Any]]:
-    """The slow path: empty cells become NaN, a column with text stays text, a ragged row is an error."""
+    """The slow path: empty cells become NaN, a column with text stays text, a ragged row is an
+    error."""
     columns = zip(*_cells(body, len(header), rows, where), strict=True)
     out: dict[str, npt.NDArray[Any]] = {}
     for name, cells in zip(header, columns, strict=True):

@@ -15,11 +15,13 @@ from greybox.errors import DataError, printable
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Table:
-    """Columns of one file under their own names: float64 (NaN = empty cell), or text where a cell is not a number.
+    """Columns of one file under their own names: float64 (NaN = empty cell), or text where a cell
+    is not a number.
 
-    `rows` (N,) are the line numbers in the file, for messages. `canonical` tables are in channels, units and frames of
-    the contract already; `noncausal` and `notes` are then the reader's, and `origins` maps channels to the columns of the
-    file, where that is one table. `seconds` names the columns whose type says that they are times.
+    `rows` (N,) are the line numbers in the file, for messages. `canonical` tables are in channels,
+    units and frames of the contract already; `noncausal` and `notes` are then the reader's, and
+    `origins` maps channels to the columns of the file, where that is one table. `seconds` names the
+    columns whose type says that they are times.
     """
 
     columns: Mapping[str, npt.NDArray[Any]]
@@ -54,7 +56,8 @@ def _first_text(table: Table, column: npt.NDArray[Any]) -> tuple[int, str]:
 
 
 def flight_name(path: str | Path) -> str:
-    """Name of the flight of a log file: the file name without .csv or .csv.gz (or its last suffix)."""
+    """Name of the flight of a log file: the file name without .csv or .csv.gz (or its last
+    suffix)."""
     name = printable(Path(path).name)  # it is printed, and a name of a file may hold anything
     if name.endswith(".gz"):
         name = name[: -len(".gz")]

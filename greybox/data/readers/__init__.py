@@ -1,7 +1,8 @@
-"""Readers of logs as they come: one file per format, each with one `FORMAT`; a new format is one file and one line here.
+"""Readers of logs as they come: one file per format, each with one `FORMAT`; a new format is one
+file and one line here.
 
-A format is recognised by the first bytes of the file, then by its ending; everything else is read as CSV. Libraries of
-a format are imported when a file of it is read (the extra `logs`).
+A format is recognised by the first bytes of the file, then by its ending; everything else is read
+as CSV. Libraries of a format are imported when a file of it is read (the extra `logs`).
 """
 
 from __future__ import annotations
@@ -12,7 +13,14 @@ from pathlib import Path
 
 from greybox.data.logs.table import Table
 from greybox.data.readers.ardupilot import FORMAT as ARDUPILOT
-from greybox.data.readers.assemble import assemble, choose, clock_of, describe, in_channels, stream_of_table
+from greybox.data.readers.assemble import (
+    assemble,
+    choose,
+    clock_of,
+    describe,
+    in_channels,
+    stream_of_table,
+)
 from greybox.data.readers.betaflight import FORMAT as BETAFLIGHT
 from greybox.data.readers.crazyflie import FORMAT as CRAZYFLIE
 from greybox.data.readers.csv_table import FORMAT as CSV
@@ -55,13 +63,19 @@ FORMATS: tuple[LogFormat, ...] = (
 
 
 def format_of(path: str | os.PathLike[str]) -> LogFormat:
-    """The format of a log, by its first bytes, then by its ending. Raises `DataError` where there is no such file."""
+    """The format of a log, by its first bytes, then by its ending. Raises `DataError` where there
+    is no such file."""
     where = Path(path)
     head = b""
     if not where.is_dir():
-        # opening a pipe waits for who writes it, and what was read of one is gone when the reader begins
+        # opening a pipe waits for who writes it, and what was read of one is gone when the reader
+        # begins
         if where.exists() and not where.is_file():
-            raise DataError("a pipe or a device, not a file", where=str(path), fix="write the log into a file first")
+            raise DataError(
+                "a pipe or a device, not a file",
+                where=str(path),
+                fix="write the log into a file first",
+            )
         try:
             with where.open("rb") as stream:
                 head = stream.read(512)
@@ -69,7 +83,9 @@ def format_of(path: str | os.PathLike[str]) -> LogFormat:
             raise DataError("no such log", where=str(path), fix="check the path") from None
         except OSError as error:
             raise DataError(
-                f"cannot read: {error.strerror or error}", where=str(path), fix="check the permissions"
+                f"cannot read: {error.strerror or error}",
+                where=str(path),
+                fix="check the permissions",
             ) from None
     for one in FORMATS:
         if one.recognise(where, head):
@@ -88,15 +104,23 @@ def read_recording(path: str | os.PathLike[str], mapping: LogMapping | None = No
     table: Table = one.table(path)
     found = stream_of_table(table, mapping or LogMapping(), where=where)
     return Recording(
-        format=one.name, source=found.source, sha256=found.sha256, streams=found.streams, sources=found.sources
+        format=one.name,
+        source=found.source,
+        sha256=found.sha256,
+        streams=found.streams,
+        sources=found.sources,
     )
 
 
-def read_columns(path: str | os.PathLike[str], mapping: str | os.PathLike[str] | LogMapping | None = None) -> Table:
-    """A log of any format as one table. Logs that are a table keep their own columns where no mapping is given.
+def read_columns(
+    path: str | os.PathLike[str], mapping: str | os.PathLike[str] | LogMapping | None = None
+) -> Table:
+    """A log of any format as one table. Logs that are a table keep their own columns where no
+    mapping is given.
 
-    All others, and all with a mapping (a `LogMapping` or the path of its file), come in canonical channels; what no
-    channel is made of stays in a table. Raises `DataError` and `UnknownNameError`.
+    All others, and all with a mapping (a `LogMapping` or the path of its file), come in canonical
+    channels; what no channel is made of stays in a table. Raises `DataError` and
+    `UnknownNameError`.
     """
     if mapping is not None and not isinstance(mapping, LogMapping):
         mapping = read_mapping(mapping)

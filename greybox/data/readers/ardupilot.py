@@ -1,11 +1,13 @@
 """ArduPilot's onboard logs (DataFlash, .bin).
 
-Layout (ArduPilot, libraries/AP_Logger), little endian: every message is 0xA3, 0x95, a type byte, and a body whose length
-and fields a message of type 0x80 (FMT: type, length of the whole, name, a letter per field, names of fields) gave before.
-Units and axes are those of the published list of messages: body axes forward, right, down; world axes north, east, down.
+Layout (ArduPilot, libraries/AP_Logger), little endian: every message is 0xA3, 0x95, a type byte,
+and a body whose length and fields a message of type 0x80 (FMT: type, length of the whole, name, a
+letter per field, names of fields) gave before. Units and axes are those of the published list of
+messages: body axes forward, right, down; world axes north, east, down.
 
-The reader is our own: the library that others use (pymavlink) parses in C what a file declares, prints what it skips, and
-makes one Python object a message. The tests hold one against the other. No log of a real flight was read with it yet.
+The reader is our own: the library that others use (pymavlink) parses in C what a file declares,
+prints what it skips, and makes one Python object a message. The tests hold one against the other.
+No log of a real flight was read with it yet.
 """
 
 from __future__ import annotations
@@ -17,17 +19,41 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from greybox.data.readers.recording import LogFormat, Recording, Source, Stream, checked_file, damaged
+from greybox.data.readers.recording import (
+    LogFormat,
+    Recording,
+    Source,
+    Stream,
+    checked_file,
+    damaged,
+)
 from greybox.errors import DataError
 
 _HEAD = b"\xa3\x95"
 _FMT, _FMT_LENGTH = 0x80, 89
 _LETTERS: Mapping[str, tuple[str, float]] = {
-    "b": ("i1", 1.0), "B": ("u1", 1.0), "h": ("<i2", 1.0), "H": ("<u2", 1.0), "i": ("<i4", 1.0), "I": ("<u4", 1.0),
-    "q": ("<i8", 1.0), "Q": ("<u8", 1.0), "g": ("<f2", 1.0), "f": ("<f4", 1.0), "d": ("<f8", 1.0), "M": ("u1", 1.0),
-    "c": ("<i2", 1e-2), "C": ("<u2", 1e-2), "e": ("<i4", 1e-2), "E": ("<u4", 1e-2), "L": ("<i4", 1e-7),
-    "n": ("S4", 0.0), "N": ("S16", 0.0), "Z": ("S64", 0.0), "a": ("V64", 0.0),
-}  # fmt: skip
+    "b": ("i1", 1.0),
+    "B": ("u1", 1.0),
+    "h": ("<i2", 1.0),
+    "H": ("<u2", 1.0),
+    "i": ("<i4", 1.0),
+    "I": ("<u4", 1.0),
+    "q": ("<i8", 1.0),
+    "Q": ("<u8", 1.0),
+    "g": ("<f2", 1.0),
+    "f": ("<f4", 1.0),
+    "d": ("<f8", 1.0),
+    "M": ("u1", 1.0),
+    "c": ("<i2", 1e-2),
+    "C": ("<u2", 1e-2),
+    "e": ("<i4", 1e-2),
+    "E": ("<u4", 1e-2),
+    "L": ("<i4", 1e-7),
+    "n": ("S4", 0.0),
+    "N": ("S16", 0.0),
+    "Z": ("S64", 0.0),
+    "a": ("V64", 0.0),
+}
 """Letter of a field -> (NumPy type, factor); 0: no number."""
 _INSTANCE = ("I", "C", "Inst", "Instance")
 """Fields that tell which of several sensors or estimators a message is of."""
@@ -52,7 +78,9 @@ def read_ardupilot(path: Path) -> Recording:
     with damaged(where, "an ArduPilot log"):
         data = path.read_bytes()
         if not data.startswith(_HEAD + bytes([_FMT])):
-            raise DataError("no ArduPilot log", where=where, expected="a message that declares messages first")
+            raise DataError(
+                "no ArduPilot log", where=where, expected="a message that declares messages first"
+            )
         kinds, places, refused, skipped = _messages(data)
         streams: dict[str, Stream] = {}
         parameters: dict[str, float] = {}
@@ -78,14 +106,18 @@ def read_ardupilot(path: Path) -> Recording:
 def _notes(refused: list[str], skipped: int) -> Iterator[str]:
     """What of the log was not read."""
     if refused:
-        yield f"messages {', '.join(refused)} are not read: what they declare contradicts itself or is of no known kind"
+        yield (
+            f"messages {', '.join(refused)} are not read: what they declare contradicts itself "
+            "or is of no known kind"
+        )
     if skipped:
         yield f"{skipped} bytes between messages are not read: the log is damaged"
 
 
 def _messages(data: bytes) -> tuple[dict[int, _Kind], dict[int, list[int]], list[str], int]:
-    """(types of messages, where the bodies of each begin, names of those that are declared as nothing that can be read,
-    bytes that are of no message). The latter are passed over whole: what looks like a message inside them is none."""
+    """(types of messages, where the bodies of each begin, names of those that are declared as
+    nothing that can be read, bytes that are of no message). The latter are passed over whole: what
+    looks like a message inside them is none."""
     kinds: dict[int, _Kind] = {}
     refused: dict[int, str] = {}
     lengths = {_FMT: _FMT_LENGTH}
@@ -111,7 +143,9 @@ def _messages(data: bytes) -> tuple[dict[int, _Kind], dict[int, list[int]], list
                 if kind is not None:
                     kinds[declared] = kind
                 else:
-                    refused[declared] = body[2:6].split(b"\0")[0].decode("ascii", "replace") or f"{declared:#x}"
+                    refused[declared] = (
+                        body[2:6].split(b"\0")[0].decode("ascii", "replace") or f"{declared:#x}"
+                    )
         elif number in kinds:
             places.setdefault(number, []).append(at + 3)
         else:
@@ -123,7 +157,10 @@ def _messages(data: bytes) -> tuple[dict[int, _Kind], dict[int, list[int]], list
 def _declared(body: bytes) -> _Kind | None:
     """What a FMT message declares; None for one that contradicts itself."""
     length = body[1]
-    texts = [part.split(b"\0")[0].decode("ascii", "replace") for part in (body[2:6], body[6:22], body[22:86])]
+    texts = [
+        part.split(b"\0")[0].decode("ascii", "replace")
+        for part in (body[2:6], body[6:22], body[22:86])
+    ]
     name, letters = texts[0], texts[1]
     names = texts[2].split(",")
     if len(names) != len(letters) or len(set(names)) < len(names) or set(letters) - set(_LETTERS):
@@ -162,7 +199,11 @@ def _streams(kind: _Kind, table: npt.NDArray[np.void]) -> Iterator[Stream]:
         yield Stream(
             name=kind.name + label,
             t=part[clock].astype(np.float64) * (1e-6 if clock == "TimeUS" else 1e-3),
-            fields={n: part[n].astype(np.float64) * s for n, s in scales.items() if s and n not in (clock, which)},
+            fields={
+                n: part[n].astype(np.float64) * s
+                for n, s in scales.items()
+                if s and n not in (clock, which)
+            },
             kind=kind.name,
             clock="microseconds since boot" if clock == "TimeUS" else "milliseconds since boot",
             unread=tuple(n for n, s in scales.items() if not s),
@@ -173,11 +214,25 @@ _CHOICES: tuple[tuple[str, str, tuple[str, ...], str, str, str], ...] = (
     # group, message, fields, unit, frame, note
     ("rate", "IMU", ("GyrX", "GyrY", "GyrZ"), "rad/s", "FRD", "low-pass filtered by the firmware"),
     ("rate", "GYR", ("GyrX", "GyrY", "GyrZ"), "rad/s", "FRD", "as sampled"),
-    ("specific_force", "IMU", ("AccX", "AccY", "AccZ"), "m/s^2", "FRD", "low-pass filtered by the firmware"),
+    (
+        "specific_force",
+        "IMU",
+        ("AccX", "AccY", "AccZ"),
+        "m/s^2",
+        "FRD",
+        "low-pass filtered by the firmware",
+    ),
     ("specific_force", "ACC", ("AccX", "AccY", "AccZ"), "m/s^2", "FRD", "as sampled"),
     ("attitude", "XKQ", ("Q1", "Q2", "Q3", "Q4"), "1", "FRD/NED", "estimate"),
     ("attitude", "NKQ", ("Q1", "Q2", "Q3", "Q4"), "1", "FRD/NED", "estimate"),
-    ("attitude", "ATT", ("Roll", "Pitch", "Yaw"), "deg", "FRD/NED", "estimate, in steps of 0.01 deg"),
+    (
+        "attitude",
+        "ATT",
+        ("Roll", "Pitch", "Yaw"),
+        "deg",
+        "FRD/NED",
+        "estimate, in steps of 0.01 deg",
+    ),
     ("position", "XKF1", ("PN", "PE", "PD"), "m", "NED", "estimate"),
     ("position", "NKF1", ("PN", "PE", "PD"), "m", "NED", "estimate"),
     ("velocity", "XKF1", ("VN", "VE", "VD"), "m/s", "NED", "estimate"),
@@ -191,8 +246,12 @@ def _sources(streams: Mapping[str, Stream], parameters: Mapping[str, float]) -> 
     for group, message, fields, unit, frame, note in _CHOICES:
         for stream in (message, f"{message}[0]"):
             if stream in streams and set(fields) <= set(streams[stream].fields):
-                yield Source(group=group, stream=stream, fields=fields, unit=unit, frame=frame, note=note)
-    outputs = [k for k in range(1, 15) if MOTOR1 <= parameters.get(f"SERVO{k}_FUNCTION", 0.0) < MOTOR1 + 8]
+                yield Source(
+                    group=group, stream=stream, fields=fields, unit=unit, frame=frame, note=note
+                )
+    outputs = [
+        k for k in range(1, 15) if MOTOR1 <= parameters.get(f"SERVO{k}_FUNCTION", 0.0) < MOTOR1 + 8
+    ]
     outputs.sort(key=lambda k: parameters[f"SERVO{k}_FUNCTION"])
     fields = tuple(f"C{k}" for k in outputs)
     if outputs and "RCOU" in streams and set(fields) <= set(streams["RCOU"].fields):
@@ -200,7 +259,10 @@ def _sources(streams: Mapping[str, Stream], parameters: Mapping[str, float]) -> 
         told = high > low > 0
         limits = (low, high) if told else (1000.0, 2000.0)
         why = "" if told else " (assumed: the log has no MOT_PWM_MIN below MOT_PWM_MAX)"
-        note = f"PWM {limits[0]:g} to {limits[1]:g}{why}, motors 1 to {len(outputs)} as ArduPilot numbers them"
+        note = (
+            f"PWM {limits[0]:g} to {limits[1]:g}{why}, motors 1 to {len(outputs)} as ArduPilot "
+            "numbers them"
+        )
         yield Source(group="command", stream="RCOU", fields=fields, limits=limits, note=note)
 
 
@@ -212,9 +274,11 @@ FORMAT = LogFormat(
     recording=read_ardupilot,
     advice={
         "": "set bits 0 (ATTITUDE_FAST), 10 (RCOUT) and 18 (IMU_FAST) of LOG_BITMASK",
-        "command": "set bit 10 (RCOUT) of LOG_BITMASK; PWM of SERVOn with function 33 (motor 1) and on; in most versions "
+        "command": "set bit 10 (RCOUT) of LOG_BITMASK; PWM of SERVOn with function 33 (motor 1) "
+        "and on; in most versions "
         "at 10 Hz, which is too slow",
-        "rate": "set bit 18 (IMU_FAST) of LOG_BITMASK: IMU at the rate of the main loop instead of 25 Hz",
+        "rate": "set bit 18 (IMU_FAST) of LOG_BITMASK: IMU at the rate of the main loop instead of "
+        "25 Hz",
         "specific_force": "set bit 18 (IMU_FAST) of LOG_BITMASK",
         "attitude": "set bit 0 (ATTITUDE_FAST) of LOG_BITMASK",
         "position": "the estimate XKF1 comes with EKF3; log motion capture beside it",

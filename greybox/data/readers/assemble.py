@@ -1,7 +1,9 @@
-"""From a recording to one table of canonical channels: which source, its units and frames, and one clock for all.
+"""From a recording to one table of canonical channels: which source, its units and frames, and one
+clock for all.
 
-Rows are the samples of one stream (by default that of the body rate); `placing` says how others come to stand in them.
-The battery voltage, which enters a model as an input, is interpolated at any rate; a setpoint is held like a command.
+Rows are the samples of one stream (by default that of the body rate); `placing` says how others
+come to stand in them. The battery voltage, which enters a model as an input, is interpolated at any
+rate; a setpoint is held like a command.
 """
 
 from __future__ import annotations
@@ -24,22 +26,37 @@ from greybox.errors import DataError, UnknownNameError
 
 EXCITATION = "chirp"
 """Column for what the firmware added to the set points of its own accord."""
-CLOCKS = ("rate", "specific_force", "attitude", "command", "position", "velocity", "rotor_speed", "battery")
+CLOCKS = (
+    "rate",
+    "specific_force",
+    "attitude",
+    "command",
+    "position",
+    "velocity",
+    "rotor_speed",
+    "battery",
+)
 """Groups whose stream gives the rows, the first that is there."""
 
 FAST_ENOUGH = 100.0
 """A source of at least this rate [Hz] is not passed over for a faster one that is liked less."""
 
 BY_RATE = ("command", "rate", "specific_force")
-"""Groups whose sources compete by rate. Poses and velocities do not: those of another origin have another world frame."""
+"""Groups whose sources compete by rate. Poses and velocities do not: those of another origin have
+another world frame."""
 
-_TIMES = ("t", "time", *(f"{stem}_{unit}" for stem in ("time", "t", "timestamp") for unit in TIME_UNITS))
-"""Columns that are the time unasked: seconds, or the unit that the name states. A bare "timestamp" may be in any unit
-unless its type says so."""
+_TIMES = (
+    "t",
+    "time",
+    *(f"{stem}_{unit}" for stem in ("time", "t", "timestamp") for unit in TIME_UNITS),
+)
+"""Columns that are the time unasked: seconds, or the unit that the name states. A bare "timestamp"
+may be in any unit unless its type says so."""
 
 
 def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recording:
-    """A log that is one table, as a recording of one stream. Raises `DataError` where no column is the time."""
+    """A log that is one table, as a recording of one stream. Raises `DataError` where no column is
+    the time."""
     numbers = {k: v for k, v in table.columns.items() if v.dtype.kind == "f"}
     called = {k.lower(): k for k in reversed(numbers)}
     named = mapping.time_field
@@ -50,18 +67,25 @@ def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recordi
     if name is None or name not in numbers:
         if name is not None and name not in table.columns:
             raise UnknownNameError("column", name, table.columns, where=f"{where}: the time")
-        raise DataError("no column 't' for the time", where=where, got=f"columns {', '.join(list(table.columns)[:12])}",
-                        fix="say field and unit of [time] in a mapping file (docs/logs.md)")  # fmt: skip
+        raise DataError(
+            "no column 't' for the time",
+            where=where,
+            got=f"columns {', '.join(list(table.columns)[:12])}",
+            fix="say field and unit of [time] in a mapping file (docs/logs.md)",
+        )
     if mapping.time_field is not None and named is None:
         mapping = LogMapping()  # what it says is said of a column that is not there
     unit, factor = mapping.time_unit, mapping.time_scale
     if unit is None:  # a scale alone is the whole way to seconds
         stated = factor is not None or name in table.seconds
-        unit = "s" if stated else next((u for u in TIME_UNITS if name.lower().endswith("_" + u)), "s")
+        unit = (
+            "s" if stated else next((u for u in TIME_UNITS if name.lower().endswith("_" + u)), "s")
+        )
     text = tuple(k for k in table.columns if k not in numbers)
     stream = Stream(
         name=TABLE,
-        t=numbers[name] * (TIME_UNITS[unit] * (1.0 if factor is None else factor)) + (mapping.time_offset or 0.0),
+        t=numbers[name] * (TIME_UNITS[unit] * (1.0 if factor is None else factor))
+        + (mapping.time_offset or 0.0),
         fields=numbers,
         clock=f"column {name} [{unit}]",
         unread=text,
@@ -73,12 +97,17 @@ def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recordi
         if names and all(k in numbers for k in names):
             sources.append(Source(group=group, stream=TABLE, fields=names))
     return Recording(
-        format="table", source=table.source, sha256=table.sha256, streams={TABLE: stream}, sources=tuple(sources)
+        format="table",
+        source=table.source,
+        sha256=table.sha256,
+        streams={TABLE: stream},
+        sources=tuple(sources),
     )
 
 
 def usable(recording: Recording, source: Source) -> bool:
-    """Whether the recording holds the source: its stream has samples, and all its fields some value."""
+    """Whether the recording holds the source: its stream has samples, and all its fields some
+    value."""
     stream = recording.streams.get(source.stream)
     if stream is None or stream.n < 2:
         return False
@@ -87,10 +116,11 @@ def usable(recording: Recording, source: Source) -> bool:
 
 
 def choose(recording: Recording, mapping: LogMapping | None = None) -> dict[str, Source]:
-    """The source of every group that the log has. The mapping decides; else the first good one whose rate will do.
+    """The source of every group that the log has. The mapping decides; else the first good one
+    whose rate will do.
 
-    Raises `UnknownNameError` for a stream or field of the mapping that the log has not, `DataError` for one without
-    values.
+    Raises `UnknownNameError` for a stream or field of the mapping that the log has not, `DataError`
+    for one without values.
     """
     mapping, _ = present(recording, mapping or LogMapping())
     used = mapping.names
@@ -108,7 +138,13 @@ def choose(recording: Recording, mapping: LogMapping | None = None) -> dict[str,
             wanted = mapping.preferred[group]
             good = [s for s in good if s.stream == wanted]
             if not good:
-                known = sorted({s.stream for s in recording.sources if s.group == group and usable(recording, s)})
+                known = sorted(
+                    {
+                        s.stream
+                        for s in recording.sources
+                        if s.group == group and usable(recording, s)
+                    }
+                )
                 raise UnknownNameError("stream", wanted, known, where=f"{mapping.where}: {group}")
         if good:
             rates = [recording.streams[s.stream].rate for s in good]
@@ -119,10 +155,11 @@ def choose(recording: Recording, mapping: LogMapping | None = None) -> dict[str,
 
 
 def present(recording: Recording, mapping: LogMapping) -> tuple[LogMapping, tuple[str, ...]]:
-    """(the mapping without what is optional and not in the log, one note for each that was left out).
+    """(the mapping without what is optional and not in the log, one note for each that was left
+    out).
 
-    Where a table has none of the columns of a group, those of our names are taken. Raises `UnknownNameError` for a rotor
-    whose command alone is not there.
+    Where a table has none of the columns of a group, those of our names are taken. Raises
+    `UnknownNameError` for a rotor whose command alone is not there.
     """
     gone: set[str] = set()
     notes: list[str] = []
@@ -137,18 +174,29 @@ def present(recording: Recording, mapping: LogMapping) -> tuple[LogMapping, tupl
             if name not in (None, TABLE):
                 notes.append(f"the log has no stream {name} for the {group}")
         elif source is not None:
-            there = [f if f.lstrip("-") in {*stream.fields, *stream.unread} else "" for f in source.fields]
+            there = [
+                f if f.lstrip("-") in {*stream.fields, *stream.unread} else ""
+                for f in source.fields
+            ]
             lost = [f.lstrip("-") for f, t in zip(source.fields, there, strict=True) if f and not t]
             if group == "command" and lost and any(there):
                 channels = group_names(group, len(there))
-                raise UnknownNameError("column", lost[0], stream.fields,
-                                       where=f"{recording.source}: the command {channels[there.index('')]}")  # fmt: skip
+                raise UnknownNameError(
+                    "column",
+                    lost[0],
+                    stream.fields,
+                    where=f"{recording.source}: the command {channels[there.index('')]}",
+                )
             if lost:
                 notes.append(f"the log has no {', '.join(lost)} for the {group}")
             sources[group] = replace(source, fields=tuple(there))
             if not any(there):
                 gone.add(group)
-    clock = None if "clock" in mapping.optional and mapping.clock not in recording.streams else mapping.clock
+    clock = (
+        None
+        if "clock" in mapping.optional and mapping.clock not in recording.streams
+        else mapping.clock
+    )
     kept = replace(
         mapping,
         sources={g: s for g, s in sources.items() if g not in gone},
@@ -169,19 +217,29 @@ def _demanded(recording: Recording, source: Source, where: str, *, empty: bool =
         if name.lstrip("-") not in stream.fields:
             if name.lstrip("-") in stream.unread:
                 raise DataError(f"field '{name}' of {stream.name} holds no numbers", where=place)
-            raise UnknownNameError("field", name.lstrip("-"), stream.fields, where=f"{place}, stream {stream.name}")
+            raise UnknownNameError(
+                "field", name.lstrip("-"), stream.fields, where=f"{place}, stream {stream.name}"
+            )
     if not empty and not usable(recording, source):
-        raise DataError(f"stream {stream.name} holds no values there", where=place, fix="name another stream")
+        raise DataError(
+            f"stream {stream.name} holds no values there", where=place, fix="name another stream"
+        )
     return source
 
 
-def clock_of(recording: Recording, chosen: Mapping[str, Source], mapping: LogMapping | None = None) -> Source:
-    """The source whose stream gives the rows. Raises `DataError` where no channel is known, `UnknownNameError`."""
+def clock_of(
+    recording: Recording, chosen: Mapping[str, Source], mapping: LogMapping | None = None
+) -> Source:
+    """The source whose stream gives the rows. Raises `DataError` where no channel is known,
+    `UnknownNameError`."""
     named = mapping.clock if mapping else None
     if named is not None:
         if named not in recording.streams:
             raise UnknownNameError(
-                "stream", named, recording.streams, where=f"{mapping.where if mapping else ''}: clock"
+                "stream",
+                named,
+                recording.streams,
+                where=f"{mapping.where if mapping else ''}: clock",
             )
         own = next((s for s in chosen.values() if s.stream == named), None)
         return own or Source(group="", stream=named, fields=())
@@ -197,7 +255,8 @@ def clock_of(recording: Recording, chosen: Mapping[str, Source], mapping: LogMap
 
 
 def assemble(recording: Recording, mapping: LogMapping | None = None) -> Table:
-    """One table of canonical channels. Raises `DataError` and `UnknownNameError` (see `choose`, `clock_of`)."""
+    """One table of canonical channels. Raises `DataError` and `UnknownNameError` (see `choose`,
+    `clock_of`)."""
     # Damaged logs hold numbers of any size; what overflows is infinite and refused by name later.
     with np.errstate(all="ignore"):
         return _assembled(recording, mapping)
@@ -209,7 +268,11 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
     clock = clock_of(recording, chosen, mapping)
     base = recording.streams[clock.stream]
     if base.n < 2:
-        raise DataError(f"stream {base.name} has {base.n} samples", where=recording.source, expected="at least 2")
+        raise DataError(
+            f"stream {base.name} has {base.n} samples",
+            where=recording.source,
+            expected="at least 2",
+        )
     # The columns of a table that nobody named stand at its stamps.
     early = 0.0 if base.name == TABLE else clock.delay
     rows = base.t - early
@@ -230,9 +293,13 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
         t, values = (rows, values) if direct else _increasing(stream.t - source.delay, values)
         apart = "" if direct else _apart(t, rows)
         if apart:
-            said = f"{describe(source, stream)}: another clock than the rows of {base.name}: {apart}"
+            said = (
+                f"{describe(source, stream)}: another clock than the rows of {base.name}: {apart}"
+            )
             if group == "command":
-                raise DataError(said, where=recording.source, fix=f"set [{group}] delay in a mapping file")
+                raise DataError(
+                    said, where=recording.source, fix=f"set [{group}] delay in a mapping file"
+                )
             notes.append(f"left out, {said}; set [{group}] delay in a mapping file")
             continue
         if group == "attitude":
@@ -241,16 +308,22 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
             if attitude is None:
                 notes.append("velocity in body axes left out: there is no attitude to turn it")
                 continue
-            values = _rotations("rotate", _unit(at_rows(attitude[0], attitude[1], t, stream.step)), values)
+            values = _rotations(
+                "rotate", _unit(at_rows(attitude[0], attitude[1], t, stream.step)), values
+            )
         if direct:
             placed = values
         elif group in ("command", "setpoint"):
             placed = commands_at(t, values, rows, base.step, stream.step)
         else:
-            placed = at_rows(t, values, rows, base.step, step=stream.step, sparse=group != "battery")
+            placed = at_rows(
+                t, values, rows, base.step, step=stream.step, sparse=group != "battery"
+            )
             if group == "attitude":
                 turned = _unit(placed)
-                placed = np.where(np.isnan(turned), placed, turned) if stream.name == TABLE else turned
+                placed = (
+                    np.where(np.isnan(turned), placed, turned) if stream.name == TABLE else turned
+                )
         if infinite.any() and not direct and stream.name == TABLE:
             placed = np.where(infinite, np.inf, placed)  # refused later by the number of its row
         names = group_names(group, values.shape[1])
@@ -260,7 +333,8 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
         notes.append(describe(source, stream))
         if group == "command" and stream.rate < 0.6 * base.rate and stream.rate < 90:
             notes.append(
-                f"commands were logged at {stream.rate:.3g} Hz only: what was sent between two of them is not known, "
+                f"commands were logged at {stream.rate:.3g} Hz only: what was sent between two of "
+                "them is not known, "
                 "and the fit will be poor (`greybox inspect` says what to set)"
             )
     if recording.excitation is not None and recording.excitation.size == rows.size:
@@ -314,8 +388,8 @@ def _rotations(name: str, *arrays: FloatArray) -> FloatArray:
 def converted(stream: Stream, source: Source) -> FloatArray:
     """Values (N, K) of a source in our units and frames, row by row; velocity may be in body axes.
 
-    What is infinite, or a quaternion not of unit length, is missing, but in a table, where it is judged later by the
-    number of its row.
+    What is infinite, or a quaternion not of unit length, is missing, but in a table, where it is
+    judged later by the number of its row.
     """
     columns = []
     for name in source.fields:
@@ -355,8 +429,8 @@ def _increasing(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArr
 def in_channels(table: Table, mapping: LogMapping) -> Table:
     """A table with columns of its own, in canonical channels as a mapping says.
 
-    Rows, their numbers and their stamps stay, and so do columns that are no channel of a group that is named. Raises
-    `DataError` and `UnknownNameError` (see `assemble`).
+    Rows, their numbers and their stamps stay, and so do columns that are no channel of a group that
+    is named. Raises `DataError` and `UnknownNameError` (see `assemble`).
     """
     if table.rows.size < 2:
         return table  # refused later, as one without a mapping
@@ -372,7 +446,10 @@ def in_channels(table: Table, mapping: LogMapping) -> Table:
     sources = {g: s for g, s in choose(recording, mapping).items() if g in told}
     own = replace(table, columns={}, canonical=True, notes=absent)
     if sources:
-        own = assemble(replace(recording, sources=tuple(s for s in recording.sources if s.group in told)), mapping)
+        own = assemble(
+            replace(recording, sources=tuple(s for s in recording.sources if s.group in told)),
+            mapping,
+        )
     origins: dict[str, str] = {}
     for group, source in sources.items():
         names = group_names(group, len(source.fields))
@@ -382,7 +459,11 @@ def in_channels(table: Table, mapping: LogMapping) -> Table:
     used = {*mapping.names, *read, *(n for g in told for n in group_names(g, 99))}
     return replace(
         own,
-        columns={**own.columns, "t": stream.t, **{n: c for n, c in table.columns.items() if n not in used | {"t"}}},
+        columns={
+            **own.columns,
+            "t": stream.t,
+            **{n: c for n, c in table.columns.items() if n not in used | {"t"}},
+        },
         rows=table.rows,
         origins=origins,
         notes=tuple(n for n in own.notes if not n.startswith("t = 0 is ")),
@@ -390,11 +471,13 @@ def in_channels(table: Table, mapping: LogMapping) -> Table:
 
 
 def other_frame(values: FloatArray, group: str, frame: str) -> FloatArray:
-    """Values (N, K) of a group in one of its `FRAMES` turned to ours, or ours to it: each turn is its own inverse."""
+    """Values (N, K) of a group in one of its `FRAMES` turned to ours, or ours to it: each turn is
+    its own inverse."""
     if group == "attitude":
         if frame != "FRD/NED":
             return values
-        # v_ENU = R(earth) v_NED and v_FRD = R(body) v_FLU are turns by pi about (1, 1, 0) and about x.
+        # v_ENU = R(earth) v_NED and v_FRD = R(body) v_FLU are turns by pi about (1, 1, 0) and about
+        # x.
         half = np.sqrt(0.5)
         earth = np.tile([0.0, half, half, 0.0], (len(values), 1))
         body = np.tile([0.0, 1.0, 0.0, 0.0], (len(values), 1))

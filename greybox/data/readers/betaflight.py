@@ -1,9 +1,10 @@
 """Betaflight (and Cleanflight) blackbox files by orangebox.
 
-The flight controller's axes are forward, left, up, with the yaw rate counter-clockwise. Fields: time [us],
-gyroADC [deg/s] (header gyro_scale: rad/us or deg/s per count in old logs), accSmooth [1 g = header acc_1G], motor[i]
-(header motorOutput: range), eRPM[i] [100 electrical rpm; header motor_poles], vbatLatest [0.01 V since Betaflight 4.0].
-Motors are numbered as on the flight controller: 1 rear right, 2 front right, 3 rear left, 4 front left on a quad X.
+The flight controller's axes are forward, left, up, with the yaw rate counter-clockwise. Fields:
+time [us], gyroADC [deg/s] (header gyro_scale: rad/us or deg/s per count in old logs), accSmooth [1
+g = header acc_1G], motor[i] (header motorOutput: range), eRPM[i] [100 electrical rpm; header
+motor_poles], vbatLatest [0.01 V since Betaflight 4.0]. Motors are numbered as on the flight
+controller: 1 rear right, 2 front right, 3 rear left, 4 front left on a quad X.
 """
 
 from __future__ import annotations
@@ -17,7 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.readers.recording import LogFormat, Recording, Source, Stream, checked_file, damaged, library
+from greybox.data.readers.recording import (
+    LogFormat,
+    Recording,
+    Source,
+    Stream,
+    checked_file,
+    damaged,
+    library,
+)
 from greybox.errors import DataError
 
 _MAGIC = b"H Product:Blackbox"
@@ -25,7 +34,8 @@ MOST_FLIGHTS = 64
 """Flights in one file that are looked at."""
 
 LONGEST = 200_000_000
-"""Files of more bytes than this are refused: a flash chip or a card holds no such log of one craft."""
+"""Files of more bytes than this are refused: a flash chip or a card holds no such log of one
+craft."""
 
 
 def read_betaflight(path: Path) -> Recording:
@@ -33,7 +43,11 @@ def read_betaflight(path: Path) -> Recording:
     where = str(path)
     digest = checked_file(path)
     if path.stat().st_size > LONGEST:
-        raise DataError("a file of more than 200 MB", where=where, fix="cut it into its flights (bbsplit of orangebox)")
+        raise DataError(
+            "a file of more than 200 MB",
+            where=where,
+            fix="cut it into its flights (bbsplit of orangebox)",
+        )
     library("orangebox", where=where, what="a blackbox file")
     logging.getLogger("orangebox").addHandler(logging.NullHandler())
     box = library("orangebox.parser", where=where, what="a blackbox file")
@@ -51,22 +65,40 @@ def read_betaflight(path: Path) -> Recording:
             if best is None or len(frames.rows) > len(best[0].rows):
                 best = (frames, parser, index)
         if best is None or len(best[0].rows) < 2:
-            raise DataError("no frames in it", where=where, fix="copy the log again; log from arming to disarming")
+            raise DataError(
+                "no frames in it",
+                where=where,
+                fix="copy the log again; log from arming to disarming",
+            )
         frames, parser, index = best
         names = list(parser.field_names)
         table = _numbers(frames.rows, len(names))
         headers: Mapping[str, Any] = parser.headers
-    fields = {n: np.ascontiguousarray(table[:, j]) for j, n in enumerate(names) if j < table.shape[1]}
+    fields = {
+        n: np.ascontiguousarray(table[:, j]) for j, n in enumerate(names) if j < table.shape[1]
+    }
     if "time" not in fields:
-        raise DataError("no field 'time'", where=where, got=", ".join(names[:8]), fix="copy the log again")
-    stream = Stream(name="main", t=fields["time"] * 1e-6, fields=fields, kind="I and P frames", clock="microseconds")
+        raise DataError(
+            "no field 'time'", where=where, got=", ".join(names[:8]), fix="copy the log again"
+        )
+    stream = Stream(
+        name="main",
+        t=fields["time"] * 1e-6,
+        fields=fields,
+        kind="I and P frames",
+        clock="microseconds",
+    )
     notes = [f"flight {index} of the {count} in the file (the longest)"] if count > 1 else []
     if frames.before:
         notes.append(
-            f"{frames.before} frame(s) before the first whole one are left out: they are differences to nothing"
+            f"{frames.before} frame(s) before the first whole one are left out: they are "
+            "differences to nothing"
         )
     if not frames.whole:
-        notes.append("the log ends in the middle of a frame, or is damaged from there on; it is read up to it")
+        notes.append(
+            "the log ends in the middle of a frame, or is damaged from there on; it is read up to "
+            "it"
+        )
     sources, said = _sources(fields, headers)
     return Recording(
         format="betaflight",
@@ -86,8 +118,9 @@ PHASE = 5000.0
 
 @dataclass(frozen=True, kw_only=True)
 class _Frames:
-    """The values of all I and P frames from the first I frame up to the first frame that the parser cannot get over;
-    `before` counts P frames before it, which are differences to nothing; `whole` tells whether the parser came through."""
+    """The values of all I and P frames from the first I frame up to the first frame that the parser
+    cannot get over; `before` counts P frames before it, which are differences to nothing; `whole`
+    tells whether the parser came through."""
 
     rows: list[Any]
     before: int
@@ -109,7 +142,8 @@ def _frames(parser: Any) -> _Frames:
 
 
 def _numbers(rows: list[Any], width: int) -> Any:
-    """Frames as a matrix (N, K) of the main fields (slow and GPS fields may follow in a row; a short row ends in NaN)."""
+    """Frames as a matrix (N, K) of the main fields (slow and GPS fields may follow in a row; a
+    short row ends in NaN)."""
     width = min(width, max(len(r) for r in rows))
     table = np.full((len(rows), width), np.nan)
     for i, row in enumerate(rows):
@@ -126,17 +160,28 @@ def _info(headers: Mapping[str, Any]) -> dict[str, str]:
         "Board information": "board",
         "looptime": "looptime",
     }
-    shown |= {"debug_mode": "debug_mode", "P interval": "P interval", "blackbox_sample_rate": "blackbox_sample_rate"}
-    # The chirp that Betaflight (2025.12 on) can add to the rate setpoints: amplitudes, frequencies, time.
+    shown |= {
+        "debug_mode": "debug_mode",
+        "P interval": "P interval",
+        "blackbox_sample_rate": "blackbox_sample_rate",
+    }
+    # The chirp that Betaflight (2025.12 on) can add to the rate setpoints: amplitudes, frequencies,
+    # time.
     shown |= {key: key for key in headers if str(key).startswith("chirp_")}
-    return {label: str(headers[key]) for key, label in shown.items() if headers.get(key) not in (None, "")}
+    return {
+        label: str(headers[key])
+        for key, label in shown.items()
+        if headers.get(key) not in (None, "")
+    }
 
 
 def _number(value: Any) -> float | None:
     return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 
-def _sources(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> tuple[list[Source], list[str]]:
+def _sources(
+    fields: Mapping[str, Any], headers: Mapping[str, Any]
+) -> tuple[list[Source], list[str]]:
     return list(_found(fields, headers)), list(_warned(fields, headers))
 
 
@@ -148,44 +193,76 @@ def _found(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Iterator[So
     for prefix, note in (("gyroADC", "low-pass filtered by the firmware"), ("gyroUnfilt", "")):
         names = tuple(f"{prefix}[{i}]" for i in range(3))
         yield Source(
-            group="rate", stream="main", fields=names, unit="deg/s", frame="FLU", scale=_gyro_scale(headers), note=note
+            group="rate",
+            stream="main",
+            fields=names,
+            unit="deg/s",
+            frame="FLU",
+            scale=_gyro_scale(headers),
+            note=note,
         )
     one_g = _number(headers.get("acc_1G"))
     if one_g:
         names = tuple(f"accSmooth[{i}]" for i in range(3))
-        yield Source(group="specific_force", stream="main", fields=names, unit="g", frame="FLU", scale=1.0 / one_g)
+        yield Source(
+            group="specific_force",
+            stream="main",
+            fields=names,
+            unit="g",
+            frame="FLU",
+            scale=1.0 / one_g,
+        )
     if _major(headers) >= 4:
         yield Source(group="battery", stream="main", fields=("vbatLatest",), unit="V", scale=0.01)
     speeds = tuple(f"eRPM[{i}]" for i in range(8) if f"eRPM[{i}]" in fields)
     poles = _number(headers.get("motor_poles"))
     if speeds and poles:
-        yield Source(group="rotor_speed", stream="main", fields=speeds, unit="rpm", scale=200.0 / poles,
-                     note=f"{poles:g} poles")  # fmt: skip
+        yield Source(
+            group="rotor_speed",
+            stream="main",
+            fields=speeds,
+            unit="rpm",
+            scale=200.0 / poles,
+            note=f"{poles:g} poles",
+        )
 
 
 def _warned(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Iterator[str]:
     if "motor[0]" in fields and not _limits(headers):
-        yield "the range of the motor outputs is not in the header; give [command] limits in a mapping file"
+        yield (
+            "the range of the motor outputs is not in the header; give [command] limits in a "
+            "mapping file"
+        )
     if "debug[0]" in fields and any(str(key).startswith("chirp_") for key in headers):
         yield (
-            "where debug_mode is CHIRP, debug[0] is 5000 times the phase of the chirp [rad], 0 while there is none; "
+            "where debug_mode is CHIRP, debug[0] is 5000 times the phase of the chirp [rad], 0 "
+            "while there is none; "
             "it goes into the rate setpoint, so that commands hold it closed-loop"
         )
     if "vbatLatest" in fields and _major(headers) < 4:
-        yield "vbatLatest has no fixed unit before Betaflight 4.0; give [battery] scale in a mapping file"
+        yield (
+            "vbatLatest has no fixed unit before Betaflight 4.0; give [battery] scale in a "
+            "mapping file"
+        )
     if "eRPM[0]" in fields and not _number(headers.get("motor_poles")):
         yield "motor_poles is not in the header; give [rotor_speed] scale in a mapping file"
 
 
 def _chirp(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Any:
-    """Sine of the chirp's phase (N,), 0 while there is none; None where debug[0] is not the phase (the number of debug_mode
-    differs between versions, so that its values tell: a phase below a turn that only goes on)."""
+    """Sine of the chirp's phase (N,), 0 while there is none; None where debug[0] is not the phase
+    (the number of debug_mode differs between versions, so that its values tell: a phase below a
+    turn that only goes on)."""
     if "debug[0]" not in fields or not any(str(key).startswith("chirp_") for key in headers):
         return None
     phase = fields["debug[0]"] / PHASE
     on = phase > 0
     ahead = (np.diff(phase) % (2 * np.pi))[on[1:] & on[:-1]]
-    if not ahead.size or phase.min() < 0 or phase.max() > 2 * np.pi + 0.01 or np.mean(ahead < np.pi) < 0.95:
+    if (
+        not ahead.size
+        or phase.min() < 0
+        or phase.max() > 2 * np.pi + 0.01
+        or np.mean(ahead < np.pi) < 0.95
+    ):
         return None
     return np.sin(phase)
 
@@ -194,14 +271,17 @@ def _limits(headers: Mapping[str, Any]) -> tuple[float, float] | None:
     """Range of the motor outputs: motorOutput (low, high), else minthrottle and maxthrottle."""
     both = headers.get("motorOutput")
     pair = (
-        both if isinstance(both, list) and len(both) == 2 else [headers.get("minthrottle"), headers.get("maxthrottle")]
+        both
+        if isinstance(both, list) and len(both) == 2
+        else [headers.get("minthrottle"), headers.get("maxthrottle")]
     )
     low, high = _number(pair[0]), _number(pair[1])
     return (low, high) if low is not None and high is not None and high > low else None
 
 
 def _gyro_scale(headers: Mapping[str, Any]) -> float:
-    """Degrees per second per count. The header holds a float's bits: 1.0 (already deg/s), or rad/us (Cleanflight)."""
+    """Degrees per second per count. The header holds a float's bits: 1.0 (already deg/s), or rad/us
+    (Cleanflight)."""
     raw = headers.get("gyro_scale", headers.get("gyro.scale"))
     try:
         bits = int(raw, 16) if isinstance(raw, str) else int(raw) if raw is not None else 0
@@ -214,7 +294,8 @@ def _gyro_scale(headers: Mapping[str, Any]) -> float:
 
 
 def _major(headers: Mapping[str, Any]) -> int:
-    """Major version of Betaflight; 0 for other firmware. Versions named by year (2025.12) count as newer than 4."""
+    """Major version of Betaflight; 0 for other firmware. Versions named by year (2025.12) count as
+    newer than 4."""
     match = re.match(r"Betaflight.*?(\d+)\.\d+", str(headers.get("Firmware revision", "")))
     return int(match[1]) if match else 0
 
@@ -227,12 +308,17 @@ FORMAT = LogFormat(
     recording=read_betaflight,
     libraries=("orangebox",),
     advice={
-        "": "set blackbox_sample_rate = 1/2 or 1/4 (1 kHz or more); blackbox_device = SDCARD or SPIFLASH",
-        "command": "set blackbox_disable_motors = OFF; motor[i] is after the mixer (leave vbat_sag_compensation as flown)",
-        "rotor_speed": "set dshot_bidir = ON and blackbox_disable_rpm = OFF, with the right motor_poles",
-        "battery": "set blackbox_disable_bat = OFF with a voltage sensor (battery_meter = ADC or ESC)",
+        "": "set blackbox_sample_rate = 1/2 or 1/4 (1 kHz or more); blackbox_device = SDCARD or "
+        "SPIFLASH",
+        "command": "set blackbox_disable_motors = OFF; motor[i] is after the mixer (leave "
+        "vbat_sag_compensation as flown)",
+        "rotor_speed": "set dshot_bidir = ON and blackbox_disable_rpm = OFF, with the right "
+        "motor_poles",
+        "battery": "set blackbox_disable_bat = OFF with a voltage sensor (battery_meter = ADC or "
+        "ESC)",
         "attitude": "not read from blackbox files; log motion capture or an estimator beside it",
-        "rate": "set blackbox_disable_gyro = OFF; gyroUnfilt needs Betaflight 4.5, before that debug_mode = GYRO_SCALED",
+        "rate": "set blackbox_disable_gyro = OFF; gyroUnfilt needs Betaflight 4.5, before that "
+        "debug_mode = GYRO_SCALED",
         "specific_force": "set acc_hardware = AUTO and blackbox_disable_acc = OFF",
         "position": "GPS alone is too coarse; log motion capture beside it",
         "velocity": "GPS alone is too coarse; log motion capture beside it",

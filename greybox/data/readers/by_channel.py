@@ -1,5 +1,6 @@
-"""The form of `[columns]` before 0.1.0, one entry per channel (`p = { name = "gyro_x", scale = 0.0174 }`), in the dialect
-of `mapping`. Vehicle files that speak it are read until 0.2.0 and say so; what a model file holds is read for good.
+"""The form of `[columns]` before 0.1.0, one entry per channel (`p = { name = "gyro_x", scale =
+0.0174 }`), in the dialect of `mapping`. Vehicle files that speak it are read until 0.2.0 and say
+so; what a model file holds is read for good.
 """
 
 from __future__ import annotations
@@ -7,7 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from greybox.data.channel import GROUPS, TIME, canonical_names, group_names, is_canonical, rotor_index
+from greybox.data.channel import (
+    GROUPS,
+    TIME,
+    canonical_names,
+    group_names,
+    is_canonical,
+    rotor_index,
+)
 from greybox.errors import DataError, UnknownNameError
 
 _KEYS: Mapping[str, Any] = {"name": "", "scale": 1.0, "offset": 0.0, "causal": True}
@@ -19,8 +27,8 @@ def is_by_channel(content: Mapping[str, Any]) -> bool:
 
 
 def by_group(content: Mapping[str, Any], rotors: int, *, where: str) -> dict[str, Any]:
-    """The same in the dialect of `mapping`. A channel without an entry keeps its own name; of a group one of whose channels
-    was smoothed none starts a prediction.
+    """The same in the dialect of `mapping`. A channel without an entry keeps its own name; of a
+    group one of whose channels was smoothed none starts a prediction.
 
     Raises `DataError` and `UnknownNameError`, which name the file and the key.
     """
@@ -29,18 +37,25 @@ def by_group(content: Mapping[str, Any], rotors: int, *, where: str) -> dict[str
     for key, value in content.items():
         if key not in known:
             if is_canonical(key) and rotor_index(key) is not None:
-                raise DataError(f"the vehicle has {rotors} rotors", where=f"{where}.{key}",
-                                fix="add the [[rotor]] or drop the column")  # fmt: skip
+                raise DataError(
+                    f"the vehicle has {rotors} rotors",
+                    where=f"{where}.{key}",
+                    fix="add the [[rotor]] or drop the column",
+                )
             raise UnknownNameError("channel", key, known, where=where)
         entry = {"name": value} if isinstance(value, str) else value
         if not isinstance(entry, Mapping):
-            raise DataError("a name or a table is needed here", where=f"{where}.{key}", got=repr(value)[:60])
+            raise DataError(
+                "a name or a table is needed here", where=f"{where}.{key}", got=repr(value)[:60]
+            )
         for name in entry:
             if name not in _KEYS:
                 raise UnknownNameError("key", name, _KEYS, where=f"{where}.{key}")
         entries[key] = {**_KEYS, "name": key, **entry}
         if not isinstance(entries[key]["name"], str):
-            raise DataError("'name' is not a text", where=f"{where}.{key}", got=repr(entries[key]["name"])[:60])
+            raise DataError(
+                "'name' is not a text", where=f"{where}.{key}", got=repr(entries[key]["name"])[:60]
+            )
     taken = [e["name"] for e in entries.values()]
     out: dict[str, Any] = {}
     if TIME in entries:
@@ -54,9 +69,17 @@ def by_group(content: Mapping[str, Any], rotors: int, *, where: str) -> dict[str
 
 
 def _time(entry: Mapping[str, Any]) -> dict[str, Any]:
-    unit = {1e-3: "ms", 1e-6: "us", 1e-9: "ns"}.get(entry["scale"]) if _number(entry["scale"]) else None
+    unit = (
+        {1e-3: "ms", 1e-6: "us", 1e-9: "ns"}.get(entry["scale"])
+        if _number(entry["scale"])
+        else None
+    )
     said: dict[str, Any] = {"field": entry["name"], "unit": unit or "s"}
-    return said | {k: entry[k] for k in ("scale", "offset") if entry[k] != _KEYS[k] and not (k == "scale" and unit)}
+    return said | {
+        k: entry[k]
+        for k in ("scale", "offset")
+        if entry[k] != _KEYS[k] and not (k == "scale" and unit)
+    }
 
 
 def _table(entries: list[dict[str, Any]]) -> dict[str, Any]:
@@ -71,7 +94,9 @@ def _table(entries: list[dict[str, Any]]) -> dict[str, Any]:
         if any(v != _KEYS[key] for v in values):
             out[key] = values[0] if all(v == values[0] for v in values) else values
     if any(e["causal"] is not True for e in entries):
-        out["causal"] = next((e["causal"] for e in entries if not isinstance(e["causal"], bool)), False)
+        out["causal"] = next(
+            (e["causal"] for e in entries if not isinstance(e["causal"], bool)), False
+        )
     return out
 
 

@@ -1,9 +1,10 @@
 """Crazyflie logs of the micro-SD card deck: the binary format of the firmware's usddeck.
 
-Layout (Bitcraze, crazyflie-firmware, src/deck/drivers/src/usddeck.c and tools/usdlog), little endian: byte 0xBC; version
-uint16 (1 or 2); number of event types uint16; per type: id uint16, name ending in 0, number of variables uint16, per
-variable "name(c)" ending in 0 with c its type as in Python's struct. Then events: id uint16, stamp (version 1: uint32
-milliseconds, version 2: uint64 microseconds), the packed variables. The last four bytes are the CRC-32 of all before.
+Layout (Bitcraze, crazyflie-firmware, src/deck/drivers/src/usddeck.c and tools/usdlog), little
+endian: byte 0xBC; version uint16 (1 or 2); number of event types uint16; per type: id uint16, name
+ending in 0, number of variables uint16, per variable "name(c)" ending in 0 with c its type as in
+Python's struct. Then events: id uint16, stamp (version 1: uint32 milliseconds, version 2: uint64
+microseconds), the packed variables. The last four bytes are the CRC-32 of all before.
 """
 
 from __future__ import annotations
@@ -16,7 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.data.readers.recording import LogFormat, Recording, Source, Stream, checked_file, damaged
+from greybox.data.readers.recording import (
+    LogFormat,
+    Recording,
+    Source,
+    Stream,
+    checked_file,
+    damaged,
+)
 from greybox.errors import DataError
 
 _MAGIC = 0xBC
@@ -32,12 +40,17 @@ class _Event:
 
 
 def read_crazyflie(path: Path) -> Recording:
-    """Read a log of the micro-SD deck. Raises `DataError`; a log that was cut off is read as far as it goes."""
+    """Read a log of the micro-SD deck. Raises `DataError`; a log that was cut off is read as far as
+    it goes."""
     where = str(path)
     digest = checked_file(path)
     data = path.read_bytes()
     if not _recognise(path, data[:512]):
-        raise DataError("no log of the Crazyflie's SD card", where=where, expected="byte 0xBC and version 1 or 2 first")
+        raise DataError(
+            "no log of the Crazyflie's SD card",
+            where=where,
+            expected="byte 0xBC and version 1 or 2 first",
+        )
     notes = []
     with damaged(where, "a Crazyflie log"):
         whole = len(data) > 9 and zlib.crc32(data[:-4]) == int.from_bytes(data[-4:], "little")
@@ -46,23 +59,32 @@ def read_crazyflie(path: Path) -> Recording:
         rows, end = _events(body, start, version, events)
         if not whole:
             notes.append(
-                f"the check sum is wrong: the log was cut off or damaged; {len(body) - end} bytes at its end are not read"
+                f"the check sum is wrong: the log was cut off or damaged; {len(body) - end} bytes "
+                "at its end are not read"
             )
         streams = {}
         for event in events.values():
             stamps, values = rows[event.name]
             if stamps:
-                table = np.array(values, dtype=np.float64).reshape(len(stamps), len(event.variables))
+                table = np.array(values, dtype=np.float64).reshape(
+                    len(stamps), len(event.variables)
+                )
                 scale, unit = _VERSIONS[version][1:]
                 streams[event.name] = Stream(
                     name=event.name,
                     t=np.array(stamps, dtype=np.float64) * scale,
-                    fields={n: np.ascontiguousarray(table[:, j]) for j, n in enumerate(event.variables)},
+                    fields={
+                        n: np.ascontiguousarray(table[:, j]) for j, n in enumerate(event.variables)
+                    },
                     kind="event",
                     clock=f"{unit} since boot",
                 )
     if not streams:
-        raise DataError("a log without events", where=where, fix="copy the log again; switch logging on (usd.logging)")
+        raise DataError(
+            "a log without events",
+            where=where,
+            fix="copy the log again; switch logging on (usd.logging)",
+        )
     return Recording(
         format="crazyflie",
         source=path.name,
@@ -80,7 +102,8 @@ def _text(data: bytes, start: int) -> tuple[str, int]:
 
 
 def _header(data: bytes) -> tuple[int, dict[int, _Event], int]:
-    """(version, event types by id, where the events begin). Raises `struct.error` or `ValueError`."""
+    """(version, event types by id, where the events begin). Raises `struct.error` or
+    `ValueError`."""
     version, count = struct.unpack_from("<HH", data, 1)
     at = 5
     events: dict[int, _Event] = {}
@@ -133,19 +156,49 @@ _CHOICES: tuple[tuple[str, tuple[str, ...], str, str, str], ...] = (
         "estimate",
     ),
     ("specific_force", ("acc.x", "acc.y", "acc.z"), "g", "FLU", ""),
-    ("attitude", ("stateEstimate.qw", "stateEstimate.qx", "stateEstimate.qy", "stateEstimate.qz"), "1", "", "estimate"),
+    (
+        "attitude",
+        ("stateEstimate.qw", "stateEstimate.qx", "stateEstimate.qy", "stateEstimate.qz"),
+        "1",
+        "",
+        "estimate",
+    ),
     ("attitude", ("kalman.q0", "kalman.q1", "kalman.q2", "kalman.q3"), "1", "", "estimate"),
     ("attitude", ("locSrv.qw", "locSrv.qx", "locSrv.qy", "locSrv.qz"), "1", "", "external pose"),
     # The firmware's pitch is nose up.
-    ("attitude", ("stateEstimate.roll", "-stateEstimate.pitch", "stateEstimate.yaw"), "deg", "", "estimate"),
+    (
+        "attitude",
+        ("stateEstimate.roll", "-stateEstimate.pitch", "stateEstimate.yaw"),
+        "deg",
+        "",
+        "estimate",
+    ),
     ("attitude", ("stabilizer.roll", "-stabilizer.pitch", "stabilizer.yaw"), "deg", "", "estimate"),
     ("position", ("stateEstimate.x", "stateEstimate.y", "stateEstimate.z"), "m", "ENU", "estimate"),
     ("position", ("kalman.stateX", "kalman.stateY", "kalman.stateZ"), "m", "ENU", "estimate"),
     ("position", ("locSrv.x", "locSrv.y", "locSrv.z"), "m", "ENU", "external pose"),
-    ("position", ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z"), "mm", "ENU", "estimate"),
-    ("velocity", ("stateEstimate.vx", "stateEstimate.vy", "stateEstimate.vz"), "m/s", "ENU", "estimate"),
+    (
+        "position",
+        ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z"),
+        "mm",
+        "ENU",
+        "estimate",
+    ),
+    (
+        "velocity",
+        ("stateEstimate.vx", "stateEstimate.vy", "stateEstimate.vz"),
+        "m/s",
+        "ENU",
+        "estimate",
+    ),
     ("velocity", ("kalman.statePX", "kalman.statePY", "kalman.statePZ"), "m/s", "FLU", "estimate"),
-    ("velocity", ("stateEstimateZ.vx", "stateEstimateZ.vy", "stateEstimateZ.vz"), "mm/s", "ENU", "estimate"),
+    (
+        "velocity",
+        ("stateEstimateZ.vx", "stateEstimateZ.vy", "stateEstimateZ.vz"),
+        "mm/s",
+        "ENU",
+        "estimate",
+    ),
     ("battery", ("pm.vbat",), "V", "", ""),
     ("battery", ("pm.vbatMV",), "mV", "", ""),
     ("rotor_speed", ("rpm.m1", "rpm.m2", "rpm.m3", "rpm.m4"), "rpm", "", ""),
@@ -154,11 +207,15 @@ _CHOICES: tuple[tuple[str, tuple[str, ...], str, str, str], ...] = (
 )
 
 _PWM = 65535.0
-_COMMANDS = (("motor.m1", "motor.m2", "motor.m3", "motor.m4"), ("pwm.m1_pwm", "pwm.m2_pwm", "pwm.m3_pwm", "pwm.m4_pwm"))
+_COMMANDS = (
+    ("motor.m1", "motor.m2", "motor.m3", "motor.m4"),
+    ("pwm.m1_pwm", "pwm.m2_pwm", "pwm.m3_pwm", "pwm.m4_pwm"),
+)
 
 
 def _sources(streams: Mapping[str, Stream]) -> Iterator[Source]:
-    """What the log variables are, whatever event they were logged in; events with more samples first."""
+    """What the log variables are, whatever event they were logged in; events with more samples
+    first."""
     names = sorted(streams, key=lambda n: -streams[n].n)
     for motors in _COMMANDS:
         for name in names:
@@ -179,17 +236,21 @@ FORMAT = LogFormat(
     recognise=_recognise,
     recording=read_crazyflie,
     advice={
-        "": "config.txt on the SD card: 500 to 1000 Hz, one line per variable under on:fixedFrequency; keep the buffer at "
+        "": "config.txt on the SD card: 500 to 1000 Hz, one line per variable under "
+        "on:fixedFrequency; keep the buffer at "
         "512 bytes or more so that no event is lost",
         "command": "add motor.m1, motor.m2, motor.m3, motor.m4",
         "rotor_speed": "needs an RPM deck: add rpm.m1, rpm.m2, rpm.m3, rpm.m4",
         "battery": "add pm.vbat",
         "attitude": "add stateEstimate.qw, stateEstimate.qx, stateEstimate.qy, stateEstimate.qz",
-        "rate": "add gyro.x, gyro.y, gyro.z (gyro_unfiltered.x, ... without the firmware's low-pass)",
+        "rate": "add gyro.x, gyro.y, gyro.z (gyro_unfiltered.x, ... without the firmware's "
+        "low-pass)",
         "specific_force": "add acc.x, acc.y, acc.z",
-        "position": "needs a positioning system: add stateEstimate.x, stateEstimate.y, stateEstimate.z, or locSrv.x, "
+        "position": "needs a positioning system: add stateEstimate.x, stateEstimate.y, "
+        "stateEstimate.z, or locSrv.x, "
         "locSrv.y, locSrv.z for the poses that motion capture sends",
-        "velocity": "needs a positioning system: add stateEstimate.vx, stateEstimate.vy, stateEstimate.vz",
+        "velocity": "needs a positioning system: add stateEstimate.vx, stateEstimate.vy, "
+        "stateEstimate.vz",
         "setpoint": "add ctrltarget.x, ctrltarget.y, ctrltarget.z",
     },
 )

@@ -10,5 +10,8 @@ FORMAT = LogFormat(
     title="comma-separated values",
     endings=(".csv", ".csv.gz"),
     table=read_csv,
-    advice={"": "columns have the names, units and frames of docs/files.md, or a mapping file says which they are"},
+    advice={
+        "": "columns have the names, units and frames of docs/files.md, or a mapping file says "
+        "which they are"
+    },
 )

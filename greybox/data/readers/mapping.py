@@ -1,7 +1,8 @@
 """The dialect of columns: which fields of a log are which channels, where no reader knows.
 
-It is spoken in a mapping file (TOML, schema "greybox.mapping/1") and in the table `[columns]` of a vehicle file, where
-`[rate]` is called `[columns.rate]`. A mapping file must fit its logs; a vehicle file may name what some logs lack.
+It is spoken in a mapping file (TOML, schema "greybox.mapping/1") and in the table `[columns]` of a
+vehicle file, where `[rate]` is called `[columns.rate]`. A mapping file must fit its logs; a vehicle
+file may name what some logs lack.
 
     schema = "greybox.mapping/1"
     clock = "/imu"                       # stream whose stamps become the rows; default: that of the body rate
@@ -16,8 +17,9 @@ It is spoken in a mapping file (TOML, schema "greybox.mapping/1") and in the tab
     unit = "deg/s"
     frame = "FRD"
 
-A group without `fields` keeps those of the vehicle file, else the reader's own way: `stream` picks among its sources,
-`delay` and `causal` are set on the one that is taken; `use = false` leaves the group out.
+A group without `fields` keeps those of the vehicle file, else the reader's own way: `stream` picks
+among its sources, `delay` and `causal` are set on the one that is taken; `use = false` leaves the
+group out.
 """
 
 from __future__ import annotations
@@ -48,9 +50,9 @@ _PER_ROTOR = ("command", "rotor_speed")
 class LogMapping:
     """Sources per group, groups left out, clock and time column, of one file.
 
-    Of groups that keep the reader's sources, `preferred` names the stream and `changed` the delay and causality. A log
-    may lack what the groups (and "clock", "time") of `optional` name. The time [s] is `time_scale` (None: 1) times its
-    column plus `time_offset` (None: 0).
+    Of groups that keep the reader's sources, `preferred` names the stream and `changed` the delay
+    and causality. A log may lack what the groups (and "clock", "time") of `optional` name. The time
+    [s] is `time_scale` (None: 1) times its column plus `time_offset` (None: 0).
     """
 
     sources: Mapping[str, Source] = field(default_factory=dict)
@@ -77,13 +79,16 @@ class LogMapping:
     @property
     def names(self) -> frozenset[str]:
         """Columns of a log that is one table, as far as they are named."""
-        fields = {f.lstrip("-") for s in self.sources.values() if s.stream == TABLE for f in s.fields}
+        fields = {
+            f.lstrip("-") for s in self.sources.values() if s.stream == TABLE for f in s.fields
+        }
         return frozenset(fields | {self.time_field or ""}) - {""}
 
     def over(self, other: LogMapping) -> LogMapping:
         """This mapping, and of `other` what it leaves open.
 
-        Fields, a time column or a unit of the time of its own take nothing that `other` says of another one.
+        Fields, a time column or a unit of the time of its own take nothing that `other` says of
+        another one.
         """
         mine = self.groups
         kept = frozenset(g for g in mine if self._refines(other, g))
@@ -93,12 +98,18 @@ class LogMapping:
 
         sources = {g: replace(s, **self.changed.get(g, {})) for g, s in rest(other.sources).items()}
         changed = {g: {**rest(other.changed).get(g, {}), **c} for g, c in self.changed.items()}
-        own = frozenset(sources) & kept  # their groups have fields, so that nothing is left to the reader
+        own = (
+            frozenset(sources) & kept
+        )  # their groups have fields, so that nothing is left to the reader
         time = self._time_over(other)
-        stated = mine | ({"clock"} if self.clock else set()) | ({"time"} if self._says_time else set())
+        stated = (
+            mine | ({"clock"} if self.clock else set()) | ({"time"} if self._says_time else set())
+        )
         return LogMapping(
             sources={**sources, **self.sources},
-            preferred={g: s for g, s in {**rest(other.preferred), **self.preferred}.items() if g not in own},
+            preferred={
+                g: s for g, s in {**rest(other.preferred), **self.preferred}.items() if g not in own
+            },
             changed={g: c for g, c in {**rest(other.changed), **changed}.items() if g not in own},
             unused=self.unused | (other.unused - mine),
             optional=self.optional | (other.optional - stated),
@@ -111,7 +122,8 @@ class LogMapping:
         )
 
     def _refines(self, other: LogMapping, group: str) -> bool:
-        """Whether what is said of a group goes with what `other` says: no fields and no other stream."""
+        """Whether what is said of a group goes with what `other` says: no fields and no other
+        stream."""
         if group in self.sources or group in self.unused:
             return False
         source = other.sources.get(group)
@@ -120,13 +132,18 @@ class LogMapping:
 
     @property
     def _says_time(self) -> bool:
-        return any(v is not None for v in (self.time_field, self.time_unit, self.time_scale, self.time_offset))
+        return any(
+            v is not None
+            for v in (self.time_field, self.time_unit, self.time_scale, self.time_offset)
+        )
 
     def _time_over(self, other: LogMapping) -> LogMapping:
         """The time as this mapping and then `other` say it."""
         if self.time_field not in (None, other.time_field):
             return self
-        scale = self.time_scale if self.time_scale is not None or self.time_unit else other.time_scale
+        scale = (
+            self.time_scale if self.time_scale is not None or self.time_unit else other.time_scale
+        )
         return LogMapping(
             time_field=other.time_field,
             time_unit=self.time_unit or other.time_unit,
@@ -137,7 +154,12 @@ class LogMapping:
     def to_dict(self) -> dict[str, Any]:
         """The tables of its file, as plain values."""
         out: dict[str, Any] = {} if self.clock is None else {"clock": self.clock}
-        time = {"field": self.time_field, "unit": self.time_unit, "scale": self.time_scale, "offset": self.time_offset}
+        time = {
+            "field": self.time_field,
+            "unit": self.time_unit,
+            "scale": self.time_scale,
+            "offset": self.time_offset,
+        }
         if time := {k: v for k, v in time.items() if v is not None}:
             out["time"] = time
         for group in GROUPS:
@@ -152,21 +174,36 @@ class LogMapping:
 
 
 _DEFAULTS: Mapping[str, Any] = {
-    "stream": TABLE, "unit": "", "frame": "", "scale": 1.0, "offset": 0.0, "delay": 0.0, "limits": None, "causal": True,
-}  # fmt: skip
+    "stream": TABLE,
+    "unit": "",
+    "frame": "",
+    "scale": 1.0,
+    "offset": 0.0,
+    "delay": 0.0,
+    "limits": None,
+    "causal": True,
+}
 
 
 def _entry(source: Source) -> dict[str, Any]:
     """The table of a group, without what goes without saying."""
     said: dict[str, Any] = {"fields": source.fields, "stream": source.stream, "unit": source.unit}
-    said |= {"frame": source.frame, "scale": source.scale, "offset": source.offset, "delay": source.delay}
+    said |= {
+        "frame": source.frame,
+        "scale": source.scale,
+        "offset": source.offset,
+        "delay": source.delay,
+    }
     said |= {"limits": source.limits, "causal": source.causal}
     kept = {k: v for k, v in said.items() if k == "fields" or v != _DEFAULTS[k]}
     return {k: list(v) if isinstance(v, tuple) else v for k, v in kept.items()}
 
 
-def mapping_text(content: Mapping[str, Any], *, prefix: str = "", comments: Mapping[str, str] | None = None) -> str:
-    """`LogMapping.to_dict` as TOML, tables called `prefix` + group, a comment behind the last line of a group."""
+def mapping_text(
+    content: Mapping[str, Any], *, prefix: str = "", comments: Mapping[str, str] | None = None
+) -> str:
+    """`LogMapping.to_dict` as TOML, tables called `prefix` + group, a comment behind the last line
+    of a group."""
     lines = [f"{k} = {_toml(v)}" for k, v in content.items() if not isinstance(v, Mapping)]
     for name, table in content.items():
         if isinstance(table, Mapping):
@@ -187,18 +224,24 @@ def _toml(value: Any) -> str:
 
 
 def read_mapping(path: str | os.PathLike[str]) -> LogMapping:
-    """Read a mapping file. Raises `DataError` and `UnknownNameError`, which name the file and the key."""
+    """Read a mapping file. Raises `DataError` and `UnknownNameError`, which name the file and the
+    key."""
     where = os.fspath(path)
     content = read_toml(path, what="mapping file", error=DataError)
     if content.get("schema") != SCHEMA:
         raise DataError(
-            "wrong schema", where=where, expected=SCHEMA, got=repr(content.get("schema")), fix=f'schema = "{SCHEMA}"'
+            "wrong schema",
+            where=where,
+            expected=SCHEMA,
+            got=repr(content.get("schema")),
+            fix=f'schema = "{SCHEMA}"',
         )
     return mapping_of({k: v for k, v in content.items() if k != "schema"}, where=where)
 
 
 def mapping_of(content: Mapping[str, Any], *, where: str, path: str = "") -> LogMapping:
-    """The mapping that the tables of a file say; `path` is the dotted key of the table that holds them.
+    """The mapping that the tables of a file say; `path` is the dotted key of the table that holds
+    them.
 
     Raises `DataError` and `UnknownNameError`, which name the file and the key.
     """
@@ -216,13 +259,17 @@ def mapping_of(content: Mapping[str, Any], *, where: str, path: str = "") -> Log
         clock=_text(content, "clock", where, None),
         time_field=_text(time, "field", place, None),
         time_unit=unit,
-        time_scale=_factor(_number(time["scale"], f"{place}.scale"), f"{place}.scale") if "scale" in time else None,
+        time_scale=_factor(_number(time["scale"], f"{place}.scale"), f"{place}.scale")
+        if "scale" in time
+        else None,
         time_offset=_number(time["offset"], f"{place}.offset") if "offset" in time else None,
         where=where,
     )
     for group in GROUPS:
         if group in content:
-            said = _with_group(said, group, _table(content, group, _KEYS, where, dot), f"{where}: {dot}{group}")
+            said = _with_group(
+                said, group, _table(content, group, _KEYS, where, dot), f"{where}: {dot}{group}"
+            )
     _no_field_twice(said, where)
     return said
 
@@ -234,8 +281,12 @@ def _with_group(said: LogMapping, group: str, table: Mapping[str, Any], place: s
     if "fields" in table:
         return replace(said, sources={**said.sources, group: _source(group, table, place)})
     if not table or not set(table) <= {"stream", "use", "delay", "causal"}:
-        raise DataError("no fields", where=place, expected="the fields in the order of the channels",
-                        fix=f"fields = [...]  # {', '.join(group_names(group))}")  # fmt: skip
+        raise DataError(
+            "no fields",
+            where=place,
+            expected="the fields in the order of the channels",
+            fix=f"fields = [...]  # {', '.join(group_names(group))}",
+        )
     changed: dict[str, Any] = {}
     if "delay" in table:
         changed["delay"] = _number(table["delay"], f"{place}.delay")
@@ -244,26 +295,37 @@ def _with_group(said: LogMapping, group: str, table: Mapping[str, Any], place: s
     if changed:
         said = replace(said, changed={**said.changed, group: changed})
     if "stream" in table:
-        said = replace(said, preferred={**said.preferred, group: str(_text(table, "stream", place, None))})
+        said = replace(
+            said, preferred={**said.preferred, group: str(_text(table, "stream", place, None))}
+        )
     return said
 
 
 def _no_field_twice(said: LogMapping, where: str) -> None:
-    taken: dict[tuple[str, str], str] = {(TABLE, said.time_field): "time"} if said.time_field else {}
+    taken: dict[tuple[str, str], str] = (
+        {(TABLE, said.time_field): "time"} if said.time_field else {}
+    )
     for group, source in said.sources.items():
         for name in source.fields:
             key = (source.stream, name.lstrip("-"))
             if name and key in taken:
-                raise DataError(f"column '{key[1]}' is given to two channels", where=f"{where}: {group}",
-                                fix=f"name another column; it stands in {taken[key]} too")  # fmt: skip
+                raise DataError(
+                    f"column '{key[1]}' is given to two channels",
+                    where=f"{where}: {group}",
+                    fix=f"name another column; it stands in {taken[key]} too",
+                )
             taken[key] = group
 
 
 def _source(group: str, table: Mapping[str, Any], where: str) -> Source:
     fields = table["fields"]
-    named = isinstance(fields, list) and all(isinstance(f, str) and (not f or f.strip("-")) for f in fields)
+    named = isinstance(fields, list) and all(
+        isinstance(f, str) and (not f or f.strip("-")) for f in fields
+    )
     if not named or not any(fields):
-        raise DataError("fields", where=where, expected="a list of names in quotes", got=repr(fields)[:60])
+        raise DataError(
+            "fields", where=where, expected="a list of names in quotes", got=repr(fields)[:60]
+        )
     angles = group == "attitude" and len(fields) == 3
     count = len(group_names(group))
     if group in _PER_ROTOR:
@@ -272,7 +334,9 @@ def _source(group: str, table: Mapping[str, Any], where: str) -> Source:
     elif len(fields) != count and not angles:
         also = ", or roll, pitch, yaw" if group == "attitude" else ""
         raise DataError(
-            f"{len(fields)} fields", where=where, expected=f"{count}: {', '.join(group_names(group))}{also}"
+            f"{len(fields)} fields",
+            where=where,
+            expected=f"{count}: {', '.join(group_names(group))}{also}",
         )
     unit = _text(table, "unit", where, "rad" if angles else "")
     known = [u for u in UNITS[group] if (u != "1") == angles or group != "attitude"]
@@ -301,7 +365,9 @@ def _limits(group: str, table: Mapping[str, Any], where: str) -> tuple[float, fl
     if limits is None:
         return None
     if group != "command" or not (isinstance(limits, list) and len(limits) == 2):
-        raise DataError("limits", where=where, expected="[low, high] of a command", got=repr(limits)[:60])
+        raise DataError(
+            "limits", where=where, expected="[low, high] of a command", got=repr(limits)[:60]
+        )
     low, high = (_number(v, f"{where}.limits") for v in limits)
     if not high > low:
         raise DataError("limits", where=where, expected="low < high", got=f"{low:g}, {high:g}")
@@ -309,24 +375,35 @@ def _limits(group: str, table: Mapping[str, Any], where: str) -> tuple[float, fl
 
 
 def _each(
-    table: Mapping[str, Any], key: str, default: float, count: int, where: str, checked: Callable[[float, str], float]
+    table: Mapping[str, Any],
+    key: str,
+    default: float,
+    count: int,
+    where: str,
+    checked: Callable[[float, str], float],
 ) -> float | tuple[float, ...]:
     """A number for all fields, or a list with one for each."""
     value, place = table.get(key, default), f"{where}.{key}"
     if not isinstance(value, list):
         return checked(_number(value, place), place)
     if len(value) != count:
-        raise DataError(f"{len(value)} numbers", where=place, expected=f"one, or one for each of {count} fields")
+        raise DataError(
+            f"{len(value)} numbers", where=place, expected=f"one, or one for each of {count} fields"
+        )
     return tuple(checked(_number(v, place), place) for v in value)
 
 
 def _factor(value: float, where: str) -> float:
     if value == 0.0:
-        raise DataError("must not be zero", where=where, fix="give the factor from the log's unit to SI")
+        raise DataError(
+            "must not be zero", where=where, fix="give the factor from the log's unit to SI"
+        )
     return value
 
 
-def _table(content: Mapping[str, Any], key: str, known: tuple[str, ...], where: str, dot: str) -> Mapping[str, Any]:
+def _table(
+    content: Mapping[str, Any], key: str, known: tuple[str, ...], where: str, dot: str
+) -> Mapping[str, Any]:
     table = content.get(key, {})
     if not isinstance(table, Mapping):
         raise DataError(f"'{dot}{key}' is not a table", where=where, fix=f"write [{dot}{key}]")
@@ -339,14 +416,21 @@ def _table(content: Mapping[str, Any], key: str, known: tuple[str, ...], where: 
 def _text(table: Mapping[str, Any], key: str, where: str, default: str | None) -> str | None:
     value = table.get(key, default)
     if value is not None and not isinstance(value, str):
-        raise DataError(f"'{key}' is not a text", where=where, got=repr(value)[:60], fix="put it in quotes")
+        raise DataError(
+            f"'{key}' is not a text", where=where, got=repr(value)[:60], fix="put it in quotes"
+        )
     return value
 
 
 def _boolean(table: Mapping[str, Any], key: str, where: str, default: bool) -> bool:
     value = table.get(key, default)
     if not isinstance(value, bool):
-        raise DataError(f"'{key}' is not a boolean", where=where, got=repr(value)[:60], fix="write true or false")
+        raise DataError(
+            f"'{key}' is not a boolean",
+            where=where,
+            got=repr(value)[:60],
+            fix="write true or false",
+        )
     return value
 
 

@@ -1,7 +1,9 @@
-"""Read a MAT file in a process of its own: a damaged one can crash scipy's compiled parser, and then only this process.
+"""Read a MAT file in a process of its own: a damaged one can crash scipy's compiled parser, and
+then only this process.
 
-Run by `matlab.py` as `python -P mat_child.py FILE OUT.npz BYTES`; needs numpy and scipy only. Writes the vectors and,
-as JSON, their names and the names of all variables. Exit code 1 and one line on standard error where it cannot be read.
+Run by `matlab.py` as `python -P mat_child.py FILE OUT.npz BYTES`; needs numpy and scipy only.
+Writes the vectors and, as JSON, their names and the names of all variables. Exit code 1 and one
+line on standard error where it cannot be read.
 """
 
 from __future__ import annotations
@@ -23,13 +25,17 @@ DEEPEST = 4
 """Structs inside structs are followed this far."""
 
 
-def vectors(values: Mapping[str, Any], prefix: str, depth: int) -> Iterator[tuple[str, npt.NDArray[np.float64]]]:
+def vectors(
+    values: Mapping[str, Any], prefix: str, depth: int
+) -> Iterator[tuple[str, npt.NDArray[np.float64]]]:
     """Name and numbers of every vector and matrix, those inside structs under dotted names."""
     for name, value in values.items():
         full = prefix + name
         if hasattr(value, "_fieldnames"):
             if depth < DEEPEST:
-                yield from vectors({f: getattr(value, f) for f in value._fieldnames}, full + ".", depth + 1)
+                yield from vectors(
+                    {f: getattr(value, f) for f in value._fieldnames}, full + ".", depth + 1
+                )
             continue
         array = np.asarray(value)
         if array.dtype.kind not in "fiub":
@@ -50,7 +56,9 @@ def bound(most: int) -> None:
 
         with open("/proc/self/statm", encoding="ascii") as stream:
             used = int(stream.read().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (used + most, resource.getrlimit(resource.RLIMIT_AS)[1]))
+        resource.setrlimit(
+            resource.RLIMIT_AS, (used + most, resource.getrlimit(resource.RLIMIT_AS)[1])
+        )
 
 
 def main(source: str, target: str, most: int) -> int:

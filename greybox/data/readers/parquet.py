@@ -18,9 +18,11 @@ _MAGIC = b"PAR1"
 
 
 def read_parquet(path: str | os.PathLike[str]) -> Table:
-    """Read a Parquet file: numbers as float64 (null = missing), times in seconds, anything else as text.
+    """Read a Parquet file: numbers as float64 (null = missing), times in seconds, anything else as
+    text.
 
-    Columns of lists become one column per entry where all rows have equally many. Raises `DataError`.
+    Columns of lists become one column per entry where all rows have equally many. Raises
+    `DataError`.
     """
     where = os.fspath(path)
     digest = checked_file(Path(path))
@@ -30,12 +32,15 @@ def read_parquet(path: str | os.PathLike[str]) -> Table:
         said = parquet.read_metadata(where)
         if said.num_rows * said.num_columns * np.dtype(float).itemsize > allowance(where):
             raise MemoryError
-        # A thread that reads ahead would end the process where memory is short: nobody can catch what it throws.
+        # A thread that reads ahead would end the process where memory is short: nobody can catch
+        # what it throws.
         content = parquet.read_table(where, memory_map=False, use_threads=False, pre_buffer=False)
         columns: dict[str, npt.NDArray[Any]] = {}
         for name, column in zip(content.column_names, content.columns, strict=True):
             columns.update(_column(str(name), column))
-        timed = frozenset(str(f.name) for f in content.schema if str(f.type).startswith("timestamp"))
+        timed = frozenset(
+            str(f.name) for f in content.schema if str(f.type).startswith("timestamp")
+        )
         n = content.num_rows
     if n == 0 or not columns:
         raise DataError("a table without rows", where=where, fix="export the log again")
@@ -52,22 +57,35 @@ def _column(name: str, column: Any) -> dict[str, npt.NDArray[Any]]:
         width = len(rows[0]) if rows and rows[0] is not None else 0
         if 0 < width <= 16 and all(r is not None and len(r) == width for r in rows):
             try:
-                matrix = np.array([[np.nan if v is None else v for v in r] for r in rows], dtype=np.float64)
+                matrix = np.array(
+                    [[np.nan if v is None else v for v in r] for r in rows], dtype=np.float64
+                )
             except (TypeError, ValueError):
                 return {name: np.array([str(r) for r in rows], dtype=np.str_)}
             return {f"{name}[{j}]": np.ascontiguousarray(matrix[:, j]) for j in range(width)}
         return {name: np.array([str(r) for r in rows], dtype=np.str_)}
     if pa.types.is_temporal(kind):
-        nanoseconds = np.array(column.to_numpy(), dtype="datetime64[ns]" if pa.types.is_timestamp(kind) else None)
+        nanoseconds = np.array(
+            column.to_numpy(), dtype="datetime64[ns]" if pa.types.is_timestamp(kind) else None
+        )
         if nanoseconds.dtype.kind == "M":
             seconds = nanoseconds.astype(np.int64) * 1e-9
             return {name: np.where(np.isnat(nanoseconds), np.nan, seconds)}
         return {name: np.array([str(v) for v in column.to_pylist()], dtype=np.str_)}
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
-        values = column.to_pylist() if pa.types.is_boolean(kind) else column.cast(pa.float64(), safe=False).to_numpy()
-        return {name: np.array([np.nan if v is None else v for v in values], dtype=np.float64)
-                if isinstance(values, list) else np.array(values, dtype=np.float64)}  # fmt: skip
-    return {name: np.array(["" if v is None else str(v) for v in column.to_pylist()], dtype=np.str_)}
+        values = (
+            column.to_pylist()
+            if pa.types.is_boolean(kind)
+            else column.cast(pa.float64(), safe=False).to_numpy()
+        )
+        return {
+            name: np.array([np.nan if v is None else v for v in values], dtype=np.float64)
+            if isinstance(values, list)
+            else np.array(values, dtype=np.float64)
+        }
+    return {
+        name: np.array(["" if v is None else str(v) for v in column.to_pylist()], dtype=np.str_)
+    }
 
 
 FORMAT = LogFormat(
@@ -77,5 +95,8 @@ FORMAT = LogFormat(
     recognise=lambda path, head: head.startswith(_MAGIC),
     table=read_parquet,
     libraries=("pyarrow",),
-    advice={"": "columns have the names, units and frames of docs/files.md, or a mapping file says which they are"},
+    advice={
+        "": "columns have the names, units and frames of docs/files.md, or a mapping file says "
+        "which they are"
+    },
 )

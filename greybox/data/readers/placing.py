@@ -1,8 +1,10 @@
-"""Samples of one stream on the rows of another: what is interpolated, averaged, held, or left missing.
+"""Samples of one stream on the rows of another: what is interpolated, averaged, held, or left
+missing.
 
-Measurements of about the rows' rate are interpolated linearly, faster ones averaged around the row, slower ones stand only
-in the row next to each sample, moved along the line through their neighbours. A command is the mean of what was held until
-the next row. Nothing is carried over a gap.
+Measurements of about the rows' rate are interpolated linearly, faster ones averaged around the row,
+slower ones stand only in the row next to each sample, moved along the line through their
+neighbours. A command is the mean of what was held until the next row. Nothing is carried over a
+gap.
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ from greybox.data.raw import FloatArray
 from greybox.data.resampling import AVERAGE_FROM, STRETCH, continuous_signs
 
 SLOW = 2.0
-"""A stream whose step is longer than this many rows is not interpolated: its samples stand in single rows."""
+"""A stream whose step is longer than this many rows is not interpolated: its samples stand in
+single rows."""
 
 COMMAND_AGE = 0.1
 """A command is held for at most this time [s], or five of its steps where that is longer."""
@@ -28,7 +31,8 @@ def at_rows(
     *,
     sparse: bool = True,
 ) -> FloatArray:
-    """Samples (N, K) at increasing `t` on the rows (M,), as the head of this file says; NaN where nothing is known."""
+    """Samples (N, K) at increasing `t` on the rows (M,), as the head of this file says; NaN where
+    nothing is known."""
     known = np.isfinite(values).all(axis=1)
     t, values = t[known], values[known]
     out = np.full((rows.size, values.shape[1]), np.nan)
@@ -45,18 +49,25 @@ def at_rows(
     width = t[i + 1] - t[i]
     weight = ((rows - t[i]) / width)[:, None]
     good = (rows >= t[0] - 0.5 * own) & (rows <= t[-1] + 0.5 * own)
-    good &= (width <= STRETCH * own) | (np.abs(weight[:, 0]) < 1e-9) | (np.abs(weight[:, 0] - 1) < 1e-9)
+    good &= (
+        (width <= STRETCH * own) | (np.abs(weight[:, 0]) < 1e-9) | (np.abs(weight[:, 0] - 1) < 1e-9)
+    )
     if row_step > AVERAGE_FROM * own:
         half = 0.5 * row_step
         area = np.vstack(
-            [np.zeros(values.shape[1]), np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None], 0)]
+            [
+                np.zeros(values.shape[1]),
+                np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None], 0),
+            ]
         )
         end, start = np.clip(rows + half, t[0], t[-1]), np.clip(rows - half, t[0], t[-1])
         length = end - start
-        mean = (_area(t, values, area, end) - _area(t, values, area, start)) / np.where(length > 0, length, 1.0)[
-            :, None
-        ]
-        line = np.where((length > 0)[:, None], mean, (1 - weight) * values[i] + weight * values[i + 1])
+        mean = (_area(t, values, area, end) - _area(t, values, area, start)) / np.where(
+            length > 0, length, 1.0
+        )[:, None]
+        line = np.where(
+            (length > 0)[:, None], mean, (1 - weight) * values[i] + weight * values[i + 1]
+        )
     else:
         line = (1 - weight) * values[i] + weight * values[i + 1]
     out[good] = line[good]
@@ -64,15 +75,19 @@ def at_rows(
 
 
 def _area(t: FloatArray, values: FloatArray, area: FloatArray, at: FloatArray) -> FloatArray:
-    """Integral from t[0] to `at` of the piecewise linear signal, given its values at the samples."""
+    """Integral from t[0] to `at` of the piecewise linear signal, given its values at the
+    samples."""
     i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
     s = (at - t[i])[:, None]
     slope = (values[i + 1] - values[i]) / (t[i + 1] - t[i])[:, None]
     return area[i] + values[i] * s + 0.5 * slope * s**2
 
 
-def _beside(t: FloatArray, values: FloatArray, rows: FloatArray, row_step: float, reach: float) -> FloatArray:
-    """A slow stream: each sample in the row next to it, at the row's time on the line through its neighbours."""
+def _beside(
+    t: FloatArray, values: FloatArray, rows: FloatArray, row_step: float, reach: float
+) -> FloatArray:
+    """A slow stream: each sample in the row next to it, at the row's time on the line through its
+    neighbours."""
     out = np.full((rows.size, values.shape[1]), np.nan)
     order = np.argsort(rows, kind="stable")
     sorted_rows = rows[order]
@@ -84,20 +99,25 @@ def _beside(t: FloatArray, values: FloatArray, rows: FloatArray, row_step: float
     j = np.arange(t.size)
     toward = np.where(away >= 0, 1, -1)
     moved, done = values.copy(), np.zeros(t.size, dtype=bool)
-    # The neighbour on the row's side; where there is none (ends, gaps) the line through the other one.
+    # The neighbour on the row's side; where there is none (ends, gaps) the line through the other
+    # one.
     for side in (toward, -toward):
         other = np.clip(j + side, 0, t.size - 1)
         span = t[other] - t
         good = ~done & (span != 0) & (np.abs(span) <= reach)
-        moved[good] += (away / np.where(good, span, 1.0))[good, None] * (values[other] - values)[good]
+        moved[good] += (away / np.where(good, span, 1.0))[good, None] * (values[other] - values)[
+            good
+        ]
         done |= good
     out[row[keep]] = moved[keep]
     return out
 
 
-def commands_at(t: FloatArray, values: FloatArray, rows: FloatArray, row_step: float, step: float) -> FloatArray:
-    """Mean over each row's step (to the next row) of commands (N, K) that are held from their stamps on; NaN before
-    the first and where the last one is too old.
+def commands_at(
+    t: FloatArray, values: FloatArray, rows: FloatArray, row_step: float, step: float
+) -> FloatArray:
+    """Mean over each row's step (to the next row) of commands (N, K) that are held from their
+    stamps on; NaN before the first and where the last one is too old.
     """
     known = np.isfinite(values).all(axis=1)
     t, values = t[known], values[known]
@@ -106,7 +126,9 @@ def commands_at(t: FloatArray, values: FloatArray, rows: FloatArray, row_step: f
         return out
     following = np.concatenate([rows[1:], [rows[-1] + row_step]])
     end = np.where(following > rows, np.minimum(following, rows + 1.5 * row_step), rows + row_step)
-    area = np.vstack([np.zeros(values.shape[1]), np.cumsum(values[:-1] * np.diff(t)[:, None], axis=0)])
+    area = np.vstack(
+        [np.zeros(values.shape[1]), np.cumsum(values[:-1] * np.diff(t)[:, None], axis=0)]
+    )
 
     def up_to(at: FloatArray) -> FloatArray:
         i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 1)
@@ -117,7 +139,11 @@ def commands_at(t: FloatArray, values: FloatArray, rows: FloatArray, row_step: f
     mean = (up_to(end) - up_to(begin)) / np.maximum(end - begin, 1e-12)[:, None]
     last = np.searchsorted(t, end, side="left") - 1
     age = end - t[np.clip(last, 0, t.size - 1)]
-    good = (end - begin >= 0.5 * (end - rows)) & (last >= 0) & (age <= max(COMMAND_AGE, 5 * step) + row_step)
+    good = (
+        (end - begin >= 0.5 * (end - rows))
+        & (last >= 0)
+        & (age <= max(COMMAND_AGE, 5 * step) + row_step)
+    )
     # A row whose step holds one command takes it exactly, not as a quotient.
     single = good & (i >= 0) & (i == last)
     out[good] = mean[good]

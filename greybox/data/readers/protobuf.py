@@ -1,7 +1,9 @@
-"""Protocol buffers as far as recordings need them, both ways: messages from and to mappings, and the description of their
-types that a recording carries (FileDescriptorSet). Encoding: https://protobuf.dev/programming-guides/encoding/
+"""Protocol buffers as far as recordings need them, both ways: messages from and to mappings, and
+the description of their types that a recording carries (FileDescriptorSet). Encoding:
+https://protobuf.dev/programming-guides/encoding/
 
-A message is a mapping of field to number, text, bytes, mapping or, of a repeated field, a list of these.
+A message is a mapping of field to number, text, bytes, mapping or, of a repeated field, a list of
+these.
 """
 
 from __future__ import annotations
@@ -14,13 +16,35 @@ from typing import Any
 from greybox.errors import DataError
 
 _KINDS = {
-    "double": 1, "float": 2, "int64": 3, "uint64": 4, "int32": 5, "fixed64": 6, "fixed32": 7, "bool": 8, "string": 9,
-    "group": 10, "message": 11, "bytes": 12, "uint32": 13, "enum": 14, "sfixed32": 15, "sfixed64": 16, "sint32": 17,
+    "double": 1,
+    "float": 2,
+    "int64": 3,
+    "uint64": 4,
+    "int32": 5,
+    "fixed64": 6,
+    "fixed32": 7,
+    "bool": 8,
+    "string": 9,
+    "group": 10,
+    "message": 11,
+    "bytes": 12,
+    "uint32": 13,
+    "enum": 14,
+    "sfixed32": 15,
+    "sfixed64": 16,
+    "sint32": 17,
     "sint64": 18,
-}  # fmt: skip
+}
 """Kinds of fields with their numbers in a FieldDescriptorProto."""
 _NAMES = {number: name for name, number in _KINDS.items()}
-_FIXED = {"double": "<d", "float": "<f", "fixed64": "<Q", "sfixed64": "<q", "fixed32": "<I", "sfixed32": "<i"}
+_FIXED = {
+    "double": "<d",
+    "float": "<f",
+    "fixed64": "<Q",
+    "sfixed64": "<q",
+    "fixed32": "<I",
+    "sfixed32": "<i",
+}
 _LONG = ("string", "message", "bytes")
 _ZIGZAG = ("sint32", "sint64")
 _REPEATED = 3
@@ -28,8 +52,9 @@ _REPEATED = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """A field of a message: `kind` as in a .proto file, "message" or "enum" with the full name of the type in `of`. One
-    that is `tracked` and not written is absent, a number that is not tracked is 0 then."""
+    """A field of a message: `kind` as in a .proto file, "message" or "enum" with the full name of
+    the type in `of`. One that is `tracked` and not written is absent, a number that is not tracked
+    is 0 then."""
 
     name: str
     number: int
@@ -79,20 +104,31 @@ def _number(name: str, number: int) -> Field:
 _DESCRIPTIONS: Types = {
     "set": (_many("file", 1, "file"),),
     "file": (
-        _text("name", 1), _text("package", 2), Field(name="dependency", number=3, kind="string", many=True),
-        _many("message_type", 4, "message"), _many("enum_type", 5, "enum"), _text("syntax", 12),
+        _text("name", 1),
+        _text("package", 2),
+        Field(name="dependency", number=3, kind="string", many=True),
+        _many("message_type", 4, "message"),
+        _many("enum_type", 5, "enum"),
+        _text("syntax", 12),
     ),
     "message": (
-        _text("name", 1), _many("field", 2, "field"), _many("nested_type", 3, "message"), _many("enum_type", 4, "enum"),
+        _text("name", 1),
+        _many("field", 2, "field"),
+        _many("nested_type", 3, "message"),
+        _many("enum_type", 4, "enum"),
     ),
     "field": (
-        _text("name", 1), _number("number", 3), _number("label", 4), _number("type", 5), _text("type_name", 6),
+        _text("name", 1),
+        _number("number", 3),
+        _number("label", 4),
+        _number("type", 5),
+        _text("type_name", 6),
         Field(name="oneof_index", number=9, kind="int32", tracked=True),
         Field(name="proto3_optional", number=17, kind="bool"),
     ),
     "enum": (_text("name", 1), _many("value", 2, "value")),
     "value": (_text("name", 1), _number("number", 2)),
-}  # fmt: skip
+}
 """descriptor.proto, as far as it is read and written here."""
 
 
@@ -107,7 +143,9 @@ def encode(types: Types, name: str, content: Mapping[str, Any]) -> bytes:
             if f.kind in _FIXED:
                 out += struct.pack(_FIXED[f.kind], value)
             elif f.wire == 0:
-                out += _varint((int(value) << 1 ^ int(value) >> 63) if f.kind in _ZIGZAG else int(value))
+                out += _varint(
+                    (int(value) << 1 ^ int(value) >> 63) if f.kind in _ZIGZAG else int(value)
+                )
             else:
                 data = encode(types, f.of, value) if f.kind == "message" else value
                 data = data.encode() if isinstance(data, str) else data
@@ -116,10 +154,12 @@ def encode(types: Types, name: str, content: Mapping[str, Any]) -> bytes:
 
 
 def decode(types: Types, name: str, data: bytes) -> dict[str, Any]:
-    """A message of type `name`: numbers that are not in it are 0, messages and tracked numbers absent. Raises `DataError`
-    for cut bytes."""
+    """A message of type `name`: numbers that are not in it are 0, messages and tracked numbers
+    absent. Raises `DataError` for cut bytes."""
     by_number = {f.number: f for f in types[name]}
-    out: dict[str, Any] = {f.name: 0 for f in types[name] if f.kind not in _LONG and not (f.many or f.tracked)}
+    out: dict[str, Any] = {
+        f.name: 0 for f in types[name] if f.kind not in _LONG and not (f.many or f.tracked)
+    }
     for number, wire, value in _parts(data):
         f = by_number.get(number)
         if f is None:
@@ -140,27 +180,43 @@ def describe(types: Types, name: str, enums: Enums | None = None) -> bytes:
     files = {p: f"{p.replace('.', '/')}.proto" for p in packages}
     uses: dict[str, set[str]] = {p: set() for p in packages}
     for n in needed:
-        uses[n.rpartition(".")[0]] |= {f.of.rpartition(".")[0] for f in types[n] if f.kind == "message"}
+        uses[n.rpartition(".")[0]] |= {
+            f.of.rpartition(".")[0] for f in types[n] if f.kind == "message"
+        }
 
     def message(n: str) -> dict[str, Any]:
         listed = [
-            {"name": f.name, "number": f.number, "label": _REPEATED if f.many else 1, "type": _KINDS[f.kind],
-             **({"type_name": f".{f.of}"} if f.of else {})}
+            {
+                "name": f.name,
+                "number": f.number,
+                "label": _REPEATED if f.many else 1,
+                "type": _KINDS[f.kind],
+                **({"type_name": f".{f.of}"} if f.of else {}),
+            }
             for f in types[n]
-        ]  # fmt: skip
+        ]
         inner = [
-            {"name": e.rpartition(".")[2], "value": [{"name": k, "number": v} for k, v in values.items()]}
-            for e, values in (enums or {}).items() if e.rpartition(".")[0] == n
-        ]  # fmt: skip
+            {
+                "name": e.rpartition(".")[2],
+                "value": [{"name": k, "number": v} for k, v in values.items()],
+            }
+            for e, values in (enums or {}).items()
+            if e.rpartition(".")[0] == n
+        ]
         return {"name": n.rpartition(".")[2], "field": listed, "enum_type": inner}
 
     # A file stands after those that it uses.
     order = sorted(packages, key=lambda p: (bool(uses[p] - {p}), p))
     listed = [
-        {"name": files[p], "package": p, "dependency": [files[u] for u in sorted(uses[p] - {p})],
-         "message_type": [message(n) for n in needed if n.rpartition(".")[0] == p], "syntax": "proto3"}
+        {
+            "name": files[p],
+            "package": p,
+            "dependency": [files[u] for u in sorted(uses[p] - {p})],
+            "message_type": [message(n) for n in needed if n.rpartition(".")[0] == p],
+            "syntax": "proto3",
+        }
         for p in order
-    ]  # fmt: skip
+    ]
     return encode(_DESCRIPTIONS, "set", {"file": listed})
 
 
@@ -172,12 +228,15 @@ def described(data: bytes) -> dict[str, tuple[Field, ...]]:
         name = f"{prefix}.{message['name']}" if prefix else str(message["name"])
         found[name] = tuple(
             Field(
-                name=f["name"], number=f["number"], kind=_NAMES.get(f["type"], "bytes"),
-                of=f.get("type_name", "").removeprefix("."), many=f["label"] == _REPEATED,
+                name=f["name"],
+                number=f["number"],
+                kind=_NAMES.get(f["type"], "bytes"),
+                of=f.get("type_name", "").removeprefix("."),
+                many=f["label"] == _REPEATED,
                 tracked=tracked or "oneof_index" in f or bool(f["proto3_optional"]),
             )
             for f in message.get("field", ())
-        )  # fmt: skip
+        )
         for nested in message.get("nested_type", ()):
             take(name, nested, tracked)
 
@@ -222,7 +281,9 @@ def _parts(data: bytes) -> Iterator[tuple[int, int, Any]]:
         if wire == 2:
             size, at = _unvarint(data, at)
         if size is None or at + size > len(data):
-            raise DataError("a message that ends early or is no protocol buffer", got=f"{len(data)} bytes")
+            raise DataError(
+                "a message that ends early or is no protocol buffer", got=f"{len(data)} bytes"
+            )
         yield key >> 3, wire, data[at : at + size]
         at += size
 

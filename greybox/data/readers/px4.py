@@ -1,7 +1,9 @@
-"""What PX4's uORB topics are: which fields of which topic are which channels, over the versions of PX4.
+"""What PX4's uORB topics are: which fields of which topic are which channels, over the versions of
+PX4.
 
-PX4's body axes are FRD and its world NED. References: uORB messages and parameters at docs.px4.io; parameter THR_MDL_FAC
-for the map from thrust to motor signal; PX4-Autopilot src/modules/logger/logged_topics.cpp for what is logged how often.
+PX4's body axes are FRD and its world NED. References: uORB messages and parameters at docs.px4.io;
+parameter THR_MDL_FAC for the map from thrust to motor signal; PX4-Autopilot
+src/modules/logger/logged_topics.cpp for what is logged how often.
 """
 
 from __future__ import annotations
@@ -23,12 +25,17 @@ VTOL = range(19, 26)
 QUATERNION = ("q[0]", "q[1]", "q[2]", "q[3]")
 
 
-def rotors_of(parameters: Mapping[str, float]) -> tuple[tuple[tuple[float, float, float], int], ...]:
-    """Positions [m, FLU] and spins from CA_ROTORi_PX, PY, PZ (FRD) and KM (positive: counter-clockwise)."""
+def rotors_of(
+    parameters: Mapping[str, float],
+) -> tuple[tuple[tuple[float, float, float], int], ...]:
+    """Positions [m, FLU] and spins from CA_ROTORi_PX, PY, PZ (FRD) and KM (positive:
+    counter-clockwise)."""
     count = int(parameters.get("CA_ROTOR_COUNT", 0))
     out = []
     for i in range(min(max(count, 0), 12)):
-        x, y, z, k = (parameters.get(f"CA_ROTOR{i}_{p}", math.nan) for p in ("PX", "PY", "PZ", "KM"))
+        x, y, z, k = (
+            parameters.get(f"CA_ROTOR{i}_{p}", math.nan) for p in ("PX", "PY", "PZ", "KM")
+        )
         if not math.isfinite(x + y + k):
             return ()
         out.append(((x, -y, -z if math.isfinite(z) and z else 0.0), 1 if k > 0 else -1))
@@ -36,7 +43,8 @@ def rotors_of(parameters: Mapping[str, float]) -> tuple[tuple[tuple[float, float
 
 
 def signal_of_thrust(factor: float) -> Callable[[FloatArray], FloatArray]:
-    """Motor signal s of the thrust setpoint T: T = factor s^2 + (1 - factor) s, as PX4's THR_MDL_FAC defines it."""
+    """Motor signal s of the thrust setpoint T: T = factor s^2 + (1 - factor) s, as PX4's
+    THR_MDL_FAC defines it."""
 
     def convert(thrust: FloatArray) -> FloatArray:
         rest = 1.0 - factor
@@ -56,7 +64,8 @@ def sources_of(
 ) -> Iterator[Source]:
     """All sources of a PX4 log, in order of preference per group.
 
-    `parameters` are PX4's, `factor` its THR_MDL_FAC, `rotors` their number where it is known, else 0.
+    `parameters` are PX4's, `factor` its THR_MDL_FAC, `rotors` their number where it is known, else
+    0.
     """
     yield from _commands(streams, parameters, factor, rotors)
     yield from _speeds(streams)
@@ -65,17 +74,45 @@ def sources_of(
             for key in ("voltage_v", "voltage_filtered_v"):
                 yield Source(group="battery", stream=name, fields=(key,), unit="V")
     for topic in ("vehicle_attitude",):
-        yield Source(group="attitude", stream=topic, fields=QUATERNION, frame="FRD/NED", note="PX4's estimate")
-    for topic in ("vehicle_mocap_odometry", "vehicle_visual_odometry", "att_pos_mocap", "vehicle_vision_attitude"):
-        yield Source(group="attitude", stream=topic, fields=QUATERNION, frame="FRD/NED", note="external pose")
+        yield Source(
+            group="attitude",
+            stream=topic,
+            fields=QUATERNION,
+            frame="FRD/NED",
+            note="PX4's estimate",
+        )
+    for topic in (
+        "vehicle_mocap_odometry",
+        "vehicle_visual_odometry",
+        "att_pos_mocap",
+        "vehicle_vision_attitude",
+    ):
+        yield Source(
+            group="attitude", stream=topic, fields=QUATERNION, frame="FRD/NED", note="external pose"
+        )
     yield Source(
-        group="attitude", stream="vehicle_attitude_groundtruth", fields=QUATERNION, frame="FRD/NED", note="simulator"
+        group="attitude",
+        stream="vehicle_attitude_groundtruth",
+        fields=QUATERNION,
+        frame="FRD/NED",
+        note="simulator",
     )
     yield from _imu(streams)
     local = "vehicle_local_position"
-    poses = (("vehicle_mocap_odometry", "external pose"), ("vehicle_visual_odometry", "external pose"))
-    yield Source(group="position", stream=local, fields=("x", "y", "z"), frame="NED", note="PX4's estimate")
-    yield Source(group="velocity", stream=local, fields=("vx", "vy", "vz"), frame="NED", note="PX4's estimate")
+    poses = (
+        ("vehicle_mocap_odometry", "external pose"),
+        ("vehicle_visual_odometry", "external pose"),
+    )
+    yield Source(
+        group="position", stream=local, fields=("x", "y", "z"), frame="NED", note="PX4's estimate"
+    )
+    yield Source(
+        group="velocity",
+        stream=local,
+        fields=("vx", "vy", "vz"),
+        frame="NED",
+        note="PX4's estimate",
+    )
     for topic, note in (*poses, ("att_pos_mocap", "external pose")):
         for fields in (("position[0]", "position[1]", "position[2]"), ("x", "y", "z")):
             yield Source(group="position", stream=topic, fields=fields, frame="NED", note=note)
@@ -84,23 +121,28 @@ def sources_of(
         for fields in (("velocity[0]", "velocity[1]", "velocity[2]"), ("vx", "vy", "vz")):
             yield Source(group="velocity", stream=topic, fields=fields, frame=frame, note=note)
     truth = "vehicle_local_position_groundtruth"
-    yield Source(group="position", stream=truth, fields=("x", "y", "z"), frame="NED", note="simulator")
-    yield Source(group="velocity", stream=truth, fields=("vx", "vy", "vz"), frame="NED", note="simulator")
+    yield Source(
+        group="position", stream=truth, fields=("x", "y", "z"), frame="NED", note="simulator"
+    )
+    yield Source(
+        group="velocity", stream=truth, fields=("vx", "vy", "vz"), frame="NED", note="simulator"
+    )
     for topic in ("trajectory_setpoint", "vehicle_local_position_setpoint"):
         for fields in (("position[0]", "position[1]", "position[2]"), ("x", "y", "z")):
             yield Source(group="setpoint", stream=topic, fields=fields, frame="NED")
 
 
 def _velocity_frame(stream: Stream | None) -> str:
-    """Frame of an odometry message's velocity: 3 is body FRD in `velocity_frame`, everything else is taken as NED."""
+    """Frame of an odometry message's velocity: 3 is body FRD in `velocity_frame`, everything else
+    is taken as NED."""
     if stream is not None and "velocity_frame" in stream.fields:
         return "FRD" if float(np.median(stream.fields["velocity_frame"])) == 3.0 else "NED"
     return "NED"
 
 
 def _half_interval(span: FloatArray | None) -> float:
-    """Half of the time [s] over which a sample is a mean: microseconds, or seconds in old logs; 0 where it
-    is not known."""
+    """Half of the time [s] over which a sample is a mean: microseconds, or seconds in old logs; 0
+    where it is not known."""
     if span is None or not span.size:
         return 0.0
     middle = float(np.median(span))
@@ -109,18 +151,30 @@ def _half_interval(span: FloatArray | None) -> float:
 
 
 def _imu(streams: Mapping[str, Stream]) -> Iterator[Source]:
-    """Gyro and accelerometer. sensor_combined and vehicle_imu are means over the time before the stamp; the filtered
-    topics come after them because their low-pass adds a delay.
+    """Gyro and accelerometer. sensor_combined and vehicle_imu are means over the time before the
+    stamp; the filtered topics come after them because their low-pass adds a delay.
     """
     combined = streams.get("sensor_combined")
     delay = {}
-    for group, key in (("rate", "gyro_integral_dt"), ("specific_force", "accelerometer_integral_dt")):
+    for group, key in (
+        ("rate", "gyro_integral_dt"),
+        ("specific_force", "accelerometer_integral_dt"),
+    ):
         delay[group] = _half_interval(combined.fields.get(key) if combined else None)
     gyro = ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]")
     force = ("accelerometer_m_s2[0]", "accelerometer_m_s2[1]", "accelerometer_m_s2[2]")
-    yield Source(group="rate", stream="sensor_combined", fields=gyro, frame="FRD", delay=delay["rate"])
-    # Both sensors share the stamps of the message, and nearly always the interval: one delay keeps them in one row.
-    yield Source(group="specific_force", stream="sensor_combined", fields=force, frame="FRD", delay=delay["rate"])
+    yield Source(
+        group="rate", stream="sensor_combined", fields=gyro, frame="FRD", delay=delay["rate"]
+    )
+    # Both sensors share the stamps of the message, and nearly always the interval: one delay keeps
+    # them in one row.
+    yield Source(
+        group="specific_force",
+        stream="sensor_combined",
+        fields=force,
+        frame="FRD",
+        delay=delay["rate"],
+    )
     imus = [n for n, s in streams.items() if s.kind == "vehicle_imu"]
     for name in imus:
         for group, part in (("rate", "angle"), ("specific_force", "velocity")):
@@ -149,17 +203,23 @@ def _imu(streams: Mapping[str, Stream]) -> Iterator[Source]:
     for name, stream in streams.items():
         if stream.kind in ("sensor_gyro", "sensor_accel"):
             group = "rate" if stream.kind == "sensor_gyro" else "specific_force"
-            yield Source(group=group, stream=name, fields=("x", "y", "z"), frame="FRD", note="one raw sensor")
+            yield Source(
+                group=group, stream=name, fields=("x", "y", "z"), frame="FRD", note="one raw sensor"
+            )
     yield Source(
-        group="rate", stream="vehicle_attitude", fields=("rollspeed", "pitchspeed", "yawspeed"), frame="FRD",
+        group="rate",
+        stream="vehicle_attitude",
+        fields=("rollspeed", "pitchspeed", "yawspeed"),
+        frame="FRD",
         note="PX4's estimate",
-    )  # fmt: skip
+    )
 
 
 def _commands(
     streams: Mapping[str, Stream], parameters: Mapping[str, float], factor: float, rotors: int
 ) -> Iterator[Source]:
-    """actuator_motors (thrust before THR_MDL_FAC) since PX4 1.13; actuator_outputs (what the driver sends) always."""
+    """actuator_motors (thrust before THR_MDL_FAC) since PX4 1.13; actuator_outputs (what the driver
+    sends) always."""
     motors = streams.get("actuator_motors")
     if motors is not None:
         used = tuple(
@@ -184,8 +244,11 @@ def _commands(
         yield source
 
 
-def _outputs(name: str, stream: Stream, parameters: Mapping[str, float], rotors: int) -> Iterator[tuple[Source, float]]:
-    """The motor outputs of one instance, and how much they move (of several instances the one that moves drives)."""
+def _outputs(
+    name: str, stream: Stream, parameters: Mapping[str, float], rotors: int
+) -> Iterator[tuple[Source, float]]:
+    """The motor outputs of one instance, and how much they move (of several instances the one that
+    moves drives)."""
     by_function = _motor_outputs(name, parameters)
     if not by_function and servos_among(parameters):
         return
@@ -194,9 +257,10 @@ def _outputs(name: str, stream: Stream, parameters: Mapping[str, float], rotors:
     else:
         count = rotors or {2.0: 4, 13.0: 6, 14.0: 8}.get(parameters.get("MAV_TYPE", 0.0), 0)
         moving = [
-            f"output[{i}]" for i in range(16)
+            f"output[{i}]"
+            for i in range(16)
             if f"output[{i}]" in stream.fields and np.ptp(stream.fields[f"output[{i}]"]) > 0
-        ]  # fmt: skip
+        ]
         used = tuple(f"output[{i}]" for i in range(count)) if count else tuple(moving)
     if not used or any(f not in stream.fields for f in used):
         return
@@ -207,25 +271,35 @@ def _outputs(name: str, stream: Stream, parameters: Mapping[str, float], rotors:
     if top <= 1.5:
         yield Source(group="command", stream=name, fields=used), spread
     elif 800.0 < top <= 2500.0 and float(np.nanmin(values)) >= 500.0:
-        low = parameters.get("PWM_MAIN_MIN1", parameters.get("PWM_MAIN_MIN", parameters.get("PWM_MIN", 1000.0)))
-        high = parameters.get("PWM_MAIN_MAX1", parameters.get("PWM_MAIN_MAX", parameters.get("PWM_MAX", 2000.0)))
+        low = parameters.get(
+            "PWM_MAIN_MIN1", parameters.get("PWM_MAIN_MIN", parameters.get("PWM_MIN", 1000.0))
+        )
+        high = parameters.get(
+            "PWM_MAIN_MAX1", parameters.get("PWM_MAIN_MAX", parameters.get("PWM_MAX", 2000.0))
+        )
         if not high > low:
             low, high = 1000.0, 2000.0
         yield (
             Source(
-                group="command", stream=name, fields=used, convert=_stopped(low, high), note=f"PWM {low:g}..{high:g} us"
+                group="command",
+                stream=name,
+                fields=used,
+                convert=_stopped(low, high),
+                note=f"PWM {low:g}..{high:g} us",
             ),
             spread / (high - low),
         )
 
 
 def servos_among(parameters: Mapping[str, float]) -> bool:
-    """Whether servos stand among the outputs, so that without output functions no rotor is known."""
+    """Whether servos stand among the outputs, so that without output functions no rotor is
+    known."""
     return int(parameters.get("MAV_TYPE", 0)) in VTOL
 
 
 def _motor_outputs(name: str, parameters: Mapping[str, float]) -> tuple[int, ...]:
-    """Indices of the outputs that drive motors 1, 2, ... by the function parameters of the main or auxiliary outputs."""
+    """Indices of the outputs that drive motors 1, 2, ... by the function parameters of the main or
+    auxiliary outputs."""
     for bus in ("PWM_MAIN", "PWM_AUX", "SIM_GZ_EC", "UAVCAN_EC"):
         places: dict[int, int] = {}
         for i in range(16):
@@ -248,8 +322,14 @@ def _speeds(streams: Mapping[str, Stream]) -> Iterator[Source]:
         if speed is None or not np.isfinite(speed).any() or not (speed != 0).any():
             continue
         function = stream.fields.get(f"esc[{i}].actuator_function")
-        motor = int(np.median(function)) - MOTOR_FUNCTION if function is not None and function.size else i
+        motor = (
+            int(np.median(function)) - MOTOR_FUNCTION
+            if function is not None and function.size
+            else i
+        )
         places.setdefault(motor if 0 <= motor < 12 else i, f"esc[{i}].esc_rpm")
     if places and sorted(places) == list(range(len(places))):
         fields = tuple(places[k] for k in range(len(places)))
-        yield Source(group="rotor_speed", stream="esc_status", fields=fields, unit="rpm", convert=np.abs)
+        yield Source(
+            group="rotor_speed", stream="esc_status", fields=fields, unit="rpm", convert=np.abs
+        )

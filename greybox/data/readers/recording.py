@@ -1,7 +1,8 @@
 """Recording: what a log file of any format holds, before anything in it has one of our names.
 
-A recording is a set of streams (topics, events, tables), each with stamps of its own. A `Source` says which fields of
-which stream are a channel group, in which unit and frame; every reader lists its sources in order of preference.
+A recording is a set of streams (topics, events, tables), each with stamps of its own. A `Source`
+says which fields of which stream are a channel group, in which unit and frame; every reader lists
+its sources in order of preference.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from greybox.frames import GRAVITY
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stream:
-    """Samples that share their stamps. `t` (N,) [s] as logged; `fields` name -> (N,) float64; `kind` message type.
+    """Samples that share their stamps. `t` (N,) [s] as logged; `fields` name -> (N,) float64;
+    `kind` message type.
 
     `clock` says what the stamps are. A field that is no number is named in `unread`.
     """
@@ -59,10 +61,11 @@ class Stream:
 class Source:
     """Which fields of a stream are the channels of a `group`, in the order of the group's channels.
 
-    A field may carry a minus sign; "" stands for one that is not there. `unit` is one of `UNITS[group]` and `frame` one
-    of `FRAMES[group]` ("" = ours); `scale` multiplies after the unit, then `offset` is added, both of all fields or one
-    for each. `limits` (low, high) maps commands to 0..1. The value belongs to its stamp minus
-    `delay` [s]. `convert` (N, K) -> (N, K) comes first of all. `causal=False`: smoothed with later samples.
+    A field may carry a minus sign; "" stands for one that is not there. `unit` is one of
+    `UNITS[group]` and `frame` one of `FRAMES[group]` ("" = ours); `scale` multiplies after the
+    unit, then `offset` is added, both of all fields or one for each. `limits` (low, high) maps
+    commands to 0..1. The value belongs to its stamp minus `delay` [s]. `convert` (N, K) -> (N, K)
+    comes first of all. `causal=False`: smoothed with later samples.
     """
 
     group: str
@@ -90,7 +93,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "velocity": {"m/s": 1.0, "mm/s": 1e-3},
     "setpoint": {"m": 1.0, "mm": 1e-3},
 }
-"""Units that a source may have, with their factor to SI. Attitude: 1 for a quaternion, rad or deg for Euler angles."""
+"""Units that a source may have, with their factor to SI. Attitude: 1 for a quaternion, rad or deg
+for Euler angles."""
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
     "attitude": ("FLU/ENU", "FRD/NED"),
@@ -105,11 +109,13 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """A log file as its reader understands it: streams, sources in order of preference, and what else it says.
+    """A log file as its reader understands it: streams, sources in order of preference, and what
+    else it says.
 
-    `info` are facts for people (firmware, craft); `dropouts` (start, length) [s] where the logger says it lost data;
-    `excitation` (N,) is what the firmware added to the set points of its own accord, on the stamps of the rows.
-    `rotors` position (x, y, z) [m, FLU] and spin of every rotor where the log knows them, `parameters` the firmware's own.
+    `info` are facts for people (firmware, craft); `dropouts` (start, length) [s] where the logger
+    says it lost data; `excitation` (N,) is what the firmware added to the set points of its own
+    accord, on the stamps of the rows. `rotors` position (x, y, z) [m, FLU] and spin of every rotor
+    where the log knows them, `parameters` the firmware's own.
     """
 
     format: str
@@ -129,10 +135,10 @@ class Recording:
 class LogFormat:
     """One log format: how its files are recognised, what reads them, and how to log more.
 
-    `endings` are lower-case file name endings, `recognise` judges the first bytes (or a folder). A format is a table
-    with a time column (`table`) or many streams (`recording`). `libraries` are those that reading takes beyond what
-    greybox always has. `advice` maps a channel group to the settings that make the logger record it; the key "" is about
-    the log as a whole.
+    `endings` are lower-case file name endings, `recognise` judges the first bytes (or a folder). A
+    format is a table with a time column (`table`) or many streams (`recording`). `libraries` are
+    those that reading takes beyond what greybox always has. `advice` maps a channel group to the
+    settings that make the logger record it; the key "" is about the log as a whole.
     """
 
     name: str
@@ -160,10 +166,11 @@ def library(name: str, *, where: str, what: str) -> Any:
 
 @contextlib.contextmanager
 def damaged(where: str, what: str, *, fix: str = "copy the log again") -> Iterator[None]:
-    """Turn whatever a parser of foreign bytes raises into one `DataError`, within a bounded memory; its warnings are not
-    ours to show.
+    """Turn whatever a parser of foreign bytes raises into one `DataError`, within a bounded memory;
+    its warnings are not ours to show.
 
-    Parsers of damaged files fail in any way they like (struct, index, memory, recursion), so that the net is wide.
+    Parsers of damaged files fail in any way they like (struct, index, memory, recursion), so that
+    the net is wide.
     """
     try:
         with warnings.catch_warnings(), bounded(where):
@@ -172,7 +179,9 @@ def damaged(where: str, what: str, *, fix: str = "copy the log again") -> Iterat
     except (GreyboxError, KeyboardInterrupt):
         raise
     except MemoryError:
-        raise DataError(f"takes more than {allowance(where) / 2**30:.1f} GiB to read", where=where, fix=fix) from None
+        raise DataError(
+            f"takes more than {allowance(where) / 2**30:.1f} GiB to read", where=where, fix=fix
+        ) from None
     except Exception as error:
         text = str(error).strip().splitlines()
         said = f"{type(error).__name__}: {text[0][:120]}" if text else type(error).__name__
@@ -180,7 +189,8 @@ def damaged(where: str, what: str, *, fix: str = "copy the log again") -> Iterat
 
 
 def checked_file(path: Path) -> str:
-    """SHA-256 of a file (of all files of a folder). Raises `DataError` where there is nothing to read."""
+    """SHA-256 of a file (of all files of a folder). Raises `DataError` where there is nothing to
+    read."""
     where = str(path)
     digest = hashlib.sha256()
     try:
@@ -192,7 +202,9 @@ def checked_file(path: Path) -> str:
     except FileNotFoundError:
         raise DataError("no such log", where=where, fix="check the path") from None
     except OSError as error:
-        raise DataError(f"cannot read: {error.strerror or error}", where=where, fix="check the permissions") from None
+        raise DataError(
+            f"cannot read: {error.strerror or error}", where=where, fix="check the permissions"
+        ) from None
     return digest.hexdigest()
 
 

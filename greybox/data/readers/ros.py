@@ -1,9 +1,11 @@
-"""ROS 1 bags, ROS 2 bags (folder, .db3, .mcap) and MCAP files with JSON or protocol buffers, by rosbags and mcap.
+"""ROS 1 bags, ROS 2 bags (folder, .db3, .mcap) and MCAP files with JSON or protocol buffers, by
+rosbags and mcap.
 
-Every topic becomes a stream; nested fields get dotted names and short numeric arrays one field per entry. Stamps are
-those of the message header where it has one, else of the reception. Well-known types need no mapping file:
-sensor_msgs/Imu (REP 103, REP 145: body FLU, specific force), geometry_msgs/PoseStamped, nav_msgs/Odometry (twist in body
-axes), sensor_msgs/BatteryState, and PX4's px4_msgs, which carry uORB's fields in FRD and NED.
+Every topic becomes a stream; nested fields get dotted names and short numeric arrays one field per
+entry. Stamps are those of the message header where it has one, else of the reception. Well-known
+types need no mapping file: sensor_msgs/Imu (REP 103, REP 145: body FLU, specific force),
+geometry_msgs/PoseStamped, nav_msgs/Odometry (twist in body axes), sensor_msgs/BatteryState, and
+PX4's px4_msgs, which carry uORB's fields in FRD and NED.
 """
 
 from __future__ import annotations
@@ -31,7 +33,10 @@ _BAG = b"#ROSBAG V"
 _MCAP = b"\x89MCAP0\r\n"
 _SQLITE = b"SQLite format 3"
 
-_RECOVER = "copy it again; a recording that was cut off: `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
+_RECOVER = (
+    "copy it again; a recording that was cut off: `rosbag reindex`, `ros2 bag reindex` or "
+    "`mcap recover`"
+)
 
 _STAMPS = ({"sec", "nanosec"}, {"secs", "nsecs"}, {"sec", "nsec"})
 LONGEST_ARRAY = 16
@@ -39,7 +44,8 @@ LONGEST_ARRAY = 16
 
 
 def read_ros(path: Path) -> Recording:
-    """Read a bag or an MCAP file. Raises `DataError`. Topics of unknown types are listed, not read."""
+    """Read a bag or an MCAP file. Raises `DataError`. Topics of unknown types are listed, not
+    read."""
     where = str(path)
     digest = checked_file(path)
     rows: dict[str, _Topic] = {}
@@ -67,7 +73,11 @@ def read_ros(path: Path) -> Recording:
         if name not in unread and topic.n:
             streams[name] = topic.stream(name)
     if not streams:
-        raise DataError("no messages that can be read", where=where, got=", ".join(unread)[:120] or "an empty bag")
+        raise DataError(
+            "no messages that can be read",
+            where=where,
+            got=", ".join(unread)[:120] or "an empty bag",
+        )
     notes = [f"topic {name} was not read ({why})" for name, why in sorted(unread.items())]
     return Recording(
         format="ros",
@@ -86,7 +96,9 @@ def _head(path: Path) -> bytes:
 
 def _bag_of(path: Path) -> Path:
     """The folder of a ROS 2 bag for a .db3 file inside it, else the path itself."""
-    return path.parent if path.suffix == ".db3" and (path.parent / "metadata.yaml").exists() else path
+    return (
+        path.parent if path.suffix == ".db3" and (path.parent / "metadata.yaml").exists() else path
+    )
 
 
 class _Topic:
@@ -128,12 +140,25 @@ class _Topic:
         t, clock = (stamped, "header stamp") if good else (received, "time of reception")
         if good and np.ptp(received - stamped) > 0:
             late = received - stamped
-            clock += f" (received {1e3 * np.median(late):.3g} ms later, spread {1e3 * np.ptp(late):.3g} ms)"
+            clock += (
+                f" (received {1e3 * np.median(late):.3g} ms later, spread "
+                f"{1e3 * np.ptp(late):.3g} ms)"
+            )
         px4 = fields.get("timestamp_sample", fields.get("timestamp"))
         if "px4_msgs" in self.kind and px4 is not None and (px4 > 0).all():
             command = self.kind.rpartition("/")[2].startswith("Actuator")
-            t, clock = (fields["timestamp"] if command and "timestamp" in fields else px4) * 1e-6, "PX4's stamp"
-        return Stream(name=name, t=t, fields=fields, kind=self.kind, clock=clock, unread=tuple(sorted(self.unread)))
+            t, clock = (
+                (fields["timestamp"] if command and "timestamp" in fields else px4) * 1e-6,
+                "PX4's stamp",
+            )
+        return Stream(
+            name=name,
+            t=t,
+            fields=fields,
+            kind=self.kind,
+            clock=clock,
+            unread=tuple(sorted(self.unread)),
+        )
 
 
 def _leaves(value: Any, prefix: str, unread: set[str], depth: int) -> Iterator[tuple[str, float]]:
@@ -142,7 +167,9 @@ def _leaves(value: Any, prefix: str, unread: set[str], depth: int) -> Iterator[t
     if isinstance(value, Mapping):
         members = value
     elif hasattr(value, "__dataclass_fields__"):
-        members = {k: getattr(value, k) for k in value.__dataclass_fields__ if not k.startswith("__")}
+        members = {
+            k: getattr(value, k) for k in value.__dataclass_fields__ if not k.startswith("__")
+        }
     if members is not None:
         keys = set(members)
         if any(pair <= keys for pair in _STAMPS) or keys == {"seconds", "nanos"}:
@@ -153,11 +180,17 @@ def _leaves(value: Any, prefix: str, unread: set[str], depth: int) -> Iterator[t
             return
         if depth < 8:
             for key, member in members.items():
-                yield from _leaves(member, f"{prefix}.{key}" if prefix else str(key), unread, depth + 1)
+                yield from _leaves(
+                    member, f"{prefix}.{key}" if prefix else str(key), unread, depth + 1
+                )
         return
     if _is_number(value):
         yield prefix, float(value)
-    elif isinstance(value, (list, tuple, np.ndarray)) and 0 < len(value) <= LONGEST_ARRAY and depth < 8:
+    elif (
+        isinstance(value, (list, tuple, np.ndarray))
+        and 0 < len(value) <= LONGEST_ARRAY
+        and depth < 8
+    ):
         for j, entry in enumerate(value):
             yield from _leaves(entry, f"{prefix}[{j}]", unread, depth + 1)
     elif prefix:
@@ -213,19 +246,33 @@ def _sources(streams: Mapping[str, Stream]) -> Iterator[Source]:
             yield from _px4(name, kind, stream)
         elif kind == "Imu":
             yield Source(group="rate", stream=name, fields=_vector("angular_velocity"), frame="FLU")
-            yield Source(group="specific_force", stream=name, fields=_vector("linear_acceleration"), frame="FLU")
+            yield Source(
+                group="specific_force",
+                stream=name,
+                fields=_vector("linear_acceleration"),
+                frame="FLU",
+            )
             orientation = _vector("orientation", _WXYZ)
-            if all(f in stream.fields for f in orientation) and np.any(stream.fields["orientation.w"] != 0):
-                yield Source(group="attitude", stream=name, fields=orientation, note="orientation of the IMU")
+            if all(f in stream.fields for f in orientation) and np.any(
+                stream.fields["orientation.w"] != 0
+            ):
+                yield Source(
+                    group="attitude", stream=name, fields=orientation, note="orientation of the IMU"
+                )
         elif kind in ("PoseStamped", "PoseWithCovarianceStamped", "Odometry"):
             inner = "pose" if kind == "PoseStamped" else "pose.pose"
-            yield Source(group="attitude", stream=name, fields=_vector(f"{inner}.orientation", _WXYZ))
+            yield Source(
+                group="attitude", stream=name, fields=_vector(f"{inner}.orientation", _WXYZ)
+            )
             yield Source(group="position", stream=name, fields=_vector(f"{inner}.position"))
             if kind == "Odometry":
                 yield Source(
-                    group="velocity", stream=name, fields=_vector("twist.twist.linear"), frame="FLU",
+                    group="velocity",
+                    stream=name,
+                    fields=_vector("twist.twist.linear"),
+                    frame="FLU",
                     note="in body axes, as nav_msgs/Odometry says",
-                )  # fmt: skip
+                )
         elif kind == "TransformStamped":
             yield Source(group="attitude", stream=name, fields=_vector("transform.rotation", _WXYZ))
             yield Source(group="position", stream=name, fields=_vector("transform.translation"))
@@ -242,13 +289,17 @@ def _sources(streams: Mapping[str, Stream]) -> Iterator[Source]:
 def _px4(name: str, kind: str, stream: Stream) -> Iterator[Source]:
     if kind == "ActuatorMotors":
         used = tuple(
-            f for f in _entries("control", 12) if f in stream.fields and bool(np.isfinite(stream.fields[f]).any())
+            f
+            for f in _entries("control", 12)
+            if f in stream.fields and bool(np.isfinite(stream.fields[f]).any())
         )
         if used:
             yield Source(group="command", stream=name, fields=used, note="before THR_MDL_FAC")
     if kind == "SensorCombined":
         yield Source(group="rate", stream=name, fields=_entries("gyro_rad"), frame="FRD")
-        yield Source(group="specific_force", stream=name, fields=_entries("accelerometer_m_s2"), frame="FRD")
+        yield Source(
+            group="specific_force", stream=name, fields=_entries("accelerometer_m_s2"), frame="FRD"
+        )
     if kind == "VehicleAngularVelocity":
         yield Source(group="rate", stream=name, fields=_entries("xyz"), frame="FRD")
     if kind == "VehicleAttitude":
@@ -276,15 +327,20 @@ FORMAT = LogFormat(
     advice={
         "": "record with header stamps of the sensors (not of the reception) and one clock "
         "(chrony or PTP between machines); a mapping file says which topics are which channels",
-        "command": "record what is sent to each rotor, after the mixer (px4_msgs/ActuatorMotors, mav_msgs/Actuators, ESC "
-        "commands), and name it in a mapping file; a body-rate or thrust setpoint is no rotor command",
+        "command": "record what is sent to each rotor, after the mixer (px4_msgs/ActuatorMotors, "
+        "mav_msgs/Actuators, ESC "
+        "commands), and name it in a mapping file; a body-rate or thrust setpoint is no rotor "
+        "command",
         "rotor_speed": "record the ESC telemetry (mav_msgs/Actuators, mavros_msgs/ESCTelemetry)",
         "battery": "record sensor_msgs/BatteryState",
-        "attitude": "record the pose (geometry_msgs/PoseStamped of motion capture, nav_msgs/Odometry of an estimator)",
+        "attitude": "record the pose (geometry_msgs/PoseStamped of motion capture, "
+        "nav_msgs/Odometry of an estimator)",
         "rate": "record sensor_msgs/Imu at its full rate (mavros: imu/data_raw at 100 Hz or more)",
-        "specific_force": "record sensor_msgs/Imu at its full rate; linear_acceleration must include gravity",
+        "specific_force": "record sensor_msgs/Imu at its full rate; linear_acceleration must "
+        "include gravity",
         "position": "record the pose of motion capture or of an estimator",
-        "velocity": "record nav_msgs/Odometry, or a TwistStamped named in a mapping file with its frame",
+        "velocity": "record nav_msgs/Odometry, or a TwistStamped named in a mapping file with its "
+        "frame",
         "setpoint": "record the position setpoint and name it in a mapping file",
     },
 )

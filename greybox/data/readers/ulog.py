@@ -1,7 +1,8 @@
-"""PX4 ULog files by pyulog: every topic and instance is a stream; `px4` knows which of them are which channels.
+"""PX4 ULog files by pyulog: every topic and instance is a stream; `px4` knows which of them are
+which channels.
 
-Stamps are microseconds since boot; a measurement takes `timestamp_sample` where the topic has it. Reference: ULog file
-format, docs.px4.io.
+Stamps are microseconds since boot; a measurement takes `timestamp_sample` where the topic has it.
+Reference: ULog file format, docs.px4.io.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ from greybox.errors import DataError
 _MAGIC = b"ULog\x01\x12\x35"
 
 OURS = "greybox"
-"""`sys_name` of what `greybox validate --ulog` writes, whose estimates are predictions of a model."""
+"""`sys_name` of what `greybox validate --ulog` writes, whose estimates are predictions of a
+model."""
 
 WIDEST_FORMAT = 20_000
 """Fields of one message, arrays and nested types unfolded, above which a file is refused."""
@@ -40,22 +42,36 @@ _MEMBER = re.compile(r"([A-Za-z0-9_]+)(?:\[(\d+)\])?\s")
 
 
 def read_ulog(path: Path) -> Recording:
-    """Read a ULog file. Raises `DataError`. A log that was cut off, or has damaged parts, is read as far as it goes."""
+    """Read a ULog file. Raises `DataError`. A log that was cut off, or has damaged parts, is read
+    as far as it goes."""
     where = str(path)
     digest = checked_file(path)
     core = library("pyulog", where=where, what="a ULog file")
     # pyulog prints what it thinks of a file; standard output is for results.
-    with damaged(where, "a ULog file"), path.open("rb") as file, contextlib.redirect_stdout(io.StringIO()):
+    with (
+        damaged(where, "a ULog file"),
+        path.open("rb") as file,
+        contextlib.redirect_stdout(io.StringIO()),
+    ):
         _demand_small_formats(file, where)
         log = core.ULog(file)
         streams = dict(_streams(log))
-        parameters = {str(k): float(v) for k, v in log.initial_parameters.items() if isinstance(v, (int, float))}
+        parameters = {
+            str(k): float(v)
+            for k, v in log.initial_parameters.items()
+            if isinstance(v, (int, float))
+        }
         info = _info(log)
         dropouts = tuple((d.timestamp * 1e-6, d.duration * 1e-3) for d in log.dropouts)
-        notes = ["parts of the file are damaged and were passed over"] if log.file_corruption else []
+        notes = (
+            ["parts of the file are damaged and were passed over"] if log.file_corruption else []
+        )
     if log.msg_info_dict.get("sys_name") == OURS:
-        raise DataError("predictions of a model, written for Flight Review, not a flight", where=where,
-                        fix="give the log that it was made of")  # fmt: skip
+        raise DataError(
+            "predictions of a model, written for Flight Review, not a flight",
+            where=where,
+            fix="give the log that it was made of",
+        )
     if not streams:
         raise DataError("a ULog file without samples", where=where, fix="copy the log again")
     for name in sorted({k for _, k, _ in log.changed_parameters}):
@@ -67,8 +83,11 @@ def read_ulog(path: Path) -> Recording:
         notes.append(f"THR_MDL_FAC = {factor:g} is not between 0 and 1; taken as 0")
         factor = 0.0
     if servos_among(parameters):
-        notes.append("a VTOL: servos stand among its outputs, so that outputs without a function are no rotors "
-                     "([command] fields in a mapping file say which are)")  # fmt: skip
+        notes.append(
+            "a VTOL: servos stand among its outputs, so that outputs without a function are no "
+            "rotors "
+            "([command] fields in a mapping file say which are)"
+        )
     return Recording(
         format="ulog",
         source=path.name,
@@ -84,7 +103,8 @@ def read_ulog(path: Path) -> Recording:
 
 
 def _demand_small_formats(file: BinaryIO, where: str) -> None:
-    """Refuse message formats that unfold into absurdly many fields (arrays of nested types): they would fill the memory.
+    """Refuse message formats that unfold into absurdly many fields (arrays of nested types): they
+    would fill the memory.
 
     Raises `DataError`. Leaves the file at its beginning.
     """
@@ -137,7 +157,8 @@ def _streams(log: Any) -> Iterator[tuple[str, Stream]]:
         if "timestamp" not in fields or fields["timestamp"].size == 0:
             continue
         stamps, clock = fields["timestamp"], "timestamp, microseconds since boot"
-        # A command counts from when it was sent; its timestamp_sample is that of the gyro it answers.
+        # A command counts from when it was sent; its timestamp_sample is that of the gyro it
+        # answers.
         if "timestamp_sample" in fields and not data.name.startswith("actuator"):
             sampled = fields["timestamp_sample"]
             if (sampled > 0).all() and np.abs(stamps - sampled).max() < 1e6:
@@ -149,14 +170,30 @@ def _streams(log: Any) -> Iterator[tuple[str, Stream]]:
                     key = f"delta_{part}[{axis}]"
                     if span is not None and key in fields:
                         with np.errstate(divide="ignore", invalid="ignore"):
-                            fields[f"{key} / dt"] = np.where(span > 0, fields[key] / (span * 1e-6), np.nan)
-        yield name, Stream(name=name, t=stamps * 1e-6, fields=fields, kind=data.name, clock=clock, unread=tuple(unread))
+                            fields[f"{key} / dt"] = np.where(
+                                span > 0, fields[key] / (span * 1e-6), np.nan
+                            )
+        yield (
+            name,
+            Stream(
+                name=name,
+                t=stamps * 1e-6,
+                fields=fields,
+                kind=data.name,
+                clock=clock,
+                unread=tuple(unread),
+            ),
+        )
 
 
 def _info(log: Any) -> dict[str, str]:
     known = log.msg_info_dict
     out = {}
-    for key, label in (("sys_name", "system"), ("ver_hw", "hardware"), ("sys_os_name", "operating system")):
+    for key, label in (
+        ("sys_name", "system"),
+        ("ver_hw", "hardware"),
+        ("sys_os_name", "operating system"),
+    ):
         if isinstance(known.get(key), str):
             out[label] = known[key]
     version = log.get_version_info_str()
@@ -176,22 +213,34 @@ FORMAT = LogFormat(
     recording=read_ulog,
     libraries=("pyulog",),
     advice={
-        "": "SDLOG_PROFILE = 25 (bit 0 default, bit 3 system identification, bit 4 high rate) logs gyro, accelerometer, "
-        "attitude and motor commands at full rate; SDLOG_MODE = 0 logs from arming to disarming; a fast SD card avoids "
-        "drop-outs. etc/logging/logger_topics.txt on the SD card (lines of topic and interval in ms) replaces the whole "
+        "": "SDLOG_PROFILE = 25 (bit 0 default, bit 3 system identification, bit 4 high rate) logs "
+        "gyro, accelerometer, "
+        "attitude and motor commands at full rate; SDLOG_MODE = 0 logs from arming to disarming; a "
+        "fast SD card avoids "
+        "drop-outs. etc/logging/logger_topics.txt on the SD card (lines of topic and interval in "
+        "ms) replaces the whole "
         "profile: where it is used, it must name every topic",
-        "command": "set bit 3 or 4 of SDLOG_PROFILE (8 or 16): actuator_motors at full rate, by default it is 10 Hz; "
+        "command": "set bit 3 or 4 of SDLOG_PROFILE (8 or 16): actuator_motors at full rate, by "
+        "default it is 10 Hz; "
         "before PX4 1.13: actuator_outputs in etc/logging/logger_topics.txt on the SD card",
-        "rotor_speed": "ESCs with telemetry (DShot: DSHOT_TEL_CFG; bidirectional DShot; UAVCAN): esc_status; bit 4 of "
+        "rotor_speed": "ESCs with telemetry (DShot: DSHOT_TEL_CFG; bidirectional DShot; UAVCAN): "
+        "esc_status; bit 4 of "
         "SDLOG_PROFILE (16) logs it at 200 Hz",
-        "battery": "a power module (BAT1_V_CHANNEL or its driver): battery_status, 5 Hz by default; `battery_status 20` in "
+        "battery": "a power module (BAT1_V_CHANNEL or its driver): battery_status, 5 Hz by "
+        "default; `battery_status 20` in "
         "etc/logging/logger_topics.txt for 50 Hz",
-        "attitude": "bit 4 of SDLOG_PROFILE (16): vehicle_attitude at full rate, by default it is 20 Hz",
-        "rate": "bit 3 or 4 of SDLOG_PROFILE (8 or 16): sensor_combined and vehicle_angular_velocity at full rate",
-        "specific_force": "bit 3 of SDLOG_PROFILE (8): sensor_combined and vehicle_acceleration at full rate",
-        "position": "an estimate needs GPS, optical flow or external poses; bit 7 of SDLOG_PROFILE (128) logs motion "
-        "capture (vehicle_visual_odometry); `vehicle_local_position 10` in etc/logging/logger_topics.txt for 100 Hz",
-        "velocity": "as position: `vehicle_local_position 10` in etc/logging/logger_topics.txt on the SD card for 100 Hz",
+        "attitude": "bit 4 of SDLOG_PROFILE (16): vehicle_attitude at full rate, by default it is "
+        "20 Hz",
+        "rate": "bit 3 or 4 of SDLOG_PROFILE (8 or 16): sensor_combined and "
+        "vehicle_angular_velocity at full rate",
+        "specific_force": "bit 3 of SDLOG_PROFILE (8): sensor_combined and vehicle_acceleration at "
+        "full rate",
+        "position": "an estimate needs GPS, optical flow or external poses; bit 7 of SDLOG_PROFILE "
+        "(128) logs motion "
+        "capture (vehicle_visual_odometry); `vehicle_local_position 10` in "
+        "etc/logging/logger_topics.txt for 100 Hz",
+        "velocity": "as position: `vehicle_local_position 10` in etc/logging/logger_topics.txt on "
+        "the SD card for 100 Hz",
         "setpoint": "trajectory_setpoint is logged in position modes (5 Hz by default)",
     },
 )

@@ -1,8 +1,10 @@
-"""Gaussian likelihood of the innovations, with log det: cost = 1/2 sum (e' S^-1 e + log det S + n log 2 pi).
+"""Gaussian likelihood of the innovations, with log det: cost = 1/2 sum (e' S^-1 e + log det S + n
+log 2 pi).
 
-Where the predictor gives S, its dependence on the unknowns is part of the gradient, and the Hessian is the Fisher
-information, sum J' S^-1 J + 1/2 tr(S^-1 dS S^-1 dS) (Astrom 1980, Automatica 16(5); Jategaonkar 2015, ch. 5). Where it does
-not, S is diagonal and concentrated out: sigma_i^2 = mean of e_i^2 over all records.
+Where the predictor gives S, its dependence on the unknowns is part of the gradient, and the Hessian
+is the Fisher information, sum J' S^-1 J + 1/2 tr(S^-1 dS S^-1 dS) (Astrom 1980, Automatica 16(5);
+Jategaonkar 2015, ch. 5). Where it does not, S is diagonal and concentrated out: sigma_i^2 = mean of
+e_i^2 over all records.
 """
 
 from __future__ import annotations
@@ -35,8 +37,11 @@ class Gaussian:
         count = sum(b.mask.sum(axis=0) for b in blocks)
         return np.where(count > 0, np.maximum(total / np.maximum(count, 1), 1e-300), 1.0)
 
-    def evaluate(self, problem: Problem, blocks: Iterable[Block], order: int, scores: int | None) -> Value:
-        """Sum over all records; blocks that bring their covariance are looked at once, in order, and not kept."""
+    def evaluate(
+        self, problem: Problem, blocks: Iterable[Block], order: int, scores: int | None
+    ) -> Value:
+        """Sum over all records; blocks that bring their covariance are looked at once, in order,
+        and not kept."""
         rest = iter(blocks)
         first = next(rest, None)
         blocks = rest if first is None else itertools.chain([first], rest)
@@ -44,15 +49,23 @@ class Gaussian:
             blocks = list(blocks)
             if any(b.group is not None for b in blocks):
                 return self._grouped(problem, blocks, order, scores)
-            blocks = [weighted(b, variance) for variance in [self.variances(blocks)] for b in blocks]
+            blocks = [
+                weighted(b, variance) for variance in [self.variances(blocks)] for b in blocks
+            ]
         n = problem.n
         cost = 0.0
         gradient, hessian = np.zeros(n), np.zeros((n, n))
         rows: list[FloatArray] = []
 
-        def part_of(b: Block) -> tuple[IndexArray, tuple[float, FloatArray, FloatArray, FloatArray]]:
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # does not reach threads from outside
-                return b.columns, self._block(b, order, scores)  # not the block: its sensitivities are large
+        def part_of(
+            b: Block,
+        ) -> tuple[IndexArray, tuple[float, FloatArray, FloatArray, FloatArray]]:
+            with np.errstate(
+                over="ignore", invalid="ignore", divide="ignore"
+            ):  # does not reach threads from outside
+                return b.columns, self._block(
+                    b, order, scores
+                )  # not the block: its sensitivities are large
 
         for columns, part in problem.map_blocks(part_of, blocks) if order else map(part_of, blocks):
             cost += part[0]
@@ -66,12 +79,18 @@ class Gaussian:
         if not order:
             return Value(cost=cost, likelihood=cost)
         return Value(
-            cost=cost, likelihood=cost, gradient=gradient, hessian=hessian,
+            cost=cost,
+            likelihood=cost,
+            gradient=gradient,
+            hessian=hessian,
             scores=np.concatenate(rows) if rows else None,
-        )  # fmt: skip
+        )
 
-    def _grouped(self, problem: Problem, blocks: list[Block], order: int, scores: int | None) -> Value:
-        """Rows in groups (horizons), each with its own concentrated variances; groups of one window share its score."""
+    def _grouped(
+        self, problem: Problem, blocks: list[Block], order: int, scores: int | None
+    ) -> Value:
+        """Rows in groups (horizons), each with its own concentrated variances; groups of one window
+        share its score."""
         n = problem.n
         cost = 0.0
         gradient, hessian = np.zeros(n), np.zeros((n, n))
@@ -97,9 +116,12 @@ class Gaussian:
         if not order:
             return Value(cost=cost, likelihood=cost)
         return Value(
-            cost=cost, likelihood=cost, gradient=gradient, hessian=hessian,
+            cost=cost,
+            likelihood=cost,
+            gradient=gradient,
+            hessian=hessian,
             scores=np.concatenate(tables) if scores else None,
-        )  # fmt: skip
+        )
 
     def _decorrelated(
         self, b: Block, order: int, scores: int | None
@@ -128,7 +150,9 @@ class Gaussian:
         np.add.at(table, np.arange(n) // size, per_sample)
         return cost, per_sample.sum(axis=0), flat.T @ flat + 2.0 * half.T @ half, table
 
-    def _block(self, b: Block, order: int, scores: int | None) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+    def _block(
+        self, b: Block, order: int, scores: int | None
+    ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
         if b.variance is not None:
             return self._decorrelated(b, order, scores)
         assert b.covariance is not None
@@ -163,8 +187,13 @@ class Gaussian:
                 k = len(m)
                 flat_m = m.reshape(k, -1)
                 hessian[:k, :k] += 0.5 * at.size * flat_m @ flat_m.T
-                # dL = L (lower triangle of m, half its diagonal); for the Gaussian loss both triangles add up to m / 2.
-                half = 0.5 * flat_m if plain else (np.tril(m, -1) + 0.5 * m * np.eye(m.shape[1])).reshape(k, -1)
+                # dL = L (lower triangle of m, half its diagonal); for the Gaussian loss both
+                # triangles add up to m / 2.
+                half = (
+                    0.5 * flat_m
+                    if plain
+                    else (np.tril(m, -1) + 0.5 * m * np.eye(m.shape[1])).reshape(k, -1)
+                )
             there = np.diag((b.mask[at[0]] != 0).astype(float))
             if scores is None:
                 gradient += jz.reshape(-1, ns).T @ pull.ravel()
@@ -181,7 +210,8 @@ class Gaussian:
 
 
 def _evenly(at: IndexArray) -> slice | IndexArray:
-    """Samples in a row, or every so many, as a slice: they are looked at where they are, without a copy."""
+    """Samples in a row, or every so many, as a slice: they are looked at where they are, without a
+    copy."""
     step = int(at[1] - at[0]) if at.size > 1 else 1
     return slice(int(at[0]), int(at[-1]) + 1, step) if (np.diff(at) == step).all() else at
 
@@ -190,7 +220,9 @@ def _rows(b: Block, group: int) -> Block:
     """The rows of one group."""
     assert b.group is not None
     at = np.flatnonzero(b.group == group)
-    return replace(b, e=b.e[at], mask=b.mask[at], jacobian=None if b.jacobian is None else b.jacobian[at])
+    return replace(
+        b, e=b.e[at], mask=b.mask[at], jacobian=None if b.jacobian is None else b.jacobian[at]
+    )
 
 
 def weighted(b: Block, variance: FloatArray) -> Block:

@@ -1,11 +1,13 @@
-"""k-step-ahead prediction: the innovation form filters up to sample t - k, the model runs on alone to sample t.
+"""k-step-ahead prediction: the innovation form filters up to sample t - k, the model runs on alone
+to sample t.
 
     x_hat(t-k+1 | t-k) from the stationary filter,   e_t = y_t - h(F^(k-1)(x_hat(t-k+1 | t-k))),   k = 1: innovations
 
-(Ljung 1999, System Identification, sec. 3.2 and eq. 4.48; for control: Gevers 2005, European J. of Control 11(4-5).) The
-gain follows from noise levels that are held (those of the problem: given, of an earlier fit, or nominal) and from the
-parameters, exactly differentiated. Samples before the k-th are predicted from the initial state. Errors of
-neighbouring samples overlap, so that they are correlated up to lag k - 1: standard errors want the sandwich form.
+(Ljung 1999, System Identification, sec. 3.2 and eq. 4.48; for control: Gevers 2005, European J. of
+Control 11(4-5).) The gain follows from noise levels that are held (those of the problem: given, of
+an earlier fit, or nominal) and from the parameters, exactly differentiated. Samples before the k-th
+are predicted from the initial state. Errors of neighbouring samples overlap, so that they are
+correlated up to lag k - 1: standard errors want the sandwich form.
 """
 
 from __future__ import annotations
@@ -71,13 +73,21 @@ class KStep(Predictor[InnovationPrepared]):
             gains, _, _ = filters[i].tables()
             p = problem.parameters_of(theta, record.flight)
             passed = engine.run(
-                x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=filters[i].pattern,
-                gains=gains, p=p, dt=record.dt, s0=s0 if jacobian else None,
+                x0=x0,
+                inputs=record.inputs,
+                outputs=record.outputs,
+                mask=record.mask,
+                pattern=filters[i].pattern,
+                gains=gains,
+                p=p,
+                dt=record.dt,
+                s0=s0 if jacobian else None,
                 want=frozenset({"states", "state_sensitivity"}),
-            )  # fmt: skip
+            )
             if passed.failed_at is not None:
                 raise FitError(
-                    f"the prediction of flight {record.flight} is not finite after sample {passed.failed_at}"
+                    f"the prediction of flight {record.flight} is not finite after sample "
+                    f"{passed.failed_at}"
                 )
             k = min(self.k, record.n)
             rows = np.arange(record.n - k + 1)
@@ -85,15 +95,31 @@ class KStep(Predictor[InnovationPrepared]):
             tails[0] = k
             assert passed.states is not None
             ahead = engine.windows(
-                starts=passed.states[rows], rows=rows, lengths=np.full(rows.size, k), tails=tails, inputs=record.inputs,
-                outputs=record.outputs, mask=record.mask, p=p, dt=record.dt,
+                starts=passed.states[rows],
+                rows=rows,
+                lengths=np.full(rows.size, k),
+                tails=tails,
+                inputs=record.inputs,
+                outputs=record.outputs,
+                mask=record.mask,
+                p=p,
+                dt=record.dt,
                 s0=None if passed.state_sensitivity is None else passed.state_sensitivity[rows],
-            )  # fmt: skip
+            )
             if ahead.failed_in is not None:
-                raise FitError(f"the prediction of flight {record.flight} is not finite from sample {ahead.failed_in}")
+                raise FitError(
+                    f"the prediction of flight {record.flight} is not finite from sample "
+                    f"{ahead.failed_in}"
+                )
             return Block(
-                record=record, e=ahead.innovations, mask=record.mask, jacobian=ahead.sensitivity, columns=columns,
-                covariance=None, covariance_slope=None, pattern=record.pattern,
-            )  # fmt: skip
+                record=record,
+                e=ahead.innovations,
+                mask=record.mask,
+                jacobian=ahead.sensitivity,
+                columns=columns,
+                covariance=None,
+                covariance_slope=None,
+                pattern=record.pattern,
+            )
 
         return problem.map_records(work)

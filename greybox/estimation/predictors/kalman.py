@@ -1,16 +1,19 @@
-"""Time-varying extended Kalman filter: the linearisation and the covariance follow the flight, sample by sample.
+"""Time-varying extended Kalman filter: the linearisation and the covariance follow the flight,
+sample by sample.
 
     S_k = C P C' + D Q D' + R,   K_k = (A P C' + G Q D') S_k^-1,   P+ = A P A' + G Q G' - K_k S_k K_k'
 
-with A, C, G, D at the predicted state, P from the prior of the initial state, and rows of missing channels left out: the
-likelihood of the initial state, of gaps and of slow channels is accounted for exactly (to first order in the
-nonlinearity; exactly for a linear model). (Anderson and Moore 1979, Optimal Filtering, sec. 8.2; Jategaonkar 2015, Flight
-Vehicle System Identification, sec. 5.5.) The attitude part is a multiplicative filter without the reset's second-order
-term (Markley 2003, J. Guidance 26(2)).
+with A, C, G, D at the predicted state, P from the prior of the initial state, and rows of missing
+channels left out: the likelihood of the initial state, of gaps and of slow channels is accounted
+for exactly (to first order in the nonlinearity; exactly for a linear model). (Anderson and Moore
+1979, Optimal Filtering, sec. 8.2; Jategaonkar 2015, Flight Vehicle System Identification, sec.
+5.5.) The attitude part is a multiplicative filter without the reset's second-order term (Markley
+2003, J. Guidance 26(2)).
 
-Residuals are decorrelated innovations L^-1 e with S = L D L': their order is that of the channels, their variances D.
-Derivatives are central differences of the compiled filter (one-sided of second order at a bound), 2 n_s passes; they
-agree with the cost to about 1e-7. Refine a fit of the stationary innovation form with it rather than start with it.
+Residuals are decorrelated innovations L^-1 e with S = L D L': their order is that of the channels,
+their variances D. Derivatives are central differences of the compiled filter (one-sided of second
+order at a bound), 2 n_s passes; they agree with the cost to about 1e-7. Refine a fit of the
+stationary innovation form with it rather than start with it.
 """
 
 from __future__ import annotations
@@ -39,7 +42,8 @@ from greybox.symbolic import FloatArray
 @final
 @dataclass(frozen=True, kw_only=True)
 class Kalman(Predictor["Filter"]):
-    """Extended Kalman filter with estimated noise levels; `step` is the difference in units of an unknown's scale.
+    """Extended Kalman filter with estimated noise levels; `step` is the difference in units of an
+    unknown's scale.
 
     Initial states are no unknowns: their prior starts the filter.
     """
@@ -57,27 +61,50 @@ class Kalman(Predictor["Filter"]):
         """Decorrelated innovations of every record and their variances."""
         noise = [f"noise.process.{n}" for n in problem.dynamics.noises.names]
         noise += [f"noise.sensor.{n}" for n in problem.dynamics.innovations.names]
-        noise_columns = np.array([p for p in map(problem.place, noise) if p is not None], dtype=np.intp)
+        noise_columns = np.array(
+            [p for p in map(problem.place, noise) if p is not None], dtype=np.intp
+        )
 
         def work(i: int) -> Block:
             record = problem.records[i]
             columns = np.concatenate([problem.local_columns(record.flight), noise_columns])
             e, variance = self._pass(problem, theta, record)
-            slopes = [self._slope(problem, theta, record, int(c), e, variance) for c in columns] if jacobian else []
+            slopes = (
+                [self._slope(problem, theta, record, int(c), e, variance) for c in columns]
+                if jacobian
+                else []
+            )
             return Block(
-                record=record, e=e, mask=record.mask, columns=columns, covariance=None, covariance_slope=None,
-                pattern=record.pattern, jacobian=np.stack([s[0] for s in slopes], axis=-1) if slopes else None,
-                variance=variance, variance_slope=np.stack([s[1] for s in slopes], axis=-1) if slopes else None,
-            )  # fmt: skip
+                record=record,
+                e=e,
+                mask=record.mask,
+                columns=columns,
+                covariance=None,
+                covariance_slope=None,
+                pattern=record.pattern,
+                jacobian=np.stack([s[0] for s in slopes], axis=-1) if slopes else None,
+                variance=variance,
+                variance_slope=np.stack([s[1] for s in slopes], axis=-1) if slopes else None,
+            )
 
         return problem.map_records(work)
 
-    def _pass(self, problem: Problem, theta: FloatArray, record: Record) -> tuple[FloatArray, FloatArray]:
+    def _pass(
+        self, problem: Problem, theta: FloatArray, record: Record
+    ) -> tuple[FloatArray, FloatArray]:
         process, sensor = problem.noise_levels(theta)
-        return problem.prepared(self).run(record, problem.parameters_of(theta, record.flight), process**2, sensor**2)
+        return problem.prepared(self).run(
+            record, problem.parameters_of(theta, record.flight), process**2, sensor**2
+        )
 
     def _slope(
-        self, problem: Problem, theta: FloatArray, record: Record, j: int, e: FloatArray, variance: FloatArray
+        self,
+        problem: Problem,
+        theta: FloatArray,
+        record: Record,
+        j: int,
+        e: FloatArray,
+        variance: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
         """Derivatives of innovations and variances with respect to unknown j."""
         u = problem.unknowns[j]
@@ -107,9 +134,13 @@ class Filter:
         e = dynamics.innovation(y, dynamics.output(0, x, u, p, w, dt), x)
         into, out = chart_jacobians(dynamics, x, after)
         parts = [
-            after, e, out @ ca.jacobian(after, x) @ into, ca.jacobian(e, x) @ into, out @ ca.jacobian(after, w),
+            after,
+            e,
+            out @ ca.jacobian(after, x) @ into,
+            ca.jacobian(e, x) @ into,
+            out @ ca.jacobian(after, w),
             ca.jacobian(e, w),
-        ]  # fmt: skip
+        ]
         quiet = ca.DM.zeros(len(dynamics.noises))
         parts = [ca.densify(ca.substitute(v, w, quiet)) for v in parts]
         self.lin = ca.Function("gb_ekf_lin", [x, u, y, p, dt], parts)
@@ -120,7 +151,9 @@ class Filter:
             generator = ca.CodeGenerator("gb_ekf_model.c", {"with_header": False})
             generator.add(self.lin)
             generator.add(self.move)
-            driver = resources.files("greybox.estimation").joinpath("ekf.c").read_text(encoding="utf-8")
+            driver = (
+                resources.files("greybox.estimation").joinpath("ekf.c").read_text(encoding="utf-8")
+            )
             self._library = opened(
                 [
                     ("gb_ekf_model.c", generator.dump(), MODEL_FLAGS),
@@ -133,8 +166,11 @@ class Filter:
             self._library.gb_ekf_sizes(*(ctypes.byref(v) for v in sizes))
             self._work = [v.value for v in sizes]
 
-    def run(self, record: Record, p: FloatArray, q: FloatArray, r: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(L^-1 e, variances), both (n, n_e), for the noise variances q (n_w) and r (n_e). Raises `FitError`."""
+    def run(
+        self, record: Record, p: FloatArray, q: FloatArray, r: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(L^-1 e, variances), both (n, n_e), for the noise variances q (n_w) and r (n_e). Raises
+        `FitError`."""
         d = self.dynamics
         y = np.ascontiguousarray(np.where(np.isfinite(record.outputs), record.outputs, 0.0))
         x, first = np.array(record.x0, dtype=np.float64), record.inputs[: sum(d.window) + 1].T
@@ -143,16 +179,35 @@ class Filter:
         e, variance = np.zeros_like(record.mask), np.ones_like(record.mask)
         call = self._run_vm if self._library is None else self._run_c
         bad = call(
-            record, x, np.ascontiguousarray(spread), y, np.ascontiguousarray(p, dtype=np.float64), q, r, e, variance
+            record,
+            x,
+            np.ascontiguousarray(spread),
+            y,
+            np.ascontiguousarray(p, dtype=np.float64),
+            q,
+            r,
+            e,
+            variance,
         )
         if bad:
-            raise FitError(f"the Kalman filter of {d.name} breaks down at sample {bad - 1} of flight {record.flight}")
+            raise FitError(
+                f"the Kalman filter of {d.name} breaks down at sample {bad - 1} of flight "
+                f"{record.flight}"
+            )
         return e, variance
 
     def _run_c(
-        self, record: Record, x: FloatArray, spread: FloatArray, y: FloatArray, p: FloatArray, q: FloatArray,
-        r: FloatArray, e: FloatArray, variance: FloatArray,
-    ) -> int:  # fmt: skip
+        self,
+        record: Record,
+        x: FloatArray,
+        spread: FloatArray,
+        y: FloatArray,
+        p: FloatArray,
+        q: FloatArray,
+        r: FloatArray,
+        e: FloatArray,
+        variance: FloatArray,
+    ) -> int:
         d = self.dynamics
         nx, nd, ne, nw = len(d.states), len(d.error_states), len(d.innovations), len(d.noises)
         a, b, i, w = self._work
@@ -160,21 +215,50 @@ class Filter:
         q, r = np.ascontiguousarray(q), np.ascontiguousarray(r)
         return int(
             self._library.gb_ekf(
-                record.n, nx, nd, ne, len(d.outputs), len(d.inputs), nw, _ptr(x), _ptr(spread), _ptr(record.inputs),
-                _ptr(y), _ptr(record.mask), _ptr(p), ctypes.c_double(record.dt), _ptr(q), _ptr(r), _ptr(e),
-                _ptr(variance), (ctypes.c_void_p * a)(), (ctypes.c_void_p * b)(), (ctypes.c_longlong * i)(),
-                (ctypes.c_double * w)(), _ptr(buffer),
+                record.n,
+                nx,
+                nd,
+                ne,
+                len(d.outputs),
+                len(d.inputs),
+                nw,
+                _ptr(x),
+                _ptr(spread),
+                _ptr(record.inputs),
+                _ptr(y),
+                _ptr(record.mask),
+                _ptr(p),
+                ctypes.c_double(record.dt),
+                _ptr(q),
+                _ptr(r),
+                _ptr(e),
+                _ptr(variance),
+                (ctypes.c_void_p * a)(),
+                (ctypes.c_void_p * b)(),
+                (ctypes.c_longlong * i)(),
+                (ctypes.c_double * w)(),
+                _ptr(buffer),
             )
-        )  # fmt: skip
+        )
 
     def _run_vm(
-        self, record: Record, x: FloatArray, spread: FloatArray, y: FloatArray, p: FloatArray, q: FloatArray,
-        r: FloatArray, e: FloatArray, variance: FloatArray,
-    ) -> int:  # fmt: skip
+        self,
+        record: Record,
+        x: FloatArray,
+        spread: FloatArray,
+        y: FloatArray,
+        p: FloatArray,
+        q: FloatArray,
+        r: FloatArray,
+        e: FloatArray,
+        variance: FloatArray,
+    ) -> int:
         width = sum(self.dynamics.window) + 1
         for t in range(record.n):
             there = record.mask[t] != 0
-            parts = [v.full() for v in self.lin(x, record.inputs[t : t + width].T, y[t], p, record.dt)]
+            parts = [
+                v.full() for v in self.lin(x, record.inputs[t : t + width].T, y[t], p, record.dt)
+            ]
             after, innovation, a, c, g, d = parts
             innovation, c, d = innovation.ravel() * there, -c * there[:, None], -d * there[:, None]
             s = c @ spread @ c.T + (d * q) @ d.T + np.diag(np.where(there, r, 1.0))

@@ -1,14 +1,16 @@
-"""Multi-step prediction: from filter states along the flight the model runs on alone, judged at several horizons.
+"""Multi-step prediction: from filter states along the flight the model runs on alone, judged at
+several horizons.
 
     e_(k,h) = y_(k+h) - h(F^h(x_hat(k | k-1))),   k every `stride` samples, h in `horizons`
 
-A model for control is used open loop over a horizon; where the noise is not what the filter assumes (streams that drift
-against each other, coloured torque) the one-step likelihood trades long-run accuracy for it. The gain follows from noise
-levels that are held. Errors are weighed per horizon and channel (their variances are concentrated out), so that no
-horizon dominates. Errors from neighbouring samples share almost everything that caused them: one longest horizon of
-samples counts as one observation, or priors would be worth nothing. (Shook, Mohtadi and Shah 1992, A control-relevant
-identification strategy for GPC, IEEE TAC 37(7); Farina and Piroddi 2011, Simulation error minimization, Int. J. Control
-84(2).)
+A model for control is used open loop over a horizon; where the noise is not what the filter assumes
+(streams that drift against each other, coloured torque) the one-step likelihood trades long-run
+accuracy for it. The gain follows from noise levels that are held. Errors are weighed per horizon
+and channel (their variances are concentrated out), so that no horizon dominates. Errors from
+neighbouring samples share almost everything that caused them: one longest horizon of samples counts
+as one observation, or priors would be worth nothing. (Shook, Mohtadi and Shah 1992, A
+control-relevant identification strategy for GPC, IEEE TAC 37(7); Farina and Piroddi 2011,
+Simulation error minimization, Int. J. Control 84(2).)
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ from greybox.symbolic import BoolArray, FloatArray
 @final
 @dataclass(frozen=True, kw_only=True)
 class MultiStep(Predictor[InnovationPrepared]):
-    """Errors at `horizons` (samples, 1 = one step) from every `stride`-th sample. Errors overlap: use sandwich errors."""
+    """Errors at `horizons` (samples, 1 = one step) from every `stride`-th sample. Errors overlap:
+    use sandwich errors."""
 
     horizons: tuple[int, ...] = (1, 2, 5, 10, 20, 30, 50)
     stride: int = 15
@@ -39,7 +42,10 @@ class MultiStep(Predictor[InnovationPrepared]):
 
     def __post_init__(self) -> None:
         if not self.horizons or min(self.horizons) < 1 or self.stride < 1:
-            raise ModelError("horizons and stride must be one sample or more", got=f"{self.horizons}, {self.stride}")
+            raise ModelError(
+                "horizons and stride must be one sample or more",
+                got=f"{self.horizons}, {self.stride}",
+            )
 
     @property
     def one_step(self) -> Innovation:
@@ -73,30 +79,59 @@ class MultiStep(Predictor[InnovationPrepared]):
             gains, _, _ = filters[i].tables()
             p = problem.parameters_of(theta, record.flight)
             passed = engine.run(
-                x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=filters[i].pattern,
-                gains=gains, p=p, dt=record.dt, s0=s0 if jacobian else None,
+                x0=x0,
+                inputs=record.inputs,
+                outputs=record.outputs,
+                mask=record.mask,
+                pattern=filters[i].pattern,
+                gains=gains,
+                p=p,
+                dt=record.dt,
+                s0=s0 if jacobian else None,
                 want=frozenset({"states", "state_sensitivity"}),
-            )  # fmt: skip
+            )
             if passed.failed_at is not None or passed.states is None:
                 raise FitError(f"the prediction of flight {record.flight} is not finite")
             rows = np.arange(0, record.n - length + 1, self.stride)
             whole = np.full(rows.size, length)
             slope = None if passed.state_sensitivity is None else passed.state_sensitivity[rows]
             ahead = engine.windows(
-                starts=passed.states[rows], rows=rows, lengths=whole, tails=whole, inputs=record.inputs,
-                outputs=record.outputs, mask=record.mask, p=p, dt=record.dt, s0=slope,
-            )  # fmt: skip
+                starts=passed.states[rows],
+                rows=rows,
+                lengths=whole,
+                tails=whole,
+                inputs=record.inputs,
+                outputs=record.outputs,
+                mask=record.mask,
+                p=p,
+                dt=record.dt,
+                s0=slope,
+            )
             if ahead.failed_in is not None:
-                raise FitError(f"the prediction of flight {record.flight} is not finite from sample {ahead.failed_in}")
-            e = ahead.innovations.reshape(rows.size, length, engine.ne)[:, at].reshape(-1, engine.ne)
+                raise FitError(
+                    f"the prediction of flight {record.flight} is not finite from sample "
+                    f"{ahead.failed_in}"
+                )
+            e = ahead.innovations.reshape(rows.size, length, engine.ne)[:, at].reshape(
+                -1, engine.ne
+            )
             de = ahead.sensitivity
             if de is not None:
-                de = de.reshape(rows.size, length, engine.ne, -1)[:, at].reshape(e.shape[0], engine.ne, -1)
+                de = de.reshape(rows.size, length, engine.ne, -1)[:, at].reshape(
+                    e.shape[0], engine.ne, -1
+                )
             return Block(
-                record=record, e=e, mask=record.mask[(rows[:, None] + at).ravel()], jacobian=de, columns=columns,
-                covariance=None, covariance_slope=None, pattern=record.pattern,
+                record=record,
+                e=e,
+                mask=record.mask[(rows[:, None] + at).ravel()],
+                jacobian=de,
+                columns=columns,
+                covariance=None,
+                covariance_slope=None,
+                pattern=record.pattern,
                 group=np.tile(np.arange(at.size, dtype=np.int32), rows.size),
-                weight=self.stride / (at.size * length), spacing=float(self.stride),
-            )  # fmt: skip
+                weight=self.stride / (at.size * length),
+                spacing=float(self.stride),
+            )
 
         return problem.map_records(work)

@@ -1,18 +1,21 @@
-"""Multiple shooting: the residuals, the cost and the optimum of pure simulation, reached on a path that may first be broken.
+"""Multiple shooting: the residuals, the cost and the optimum of pure simulation, reached on a path
+that may first be broken.
 
-Every record is cut in windows with a start state of their own, which must meet the end of the window before:
+Every record is cut in windows with a start state of their own, which must meet the end of the
+window before:
 
     min over theta, s_0 .. s_m of V(e(s, theta))   subject to   c_k = F_k(s_k, theta) boxminus s_(k+1) = 0
 
-The generalised Gauss-Newton method linearises residuals and continuity alike, and condensing removes s_1 .. s_m from
-each step (Bock 1987, Randwertproblemmethoden zur Parameteridentifizierung, Bonner Math. Schriften 183; Bock, Kostina and
-Schloder 2007, GAMM-Mitteilungen 30(2)):
+The generalised Gauss-Newton method linearises residuals and continuity alike, and condensing
+removes s_1 .. s_m from each step (Bock 1987, Randwertproblemmethoden zur Parameteridentifizierung,
+Bonner Math. Schriften 183; Bock, Kostina and Schloder 2007, GAMM-Mitteilungen 30(2)):
 
     v_(k+1) = A_k v_k + c_k,   D_(k+1) = A_k D_k + B_k;   residuals e_k + E_k v_k,   Jacobian H_k + E_k D_k
 
-Start states come from a filter that follows the measurements, so that a poor theta cannot make the path run away. When the
-gaps have closed the problem *is* simulation, and any solver ends the work there. For windows without continuity, cut
-the data set into short flights and fit `Simulation`: that is another estimator, with another optimum.
+Start states come from a filter that follows the measurements, so that a poor theta cannot make the
+path run away. When the gaps have closed the problem *is* simulation, and any solver ends the work
+there. For windows without continuity, cut the data set into short flights and fit `Simulation`:
+that is another estimator, with another optimum.
 """
 
 from __future__ import annotations
@@ -39,7 +42,8 @@ from greybox.symbolic import CASADI, FloatArray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ShootingPrepared:
-    """The chart's `difference` (CasADi: states a, b -> boxminus(a, b)) and what the `filter` of the start states needs."""
+    """The chart's `difference` (CasADi: states a, b -> boxminus(a, b)) and what the `filter` of the
+    start states needs."""
 
     difference: ca.Function
     filter: InnovationPrepared
@@ -48,7 +52,8 @@ class ShootingPrepared:
 @final
 @dataclass(frozen=True, kw_only=True)
 class MultipleShooting(Predictor[ShootingPrepared]):
-    """Simulation with windows of `window_s` seconds on the way; `approach` closes the gaps from any start."""
+    """Simulation with windows of `window_s` seconds on the way; `approach` closes the gaps from any
+    start."""
 
     window_s: float = 0.5
     max_iterations: int = 25
@@ -59,7 +64,9 @@ class MultipleShooting(Predictor[ShootingPrepared]):
 
     def __post_init__(self) -> None:
         if not self.window_s > 0:
-            raise ModelError("the window of multiple shooting must be positive", got=f"{self.window_s:g} s")
+            raise ModelError(
+                "the window of multiple shooting must be positive", got=f"{self.window_s:g} s"
+            )
 
     def prepare(self, problem: Problem) -> ShootingPrepared:
         """The chart's difference and what the filter of the start states needs."""
@@ -72,12 +79,15 @@ class MultipleShooting(Predictor[ShootingPrepared]):
         """Simulation errors of every record: those of the unbroken path."""
         return self.simulation.blocks(problem, theta, jacobian)
 
-    def approach(self, problem: Problem, start: FloatArray, progress: Progress | None = None) -> FloatArray:
+    def approach(
+        self, problem: Problem, start: FloatArray, progress: Progress | None = None
+    ) -> FloatArray:
         """Unknowns (n,) from which simulation goes on: Bock's iteration until the gaps have closed.
 
-        Full steps, which contract fast where they contract at all; where they do not, the windows are halved and the
-        iteration starts again, up to `halvings` times. Gaps count in units of the prior of the initial state. Returns
-        `start` where nothing was found that simulates better.
+        Full steps, which contract fast where they contract at all; where they do not, the windows
+        are halved and the iteration starts again, up to `halvings` times. Gaps count in units of
+        the prior of the initial state. Returns `start` where nothing was found that simulates
+        better.
         """
         first = problem.evaluate(start, 0)
         for halving in range(self.halvings + 1):
@@ -90,7 +100,9 @@ class MultipleShooting(Predictor[ShootingPrepared]):
                 return theta
         return np.array(start)
 
-    def _close(self, problem: Problem, start: FloatArray, window_s: float, progress: Progress | None) -> FloatArray:
+    def _close(
+        self, problem: Problem, start: FloatArray, window_s: float, progress: Progress | None
+    ) -> FloatArray:
         """Iterate with windows of this length. Raises `FitError` where the gaps do not close."""
         lower, upper = problem.lower, problem.upper
         theta = problem.inside(start)
@@ -102,7 +114,11 @@ class MultipleShooting(Predictor[ShootingPrepared]):
             cost, slope, curvature = _prior(problem, theta)
             assert value.gradient is not None and value.hessian is not None
             gradient, hessian = value.gradient + slope, value.hessian + np.diag(curvature)
-            if not (np.isfinite(value.cost) and np.isfinite(gradient).all() and np.isfinite(hessian).all()):
+            if not (
+                np.isfinite(value.cost)
+                and np.isfinite(gradient).all()
+                and np.isfinite(hessian).all()
+            ):
                 break
             held = ((theta <= lower) & (gradient > 0)) | ((theta >= upper) & (gradient < 0))
             new = problem.inside(theta + damped_step(gradient, hessian, held, 0.0))
@@ -139,7 +155,9 @@ class _Part:
     gaps: FloatArray  # c_k / sigma, (m - 1, n_d)
 
 
-def _path(problem: Problem, prepared: InnovationPrepared, theta: FloatArray, window_s: float) -> list[_Windows]:
+def _path(
+    problem: Problem, prepared: InnovationPrepared, theta: FloatArray, window_s: float
+) -> list[_Windows]:
     """Start states along every record from a stationary filter with lively process noise."""
     process, sensor = problem.noise_levels(theta)
     p = problem.parameters_of(theta, None)
@@ -155,9 +173,16 @@ def _path(problem: Problem, prepared: InnovationPrepared, theta: FloatArray, win
             zero=np.array([not m.any() for m in record.patterns], dtype=np.int32),
         )
         run = problem.engine.run(
-            x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern, gains=gains,
-            p=problem.parameters_of(theta, record.flight), dt=record.dt, want=frozenset({"states"}),
-        )  # fmt: skip
+            x0=x0,
+            inputs=record.inputs,
+            outputs=record.outputs,
+            mask=record.mask,
+            pattern=record.pattern,
+            gains=gains,
+            p=problem.parameters_of(theta, record.flight),
+            dt=record.dt,
+            want=frozenset({"states"}),
+        )
         if run.failed_at is not None or run.states is None:
             raise FitError(f"no path along flight {record.flight}")
         lengths = np.diff(np.append(rows, record.n))
@@ -165,17 +190,26 @@ def _path(problem: Problem, prepared: InnovationPrepared, theta: FloatArray, win
     return out
 
 
-def _part(problem: Problem, difference: ca.Function, theta: FloatArray, i: int, windows: _Windows) -> _Part:
+def _part(
+    problem: Problem, difference: ca.Function, theta: FloatArray, i: int, windows: _Windows
+) -> _Part:
     record, engine = problem.records[i], problem.engine
     x0, s0, columns = start_of(problem, theta, i)
     m, nd, na = windows.rows.size, engine.nd, len(engine.active)
     own = np.zeros((m, nd, na + nd))
     own[:, :, na:] = np.eye(nd)
     run = engine.windows(
-        starts=np.concatenate([x0[None], windows.starts[1:]]), rows=windows.rows, lengths=windows.lengths,
-        tails=windows.lengths, inputs=record.inputs, outputs=record.outputs, mask=record.mask,
-        p=problem.parameters_of(theta, record.flight), dt=record.dt, s0=own,
-    )  # fmt: skip
+        starts=np.concatenate([x0[None], windows.starts[1:]]),
+        rows=windows.rows,
+        lengths=windows.lengths,
+        tails=windows.lengths,
+        inputs=record.inputs,
+        outputs=record.outputs,
+        mask=record.mask,
+        p=problem.parameters_of(theta, record.flight),
+        dt=record.dt,
+        s0=own,
+    )
     if run.failed_in is not None:
         raise FitError(f"window {run.failed_in} of flight {record.flight} is not finite")
     assert run.sensitivity is not None and run.end_sensitivity is not None
@@ -199,9 +233,15 @@ def _part(problem: Problem, difference: ca.Function, theta: FloatArray, i: int, 
     if not (np.isfinite(e).all() and np.isfinite(shift).all()):
         raise FitError(f"the gaps of flight {record.flight} run away")
     block = Block(
-        record=record, e=e, mask=record.mask, jacobian=jacobian, columns=columns, covariance=None,
-        covariance_slope=None, pattern=record.pattern,
-    )  # fmt: skip
+        record=record,
+        e=e,
+        mask=record.mask,
+        jacobian=jacobian,
+        columns=columns,
+        covariance=None,
+        covariance_slope=None,
+        pattern=record.pattern,
+    )
     return _Part(block=block, shift=shift, slope=slope, gaps=gaps / problem.start_sigma(i))
 
 

@@ -1,9 +1,11 @@
-"""Pure simulation (output error): no correction, K = 0; the model runs on its own from a free initial state.
+"""Pure simulation (output error): no correction, K = 0; the model runs on its own from a free
+initial state.
 
     x(k+1) = F(x(k), u_k),   e_k = y_k - h(x(k), u_k)
 
-All misfit is sensor noise; the criterion estimates its level. (Ljung 1999, System Identification, eq. 4.25; Jategaonkar
-2015, Flight Vehicle System Identification, ch. 4.) Biased where process noise matters: use the innovation form there.
+All misfit is sensor noise; the criterion estimates its level. (Ljung 1999, System Identification,
+eq. 4.25; Jategaonkar 2015, Flight Vehicle System Identification, ch. 4.) Biased where process noise
+matters: use the innovation form there.
 """
 
 from __future__ import annotations
@@ -40,18 +42,36 @@ class Simulation(Predictor[None]):
             x0, s0, columns = start_of(problem, theta, i)
             count = len(record.patterns)
             run = engine.run(
-                x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
-                gains=GainTable(gain=np.zeros((count, engine.nd, engine.ne)), zero=np.ones(count, dtype=np.int32)),
-                p=problem.parameters_of(theta, record.flight), dt=record.dt, s0=s0 if jacobian else None,
+                x0=x0,
+                inputs=record.inputs,
+                outputs=record.outputs,
+                mask=record.mask,
+                pattern=record.pattern,
+                gains=GainTable(
+                    gain=np.zeros((count, engine.nd, engine.ne)),
+                    zero=np.ones(count, dtype=np.int32),
+                ),
+                p=problem.parameters_of(theta, record.flight),
+                dt=record.dt,
+                s0=s0 if jacobian else None,
                 want=frozenset({"innovations", "sensitivity"}),
-            )  # fmt: skip
+            )
             if run.failed_at is not None:
-                raise FitError(f"the simulation of flight {record.flight} is not finite after sample {run.failed_at}")
+                raise FitError(
+                    f"the simulation of flight {record.flight} is not finite after sample "
+                    f"{run.failed_at}"
+                )
             assert run.innovations is not None
             return Block(
-                record=record, e=run.innovations, mask=record.mask, jacobian=run.sensitivity, columns=columns,
-                covariance=None, covariance_slope=None, pattern=record.pattern,
-            )  # fmt: skip
+                record=record,
+                e=run.innovations,
+                mask=record.mask,
+                jacobian=run.sensitivity,
+                columns=columns,
+                covariance=None,
+                covariance_slope=None,
+                pattern=record.pattern,
+            )
 
         return problem.map_records(work)
 
@@ -59,7 +79,8 @@ class Simulation(Predictor[None]):
 def start_of(
     problem: Problem, theta: FloatArray, record_index: int
 ) -> tuple[FloatArray, FloatArray, np.ndarray[tuple[int], np.dtype[np.intp]]]:
-    """(x0 (n_x,), its sensitivity s0 (n_d, n_s), columns (n_s,)): active parameters first, then the initial error state."""
+    """(x0 (n_x,), its sensitivity s0 (n_d, n_s), columns (n_s,)): active parameters first, then the
+    initial error state."""
     columns = problem.local_columns(problem.records[record_index].flight)
     x0, slope = problem.start_of(theta, record_index)
     s0 = np.concatenate([np.zeros((problem.engine.nd, columns.size)), slope], axis=1)

@@ -1,8 +1,9 @@
-"""Gauss-Newton with step halving: the full step of the Gauss-Newton (Fisher scoring) model, halved until the cost falls.
+"""Gauss-Newton with step halving: the full step of the Gauss-Newton (Fisher scoring) model, halved
+until the cost falls.
 
-Nocedal and Wright 2006, Numerical Optimization, sec. 3.1 (sufficient decrease) and 10.3. Undamped: quick near the optimum,
-without the safety of Levenberg-Marquardt far from it. Bounds by projection; steps of noise levels in their variances, as
-there.
+Nocedal and Wright 2006, Numerical Optimization, sec. 3.1 (sufficient decrease) and 10.3. Undamped:
+quick near the optimum, without the safety of Levenberg-Marquardt far from it. Bounds by projection;
+steps of noise levels in their variances, as there.
 """
 
 from __future__ import annotations
@@ -17,21 +18,25 @@ from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import FloatArray
 
 SUFFICIENT = 0.1
-"""Share of the decrease that the slope promises which a step must bring: one that overshoots to the other side of the valley
-brings next to nothing, and the next one back."""
+"""Share of the decrease that the slope promises which a step must bring: one that overshoots to the
+other side of the valley brings next to nothing, and the next one back."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GaussNewton:
-    """Stops when a full step promises a decrease of the cost below `tolerance` (see LevenbergMarquardt)."""
+    """Stops when a full step promises a decrease of the cost below `tolerance` (see
+    LevenbergMarquardt)."""
 
     name: str = "gauss-newton"
     tolerance: float = 1e-6
     max_iterations: int = 60
     max_halvings: int = 20
 
-    def solve(self, problem: Objective, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
-        """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
+    def solve(
+        self, problem: Objective, start: FloatArray, progress: Progress | None = None
+    ) -> tuple[FloatArray, Status]:
+        """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds
+        both."""
         lower, upper = problem.lower, problem.upper
         x = np.clip(start, lower, upper)
         value = problem.evaluate(x)
@@ -58,7 +63,9 @@ class GaussNewton:
                     new = moved_by(x, part, problem)
                     trial = problem.evaluate(new)
                     evaluations += 1
-                    if trial.valid and trial.cost <= value.cost + SUFFICIENT * min(float(g @ (new - x)), 0.0):
+                    if trial.valid and trial.cost <= value.cost + SUFFICIENT * min(
+                        float(g @ (new - x)), 0.0
+                    ):
                         break
                     share *= 0.5
                 else:
@@ -68,7 +75,9 @@ class GaussNewton:
                 x, value = new, trial
         except KeyboardInterrupt:
             code = Code.INTERRUPTED
-        status = Status(code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement))
+        status = Status(
+            code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement)
+        )
         if code is Code.INTERRUPTED:
             raise Interrupted((x, status))
         return x, status

@@ -1,7 +1,9 @@
-"""IPOPT (Wachter and Biegler 2006, Math. Program. 106(1)) on the cost, with gradient and Hessian supplied through CasADi.
+"""IPOPT (Wachter and Biegler 2006, Math. Program. 106(1)) on the cost, with gradient and Hessian
+supplied through CasADi.
 
-`hessian="gauss-newton"` gives it the Hessian that the other solvers use (Fisher information); "exact" gives central
-differences of the exact gradient, 2 n evaluations each: slow, for checking and for problems with large misfit.
+`hessian="gauss-newton"` gives it the Hessian that the other solvers use (Fisher information);
+"exact" gives central differences of the exact gradient, 2 n evaluations each: slow, for checking
+and for problems with large misfit.
 """
 
 from __future__ import annotations
@@ -21,15 +23,19 @@ from greybox.symbolic import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class Ipopt:
-    """Interior point with an exact gradient. `tolerance` is on the decrement of the cost, as in the other solvers."""
+    """Interior point with an exact gradient. `tolerance` is on the decrement of the cost, as in the
+    other solvers."""
 
     name: str = "ipopt"
     hessian: Literal["gauss-newton", "exact"] = "gauss-newton"
     tolerance: float = 1e-6
     max_iterations: int = 200
 
-    def solve(self, problem: Objective, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
-        """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
+    def solve(
+        self, problem: Objective, start: FloatArray, progress: Progress | None = None
+    ) -> tuple[FloatArray, Status]:
+        """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds
+        both."""
         lower, upper = problem.lower, problem.upper
         x = np.clip(start, lower, upper)
         first = problem.evaluate(x)
@@ -41,16 +47,27 @@ class Ipopt:
         memory = _Memory(problem=problem, scale=scale, tolerance=self.tolerance, progress=progress)
         z = ca.MX.sym("z", problem.n)
         parts = {
-            "f": _Cost(memory), "grad_f": _Gradient(memory), "hess_lag": _Hessian(memory, self.hessian == "exact")
-        }  # fmt: skip
+            "f": _Cost(memory),
+            "grad_f": _Gradient(memory),
+            "hess_lag": _Hessian(memory, self.hessian == "exact"),
+        }
         options: dict[str, Any] = {
-            "grad_f": parts["grad_f"], "hess_lag": parts["hess_lag"], "no_nlp_grad": True, "print_time": False,
+            "grad_f": parts["grad_f"],
+            "hess_lag": parts["hess_lag"],
+            "no_nlp_grad": True,
+            "print_time": False,
             "error_on_fail": False,
-            "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": self.max_iterations,
-            "ipopt.tol": 1e-2 * np.sqrt(self.tolerance), "ipopt.dual_inf_tol": 1e3, "ipopt.bound_relax_factor": 0.0,
-            "ipopt.nlp_scaling_method": "none", "ipopt.acceptable_iter": 0, "ipopt.mu_init": 1e-2,
+            "ipopt.print_level": 0,
+            "ipopt.sb": "yes",
+            "ipopt.max_iter": self.max_iterations,
+            "ipopt.tol": 1e-2 * np.sqrt(self.tolerance),
+            "ipopt.dual_inf_tol": 1e3,
+            "ipopt.bound_relax_factor": 0.0,
+            "ipopt.nlp_scaling_method": "none",
+            "ipopt.acceptable_iter": 0,
+            "ipopt.mu_init": 1e-2,
             "ipopt.mu_strategy": "adaptive",
-        }  # fmt: skip
+        }
         solver = ca.nlpsol("solver", "ipopt", {"x": z, "f": parts["f"](z)}, options)
         out = solver(x0=x / scale, lbx=lower / scale, ubx=upper / scale)
         stats = solver.stats()
@@ -59,16 +76,21 @@ class Ipopt:
         decrement = np.inf
         if last.valid and last.gradient is not None and last.hessian is not None:
             near = 1e-3 / np.sqrt(np.maximum(np.diag(last.hessian), 1e-300))
-            held = ((x <= lower + near) & (last.gradient > 0)) | ((x >= upper - near) & (last.gradient < 0))
+            held = ((x <= lower + near) & (last.gradient > 0)) | (
+                (x >= upper - near) & (last.gradient < 0)
+            )
             x = np.where(held & (last.gradient > 0), lower, np.where(held, upper, x))
             decrement = newton_decrement(last.gradient, last.hessian, held)
         code, detail = _code(str(stats["return_status"]), decrement, self.tolerance)
         if memory.interrupted:
             code, detail = Code.INTERRUPTED, ""
         status = Status(
-            code=code, iterations=int(stats["iter_count"]), evaluations=memory.evaluations, decrement=float(decrement),
+            code=code,
+            iterations=int(stats["iter_count"]),
+            evaluations=memory.evaluations,
+            decrement=float(decrement),
             detail=detail,
-        )  # fmt: skip
+        )
         if code is Code.INTERRUPTED:
             raise Interrupted((x, status))
         return x, status
@@ -84,7 +106,8 @@ def _code(status: str, decrement: float, tolerance: float) -> tuple[Code, str]:
 
 @dataclass(eq=False, kw_only=True)
 class _Memory:
-    """Evaluations at scaled unknowns; the last point is remembered, because IPOPT asks for its parts one by one."""
+    """Evaluations at scaled unknowns; the last point is remembered, because IPOPT asks for its
+    parts one by one."""
 
     problem: Objective
     scale: FloatArray
@@ -217,7 +240,12 @@ class _Hessian(_Callback):
         return "triu_hess_gamma_x_x"
 
     def get_sparsity_in(self, i: int) -> Any:
-        return (ca.Sparsity.dense(self.n, 1), ca.Sparsity(0, 0), ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0))[i]
+        return (
+            ca.Sparsity.dense(self.n, 1),
+            ca.Sparsity(0, 0),
+            ca.Sparsity.dense(1, 1),
+            ca.Sparsity(0, 0),
+        )[i]
 
     def get_sparsity_out(self, i: int) -> Any:
         return ca.Sparsity.upper(self.n)
@@ -229,9 +257,10 @@ class _Hessian(_Callback):
         if memory.progress and value.gradient is not None and value.hessian is not None:
             memory.iterations += 1
             memory.progress(
-                memory.iterations, value.cost,
+                memory.iterations,
+                value.cost,
                 newton_decrement(value.gradient, value.hessian, np.zeros(z.size, dtype=bool)),
-            )  # fmt: skip
+            )
         if not value.valid or value.hessian is None:
             h = np.full((z.size, z.size), np.nan)
         elif self.exact:

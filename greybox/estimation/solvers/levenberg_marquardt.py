@@ -1,9 +1,9 @@
 """Levenberg-Marquardt on exact sensitivities, with bounds by an active set.
 
-More 1978, The Levenberg-Marquardt algorithm: implementation and theory (scaled damping, gain ratio); bounds by an
-active set on the quadratic model (`boxed_step`). Steps of noise levels are taken in their variances, those of
-factors in their logarithms (`moved_by`). What the
-Gauss-Newton Hessian leaves out is learned on the way (`greybox.estimation.solvers.curvature`).
+More 1978, The Levenberg-Marquardt algorithm: implementation and theory (scaled damping, gain
+ratio); bounds by an active set on the quadratic model (`boxed_step`). Steps of noise levels are
+taken in their variances, those of factors in their logarithms (`moved_by`). What the Gauss-Newton
+Hessian leaves out is learned on the way (`greybox.estimation.solvers.curvature`).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ SHARES = (0.3, 0.1)
 """Parts of a failed step that are tried before the damping grows."""
 
 NEAR = 1e-3
-"""Predicted decrease below which a search that ran out of iterations has arrived: a twentieth of a standard error. Where the
-Gauss-Newton Hessian is not the true one, steps creep there for long."""
+"""Predicted decrease below which a search that ran out of iterations has arrived: a twentieth of a
+standard error. Where the Gauss-Newton Hessian is not the true one, steps creep there for long."""
 
 GOOD = 0.75
 """Part of the predicted decrease above which a step might have been longer."""
@@ -39,20 +39,24 @@ PACE = 5
 """Iterations over which the pace is measured of a search that must reach a target."""
 
 BEYOND = 10.0
-"""Depth of an optimum, in units of what the full step to it promises, that is not expected once `PACE` steps were taken.
-Calibrated on 167 later steps of 23 fits in searches for causes (development seeds): 95 % of the optima were less deep than
-2.8 promises, 99 % than 10, the deepest 14. From starts at random, far from any optimum, tails are longer. Single causes next
-to a missing lag: `python -m scenarios.studies.e_values --run depth --seeds 1 1`, 20 later steps, the deepest 1.4."""
+"""Depth of an optimum, in units of what the full step to it promises, that is not expected once
+`PACE` steps were taken. Calibrated on 167 later steps of 23 fits in searches for causes
+(development seeds): 95 % of the optima were less deep than 2.8 promises, 99 % than 10, the deepest
+14. From starts at random, far from any optimum, tails are longer. Single causes next to a missing
+lag: `python -m scenarios.studies.e_values --run depth --seeds 1 1`, 20 later steps, the deepest
+1.4."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LevenbergMarquardt:
-    """Stops when the predicted decrease of the cost (half the squared Newton decrement) falls below `tolerance`.
+    """Stops when the predicted decrease of the cost (half the squared Newton decrement) falls below
+    `tolerance`.
 
-    The cost is a negative log likelihood, so that 1e-6 means: every estimate is within about a thousandth of its
-    standard error of the optimum; after the last iteration, or where rounding stops it, a thousand times that is enough.
-    `damped=False` starts as pure Gauss-Newton with step halving. Above the `target`, a negative log likelihood, the result
-    is of no interest: the search ends where even twice its pace would not lead there in the iterations that are left.
+    The cost is a negative log likelihood, so that 1e-6 means: every estimate is within about a
+    thousandth of its standard error of the optimum; after the last iteration, or where rounding
+    stops it, a thousand times that is enough. `damped=False` starts as pure Gauss-Newton with step
+    halving. Above the `target`, a negative log likelihood, the result is of no interest: the search
+    ends where even twice its pace would not lead there in the iterations that are left.
     """
 
     name: str = "levenberg-marquardt"
@@ -62,8 +66,11 @@ class LevenbergMarquardt:
     damped: bool = True
     target: float = np.inf
 
-    def solve(self, problem: Objective, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
-        """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
+    def solve(
+        self, problem: Objective, start: FloatArray, progress: Progress | None = None
+    ) -> tuple[FloatArray, Status]:
+        """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds
+        both."""
         lower, upper = problem.lower, problem.upper
         x = np.clip(start, lower, upper)
         value = problem.evaluate(x)
@@ -104,7 +111,11 @@ class LevenbergMarquardt:
                     predicted = -(g @ taken + 0.5 * taken @ h @ taken)
                     trial = problem.evaluate(new)
                     evaluations += 1
-                    ratio = (value.cost - trial.cost) / predicted if trial.valid and predicted > 0 else -1.0
+                    ratio = (
+                        (value.cost - trial.cost) / predicted
+                        if trial.valid and predicted > 0
+                        else -1.0
+                    )
                     kept = shares_kept(g, h, taken, trial, level, float(ratio))
                     if ratio > 1e-4:
                         moved = True
@@ -112,12 +123,17 @@ class LevenbergMarquardt:
                             damping = np.where(kept < POOR, np.maximum(4 * damping, 1e-6), damping)
                             new, trial, more = stepped_back(problem, x, g, new, trial)
                             evaluations += more
-                        damping = np.where(kept > GOOD, np.where(damping > 1e-12, damping / 10, 0.0), damping)
+                        damping = np.where(
+                            kept > GOOD, np.where(damping > 1e-12, damping / 10, 0.0), damping
+                        )
                         x, value = new, trial
                         break
-                    if predicted < self.tolerance and abs(value.cost - trial.cost) < 1e-9 * max(abs(value.cost), 1.0):
+                    if predicted < self.tolerance and abs(value.cost - trial.cost) < 1e-9 * max(
+                        abs(value.cost), 1.0
+                    ):
                         break
-                    # In a curved valley damping stalls; a part of the same step often gains most of it.
+                    # In a curved valley damping stalls; a part of the same step often gains most of
+                    # it.
                     for share in SHARES:
                         part = moved_by(x, share * taken, problem)
                         gain = value.cost - problem.evaluate(part, 0).cost
@@ -141,16 +157,18 @@ class LevenbergMarquardt:
             code = Code.INTERRUPTED
         if code is Code.MAX_ITERATIONS and decrement < min(NEAR, 1e3 * self.tolerance):
             code = Code.CONVERGED
-        status = Status(code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement))
+        status = Status(
+            code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement)
+        )
         if code is Code.INTERRUPTED:
             raise Interrupted((x, status))
         return x, status
 
 
 def hopeless(trail: Sequence[float], promise: float, target: float, left: int) -> bool:
-    """Whether a search with these values of the negative log likelihood so far will not reach the target: the iterations
-    that are `left` are too few at twice its pace over the last `PACE`, or the optimum too shallow even if it were `BEYOND`
-    times as deep as the full step promises."""
+    """Whether a search with these values of the negative log likelihood so far will not reach the
+    target: the iterations that are `left` are too few at twice its pace over the last `PACE`, or
+    the optimum too shallow even if it were `BEYOND` times as deep as the full step promises."""
     if len(trail) <= PACE:
         return False
     pace = (trail[-1 - PACE] - trail[-1]) / PACE
@@ -165,10 +183,11 @@ def promised(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray) ->
 
 def stepped_back(
     problem: Objective, x: FloatArray, gradient: FloatArray, new: FloatArray, there: Value
-) -> tuple[FloatArray, Value, int]:  # fmt: skip
-    """(point, its value, evaluations): on the way from x (n,), where the cost has this gradient (n,), to `new`, which has
-    the value `there`, the point at which the slope vanishes by the secant, if that is better; `new` where the step did not
-    pass the floor of the valley. The next step would come back."""
+) -> tuple[FloatArray, Value, int]:
+    """(point, its value, evaluations): on the way from x (n,), where the cost has this gradient
+    (n,), to `new`, which has the value `there`, the point at which the slope vanishes by the
+    secant, if that is better; `new` where the step did not pass the floor of the valley. The next
+    step would come back."""
     assert there.gradient is not None
     before, after = float(gradient @ (new - x)), float(there.gradient @ (new - x))
     if not before < 0 < after:
@@ -180,12 +199,14 @@ def stepped_back(
 
 def shares_kept(
     g: FloatArray, h: FloatArray, step: FloatArray, there: Value, level: BoolArray, ratio: float
-) -> FloatArray:  # fmt: skip
-    """Per unknown (n,), what came of the decrease that the step of its kind promised: noise levels, or all others. By the
-    slope where the step ended; `ratio`, that of the whole, where neither or no slope tells.
+) -> FloatArray:
+    """Per unknown (n,), what came of the decrease that the step of its kind promised: noise levels,
+    or all others. By the slope where the step ended; `ratio`, that of the whole, where neither or
+    no slope tells.
 
-    The two are orthogonal in the information of a Gaussian likelihood (Mardia and Marshall 1984, Biometrika 71(1)). Levels
-    whose Hessian is wrong must not damp what moves along a flat valley, nor the reverse.
+    The two are orthogonal in the information of a Gaussian likelihood (Mardia and Marshall 1984,
+    Biometrika 71(1)). Levels whose Hessian is wrong must not damp what moves along a flat valley,
+    nor the reverse.
     """
     out = np.full(g.size, ratio)
     if there.valid and there.gradient is not None:
@@ -205,20 +226,24 @@ def is_level(problem: Objective) -> BoolArray:
 
 
 def origins(problem: Objective) -> FloatArray:
-    """Where the factors vanish that the unknowns stand for (n,), see `Unknown`; not a number where they are none."""
+    """Where the factors vanish that the unknowns stand for (n,), see `Unknown`; not a number where
+    they are none."""
     return np.array([u.origin for u in problem.unknowns], dtype=np.float64)
 
 
 def moved_by(x: FloatArray, step: FloatArray, problem: Objective) -> FloatArray:
-    """x (n,) moved by a step (n,), the same to first order, within the bounds, in coordinates that bend less.
+    """x (n,) moved by a step (n,), the same to first order, within the bounds, in coordinates that
+    bend less.
 
-    The variances of noise, not the logarithms of its levels, are linear; steps of levels are above -1/2. A single level that
-    is too small then needs one step of Fisher scoring, where in its logarithm a step overshoots; one that is too large falls
-    as fast as the steps are allowed to, not by a half in the logarithm.
+    The variances of noise, not the logarithms of its levels, are linear; steps of levels are above
+    -1/2. A single level that is too small then needs one step of Fisher scoring, where in its
+    logarithm a step overshoots; one that is too large falls as fast as the steps are allowed to,
+    not by a half in the logarithm.
 
-    A factor moves by a factor, up to e: flights show ratios (thrust over mass), and what leaves all ratios as they are is a
-    curved valley in products, and a straight line in logarithms. A step to the bound at which it vanishes is taken as it is;
-    another bound a factor would only near, so that a step there lands on it once it is near.
+    A factor moves by a factor, up to e: flights show ratios (thrust over mass), and what leaves all
+    ratios as they are is a curved valley in products, and a straight line in logarithms. A step to
+    the bound at which it vanishes is taken as it is; another bound a factor would only near, so
+    that a step there lands on it once it is near.
     """
     lower, level = problem.lower, is_level(problem)
     size = x - origins(problem)
@@ -240,12 +265,15 @@ def newton_decrement(g: FloatArray, h: FloatArray, held: BoolArray) -> float:
     return max(-0.5 * float(g @ step), 0.0)
 
 
-def boxed_step(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray, damping: float | FloatArray) -> FloatArray:
+def boxed_step(
+    g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray, damping: float | FloatArray
+) -> FloatArray:
     """Minimiser of the damped quadratic model within low <= step <= high, by an active set.
 
-    Unknowns that the step would carry past a bound stop there and the others are solved again; one that the new solution
-    would pull back inside is released. (Clipping a Newton step instead is not a descent direction when unknowns are
-    correlated: Bertsekas 1982, SIAM J. Control and Optimization 20(2).)
+    Unknowns that the step would carry past a bound stop there and the others are solved again; one
+    that the new solution would pull back inside is released. (Clipping a Newton step instead is not
+    a descent direction when unknowns are correlated: Bertsekas 1982, SIAM J. Control and
+    Optimization 20(2).)
     """
     step = np.zeros_like(g)
     held = ((low >= 0) & (g > 0)) | ((high <= 0) & (g < 0))
@@ -259,17 +287,25 @@ def boxed_step(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray, 
             step = np.where(over, np.clip(whole, low, high), step)
             continue
         slope = g + h @ whole
-        back = held & (((whole <= low) & (slope < 0) & (low < 0)) | ((whole >= high) & (slope > 0) & (high > 0)))
+        back = held & (
+            ((whole <= low) & (slope < 0) & (low < 0))
+            | ((whole >= high) & (slope > 0) & (high > 0))
+        )
         if not back.any():
             return whole
-        worst = int(np.argmax(np.where(back, np.abs(slope) / np.sqrt(np.maximum(np.diag(h), 1e-300)), -1.0)))
+        worst = int(
+            np.argmax(np.where(back, np.abs(slope) / np.sqrt(np.maximum(np.diag(h), 1e-300)), -1.0))
+        )
         held[worst] = False
         step[worst] = 0.0
     return np.clip(step, low, high)
 
 
-def damped_step(g: FloatArray, h: FloatArray, held: BoolArray, damping: float | FloatArray) -> FloatArray:
-    """-(H + damping diag H)^-1 g on the unknowns that are not held; directions without information do not move."""
+def damped_step(
+    g: FloatArray, h: FloatArray, held: BoolArray, damping: float | FloatArray
+) -> FloatArray:
+    """-(H + damping diag H)^-1 g on the unknowns that are not held; directions without information
+    do not move."""
     free = ~np.asarray(held, dtype=bool)
     step = np.zeros_like(g)
     if not free.any():

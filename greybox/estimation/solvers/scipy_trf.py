@@ -1,12 +1,14 @@
-"""SciPy's trust-region reflective least squares on a small residual vector that is equivalent to the whole cost.
+"""SciPy's trust-region reflective least squares on a small residual vector that is equivalent to
+the whole cost.
 
 With cost V, gradient g and Gauss-Newton Hessian H = L L' the n + 1 residuals
 
     r = (L^-1 g, sqrt(2 (V + c) - |L^-1 g|^2)),   J = (L', 0)
 
-have r'r/2 = V + c, J'r = g and J'J = H exactly, whatever the criterion (log det, priors and robust losses included), so
-that the trust-region steps are those of the full residual vector at a fraction of its linear algebra. c makes the root
-real. (Branch, Coleman and Li 1999, SIAM J. Sci. Comput. 21(1), for the method and its bounds.)
+have r'r/2 = V + c, J'r = g and J'J = H exactly, whatever the criterion (log det, priors and robust
+losses included), so that the trust-region steps are those of the full residual vector at a fraction
+of its linear algebra. c makes the root real. (Branch, Coleman and Li 1999, SIAM J. Sci. Comput.
+21(1), for the method and its bounds.)
 """
 
 from __future__ import annotations
@@ -25,36 +27,57 @@ from greybox.symbolic import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class ScipyTrf:
-    """`scipy.optimize.least_squares(method="trf")`; stops by the same decrement as the other solvers."""
+    """`scipy.optimize.least_squares(method="trf")`; stops by the same decrement as the other
+    solvers."""
 
     name: str = "scipy-trf"
     tolerance: float = 1e-6
     max_iterations: int = 200
 
-    def solve(self, problem: Objective, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
-        """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
+    def solve(
+        self, problem: Objective, start: FloatArray, progress: Progress | None = None
+    ) -> tuple[FloatArray, Status]:
+        """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds
+        both."""
         lower, upper = problem.lower, problem.upper
         x = np.clip(start, lower, upper)
         first = problem.evaluate(x)
         if not first.valid:
             return x, Status(code=Code.INVALID_START, iterations=0, evaluations=1, decrement=np.inf)
         residuals = _Residuals(
-            problem=problem, scale=_scale(first, problem), tolerance=self.tolerance, progress=progress
+            problem=problem,
+            scale=_scale(first, problem),
+            tolerance=self.tolerance,
+            progress=progress,
         )
         residuals.offset = _offset(first)
         # scipy refuses bounds that coincide: those unknowns are held by a hair's breadth.
         same = ~(lower < upper)
-        low = np.where(same, lower - 1e-12 * np.maximum(np.abs(lower), 1e-3 * problem.scale), lower) / residuals.scale
-        high = np.where(same, upper + 1e-12 * np.maximum(np.abs(upper), 1e-3 * problem.scale), upper) / residuals.scale
+        low = (
+            np.where(same, lower - 1e-12 * np.maximum(np.abs(lower), 1e-3 * problem.scale), lower)
+            / residuals.scale
+        )
+        high = (
+            np.where(same, upper + 1e-12 * np.maximum(np.abs(upper), 1e-3 * problem.scale), upper)
+            / residuals.scale
+        )
         code, detail = Code.SOLVER_FAILED, ""
         try:
             while True:
                 try:
                     out = scipy.optimize.least_squares(
-                        residuals.vector, np.clip(x / residuals.scale, low, high), residuals.jacobian, (low, high),
-                        method="trf", x_scale="jac", ftol=1e-15, xtol=1e-13, gtol=None, tr_solver="exact",
+                        residuals.vector,
+                        np.clip(x / residuals.scale, low, high),
+                        residuals.jacobian,
+                        (low, high),
+                        method="trf",
+                        x_scale="jac",
+                        ftol=1e-15,
+                        xtol=1e-13,
+                        gtol=None,
+                        tr_solver="exact",
                         max_nfev=max(self.max_iterations - residuals.iterations, 1),
-                    )  # fmt: skip
+                    )
                 except _RaiseOffset as again:
                     x, residuals.offset = again.x, again.offset
                     continue
@@ -70,9 +93,12 @@ class ScipyTrf:
             x, code = residuals.best, Code.INTERRUPTED
         x = np.clip(x, lower, upper)
         status = Status(
-            code=code, iterations=residuals.iterations, evaluations=residuals.evaluations, detail=detail,
+            code=code,
+            iterations=residuals.iterations,
+            evaluations=residuals.evaluations,
+            detail=detail,
             decrement=float(residuals.decrement),
-        )  # fmt: skip
+        )
         if code is Code.INTERRUPTED:
             raise Interrupted((x, status))
         return x, status
@@ -94,7 +120,8 @@ class _RaiseOffset(Exception):
 
 @dataclass(eq=False, kw_only=True)
 class _Residuals:
-    """Residuals and Jacobian in scaled unknowns; remembers the last point, which scipy asks for twice."""
+    """Residuals and Jacobian in scaled unknowns; remembers the last point, which scipy asks for
+    twice."""
 
     problem: Objective
     scale: FloatArray
@@ -110,7 +137,9 @@ class _Residuals:
 
     def at(self, z: FloatArray) -> Value:
         if self._last is None or self._key != z.tobytes():
-            self._last = self.problem.evaluate(np.clip(z * self.scale, self.problem.lower, self.problem.upper))
+            self._last = self.problem.evaluate(
+                np.clip(z * self.scale, self.problem.lower, self.problem.upper)
+            )
             self._key = z.tobytes()
             self.evaluations += 1
         return self._last
@@ -129,10 +158,13 @@ class _Residuals:
         value = self.at(z)
         assert value.gradient is not None and value.hessian is not None
         x = np.clip(z * self.scale, self.problem.lower, self.problem.upper)
-        # trf keeps off the bounds: what is within a thousandth of a standard error of one counts as there.
+        # trf keeps off the bounds: what is within a thousandth of a standard error of one counts as
+        # there.
         near = 1e-3 / np.sqrt(np.maximum(np.diag(value.hessian), 1e-300))
         g = value.gradient
-        held = ((x <= self.problem.lower + near) & (g > 0)) | ((x >= self.problem.upper - near) & (g < 0))
+        held = ((x <= self.problem.lower + near) & (g > 0)) | (
+            (x >= self.problem.upper - near) & (g < 0)
+        )
         self.iterations += 1
         self.best = x
         self.decrement = newton_decrement(g, value.hessian, held)
@@ -165,7 +197,9 @@ def _whitened(value: Value, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
             continue
     else:
         w, v = np.linalg.eigh(h)
-        root = np.asarray(np.linalg.cholesky((v * np.maximum(w, 1e-6 * w[-1])) @ v.T), dtype=np.float64)
+        root = np.asarray(
+            np.linalg.cholesky((v * np.maximum(w, 1e-6 * w[-1])) @ v.T), dtype=np.float64
+        )
     part: FloatArray = scipy.linalg.solve_triangular(root, value.gradient * scale, lower=True)
     return root, part
 

@@ -1,4 +1,5 @@
-"""Effects: one file is one effect; `CATALOGUE` lists them all. A new effect is a file plus a line here."""
+"""Effects: one file is one effect; `CATALOGUE` lists them all. A new effect is a file plus a line
+here."""
 
 from __future__ import annotations
 

@@ -19,7 +19,9 @@ class AccelerometerBias(Effect):
     stage = "sensor"
     summary = "constant offset of the accelerometer"
     formula = "a_meas = a + b"
-    references = ("Woodman 2007, An introduction to inertial navigation, Cambridge UCAM-CL-TR-696, sec. 3-4",)
+    references = (
+        "Woodman 2007, An introduction to inertial navigation, Cambridge UCAM-CL-TR-696, sec. 3-4",
+    )
     validity = "constant over a flight"
     tags = frozenset({"linear-in-parameters"})
     needs = Needs(sensors=("accelerometer",))
@@ -33,8 +35,13 @@ class AccelerometerBias(Effect):
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """b_x, b_y, b_z [m/s^2]; scope flight."""
-        return vector_parameters("b_", "xyz", unit="m/s^2", scale=0.1, meaning="accelerometer bias", scope="flight")
+        return vector_parameters(
+            "b_", "xyz", unit="m/s^2", scale=0.1, meaning="accelerometer bias", scope="flight"
+        )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Added after misalignment and scale."""
-        return {"accelerometer": flow.measured["accelerometer"] + ca.vertcat(p["b_x"], p["b_y"], p["b_z"])}
+        return {
+            "accelerometer": flow.measured["accelerometer"]
+            + ca.vertcat(p["b_x"], p["b_y"], p["b_z"])
+        }

@@ -13,22 +13,31 @@ from greybox.symbolic import Expr
 
 
 class AccelerometerLeverArm(Effect):
-    """a_meas = a + domega/dt x r + omega x (omega x r), r added to the IMU position of the vehicle file."""
+    """a_meas = a + domega/dt x r + omega x (omega x r), r added to the IMU position of the vehicle
+    file."""
 
     name = "accelerometer_lever_arm"
     stage = "sensor"
     summary = "the accelerometer lies r away from its stated place"
     formula = "a_meas = a + domega x r + omega x (omega x r)"
-    references = ("Titterton and Weston 2004, Strapdown Inertial Navigation Technology, 2nd edition (size effect)",)
+    references = (
+        "Titterton and Weston 2004, Strapdown Inertial Navigation Technology, 2nd edition (size "
+        "effect)",
+    )
     validity = "rigid mounting; all three axes measured at one point"
     tags = frozenset({"linear-in-parameters"})
     needs = Needs(sensors=("accelerometer",))
     order = 10
     case = ReferenceCase(
         parameters={"r_x": 0.01, "r_y": 0.0, "r_z": 0.02},
-        flow={"measured": (1.0, 2.0, 3.0), "omega": (0.0, 0.0, 10.0), "angular_acceleration": (0.0, 50.0, 0.0)},
+        flow={
+            "measured": (1.0, 2.0, 3.0),
+            "omega": (0.0, 0.0, 10.0),
+            "angular_acceleration": (0.0, 50.0, 0.0),
+        },
         expected={"accelerometer": (1.0, 2.0, 2.5)},
-        working="spin-up (0, 50, 0) x r = (1, 0, -0.5); centripetal -10^2 (0.01, 0, 0) = (-1, 0, 0)",
+        working="spin-up (0, 50, 0) x r = (1, 0, -0.5); centripetal -10^2 (0.01, 0, 0) = (-1, 0, "
+        "0)",
     )
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
@@ -43,5 +52,7 @@ class AccelerometerLeverArm(Effect):
         r: Expr = ca.vertcat(p["r_x"], p["r_y"], p["r_z"])
         spin_up = ca.cross(flow.angular_acceleration, r)
         return {
-            "accelerometer": flow.measured["accelerometer"] + spin_up + ca.cross(flow.omega, ca.cross(flow.omega, r))
+            "accelerometer": flow.measured["accelerometer"]
+            + spin_up
+            + ca.cross(flow.omega, ca.cross(flow.omega, r))
         }

@@ -23,7 +23,8 @@ class AccelerometerScale(Effect):
     summary = "scale error of each axis of the accelerometer"
     formula = "a_meas = (I + diag(s_x, s_y, s_z)) a"
     references = (
-        "Tedaldi, Pretto and Menegatti 2014, A Robust and Easy to Implement Method for IMU Calibration without External "
+        "Tedaldi, Pretto and Menegatti 2014, A Robust and Easy to Implement Method for IMU "
+        "Calibration without External "
         "Equipments, ICRA",
     )
     validity = "constant over a flight, the same for both signs"
@@ -40,7 +41,13 @@ class AccelerometerScale(Effect):
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """s_x, s_y, s_z [-]."""
         return vector_parameters(
-            "s_", "xyz", unit="-", scale=0.02, meaning="scale error", lower=-0.5, upper=0.5,
+            "s_",
+            "xyz",
+            unit="-",
+            scale=0.02,
+            meaning="scale error",
+            lower=-0.5,
+            upper=0.5,
             possible=POSSIBLE,
         )
 

@@ -20,17 +20,24 @@ class AxialInflow(Effect):
     summary = "thrust falls with the airspeed along the rotor axis"
     formula = "dT_i = -k_z Omega_i v_a,i,z"
     references = (
-        "Huang, Hoffmann, Waslander and Tomlin 2009, Aerodynamics and control of autonomous quadrotor helicopters in "
+        "Huang, Hoffmann, Waslander and Tomlin 2009, Aerodynamics and control of autonomous "
+        "quadrotor helicopters in "
         "aggressive maneuvering, ICRA",
-        "Folk, Paulos and Kumar 2023, RotorPy: a Python-based multirotor simulator with aerodynamics, arXiv:2306.04485",
+        "Folk, Paulos and Kumar 2023, RotorPy: a Python-based multirotor simulator with "
+        "aerodynamics, arXiv:2306.04485",
     )
     validity = "axial airspeed well below the induced velocity; not in fast descent (vortex ring)"
     tags = frozenset({"dissipative", "zero-at-rest", "linear-in-parameters"})
     case = ReferenceCase(
         parameters={"k_z": 2e-4},
-        flow={"rotor_speed": (500.0, 500.0, 1000.0, 1000.0), "velocity": (3.0, 1.0, 2.0), "omega": (0.0, 0.0, 0.0)},
+        flow={
+            "rotor_speed": (500.0, 500.0, 1000.0, 1000.0),
+            "velocity": (3.0, 1.0, 2.0),
+            "omega": (0.0, 0.0, 0.0),
+        },
         expected={"thrust_increment": (-0.2, -0.2, -0.4, -0.4)},
-        working="-2e-4 kg/rad * 500 rad/s * 2 m/s = -0.2 N, twice that at 1000 rad/s; sideways motion does nothing",
+        working="-2e-4 kg/rad * 500 rad/s * 2 m/s = -0.2 N, twice that at 1000 rad/s; sideways "
+        "motion does nothing",
     )
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
@@ -38,7 +45,13 @@ class AxialInflow(Effect):
         scale = 0.1 * vehicle.mass.value / vehicle.omega_scale
         return (
             Parameter(
-                name="k_z", unit="kg/rad", nominal=0.0, lower=0.0, null=0.0, scale=scale, meaning="inflow coefficient"
+                name="k_z",
+                unit="kg/rad",
+                nominal=0.0,
+                lower=0.0,
+                null=0.0,
+                scale=scale,
+                meaning="inflow coefficient",
             ),
         )
 

@@ -11,13 +11,16 @@ from greybox.symbolic import Expr
 
 
 class BatterySag(Effect):
-    """Steady rotor speed scales with 1 + c_V (V - V0) / V0; c_V = 1 is a speed proportional to u V."""
+    """Steady rotor speed scales with 1 + c_V (V - V0) / V0; c_V = 1 is a speed proportional to u
+    V."""
 
     name = "battery_sag"
     stage = "rotor"
     summary = "steady rotor speed follows the battery voltage"
     formula = "nu_ss <- nu_ss (1 + c_V (V - V0) / V0)"
-    references = ("Bitcraze documentation: PWM to thrust, battery compensation of the Crazyflie 2.x",)
+    references = (
+        "Bitcraze documentation: PWM to thrust, battery compensation of the Crazyflie 2.x",
+    )
     validity = "V within about 25 % of the nominal voltage V0"
     tags = frozenset({"linear-in-parameters"})
     needs = Needs(columns=("vbat",), vehicle=("nominal_voltage",))
@@ -32,7 +35,14 @@ class BatterySag(Effect):
         """The voltage coefficient c_V [-]."""
         return (
             Parameter(
-                name="c_V", unit="-", nominal=0.0, lower=-1.0, upper=3.0, null=0.0, scale=0.2, meaning="voltage factor"
+                name="c_V",
+                unit="-",
+                nominal=0.0,
+                lower=-1.0,
+                upper=3.0,
+                null=0.0,
+                scale=0.2,
+                meaning="voltage factor",
             ),
         )
 

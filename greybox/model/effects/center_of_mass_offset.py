@@ -13,13 +13,17 @@ from greybox.symbolic import Expr
 
 
 class CenterOfMassOffset(Effect):
-    """Every rotor arm becomes r_i - c and every sensor's lever arm follows; no separate gravity moment."""
+    """Every rotor arm becomes r_i - c and every sensor's lever arm follows; no separate gravity
+    moment."""
 
     name = "center_of_mass_offset"
     stage = "body"
     summary = "the centre of mass lies c away from its stated place"
     formula = "r_i <- r_i - c, sensor lever arms likewise"
-    references = ("Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 5 (moments about the centre of mass)",)
+    references = (
+        "Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 5 (moments about the centre of "
+        "mass)",
+    )
     validity = "|c| below the arm length"
     tags = frozenset({"linear-in-parameters"})
     case = ReferenceCase(
@@ -33,7 +37,13 @@ class CenterOfMassOffset(Effect):
         """c_x, c_y, c_z [m]."""
         limit = vehicle.arm_length
         return vector_parameters(
-            "c_", "xyz", unit="m", scale=0.03 * limit, meaning="centre-of-mass offset", lower=-limit, upper=limit
+            "c_",
+            "xyz",
+            unit="m",
+            scale=0.03 * limit,
+            meaning="centre-of-mass offset",
+            lower=-limit,
+            upper=limit,
         )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:

@@ -18,17 +18,30 @@ class CommandDelay(Effect):
     summary = "transport delay between the logged command and the motors"
     formula = "u_eff(t) = u(t - d)"
     references = ("Ljung 1999, System Identification: Theory for the User, sec. 4.2 (input delay)",)
-    validity = "0 .. the model's longest delay; of a held command mean and first moment over the step are exact"
+    validity = (
+        "0 .. the model's longest delay; of a held command mean and first moment over the "
+        "step are exact"
+    )
     early = frozenset({"delay"})
     case = ReferenceCase(
-        parameters={"d": 0.02}, flow={}, expected={"delay": 0.02}, working="the delay is the parameter itself"
+        parameters={"d": 0.02},
+        flow={},
+        expected={"delay": 0.02},
+        working="the delay is the parameter itself",
     )
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """The delay d [s]."""
         return (
             Parameter(
-                name="d", unit="s", nominal=0.0, lower=0.0, upper=0.1, null=0.0, scale=0.01, meaning="command delay"
+                name="d",
+                unit="s",
+                nominal=0.0,
+                lower=0.0,
+                upper=0.1,
+                null=0.0,
+                scale=0.01,
+                meaning="command delay",
             ),
         )
 

@@ -13,11 +13,12 @@ from greybox.symbolic import Expr
 
 
 class CommandSaturation(Effect):
-    """u_eff = min(max(u, u_min + a_lo), u_max - a_hi): the limits retreat from u_min and u_max of the vehicle file.
+    """u_eff = min(max(u, u_min + a_lo), u_max - a_hi): the limits retreat from u_min and u_max of
+    the vehicle file.
 
-    Exactly the identity at a_lo = a_hi = 0, even for a command outside u_min .. u_max. At the null the one-sided slope
-    is that of a limit which moves inwards: it is felt only by commands that stand at the limit, and zero in a flight
-    whose commands never reach it.
+    Exactly the identity at a_lo = a_hi = 0, even for a command outside u_min .. u_max. At the null
+    the one-sided slope is that of a limit which moves inwards: it is felt only by commands that
+    stand at the limit, and zero in a flight whose commands never reach it.
     """
 
     name = "command_saturation"
@@ -25,10 +26,14 @@ class CommandSaturation(Effect):
     summary = "motors saturate inside the range of the logged command"
     formula = "u_eff = clip(u, u_min + a_lo, u_max - a_hi)"
     references = (
-        "Faessler, Falanga and Scaramuzza 2017, Thrust Mixing, Saturation, and Body-Rate Control for Accurate Aggressive "
+        "Faessler, Falanga and Scaramuzza 2017, Thrust Mixing, Saturation, and Body-Rate Control "
+        "for Accurate Aggressive "
         "Quadrotor Flight, IEEE Robotics and Automation Letters 2(2)",
     )
-    validity = "logged command from before the limit; no slope at the null where no command stands at a limit"
+    validity = (
+        "logged command from before the limit; no slope at the null where no command "
+        "stands at a limit"
+    )
     order = 10
     case = ReferenceCase(
         parameters={"a_lo": 0.1, "a_hi": 0.25},
@@ -42,17 +47,29 @@ class CommandSaturation(Effect):
         half = 0.5 * (vehicle.actuator.u_max - vehicle.actuator.u_min)
         return tuple(
             Parameter(
-                name=name, unit="-", nominal=0.0, lower=0.0, upper=half, null=0.0, scale=0.2 * half, meaning=meaning
+                name=name,
+                unit="-",
+                nominal=0.0,
+                lower=0.0,
+                upper=half,
+                null=0.0,
+                scale=0.2 * half,
+                meaning=meaning,
             )
-            for name, meaning in (("a_lo", "retreat of the lower limit"), ("a_hi", "retreat of the upper limit"))
+            for name, meaning in (
+                ("a_lo", "retreat of the lower limit"),
+                ("a_hi", "retreat of the upper limit"),
+            )
         )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
-        """What stands beyond the retreated limit is taken off, less what stood beyond the stated one."""
+        """What stands beyond the retreated limit is taken off, less what stood beyond the stated
+        one."""
         u, low, high = flow.command, flow.vehicle.actuator.u_min, flow.vehicle.actuator.u_max
 
         def beyond(limit: Expr, sign: int) -> Expr:
-            # The branch holds its end, so that the slope of a command at the limit is that of one beyond it.
+            # The branch holds its end, so that the slope of a command at the limit is that of one
+            # beyond it.
             over = sign * (u - limit)
             return ca.if_else(over >= 0, over, 0)
 

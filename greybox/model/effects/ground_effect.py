@@ -13,11 +13,12 @@ from greybox.symbolic import Expr
 
 
 class GroundEffect(Effect):
-    """T_i <- T_i / (1 - k (R / 4 z_i)^2), z_i the height of hub i above a level ground at z = 0 of the world.
+    """T_i <- T_i / (1 - k (R / 4 z_i)^2), z_i the height of hub i above a level ground at z = 0 of
+    the world.
 
-    k = 1 is the isolated rotor of Cheeseman and Bennett; multirotors gain more near the ground (Sanchez-Cuevas, Heredia
-    and Ollero 2017). Below z_i = R/2, where the law does not hold, the factor keeps the value that it has there; it is never
-    above 4, which k <= 3 does not reach.
+    k = 1 is the isolated rotor of Cheeseman and Bennett; multirotors gain more near the ground
+    (Sanchez-Cuevas, Heredia and Ollero 2017). Below z_i = R/2, where the law does not hold, the
+    factor keeps the value that it has there; it is never above 4, which k <= 3 does not reach.
     """
 
     name = "ground_effect"
@@ -25,12 +26,15 @@ class GroundEffect(Effect):
     summary = "thrust grows near the ground"
     formula = "T_i <- T_i / (1 - k (R / 4 z_i)^2)"
     references = (
-        "Cheeseman and Bennett 1955, The effect of the ground on a helicopter rotor in forward flight, ARC R&M 3021",
-        "Sanchez-Cuevas, Heredia and Ollero 2017, Characterization of the Aerodynamic Ground Effect and Its Influence in "
+        "Cheeseman and Bennett 1955, The effect of the ground on a helicopter rotor in forward "
+        "flight, ARC R&M 3021",
+        "Sanchez-Cuevas, Heredia and Ollero 2017, Characterization of the Aerodynamic Ground "
+        "Effect and Its Influence in "
         "Multirotor Control, International Journal of Aerospace Engineering 2017, 1823056",
     )
     validity = (
-        "hubs higher than half a rotor radius over level ground at z = 0, slow flight; lower than about two radii fit with "
+        "hubs higher than half a rotor radius over level ground at z = 0, slow flight; lower than "
+        "about two radii fit with "
         "the kalman predictor, whose gain follows the height"
     )
     needs = Needs(vehicle=("actuator.rotor_radius",), sensors=("position",))
@@ -41,8 +45,16 @@ class GroundEffect(Effect):
             "rotation": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
             "arms": ((0.1, -0.1, -0.1, 0.1), (-0.1, -0.1, 0.1, 0.1), (0.0, 0.0, 0.0, -0.0635)),
         },
-        expected={"thrust_factor": (1.1111111111111112, 1.1111111111111112, 1.1111111111111112, 1.6666666666666667)},
-        working="R = 0.0635 m. At z = R: R/4z = 1/4, 1 / (1 - 1.6/16) = 1/0.9. On the ground as at z = R/2: "
+        expected={
+            "thrust_factor": (
+                1.1111111111111112,
+                1.1111111111111112,
+                1.1111111111111112,
+                1.6666666666666667,
+            )
+        },
+        working="R = 0.0635 m. At z = R: R/4z = 1/4, 1 / (1 - 1.6/16) = 1/0.9. On the ground as at "
+        "z = R/2: "
         "1 / (1 - 1.6/4) = 1/0.6",
     )
 

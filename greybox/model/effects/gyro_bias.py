@@ -19,7 +19,9 @@ class GyroBias(Effect):
     stage = "sensor"
     summary = "constant offset of the gyro"
     formula = "omega_meas = omega + b"
-    references = ("Woodman 2007, An introduction to inertial navigation, Cambridge UCAM-CL-TR-696, sec. 3-4",)
+    references = (
+        "Woodman 2007, An introduction to inertial navigation, Cambridge UCAM-CL-TR-696, sec. 3-4",
+    )
     validity = "constant over a flight"
     tags = frozenset({"linear-in-parameters"})
     needs = Needs(sensors=("gyro",))
@@ -33,7 +35,9 @@ class GyroBias(Effect):
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """b_x, b_y, b_z [rad/s]; scope flight."""
-        return vector_parameters("b_", "xyz", unit="rad/s", scale=0.01, meaning="gyro bias", scope="flight")
+        return vector_parameters(
+            "b_", "xyz", unit="rad/s", scale=0.01, meaning="gyro bias", scope="flight"
+        )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Added after misalignment and scale."""

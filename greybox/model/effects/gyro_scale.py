@@ -16,14 +16,16 @@ POSSIBLE = 0.25
 
 
 class GyroScale(Effect):
-    """omega_meas = (I + diag(s)) omega. It acts on the prediction; the data stay as they were measured."""
+    """omega_meas = (I + diag(s)) omega. It acts on the prediction; the data stay as they were
+    measured."""
 
     name = "gyro_scale"
     stage = "sensor"
     summary = "scale error of each axis of the gyro"
     formula = "omega_meas = (I + diag(s_x, s_y, s_z)) omega"
     references = (
-        "Tedaldi, Pretto and Menegatti 2014, A Robust and Easy to Implement Method for IMU Calibration without External "
+        "Tedaldi, Pretto and Menegatti 2014, A Robust and Easy to Implement Method for IMU "
+        "Calibration without External "
         "Equipments, ICRA",
     )
     validity = "constant over a flight, the same for both signs"
@@ -40,7 +42,13 @@ class GyroScale(Effect):
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """s_x, s_y, s_z [-]."""
         return vector_parameters(
-            "s_", "xyz", unit="-", scale=0.02, meaning="scale error", lower=-0.5, upper=0.5,
+            "s_",
+            "xyz",
+            unit="-",
+            scale=0.02,
+            meaning="scale error",
+            lower=-0.5,
+            upper=0.5,
             possible=POSSIBLE,
         )
 

@@ -24,7 +24,9 @@ class ImuMisalignment(Effect):
     stage = "sensor"
     summary = "mounting angle of the IMU"
     formula = "v_imu = Exp(theta)^T v_body"
-    references = ("Woodman 2007, An introduction to inertial navigation, Cambridge UCAM-CL-TR-696, sec. 3-4",)
+    references = (
+        "Woodman 2007, An introduction to inertial navigation, Cambridge UCAM-CL-TR-696, sec. 3-4",
+    )
     validity = "angles up to a few tenths of a radian"
     needs = Needs(sensors=on_clock("imu"))
     order = 20
@@ -38,11 +40,19 @@ class ImuMisalignment(Effect):
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """theta_x, theta_y, theta_z [rad]."""
         return vector_parameters(
-            "theta_", "xyz", unit="rad", scale=0.02, meaning="mounting angle", lower=-1.6, upper=1.6,
+            "theta_",
+            "xyz",
+            unit="rad",
+            scale=0.02,
+            meaning="mounting angle",
+            lower=-1.6,
+            upper=1.6,
             possible=POSSIBLE,
         )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """The same turn for both sensors."""
         turn = rotation_matrix(quat_exp(ca.vertcat(p["theta_x"], p["theta_y"], p["theta_z"]))).T
-        return {name: turn @ value for name, value in flow.measured.items() if name in on_clock("imu")}
+        return {
+            name: turn @ value for name, value in flow.measured.items() if name in on_clock("imu")
+        }

@@ -24,7 +24,8 @@ class MocapMisalignment(Effect):
     summary = "angle between the measured attitude and the body"
     formula = "q_meas = q * exp(theta / 2), v_marker = Exp(theta)^T v_body"
     references = (
-        "Furrer, Fehr, Novkovic et al. 2018, Evaluation of Combined Time-Offset Estimation and Hand-Eye Calibration on "
+        "Furrer, Fehr, Novkovic et al. 2018, Evaluation of Combined Time-Offset Estimation and "
+        "Hand-Eye Calibration on "
         "Robotic Datasets, Field and Service Robotics",
     )
     validity = "angles up to a few tenths of a radian"
@@ -40,7 +41,13 @@ class MocapMisalignment(Effect):
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """theta_x, theta_y, theta_z [rad]."""
         return vector_parameters(
-            "theta_", "xyz", unit="rad", scale=0.02, meaning="marker frame angle", lower=-1.6, upper=1.6,
+            "theta_",
+            "xyz",
+            unit="rad",
+            scale=0.02,
+            meaning="marker frame angle",
+            lower=-1.6,
+            upper=1.6,
             possible=POSSIBLE,
         )
 

@@ -18,20 +18,32 @@ class MotorLag(Effect):
     summary = "first-order lag of the rotor speed"
     formula = "d nu/dt = (nu_ss - nu) / tau"
     references = (
-        "Mahony, Kumar and Corke 2012, Multirotor Aerial Vehicles, IEEE Robotics & Automation Magazine 19(3)",
-        "Eschmann, Albani and Loianno 2024, Data-Driven System Identification of Quadrotors Subject to Motor Delays",
+        "Mahony, Kumar and Corke 2012, Multirotor Aerial Vehicles, IEEE Robotics & Automation "
+        "Magazine 19(3)",
+        "Eschmann, Albani and Loianno 2024, Data-Driven System Identification of Quadrotors "
+        "Subject to Motor Delays",
     )
     validity = "one time constant for speeding up and slowing down (see motor_lag_asymmetry)"
     early = frozenset({"lag"})
     case = ReferenceCase(
-        parameters={"tau": 0.05}, flow={}, expected={"lag": 0.05}, working="the lag is the parameter itself"
+        parameters={"tau": 0.05},
+        flow={},
+        expected={"lag": 0.05},
+        working="the lag is the parameter itself",
     )
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """The time constant tau [s]."""
         return (
             Parameter(
-                name="tau", unit="s", nominal=0.04, lower=0.0, upper=0.5, null=0.0, scale=0.02, meaning="time constant"
+                name="tau",
+                unit="s",
+                nominal=0.04,
+                lower=0.0,
+                upper=0.5,
+                null=0.0,
+                scale=0.02,
+                meaning="time constant",
             ),
         )
 

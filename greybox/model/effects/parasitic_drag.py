@@ -13,14 +13,16 @@ from greybox.symbolic import Expr, safe_norm
 
 
 class ParasiticDrag(Effect):
-    """F_j = -c_j v_a,j |v_a| with v_a = R^T (v - w) of the centre of mass, through the centre of mass."""
+    """F_j = -c_j v_a,j |v_a| with v_a = R^T (v - w) of the centre of mass, through the centre of
+    mass."""
 
     name = "parasitic_drag"
     stage = "wrench"
     summary = "drag of the fuselage, quadratic in airspeed"
     formula = "F_j = -c_j v_a,j |v_a|"
     references = (
-        "Folk, Paulos and Kumar 2023, RotorPy: a Python-based multirotor simulator with aerodynamics, arXiv:2306.04485",
+        "Folk, Paulos and Kumar 2023, RotorPy: a Python-based multirotor simulator with "
+        "aerodynamics, arXiv:2306.04485",
     )
     validity = "bluff body: one coefficient per axis at all airspeeds"
     tags = frozenset({"dissipative", "zero-at-rest", "linear-in-parameters"})
@@ -34,7 +36,9 @@ class ParasiticDrag(Effect):
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """c_x, c_y, c_z [N s^2/m^2]; half the density of air times drag coefficient and area."""
         scale = 2e-3 * vehicle.mass.value / vehicle.arm_length
-        return vector_parameters("c_", "xyz", unit="N s^2/m^2", scale=scale, meaning="drag coefficient", lower=0.0)
+        return vector_parameters(
+            "c_", "xyz", unit="N s^2/m^2", scale=scale, meaning="drag coefficient", lower=0.0
+        )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Force through the centre of mass."""

@@ -13,8 +13,8 @@ from greybox.symbolic import Expr
 class PayloadMass(Effect):
     """m <- m (1 + mu): a load at the centre of mass; inertia and centre of mass stay as they are.
 
-    Motion and specific force show thrust over mass only, so that mu is collinear with a free thrust scale: it can be
-    judged where the thrust map is exact or torques pin it.
+    Motion and specific force show thrust over mass only, so that mu is collinear with a free thrust
+    scale: it can be judged where the thrust map is exact or torques pin it.
     """
 
     name = "payload_mass"
@@ -22,7 +22,8 @@ class PayloadMass(Effect):
     summary = "the craft is heavier or lighter than stated"
     formula = "m <- m (1 + mu)"
     references = (
-        "Pounds, Bersak and Dollar 2012, Stability of small-scale UAV helicopters and quadrotors with added payload mass "
+        "Pounds, Bersak and Dollar 2012, Stability of small-scale UAV helicopters and quadrotors "
+        "with added payload mass "
         "under PID control, Autonomous Robots 33",
     )
     validity = "a load fixed near the centre of mass; not separable from a free thrust scale"
@@ -38,7 +39,14 @@ class PayloadMass(Effect):
         """mu [-], the load as a share of the mass."""
         return (
             Parameter(
-                name="mu", unit="-", nominal=0.0, lower=-0.5, upper=2.0, null=0.0, scale=0.1, origin=-1.0,
+                name="mu",
+                unit="-",
+                nominal=0.0,
+                lower=-0.5,
+                upper=2.0,
+                null=0.0,
+                scale=0.1,
+                origin=-1.0,
                 meaning="load over mass",
             ),
         )

@@ -17,9 +17,11 @@ SHARE = 0.25
 
 
 class ProductsOfInertia(Effect):
-    """Off-diagonal elements J[0,1], J[0,2], J[1,2] of the inertia matrix, added to those of the vehicle file.
+    """Off-diagonal elements J[0,1], J[0,2], J[1,2] of the inertia matrix, added to those of the
+    vehicle file.
 
-    Bounds: with D the diagonal of the vehicle file's J and lambda the smallest eigenvalue of D^-1/2 J D^-1/2, each
+    Bounds: with D the diagonal of the vehicle file's J and lambda the smallest eigenvalue of D^-1/2
+    J D^-1/2, each
     |J_ij| is at most lambda/4 sqrt(J_ii J_jj). All three at their bounds take at most lambda/2 of lambda, so that J
     stays positive definite as long as the moments stay above 1 - lambda/2 of their stated values (half of them for a
     diagonal J).
@@ -29,7 +31,9 @@ class ProductsOfInertia(Effect):
     stage = "body"
     summary = "off-diagonal elements of the inertia matrix"
     formula = "J <- J + [[0, Jxy, Jxz], [Jxy, 0, Jyz], [Jxz, Jyz, 0]]"
-    references = ("Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 5 (the inertia tensor)",)
+    references = (
+        "Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 5 (the inertia tensor)",
+    )
     validity = "small against the moments: bounds keep J positive definite"
     tags = frozenset({"linear-in-parameters"})
     case = ReferenceCase(
@@ -43,7 +47,11 @@ class ProductsOfInertia(Effect):
         """Jxy, Jxz, Jyz [kg m^2]: matrix elements, not the integrals with the other sign."""
         inertia = np.asarray(vehicle.inertia)
         root = np.sqrt(np.diag(inertia))
-        limit = SHARE * float(np.linalg.eigvalsh(inertia / np.outer(root, root))[0]) * np.outer(root, root)
+        limit = (
+            SHARE
+            * float(np.linalg.eigvalsh(inertia / np.outer(root, root))[0])
+            * np.outer(root, root)
+        )
         return tuple(
             Parameter(
                 name=name,

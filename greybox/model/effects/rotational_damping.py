@@ -19,7 +19,10 @@ class RotationalDamping(Effect):
     stage = "wrench"
     summary = "moment against the body rate"
     formula = "tau = -diag(d_p, d_q, d_r) omega"
-    references = ("Stevens, Lewis and Johnson 2015, Aircraft Control and Simulation, ch. 2 (damping derivatives)",)
+    references = (
+        "Stevens, Lewis and Johnson 2015, Aircraft Control and Simulation, ch. 2 (damping "
+        "derivatives)",
+    )
     validity = "small rates; rotor inflow and hub drag lumped into one linear term"
     tags = frozenset({"dissipative", "zero-at-rest", "linear-in-parameters"})
     case = ReferenceCase(
@@ -32,7 +35,9 @@ class RotationalDamping(Effect):
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """d_p, d_q, d_r [N m s]."""
         scale = vehicle.inertia[0][0]  # 1 rad/s decays at 1 1/s
-        return vector_parameters("d_", "pqr", unit="N m s", scale=scale, meaning="damping", lower=0.0)
+        return vector_parameters(
+            "d_", "pqr", unit="N m s", scale=scale, meaning="damping", lower=0.0
+        )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """One coefficient per axis."""

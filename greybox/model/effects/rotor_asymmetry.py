@@ -13,7 +13,8 @@ from greybox.symbolic import Expr
 
 
 class RotorAsymmetry(Effect):
-    """T_i and Q_i scaled by 1 + delta_i with sum(delta) = 0: the common part belongs to the thrust map.
+    """T_i and Q_i scaled by 1 + delta_i with sum(delta) = 0: the common part belongs to the thrust
+    map.
 
     delta_1 .. delta_(n-1) are parameters; delta_n = -(delta_1 + ... + delta_(n-1)) is derived.
     """
@@ -22,7 +23,10 @@ class RotorAsymmetry(Effect):
     stage = "thrust"
     summary = "one rotor is weaker or stronger than the others"
     formula = "T_i <- T_i (1 + delta_i), Q_i <- Q_i (1 + delta_i), sum(delta) = 0"
-    references = ("Freddi, Lanzon and Longhi 2011, A feedback linearization approach to fault tolerance in quadrotors",)
+    references = (
+        "Freddi, Lanzon and Longhi 2011, A feedback linearization approach to fault tolerance in "
+        "quadrotors",
+    )
     validity = "|delta_i| < 1"
     tags = frozenset({"linear-in-parameters"})
     case = ReferenceCase(

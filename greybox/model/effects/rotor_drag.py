@@ -13,34 +13,55 @@ from greybox.symbolic import Expr
 
 
 class RotorDrag(Effect):
-    """F_i = -Omega_i diag(k_x, k_y, 0) v_a,i at hub i; its moment r_i x F_i comes along (axial part: axial_inflow)."""
+    """F_i = -Omega_i diag(k_x, k_y, 0) v_a,i at hub i; its moment r_i x F_i comes along (axial
+    part: axial_inflow)."""
 
     name = "rotor_drag"
     stage = "wrench"
     summary = "induced drag of the rotors (H-force)"
     formula = "F_i = -Omega_i diag(k_x, k_y, 0) v_a,i at hub i"
     references = (
-        "Martin and Salaun 2010, The true role of accelerometer feedback in quadrotor control, ICRA",
-        "Faessler, Franchi and Scaramuzza 2018, Differential flatness of quadrotor dynamics subject to rotor drag for "
+        "Martin and Salaun 2010, The true role of accelerometer feedback in quadrotor control, "
+        "ICRA",
+        "Faessler, Franchi and Scaramuzza 2018, Differential flatness of quadrotor dynamics "
+        "subject to rotor drag for "
         "accurate tracking of high-speed trajectories, IEEE Robotics and Automation Letters 3(2)",
-        "Kai, Allibert, Hua and Hamel 2017, Nonlinear feedback control of quadrotors, IFAC-PapersOnLine 50(1)",
+        "Kai, Allibert, Hua and Hamel 2017, Nonlinear feedback control of quadrotors, "
+        "IFAC-PapersOnLine 50(1)",
     )
     validity = "airspeed well below the blade tip speed"
     tags = frozenset({"dissipative", "zero-at-rest", "linear-in-parameters"})
     case = ReferenceCase(
         parameters={"k_x": 2e-6, "k_y": 1e-6},
-        flow={"rotor_speed": (1000.0, 1000.0, 2000.0, 2000.0), "velocity": (3.0, -1.0, 0.5), "omega": (0.0, 0.0, 0.0)},
-        expected={"hub_force": ((-6e-3, -6e-3, -12e-3, -12e-3), (1e-3, 1e-3, 2e-3, 2e-3), (0.0, 0.0, 0.0, 0.0))},
-        working="-1000 * 2e-6 * 3 = -6e-3 N along x; -1000 * 1e-6 * (-1) = 1e-3 N along y; twice that at 2000 rad/s",
+        flow={
+            "rotor_speed": (1000.0, 1000.0, 2000.0, 2000.0),
+            "velocity": (3.0, -1.0, 0.5),
+            "omega": (0.0, 0.0, 0.0),
+        },
+        expected={
+            "hub_force": (
+                (-6e-3, -6e-3, -12e-3, -12e-3),
+                (1e-3, 1e-3, 2e-3, 2e-3),
+                (0.0, 0.0, 0.0, 0.0),
+            )
+        },
+        working="-1000 * 2e-6 * 3 = -6e-3 N along x; -1000 * 1e-6 * (-1) = 1e-3 N along y; twice "
+        "that at 2000 rad/s",
     )
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """k_x, k_y [kg/rad]."""
         scale = 0.05 * vehicle.mass.value / vehicle.omega_scale
-        return vector_parameters("k_", "xy", unit="kg/rad", scale=scale, meaning="rotor drag coefficient", lower=0.0)
+        return vector_parameters(
+            "k_", "xy", unit="kg/rad", scale=scale, meaning="rotor drag coefficient", lower=0.0
+        )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Force at every hub."""
         gain = ca.vertcat(p["k_x"], p["k_y"], 0)
         n = len(flow.vehicle.rotors)
-        return {"hub_force": ca.horzcat(*(-flow.rotor_speed[i] * gain * flow.airspeed(i) for i in range(n)))}
+        return {
+            "hub_force": ca.horzcat(
+                *(-flow.rotor_speed[i] * gain * flow.airspeed(i) for i in range(n))
+            )
+        }

@@ -1,4 +1,5 @@
-"""rotor_gyroscopic: the angular momentum of the spinning rotors, turned by the body and changed by the motors."""
+"""rotor_gyroscopic: the angular momentum of the spinning rotors, turned by the body and changed by
+the motors."""
 
 from __future__ import annotations
 
@@ -15,8 +16,8 @@ from greybox.symbolic import Expr
 class RotorGyroscopic(Effect):
     """tau = -omega x (J_r sum s_i Omega_i e_z) - J_r sum s_i dOmega_i/dt e_z.
 
-    The first term does no work (omega . tau = 0). The second needs a rotor state (motor_lag): without one the rotors
-    change speed in no time and the term is left out.
+    The first term does no work (omega . tau = 0). The second needs a rotor state (motor_lag):
+    without one the rotors change speed in no time and the term is left out.
     """
 
     name = "rotor_gyroscopic"
@@ -24,18 +25,25 @@ class RotorGyroscopic(Effect):
     summary = "angular momentum of the rotors"
     formula = "tau = -omega x (J_r sum s_i Omega_i e_z) - J_r sum s_i dOmega_i/dt e_z"
     references = (
-        "Bouabdallah 2007, Design and Control of Quadrotors with Application to Autonomous Flying, EPFL thesis",
+        "Bouabdallah 2007, Design and Control of Quadrotors with Application to Autonomous Flying, "
+        "EPFL thesis",
     )
-    validity = "rigid rotors with parallel axes; without speed_max J_r comes in units of kg m^2 rad/s per unit nu"
+    validity = (
+        "rigid rotors with parallel axes; without speed_max J_r comes in units of kg m^2 "
+        "rad/s per unit nu"
+    )
     tags = frozenset({"linear-in-parameters"})
     case = ReferenceCase(
         parameters={"J_r": 1e-5},
         flow={
-            "omega": (2.0, 3.0, 5.0), "rotor_speed": (100.0, 50.0, 100.0, 50.0), "nu_rate": (0.0, 0.0, 0.0, 0.0),
+            "omega": (2.0, 3.0, 5.0),
+            "rotor_speed": (100.0, 50.0, 100.0, 50.0),
+            "nu_rate": (0.0, 0.0, 0.0, 0.0),
         },
         expected={"moment": (-3e-3, 2e-3, 0.0)},
-        working="sum s Omega = 100 - 50 + 100 - 50 = 100, momentum 1e-3; -(2, 3, 5) x (0, 0, 1e-3) = (-3e-3, 2e-3, 0)",
-    )  # fmt: skip
+        working="sum s Omega = 100 - 50 + 100 - 50 = 100, momentum 1e-3; -(2, 3, 5) x (0, 0, 1e-3) "
+        "= (-3e-3, 2e-3, 0)",
+    )
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """J_r [kg m^2]: rotor and propeller about the spin axis."""
@@ -43,7 +51,13 @@ class RotorGyroscopic(Effect):
         scale = 0.05 * float(vehicle.inertia[2][2]) / vehicle.omega_scale
         return (
             Parameter(
-                name="J_r", unit="kg m^2", nominal=0.0, lower=0.0, null=0.0, scale=scale, meaning="inertia of one rotor"
+                name="J_r",
+                unit="kg m^2",
+                nominal=0.0,
+                lower=0.0,
+                null=0.0,
+                scale=scale,
+                meaning="inertia of one rotor",
             ),
         )
 

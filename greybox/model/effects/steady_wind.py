@@ -23,11 +23,20 @@ class SteadyWind(Effect):
     summary = "constant wind, felt through the drag terms"
     formula = "v_a,i = R^T (v - w) + omega x r_i"
     references = (
-        "Folk, Paulos and Kumar 2023, RotorPy: a Python-based multirotor simulator with aerodynamics, arXiv:2306.04485",
+        "Folk, Paulos and Kumar 2023, RotorPy: a Python-based multirotor simulator with "
+        "aerodynamics, arXiv:2306.04485",
     )
     validity = "constant over a flight, the same at every height"
     tags = frozenset({"linear-in-parameters"})
-    needs = Needs(effects=("rotor_drag", "parasitic_drag", "blade_flapping", "axial_inflow", "translational_lift"))
+    needs = Needs(
+        effects=(
+            "rotor_drag",
+            "parasitic_drag",
+            "blade_flapping",
+            "axial_inflow",
+            "translational_lift",
+        )
+    )
     early = frozenset({"wind"})
     case = ReferenceCase(
         parameters={"w_x": 1.0, "w_y": -2.0, "w_z": 0.5},
@@ -39,7 +48,14 @@ class SteadyWind(Effect):
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """w_x, w_y, w_z [m/s] world; scope flight."""
         return vector_parameters(
-            "w_", "xyz", unit="m/s", scale=0.5, meaning="wind", scope="flight", lower=-30.0, upper=30.0
+            "w_",
+            "xyz",
+            unit="m/s",
+            scale=0.5,
+            meaning="wind",
+            scope="flight",
+            lower=-30.0,
+            upper=30.0,
         )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:

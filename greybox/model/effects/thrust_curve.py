@@ -32,7 +32,14 @@ class ThrustCurve(Effect):
         """The curvature f [-]."""
         return (
             Parameter(
-                name="f", unit="-", nominal=0.0, lower=-0.99, upper=0.99, null=0.0, scale=0.1, meaning="curvature"
+                name="f",
+                unit="-",
+                nominal=0.0,
+                lower=-0.99,
+                upper=0.99,
+                null=0.0,
+                scale=0.1,
+                meaning="curvature",
             ),
         )
 

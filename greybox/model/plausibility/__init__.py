@@ -1,4 +1,5 @@
-"""Plausibility: what in a vehicle file no quadrotor has, and which slip of unit or sign would explain it."""
+"""Plausibility: what in a vehicle file no quadrotor has, and which slip of unit or sign would
+explain it."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ NOTHING = Beliefs(entries=())
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Plausibility(Shown):
-    """What `check_vehicle` found, the worst first, the key figures (SI) of the craft, and how sure its file is of what."""
+    """What `check_vehicle` found, the worst first, the key figures (SI) of the craft, and how sure
+    its file is of what."""
 
     vehicle: str
     figures: dict[str, float | None]
@@ -37,7 +39,13 @@ class Plausibility(Shown):
     def verdict(self) -> str:
         """ "plausible", "warnings" or "implausible"."""
         levels = {f.severity for f in self.findings}
-        return "implausible" if "blocking" in levels else "warnings" if "warning" in levels else "plausible"
+        return (
+            "implausible"
+            if "blocking" in levels
+            else "warnings"
+            if "warning" in levels
+            else "plausible"
+        )
 
     def _shown_text(self) -> str:
         """The summary."""
@@ -64,7 +72,11 @@ class Plausibility(Shown):
     def summary(self) -> str:
         """The findings, key figures and beliefs as text."""
         units = {"mass": " kg", "arm_length": " m", "torque_over_thrust": " m", "tip_speed": " m/s"}
-        figures = [f"{k.replace('_', ' ')} {v:.3g}{units.get(k, '')}" for k, v in self.figures.items() if v is not None]
+        figures = [
+            f"{k.replace('_', ' ')} {v:.3g}{units.get(k, '')}"
+            for k, v in self.figures.items()
+            if v is not None
+        ]
         believed = self.beliefs.lines()
         return "\n".join(
             [
@@ -72,7 +84,10 @@ class Plausibility(Shown):
                 f"  {', '.join(figures)}",
                 *(f.line() for f in self.findings),
                 *(
-                    ["believed within one sigma (the rest is exact):", *(f"  {b}" for b in believed)]
+                    [
+                        "believed within one sigma (the rest is exact):",
+                        *(f"  {b}" for b in believed),
+                    ]
                     if believed
                     else []
                 ),
@@ -81,21 +96,27 @@ class Plausibility(Shown):
 
 
 def check_vehicle(vehicle: Vehicle) -> Plausibility:
-    """Judge a vehicle that its reader accepts. Raises `UnknownNameError` for an effect that the catalogue does not have."""
+    """Judge a vehicle that its reader accepts. Raises `UnknownNameError` for an effect that the
+    catalogue does not have."""
     extreme = list(judges.extremes(vehicle))
     if extreme:
         return Plausibility(
-            vehicle=vehicle.name, figures=dict.fromkeys(FIGURES), findings=tuple(extreme), beliefs=vehicle.beliefs
+            vehicle=vehicle.name,
+            figures=dict.fromkeys(FIGURES),
+            findings=tuple(extreme),
+            beliefs=vehicle.beliefs,
         )
     with np.errstate(all="ignore"):
         return _judged(Craft(vehicle))
 
 
 def vehicle_findings(vehicle: Vehicle) -> tuple[Implausible, ...]:
-    """What in a vehicle no quadrotor has, the worst first. Effects that are not in the catalogue (a user's own) are passed
-    over."""
+    """What in a vehicle no quadrotor has, the worst first. Effects that are not in the catalogue (a
+    user's own) are passed over."""
     own = {e.name for e in CATALOGUE}
-    return check_vehicle(replace(vehicle, effects={k: v for k, v in vehicle.effects.items() if k in own})).findings
+    return check_vehicle(
+        replace(vehicle, effects={k: v for k, v in vehicle.effects.items() if k in own})
+    ).findings
 
 
 def _judged(craft: Craft) -> Plausibility:
@@ -112,9 +133,20 @@ def _judged(craft: Craft) -> Plausibility:
             )
         )
     else:
-        found += [f for judge in (judges.inertia, judges.thrust, judges.rotors, judges.points) for f in judge(craft)]
-    found += [f for judge in (judges.allocation, judges.lags, judges.sigmas, judges.noise) for f in judge(craft)]
+        found += [
+            f
+            for judge in (judges.inertia, judges.thrust, judges.rotors, judges.points)
+            for f in judge(craft)
+        ]
+    found += [
+        f
+        for judge in (judges.allocation, judges.lags, judges.sigmas, judges.noise)
+        for f in judge(craft)
+    ]
     found.sort(key=lambda f: SEVERITIES.index(f.severity))
     return Plausibility(
-        vehicle=craft.vehicle.name, figures=craft.figures, findings=tuple(found), beliefs=craft.vehicle.beliefs
+        vehicle=craft.vehicle.name,
+        figures=craft.figures,
+        findings=tuple(found),
+        beliefs=craft.vehicle.beliefs,
     )

@@ -1,4 +1,5 @@
-"""Craft: a vehicle with the figures that its plausibility is judged by, thrust through the model's own equations."""
+"""Craft: a vehicle with the figures that its plausibility is judged by, thrust through the model's
+own equations."""
 
 from __future__ import annotations
 
@@ -42,7 +43,11 @@ class Craft:
         self.lift = _lift(vehicle, self.u, plain=not effects_fit(vehicle))  # N, all rotors at u
         self.rotor = self.polynomial("thrust", self.u)
         enough = self.lift >= self.weight
-        self.hover = float(np.interp(self.weight, self.lift, self.u)) if enough.any() and not enough[0] else None
+        self.hover = (
+            float(np.interp(self.weight, self.lift, self.u))
+            if enough.any() and not enough[0]
+            else None
+        )
         at = self.u[-1] if self.hover is None else self.hover
         thrust, torque = float(self.polynomial("thrust", at)), float(self.polynomial("torque", at))
         self.lever = torque / thrust if thrust > 0 else None
@@ -61,27 +66,40 @@ class Craft:
 
 
 def _lift(vehicle: Vehicle, u: FloatArray, *, plain: bool) -> FloatArray:
-    """Steady thrust of all rotors [N] at the commands u (n,), far from the ground, with the effects that the file states."""
+    """Steady thrust of all rotors [N] at the commands u (n,), far from the ground, with the effects
+    that the file states."""
     n = vehicle.n_rotors
     if plain:
         return n * np.asarray(sum(q.value * u**k for k, q in enumerate(vehicle.actuator.thrust)))
     effects = [effect_by_name(name) for name in vehicle.effects]
-    effects = [e for e in effects if e.stage in ("command", "rotor", "thrust") and not {"lag", "delay"} & set(e.early)]
+    effects = [
+        e
+        for e in effects
+        if e.stage in ("command", "rotor", "thrust") and not {"lag", "delay"} & set(e.early)
+    ]
     known = {k: v for k, v in vehicle.effects.items() if k in {e.name for e in effects}}
     model = PhysicsModel(vehicle=replace(vehicle, effects=known), effects=tuple(effects))
     command = ca.SX.sym("u")
     x = ca.DM(model.reference({}))
     x[2] = 1e3
     p = ca.DM([d.nominal for d in model.parameters])
-    inputs = ca.vertcat(*([command] * n), *([vehicle.nominal_voltage or 1.0] * (len(model.inputs) - n)))
+    inputs = ca.vertcat(
+        *([command] * n), *([vehicle.nominal_voltage or 1.0] * (len(model.inputs) - n))
+    )
     up = model.f(0, x, inputs, p)[model.states.names.index("velocity.z")] + vehicle.gravity
-    return vehicle.mass.value * np.asarray(ca.Function("lift", [command], [up]).map(u.size)(u)).ravel()
+    return (
+        vehicle.mass.value * np.asarray(ca.Function("lift", [command], [up]).map(u.size)(u)).ravel()
+    )
 
 
 def effects_fit(vehicle: Vehicle) -> bool:
-    """Whether every parameter of the stated effects lies inside its declared bounds. Raises `UnknownNameError`."""
+    """Whether every parameter of the stated effects lies inside its declared bounds. Raises
+    `UnknownNameError`."""
     for name, given in vehicle.effects.items():
         declared = {d.name: d for d in effect_by_name(name).parameters(vehicle)}
-        if any(k in declared and not declared[k].lower <= q.value <= declared[k].upper for k, q in given.items()):
+        if any(
+            k in declared and not declared[k].lower <= q.value <= declared[k].upper
+            for k, q in given.items()
+        ):
             return False
     return True

@@ -11,7 +11,8 @@ SEVERITIES: tuple[Severity, ...] = ("blocking", "warning", "info")
 
 @dataclass(frozen=True)
 class Implausible:
-    """One finding. "blocking": no such craft flies; "warning": check it; "info": worth knowing. `where` is the key."""
+    """One finding. "blocking": no such craft flies; "warning": check it; "info": worth knowing.
+    `where` is the key."""
 
     severity: Severity
     where: str
@@ -22,5 +23,8 @@ class Implausible:
 
     def line(self) -> str:
         """One line for a person."""
-        text = f"{self.severity}: {self.where}: {self.message}; expected {self.expected}, got {self.got}"
+        text = (
+            f"{self.severity}: {self.where}: {self.message}; expected {self.expected}, got "
+            f"{self.got}"
+        )
         return f"{text}. Usual fix: {self.fix}"

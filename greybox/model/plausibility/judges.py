@@ -24,7 +24,11 @@ from greybox.model.vehicle import Vehicle
 
 HUGE = 1e9
 MASS_UNITS = {1e-3: "grams instead of kilograms"}
-LENGTH_UNITS = {1e-3: "millimetres instead of metres", 1e-2: "centimetres instead of metres", 0.0254: "inches"}
+LENGTH_UNITS = {
+    1e-3: "millimetres instead of metres",
+    1e-2: "centimetres instead of metres",
+    0.0254: "inches",
+}
 INERTIA_UNITS = {
     1e-9: "g mm^2",
     1e-7: "g cm^2",
@@ -32,7 +36,10 @@ INERTIA_UNITS = {
     1e-4: "kg cm^2",
     1e-3: "g m^2",
 }
-FORCE_UNITS = {1e-3 * GRAVITY: "gram-force instead of newton", GRAVITY: "kilogram-force instead of newton"}
+FORCE_UNITS = {
+    1e-3 * GRAVITY: "gram-force instead of newton",
+    GRAVITY: "kilogram-force instead of newton",
+}
 
 
 def _slip(value: float, low: float, high: float, units: dict[float, str]) -> str | None:
@@ -58,7 +65,12 @@ def extremes(vehicle: Vehicle) -> Iterator[Implausible]:
     for place, value in numbers("", given):
         if abs(value) > HUGE:
             yield Implausible(
-                "blocking", place, "far too large in any unit", f"below {HUGE:g}", f"{value:g}", "check the exponent"
+                "blocking",
+                place,
+                "far too large in any unit",
+                f"below {HUGE:g}",
+                f"{value:g}",
+                "check the exponent",
             )
     for place, value in (("mass", vehicle.mass.value), ("gravity", vehicle.gravity)):
         if value < 1 / HUGE:
@@ -129,7 +141,9 @@ def inertia(c: Craft) -> Iterator[Implausible]:
                 "no body of this mass and size has this moment",
                 f"{0.05 * c.m * c.L**2:.2g} to {c.m * c.L**2:.2g} kg m^2",
                 f"{j[i, i]:g}",
-                f"looks like {slip}: give kg m^2" if slip else "check the unit and exponent; check mass and arms",
+                f"looks like {slip}: give kg m^2"
+                if slip
+                else "check the unit and exponent; check mass and arms",
             )
         elif not 0.05 <= a <= 1.2:
             yield Implausible(
@@ -239,7 +253,11 @@ def allocation(c: Craft) -> Iterator[Implausible]:
     names = ("thrust", "roll", "pitch", "yaw")
     rank = int(np.linalg.matrix_rank(rows, tol=1e-3 * max(abs(lever) / c.L, 1e-9)))
     if rank < 4:
-        lost = [n for k, n in enumerate(names) if np.linalg.matrix_rank(np.delete(rows, k, 0), tol=1e-6) == rank]
+        lost = [
+            n
+            for k, n in enumerate(names)
+            if np.linalg.matrix_rank(np.delete(rows, k, 0), tol=1e-6) == rank
+        ]
         pattern = " ".join(f"{int(s):+d}" for s in c.spin)
         if c.n < 4:
             fix = "greybox models fixed rotors: four or more are needed"
@@ -466,7 +484,9 @@ def sigmas(c: Craft) -> Iterator[Implausible]:
 
 def noise(c: Craft) -> Iterator[Implausible]:
     """Sensor noise of another unit."""
-    limits = {s.name: (s.noisiest, s.noisiest_hint) for s in SENSORS} | {"voltage": (1.0, "V, not mV")}
+    limits = {s.name: (s.noisiest, s.noisiest_hint) for s in SENSORS} | {
+        "voltage": (1.0, "V, not mV")
+    }
     for key, level in c.vehicle.noise.items():
         top, unit = limits.get(key, (math.inf, ""))
         if level > top:

@@ -11,7 +11,8 @@ from greybox.plants.vectors import Number, Vector
 
 @dataclass(frozen=True, kw_only=True)
 class AccelerometerLeverArm(PlantEffect):
-    """a_meas = a + domega/dt x r + omega x (omega x r); r [m] is added to the airframe's IMU position."""
+    """a_meas = a + domega/dt x r + omega x (omega x r); r [m] is added to the airframe's IMU
+    position."""
 
     name: ClassVar[str] = "accelerometer_lever_arm"
     r_x: Number = 0.0

@@ -11,7 +11,8 @@ from greybox.plants.vectors import Number
 
 @dataclass(frozen=True, kw_only=True)
 class AxialInflow(PlantEffect):
-    """dT_i = -k_z Omega_i v_a,i,z; k_z [kg/rad]. Momentum theory of a hovering rotor, linear in the axial airspeed."""
+    """dT_i = -k_z Omega_i v_a,i,z; k_z [kg/rad]. Momentum theory of a hovering rotor, linear in the
+    axial airspeed."""
 
     name: ClassVar[str] = "axial_inflow"
     k_z: Number = 0.0

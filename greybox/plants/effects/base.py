@@ -1,7 +1,8 @@
 """What an effect of a simulated plant may do: one hook per place where physics can act.
 
-An effect is a frozen dataclass whose fields are its parameters, under the names that the flight-log world uses; it
-overrides the hooks it needs and leaves the others alone. A hook that is not overridden costs nothing in flight.
+An effect is a frozen dataclass whose fields are its parameters, under the names that the flight-log
+world uses; it overrides the hooks it needs and leaves the others alone. A hook that is not
+overridden costs nothing in flight.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from greybox.plants.vectors import ZERO, Matrix, Number, Quaternion, Vector
 class Body:
     """The vehicle at one instant, as effects see it.
 
-    time [s]; position and velocity of the centre of mass, world [m, m/s]; attitude quaternion and its rotation matrix,
-    body to world; rates, body [rad/s]; airspeed of the centre of mass, body [m/s]; wind, world [m/s]; nu and nu_rate
-    per rotor [-, 1/s]; speed and speed_rate per rotor [rad/s, rad/s^2]; voltage [V]; hidden states by effect name.
+    time [s]; position and velocity of the centre of mass, world [m, m/s]; attitude quaternion and
+    its rotation matrix, body to world; rates, body [rad/s]; airspeed of the centre of mass, body
+    [m/s]; wind, world [m/s]; nu and nu_rate per rotor [-, 1/s]; speed and speed_rate per rotor
+    [rad/s, rad/s^2]; voltage [V]; hidden states by effect name.
     """
 
     __slots__ = (
@@ -57,8 +59,8 @@ class Body:
 class Hub:
     """One rotor hub at one instant.
 
-    index from 0; spin; arm from the centre of mass [m]; airspeed of the hub, body [m/s]; nu; speed [rad/s]; thrust and
-    torque magnitudes of the maps [N, N m]; body: the vehicle.
+    index from 0; spin; arm from the centre of mass [m]; airspeed of the hub, body [m/s]; nu; speed
+    [rad/s]; thrust and torque magnitudes of the maps [N, N m]; body: the vehicle.
     """
 
     __slots__ = ("airspeed", "arm", "body", "index", "nu", "speed", "spin", "thrust", "torque")
@@ -91,12 +93,14 @@ class PlantEffect:
 
     name: ClassVar[str]
     order: ClassVar[int] = 0
-    """Place in a stage's chain where order matters: saturation 1, curve 2; misalignment 1, scale 2, bias 3."""
+    """Place in a stage's chain where order matters: saturation 1, curve 2; misalignment 1, scale 2,
+    bias 3."""
     hidden: ClassVar[int] = 0
     """Number of hidden states that the effect brings."""
 
     needs_speed_rate: ClassVar[bool] = False
-    """Whether the effect reads `Body.nu_rate` or `Body.speed_rate`, which are not filled otherwise."""
+    """Whether the effect reads `Body.nu_rate` or `Body.speed_rate`, which are not filled
+    otherwise."""
 
     def parameters(self) -> dict[str, Number]:
         """Parameter values by canonical name, `effect.parameter`."""
@@ -201,6 +205,7 @@ class PlantEffect:
 
 
 def hooks(effects: tuple[PlantEffect, ...], hook: str) -> list[Callable[..., Any]]:
-    """The bound methods `hook` of those effects that override it, in the order of the stage's chain."""
+    """The bound methods `hook` of those effects that override it, in the order of the stage's
+    chain."""
     chosen = [e for e in effects if getattr(type(e), hook) is not getattr(PlantEffect, hook)]
     return [getattr(e, hook) for e in sorted(chosen, key=lambda e: e.order)]

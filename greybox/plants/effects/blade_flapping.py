@@ -11,7 +11,8 @@ from greybox.plants.vectors import Number, Vector
 
 @dataclass(frozen=True, kw_only=True)
 class BladeFlapping(PlantEffect):
-    """tau = sum_i k_flap Omega_i (v_a,i x e_z); positive k_flap [kg m/rad] pitches the nose up in forward flight."""
+    """tau = sum_i k_flap Omega_i (v_a,i x e_z); positive k_flap [kg m/rad] pitches the nose up in
+    forward flight."""
 
     name: ClassVar[str] = "blade_flapping"
     k_flap: Number = 0.0

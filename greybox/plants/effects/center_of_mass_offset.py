@@ -11,7 +11,8 @@ from greybox.plants.vectors import Number, Vector
 
 @dataclass(frozen=True, kw_only=True)
 class CenterOfMassOffset(PlantEffect):
-    """Shift c of the centre of mass [m]: every rotor and sensor lever arm changes by -c; gravity has no moment."""
+    """Shift c of the centre of mass [m]: every rotor and sensor lever arm changes by -c; gravity
+    has no moment."""
 
     name: ClassVar[str] = "center_of_mass_offset"
     c_x: Number = 0.0

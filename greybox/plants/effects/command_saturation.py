@@ -11,7 +11,8 @@ from greybox.plants.vectors import Number, clip
 
 @dataclass(frozen=True, kw_only=True)
 class CommandSaturation(PlantEffect):
-    """u_eff = clip(u, u_min + a_lo, u_max - a_hi); a_lo, a_hi [-] >= 0, u_min and u_max are the vehicle's limits."""
+    """u_eff = clip(u, u_min + a_lo, u_max - a_hi); a_lo, a_hi [-] >= 0, u_min and u_max are the
+    vehicle's limits."""
 
     name: ClassVar[str] = "command_saturation"
     order: ClassVar[int] = 1

@@ -11,12 +11,14 @@ from greybox.plants.vectors import Number, clip
 
 @dataclass(frozen=True, kw_only=True)
 class GroundEffect(PlantEffect):
-    """T_i / T_out = 1 / (1 - k (R / 4z)^2), z the height of hub i above the plane z = 0; k [-] >= 0, R [m].
+    """T_i / T_out = 1 / (1 - k (R / 4z)^2), z the height of hub i above the plane z = 0; k [-] >=
+    0, R [m].
 
-    k = 1 is one rotor: I. C. Cheeseman and W. E. Bennett, "The effect of the ground on a helicopter rotor in forward
-    flight", ARC R&M 3021, 1955. Multirotors gain more: P. Sanchez-Cuevas, G. Heredia and A. Ollero, "Characterization
-    of the aerodynamic ground effect and its influence in multirotor control", Int. J. Aerospace Eng., 2017, 1823056.
-    Below z = R/2, where the law is not valid, the factor keeps the value it has there.
+    k = 1 is one rotor: I. C. Cheeseman and W. E. Bennett, "The effect of the ground on a helicopter
+    rotor in forward flight", ARC R&M 3021, 1955. Multirotors gain more: P. Sanchez-Cuevas, G.
+    Heredia and A. Ollero, "Characterization of the aerodynamic ground effect and its influence in
+    multirotor control", Int. J. Aerospace Eng., 2017, 1823056. Below z = R/2, where the law is not
+    valid, the factor keeps the value it has there.
     """
 
     name: ClassVar[str] = "ground_effect"

@@ -20,7 +20,9 @@ class ImuMisalignment(PlantEffect):
     theta_z: Number = 0.0
 
     def _turn(self, v: Vector) -> Vector:
-        return apply_transposed(rotation(quaternion_of((self.theta_x, self.theta_y, self.theta_z))), v)
+        return apply_transposed(
+            rotation(quaternion_of((self.theta_x, self.theta_y, self.theta_z))), v
+        )
 
     def gyro(self, rates: Vector) -> Vector:
         """Rates in IMU axes [rad/s]."""

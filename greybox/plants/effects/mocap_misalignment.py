@@ -11,7 +11,8 @@ from greybox.plants.vectors import Number, Quaternion, multiply, quaternion_of
 
 @dataclass(frozen=True, kw_only=True)
 class MocapMisalignment(PlantEffect):
-    """v_marker = Exp(theta)^T v_body, so that the measured attitude is q * exp(theta/2); theta [rad]."""
+    """v_marker = Exp(theta)^T v_body, so that the measured attitude is q * exp(theta/2); theta
+    [rad]."""
 
     name: ClassVar[str] = "mocap_misalignment"
     order: ClassVar[int] = 1

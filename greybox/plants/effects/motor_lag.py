@@ -11,7 +11,8 @@ from greybox.plants.vectors import Number
 
 @dataclass(frozen=True, kw_only=True)
 class MotorLag(PlantEffect):
-    """dnu/dt = (nu_ss - nu) / tau, solved exactly between command changes; tau [s]. Standard motor model."""
+    """dnu/dt = (nu_ss - nu) / tau, solved exactly between command changes; tau [s]. Standard motor
+    model."""
 
     name: ClassVar[str] = "motor_lag"
     tau: Number = 0.0

@@ -11,7 +11,8 @@ from greybox.plants.vectors import ZERO, Number, Vector
 
 @dataclass(frozen=True, kw_only=True)
 class ProductsOfInertia(PlantEffect):
-    """Off-diagonal elements J[0,1], J[0,2], J[1,2] of the inertia matrix [kg m^2], added to the airframe's."""
+    """Off-diagonal elements J[0,1], J[0,2], J[1,2] of the inertia matrix [kg m^2], added to the
+    airframe's."""
 
     name: ClassVar[str] = "products_of_inertia"
     Jxy: Number = 0.0

@@ -13,7 +13,8 @@ from greybox.plants.vectors import Number
 
 @dataclass(frozen=True, kw_only=True)
 class RotorAsymmetry(PlantEffect):
-    """T_i and Q_i scaled by 1 + delta_i, sum(delta) = 0: the common part belongs to the thrust and torque maps."""
+    """T_i and Q_i scaled by 1 + delta_i, sum(delta) = 0: the common part belongs to the thrust and
+    torque maps."""
 
     name: ClassVar[str] = "rotor_asymmetry"
     delta: tuple[Number, ...] = (0.0, 0.0, 0.0, 0.0)

@@ -13,8 +13,9 @@ from greybox.plants.vectors import Number, Vector
 class RotorDrag(PlantEffect):
     """F_i = -Omega_i diag(k_x, k_y, 0) v_a,i at hub i; k [kg/rad].
 
-    Martin and Salaun, "The true role of accelerometer feedback in quadrotor control", ICRA 2010; Faessler, Franchi and
-    Scaramuzza, "Differential flatness of quadrotor dynamics subject to rotor drag", RA-L 3(2), 2018.
+    Martin and Salaun, "The true role of accelerometer feedback in quadrotor control", ICRA 2010;
+    Faessler, Franchi and Scaramuzza, "Differential flatness of quadrotor dynamics subject to rotor
+    drag", RA-L 3(2), 2018.
     """
 
     name: ClassVar[str] = "rotor_drag"

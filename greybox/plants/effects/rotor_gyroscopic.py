@@ -13,7 +13,8 @@ from greybox.plants.vectors import Number, Vector
 class RotorGyroscopic(PlantEffect):
     """tau = -omega x (J_r sum s_i Omega_i e_z) - J_r sum s_i dOmega_i/dt e_z; J_r [kg m^2].
 
-    The second term is zero for rotors without lag, which change speed in no time. Rigid-body mechanics.
+    The second term is zero for rotors without lag, which change speed in no time. Rigid-body
+    mechanics.
     """
 
     name: ClassVar[str] = "rotor_gyroscopic"

@@ -10,7 +10,8 @@ from greybox.plants.effects.base import PlantEffect
 
 @dataclass(frozen=True, kw_only=True)
 class SensorDelay(PlantEffect):
-    """Gyro and accelerometer are seen as they were d [s] >= 0 ago, pose and commands as they are."""
+    """Gyro and accelerometer are seen as they were d [s] >= 0 ago, pose and commands as they
+    are."""
 
     name: ClassVar[str] = "sensor_delay"
     d: float = 0.0

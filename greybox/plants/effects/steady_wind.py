@@ -11,7 +11,8 @@ from greybox.plants.vectors import Number, Vector
 
 @dataclass(frozen=True, kw_only=True)
 class SteadyWind(PlantEffect):
-    """Wind w, world axes [m/s]; it enters every airspeed as v - w and acts only through a drag effect."""
+    """Wind w, world axes [m/s]; it enters every airspeed as v - w and acts only through a drag
+    effect."""
 
     name: ClassVar[str] = "steady_wind"
     w_x: Number = 0.0

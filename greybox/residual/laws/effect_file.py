@@ -1,8 +1,10 @@
-"""Effect file: a law of the leftover as a file that a user can read, edit and offer again with --effects-file.
+"""Effect file: a law of the leftover as a file that a user can read, edit and offer again with
+--effects-file.
 
-The file holds one effect per group of axes (force, torque): a wrench that is linear in its parameters, with the terms
-that stability selection kept. The null of every coefficient is zero; what the search found stands in the docstring and as
-the coefficient's scale. A term with a memory is a state of the effect, whose time constant is a parameter too.
+The file holds one effect per group of axes (force, torque): a wrench that is linear in its
+parameters, with the terms that stability selection kept. The null of every coefficient is zero;
+what the search found stands in the docstring and as the coefficient's scale. A term with a memory
+is a state of the effect, whose time constant is a parameter too.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from greybox.residual.laws.terms import Memory
 REACH = 10.0
 """Factor by which a refit may move time and damping of a memory, either way."""
 SHORTEST = 0.02
-"""Time constant [s] below which no refit goes: it is the present, and steps of integration must stay shorter than it."""
+"""Time constant [s] below which no refit goes: it is the present, and steps of integration must
+stay shorter than it."""
 ROUND = 1e-3
 LAW_FILE = re.compile(r"proposal_\d+\.py")
 SLOT = {"force": "force", "torque": "moment"}
@@ -61,7 +64,8 @@ def file_name(number: int) -> str:
 
 
 def effect_name(channel: str, taken: Collection[str] = ()) -> str:
-    """proposal_<axis>, as proposal_torque_z; further_proposal_<axis> where that is `taken`, and so on."""
+    """proposal_<axis>, as proposal_torque_z; further_proposal_<axis> where that is `taken`, and so
+    on."""
     name = f"proposal_{channel.replace('.', '_')}"
     while name in taken:
         name = f"further_{name}"
@@ -76,7 +80,8 @@ def proposal_text(law: Law, number: int, taken: Collection[str] = ()) -> str:
     rows = list(zip(law.terms.items(), law.codes, strict=True))
     places, shapes, past = _past(law)
     declared = [
-        f'            Parameter(name="c_{i}", unit="{unit} / ...", nominal=0.0, null=0.0, scale={max(abs(c), 1e-12):.3g}, '
+        f'            Parameter(name="c_{i}", unit="{unit} / ...", nominal=0.0, null=0.0, '
+        f"scale={max(abs(c), 1e-12):.3g}, "
         f'meaning="{text}"),'
         for i, ((text, c), _) in enumerate(rows, 1)
     ]
@@ -94,12 +99,15 @@ def proposal_text(law: Law, number: int, taken: Collection[str] = ()) -> str:
     imports = ["Effect", *(["Needs"] if needs else []), *(["Remembered"] if past else [])]
     return "\n".join(
         [
-            f'"""Proposed by greybox discover: a law of {law.channel} [{unit}] that no effect of the catalogue explains.',
+            f'"""Proposed by greybox discover: a law of {law.channel} [{unit}] that no effect of '
+            "the catalogue explains.",
             "",
             f"    {law.channel} = " + " + ".join(f"{c:.4g} {text}" for (text, c), _ in rows),
             "",
-            f"It explains {100 * law.share:.0f} % of the smoothed discrepancy on flights that were left out. Terms are",
-            "sums that describe; what the physics is, you may know: copy this file, rename the effect, keep the terms that",
+            f"It explains {100 * law.share:.0f} % of the smoothed discrepancy on flights that were "
+            "left out. Terms are",
+            "sums that describe; what the physics is, you may know: copy this file, rename the "
+            "effect, keep the terms that",
             "make sense, and offer it with --effects-file.",
             '"""',
             "",
@@ -131,8 +139,9 @@ def proposal_text(law: Law, number: int, taken: Collection[str] = ()) -> str:
 
 
 def _past(law: Law) -> tuple[dict[int, int], list[str], list[str]]:
-    """Of the terms with a memory: number of the term -> place of what it follows in `flow.memory`, the declarations of times
-    and dampings, and the two methods of an effect that remembers (none where no term does)."""
+    """Of the terms with a memory: number of the term -> place of what it follows in `flow.memory`,
+    the declarations of times and dampings, and the two methods of an effect that remembers (none
+    where no term does)."""
     places, remembered, changes, shapes = dict[int, int](), list[str](), list[str](), list[str]()
     for i, (code, kept) in enumerate(zip(law.codes, law.memories, strict=False), 1):
         if kept is None:
@@ -140,12 +149,19 @@ def _past(law: Law) -> tuple[dict[int, int], list[str], list[str]]:
         memory, size = kept
         j = places[i] = len(remembered)
         remembered.append(f'            Remembered(name="term_{i}", unit="...", size={size:.3g}),')
-        shapes.append(_positive(f"time_{i}", "s", memory.time, f"memory of term {i}", lower=SHORTEST))
+        shapes.append(
+            _positive(f"time_{i}", "s", memory.time, f"memory of term {i}", lower=SHORTEST)
+        )
         if memory.damping is None:
             changes.append(f'            ({code} - flow.memory[{j}]) / p["time_{i}"],')
             continue
-        shapes.append(_positive(f"damping_{i}", "-", memory.damping, f"damping ratio of term {i}", upper=1.0))
-        remembered.append(f'            Remembered(name="term_{i}_rate", unit="... / s", size={size / memory.time:.3g}),')
+        shapes.append(
+            _positive(f"damping_{i}", "-", memory.damping, f"damping ratio of term {i}", upper=1.0)
+        )
+        remembered.append(
+            f'            Remembered(name="term_{i}_rate", unit="... / s", '
+            f"size={size / memory.time:.3g}),"
+        )
         changes.append(f"            flow.memory[{j + 1}],")
         changes.append(
             f'            ({code} - flow.memory[{j}]) / p["time_{i}"] ** 2'
@@ -154,25 +170,34 @@ def _past(law: Law) -> tuple[dict[int, int], list[str], list[str]]:
     if not places:
         return places, shapes, []
     methods = ["", "    def memory(self, vehicle):", "        return (", *remembered, "        )"]
-    methods += ["", "    def remember(self, flow, p):", "        return ca.vertcat(", *changes, "        )"]
+    methods += [
+        "",
+        "    def remember(self, flow, p):",
+        "        return ca.vertcat(",
+        *changes,
+        "        )",
+    ]
     return places, shapes, methods
 
 
 def _positive(
     name: str, unit: str, value: float, meaning: str, lower: float = 0.0, upper: float = math.inf
-) -> str:  # fmt: skip
-    """The declaration of a shape parameter: felt only where its term is, and then within reach of the proposed value."""
+) -> str:
+    """The declaration of a shape parameter: felt only where its term is, and then within reach of
+    the proposed value."""
     low, high = min(max(value / REACH, lower), value), max(min(value * REACH, upper), value)
     # Rounding must not leave the value outside.
     bounds = f"lower={low * (1 - ROUND):.4g}, upper={high * (1 + ROUND):.4g}, scale={value / 3:.3g}"
     return (
-        f'            Parameter(name="{name}", unit="{unit}", nominal={value:.4g}, null={value:.4g}, {bounds}, '
+        f'            Parameter(name="{name}", unit="{unit}", nominal={value:.4g}, '
+        f"null={value:.4g}, {bounds}, "
         f'meaning="{meaning}"),'
     )
 
 
 def proposed(laws: Sequence[Law], taken: Collection[str] = ()) -> tuple[Effect, ...]:
-    """The effects of the proposals, read back from their files, so that they are what a user would get."""
+    """The effects of the proposals, read back from their files, so that they are what a user would
+    get."""
     out: list[Effect] = []
     with tempfile.TemporaryDirectory() as folder:
         for number, law in enumerate(laws, 1):

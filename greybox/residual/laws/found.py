@@ -1,7 +1,8 @@
-"""Found: the law of every axis of force and torque, of terms that are chosen by stability selection.
+"""Found: the law of every axis of force and torque, of terms that are chosen by stability
+selection.
 
-What a wrong coefficient of the rotors leaves is no law where the fit could bend that coefficient: its
-term is there from the start. How much a law explains is judged on stretches that were left out.
+What a wrong coefficient of the rotors leaves is no law where the fit could bend that coefficient:
+its term is there from the start. How much a law explains is judged on stretches that were left out.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ OWN: dict[str, tuple[str, tuple[str, ...]]] = {
     "torque.y": ("rotors.pitch", ("thrust.", "inertia.yy")),
     "torque.z": ("rotors.yaw", ("torque.", "inertia.zz")),
 }
-"""Axis -> (the term that a wrong coefficient of the rotors, mass or inertia leaves, how the names of
-these begin)."""
+"""Axis -> (the term that a wrong coefficient of the rotors, mass or inertia leaves, how the names
+of these begin)."""
 
 
 def _bent(axis: str, free: Iterable[str]) -> bool:
@@ -45,9 +46,7 @@ def laws_of(
     # The last columns are a constant push on every axis.
     always = [*own, *range(len(labels), offered.innovations.xy.shape[1])]
     groups = [*labels, *["constant"] * (len(always) - len(own))]
-    chosen = select(
-        offered.innovations, always, groups, most=TERMS, samples=samples, seed=seed
-    )
+    chosen = select(offered.innovations, always, groups, most=TERMS, samples=samples, seed=seed)
     kept = _merged(offered, chosen)
     total = offered.innovations.xx.sum(0), offered.innovations.xy.sum(0)
     c: dict[int, float] = {}

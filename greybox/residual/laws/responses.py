@@ -1,14 +1,17 @@
-"""Responses: what an unmodelled force or torque would have done to the innovations, and regression on that.
+"""Responses: what an unmodelled force or torque would have done to the innovations, and regression
+on that.
 
-A wrench w_k that acts through the process noise's channels moves the predicted state and with it the innovations,
+A wrench w_k that acts through the process noise's channels moves the predicted state and with it
+the innovations,
 
     d_{k+1} = (A_k - K C_k) d_k + (G_k - K D_k) w_k,    e_k = C_k d_k + D_k w_k,
 
-linear in w, along the flight that the filter saw: regression of the whitened innovations on whitened responses estimates a
-law's coefficients (Ljung 1999, sec. 7.6). It uses every sample, and what the fit bent elsewhere can be estimated along,
-unlike regression on a smoothed disturbance. The filter has no disturbance states: it would take a slow law for noise.
-Its innovations are coloured where something is missing, so that it is left to selection on stretches and flights that were
-left out, not to a standard error, to say what is a law.
+linear in w, along the flight that the filter saw: regression of the whitened innovations on
+whitened responses estimates a law's coefficients (Ljung 1999, sec. 7.6). It uses every sample, and
+what the fit bent elsewhere can be estimated along, unlike regression on a smoothed disturbance. The
+filter has no disturbance states: it would take a slow law for noise. Its innovations are coloured
+where something is missing, so that it is left to selection on stretches and flights that were left
+out, not to a standard error, to say what is a law.
 """
 
 from __future__ import annotations
@@ -38,8 +41,8 @@ CHUNK = 256
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Normal:
-    """Normal equations of a least squares problem, one block per stretch of flight: X'X (s, t, t), X'y (s, t), y'y (s,);
-    `flights` (s,) tells which flight a stretch belongs to."""
+    """Normal equations of a least squares problem, one block per stretch of flight: X'X (s, t, t),
+    X'y (s, t), y'y (s,); `flights` (s,) tells which flight a stretch belongs to."""
 
     xx: FloatArray
     xy: FloatArray
@@ -50,12 +53,16 @@ class Normal:
     def of(x: Sequence[FloatArray], y: Sequence[FloatArray], flights: Sequence[str]) -> Normal:
         """From the rows of every stretch, (n, t) and (n,)."""
         return Normal(
-            xx=np.array([a.T @ a for a in x]), xy=np.array([a.T @ b for a, b in zip(x, y, strict=True)]),
-            yy=np.array([b @ b for b in y]), flights=tuple(flights),
-        )  # fmt: skip
+            xx=np.array([a.T @ a for a in x]),
+            xy=np.array([a.T @ b for a, b in zip(x, y, strict=True)]),
+            yy=np.array([b @ b for b in y]),
+            flights=tuple(flights),
+        )
 
     @staticmethod
-    def joined(blocks: Sequence[Normal], flights: Sequence[str], xx: FloatArray | None = None) -> Normal:
+    def joined(
+        blocks: Sequence[Normal], flights: Sequence[str], xx: FloatArray | None = None
+    ) -> Normal:
         """Single blocks one after the other; `xx` where it is known already."""
         xy, yy = (np.concatenate([getattr(b, n) for b in blocks]) for n in ("xy", "yy"))
         whole = np.concatenate([b.xx for b in blocks]) if xx is None else xx
@@ -74,8 +81,9 @@ def stretches(n: int, flights: int) -> list[slice]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Library:
-    """Columns (axis and term); what they, and after them a constant push on every axis, do to the whitened innovations; and
-    how the smoothed disturbance of every axis follows them and, in the last column, a constant."""
+    """Columns (axis and term); what they, and after them a constant push on every axis, do to the
+    whitened innovations; and how the smoothed disturbance of every axis follows them and, in the
+    last column, a constant."""
 
     columns: list[tuple[str, Term]]
     innovations: Normal
@@ -83,13 +91,20 @@ class Library:
 
 
 def library(
-    model: IdentifiedModel, disturbed: IdentifiedModel, data: Dataset, names: Sequence[str], axes: Sequence[str], *,
+    model: IdentifiedModel,
+    disturbed: IdentifiedModel,
+    data: Dataset,
+    names: Sequence[str],
+    axes: Sequence[str],
+    *,
     memory: bool = True,
-) -> Library:  # fmt: skip
-    """Terms for `axes` on all flights, those with a `memory` too. `disturbed` is `model` with disturbance states, whose
-    smoothed states the terms are evaluated at; `names` are the features that `terms` reads.
+) -> Library:
+    """Terms for `axes` on all flights, those with a `memory` too. `disturbed` is `model` with
+    disturbance states, whose smoothed states the terms are evaluated at; `names` are the features
+    that `terms` reads.
 
-    The innovations are those of `model`: a filter with disturbance states takes most of a slow law for noise.
+    The innovations are those of `model`: a filter with disturbance states takes most of a slow law
+    for noise.
     """
     plain, runner = Filter(model), Filter(disturbed)
     lin = linearisation_anywhere(model.dynamics)
@@ -110,18 +125,31 @@ def library(
     columns = [(axis, t) for axis in axes for t in (*terms(axis, names, every, vehicle), *past)]
     places = [model.dynamics.noises[axis] for axis in (*(axis for axis, _ in columns), *axes)]
     blocks = sum(len(stretches(len(own), len(segments))) for own in wrench)
-    seen, follows, owners, at, number = dict[int, Normal](), dict[int, list[Normal]](), dict[int, str](), 0, 0
+    seen, follows, owners, at, number = (
+        dict[int, Normal](),
+        dict[int, list[Normal]](),
+        dict[int, str](),
+        0,
+        0,
+    )
     for (flight, segment), own in zip(segments, wrench, strict=True):
-        pushes = np.column_stack([*(t.values[at : at + len(own)] for _, t in columns), np.ones((len(own), len(axes)))])
+        pushes = np.column_stack(
+            [*(t.values[at : at + len(own)] for _, t in columns), np.ones((len(own), len(axes)))]
+        )
         at += len(own)
         parts = stretches(len(own), len(segments))
-        for part, normal in zip(parts, responses(plain, lin, plain.run(segment), pushes, places, parts), strict=True):
+        for part, normal in zip(
+            parts, responses(plain, lin, plain.run(segment), pushes, places, parts), strict=True
+        ):
             # A fleet has more stretches than are needed: neighbours are taken together.
             block = number * min(MOST, blocks) // blocks
             number += 1
             x = pushes[part, : len(columns) + 1]
             shared = x.T @ x
-            each = [Normal(xx=shared[None], xy=(w @ x)[None], yy=np.array([w @ w]), flights=(flight,)) for w in own[part].T]
+            each = [
+                Normal(xx=shared[None], xy=(w @ x)[None], yy=np.array([w @ w]), flights=(flight,))
+                for w in own[part].T
+            ]
             if block in seen:
                 normal = seen[block] + normal
                 xx = follows[block][0].xx + shared
@@ -130,16 +158,25 @@ def library(
     names_of = list(owners.values())
     common = np.concatenate([f[0].xx for f in follows.values()])
     smoothed = {
-        axis: Normal.joined([f[j] for f in follows.values()], names_of, common) for j, axis in enumerate(axes)
+        axis: Normal.joined([f[j] for f in follows.values()], names_of, common)
+        for j, axis in enumerate(axes)
     }
-    return Library(columns=columns, innovations=Normal.joined(list(seen.values()), names_of), smoothed=smoothed)
+    return Library(
+        columns=columns, innovations=Normal.joined(list(seen.values()), names_of), smoothed=smoothed
+    )
 
 
 def responses(
-    runner: Filter, lin: Linearisation, run: Filtered, pushes: FloatArray, places: Sequence[int], parts: Sequence[slice]
+    runner: Filter,
+    lin: Linearisation,
+    run: Filtered,
+    pushes: FloatArray,
+    places: Sequence[int],
+    parts: Sequence[slice],
 ) -> Iterator[Normal]:
-    """Normal equations of whitened innovations on whitened responses to `pushes` (n, t), each through the noise channel of
-    its place: one block per part of the segment, the parts in order and without gaps."""
+    """Normal equations of whitened innovations on whitened responses to `pushes` (n, t), each
+    through the noise channel of its place: one block per part of the segment, the parts in order
+    and without gaps."""
     record, width = run.record, sum(runner.model.dynamics.window) + 1
     gain, there = run.gains.tables()[0].gain, run.gains.there
     white = np.linalg.inv(np.linalg.cholesky(run.covariance))
@@ -148,12 +185,19 @@ def responses(
         sums = Normal.of([np.zeros((1, len(places)))], [np.zeros(1)], [record.flight])
         for begin in range(part.start, part.stop, CHUNK):
             rows = range(begin, min(begin + CHUNK, part.stop))
-            out, target = np.zeros((len(rows), there.shape[1], len(places))), np.zeros((len(rows), there.shape[1]))
+            out, target = (
+                np.zeros((len(rows), there.shape[1], len(places))),
+                np.zeros((len(rows), there.shape[1])),
+            )
             for j, k in enumerate(rows):
-                a, g, c, through = lin.values(run.states[k], record.inputs[k : k + width].T, run.p, record.dt)
+                a, g, c, through = lin.values(
+                    run.states[k], record.inputs[k : k + width].T, run.p, record.dt
+                )
                 i = run.gains.pattern[k]
                 e = (c @ d + through[:, places] * pushes[k]) * there[i][:, None]
                 out[j], target[j] = white[i] @ e, white[i] @ (run.innovations[k] * there[i])
                 d = a @ d + g[:, places] * pushes[k] - gain[i] @ e
-            sums = sums + Normal.of([out.reshape(-1, len(places))], [target.ravel()], [record.flight])
+            sums = sums + Normal.of(
+                [out.reshape(-1, len(places))], [target.ravel()], [record.flight]
+            )
         yield sums

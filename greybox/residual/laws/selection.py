@@ -1,10 +1,11 @@
 """Selection: which few columns of many a response needs, from normal equations of stretches.
 
-Forward by orthogonal least squares (Chen, Billings and Luo 1989, International Journal of Control 50(5)) with the extended
-BIC (Chen and Chen 2008, Biometrika 95(3): log n + 2 log t a column), on random halves of the stretches; columns that are
-chosen in most halves are candidates (stability selection, Meinshausen and Buhlmann 2010, JRSS B 72(4); a column that is
-nearly another one shares its votes, Faletto and Bien 2022, arXiv:2201.00494), and of these those stay that make flights
-which were left out more likely.
+Forward by orthogonal least squares (Chen, Billings and Luo 1989, International Journal of Control
+50(5)) with the extended BIC (Chen and Chen 2008, Biometrika 95(3): log n + 2 log t a column), on
+random halves of the stretches; columns that are chosen in most halves are candidates (stability
+selection, Meinshausen and Buhlmann 2010, JRSS B 72(4); a column that is nearly another one shares
+its votes, Faletto and Bien 2022, arXiv:2201.00494), and of these those stay that make flights which
+were left out more likely.
 """
 
 from __future__ import annotations
@@ -29,19 +30,28 @@ def solve(xx: FloatArray, xy: FloatArray, columns: Sequence[int]) -> FloatArray:
     c = list(columns)
     scale = 1 / np.sqrt(np.maximum(np.diag(xx)[c], 1e-300))
     m = xx[np.ix_(c, c)] * scale[:, None] * scale
-    return np.asarray(scale * np.linalg.lstsq(m + RIDGE * np.eye(len(c)), scale * xy[c], rcond=None)[0])
+    return np.asarray(
+        scale * np.linalg.lstsq(m + RIDGE * np.eye(len(c)), scale * xy[c], rcond=None)[0]
+    )
 
 
 def forward(
-    xx: FloatArray, xy: FloatArray, always: Sequence[int], groups: Sequence[str], most: int, price: float,
+    xx: FloatArray,
+    xy: FloatArray,
+    always: Sequence[int],
+    groups: Sequence[str],
+    most: int,
+    price: float,
     allowed: Sequence[int] | None = None,
-) -> list[int]:  # fmt: skip
-    """Columns next to those that are `always` in, each the one that explains most of what is left, up to `most` of a group,
-    while the sum of squares falls by more than `price` (in units of the noise variance)."""
+) -> list[int]:
+    """Columns next to those that are `always` in, each the one that explains most of what is left,
+    up to `most` of a group, while the sum of squares falls by more than `price` (in units of the
+    noise variance)."""
     n = len(xy)
     chosen: list[int] = []
     size = np.diag(xx)
-    # What the chosen columns leave of every column's square and of its product with y; rows of the Cholesky factor.
+    # What the chosen columns leave of every column's square and of its product with y; rows of the
+    # Cholesky factor.
     left, target, rows = size.copy(), xy.copy(), np.zeros((0, n))
     free = np.zeros(n, dtype=bool)
     free[list(range(n) if allowed is None else allowed)] = True
@@ -73,9 +83,16 @@ def forward(
 
 
 def select(
-    normal: Normal, always: Sequence[int], groups: Sequence[str], *, most: int, samples: int, seed: int
-) -> list[int]:  # fmt: skip
-    """Stable columns that help on what was left out, most useful first. `groups`: a label per column."""
+    normal: Normal,
+    always: Sequence[int],
+    groups: Sequence[str],
+    *,
+    most: int,
+    samples: int,
+    seed: int,
+) -> list[int]:
+    """Stable columns that help on what was left out, most useful first. `groups`: a label per
+    column."""
     stretches, columns = normal.xy.shape
     if stretches < 4 or columns == len(always):
         return []
@@ -85,11 +102,15 @@ def select(
     alike = np.abs(_correlation(normal.xx.sum(0), always)) > ALIKE
     for _ in range(HALVES):
         half = rng.choice(stretches, stretches // 2, replace=False)
-        chosen = forward(normal.xx[half].sum(0), normal.xy[half].sum(0), always, groups, most, price)
+        chosen = forward(
+            normal.xx[half].sum(0), normal.xy[half].sum(0), always, groups, most, price
+        )
         if chosen:
             counts += alike[chosen].any(axis=0)
     stable = np.flatnonzero(counts >= STABLE * HALVES)
-    order = forward(normal.xx.sum(0), normal.xy.sum(0), always, groups, most, price, stable.tolist())
+    order = forward(
+        normal.xx.sum(0), normal.xy.sum(0), always, groups, most, price, stable.tolist()
+    )
     kept: list[int] = []
     best = left_out(normal, [*always])
     for j in order:
@@ -112,8 +133,9 @@ def _correlation(xx: FloatArray, always: Sequence[int]) -> FloatArray:
 
 
 def left_out(normal: Normal, columns: Sequence[int]) -> float:
-    """By how much these columns lower the sum of squares of flights that were left out, one at a time (stretches, of a
-    single flight: neighbouring stretches share slow signals, other flights do not)."""
+    """By how much these columns lower the sum of squares of flights that were left out, one at a
+    time (stretches, of a single flight: neighbouring stretches share slow signals, other flights do
+    not)."""
     names = np.asarray(normal.flights)
     labels = names if len(set(normal.flights)) > 1 else np.arange(len(names))
     c, total = list(columns), 0.0

@@ -1,10 +1,12 @@
-"""Terms: what a law of the leftover may be made of, as numbers along the flight and as a line of an effect file.
+"""Terms: what a law of the leftover may be made of, as numbers along the flight and as a line of an
+effect file.
 
-Signals are those that the physics of multirotors knows: body velocity, rates, directions of gravity and north in body axes,
-place and height, and the rotors by their collective sums of nu^2 (thrust, roll, pitch and yaw, as the geometry mixes
-them). Laws are linear in terms: signals, x |x|, products of signals that occur together in mechanics, 1/height^2, and
-bumps over the rotor speed for a thrust law that is not a parabola. Few terms on purpose: a smoothed discrepancy has no
-more independent values than the flight has correlation times.
+Signals are those that the physics of multirotors knows: body velocity, rates, directions of gravity
+and north in body axes, place and height, and the rotors by their collective sums of nu^2 (thrust,
+roll, pitch and yaw, as the geometry mixes them). Laws are linear in terms: signals, x |x|, products
+of signals that occur together in mechanics, 1/height^2, and bumps over the rotor speed for a thrust
+law that is not a parabola. Few terms on purpose: a smoothed discrepancy has no more independent
+values than the flight has correlation times.
 """
 
 from __future__ import annotations
@@ -25,21 +27,27 @@ from greybox.symbolic import FloatArray
 BUMPS = 6
 """Places of the bumps over the rotor speed."""
 PAIRS = (
-    ("velocity", "velocity"), ("rate", "rate"), ("velocity", "rate"), ("velocity", "collective"), ("rate", "collective"),
+    ("velocity", "velocity"),
+    ("rate", "rate"),
+    ("velocity", "rate"),
+    ("velocity", "collective"),
+    ("rate", "collective"),
     ("heading", "place"),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Memory:
-    """How a term follows its signal: a lag of `time` [s] or, with a `damping` ratio, a swing of 1/(2 pi time) Hz."""
+    """How a term follows its signal: a lag of `time` [s] or, with a `damping` ratio, a swing of
+    1/(2 pi time) Hz."""
 
     time: float
     damping: float | None = None
 
     @property
     def kind(self) -> str:
-        """What it is apart from its numbers: terms of one kind that follow one signal are the same with another time."""
+        """What it is apart from its numbers: terms of one kind that follow one signal are the same
+        with another time."""
         return "lag" if self.damping is None else "swing"
 
     def __str__(self) -> str:
@@ -50,7 +58,8 @@ class Memory:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Term:
-    """One column: `text` for people, `code` for an effect file (CasADi, `flow`), signals it `uses`, values (N,).
+    """One column: `text` for people, `code` for an effect file (CasADi, `flow`), signals it `uses`,
+    values (N,).
 
     With a `memory` the column is what that keeps of `code` (greybox.residual.laws.lagged)."""
 
@@ -63,7 +72,8 @@ class Term:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FlightSignal:
-    """One signal along the flight: its kind groups what mechanics multiplies, `code` as in `Term`, values (N,)."""
+    """One signal along the flight: its kind groups what mechanics multiplies, `code` as in `Term`,
+    values (N,)."""
 
     name: str
     kind: str
@@ -74,49 +84,86 @@ class FlightSignal:
 def wanted_features(dynamics: Dynamics) -> tuple[str, ...]:
     """Names of the model's features that `terms` reads."""
     there = available(dynamics)
-    rotors = [n for n in there if n[:2] == "nu"] or [n for n in dynamics.inputs.names if n[0] == "u"]
-    names = [f"body_velocity.{a}" for a in "xyz"] + ["p", "q", "r"] + [f"attitude.{a}" for a in "wxyz"]
+    rotors = [n for n in there if n[:2] == "nu"] or [
+        n for n in dynamics.inputs.names if n[0] == "u"
+    ]
+    names = (
+        [f"body_velocity.{a}" for a in "xyz"] + ["p", "q", "r"] + [f"attitude.{a}" for a in "wxyz"]
+    )
     names += [f"position.{a}" for a in "xyz"] + ["vbat"] + rotors
     return tuple(n for n in names if n in there)
 
 
 def terms(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[Term]:
-    """Terms for a law of `channel` (force.x, ...) from the features `names` with values z (N, m)."""
+    """Terms for a law of `channel` (force.x, ...) from the features `names` with values z (N,
+    m)."""
     there = signals(names, z, vehicle)
     out: list[Term] = []
     for s in there:
         out.append(_term(s.name, s.code, (s.name,), s.values))
         if s.kind in ("velocity", "rate", "place"):
             out.append(
-                _term(f"{s.name} |{s.name}|", f"{s.code} * ca.fabs({s.code})", (s.name,), s.values * abs(s.values))
+                _term(
+                    f"{s.name} |{s.name}|",
+                    f"{s.code} * ca.fabs({s.code})",
+                    (s.name,),
+                    s.values * abs(s.values),
+                )
             )
         if s.kind in ("velocity", "place"):
             out.append(_term(f"{s.name}^2", f"{s.code} ** 2", (s.name,), s.values**2))
         if s.name == "height":
             near = f"1 / ca.fmax(ca.fabs({s.code}), 0.05) ** 2"
-            out.append(_term("1/height^2", near, (s.name,), 1 / np.maximum(abs(s.values), 0.05) ** 2))
+            out.append(
+                _term("1/height^2", near, (s.name,), 1 / np.maximum(abs(s.values), 0.05) ** 2)
+            )
     for a, b in itertools.combinations(there, 2):
         if (a.kind, b.kind) in PAIRS or (b.kind, a.kind) in PAIRS:
-            out.append(_term(f"{a.name} {b.name}", f"{a.code} * {b.code}", (a.name, b.name), a.values * b.values))
+            out.append(
+                _term(
+                    f"{a.name} {b.name}",
+                    f"{a.code} * {b.code}",
+                    (a.name, b.name),
+                    a.values * b.values,
+                )
+            )
         if a.kind == "tilt" and b.name == "height":
-            out.append(_term(f"{a.name} {b.name}", f"{a.code} * {b.code}", (a.name, b.name), a.values * b.values))
+            out.append(
+                _term(
+                    f"{a.name} {b.name}",
+                    f"{a.code} * {b.code}",
+                    (a.name, b.name),
+                    a.values * b.values,
+                )
+            )
         if (a.kind, b.kind) == ("heading", "place"):
             code = f"{a.code} * {b.code} ** 2"
-            out.append(_term(f"{a.name} {b.name}^2", code, (a.name, b.name), a.values * b.values**2))
+            out.append(
+                _term(f"{a.name} {b.name}^2", code, (a.name, b.name), a.values * b.values**2)
+            )
     return [*out, *_bumps(channel, names, z, vehicle)]
 
 
 def _term(text: str, code: str, uses: Iterable[str], values: FloatArray) -> Term:
-    return Term(text=text, code=code, uses=tuple(dict.fromkeys(uses)), values=np.asarray(values, dtype=float))
+    return Term(
+        text=text,
+        code=code,
+        uses=tuple(dict.fromkeys(uses)),
+        values=np.asarray(values, dtype=float),
+    )
 
 
 def rotors(names: Sequence[str], z: FloatArray) -> FloatArray:
-    """Rotor speeds or, without rotor states, commands (N, n); (N, 0) where the features hold neither."""
-    return z[:, [i for i, n in enumerate(names) if n[:2] == "nu" or (n[0] == "u" and n[1:].isdigit())]]
+    """Rotor speeds or, without rotor states, commands (N, n); (N, 0) where the features hold
+    neither."""
+    return z[
+        :, [i for i, n in enumerate(names) if n[:2] == "nu" or (n[0] == "u" and n[1:].isdigit())]
+    ]
 
 
 def _weights(vehicle: Vehicle) -> dict[str, list[float]]:
-    """Collective -> weight of every rotor: thrust, and the moments about the body axes that its thrust and drag give."""
+    """Collective -> weight of every rotor: thrust, and the moments about the body axes that its
+    thrust and drag give."""
     rows = vehicle.rotors
     return {
         "thrust": [1.0] * len(rows),
@@ -151,7 +198,12 @@ def signals(names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[Fligh
                 add(f"{name}.{a}", kind, f"flow.rotation[{row}, {i}]", body[:, i])
     for i, a in enumerate("xyz"):
         if f"position.{a}" in at:
-            add("height" if a == "z" else f"position.{a}", "place", f"flow.position[{i}]", at[f"position.{a}"])
+            add(
+                "height" if a == "z" else f"position.{a}",
+                "place",
+                f"flow.position[{i}]",
+                at[f"position.{a}"],
+            )
     if "vbat" in at:
         add("vbat", "battery", "flow.vbat", at["vbat"])
     nu = rotors(names, z)
@@ -163,8 +215,11 @@ def signals(names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[Fligh
 
 
 def _bumps(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[Term]:
-    """Sums over rotors of exp(-((nu - c) / width)^2), weighted as the rotor's thrust enters the channel."""
-    mix = {"force.z": "thrust", "torque.x": "roll", "torque.y": "pitch", "torque.z": "yaw"}.get(channel)
+    """Sums over rotors of exp(-((nu - c) / width)^2), weighted as the rotor's thrust enters the
+    channel."""
+    mix = {"force.z": "thrust", "torque.x": "roll", "torque.y": "pitch", "torque.z": "yaw"}.get(
+        channel
+    )
     nu = rotors(names, z)
     if mix is None or nu.shape[1] != len(vehicle.rotors):
         return []
@@ -179,8 +234,9 @@ def _bumps(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) 
         out.append(
             _term(
                 f"rotors.{mix}(nu near {place:g})",
-                f"ca.dot(ca.DM({w}), ca.exp(-(((flow.nu - {place}) / {width}) ** 2)))", ("nu",),
+                f"ca.dot(ca.DM({w}), ca.exp(-(((flow.nu - {place}) / {width}) ** 2)))",
+                ("nu",),
                 np.exp(-(((nu - place) / width) ** 2)) @ np.array(w),
             )
-        )  # fmt: skip
+        )
     return out

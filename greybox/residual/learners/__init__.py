@@ -26,9 +26,11 @@ LEARNERS: Mapping[str, Callable[[], Learner]] = {
 
 
 def learner_of(name: str) -> Learner | None:
-    """The learner of a name, or of a user's own file ("own.py:Name", which is run); None for the Gaussian process.
+    """The learner of a name, or of a user's own file ("own.py:Name", which is run); None for the
+    Gaussian process.
 
-    Raises `UnknownNameError`, and `ModelError` for a file that cannot be run or has no learner of that name.
+    Raises `UnknownNameError`, and `ModelError` for a file that cannot be run or has no learner of
+    that name.
     """
     if name == GP:
         return None
@@ -44,7 +46,9 @@ def learner_of(name: str) -> Learner | None:
             made = made()
         except Exception as error:
             raise ModelError(
-                f"making a {name.rpartition(':')[2]}: {error}", where=name, fix="a class without arguments"
+                f"making a {name.rpartition(':')[2]}: {error}",
+                where=name,
+                fix="a class without arguments",
             ) from None
     if not isinstance(made, Learner):
         raise ModelError(
@@ -59,7 +63,8 @@ def learner_of(name: str) -> Learner | None:
 def learner_for(learner: str | Learner, points: int | str, kernel: str) -> Learner | None:
     """The learner by name or as it is; None for the Gaussian process, which needs the extra `gp`.
 
-    Raises as `learner_of`, `ModelError` for choices that only a Gaussian process has, `MissingExtraError`.
+    Raises as `learner_of`, `ModelError` for choices that only a Gaussian process has,
+    `MissingExtraError`.
     """
     other = learner_of(learner) if isinstance(learner, str) else learner
     if other is None:
@@ -68,7 +73,15 @@ def learner_for(learner: str | Learner, points: int | str, kernel: str) -> Learn
         check_extra()
         return None
     if points == "auto":
-        raise ModelError("points are chosen for a Gaussian process only", got=other.name, fix="give a number of points")
+        raise ModelError(
+            "points are chosen for a Gaussian process only",
+            got=other.name,
+            fix="give a number of points",
+        )
     if kernel != "se":
-        raise ModelError("a kernel is for the Gaussian process", got=f"{kernel} beside {other.name}", fix="one of the two")
+        raise ModelError(
+            "a kernel is for the Gaussian process",
+            got=f"{kernel} beside {other.name}",
+            fix="one of the two",
+        )
     return other

@@ -1,4 +1,5 @@
-"""A deep ensemble: several small networks, each with a last layer of its own; where they disagree nobody knows.
+"""A deep ensemble: several small networks, each with a last layer of its own; where they disagree
+nobody knows.
 
 Networks as in `greybox.residual.learners.neural`, from different starts. Each is fitted through the
 physics on its own; what is learned is their mean, and its variance that of the mixture

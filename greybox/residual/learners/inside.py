@@ -1,9 +1,9 @@
 """Inside: any learner, believed where its training inputs lie.
 
-Left-out flights of one kind say nothing about flights of another. Beyond the ellipsoid that holds 95 %
-of a Gaussian with the mean and covariance of the training inputs, features therefore fade as that
-density does, and what they lose in variance before the data one more feature gains, which no data
-inform:
+Left-out flights of one kind say nothing about flights of another. Beyond the ellipsoid that holds
+95 % of a Gaussian with the mean and covariance of the training inputs, features therefore fade as
+that density does, and what they lose in variance before the data one more feature gains, which no
+data inform:
 
     m = (x - middle)' cov(x)^-1 (x - middle),   q = 95 % quantile of chi-square with n_in degrees,
     s = exp(-max(m - q, 0)/2),   phi -> (s phi, size (1 - s^2)),   size = rms of |phi| over the rows
@@ -31,7 +31,8 @@ SHARE = 0.95
 FAR = 1e9
 """An input at which nothing is left, in standard deviations."""
 FLAT = 1e-6
-"""Least variance of a direction, in that of the widest: a direction that nobody flew is not free."""
+"""Least variance of a direction, in that of the widest: a direction that nobody flew is not
+free."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,9 @@ class Inside:
         """That of the learner for inputs of these names."""
         return Inside(self.learner.of(names)) if isinstance(self.learner, LooksBack) else self
 
-    def features(self, x: FloatArray, y: FloatArray, *, points: int, seed: int) -> Mapping[str, Features]:
+    def features(
+        self, x: FloatArray, y: FloatArray, *, points: int, seed: int
+    ) -> Mapping[str, Features]:
         """Those of the learner, each faded."""
         offered = self.learner.features(x, y, points=points, seed=seed)
         return {label: faded(made, x) for label, made in offered.items()}
@@ -79,7 +82,15 @@ def faded(made: Features, x: FloatArray) -> Features:
     own = ca.densify(ca.SX(made(s)))
     if own.size2() != 1 or not own.numel():
         return made  # refused by whoever asked
-    size = float(np.sqrt(np.mean(np.sum(evaluate(ca.Function("phi", [s], [own]), np.ascontiguousarray(x)) ** 2, axis=1))))
+    size = float(
+        np.sqrt(
+            np.mean(
+                np.sum(
+                    evaluate(ca.Function("phi", [s], [own]), np.ascontiguousarray(x)) ** 2, axis=1
+                )
+            )
+        )
+    )
 
     def phi(at: Expr) -> Expr:
         away = ca.sumsqr(ca.DM(whitening) @ (at - ca.DM(middle)))
@@ -89,9 +100,12 @@ def faded(made: Features, x: FloatArray) -> Features:
     return phi
 
 
-def seen_share(columns: FloatArray, phi: Any, members: int) -> tuple[FloatArray, npt.NDArray[np.intp]]:
-    """(s (N,) of every row, places of the features that no data inform) of faded features phi, `columns` (N, M), which
-    stand side by side for the `members` of an ensemble; s is that of the first."""
+def seen_share(
+    columns: FloatArray, phi: Any, members: int
+) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+    """(s (N,) of every row, places of the features that no data inform) of faded features phi,
+    `columns` (N, M), which stand side by side for the `members` of an ensemble; s is that of the
+    first."""
     width = columns.shape[1] // members
     last = np.arange(width - 1, columns.shape[1], width)
     far = evaluate(phi, np.full((1, phi.numel_in(0)), FAR))[0, width - 1]

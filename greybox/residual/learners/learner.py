@@ -3,10 +3,11 @@
     g_j(z) = s_j phi(x)'theta_j,   x = (z - mean)/scale,   theta_j ~ N(0, 1/strength)
 
 A learner makes phi from what the physics missed on the training flights; everything else is common:
-the weights theta are fitted by multi-step errors through the physics (`greybox.residual.open_loop_fit`),
-their strength is chosen on left-out flights, their covariance is the uncertainty, and it is calibrated
-and exported like that of the Gaussian process, whose features are those of its support points.
-(Bayesian last layer: Snoek et al. 2015, ICML; Harrison, Sharma and Pavone 2018, WAFR.)
+the weights theta are fitted by multi-step errors through the physics
+(`greybox.residual.open_loop_fit`), their strength is chosen on left-out flights, their covariance
+is the uncertainty, and it is calibrated and exported like that of the Gaussian process, whose
+features are those of its support points. (Bayesian last layer: Snoek et al. 2015, ICML; Harrison,
+Sharma and Pavone 2018, WAFR.)
 """
 
 from __future__ import annotations
@@ -28,9 +29,12 @@ class Learner(Protocol):
     def name(self) -> str:
         """What it is called in files and tables."""
 
-    def features(self, x: FloatArray, y: FloatArray, *, points: int, seed: int) -> Mapping[str, Features]:
-        """Candidates by name, which compete on left-out flights: x (N, n_in) standardised inputs, y (N, n_out) the force,
-        torque or other push that the physics missed there, in units of its spread. About `points` features each."""
+    def features(
+        self, x: FloatArray, y: FloatArray, *, points: int, seed: int
+    ) -> Mapping[str, Features]:
+        """Candidates by name, which compete on left-out flights: x (N, n_in) standardised inputs, y
+        (N, n_out) the force, torque or other push that the physics missed there, in units of its
+        spread. About `points` features each."""
 
 
 @runtime_checkable
@@ -38,8 +42,8 @@ class LooksBack(Learner, Protocol):
     """A learner that looks at earlier commands too; it is told what its inputs are called."""
 
     def lags(self, sample_time: float) -> int:
-        """Earlier samples, sample_time [s] apart, of every command that it asks for on physics; on linear models the inputs
-        are the user's."""
+        """Earlier samples, sample_time [s] apart, of every command that it asks for on physics; on
+        linear models the inputs are the user's."""
 
     def of(self, names: Sequence[str]) -> Learner:
         """The same for inputs of these names (n_in); u1[t-3] is that of three samples ago."""

@@ -1,8 +1,9 @@
 """A small neural network with a Bayesian last layer: its hidden units are the features.
 
-The hidden layers (tanh) are trained on the smoothed discrepancy of the training flights, with weight decay, by L-BFGS;
-the last layer is then fitted by multi-step errors like any other. Several starts compete.
-(Snoek et al. 2015, ICML: scalable Bayesian optimization using deep neural networks.)
+The hidden layers (tanh) are trained on the smoothed discrepancy of the training flights, with
+weight decay, by L-BFGS; the last layer is then fitted by multi-step errors like any other. Several
+starts compete. (Snoek et al. 2015, ICML: scalable Bayesian optimization using deep neural
+networks.)
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from greybox.residual.learners.learner import Features
 from greybox.symbolic import Expr, FloatArray
 
 FIRST, DECAY, STARTS, ROWS, ITERATIONS = 16, 1e-3, 2, 1500, 300
-"""Units of the first hidden layer, weight decay, starts, most rows that are trained on, and iterations of L-BFGS."""
+"""Units of the first hidden layer, weight decay, starts, most rows that are trained on, and
+iterations of L-BFGS."""
 
 
 class NeuralLastLayer:
@@ -25,12 +27,15 @@ class NeuralLastLayer:
 
     name = "neural"
 
-    def features(self, x: FloatArray, y: FloatArray, *, points: int, seed: int) -> Mapping[str, Features]:
+    def features(
+        self, x: FloatArray, y: FloatArray, *, points: int, seed: int
+    ) -> Mapping[str, Features]:
         """One candidate per start."""
         rows = np.random.default_rng(seed).permutation(len(x))[:ROWS]
         units = min(points, 24)
         return {
-            f"network, start {k + 1}": trained(x[rows], y[rows], units=units, seed=seed + k) for k in range(STARTS)
+            f"network, start {k + 1}": trained(x[rows], y[rows], units=units, seed=seed + k)
+            for k in range(STARTS)
         }
 
 
@@ -44,7 +49,8 @@ def _layers(v: FloatArray, n_in: int, units: int, n_out: int) -> list[FloatArray
 
 
 def trained(x: FloatArray, y: FloatArray, *, units: int, seed: int) -> Features:
-    """The `units` of the last hidden layer and the inputs, of a network trained on rows x (N, n_in), y (N, n_out)."""
+    """The `units` of the last hidden layer and the inputs, of a network trained on rows x (N,
+    n_in), y (N, n_out)."""
     n, n_in, n_out = len(x), x.shape[1], y.shape[1]
     size = FIRST * n_in + FIRST + units * FIRST + units + n_out * units
     start = np.random.default_rng(seed).standard_normal(size)
@@ -66,7 +72,9 @@ def trained(x: FloatArray, y: FloatArray, *, units: int, seed: int) -> Features:
         g1[:], g_b1[:] = back @ x, back.sum(axis=1, keepdims=True)
         return float(np.sum(error**2) / n + DECAY * v @ v), 2 * slope / n + 2 * DECAY * v
 
-    best = scipy.optimize.minimize(value, start, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
+    best = scipy.optimize.minimize(
+        value, start, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS}
+    )
     w1, b1, w2, b2, _ = (ca.DM(m) for m in _layers(best.x, n_in, units, n_out))
 
     def phi(s: Expr) -> Expr:

@@ -1,7 +1,9 @@
-"""Random Fourier features: a Gaussian process of a squared-exponential kernel, without training or support points.
+"""Random Fourier features: a Gaussian process of a squared-exponential kernel, without training or
+support points.
 
-phi_i = sqrt(2/M) cos(w_i'x + b_i), w ~ N(0, I/l^2), b uniform: products phi(x)'phi(x') are the kernel's values on average
-(Rahimi and Recht 2007, NIPS). A few length-scales l compete; the inputs themselves are features too.
+phi_i = sqrt(2/M) cos(w_i'x + b_i), w ~ N(0, I/l^2), b uniform: products phi(x)'phi(x') are the
+kernel's values on average (Rahimi and Recht 2007, NIPS). A few length-scales l compete; the inputs
+themselves are features too.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ class RandomFeatures:
 
     name = "random-features"
 
-    def features(self, x: FloatArray, y: FloatArray, *, points: int, seed: int) -> Mapping[str, Features]:
+    def features(
+        self, x: FloatArray, y: FloatArray, *, points: int, seed: int
+    ) -> Mapping[str, Features]:
         """One candidate per length-scale."""
         rng = np.random.default_rng(seed)
         directions = rng.standard_normal((points, x.shape[1]))

@@ -1,8 +1,9 @@
 """A sparse law: few terms out of a library of polynomials, chosen by thresholded least squares.
 
-Terms 1, x_i, x_i x_j and x_i |x_i| of the inputs in units of their spread (no mean is taken out: zero stays zero);
-coefficients below a threshold are dropped and the rest fitted again, until nothing changes (Brunton, Proctor and Kutz 2016,
-PNAS 113(15)). The terms that stay are the features; several thresholds compete on left-out flights.
+Terms 1, x_i, x_i x_j and x_i |x_i| of the inputs in units of their spread (no mean is taken out:
+zero stays zero); coefficients below a threshold are dropped and the rest fitted again, until
+nothing changes (Brunton, Proctor and Kutz 2016, PNAS 113(15)). The terms that stay are the
+features; several thresholds compete on left-out flights.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ class SparseLaw:
     centred = False
     """Inputs are scaled but not shifted."""
 
-    def features(self, x: FloatArray, y: FloatArray, *, points: int, seed: int) -> Mapping[str, Features]:
+    def features(
+        self, x: FloatArray, y: FloatArray, *, points: int, seed: int
+    ) -> Mapping[str, Features]:
         """One candidate per threshold."""
         terms = _library(x.shape[1])
         columns = np.stack([np.asarray(t(list(x.T))) * np.ones(len(x)) for t in terms], axis=1)
@@ -41,14 +44,21 @@ class SparseLaw:
         for threshold in THRESHOLDS:
             kept = _kept(columns / spread, y, threshold, points)
             if kept:
-                out[f"law, threshold {threshold:g}"] = _law([terms[i] for i in kept], spread[list(kept)])
+                out[f"law, threshold {threshold:g}"] = _law(
+                    [terms[i] for i in kept], spread[list(kept)]
+                )
         return out
 
 
 def _library(n: int) -> list[Term]:
     """All terms of n inputs."""
     pairs = itertools.combinations_with_replacement(range(n), 2)
-    return [_one, *(_power(i) for i in range(n)), *(_power(i, j) for i, j in pairs), *(_drag(i) for i in range(n))]
+    return [
+        _one,
+        *(_power(i) for i in range(n)),
+        *(_power(i, j) for i, j in pairs),
+        *(_drag(i) for i in range(n)),
+    ]
 
 
 def _one(x: Sequence[Any]) -> Any:

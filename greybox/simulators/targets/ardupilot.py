@@ -1,11 +1,11 @@
 """ArduPilot: the JSON of a frame for its SITL, and the parameters of the motors.
 
-SITL's frame has thrust c1 u + c2 u^2 (hoverThrOut, propExpo) times the square of the battery's share
-of maxVoltage, at once; a yaw torque of thrust times u; drag of the rotors in proportion to the square
-root of their thrust, equal along all axes (mdrag_coef); one drag |v| v of the body against the airspeed
-(refSpd, refAngle), axis by axis; one damping of the angular acceleration (refRotRate); and no
-gyroscopic moment of the turning body. Axes are FRD, motors stand about the centre of mass
-(ArduPilot, libraries/SITL/SIM_Frame.cpp, SIM_Motor.cpp).
+SITL's frame has thrust c1 u + c2 u^2 (hoverThrOut, propExpo) times the square of the battery's
+share of maxVoltage, at once; a yaw torque of thrust times u; drag of the rotors in proportion to
+the square root of their thrust, equal along all axes (mdrag_coef); one drag |v| v of the body
+against the airspeed (refSpd, refAngle), axis by axis; one damping of the angular acceleration
+(refRotRate); and no gyroscopic moment of the turning body. Axes are FRD, motors stand about the
+centre of mass (ArduPilot, libraries/SITL/SIM_Frame.cpp, SIM_Motor.cpp).
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ from greybox.symbolic import Expr
 DENSITY, ALTITUDE, TEMPERATURE = 1.225, 0.0, 15.0
 """Air of the reference test [kg/m^3, m, deg C]: thrust is as written at sea level."""
 OUTFLOW = 100.0
-"""Air velocity behind the rotors at hover [m/s] that the reference power says: so fast that climbing
-costs no thrust (a ten thousandth per (m/s)^2), which would come on top of mdrag_coef."""
+"""Air velocity behind the rotors at hover [m/s] that the reference power says: so fast that
+climbing costs no thrust (a ten thousandth per (m/s)^2), which would come on top of mdrag_coef."""
 REFERENCE_SPEED = 10.0
 YAW_SCALE = 0.05
 DAMPING = math.radians(400.0)
@@ -64,7 +64,11 @@ class AxisDrag(Effect):
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """c [N s^2/m^2]."""
-        return (Parameter(name="c", unit="N s^2/m^2", nominal=0.0, null=0.0, meaning="drag coefficient"),)
+        return (
+            Parameter(
+                name="c", unit="N s^2/m^2", nominal=0.0, null=0.0, meaning="drag coefficient"
+            ),
+        )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Force through the centre of mass."""
@@ -135,7 +139,10 @@ class ArduPilot:
             "rotational_damping",
             "refRotRate: one angular acceleration per rad/s for all axes",
             Change(
-                values={f"rotational_damping.d_{a}": rate * float(craft.inertia[i, i]) for i, a in enumerate("pqr")}
+                values={
+                    f"rotational_damping.d_{a}": rate * float(craft.inertia[i, i])
+                    for i, a in enumerate("pqr")
+                }
             ),
         )
         wind = "SIM_WIND_SPD, SIM_WIND_DIR, SIM_WIND_DIR_Z, with SIM_WIND_T 1 at any height"

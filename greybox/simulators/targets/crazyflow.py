@@ -104,7 +104,8 @@ class FirstPrinciples:
         low, high = craft.command_range
         lines = [
             f"# Fitted form so_rpy_rotor_drag for {self.simulator}, written by greybox twin.",
-            "# rpy_coef, rpy_rates_coef and cmd_rpy_coef are no measurement: the attitude controller",
+            "# rpy_coef, rpy_rates_coef and cmd_rpy_coef are no measurement: the attitude "
+            "controller",
             "# is not in the model. Put in those of yours (identify them from its flights).",
             f"[{craft.name}]",
             f"mass = {craft.mass!r}  # kg",

@@ -112,7 +112,9 @@ class Isaac:
             gyro=yaml_number(gyro),
             accelerometer=yaml_number(accelerometer),
             **{
-                f"{s}_walk": yaml_number(float(coloured_parts(craft, s).get("drift", {}).get("sigma", 0)))
+                f"{s}_walk": yaml_number(
+                    float(coloured_parts(craft, s).get("drift", {}).get("sigma", 0))
+                )
                 for s in ("gyro", "accelerometer")
             },
         )

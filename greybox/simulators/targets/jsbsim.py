@@ -105,7 +105,8 @@ def _aircraft(craft: Craft) -> str:
     j, forces, filters = craft.inertia, [], []
     for i in range(1, craft.count + 1):
         filters.append(
-            f'      <lag_filter name="fcs/nu{i}"><input>fcs/nu-cmd{i}</input><c1>{1.0 / tau!r}</c1></lag_filter>'
+            "      <lag_filter "
+            f'name="fcs/nu{i}"><input>fcs/nu-cmd{i}</input><c1>{1.0 / tau!r}</c1></lag_filter>'
         )
         strength, hub = float(craft.strength[i - 1]), craft.hubs[i - 1]
         spin = float(craft.spins[i - 1])

@@ -22,7 +22,10 @@ _USE = """    sim = Simulator(craft=1000)            # a thousand craft at hover
     sim = Simulator(craft=1000, parameters=draws)   # every craft its own parameters
 """
 
-_TAIL = "\n\n" + NUMBERS + '''
+_TAIL = (
+    "\n\n"
+    + NUMBERS
+    + '''
 
 class _Arrays:
     """Mathematics of whole batches."""
@@ -104,6 +107,7 @@ class Simulator:
         """Sensors (OUTPUTS) under the last command."""
         return output(self.x, self.window, self.parameters, w)
 '''
+)
 
 
 def whole(craft: Craft, simulator: str) -> tuple[Word, ...]:

@@ -1,4 +1,5 @@
-"""Effects that no catalogue has, and relatives of catalogued ones with another law: what must not get a wrong name."""
+"""Effects that no catalogue has, and relatives of catalogued ones with another law: what must not
+get a wrong name."""
 
 from __future__ import annotations
 
@@ -13,7 +14,13 @@ from scenarios.plants.outside.other_forms import (
 from scenarios.plants.outside.sloshing_mass import SloshingMass
 from scenarios.plants.outside.tether import Tether
 from scenarios.plants.outside.thrust_gap import ThrustGap
-from scenarios.plants.outside.unseen import AirOutlet, LooseArm, MunkMoment, PlateInWake, ReturningWake
+from scenarios.plants.outside.unseen import (
+    AirOutlet,
+    LooseArm,
+    MunkMoment,
+    PlateInWake,
+    ReturningWake,
+)
 from scenarios.plants.outside.wall import Wall
 from scenarios.plants.outside.warm_motors import WarmMotors
 

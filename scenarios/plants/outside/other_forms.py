@@ -1,6 +1,8 @@
-"""Families that the catalogue knows, in another form: other exponents, another dependence, relaxation, hysteresis.
+"""Families that the catalogue knows, in another form: other exponents, another dependence,
+relaxation, hysteresis.
 
-These stand together because each is a line or two of difference from its relative in greybox.plants.effects.
+These stand together because each is a line or two of difference from its relative in
+greybox.plants.effects.
 """
 
 from __future__ import annotations
@@ -56,7 +58,8 @@ class ExponentialGround(PlantEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class RelaxingDrag(PlantEffect):
-    """F = -k v_f, the wake's velocity v_f (body axes) follows the airspeed within `time` [s]: relative of rotor_drag."""
+    """F = -k v_f, the wake's velocity v_f (body axes) follows the airspeed within `time` [s]:
+    relative of rotor_drag."""
 
     name: ClassVar[str] = "relaxing_drag"
     hidden: ClassVar[int] = 3
@@ -75,8 +78,8 @@ class RelaxingDrag(PlantEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class HystereticDamping(PlantEffect):
-    """tau = -d z with Bouc-Wen states z (Wen 1976): z' = A omega - beta |omega| z |z| - gamma omega z^2: relative of
-    rotational_damping whose moment remembers the path."""
+    """tau = -d z with Bouc-Wen states z (Wen 1976): z' = A omega - beta |omega| z |z| - gamma omega
+    z^2: relative of rotational_damping whose moment remembers the path."""
 
     name: ClassVar[str] = "hysteretic_damping"
     hidden: ClassVar[int] = 3

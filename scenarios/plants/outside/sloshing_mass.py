@@ -1,4 +1,5 @@
-"""A liquid that sloshes: its surface swings as a pendulum below the centre of mass and pulls on the vehicle."""
+"""A liquid that sloshes: its surface swings as a pendulum below the centre of mass and pulls on the
+vehicle."""
 
 from __future__ import annotations
 
@@ -11,9 +12,9 @@ from greybox.plants.vectors import Number, Vector, apply_transposed
 
 @dataclass(frozen=True, kw_only=True)
 class SloshingMass(PlantEffect):
-    """The liquid, `mass` [kg], swings sideways by (a, b) [m] in body axes at `frequency` [Hz] with damping ratio `damping`,
-    driven by the tilt of gravity and by drag-like coupling to the velocity; it pushes with mass (2 pi f)^2 (a, b) at `arm`
-    [m] below the centre of mass.
+    """The liquid, `mass` [kg], swings sideways by (a, b) [m] in body axes at `frequency` [Hz] with
+    damping ratio `damping`, driven by the tilt of gravity and by drag-like coupling to the
+    velocity; it pushes with mass (2 pi f)^2 (a, b) at `arm` [m] below the centre of mass.
 
         a'' = -2 zeta w a' - w^2 a + g_x - k v_x,   F = mass w^2 (a, b, 0),   tau = (0, 0, -arm) x F
     """

@@ -1,4 +1,5 @@
-"""A cable to the ground: its weight grows with the height, and it pulls back to where it is fixed."""
+"""A cable to the ground: its weight grows with the height, and it pulls back to where it is
+fixed."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ from greybox.plants.vectors import Number, Vector, apply_transposed
 
 @dataclass(frozen=True, kw_only=True)
 class Tether(PlantEffect):
-    """World force (-stiffness x, -stiffness y, -weight z): stiffness [N/m], weight per length [N/m], fixed at the origin."""
+    """World force (-stiffness x, -stiffness y, -weight z): stiffness [N/m], weight per length
+    [N/m], fixed at the origin."""
 
     name: ClassVar[str] = "tether"
     stiffness: Number = 0.0
@@ -20,4 +22,6 @@ class Tether(PlantEffect):
     def body_force(self, body: Body) -> Vector:
         """Pull of the cable, body axes [N]."""
         x, y, z = body.position
-        return apply_transposed(body.rotation, (-self.stiffness * x, -self.stiffness * y, -self.weight * z))
+        return apply_transposed(
+            body.rotation, (-self.stiffness * x, -self.stiffness * y, -self.weight * z)
+        )

@@ -13,7 +13,8 @@ from greybox.plants.vectors import Number
 
 @dataclass(frozen=True, kw_only=True)
 class ThrustGap(PlantEffect):
-    """T_i loses the share `depth` at nu = `centre`, less to both sides: 1 - depth exp(-((nu - centre) / width)^2)."""
+    """T_i loses the share `depth` at nu = `centre`, less to both sides: 1 - depth exp(-((nu -
+    centre) / width)^2)."""
 
     name: ClassVar[str] = "thrust_gap"
     depth: Number = 0.0

@@ -1,4 +1,5 @@
-"""Effects invented by another hand, without knowledge of the search: they judge, nothing is tuned on them."""
+"""Effects invented by another hand, without knowledge of the search: they judge, nothing is tuned
+on them."""
 
 from __future__ import annotations
 
@@ -13,11 +14,13 @@ from greybox.plants.vectors import ZERO, Number, Vector, add, apply, apply_trans
 
 @dataclass(frozen=True, kw_only=True)
 class MunkMoment(PlantEffect):
-    """A long light hull along body x turns broadside to the flow (Munk 1924, NACA Report 184): a moment without a force.
+    """A long light hull along body x turns broadside to the flow (Munk 1924, NACA Report 184): a
+    moment without a force.
 
         tau = -v x (M v), M = diag(0, k, k)   =>   tau = k v_x (0, v_z, -v_y)
 
-    k [kg]: difference of the added masses across and along the hull, about 0.7 rho volume for a slender one.
+    k [kg]: difference of the added masses across and along the hull, about 0.7 rho volume for a
+    slender one.
     """
 
     name: ClassVar[str] = "munk_moment"
@@ -31,13 +34,14 @@ class MunkMoment(PlantEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class AirOutlet(PlantEffect):
-    """The round jet of an air outlet in the ceiling blows down on a spot of the room and takes thrust from each rotor that
-    is inside it (round free jet: it widens linearly, its centre slows down as its width grows).
+    """The round jet of an air outlet in the ceiling blows down on a spot of the room and takes
+    thrust from each rotor that is inside it (round free jet: it widens linearly, its centre slows
+    down as its width grows).
 
         b = width + spread (top - z),   w = (width / b) exp(-((x - x_0)^2 + (y - y_0)^2) / b^2),   dT_i = -loss nu_i w R_33
 
-    at the hub's place (x, y, z), world; loss [N]: lift slope of a rotor at nu = 1 times the speed of the jet at the outlet;
-    x_0, y_0, top, width [m].
+    at the hub's place (x, y, z), world; loss [N]: lift slope of a rotor at nu = 1 times the speed
+    of the jet at the outlet; x_0, y_0, top, width [m].
     """
 
     name: ClassVar[str] = "air_outlet"
@@ -60,14 +64,16 @@ class AirOutlet(PlantEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class PlateInWake(PlantEffect):
-    """A plate (foot, pod) stands below a rotor just outside its wake; flight towards the other side blows the wake on to it,
-    as the wake of a helicopter meets its tailplane at low speed (Prouty, Helicopter Performance, Stability, and Control).
+    """A plate (foot, pod) stands below a rotor just outside its wake; flight towards the other side
+    blows the wake on to it, as the wake of a helicopter meets its tailplane at low speed (Prouty,
+    Helicopter Performance, Stability, and Control).
 
         e = -(drop / (wake nu)) (v . d) - gap,   F = (0, 0, -load T (1 + tanh(e / edge)) / 2) at the hub
 
-    d = (cos azimuth, sin azimuth, 0) points from the hub to the plate, body; v: airspeed of the hub; drop: plate below the
-    disc [m]; wake: speed of the wake at nu = 1 [m/s]; gap, edge: distance to the wake and softness of its edge [m]; load:
-    share of the thrust T that the plate catches when it is all inside. rotor counts from 0.
+    d = (cos azimuth, sin azimuth, 0) points from the hub to the plate, body; v: airspeed of the
+    hub; drop: plate below the disc [m]; wake: speed of the wake at nu = 1 [m/s]; gap, edge:
+    distance to the wake and softness of its edge [m]; load: share of the thrust T that the plate
+    catches when it is all inside. rotor counts from 0.
     """
 
     name: ClassVar[str] = "plate_in_wake"
@@ -91,13 +97,15 @@ class PlateInWake(PlantEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class LooseArm(PlantEffect):
-    """A folding arm with a worn lock sits at one of two stops, where its rotor leans to one side or the other; the air that
-    pushes the rotor sideways throws it over, and it stays there (two seats with hysteresis, the cusp's normal form).
+    """A folding arm with a worn lock sits at one of two stops, where its rotor leans to one side or
+    the other; the air that pushes the rotor sideways throws it over, and it stays there (two seats
+    with hysteresis, the cusp's normal form).
 
         time s' = s - s^3 - c (v . e) / flip,   c = 2 / sqrt(27),   F = tilt s T e at the hub
 
-    e = (-sin azimuth, cos azimuth, 0) is across the arm, body; v: airspeed of the centre of mass; s near +-1: the seat,
-    which is left as soon as |v . e| exceeds flip [m/s]; tilt [rad]; azimuth of the arm [rad]; rotor counts from 0.
+    e = (-sin azimuth, cos azimuth, 0) is across the arm, body; v: airspeed of the centre of mass; s
+    near +-1: the seat, which is left as soon as |v . e| exceeds flip [m/s]; tilt [rad]; azimuth of
+    the arm [rad]; rotor counts from 0.
     """
 
     name: ClassVar[str] = "loose_arm"
@@ -125,12 +133,14 @@ class LooseArm(PlantEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class ReturningWake(PlantEffect):
-    """In a small room the air that a tilted vehicle throws sideways runs to the wall and comes back as a gust, `time` [s]
-    later, against the direction in which it was thrown: a transport delay, here six equal lags in a row per direction.
+    """In a small room the air that a tilted vehicle throws sideways runs to the wall and comes back
+    as a gust, `time` [s] later, against the direction in which it was thrown: a transport delay,
+    here six equal lags in a row per direction.
 
         g_j' = (6 / time) (g_(j-1) - g_j), j = 1..6,   g_0 = (R e_z)_xy sum(nu^2) / (n reference^2),   F_xy = push g_6
 
-    push [N] is the gust's force per unit of horizontal thrust in hover thrusts; g and F_xy in world axes.
+    push [N] is the gust's force per unit of horizontal thrust in hover thrusts; g and F_xy in world
+    axes.
     """
 
     name: ClassVar[str] = "returning_wake"

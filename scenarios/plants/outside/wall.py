@@ -11,8 +11,9 @@ from greybox.plants.vectors import Number, Vector, apply_transposed, cross
 
 @dataclass(frozen=True, kw_only=True)
 class Wall(PlantEffect):
-    """Force of `pull` [N] at 1 m from a wall at x = `place` [m], falling with the square of the distance (never nearer
-    than 0.3 m), towards the wall; it acts `arm` [m] above the centre of mass."""
+    """Force of `pull` [N] at 1 m from a wall at x = `place` [m], falling with the square of the
+    distance (never nearer than 0.3 m), towards the wall; it acts `arm` [m] above the centre of
+    mass."""
 
     name: ClassVar[str] = "wall"
     pull: Number = 0.0

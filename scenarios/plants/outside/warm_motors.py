@@ -11,7 +11,8 @@ from greybox.plants.vectors import Number
 
 @dataclass(frozen=True, kw_only=True)
 class WarmMotors(PlantEffect):
-    """T_i (1 - fade h): the hidden heat h relaxes to sum(nu^4) / (n nu_ref^4) - 1 within `time` [s]."""
+    """T_i (1 - fade h): the hidden heat h relaxes to sum(nu^4) / (n nu_ref^4) - 1 within `time`
+    [s]."""
 
     name: ClassVar[str] = "warm_motors"
     hidden: ClassVar[int] = 1

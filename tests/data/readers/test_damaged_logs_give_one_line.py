@@ -1,4 +1,5 @@
-"""A damaged, truncated or foreign file gives one line and exit code 2, or is read: never a traceback, in no format."""
+"""A damaged, truncated or foreign file gives one line and exit code 2, or is read: never a
+traceback, in no format."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ FORMATS = {
     "parquet": ("f.parquet", "pyarrow"),
     "csv": ("f.csv", "numpy"),
 }
-"""MAT files are read in a process of their own, which takes a second each; they have a test of their own below."""
+"""MAT files are read in a process of their own, which takes a second each; they have a test of
+their own below."""
 
 
 @functools.cache
@@ -62,7 +64,8 @@ def intact(name: str) -> bytes:
 
 
 def damage(content: bytes, seed: int) -> bytes:
-    """Cut, flipped, inserted, removed or repeated bytes, more often near the beginning, where the headers are."""
+    """Cut, flipped, inserted, removed or repeated bytes, more often near the beginning, where the
+    headers are."""
     rng = random.Random(seed)
     data = bytearray(content)
     if rng.random() < 0.2:
@@ -99,7 +102,9 @@ def survives(path: Path) -> bool:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(seed=st.integers(0, 2**32))
 def test_damage_is_survived_or_said(name: str, tmp_path: Path, seed: int) -> None:
     file, library = FORMATS[name]
@@ -152,7 +157,19 @@ def test_the_command_line_says_it_in_one_line(
     path = tmp_path / file
     path.write_bytes(intact(name)[:keep])
     before = sorted(tmp_path.iterdir())
-    assert main(["inspect", str(path), "--out", str(tmp_path / "out.csv"), "--json", str(tmp_path / "out.json")]) == 2
+    assert (
+        main(
+            [
+                "inspect",
+                str(path),
+                "--out",
+                str(tmp_path / "out.csv"),
+                "--json",
+                str(tmp_path / "out.json"),
+            ]
+        )
+        == 2
+    )
     said = capfd.readouterr()
     assert said.out == ""
     assert said.err.count("\n") == 1
@@ -162,7 +179,11 @@ def test_the_command_line_says_it_in_one_line(
 
 def test_a_log_that_was_cut_off_is_read_up_to_there(tmp_path: Path) -> None:
     c = w.channels(rows=200)
-    for name, write in (("f.ulg", w.write_ulog), ("log00", w.write_crazyflie), ("f.bbl", w.write_betaflight)):
+    for name, write in (
+        ("f.ulg", w.write_ulog),
+        ("log00", w.write_crazyflie),
+        ("f.bbl", w.write_betaflight),
+    ):
         pytest.importorskip({"f.ulg": "pyulog", "f.bbl": "orangebox"}.get(name, "numpy"))
         path = write(tmp_path / name, c)
         whole = path.read_bytes()
@@ -176,7 +197,8 @@ def test_a_log_that_was_cut_off_is_read_up_to_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("module", "name"), [("pyulog", "ulog"), ("rosbags", "bag"), ("orangebox", "betaflight"), ("pyarrow", "parquet")]
+    ("module", "name"),
+    [("pyulog", "ulog"), ("rosbags", "bag"), ("orangebox", "betaflight"), ("pyarrow", "parquet")],
 )
 def test_a_missing_library_is_named_with_its_extra(
     module: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -1,4 +1,5 @@
-"""What is particular to one system: stamps and types of ROS, headers of blackbox files, structs, units and signs."""
+"""What is particular to one system: stamps and types of ROS, headers of blackbox files, structs,
+units and signs."""
 
 from __future__ import annotations
 
@@ -82,9 +83,15 @@ def test_json_in_mcap_is_read(tmp_path: Path) -> None:
         schema = writer.register_schema(name="State", encoding="jsonschema", data=b"{}")
         channel = writer.register_channel(topic="/state", message_encoding="json", schema_id=schema)
         for k in range(50):
-            message = {"gyro": [0.1 * k, 0.0, -0.1], "motors": {"front": 0.5, "rear": 0.6}, "mode": "hover"}
+            message = {
+                "gyro": [0.1 * k, 0.0, -0.1],
+                "motors": {"front": 0.5, "rear": 0.6},
+                "mode": "hover",
+            }
             stamp = 10_000_000 * k
-            writer.add_message(channel, log_time=stamp, publish_time=stamp, data=json.dumps(message).encode())
+            writer.add_message(
+                channel, log_time=stamp, publish_time=stamp, data=json.dumps(message).encode()
+            )
         writer.finish()
     found = read_recording(path).streams["/state"]
     assert set(found.fields) == {"gyro[0]", "gyro[1]", "gyro[2]", "motors.front", "motors.rear"}
@@ -125,9 +132,16 @@ def test_a_damaged_onboard_log_is_read_around_the_damage(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    "pwm_range", [(), (("MOT_PWM_MIN", 0.0), ("MOT_PWM_MAX", 0.0)), (("MOT_PWM_MIN", 1900.0), ("MOT_PWM_MAX", 1100.0))]
+    "pwm_range",
+    [
+        (),
+        (("MOT_PWM_MIN", 0.0), ("MOT_PWM_MAX", 0.0)),
+        (("MOT_PWM_MIN", 1900.0), ("MOT_PWM_MAX", 1100.0)),
+    ],
 )
-def test_a_range_that_the_log_does_not_tell_is_called_assumed(tmp_path: Path, pwm_range: tuple[tuple[str, float], ...]):
+def test_a_range_that_the_log_does_not_tell_is_called_assumed(
+    tmp_path: Path, pwm_range: tuple[tuple[str, float], ...]
+):
     found = read_recording(w.write_ardupilot(tmp_path / "f.bin", w.channels(rows=50), pwm_range))
     (command,) = (s for s in found.sources if s.group == "command")
     assert command.limits == (1000.0, 2000.0)
@@ -143,8 +157,13 @@ def test_messages_that_cannot_be_read_are_named_and_hide_no_message(tmp_path: Pa
     at = whole.index(b"\xa3\x95\x82")
     imu = whole[at : at + 36]
     unknown = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 0xF0, 43, b"ODD", b"Q?", b"TimeUS,What")
-    path.write_bytes(whole[:at] + unknown + 5 * (b"\xa3\x95\xf0" + imu.ljust(40, b"\0")) + whole[at:])
-    found, sound = read_recording(path), read_recording(w.write_ardupilot(tmp_path / "g.bin", w.channels(rows=50)))
+    path.write_bytes(
+        whole[:at] + unknown + 5 * (b"\xa3\x95\xf0" + imu.ljust(40, b"\0")) + whole[at:]
+    )
+    found, sound = (
+        read_recording(path),
+        read_recording(w.write_ardupilot(tmp_path / "g.bin", w.channels(rows=50))),
+    )
     (note,) = found.notes
     assert "messages ODD are not read" in note
     assert found.streams["IMU[0]"].n == sound.streams["IMU[0]"].n
@@ -175,7 +194,9 @@ def test_the_library_of_others_reads_the_same_numbers(tmp_path: Path) -> None:
         ({"motorOutput": "100,1100", "minthrottle": "1000"}, {"p": 1.0, "u1": 1999 / 1000}),
     ],
 )
-def test_headers_say_what_the_counts_are(headers: dict[str, str], expected: dict[str, float], tmp_path: Path) -> None:
+def test_headers_say_what_the_counts_are(
+    headers: dict[str, str], expected: dict[str, float], tmp_path: Path
+) -> None:
     pytest.importorskip("orangebox")
     c = w.channels(rows=N)
     raw = read_table(w.write_betaflight(tmp_path / "f.bbl", c, headers=headers))
@@ -190,7 +211,11 @@ def test_rotor_speed_and_an_old_battery_field_need_their_headers(tmp_path: Path)
     fields = {"time": 1e3 * np.arange(n), "eRPM[0]": np.full(n, 350), "eRPM[1]": np.full(n, 420)}
     fields |= {"vbatLatest": np.full(n, 165), **{f"gyroADC[{i}]": np.zeros(n) for i in range(3)}}
     path = tmp_path / "f.bbl"
-    path.write_bytes(w.blackbox_bytes(fields, {"motor_poles": "14", "Firmware revision": "Betaflight 4.3.0 (abc) S"}))
+    path.write_bytes(
+        w.blackbox_bytes(
+            fields, {"motor_poles": "14", "Firmware revision": "Betaflight 4.3.0 (abc) S"}
+        )
+    )
     raw = read_table(path)
     assert raw.channels["omega1"][0] == pytest.approx(35000 / 7 * np.pi / 30)
     assert raw.channels["vbat"][0] == pytest.approx(1.65)
@@ -213,8 +238,15 @@ def test_a_chirp_of_the_firmware_is_named(tmp_path: Path) -> None:
 
 def test_a_chirp_of_the_firmware_becomes_a_column(tmp_path: Path) -> None:
     pytest.importorskip("orangebox")
-    phase = np.concatenate([np.zeros(N // 4), np.cumsum(np.linspace(0.02, 0.8, N - N // 4)) % (2 * np.pi)])
-    fields = {"time": np.arange(N) * 2000.0, "gyroADC[0]": np.zeros(N), "gyroADC[1]": np.zeros(N), "gyroADC[2]": np.zeros(N)}
+    phase = np.concatenate(
+        [np.zeros(N // 4), np.cumsum(np.linspace(0.02, 0.8, N - N // 4)) % (2 * np.pi)]
+    )
+    fields = {
+        "time": np.arange(N) * 2000.0,
+        "gyroADC[0]": np.zeros(N),
+        "gyroADC[1]": np.zeros(N),
+        "gyroADC[2]": np.zeros(N),
+    }
     settings = {"Firmware revision": "Betaflight 2025.12.1 (abc) S", "chirp_amplitude_roll": "230"}
     other = (np.rint(5000 * phase[::-1]), np.arange(N) * 400.0)
     for values, there in ((np.rint(5000 * phase), True), *((v, False) for v in other)):
@@ -227,7 +259,10 @@ def test_a_chirp_of_the_firmware_becomes_a_column(tmp_path: Path) -> None:
 
 def test_of_several_flights_in_a_file_the_longest_is_read(tmp_path: Path) -> None:
     pytest.importorskip("orangebox")
-    parts = [w.write_betaflight(tmp_path / "f.bbl", w.channels(rows=rows)).read_bytes() for rows in (60, N, 90)]
+    parts = [
+        w.write_betaflight(tmp_path / "f.bbl", w.channels(rows=rows)).read_bytes()
+        for rows in (60, N, 90)
+    ]
     (tmp_path / "all.bbl").write_bytes(b"".join(parts))
     raw = read_table(tmp_path / "all.bbl")
     assert raw.n == N
@@ -244,7 +279,12 @@ def test_events_of_two_rates_meet_and_a_check_sum_that_is_wrong_is_told(tmp_path
     euler = np.column_stack([10.0 + 0 * c["t"], 20.0 + 0 * c["t"], 30.0 + 0 * c["t"]])[::5]
     events = [
         ("fast", [("gyro.x", "f"), ("gyro.y", "f"), ("gyro.z", "f")], stamps, gyro),
-        ("slow", [("stabilizer.roll", "f"), ("stabilizer.pitch", "f"), ("stabilizer.yaw", "f")], stamps[::5], euler),
+        (
+            "slow",
+            [("stabilizer.roll", "f"), ("stabilizer.pitch", "f"), ("stabilizer.yaw", "f")],
+            stamps[::5],
+            euler,
+        ),
     ]
     path = tmp_path / "log01"
     content = bytearray(w.usd_bytes(events))
@@ -260,7 +300,9 @@ def test_events_of_two_rates_meet_and_a_check_sum_that_is_wrong_is_told(tmp_path
         cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
     ]
-    np.testing.assert_allclose([raw.channels[k][0] for k in ("qw", "qx", "qy", "qz")], expected, atol=1e-6)
+    np.testing.assert_allclose(
+        [raw.channels[k][0] for k in ("qw", "qx", "qy", "qz")], expected, atol=1e-6
+    )
     content[-1] ^= 1
     path.write_bytes(content)
     assert any("check sum is wrong" in n for n in read_table(path).notes)
@@ -283,7 +325,8 @@ def test_structs_and_matrices_of_matlab_are_columns(tmp_path: Path) -> None:
     savemat(tmp_path / "f.mat", content)
     named = mapping(
         tmp_path,
-        '[time]\nfield = "imu.time"\n[rate]\nfields = ["imu.gyro[0]", "imu.gyro[1]", "imu.gyro[2]"]\n'
+        '[time]\nfield = "imu.time"\n[rate]\nfields = ["imu.gyro[0]", "imu.gyro[1]", '
+        '"imu.gyro[2]"]\n'
         '[command]\nfields = ["motor[0]", "motor[1]", "motor[2]", "motor[3]"]\n',
     )
     raw = read_table(tmp_path / "f.mat", mapping=named)
@@ -310,7 +353,9 @@ def test_times_and_lists_of_parquet_are_columns(tmp_path: Path) -> None:
     named = mapping(tmp_path, '[rate]\nfields = ["gyro[0]", "gyro[1]", "gyro[2]"]\n')
     raw = read_table(tmp_path / "f.parquet", mapping=named)
     np.testing.assert_allclose(np.diff(raw.t), 0.01, atol=1e-6)
-    pq.write_table(table.rename_columns(["timestamp_us", "gyro", "u1", "mode"]), tmp_path / "us.parquet")
+    pq.write_table(
+        table.rename_columns(["timestamp_us", "gyro", "u1", "mode"]), tmp_path / "us.parquet"
+    )
     np.testing.assert_array_equal(read_table(tmp_path / "us.parquet", mapping=named).t, raw.t)
     np.testing.assert_allclose(raw.channels["q"], 0.2, atol=1e-7)
     assert np.isnan(raw.channels["u1"]).sum() == N / 2
@@ -322,7 +367,9 @@ def test_columns_of_a_vehicle_file_name_those_of_any_table(write: Any, tmp_path:
     path = flight_path("nanobench", "B2_circle_fast_rep1")
     columns = {k: v for k, v in read_csv(path).columns.items() if v.dtype.kind == "f"}
     known = read_table(path, w.vehicle())
-    raw = read_table(write(tmp_path / ("f.mat" if write is w.write_mat else "f.parquet"), columns), w.vehicle())
+    raw = read_table(
+        write(tmp_path / ("f.mat" if write is w.write_mat else "f.parquet"), columns), w.vehicle()
+    )
     assert list(raw.channels) == list(known.channels)
     assert raw.noncausal == known.noncausal == {"vx", "vy", "vz"}
     for name in known.channels:
@@ -332,11 +379,13 @@ def test_columns_of_a_vehicle_file_name_those_of_any_table(write: Any, tmp_path:
 def test_a_smoothed_channel_of_a_mapping_never_starts_a_prediction(tmp_path: Path) -> None:
     path = w.write_csv(tmp_path / "f.csv", w.own_columns(w.channels(rows=N)))
     named = mapping(
-        tmp_path, '[time]\nfield = "time_ms"\n[rate]\nfields = ["gyr_x", "gyr_y", "gyr_z"]\ncausal = false\n'
+        tmp_path,
+        '[time]\nfield = "time_ms"\n[rate]\nfields = ["gyr_x", "gyr_y", "gyr_z"]\ncausal = false\n',
     )
     assert read_table(path, mapping=named).noncausal == {"p", "q", "r"}
     left_out = mapping(
-        tmp_path, '[rate]\nuse = false\n[time]\nfield = "time_ms"\n[command]\nfields = ["pwm1", "pwm2"]\n'
+        tmp_path,
+        '[rate]\nuse = false\n[time]\nfield = "time_ms"\n[command]\nfields = ["pwm1", "pwm2"]\n',
     )
     assert set(read_table(path, mapping=left_out).channels) == {"u1", "u2"}
 

@@ -1,4 +1,5 @@
-"""Logs as the firmware wrote them (the beginnings of files): disarmed, a VTOL, too slow, or usable."""
+"""Logs as the firmware wrote them (the beginnings of files): disarmed, a VTOL, too slow, or
+usable."""
 
 from __future__ import annotations
 
@@ -18,7 +19,11 @@ FOLDER = Path(__file__).parent / "firmware"
 @pytest.mark.parametrize(
     ("name", "library", "words"),
     [
-        ("sample.ulg", "pyulog", ("disarmed: no motor ever turns", "too slow: commands come at 20.9 Hz")),
+        (
+            "sample.ulg",
+            "pyulog",
+            ("disarmed: no motor ever turns", "too slow: commands come at 20.9 Hz"),
+        ),
         ("sample_px4_events.ulg", "pyulog", ("disarmed", "too slow: commands come at 10 Hz")),
         ("sample_log_small.ulg", "pyulog", ("no commands of rotors",)),
     ],
@@ -62,11 +67,16 @@ def test_what_makes_a_log_unfit() -> None:
     rates = {"command": 100.0, "rate": 100.0}
     assert list(unfit(raw, rates)) == []
     assert [w.partition(":")[0] for w in unfit(raw, rates | {"command": 10.0})] == ["too slow"]
-    assert [w.partition(":")[0] for w in unfit(raw, {"command": 100.0, "rate": 10.0})] == ["too slow"]
+    assert [w.partition(":")[0] for w in unfit(raw, {"command": 100.0, "rate": 10.0})] == [
+        "too slow"
+    ]
 
     def with_commands(level: float) -> list[str]:
         idle = {f"u{i}": np.full(raw.n, level) for i in range(1, 5)}
-        return [w.partition(":")[0] for w in unfit(type(raw)(**{**vars(raw), "channels": {**raw.channels, **idle}}), rates)]
+        return [
+            w.partition(":")[0]
+            for w in unfit(type(raw)(**{**vars(raw), "channels": {**raw.channels, **idle}}), rates)
+        ]
 
     assert with_commands(0.0) == ["disarmed"]
     assert with_commands(0.05) == ["on the ground"]
@@ -80,7 +90,9 @@ def test_a_craft_that_hardly_turns_flies_all_the_same_where_it_moves() -> None:
 
     def said(velocity: float) -> list[str]:
         changed = calm | {n: velocity * raw.channels[n] for n in ("vx", "vy", "vz")}
-        return list(unfit(type(raw)(**{**vars(raw), "channels": {**raw.channels, **changed}}), rates))
+        return list(
+            unfit(type(raw)(**{**vars(raw), "channels": {**raw.channels, **changed}}), rates)
+        )
 
     assert said(1.0) == []
     assert said(0.05) == said(np.nan) == ["on the ground: motors run, but the gyro shows no motion"]

@@ -1,4 +1,5 @@
-"""The same real flight, written in every format, is read into the same channels, units, axes and times."""
+"""The same real flight, written in every format, is read into the same channels, units, axes and
+times."""
 
 from __future__ import annotations
 
@@ -31,18 +32,23 @@ CASES: dict[str, tuple[str, Callable[[Path, dict[str, np.ndarray]], Path], str]]
 }
 
 EXACT = {
-    # Resolution of the format's own numbers: float32, deg/s as integers, 2048 counts per g, 2000 steps of a motor.
-    "p": {"betaflight": 0.6 * np.pi / 180}, "ax": {"betaflight": 0.6 * 9.81 / 2048},
+    # Resolution of the format's own numbers: float32, deg/s as integers, 2048 counts per g, 2000
+    # steps of a motor.
+    "p": {"betaflight": 0.6 * np.pi / 180},
+    "ax": {"betaflight": 0.6 * 9.81 / 2048},
     "u1": {"ardupilot": 6e-4, "betaflight": 0.6 / 1999, "crazyflie": 1e-5, "crazyflie, old": 1e-5},
     "vbat": {"betaflight": 0.006},
-}  # fmt: skip
+}
 LIKE = {"q": "p", "r": "p", "ay": "ax", "az": "ax", "u2": "u1", "u3": "u1", "u4": "u1"}
 FLOAT32 = 3e-6
 
 
 def written(name: str, folder: Path, rows: int = 400) -> tuple[RawLog, dict[str, np.ndarray]]:
-    pytest.importorskip({"px4": "pyulog", "betaflight": "orangebox", "ros": "rosbags", "mcap": "rosbags"}.get(
-        name.split()[0], "pyarrow" if "parquet" in name else "numpy"))  # fmt: skip
+    pytest.importorskip(
+        {"px4": "pyulog", "betaflight": "orangebox", "ros": "rosbags", "mcap": "rosbags"}.get(
+            name.split()[0], "pyarrow" if "parquet" in name else "numpy"
+        )
+    )
     file, write, mapping = CASES[name]
     truth = w.channels(rows=rows)
     path = write(folder / file, truth)
@@ -76,17 +82,30 @@ def test_channels_are_the_same(name: str, tmp_path: Path) -> None:
         here &= np.arange(raw.n) % (every if name.startswith("px4") else 1) == 0
         # A slow channel stands in single rows; all of its samples are there.
         assert here.sum() >= min(0.04 * raw.n, np.isfinite(expected).sum()) * 0.95, key
-        assert not name.startswith("px4") or key not in ("vbat", "sp_x") or np.isfinite(values).mean() > 0.9
-        tolerance = EXACT.get(LIKE.get(key, key), {}).get(name, FLOAT32 * max(1.0, float(np.nanmax(np.abs(expected)))))
-        np.testing.assert_allclose(values[here], expected[here], atol=tolerance, rtol=1e-5, err_msg=f"{name}: {key}")
+        assert (
+            not name.startswith("px4")
+            or key not in ("vbat", "sp_x")
+            or np.isfinite(values).mean() > 0.9
+        )
+        tolerance = EXACT.get(LIKE.get(key, key), {}).get(
+            name, FLOAT32 * max(1.0, float(np.nanmax(np.abs(expected))))
+        )
+        np.testing.assert_allclose(
+            values[here], expected[here], atol=tolerance, rtol=1e-5, err_msg=f"{name}: {key}"
+        )
         compared += 1
     assert compared >= 10
 
 
 @pytest.mark.parametrize("name", ["px4", "crazyflie", "betaflight", "mcap", "own parquet"])
-def test_a_vehicle_file_with_columns_of_its_own_csv_does_not_disturb(name: str, tmp_path: Path) -> None:
-    """`[columns]` of the vehicle file are about its tables; readers that know the channels are not asked twice."""
-    pytest.importorskip({"px4": "pyulog", "betaflight": "orangebox", "mcap": "rosbags"}.get(name, "pyarrow"))
+def test_a_vehicle_file_with_columns_of_its_own_csv_does_not_disturb(
+    name: str, tmp_path: Path
+) -> None:
+    """`[columns]` of the vehicle file are about its tables; readers that know the channels are not
+    asked twice."""
+    pytest.importorskip(
+        {"px4": "pyulog", "betaflight": "orangebox", "mcap": "rosbags"}.get(name, "pyarrow")
+    )
     file, write, mapping = CASES[name]
     path = write(tmp_path / file, w.channels(rows=300))
     named = tmp_path / "map.toml"

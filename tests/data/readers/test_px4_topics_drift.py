@@ -18,7 +18,9 @@ pyulog = pytest.importorskip("pyulog")
 N = 300
 
 
-def with_change(path: Path, change: Callable[[w.ULogWriter, np.ndarray], Any], **options: Any) -> Path:
+def with_change(
+    path: Path, change: Callable[[w.ULogWriter, np.ndarray], Any], **options: Any
+) -> Path:
     return w.write_ulog(path, w.channels(rows=N), change=change, **options)
 
 
@@ -39,14 +41,18 @@ def test_rotors_of_the_log_are_those_of_the_vehicle(tmp_path: Path) -> None:
         assert spin == rotor.spin
 
 
-def test_without_sensor_combined_the_filtered_gyro_is_taken_at_its_sample_time(tmp_path: Path) -> None:
+def test_without_sensor_combined_the_filtered_gyro_is_taken_at_its_sample_time(
+    tmp_path: Path,
+) -> None:
     c = w.channels(rows=N)
 
     def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
         log.data.clear()
         gyro = np.column_stack(w.to_frd(c, ("p", "q", "r"))).astype(np.float32)
         sampled = stamps.astype(np.uint64)
-        log.topic("vehicle_angular_velocity", stamps + 1500, {"timestamp_sample": sampled, "xyz": gyro})
+        log.topic(
+            "vehicle_angular_velocity", stamps + 1500, {"timestamp_sample": sampled, "xyz": gyro}
+        )
 
     raw = read_table(with_change(tmp_path / "a.ulg", change))
     assert any("low-pass filtered by PX4" in n for n in raw.notes)
@@ -59,7 +65,9 @@ def test_integrated_gyro_belongs_to_the_middle_of_its_interval(tmp_path: Path) -
     boot = 50.0
 
     def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
-        log.data = [(t, m) for t, m in log.data if m[3:5] != b"\0\0"]  # message 0 is sensor_combined
+        log.data = [
+            (t, m) for t, m in log.data if m[3:5] != b"\0\0"
+        ]  # message 0 is sensor_combined
         gyro = np.column_stack(w.to_frd(c, ("p", "q", "r")))
         span = np.full(N, 4000, np.uint32)
         fields = {"delta_angle": (gyro * 0.004).astype(np.float32), "delta_angle_dt": span}
@@ -72,11 +80,15 @@ def test_integrated_gyro_belongs_to_the_middle_of_its_interval(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("functions", [(101, 102, 103, 104), (104, 102, 101, 103)])
-def test_outputs_are_put_into_motor_order_by_their_functions(tmp_path: Path, functions: tuple[int, ...]) -> None:
+def test_outputs_are_put_into_motor_order_by_their_functions(
+    tmp_path: Path, functions: tuple[int, ...]
+) -> None:
     c = w.channels(rows=N)
 
     def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
-        log.data = [(t, m) for t, m in log.data if m[3:5] not in (b"\1\0", b"\2\0")]  # both actuator_outputs
+        log.data = [
+            (t, m) for t, m in log.data if m[3:5] not in (b"\1\0", b"\2\0")
+        ]  # both actuator_outputs
         pwm = np.full((N, 16), 900.0)
         for place, function in enumerate(functions):
             log.parameter(f"PWM_MAIN_FUNC{place + 1}", function)
@@ -100,9 +112,13 @@ def test_disarmed_outputs_are_zero_and_not_negative(tmp_path: Path) -> None:
 
 def test_esc_speeds_follow_the_motor_that_they_drive(tmp_path: Path) -> None:
     def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
-        log.definitions += log._message("F", b"esc_report:int32_t esc_rpm;uint8_t actuator_function;")
+        log.definitions += log._message(
+            "F", b"esc_report:int32_t esc_rpm;uint8_t actuator_function;"
+        )
         log.definitions += log._message("F", b"esc_status:uint64_t timestamp;esc_report[4] esc;")
-        log.subscriptions += log._message("A", b"\0" + log.count.to_bytes(2, "little") + b"esc_status")
+        log.subscriptions += log._message(
+            "A", b"\0" + log.count.to_bytes(2, "little") + b"esc_status"
+        )
         import struct
 
         for stamp in stamps.astype(int):
@@ -122,15 +138,23 @@ def test_motion_capture_is_offered_and_taken_where_the_mapping_says_so(tmp_path:
 
     def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
         place = np.column_stack(w.to_ned(c, ("x", "y", "z"))).astype(np.float32) + np.float32(5.0)
-        log.topic("vehicle_visual_odometry", stamps, {"position": place, "q": w.px4_attitude(c).astype(np.float32)})
+        log.topic(
+            "vehicle_visual_odometry",
+            stamps,
+            {"position": place, "q": w.px4_attitude(c).astype(np.float32)},
+        )
 
     path = with_change(tmp_path / "a.ulg", change)
     found = inspect_log(path)
     assert any(o.startswith("position: ") and "vehicle_visual_odometry" in o for o in found.others)
     np.testing.assert_allclose(read_table(path).channels["z"][::5], c["z"][::5], atol=1e-5)
     chosen = tmp_path / "map.toml"
-    chosen.write_text('schema = "greybox.mapping/1"\n[position]\nstream = "vehicle_visual_odometry"\n')
-    np.testing.assert_allclose(read_table(path, mapping=chosen).channels["z"], c["z"] - 5.0, atol=1e-5)
+    chosen.write_text(
+        'schema = "greybox.mapping/1"\n[position]\nstream = "vehicle_visual_odometry"\n'
+    )
+    np.testing.assert_allclose(
+        read_table(path, mapping=chosen).channels["z"], c["z"] - 5.0, atol=1e-5
+    )
 
 
 def test_drop_outs_become_breaks_and_are_reported(tmp_path: Path) -> None:
@@ -152,7 +176,9 @@ def test_commands_at_ten_hertz_are_called_too_slow(tmp_path: Path) -> None:
 
     def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
         kept = set(stamps[::10].astype(int).tolist())
-        log.data = [(t, m) for t, m in log.data if m[3:5] != b"\1\0" or t in kept]  # message 1 is actuator_motors
+        log.data = [
+            (t, m) for t, m in log.data if m[3:5] != b"\1\0" or t in kept
+        ]  # message 1 is actuator_motors
 
     path = with_change(tmp_path / "a.ulg", change)
     found = inspect_log(path)

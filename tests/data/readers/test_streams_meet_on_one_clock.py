@@ -1,4 +1,5 @@
-"""Streams of different rates and clocks meet on one row clock without invented samples, delays or lost gaps."""
+"""Streams of different rates and clocks meet on one row clock without invented samples, delays or
+lost gaps."""
 
 from __future__ import annotations
 
@@ -85,13 +86,17 @@ def recording(**streams: Stream) -> Recording:
     return Recording(format="test", source="test.log", sha256="", streams=streams, sources=sources)
 
 
-def stream(name: str, rate: float, seconds: float = 2.0, value: float = 1.0, start: float = 0.0) -> Stream:
+def stream(
+    name: str, rate: float, seconds: float = 2.0, value: float = 1.0, start: float = 0.0
+) -> Stream:
     t = start + np.arange(int(seconds * rate)) / rate
     return Stream(name=name, t=t, fields={k: np.full(t.size, value) for k in "xyz"})
 
 
 def test_of_two_gyros_the_first_one_that_is_fast_enough_is_taken() -> None:
-    full = recording(slow=stream("slow", 20), fast=stream("fast", 200), fastest=stream("fastest", 1000))
+    full = recording(
+        slow=stream("slow", 20), fast=stream("fast", 200), fastest=stream("fastest", 1000)
+    )
     assert choose(full)["rate"].stream == "fast"
     assert choose(recording(slow=stream("slow", 20)))["rate"].stream == "slow"
     asked = LogMapping(preferred={"rate": "slow"}, where="map.toml")
@@ -102,7 +107,9 @@ def test_of_two_gyros_the_first_one_that_is_fast_enough_is_taken() -> None:
 
 def test_a_mapping_sets_delay_and_causality_of_the_readers_own_source(tmp_path: Path) -> None:
     named = tmp_path / "map.toml"
-    named.write_text('schema = "greybox.mapping/1"\n[rate]\nstream = "slow"\ndelay = 0.02\ncausal = false\n')
+    named.write_text(
+        'schema = "greybox.mapping/1"\n[rate]\nstream = "slow"\ndelay = 0.02\ncausal = false\n'
+    )
     full = recording(slow=stream("slow", 20), fast=stream("fast", 200))
     source = choose(full, read_mapping(named))["rate"]
     assert (source.stream, source.delay, source.causal) == ("slow", 0.02, False)
@@ -117,7 +124,11 @@ def test_a_delay_moves_a_stream_and_not_the_rows() -> None:
         Source(group="rate", stream="g", fields=("x", "y", "z")),
         Source(group="specific_force", stream="f", fields=("x", "y", "-z"), delay=0.03),
     )
-    table = assemble(Recording(format="t", source="t", sha256="", streams={"f": force, "g": rate}, sources=sources))
+    table = assemble(
+        Recording(
+            format="t", source="t", sha256="", streams={"f": force, "g": rate}, sources=sources
+        )
+    )
     np.testing.assert_allclose(table.columns["t"], t)
     # The sample stamped t was taken at t - 0.03: at row t stands the one stamped t + 0.03.
     np.testing.assert_allclose(table.columns["ax"][:190], t[:190] + 0.03)
@@ -144,13 +155,17 @@ def test_body_velocity_is_turned_by_the_attitude_of_its_own_time() -> None:
     np.testing.assert_allclose(table.columns["vy"][inside], 2.0 * np.sin(yaw)[inside], atol=2e-4)
 
 
-def test_a_stream_of_another_clock_is_left_out_and_named_and_a_delay_brings_it_back(tmp_path: Path) -> None:
+def test_a_stream_of_another_clock_is_left_out_and_named_and_a_delay_brings_it_back(
+    tmp_path: Path,
+) -> None:
     gyro, force = stream("fast", 100), stream("force", 100, start=1.7e9)
     sources = (
         Source(group="rate", stream="fast", fields=("x", "y", "z")),
         Source(group="specific_force", stream="force", fields=("x", "y", "z")),
     )
-    both = Recording(format="t", source="t", sha256="", streams={"fast": gyro, "force": force}, sources=sources)
+    both = Recording(
+        format="t", source="t", sha256="", streams={"fast": gyro, "force": force}, sources=sources
+    )
     table = assemble(both)
     assert "ax" not in table.columns
     assert any("another clock" in n and "+1700000000.000 s" in n for n in table.notes)
@@ -173,4 +188,11 @@ def test_stamps_that_jump_back_stay_visible_in_the_rows_and_do_no_harm_elsewhere
 
 def test_a_log_without_any_known_stream_says_what_it_holds() -> None:
     with pytest.raises(DataError, match=r"got temperature.*--mapping"):
-        assemble(Recording(format="t", source="t.log", sha256="", streams={"temperature": stream("temperature", 10)}))
+        assemble(
+            Recording(
+                format="t",
+                source="t.log",
+                sha256="",
+                streams={"temperature": stream("temperature", 10)},
+            )
+        )

@@ -1,4 +1,5 @@
-"""`[columns.rate]` of a vehicle file and `[rate]` of a mapping file mean the same, and the older form is read still."""
+"""`[columns.rate]` of a vehicle file and `[rate]` of a mapping file mean the same, and the older
+form is read still."""
 
 from __future__ import annotations
 
@@ -60,9 +61,13 @@ def test_a_mapping_comes_before_the_vehicle_file_and_leaves_it_the_rest(tmp_path
     vehicle = read_vehicle(vehicle_path("nanobench"))
     log = flight_path("nanobench", "B2_circle_fast_rep1")
     (tmp_path / "map.toml").write_text(
-        'schema = "greybox.mapping/1"\n[rate]\nfields = ["imu_gyro_x", "-imu_gyro_y", "imu_gyro_z"]\n'
+        'schema = "greybox.mapping/1"\n[rate]\nfields = ["imu_gyro_x", "-imu_gyro_y", '
+        '"imu_gyro_z"]\n'
     )
-    plain, turned = read_table(log, vehicle), read_table(log, vehicle, mapping=tmp_path / "map.toml")
+    plain, turned = (
+        read_table(log, vehicle),
+        read_table(log, vehicle, mapping=tmp_path / "map.toml"),
+    )
     np.testing.assert_array_equal(turned.channels["q"], -plain.channels["q"])
     for name in ("p", "u1", "az", "vx"):
         np.testing.assert_array_equal(turned.channels[name], plain.channels[name], err_msg=name)
@@ -73,7 +78,9 @@ def test_a_vehicle_file_names_streams_of_bags_and_what_a_log_lacks_is_said(tmp_p
     pytest.importorskip("rosbags")
     bag = w.write_ros(tmp_path / "bag", w.channels(rows=200), kind="mcap")
     vehicle = read_vehicle(
-        vehicle_file(tmp_path / "v.toml", prefixed(w.ROS_MAPPING) + '[columns.position]\nstream = "/vicon"\n')
+        vehicle_file(
+            tmp_path / "v.toml", prefixed(w.ROS_MAPPING) + '[columns.position]\nstream = "/vicon"\n'
+        )
     )
     raw = read_table(bag, vehicle)
     assert {"u1", "u4", "x"} <= set(raw.channels)
@@ -102,7 +109,9 @@ def test_rows_keep_their_numbers_their_stamps_and_their_other_columns(tmp_path: 
         lines = (tmp_path / "own.csv").read_text().splitlines()
         cells = lines[6].split(",")
         cells[lines[0].split(",").index("gyr_y")] = cell
-        (tmp_path / "bad.csv").write_text("\n".join([*lines[:6], ",".join(cells), *lines[7:]]) + "\n")
+        (tmp_path / "bad.csv").write_text(
+            "\n".join([*lines[:6], ",".join(cells), *lines[7:]]) + "\n"
+        )
         with pytest.raises(ValueError, match=said):
             read_table(tmp_path / "bad.csv", mapping=tmp_path / "map.toml")
 
@@ -143,13 +152,24 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         {
             "clock": "/imu",
             "time": {"field": 'a "b"\x7f', "unit": "us", "scale": 2.0, "offset": 0.5},
-            "rate": {"fields": ["x", "-y", ""], "stream": "/imu", "unit": "deg/s", "frame": "FRD", "delay": 0.01},
-            "command": {"fields": ["a", "b"], "limits": [1000, 2000], "scale": [1.0, 2.0], "offset": [0.0, 1e-9]},
+            "rate": {
+                "fields": ["x", "-y", ""],
+                "stream": "/imu",
+                "unit": "deg/s",
+                "frame": "FRD",
+                "delay": 0.01,
+            },
+            "command": {
+                "fields": ["a", "b"],
+                "limits": [1000, 2000],
+                "scale": [1.0, 2.0],
+                "offset": [0.0, 1e-9],
+            },
             "position": {"stream": "/mocap", "causal": False},
             "battery": {"use": False},
         },
         where="here",
-    )  # fmt: skip
+    )
     path = tmp_path / "map.toml"
     path.write_text(mapping_text({"schema": "greybox.mapping/1", **said.to_dict()}))
     assert read_mapping(path) == said
@@ -165,12 +185,26 @@ def lag(raw: RawLog, name: str) -> float:
 
 
 @pytest.mark.parametrize("named", ["", '[velocity]\nfields = ["vx", "vy", "vz"]\n'])
-def test_a_delay_of_one_group_of_a_table_shifts_it_against_all_others(tmp_path: Path, named: str) -> None:
+def test_a_delay_of_one_group_of_a_table_shifts_it_against_all_others(
+    tmp_path: Path, named: str
+) -> None:
     t = 0.01 * np.arange(300)
     wave, late = np.sin(2 * np.pi * t), np.sin(2 * np.pi * (t - 0.05))
     commands = {f"u{i}": 0.5 + 0.1 * wave for i in (1, 2, 3, 4)}
-    c = {"t": t, **commands, "p": late, "q": late, "r": late, "vx": wave, "vy": wave, "vz": wave, "z": wave}
-    (tmp_path / "map.toml").write_text(HEAD + '[rate]\nfields = ["p", "q", "r"]\ndelay = 0.05\n' + named)
+    c = {
+        "t": t,
+        **commands,
+        "p": late,
+        "q": late,
+        "r": late,
+        "vx": wave,
+        "vy": wave,
+        "vz": wave,
+        "z": wave,
+    }
+    (tmp_path / "map.toml").write_text(
+        HEAD + '[rate]\nfields = ["p", "q", "r"]\ndelay = 0.05\n' + named
+    )
     raw = read_table(w.write_csv(tmp_path / "f.csv", c), mapping=tmp_path / "map.toml")
     assert [lag(raw, n) for n in ("p", "u1", "vx", "z")] == pytest.approx([0.0] * 4, abs=1e-4)
     c["p"][7] = np.inf
@@ -182,18 +216,32 @@ def test_a_delay_of_one_group_of_a_table_shifts_it_against_all_others(tmp_path: 
     ("first", "second", "meant"),
     [
         ({"unit": "ms"}, {"field": "stamp"}, {"field": "stamp", "unit": "ms"}),
-        ({"scale": 1e-3}, {"field": "stamp", "offset": 2.0}, {"field": "stamp", "scale": 1e-3, "offset": 2.0}),
-        ({"offset": 0.5}, {"field": "stamp", "unit": "us"}, {"field": "stamp", "unit": "us", "offset": 0.5}),
+        (
+            {"scale": 1e-3},
+            {"field": "stamp", "offset": 2.0},
+            {"field": "stamp", "scale": 1e-3, "offset": 2.0},
+        ),
+        (
+            {"offset": 0.5},
+            {"field": "stamp", "unit": "us"},
+            {"field": "stamp", "unit": "us", "offset": 0.5},
+        ),
         ({"scale": 1.0}, {"field": "stamp", "scale": 1e-3}, {"field": "stamp", "scale": 1.0}),
         ({"unit": "us"}, {"field": "stamp", "scale": 1e-3}, {"field": "stamp", "unit": "us"}),
-        ({"field": "clock_s"}, {"field": "stamp", "unit": "us", "offset": 2.0}, {"field": "clock_s"}),
+        (
+            {"field": "clock_s"},
+            {"field": "stamp", "unit": "us", "offset": 2.0},
+            {"field": "clock_s"},
+        ),
     ],
 )
 def test_a_time_of_both_files_is_merged_key_by_key(
     first: dict[str, object], second: dict[str, object], meant: dict[str, object]
 ) -> None:
     """A unit takes the place of a scale, and another column has a unit of its own."""
-    merged = mapping_of({"time": first}, where="map").over(mapping_of({"time": second}, where="vehicle"))
+    merged = mapping_of({"time": first}, where="map").over(
+        mapping_of({"time": second}, where="vehicle")
+    )
     assert merged.to_dict() == {"time": meant}
 
 
@@ -201,9 +249,17 @@ def test_a_time_of_both_files_is_merged_key_by_key(
     ("mine", "theirs", "meant"),
     [
         ({"delay": 0.01}, GYRO, {**GYRO, "delay": 0.01}),
-        ({"stream": "/imu", "causal": False}, {**GYRO, "stream": "/imu"}, {**GYRO, "stream": "/imu", "causal": False}),
+        (
+            {"stream": "/imu", "causal": False},
+            {**GYRO, "stream": "/imu"},
+            {**GYRO, "stream": "/imu", "causal": False},
+        ),
         ({"stream": "/imu2", "delay": 0.01}, GYRO, {"stream": "/imu2", "delay": 0.01}),
-        ({"delay": 0.01}, {"stream": "/imu", "causal": False}, {"stream": "/imu", "causal": False, "delay": 0.01}),
+        (
+            {"delay": 0.01},
+            {"stream": "/imu", "causal": False},
+            {"stream": "/imu", "causal": False, "delay": 0.01},
+        ),
         ({"stream": "/imu"}, {"causal": False}, {"stream": "/imu", "causal": False}),
         ({"fields": ["a", "b", "c"]}, GYRO, {"fields": ["a", "b", "c"]}),
         ({"use": False}, GYRO, {"use": False}),
@@ -213,7 +269,9 @@ def test_a_mapping_without_fields_keeps_those_of_the_vehicle_file(
     mine: dict[str, object], theirs: dict[str, object], meant: dict[str, object]
 ) -> None:
     """Their unit too, unless another stream is named: degrees must not become radians unseen."""
-    merged = mapping_of({"rate": mine}, where="map").over(mapping_of({"rate": theirs}, where="vehicle"))
+    merged = mapping_of({"rate": mine}, where="map").over(
+        mapping_of({"rate": theirs}, where="vehicle")
+    )
     assert merged.to_dict() == {"rate": meant}
 
 
@@ -225,7 +283,17 @@ def test_quaternions_of_a_table_that_are_not_of_unit_length_are_reported(
     log = w.write_csv(tmp_path / "f.csv", {**c, **dict(zip("abcd", values.values(), strict=True))})
     columns = '[columns.attitude]\nfields = ["a", "b", "c", "d"]\n'
     for delay in ("", "delay = 0.005\n"):
-        assert main(["check", "--vehicle", str(vehicle_file(tmp_path / "v.toml", columns + delay)), str(log)]) != 0
+        assert (
+            main(
+                [
+                    "check",
+                    "--vehicle",
+                    str(vehicle_file(tmp_path / "v.toml", columns + delay)),
+                    str(log),
+                ]
+            )
+            != 0
+        )
         said = capsys.readouterr().out
         assert "quaternion(s) not of unit length" in said
         assert "holds no value" not in said
@@ -245,14 +313,20 @@ def test_the_unit_of_a_time_is_never_guessed(tmp_path: Path) -> None:
         assert step(column, scale, rate) == pytest.approx(0.01)
     with pytest.raises(DataError, match="no column 't' for the time; got columns timestamp"):
         step("timestamp", 1e6, rate)
-    assert step("timestamp", 1e6, rate + '[time]\nfield = "timestamp"\nunit = "us"\n') == pytest.approx(0.01)
-    assert step("time_ms", 1e3, rate + '[time]\nfield = "time_ms"\nscale = 1e-3\n') == pytest.approx(0.01)
+    assert step(
+        "timestamp", 1e6, rate + '[time]\nfield = "timestamp"\nunit = "us"\n'
+    ) == pytest.approx(0.01)
+    assert step(
+        "time_ms", 1e3, rate + '[time]\nfield = "time_ms"\nscale = 1e-3\n'
+    ) == pytest.approx(0.01)
 
 
 def test_the_unit_of_a_time_that_is_not_there_is_not_that_of_another(tmp_path: Path) -> None:
     c = w.channels(rows=200)
     columns = '[columns.time]\nfield = "stamp"\nunit = "ms"\noffset = 3.0\n'
-    raw = read_table(w.write_csv(tmp_path / "f.csv", c), read_vehicle(vehicle_file(tmp_path / "v.toml", columns)))
+    raw = read_table(
+        w.write_csv(tmp_path / "f.csv", c), read_vehicle(vehicle_file(tmp_path / "v.toml", columns))
+    )
     np.testing.assert_array_equal(raw.t, c["t"])
 
 
@@ -273,14 +347,25 @@ def test_inspect_is_silent_on_vehicle_files_that_nobody_named(
         ({"rate": {"fields": ["a", "b"]}}, "columns.rate: 2 fields"),
         ({"rat": {}}, "unknown key 'rat'"),
         ({"p": "x", "rate": {"fields": ["a", "b", "c"]}}, "unknown channel 'rate'"),
-        ({"command": {"fields": ["a", "b", "c", "d", "e"]}}, "columns.command.fields: the vehicle has 4 rotors"),
+        (
+            {"command": {"fields": ["a", "b", "c", "d", "e"]}},
+            "columns.command.fields: the vehicle has 4 rotors",
+        ),
         ({"u5": "x"}, "columns.u5: the vehicle has 4 rotors"),
-        ({"rate": {"fields": ["a", "b", "c"], "scale": [1.0, 2.0]}}, "2 numbers; expected one, or one for each of 3"),
-        ({"rate": {"fields": ["a", "b", "c"], "scale": 0.0}}, "columns.rate.scale: must not be zero"),
+        (
+            {"rate": {"fields": ["a", "b", "c"], "scale": [1.0, 2.0]}},
+            "2 numbers; expected one, or one for each of 3",
+        ),
+        (
+            {"rate": {"fields": ["a", "b", "c"], "scale": 0.0}},
+            "columns.rate.scale: must not be zero",
+        ),
         ({"rate": {"fields": ["", "", ""]}}, "columns.rate: fields; expected a list of names"),
     ],
 )
-def test_a_wrong_table_is_one_line_that_names_the_key(columns: dict[str, object], said: str) -> None:
+def test_a_wrong_table_is_one_line_that_names_the_key(
+    columns: dict[str, object], said: str
+) -> None:
     plain = read_vehicle(vehicle_path("nanobench")).to_dict()
     with pytest.raises((ValueError, KeyError)) as error:
         Vehicle.from_dict({**plain, "columns": columns})

@@ -85,7 +85,11 @@ def px4_attitude(c: Columns) -> np.ndarray:
     body = np.diag([1, -1, -1.0])
     out = []
     for q in np.column_stack([c[k] for k in ("qw", "qx", "qy", "qz")]):
-        out.append(quaternion(earth @ rotation(q / np.linalg.norm(q)) @ body) if np.isfinite(q).all() else q)
+        out.append(
+            quaternion(earth @ rotation(q / np.linalg.norm(q)) @ body)
+            if np.isfinite(q).all()
+            else q
+        )
     return np.array(out)
 
 
@@ -95,7 +99,13 @@ def px4_attitude(c: Columns) -> np.ndarray:
 class ULogWriter:
     """Bytes of a ULog file (docs.px4.io, "ULog File Format")."""
 
-    TYPES: ClassVar = {"uint64_t": "Q", "float": "f", "uint32_t": "I", "uint8_t": "B", "int32_t": "i"}
+    TYPES: ClassVar = {
+        "uint64_t": "Q",
+        "float": "f",
+        "uint32_t": "I",
+        "uint8_t": "B",
+        "int32_t": "i",
+    }
 
     def __init__(self, start: int = 0) -> None:
         self.head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", start)
@@ -120,16 +130,24 @@ class ULogWriter:
         content = bytes([len(name)]) + name + struct.pack("<" + self.TYPES[kind], value)
         self.definitions += self._message("P", content)
 
-    def topic(self, name: str, stamps: np.ndarray, fields: Mapping[str, Any], instance: int = 0) -> None:
+    def topic(
+        self, name: str, stamps: np.ndarray, fields: Mapping[str, Any], instance: int = 0
+    ) -> None:
         """A topic: stamps [us]; field "name" (N,) or "name[k]" (N, k), float unless integer."""
         members, layout, columns = ["uint64_t timestamp"], "<Q", []
         for key, values in fields.items():
             values = np.asarray(values)
-            kind = "float" if values.dtype.kind == "f" else ("uint8_t" if values.dtype == np.uint8 else "uint32_t")
+            kind = (
+                "float"
+                if values.dtype.kind == "f"
+                else ("uint8_t" if values.dtype == np.uint8 else "uint32_t")
+            )
             kind = "uint64_t" if values.dtype == np.uint64 else kind
             wide = values.reshape(len(values), -1)
             plain = key.partition("[")[0]
-            members.append(f"{kind}[{wide.shape[1]}] {plain}" if values.ndim == 2 else f"{kind} {plain}")
+            members.append(
+                f"{kind}[{wide.shape[1]}] {plain}" if values.ndim == 2 else f"{kind} {plain}"
+            )
             layout += self.TYPES[kind] * wide.shape[1]
             columns += list(wide.T)
         text = f"{name}:" + ";".join(members) + ";"
@@ -137,12 +155,17 @@ class ULogWriter:
             self.definitions += self._message("F", text.encode())
         number = self.count
         self.count += 1
-        self.subscriptions += self._message("A", struct.pack("<BH", instance, number) + name.encode())
+        self.subscriptions += self._message(
+            "A", struct.pack("<BH", instance, number) + name.encode()
+        )
         packer = struct.Struct(layout)
         for i, stamp in enumerate(stamps.astype(np.uint64)):
             row = [c[i].item() for c in columns]
             self.data.append(
-                (int(stamp), self._message("D", struct.pack("<H", number) + packer.pack(int(stamp), *row)))
+                (
+                    int(stamp),
+                    self._message("D", struct.pack("<H", number) + packer.pack(int(stamp), *row)),
+                )
             )
 
     def dropout(self, stamp: int, milliseconds: int) -> None:
@@ -176,10 +199,12 @@ def write_ulog(
         "sensor_combined",
         stamps,
         {
-            "gyro_rad": gyro, "gyro_integral_dt": np.zeros(n, np.uint32), "accelerometer_m_s2": force,
+            "gyro_rad": gyro,
+            "gyro_integral_dt": np.zeros(n, np.uint32),
+            "accelerometer_m_s2": force,
             "accelerometer_integral_dt": np.zeros(n, np.uint32),
         },
-    )  # fmt: skip
+    )
     u = np.column_stack([c[f"u{i + 1}"] for i in range(4)])
     if version == "new":
         thrust = thrust_factor * u**2 + (1 - thrust_factor) * u
@@ -188,12 +213,20 @@ def write_ulog(
         log.parameter("THR_MDL_FAC", float(thrust_factor))
         log.parameter("CA_ROTOR_COUNT", 4)
         for i, rotor in enumerate(vehicle().rotors):
-            for axis, value in zip(("PX", "PY", "PZ"), rotor.position * np.array([1.0, -1.0, -1.0]), strict=True):
+            for axis, value in zip(
+                ("PX", "PY", "PZ"), rotor.position * np.array([1.0, -1.0, -1.0]), strict=True
+            ):
                 log.parameter(f"CA_ROTOR{i}_{axis}", float(value))
             log.parameter(f"CA_ROTOR{i}_KM", 0.05 * rotor.spin)
         sampled = (stamps - 2000).astype(np.uint64)
-        log.topic("actuator_motors", stamps, {"timestamp_sample": sampled, "control": control.astype(np.float32)})
-        fields = {"position": np.column_stack(to_ned(c, ("sp_x", "sp_y", "sp_z"))).astype(np.float32)}
+        log.topic(
+            "actuator_motors",
+            stamps,
+            {"timestamp_sample": sampled, "control": control.astype(np.float32)},
+        )
+        fields = {
+            "position": np.column_stack(to_ned(c, ("sp_x", "sp_y", "sp_z"))).astype(np.float32)
+        }
         log.topic("trajectory_setpoint", stamps[::10], {k: v[::10] for k, v in fields.items()})
     else:
         log.parameter("PWM_MIN", 1075)
@@ -203,7 +236,9 @@ def write_ulog(
         pwm[:, :4] = 1075 + u * (1950 - 1075)
         still = np.full((n, 16), 1000.0)
         log.topic(
-            "actuator_outputs", stamps, {"noutputs": np.full(n, 8, np.uint32), "output": still.astype(np.float32)}
+            "actuator_outputs",
+            stamps,
+            {"noutputs": np.full(n, 8, np.uint32), "output": still.astype(np.float32)},
         )
         log.topic(
             "actuator_outputs",
@@ -211,7 +246,11 @@ def write_ulog(
             {"noutputs": np.full(n, 4, np.uint32), "output": pwm.astype(np.float32)},
             instance=1,
         )
-    log.topic("vehicle_attitude", stamps[::pose_every], {"q": px4_attitude(c)[::pose_every].astype(np.float32)})
+    log.topic(
+        "vehicle_attitude",
+        stamps[::pose_every],
+        {"q": px4_attitude(c)[::pose_every].astype(np.float32)},
+    )
     place = dict(zip("xyz", to_ned(c, ("x", "y", "z")), strict=True))
     speed = dict(zip(("vx", "vy", "vz"), to_ned(c, ("vx", "vy", "vz")), strict=True))
     local = {k: v[::slow_every].astype(np.float32) for k, v in (place | speed).items()}
@@ -227,7 +266,8 @@ def write_ulog(
 
 
 def usd_bytes(
-    events: Sequence[tuple[str, Sequence[tuple[str, str]], np.ndarray, np.ndarray]], version: int = 2
+    events: Sequence[tuple[str, Sequence[tuple[str, str]], np.ndarray, np.ndarray]],
+    version: int = 2,
 ) -> bytes:
     """Bytes of a log: per event its name, (variable, type character), stamps [ms or us], values (N, K)."""
     out = struct.pack("<BHH", 0xBC, version, len(events))
@@ -238,7 +278,10 @@ def usd_bytes(
         layout = struct.Struct("<" + "".join(c for _, c in variables))
         head = struct.Struct("<HI" if version == 1 else "<HQ")
         for stamp, row in zip(stamps, values, strict=True):
-            items = [float(x) if c in "fd" else round(float(x)) for x, (_, c) in zip(row, variables, strict=True)]
+            items = [
+                float(x) if c in "fd" else round(float(x))
+                for x, (_, c) in zip(row, variables, strict=True)
+            ]
             rows.append((int(stamp), head.pack(number, int(stamp)) + layout.pack(*items)))
     out += b"".join(b for _, b in sorted(rows, key=lambda pair: pair[0]))
     return out + struct.pack("<I", zlib.crc32(out))
@@ -247,15 +290,30 @@ def usd_bytes(
 def write_crazyflie(path: Path, c: Columns, *, version: int = 2) -> Path:
     """The flight as the micro-SD deck would have logged it."""
     scale = 1e3 if version == 1 else 1e6
-    fast = [("gyro.x", "f"), ("gyro.y", "f"), ("gyro.z", "f"), ("acc.x", "f"), ("acc.y", "f"), ("acc.z", "f")]
+    fast = [
+        ("gyro.x", "f"),
+        ("gyro.y", "f"),
+        ("gyro.z", "f"),
+        ("acc.x", "f"),
+        ("acc.y", "f"),
+        ("acc.z", "f"),
+    ]
     fast += [(f"motor.m{i}", "H") for i in (1, 2, 3, 4)]
     fast += [("pm.vbat", "f")]
     values = [np.rad2deg(c[k]) for k in "pqr"] + [c[k] / GRAVITY for k in ("ax", "ay", "az")]
     values += [c[f"u{i}"] * 65535 for i in (1, 2, 3, 4)] + [c["vbat"]]
-    pose = [(f"stateEstimate.{n}", "f") for n in ("qw", "qx", "qy", "qz", "x", "y", "z", "vx", "vy", "vz")]
-    poses = np.column_stack([c[k] for k in ("qw", "qx", "qy", "qz", "x", "y", "z", "vx", "vy", "vz")])
+    pose = [
+        (f"stateEstimate.{n}", "f")
+        for n in ("qw", "qx", "qy", "qz", "x", "y", "z", "vx", "vy", "vz")
+    ]
+    poses = np.column_stack(
+        [c[k] for k in ("qw", "qx", "qy", "qz", "x", "y", "z", "vx", "vy", "vz")]
+    )
     stamps = np.rint((c["t"] + 12.5) * scale)
-    events = [("fixedFrequency", fast, stamps, np.column_stack(values)), ("estimate", pose, stamps, poses)]
+    events = [
+        ("fixedFrequency", fast, stamps, np.column_stack(values)),
+        ("estimate", pose, stamps, poses),
+    ]
     path.write_bytes(usd_bytes(events, version))
     return path
 
@@ -269,7 +327,10 @@ def dataflash_bytes(messages: Sequence[tuple[str, str, str, Sequence[tuple[Any, 
     """(name, letters, fields, rows) of messages as an onboard log: what they are first, then in turn by their time."""
 
     def declared(number: int, length: int, name: str, letters: str, fields: str) -> bytes:
-        texts = [text.encode().ljust(size, b"\0") for text, size in ((name, 4), (letters, 16), (fields, 64))]
+        texts = [
+            text.encode().ljust(size, b"\0")
+            for text, size in ((name, 4), (letters, 16), (fields, 64))
+        ]
         return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", number, length, *texts)
 
     out = declared(0x80, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
@@ -284,14 +345,18 @@ def dataflash_bytes(messages: Sequence[tuple[str, str, str, Sequence[tuple[Any, 
 PWM_RANGE = (("MOT_PWM_MIN", 1000.0), ("MOT_PWM_MAX", 2000.0))
 
 
-def write_ardupilot(path: Path, c: Columns, pwm_range: Sequence[tuple[str, float]] = PWM_RANGE) -> Path:
+def write_ardupilot(
+    path: Path, c: Columns, pwm_range: Sequence[tuple[str, float]] = PWM_RANGE
+) -> Path:
     """The flight as ArduPilot would have logged it, with a second IMU that says something else."""
     stamps = [int(t) for t in np.rint((c["t"] + 12.5) * 1e6)]
     imu = np.column_stack([*to_frd(c, "pqr"), *to_frd(c, ("ax", "ay", "az"))])
     pose = np.column_stack([*to_ned(c, "xyz"), *to_ned(c, ("vx", "vy", "vz"))])
     turned = px4_attitude(c)
     pwm = [np.rint(1000 + 1000 * c[f"u{i}"]).astype(int) for i in (2, 1, 4, 3)]
-    parameters = [(f"SERVO{k}_FUNCTION", 33.0 + m) for k, m in ((1, 1), (2, 0), (3, 3), (4, 2), (5, -33))]
+    parameters = [
+        (f"SERVO{k}_FUNCTION", 33.0 + m) for k, m in ((1, 1), (2, 0), (3, 3), (4, 2), (5, -33))
+    ]
     parameters += pwm_range
 
     def rows(table: np.ndarray, *before: int) -> list[tuple[Any, ...]]:
@@ -301,10 +366,20 @@ def write_ardupilot(path: Path, c: Columns, pwm_range: Sequence[tuple[str, float
         dataflash_bytes(
             [
                 ("PARM", "QNf", "TimeUS,Name,Value", [(0, n.encode(), v) for n, v in parameters]),
-                ("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", rows(imu, 0) + rows(-imu, 1)),
+                (
+                    "IMU",
+                    "QBffffff",
+                    "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ",
+                    rows(imu, 0) + rows(-imu, 1),
+                ),
                 ("XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4", rows(turned, 0)),
                 ("XKF1", "QBffffff", "TimeUS,C,PN,PE,PD,VN,VE,VD", rows(pose, 0)),
-                ("RCOU", "QHHHH", "TimeUS,C1,C2,C3,C4", [(t, *map(int, u)) for t, *u in zip(stamps, *pwm, strict=True)]),
+                (
+                    "RCOU",
+                    "QHHHH",
+                    "TimeUS,C1,C2,C3,C4",
+                    [(t, *map(int, u)) for t, *u in zip(stamps, *pwm, strict=True)],
+                ),
                 ("BAT", "QBf", "TimeUS,Inst,Volt", rows(c["vbat"][:, None], 0)),
             ]
         )
@@ -349,15 +424,22 @@ def blackbox_bytes(fields: Mapping[str, np.ndarray], headers: Mapping[str, str])
 def write_betaflight(path: Path, c: Columns, *, headers: Mapping[str, str] | None = None) -> Path:
     """The flight as Betaflight would have logged it, at 16 times the resolution of its integer fields where it scales."""
     own = {
-        "Firmware revision": "Betaflight 4.4.2 (23d066d08) STM32F7X2", "Craft name": "nano", "motorOutput": "48,2047",
-        "gyro_scale": "0x3f800000", "acc_1G": "2048", "vbatref": "420", "motor_poles": "14",
-    }  # fmt: skip
+        "Firmware revision": "Betaflight 4.4.2 (23d066d08) STM32F7X2",
+        "Craft name": "nano",
+        "motorOutput": "48,2047",
+        "gyro_scale": "0x3f800000",
+        "acc_1G": "2048",
+        "vbatref": "420",
+        "motor_poles": "14",
+    }
     fields = {"time": c["t"] * 1e6 + 5e6}
     fields |= {f"gyroADC[{i}]": np.rad2deg(c[k]) for i, k in enumerate("pqr")}
     fields |= {f"accSmooth[{i}]": c[k] / GRAVITY * 2048 for i, k in enumerate(("ax", "ay", "az"))}
     fields |= {f"motor[{i}]": 48 + c[f"u{i + 1}"] * (2047 - 48) for i in range(4)}
     fields |= {"vbatLatest": c["vbat"] * 100}
-    path.write_bytes(blackbox_bytes({k: np.nan_to_num(v) for k, v in fields.items()}, own | dict(headers or {})))
+    path.write_bytes(
+        blackbox_bytes({k: np.nan_to_num(v) for k, v in fields.items()}, own | dict(headers or {}))
+    )
     return path
 
 
@@ -375,15 +457,25 @@ def write_ros(path: Path, c: Columns, *, kind: str = "mcap", received_late: floa
     T = store.types
     header, time = T["std_msgs/msg/Header"], T["builtin_interfaces/msg/Time"]
     vector, quat, point = (T[f"geometry_msgs/msg/{n}"] for n in ("Vector3", "Quaternion", "Point"))
-    imu, odometry, array = T["sensor_msgs/msg/Imu"], T["nav_msgs/msg/Odometry"], T["std_msgs/msg/Float32MultiArray"]
+    imu, odometry, array = (
+        T["sensor_msgs/msg/Imu"],
+        T["nav_msgs/msg/Odometry"],
+        T["std_msgs/msg/Float32MultiArray"],
+    )
     layout = T["std_msgs/msg/MultiArrayLayout"]
     pose, pose_c = T["geometry_msgs/msg/Pose"], T["geometry_msgs/msg/PoseWithCovariance"]
     twist, twist_c = T["geometry_msgs/msg/Twist"], T["geometry_msgs/msg/TwistWithCovariance"]
     none, many = np.zeros(9), np.zeros(36)
     extra = {"seq": 0} if kind == "bag" else {}
-    writer: Any = Writer1(path) if kind == "bag" else Writer2(
-        path, version=8, storage_plugin=StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    )  # fmt: skip
+    writer: Any = (
+        Writer1(path)
+        if kind == "bag"
+        else Writer2(
+            path,
+            version=8,
+            storage_plugin=StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3,
+        )
+    )
     with writer:
         to = {
             name: writer.add_connection(name, message, typestore=store)
@@ -394,26 +486,43 @@ def write_ros(path: Path, c: Columns, *, kind: str = "mcap", received_late: floa
             )
         }
         serialize = store.serialize_ros1 if kind == "bag" else store.serialize_cdr
-        body = [rotation(q).T @ v for q, v in zip(
-            np.column_stack([c[k] for k in ("qw", "qx", "qy", "qz")]), np.column_stack([c[k] for k in ("vx", "vy", "vz")]),
-            strict=True,
-        )]  # fmt: skip
+        body = [
+            rotation(q).T @ v
+            for q, v in zip(
+                np.column_stack([c[k] for k in ("qw", "qx", "qy", "qz")]),
+                np.column_stack([c[k] for k in ("vx", "vy", "vz")]),
+                strict=True,
+            )
+        ]
         for i, t in enumerate(c["t"]):
             nanoseconds = round((t + 1_700_000_000) * 1e9)
-            stamp = header(stamp=time(nanoseconds // 10**9, nanoseconds % 10**9), frame_id="base", **extra)
+            stamp = header(
+                stamp=time(nanoseconds // 10**9, nanoseconds % 10**9), frame_id="base", **extra
+            )
             late = nanoseconds + round(received_late * 1e9)
             q = quat(*(float(c[k][i]) for k in ("qx", "qy", "qz", "qw")))
             message = imu(
-                stamp, quat(0.0, 0.0, 0.0, 0.0), none, vector(*(float(c[k][i]) for k in "pqr")), none,
-                vector(*(float(c[k][i]) for k in ("ax", "ay", "az"))), none,
-            )  # fmt: skip
+                stamp,
+                quat(0.0, 0.0, 0.0, 0.0),
+                none,
+                vector(*(float(c[k][i]) for k in "pqr")),
+                none,
+                vector(*(float(c[k][i]) for k in ("ax", "ay", "az"))),
+                none,
+            )
             writer.write(to["/imu"], late, serialize(message, imu.__msgtype__))
             place = pose_c(pose(point(*(float(c[k][i]) for k in "xyz")), q), many)
             moving = twist_c(twist(vector(*map(float, body[i])), vector(0.0, 0.0, 0.0)), many)
-            writer.write(to["/odom"], late, serialize(odometry(stamp, "base", place, moving), odometry.__msgtype__))
+            writer.write(
+                to["/odom"],
+                late,
+                serialize(odometry(stamp, "base", place, moving), odometry.__msgtype__),
+            )
             u = np.array([c[f"u{j}"][i] for j in (1, 2, 3, 4)], dtype=np.float32)
             # A message without a header has the time of reception only.
-            writer.write(to["/motors"], nanoseconds, serialize(array(layout([], 0), u), array.__msgtype__))
+            writer.write(
+                to["/motors"], nanoseconds, serialize(array(layout([], 0), u), array.__msgtype__)
+            )
     return path
 
 
@@ -427,8 +536,12 @@ fields = ["data[0]", "data[1]", "data[2]", "data[3]"]
 def own_columns(c: Columns) -> dict[str, np.ndarray]:
     """Some laboratory's own table: milliseconds, degrees, g, PWM, FRD and NED."""
     out = {"time_ms": c["t"] * 1e3}
-    out |= {f"gyr_{k}": np.rad2deg(v) for k, v in zip("xyz", to_frd(c, ("p", "q", "r")), strict=True)}
-    out |= {f"acc_{k}": v / GRAVITY for k, v in zip("xyz", to_frd(c, ("ax", "ay", "az")), strict=True)}
+    out |= {
+        f"gyr_{k}": np.rad2deg(v) for k, v in zip("xyz", to_frd(c, ("p", "q", "r")), strict=True)
+    }
+    out |= {
+        f"acc_{k}": v / GRAVITY for k, v in zip("xyz", to_frd(c, ("ax", "ay", "az")), strict=True)
+    }
     out |= {f"pwm{i}": 1000 + 1000 * c[f"u{i}"] for i in (1, 2, 3, 4)}
     out |= {f"pos_{k}": 1e3 * v for k, v in zip("ned", to_ned(c, ("x", "y", "z")), strict=True)}
     out |= {f"att_{j}": v for j, v in enumerate(px4_attitude(c).T)}
@@ -460,7 +573,9 @@ frame = "FRD/NED"
 
 
 def write_csv(path: Path, columns: Columns) -> Path:
-    rows = [",".join(columns)] + [",".join(map(repr, map(float, r))) for r in zip(*columns.values(), strict=True)]
+    rows = [",".join(columns)] + [
+        ",".join(map(repr, map(float, r))) for r in zip(*columns.values(), strict=True)
+    ]
     path.write_text("\n".join(rows) + "\n")
     return path
 

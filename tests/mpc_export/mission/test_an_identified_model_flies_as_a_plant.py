@@ -1,4 +1,5 @@
-"""The identified model as a plant: repeatable, with the noise that was identified and the disturbances of real flights."""
+"""The identified model as a plant: repeatable, with the noise that was identified and the
+disturbances of real flights."""
 
 import numpy as np
 import pytest
@@ -74,7 +75,9 @@ def test_resampled_disturbances_have_the_size_and_the_pace_of_their_source():
     alike = [np.corrcoef(felt[:-lag, i], felt[lag:, i])[0, 1] for i in range(6)]
     assert np.mean(alike) == pytest.approx(np.exp(-0.1 / 0.3), abs=0.1)
     jumps = np.abs(np.diff(felt, axis=0)).max()
-    assert jumps < 2 * np.abs(np.diff(source * 1e-3, axis=0)).max()  # blocks go over into each other
+    assert (
+        jumps < 2 * np.abs(np.diff(source * 1e-3, axis=0)).max()
+    )  # blocks go over into each other
 
 
 def test_a_model_without_disturbances_cannot_be_asked_for_real_ones():

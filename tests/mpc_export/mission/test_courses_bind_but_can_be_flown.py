@@ -13,7 +13,9 @@ REFERENCE = OBSTACLE_COURSE.sample(TIME)
 
 
 def test_the_reference_asks_for_a_little_more_than_three_planes_allow_and_keeps_the_fourth():
-    nearest = {name: margin.min() for name, margin in OBSTACLE_COURSE.margins(REFERENCE.position).items()}
+    nearest = {
+        name: margin.min() for name, margin in OBSTACLE_COURSE.margins(REFERENCE.position).items()
+    }
     beside = nearest.pop("gap, near side")
     assert 0.1 < beside < 0.2
     assert all(-0.03 < margin < -0.01 for margin in nearest.values())
@@ -30,8 +32,12 @@ def test_planes_end_where_they_are_said_to_end():
 def test_derivatives_of_the_reference_are_those_of_its_path():
     step = 1e-4
     ahead, behind = OBSTACLE_COURSE.sample(TIME + step), OBSTACLE_COURSE.sample(TIME - step)
-    np.testing.assert_allclose((ahead.position - behind.position) / (2 * step), REFERENCE.velocity, atol=1e-6)
-    np.testing.assert_allclose((ahead.velocity - behind.velocity) / (2 * step), REFERENCE.acceleration, atol=3e-3)
+    np.testing.assert_allclose(
+        (ahead.position - behind.position) / (2 * step), REFERENCE.velocity, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        (ahead.velocity - behind.velocity) / (2 * step), REFERENCE.acceleration, atol=3e-3
+    )
     np.testing.assert_allclose((ahead.yaw - behind.yaw) / (2 * step), REFERENCE.yaw_rate, atol=1e-6)
 
 

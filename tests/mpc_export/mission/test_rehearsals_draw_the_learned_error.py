@@ -1,4 +1,5 @@
-"""The model as a plant flies with its learned part; rehearsed, that part errs by one draw of its own spread per flight."""
+"""The model as a plant flies with its learned part; rehearsed, that part errs by one draw of its
+own spread per flight."""
 
 import numpy as np
 import pytest
@@ -27,7 +28,9 @@ def test_without_its_error_a_step_is_that_of_the_exported_model(plant):
     plant._error = np.zeros_like(plant._error)
     plant.step(U)
     f = plant.functions
-    np.testing.assert_allclose(plant._x, f["f_d"](before, U, plant._p).full().ravel(), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        plant._x, f["f_d"](before, U, plant._p).full().ravel(), rtol=1e-9, atol=1e-12
+    )
     physics = plant._step(before, U, plant._p, np.zeros_like(plant._w)).full().ravel()
     assert np.abs(plant._x - physics).max() > 1e-6  # the learned part does something
 

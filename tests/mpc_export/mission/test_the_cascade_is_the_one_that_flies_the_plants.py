@@ -1,4 +1,5 @@
-"""The cascade of the missions, written on a vehicle file, commands what the one that flies the plants commands."""
+"""The cascade of the missions, written on a vehicle file, commands what the one that flies the
+plants commands."""
 
 from __future__ import annotations
 
@@ -25,12 +26,20 @@ def test_the_same_commands_in_any_state(make, tmp_path) -> None:
         q = rng.normal(size=4) * (0.3, 0.1, 0.1, 0.3) + (1.0, 0.0, 0.0, 0.0)
         q /= np.linalg.norm(q)
         seen = dict(zip(("qw", "qx", "qy", "qz"), map(float, q)))
-        seen |= dict(zip(("x", "y", "z", "vx", "vy", "vz", "p", "q", "r"), rng.normal(size=9).tolist()))
+        seen |= dict(
+            zip(("x", "y", "z", "vx", "vy", "vz", "p", "q", "r"), rng.normal(size=9).tolist())
+        )
         goal = OBSTACLE_COURSE.sample(np.array([0.1 * k]))
         setpoint = Setpoint(
-            position=tuple(goal.position[0]), velocity=tuple(goal.velocity[0]), acceleration=tuple(goal.acceleration[0]),
-            yaw=float(goal.yaw[0]), yaw_rate=float(goal.yaw_rate[0]),
-        )  # fmt: skip
+            position=tuple(goal.position[0]),
+            velocity=tuple(goal.velocity[0]),
+            acceleration=tuple(goal.acceleration[0]),
+            yaw=float(goal.yaw[0]),
+            yaw_rate=float(goal.yaw_rate[0]),
+        )
         np.testing.assert_allclose(
-            ours(seen, goal, 0.01), theirs(seen, setpoint, 0.01, (0.0, 0.0, 0.0, 0.0)), rtol=1e-8, atol=1e-10
+            ours(seen, goal, 0.01),
+            theirs(seen, setpoint, 0.01, (0.0, 0.0, 0.0, 0.0)),
+            rtol=1e-8,
+            atol=1e-10,
         )

@@ -1,4 +1,5 @@
-"""RateController: it plans with the exported predictor, and stays away from limits by what the predictor is unsure of."""
+"""RateController: it plans with the exported predictor, and stays away from limits by what the
+predictor is unsure of."""
 
 from types import SimpleNamespace
 
@@ -20,13 +21,20 @@ PROBLEM = RateProblem(limit=1.0, horizon=8, change=0.5, collective=1.0)
 
 def base():
     """Rates that follow commands with a lag, in innovation form."""
-    matrices = Matrices(np.diag([0.9, 0.85]), np.diag([0.6, 0.5]), np.eye(2), np.zeros((2, 2)), np.diag([0.5, 0.4]))
+    matrices = Matrices(
+        np.diag([0.9, 0.85]), np.diag([0.6, 0.5]), np.eye(2), np.zeros((2, 2)), np.diag([0.5, 0.4])
+    )
     model = LinearModel(
-        name="axes", matrices=matrices, noise=np.diag([4e-4, 9e-4]), dt=0.01,
+        name="axes",
+        matrices=matrices,
+        noise=np.diag([4e-4, 9e-4]),
+        dt=0.01,
         inputs=Layout([Signal(name=n, unit="1") for n in CHANNELS]),
-        outputs=Layout([Signal(name=n, unit="rad/s") for n in "pq"]), delays=(0, 0), input_offset=np.zeros(2),
+        outputs=Layout([Signal(name=n, unit="rad/s") for n in "pq"]),
+        delays=(0, 0),
+        input_offset=np.zeros(2),
         output_offset=np.zeros(2),
-    )  # fmt: skip
+    )
     return BasePredictor(model=model, outputs=("p", "q"), channels=CHANNELS)
 
 
@@ -73,7 +81,8 @@ def test_a_tightened_plan_stays_that_many_deviations_inside(controllers, name):
 
 
 def test_a_breach_that_cannot_be_helped_frees_no_later_stage(controllers):
-    """Measured beyond the limit and asked for more: the plan comes back at once and stays inside."""
+    """Measured beyond the limit and asked for more: the plan comes back at once and stays
+    inside."""
     pilot = controllers["linear"]
     settled(pilot, 0.0, np.array([0.9, 0.0]))
     for _ in range(3):
@@ -85,11 +94,23 @@ def test_a_breach_that_cannot_be_helped_frees_no_later_stage(controllers):
 
 def test_what_the_process_does_not_know_widens_the_tube(controllers):
     pilot = controllers["hybrid"]
-    near, far = ((pilot.start(u), pilot._linearised(pilot.nominal)[2])[1] for u in (np.full(4, 0.1), np.full(4, 9.0)))
+    near, far = (
+        (pilot.start(u), pilot._linearised(pilot.nominal)[2])[1]
+        for u in (np.full(4, 0.1), np.full(4, 9.0))
+    )
     assert (far[-1] > 1.02 * near[-1]).all()
-    # The first rates are unsure by one innovation and what the process is unsure of, whatever is planned.
-    assert near[0] == pytest.approx(np.sqrt(pilot.functions["output_covariance"](
-        pilot.x, np.full(4, 0.1), pilot.p, np.zeros((pilot.x.size,) * 2)).full().diagonal()), rel=0.2)  # fmt: skip
+    # The first rates are unsure by one innovation and what the process is unsure of, whatever is
+    # planned.
+    assert near[0] == pytest.approx(
+        np.sqrt(
+            pilot.functions["output_covariance"](
+                pilot.x, np.full(4, 0.1), pilot.p, np.zeros((pilot.x.size,) * 2)
+            )
+            .full()
+            .diagonal()
+        ),
+        rel=0.2,
+    )
 
 
 def test_a_missing_rate_is_predicted(controllers):
@@ -120,7 +141,13 @@ def test_a_process_that_looks_at_more_than_the_craft_measures_is_refused():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"limit": 0.0}, {"limit": 1.0, "horizon": 1}, {"limit": 1.0, "change": -1.0}, {"limit": 1.0, "u_min": 2.0}]
+    "wrong",
+    [
+        {"limit": 0.0},
+        {"limit": 1.0, "horizon": 1},
+        {"limit": 1.0, "change": -1.0},
+        {"limit": 1.0, "u_min": 2.0},
+    ],
 )
 def test_a_problem_that_makes_no_sense_is_refused(wrong):
     with pytest.raises(ModelError, match="rate controller"):
@@ -131,8 +158,16 @@ def test_flights_beyond_are_counted_and_said(tmp_path):
     from mpc_export.rates.campaign import TEXTS, Task, _controller, beyond, verdict
 
     rates = SimpleNamespace(kappa={"tube": 3.0}, level=0.1, task=Task())
-    row = {"crashed": False, "beyond": 0, "samples": 100, "worst": [1, 2, 1], "rmse": 0.3, "away": 0.2, "failures": 0,
-           "solve_ms": [1.0, 2.0]}  # fmt: skip
+    row = {
+        "crashed": False,
+        "beyond": 0,
+        "samples": 100,
+        "worst": [1, 2, 1],
+        "rmse": 0.3,
+        "away": 0.2,
+        "failures": 0,
+        "solve_ms": [1.0, 2.0],
+    }
     bad = row | {"beyond": 5, "worst": [3, 1, 1]}
     assert not beyond(row) and beyond(bad) and beyond(row | {"crashed": True})
     one = _controller("tube", [row] * 9 + [bad], rates)
@@ -142,4 +177,6 @@ def test_flights_beyond_are_counted_and_said(tmp_path):
     found = {n: _controller(n, [bad] * 10, rates) for n in TEXTS}
     kept = verdict({"level": 0.1, "limit": 2.5, "controllers": found | {"tube": one}})
     assert kept.startswith("The tube kept its promise so far") and "pid in 10 of 10" in kept
-    assert verdict({"level": 0.1, "limit": 2.5, "controllers": found}).startswith("The tube broke its promise")
+    assert verdict({"level": 0.1, "limit": 2.5, "controllers": found}).startswith(
+        "The tube broke its promise"
+    )

@@ -25,7 +25,10 @@ from greybox.files import write_atomic
 from mpc_export.c_code import FAST_FLAGS
 from scenarios.studies.rows import read_rows
 from tests.mpc_export.tube.test_controller_flies_and_survives import pilot
-from tests.mpc_export.tube.test_no_measurement_moves_a_command_out_of_its_limits import in_float, program
+from tests.mpc_export.tube.test_no_measurement_moves_a_command_out_of_its_limits import (
+    in_float,
+    program,
+)
 from tests.mpc_export.tube.wild import fuzzed
 
 ROWS = Path("scenarios/results/tube_fuzz.jsonl")
@@ -45,7 +48,9 @@ def version(what: str) -> str:
 
 def plans(command: Sequence[str], steps: int, seed: int) -> dict[str, int]:
     """Counts of fuzz.c. Raises `CalledProcessError` where it does not end by itself."""
-    done = subprocess.run([*command, str(steps), str(seed)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*command, str(steps), str(seed)], capture_output=True, text=True, check=False
+    )
     if done.returncode not in (0, 1):
         raise subprocess.CalledProcessError(done.returncode, command, done.stdout, done.stderr)
     *kinds, _, back = (line.split() for line in done.stdout.splitlines())
@@ -70,14 +75,19 @@ def summed(rows: Sequence[Mapping[str, str | int]]) -> tuple[list[str], bool]:
         for row in those:
             total.update({k: v for k, v in row.items() if isinstance(v, int) and k != "seed"})
         today = " (today's)" if of == version(what) else ""
-        lines.append(f"{what}, version {of}{today}, {len(those)} seeds: " + ", ".join(f"{k} {v}" for k, v in total.items()))
+        lines.append(
+            f"{what}, version {of}{today}, {len(those)} seeds: "
+            + ", ".join(f"{k} {v}" for k, v in total.items())
+        )
         sound &= not any(total[k] for k in BROKEN) and total["back"] == total["rests"]
     return lines, sound
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Add rows, or sum them up."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("what", nargs="?", choices=sorted(STEPS))
     parser.add_argument("--seeds", nargs=2, type=int, metavar=("FIRST", "LAST"))
     parser.add_argument("--rows", type=Path, default=ROWS)
@@ -92,9 +102,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             command = PROGRAMS[what](Path(folder), FAST_FLAGS) if what in PROGRAMS else []
             for seed in range(arguments.seeds[0], arguments.seeds[1] + 1):
                 if seed not in done:
-                    found = plans(command, STEPS[what], seed) if command else samples(STEPS[what], seed)
+                    found = (
+                        plans(command, STEPS[what], seed) if command else samples(STEPS[what], seed)
+                    )
                     rows.append({"what": what, "version": of, "seed": seed} | found)
-                    write_atomic(arguments.rows, "".join(json.dumps(r) + "\n" for r in rows).encode())
+                    write_atomic(
+                        arguments.rows, "".join(json.dumps(r) + "\n" for r in rows).encode()
+                    )
                     print(json.dumps(rows[-1]), flush=True)
     lines, sound = summed(rows)
     print("\n".join(lines))

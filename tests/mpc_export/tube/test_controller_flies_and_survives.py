@@ -1,4 +1,5 @@
-"""The controller holds a place without offset under a constant force, keeps its limits, and survives what goes wrong."""
+"""The controller holds a place without offset under a constant force, keeps its limits, and
+survives what goes wrong."""
 
 import functools
 from types import SimpleNamespace
@@ -18,13 +19,17 @@ class Hover:
         n = len(time)
         zero = np.zeros((n, 3))
         return SimpleNamespace(
-            position=np.tile([0.0, 0.0, 1.0], (n, 1)), velocity=zero, acceleration=zero, yaw=np.full(n, 0.3)
+            position=np.tile([0.0, 0.0, 1.0], (n, 1)),
+            velocity=zero,
+            acceleration=zero,
+            yaw=np.full(n, 0.3),
         )
 
 
 @functools.cache
 def pilot(calibrate: bool = False):
-    """One for all tests of a process: building it takes longer than flying it. Each begins with `start`."""
+    """One for all tests of a process: building it takes longer than flying it. Each begins with
+    `start`."""
     return TubeController(
         model=cases.disturbed(),
         problem=TubeProblem(dt=0.02, horizon=8, planes=2, rate_max=0.05),
@@ -73,7 +78,9 @@ def test_hovers_without_offset_under_a_constant_force(controller):
 
 def test_measurements_that_stop_are_noted_and_outlived(controller):
     lost = range(100, 120)
-    path, commands = fly(controller, 300, seen=lambda k, y: dict.fromkeys(y, np.nan) if k in lost else y)
+    path, commands = fly(
+        controller, 300, seen=lambda k, y: dict.fromkeys(y, np.nan) if k in lost else y
+    )
     assert [e.time for e in controller.events] == pytest.approx([0.01 * k for k in lost])
     assert np.isfinite(commands).all()
     np.testing.assert_allclose(path[-1], [0.0, 0.0, 1.0], atol=5e-3)
@@ -81,7 +88,9 @@ def test_measurements_that_stop_are_noted_and_outlived(controller):
 
 def test_a_solver_that_fails_leaves_the_plan_before_and_the_ancillary_gain(controller):
     def seen(k, y):
-        controller.solver.data["penalty"][()] = np.nan if 100 <= k < 130 else controller.problem.penalty
+        controller.solver.data["penalty"][()] = (
+            np.nan if 100 <= k < 130 else controller.problem.penalty
+        )
         return y
 
     path, commands = fly(controller, 300, seen=seen)

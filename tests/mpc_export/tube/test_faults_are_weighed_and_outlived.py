@@ -72,7 +72,9 @@ def test_infinite_numbers_and_quaternions_without_length_are_missing():
 
 
 def test_a_descent_begins_as_the_vehicle_moves_and_ends_straight_down():
-    way = Descent(time=2.0, position=np.array([1.0, 2.0, 1.5]), velocity=np.array([3.0, -1.0, 0.5]), yaw=0.4)
+    way = Descent(
+        time=2.0, position=np.array([1.0, 2.0, 1.5]), velocity=np.array([3.0, -1.0, 0.5]), yaw=0.4
+    )
     times = np.arange(2.0, 6.0, 1e-3)
     path = way.sample(times)
     np.testing.assert_allclose(path.position[0], [1.0, 2.0, 1.5])
@@ -123,7 +125,9 @@ def kinds(controller):
 def test_spikes_in_the_position_do_not_move_the_vehicle(controller):
     rng = np.random.default_rng(1)
     path, commands = fly(
-        controller, 300, seen=lambda k, y: y | {"x": y["x"] + 0.5} if k > 50 and rng.random() < 0.05 else y
+        controller,
+        300,
+        seen=lambda k, y: y | {"x": y["x"] + 0.5} if k > 50 and rng.random() < 0.05 else y,
     )
     assert kinds(controller) == {"not believed: x, y, z"}
     np.testing.assert_allclose(path, np.tile([0.0, 0.0, 1.0], (300, 1)), atol=1e-3)
@@ -132,7 +136,9 @@ def test_spikes_in_the_position_do_not_move_the_vehicle(controller):
 
 @pytest.mark.parametrize("block", ["position", "velocity", "attitude", "rate", "disturbance"])
 @pytest.mark.parametrize("size", [20.0, 1e6, 1e213])
-def test_an_estimate_that_was_thrown_away_is_replaced_before_the_vehicle_is(controller, block, size):
+def test_an_estimate_that_was_thrown_away_is_replaced_before_the_vehicle_is(
+    controller, block, size
+):
     rows = [i for i, name in enumerate(controller.filter.states.names) if name.startswith(block)]
 
     def seen(k, y):
@@ -218,7 +224,9 @@ def test_a_jittering_clock_is_no_event_and_calls_that_do_not_come_are(controller
 
 def test_a_solver_that_stays_away_and_returns(controller):
     def seen(k, y):
-        controller.solver.data["penalty"][()] = np.nan if 100 <= k < 200 else controller.problem.penalty
+        controller.solver.data["penalty"][()] = (
+            np.nan if 100 <= k < 200 else controller.problem.penalty
+        )
         return y
 
     path, commands = fly(controller, 400, force=0.02, seen=seen)
@@ -240,7 +248,9 @@ def test_a_pose_that_is_slower_than_the_plan_is_no_reason_to_come_down(controlle
 def test_without_a_position_it_comes_down_and_says_so(controller):
     lost = dict.fromkeys(PLACE, math.nan)
     path, _ = fly(controller, 300, seen=lambda k, y: y | lost if k >= 50 else y)
-    assert [e.what for e in controller.events] == ["descent declared: position or attitude not measured"]
+    assert [e.what for e in controller.events] == [
+        "descent declared: position or attitude not measured"
+    ]
     assert 1.0 <= controller.events[0].time <= 1.05
     fall = np.diff(path[200:, 2]) / 0.01
     np.testing.assert_allclose(fall, -SPEED, atol=0.05)

@@ -2,8 +2,8 @@
 
 GREYBOX_FUZZ=1000000 python -m pytest -m slow THIS_FILE -s   # a million plans, a million samples
 
-Long runs go in parts of 50 000, each from a seed of its own, and print the sum so far: a run that is
-cut tells what it has seen.
+Long runs go in parts of 50 000, each from a seed of its own, and print the sum so far: a run that
+is cut tells what it has seen.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def cc() -> tuple[str, ...]:
 
 
 def program(folder: Path, flags: tuple[str, ...], *, own_model: bool = False) -> list[str]:
-    """Command line of fuzz.c behind controller.c, with the stage functions of the compiled solver or,
-    for sanitizers, compiled with it."""
+    """Command line of fuzz.c behind controller.c, with the stage functions of the compiled solver
+    or, for sanitizers, compiled with it."""
     solver, _ = pair()
     texts = sources(solver.sizes, solver.stages, ())
     fuzz = folder / "fuzz.c"
@@ -53,7 +53,9 @@ def program(folder: Path, flags: tuple[str, ...], *, own_model: bool = False) ->
     if own_model:
         (folder / "model.c").write_text(texts["tube_model.c"])
         model = str(folder / "model.o")
-        subprocess.run([*cc(), *flags, "-w", "-c", str(folder / "model.c"), "-o", model], check=True)
+        subprocess.run(
+            [*cc(), *flags, "-w", "-c", str(folder / "model.c"), "-o", model], check=True
+        )
     out = str(folder / "fuzz")
     subprocess.run(
         [*cc(), *flags, str(folder / "fuzz.o"), model, "-o", out, *link_flags(), "-lm"], check=True
@@ -76,13 +78,21 @@ def in_float(folder: Path, flags: tuple[str, ...]) -> list[str]:
 
     def single(text: str) -> str:
         text = re.sub(r"\bdouble\b", "float", text).replace("blasfeo_d_", "blasfeo_s_")
-        return re.sub(r"\b(hpipm_|struct )?d_ocp_qp", r"\1s_ocp_qp", text).replace("1e-12)", "1e-6)")
+        return re.sub(r"\b(hpipm_|struct )?d_ocp_qp", r"\1s_ocp_qp", text).replace(
+            "1e-12)", "1e-6)"
+        )
 
     random = (HERE.parent / "fuzz_random.c").read_text()
     texts["fuzz.c"] = single(texts["controller.c"]) + random + single((HERE / "fuzz.c").read_text())
     for name in ("tube_model.c", "fuzz.c"):
         (folder / name).write_text(texts[name])
-    made = [*cc(), *flags, "-w", f"-isystem{hpipm()[0]}", *(str(folder / n) for n in ("fuzz.c", "tube_model.c"))]
+    made = [
+        *cc(),
+        *flags,
+        "-w",
+        f"-isystem{hpipm()[0]}",
+        *(str(folder / n) for n in ("fuzz.c", "tube_model.c")),
+    ]
     subprocess.run([*made, "-o", str(folder / "fuzz"), *link_flags(), "-lm"], check=True)
     return [str(folder / "fuzz"), str(folder / "hover.bin")]
 
@@ -129,7 +139,8 @@ def test_commands_of_a_pilot_keep_their_limits():
 
 
 def test_a_qp_that_is_cut_off_is_no_solution_unless_it_keeps_its_limits():
-    """From one iteration on to as many as it asks for: what is taken over has met dynamics and limits."""
+    """From one iteration on to as many as it asks for: what is taken over has met dynamics and
+    limits."""
     solver, _ = pair()
     names = solver.model.states.names
     statuses = set()
@@ -158,12 +169,17 @@ def test_cut_off_qps_are_told_by_events():
 
     _, commands = fly(controller, 200, force=0.02, seen=seen)
     kinds = {e.what for e in controller.events}
-    assert kinds <= {"no solution (status 2, QP 1)", "a plan within its limits, but not the best (QP 1)"}
+    assert kinds <= {
+        "no solution (status 2, QP 1)",
+        "a plan within its limits, but not the best (QP 1)",
+    }
     assert kinds
     assert np.abs(np.diff(commands, axis=0)).max() <= controller.problem.rate_max + 1e-12
 
 
-@pytest.mark.parametrize("command", [[9.0] * 4, [-9.0, 0.5, 9.0, 0.5], [math.nan] * 4, [math.inf] * 4])
+@pytest.mark.parametrize(
+    "command", [[9.0] * 4, [-9.0, 0.5, 9.0, 0.5], [math.nan] * 4, [math.inf] * 4]
+)
 def test_whoever_decides_it_a_command_is_within_its_limits_and_it_is_told(monkeypatch, command):
     controller = pilot()
     controller.start()
@@ -212,7 +228,11 @@ def test_many_plans_in_c_keep_their_limits(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_plans_in_c_stay_inside_their_memory(tmp_path, real):
-    made = program(tmp_path, SANITIZED, own_model=True) if real == "double" else in_float(tmp_path, SANITIZED)
+    made = (
+        program(tmp_path, SANITIZED, own_model=True)
+        if real == "double"
+        else in_float(tmp_path, SANITIZED)
+    )
     judged(made, min(MANY, 20000), 3)
 
 

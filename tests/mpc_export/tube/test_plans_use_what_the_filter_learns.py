@@ -1,4 +1,5 @@
-"""A heavier craft in a steady wind flies without offset once its mass is learned; nothing measured leaves the physics."""
+"""A heavier craft in a steady wind flies without offset once its mass is learned; nothing measured
+leaves the physics."""
 
 from __future__ import annotations
 
@@ -24,9 +25,14 @@ def pilot():
     """Its mass may be off by a tenth of it, one standard deviation."""
     model = cases.disturbed()
     return TubeController(
-        model=model, problem=PROBLEM, reference=Hover(), kappa=(2.0, 2.0, 2.0), kappa_u=1.0, calibrate=True,
+        model=model,
+        problem=PROBLEM,
+        reference=Hover(),
+        kappa=(2.0, 2.0, 2.0),
+        kappa_u=1.0,
+        calibrate=True,
         adapt={"mass": 0.1 * model.values["mass"]},
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.slow
@@ -92,20 +98,36 @@ def test_no_measurement_takes_parameters_disturbances_or_commands_out_of_their_b
     rng = np.random.default_rng(0)
     for k in range(300):
         wild = {n: 10.0 ** rng.uniform(-3, 6) * rng.standard_normal() for n in controller.columns}
-        wild |= dict.fromkeys(rng.choice(controller.columns, 3), rng.choice([math.nan, math.inf, -math.inf]))
+        wild |= dict.fromkeys(
+            rng.choice(controller.columns, 3), rng.choice([math.nan, math.inf, -math.inf])
+        )
         u = controller.sample(0.01 * k, wild if k % 3 else None)
-        assert np.isfinite(u).all() and u.min() >= PROBLEM.command_min and u.max() <= PROBLEM.command_max
+        assert (
+            np.isfinite(u).all()
+            and u.min() >= PROBLEM.command_min
+            and u.max() <= PROBLEM.command_max
+        )
         theta = controller.p[list(own.rows)]
         assert (theta >= own.lower).all() and (theta <= own.upper).all()
-        assert all(abs(controller.estimate[states[n]]) <= most for n, most in own.limits.items() if n in states.names)
+        assert all(
+            abs(controller.estimate[states[n]]) <= most
+            for n, most in own.limits.items()
+            if n in states.names
+        )
         assert np.isfinite(controller.calibrated.scale).all()
 
 
 @pytest.mark.parametrize(
     ("adapt", "memory", "words"),
-    [({"weight": 0.1}, 10.0, "no parameter weight"), ({"mass": 0.0}, 10.0, "above zero"), ({}, math.nan, "memory is a time"),
-     ({}, 10.0, "no parameter of this model differs")],
-)  # fmt: skip
+    [
+        ({"weight": 0.1}, 10.0, "no parameter weight"),
+        ({"mass": 0.0}, 10.0, "above zero"),
+        ({}, math.nan, "memory is a time"),
+        ({}, 10.0, "no parameter of this model differs"),
+    ],
+)
 def test_what_cannot_be_learned_is_refused_in_one_line(adapt, memory, words):
     with pytest.raises(ModelError, match=words):
-        TubeController(model=cases.disturbed(), problem=PROBLEM, reference=Hover(), adapt=adapt, memory=memory)
+        TubeController(
+            model=cases.disturbed(), problem=PROBLEM, reference=Hover(), adapt=adapt, memory=memory
+        )

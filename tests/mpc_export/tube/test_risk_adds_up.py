@@ -1,4 +1,5 @@
-"""A risk per flight becomes standard deviations: by Boole's inequality, by passages, by rehearsed flights."""
+"""A risk per flight becomes standard deviations: by Boole's inequality, by passages, by rehearsed
+flights."""
 
 import numpy as np
 import pytest
@@ -38,7 +39,9 @@ def test_stages_that_fail_together_count_once_and_independent_ones_as_boole_says
     half = kappa_passages(0.1, [8, 8], 0.5 * together + 0.5 * apart)
     assert one < half < kappa(0.1, 16)
     # passages of twenty flights are those of one, and a long one is several
-    assert kappa_passages(0.1, [8, 8] * 20, apart, flights=20) == pytest.approx(kappa(0.1, 16), abs=0.03)
+    assert kappa_passages(0.1, [8, 8] * 20, apart, flights=20) == pytest.approx(
+        kappa(0.1, 16), abs=0.03
+    )
     assert kappa_passages(0.1, [16], apart) == kappa_passages(0.1, [8, 8], apart)
 
 
@@ -53,7 +56,9 @@ def test_rehearsals_find_the_backoff_of_a_known_loop_from_the_safe_side():
     tried, flights = [0.5, 1.0, 1.5, 2.0], [60] * 4
     rates = norm.cdf(0.8 - 1.2 * np.array(tried))
     draws = rng.binomial(60, rates, size=(25, 4))
-    found = np.array([[kappa_rehearsed(v, tried, hits, flights) for v in (0.2, 0.1, 0.05)] for hits in draws])
+    found = np.array(
+        [[kappa_rehearsed(v, tried, hits, flights) for v in (0.2, 0.1, 0.05)] for hits in draws]
+    )
     assert (np.diff(found, axis=1) > 0).all()
     for level, column in zip((0.2, 0.1, 0.05), found.T, strict=True):
         real = norm.cdf(0.8 - 1.2 * column)

@@ -24,7 +24,12 @@ print(data["u"].tolist())
 def plan(libraries: str) -> str:
     root = Path(__file__).resolve().parents[3]
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, libraries], capture_output=True, text=True, check=True, cwd=root, timeout=300
+        [sys.executable, "-c", PROGRAM, libraries],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=root,
+        timeout=300,
     )
     return done.stdout
 

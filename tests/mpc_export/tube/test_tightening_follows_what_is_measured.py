@@ -26,7 +26,9 @@ def test_planes_and_tilt_are_tightened_by_the_scales_of_what_they_bound(controll
     found = own.wider(ahead, planes)
     np.testing.assert_allclose(found[:, 0], 3.0)
     between = 2.0 * np.sqrt(2.0)  # half way from 0.1 to 0.25 s, where the logarithm is interpolated
-    np.testing.assert_allclose(found[:2, 1], [np.hypot(0.6 * 3, 0.8), np.hypot(0.6 * 3, 0.8 * between)])
+    np.testing.assert_allclose(
+        found[:2, 1], [np.hypot(0.6 * 3, 0.8), np.hypot(0.6 * 3, 0.8 * between)]
+    )
     assert found[2, 1] == 1.0, "no plane there"
     np.testing.assert_allclose(found[:, 2], 1.5)
     own.scale[:] = 0.2
@@ -34,9 +36,12 @@ def test_planes_and_tilt_are_tightened_by_the_scales_of_what_they_bound(controll
 
 
 def test_noise_of_three_times_its_level_is_met_and_forgotten_by_half_in_280_samples(controller):
-    """Of the pose, then none: errors one sample ahead are of the sensor alone, as the plant itself has no noise."""
+    """Of the pose, then none: errors one sample ahead are of the sensor alone, as the plant itself
+    has no noise."""
     rng = np.random.default_rng(0)
-    sensor = dict(zip(controller.filter.innovations.names, controller.filter.noise.sensor, strict=True))
+    sensor = dict(
+        zip(controller.filter.innovations.names, controller.filter.noise.sensor, strict=True)
+    )
     late: list[float] = []
 
     def shaken(k, y):

@@ -75,10 +75,16 @@ def spread(made, model, steps):
     """Covariances of the tube at hover, and the part of them that errors of the parameters make."""
     x, u = made.steady
     n = model.sizes
-    z, c, b = np.zeros((n["n_d"],) * 2), np.zeros((n["n_d"], n["n_g"])), np.zeros((n["n_d"], n["n_theta"]))
+    z, c, b = (
+        np.zeros((n["n_d"],) * 2),
+        np.zeros((n["n_d"], n["n_g"])),
+        np.zeros((n["n_d"], n["n_theta"])),
+    )
     totals = []
     for _ in range(steps + 1):
-        total, z, c, b_next = (v.full() for v in made.functions["tube_spread"](x, u, model.parameter_values, z, c, b))
+        total, z, c, b_next = (
+            v.full() for v in made.functions["tube_spread"](x, u, model.parameter_values, z, c, b)
+        )
         totals.append(total)
         last, b = b, b_next
     return np.array(totals), last @ model.covariance @ last.T
@@ -132,7 +138,9 @@ def test_gain_is_the_riccati_solution_with_disturbances_as_states(solver):
         gain = -np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
         p = q + a.T @ p @ (a + b @ gain)
     np.testing.assert_allclose(made.gain, gain, rtol=1e-5, atol=1e-6 * np.abs(gain).max())
-    np.testing.assert_allclose(made.terminal, p[np.ix_(rows, rows)], rtol=1e-5, atol=1e-6 * np.abs(p).max())
+    np.testing.assert_allclose(
+        made.terminal, p[np.ix_(rows, rows)], rtol=1e-5, atol=1e-6 * np.abs(p).max()
+    )
 
 
 def test_the_filters_error_is_that_of_the_filter_that_runs():
@@ -143,7 +151,10 @@ def test_the_filters_error_is_that_of_the_filter_that_runs():
     stated, slow = pilot.solver.stages.estimate, pilot.functions.noise.covariance
     own = model_functions(model).noise.covariance
     for name in ("d_position.x", "d_velocity.z", "d_attitude.y", "d_disturbance.force.x"):
-        at, there = pilot.functions.error_states.names.index(name), pilot.filter.error_states.names.index(name)
+        at, there = (
+            pilot.functions.error_states.names.index(name),
+            pilot.filter.error_states.names.index(name),
+        )
         assert stated[at, at] == own[there, there] > 0
         assert stated[at, at] < 0.9 * slow[at, at]
     # and its innovations are those of both samples of a stage
@@ -167,15 +178,22 @@ def test_innovations_of_a_quicker_filter_add_up_to_what_it_does_not_know(solver)
     x, u = filter_.reference
     _, a, _, _ = (v.full() for v in filter_["f_d_jac"](x, u, filter_.parameter_values))
     once, twice = (innovations(filter_, steps, len(a)) for steps in (1, 2))
-    np.testing.assert_allclose(once, a @ noise.covariance @ a.T + noise.process - noise.covariance, atol=2e-9)
+    np.testing.assert_allclose(
+        once, a @ noise.covariance @ a.T + noise.process - noise.covariance, atol=2e-9
+    )
     np.testing.assert_allclose(twice, a @ once @ a.T + once, rtol=1e-12)
 
 
 def test_the_second_order_is_what_a_nonlinear_loop_adds(solver):
     # rough air that does not turn the vehicle about its vertical: what it turns there comes of turns about the other two
-    model, problem = solver.model, TubeProblem(dt=solver.model.dt, horizon=25, ancillary=Weights(position=64.0))
+    model, problem = (
+        solver.model,
+        TubeProblem(dt=solver.model.dt, horizon=25, ancillary=Weights(position=64.0)),
+    )
     names = model.error_states.names
-    level = np.diag([0.0 if n in ("d_attitude.z", "d_rate.z", "d_disturbance.torque.z") else 8.0 for n in names])
+    level = np.diag(
+        [0.0 if n in ("d_attitude.z", "d_rate.z", "d_disturbance.torque.z") else 8.0 for n in names]
+    )
     rough = level @ solver.stages.fresh @ level
     made = stages(model, problem, fresh=rough)
     x0, u0 = made.steady
@@ -198,7 +216,9 @@ def test_the_second_order_is_what_a_nonlinear_loop_adds(solver):
     assert np.all(np.linalg.eigvalsh(made.bent[-1]) > -1e-12)
     # in calm air there is nothing to add
     calm = stages(model, problem, fresh=1e-4 * solver.stages.fresh)
-    assert np.all(np.diag(calm.bent[-1]) <= 1e-3 * np.diag(spread(calm, model, problem.horizon)[0][-1]))
+    assert np.all(
+        np.diag(calm.bent[-1]) <= 1e-3 * np.diag(spread(calm, model, problem.horizon)[0][-1])
+    )
 
 
 @pytest.mark.parametrize("still", [0.0, 1e-14])

@@ -1,4 +1,5 @@
-"""The controller's own solver and IPOPT find the same plan, with binding planes, rate limits, back-offs and slack."""
+"""The controller's own solver and IPOPT find the same plan, with binding planes, rate limits,
+back-offs and slack."""
 
 import functools
 

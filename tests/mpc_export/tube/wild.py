@@ -41,10 +41,10 @@ CLOCKS = (None, math.nan, math.inf, -1e300, 1e9, "noon", 0.0)
 
 @dataclass
 class Tally:
-    """What a fuzzed flight did. outside: commands beyond limits or rate, or not finite. Of `rests`, the
-    stretches without damage, `back` ended with a plan and an estimate within 0.1 m, `home` with the craft
-    within 0.1 m of its place besides; of the others a pilot who is told the true state from SOON samples
-    after the damage on brings `lost` home. slowest: call [s]."""
+    """What a fuzzed flight did. outside: commands beyond limits or rate, or not finite. Of `rests`,
+    the stretches without damage, `back` ended with a plan and an estimate within 0.1 m, `home` with
+    the craft within 0.1 m of its place besides; of the others a pilot who is told the true state
+    from SOON samples after the damage on brings `lost` home. slowest: call [s]."""
 
     steps: Counter = field(default_factory=Counter)
     events: Counter = field(default_factory=Counter)
@@ -60,7 +60,11 @@ class Tally:
 def damaged(measured, kind, share, constant, rng):
     """Some of the columns, or None for all of them."""
     if kind == "missing":
-        return None if rng.random() < 0.5 else {k: v for k, v in measured.items() if rng.random() > share}
+        return (
+            None
+            if rng.random() < 0.5
+            else {k: v for k, v in measured.items() if rng.random() > share}
+        )
     kinds = list(KINDS)
     out = dict(measured)
     for column, value in measured.items():
@@ -71,14 +75,17 @@ def damaged(measured, kind, share, constant, rng):
 
 
 def brought_home(pilot, place, x, u):
-    """Whether a pilot who is told the true state brings the craft from x under u to its place in what is left of a rest."""
+    """Whether a pilot who is told the true state brings the craft from x under u to its place in
+    what is left of a rest."""
     f = pilot.filter
     at = [f.states.names.index(f"position.{a}") for a in "xyz"]
     pilot.start(x)
     pilot.u, pilot.past = u.copy(), [u.copy() for _ in pilot.past]
     for k in range(REST - SOON):
         pilot.estimate = x.copy()
-        measured = dict(zip(f.outputs.names, f["h"](x, u, f.parameter_values).full().ravel().tolist()))
+        measured = dict(
+            zip(f.outputs.names, f["h"](x, u, f.parameter_values).full().ravel().tolist())
+        )
         new = np.array(pilot.sample(k * pilot.model.sample_time, measured))
         x, u = f["f_d"](x, u, f.parameter_values).full().ravel(), new
     return bool(np.abs(x[at] - place[at]).max() < NEAR)
@@ -105,7 +112,9 @@ def fuzzed(pilot, steps, seed):
             pilot.descent, pilot._watch = None, Watch()
         if k % (STRETCH + REST) == STRETCH + SOON:
             begun.append((x.copy(), u.copy()))
-        measured = dict(zip(f.outputs.names, f["h"](x, u, f.parameter_values).full().ravel().tolist()))
+        measured = dict(
+            zip(f.outputs.names, f["h"](x, u, f.parameter_values).full().ravel().tolist())
+        )
         told = clock = clock + pilot.model.sample_time
         if not resting:
             if kind == "clock":
@@ -135,5 +144,7 @@ def fuzzed(pilot, steps, seed):
             if back and np.abs(x[at] - place[at]).max() < NEAR:
                 tally.home += 1
                 begun.pop()
-    tally.lost = sum(brought_home(pilot, place, *start) for start in begun[: tally.rests - tally.home])
+    tally.lost = sum(
+        brought_home(pilot, place, *start) for start in begun[: tally.rests - tally.home]
+    )
     return tally
