@@ -1,7 +1,9 @@
-"""The command line: `greybox COMMAND ...`. Each command is one file in greybox/commands with `add` and `run`.
+"""The command line: `greybox COMMAND ...`. Each command is one file in greybox/commands with `add`
+and `run`.
 
-Exit codes: 0 done, 1 done and the answer is no (a check that found blocking faults, a model that is not usable),
-2 bad input or usage (one line on standard error), 130 interrupted (what was done until then is kept).
+Exit codes: 0 done, 1 done and the answer is no (a check that found blocking faults, a model that is
+not usable), 2 bad input or usage (one line on standard error), 130 interrupted (what was done until
+then is kept).
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import importlib
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 COMMANDS = (
@@ -52,7 +54,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="greybox",
         description="From flight logs to a model that a controller trusts.",
-        epilog="Exit codes: 0 done; 1 done, and the answer is no (blocking faults, a model that is not usable); 2 bad "
+        epilog="Exit codes: 0 done; 1 done, and the answer is no (blocking faults, a model that is "
+        "not usable); 2 bad "
         "input or usage, one line says what; 130 interrupted, what was done until then is kept.",
     )
     parser.add_argument("--version", action="version", version=_version())
@@ -75,7 +78,8 @@ def _abandon_output() -> None:
 
 @contextlib.contextmanager
 def _hush(arguments: argparse.Namespace) -> Iterator[None]:
-    """Nothing on standard error; nothing on standard output either, unless a file was asked for there."""
+    """Nothing on standard error; nothing on standard output either, unless a file was asked for
+    there."""
     with (
         open(os.devnull, "w") as nowhere,
         contextlib.redirect_stderr(nowhere),
@@ -92,6 +96,7 @@ class _PlainText:
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
+        self._within_line = False
 
     def write(self, text: str) -> int:
         """As of a text stream."""
@@ -99,7 +104,16 @@ class _PlainText:
 
         if not text.isprintable():
             text = "".join(c if c in "\n\t" else printable(c) for c in text)
-        return int(self._stream.write(text))
+        if not text:
+            return 0
+        self._within_line = True  # until it is written: an interrupt may cut it
+        written = int(self._stream.write(text))
+        self._within_line = not text.endswith("\n")
+        return written
+
+    def last_line(self, text: str) -> None:
+        """A line of its own, even where an interrupt cut another before its end."""
+        print(f"\n{text}" if self._within_line else text, file=self)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -109,12 +123,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     out, err = _PlainText(sys.stdout), _PlainText(sys.stderr)
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        return _main(argv)
+        return _main(argv, err.last_line)
 
 
 @contextlib.contextmanager
 def _warnings_on_one_line() -> Iterator[None]:
-    """What a file of an older form is told, said once on standard error like an error; other warnings as ever."""
+    """What a file of an older form is told, said once on standard error like an error; other
+    warnings as ever."""
     from greybox.errors import OldFormWarning
 
     with warnings.catch_warnings():
@@ -130,15 +145,17 @@ def _warnings_on_one_line() -> Iterator[None]:
         yield
 
 
-def _main(argv: Sequence[str] | None) -> int:
+def _main(argv: Sequence[str] | None, last_line: Callable[[str], None]) -> int:
     from greybox.distribution import NAME, other_greybox
     from greybox.errors import GreyboxError
     from greybox.interrupts import kept_interrupts
 
     if (other := other_greybox()) is not None:
         print(
-            f"greybox: this environment also holds another package called greybox ({other}), which puts its files into the "
-            f"same folder. Usual fix: pip uninstall greybox && pip install --force-reinstall {NAME}",
+            f"greybox: this environment also holds another package called greybox ({other}), which "
+            "puts its files into the "
+            "same folder. Usual fix: pip uninstall greybox && pip install --force-reinstall "
+            f"{NAME}",
             file=sys.stderr,
         )
 
@@ -149,7 +166,7 @@ def _main(argv: Sequence[str] | None) -> int:
             return 2
         arguments = parser.parse_args(argv)
     except KeyboardInterrupt:
-        print("greybox: interrupted", file=sys.stderr)
+        last_line("greybox: interrupted")
         return 130
     try:
         with contextlib.ExitStack() as stack:
@@ -173,13 +190,13 @@ def _main(argv: Sequence[str] | None) -> int:
     except GreyboxError as error:
         if arguments.debug:
             raise
-        print(f"greybox {arguments.command}: {error}", file=sys.stderr)
+        last_line(f"greybox {arguments.command}: {error}")
         return 2
     except KeyboardInterrupt:
         kept = (
             getattr(arguments, "kept", None) or "nothing was written; the same command starts again"
         )
-        print(f"greybox {arguments.command}: interrupted; {kept}", file=sys.stderr)
+        last_line(f"greybox {arguments.command}: interrupted; {kept}")
         return 130
     except BrokenPipeError:
         _abandon_output()
@@ -188,7 +205,7 @@ def _main(argv: Sequence[str] | None) -> int:
         if arguments.debug:
             raise
         where = error.filename or "standard output"
-        print(f"greybox {arguments.command}: {where}: {error.strerror or error}", file=sys.stderr)
+        last_line(f"greybox {arguments.command}: {where}: {error.strerror or error}")
         _abandon_output()
         return 2
 

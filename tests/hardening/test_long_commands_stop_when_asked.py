@@ -1,13 +1,16 @@
-"""Ctrl-C at a long command in a process of its own: exit code 130, one last line, no half-written file, nobody left behind.
+"""Ctrl-C at a long command in a process of its own: exit code 130, one last line, no half-written
+file, nobody left behind.
 
-The whole process group is asked, as a terminal does it, as soon as the command says that it is at work. What `discover`
-and `mpc` keep: tests/cli/test_discover_writes_what_it_finds.py and tests/cli/test_mpc_flies_resumes_and_refuses.py;
-interrupts inside a fit: tests/estimation/test_an_interrupt_keeps_the_best_so_far.py.
+The whole process group is asked, as a terminal does it, as soon as the command says that it is at
+work. What `discover` and `mpc` keep: tests/cli/test_discover_writes_what_it_finds.py and
+tests/cli/test_mpc_flies_resumes_and_refuses.py; interrupts inside a fit:
+tests/estimation/test_an_interrupt_keeps_the_best_so_far.py.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import io
 import json
 import os
 import signal
@@ -18,6 +21,7 @@ from pathlib import Path
 
 import pytest
 
+from greybox.cli import main
 from greybox.examples import flight_path, vehicle_path
 
 ARPL = "arpl_crazyflie"
@@ -62,7 +66,8 @@ COMMANDS = {
 
 
 def interrupted(arguments: list[str], sign: str, folder: Path) -> str:
-    """What `greybox ARGUMENTS --out out` in `folder` says, which is interrupted when it says `sign`."""
+    """What `greybox ARGUMENTS --out out` in `folder` says, which is interrupted when it says
+    `sign`."""
     said: list[str] = []
     at_work = threading.Event()
     with subprocess.Popen(
@@ -94,7 +99,8 @@ def interrupted(arguments: list[str], sign: str, folder: Path) -> str:
             process.kill()
         listener.join(10)
     text = "".join(said)
-    # A shell calls both 130: Python ends itself with the signal where the interrupt passed through an import.
+    # A shell calls both 130: Python ends itself with the signal where the interrupt passed through
+    # an import.
     assert code in (130, -signal.SIGINT), text
     assert "Traceback" not in text
     assert said[-1].startswith(f"greybox {arguments[0]}: interrupted; ")
@@ -106,6 +112,30 @@ def interrupted(arguments: list[str], sign: str, folder: Path) -> str:
     with pytest.raises(ProcessLookupError):
         os.killpg(process.pid, 0)
     return text
+
+
+class CutShort(io.StringIO):
+    """A terminal at which the interrupt comes before the end of the first line."""
+
+    cut = False
+
+    def write(self, text: str) -> int:
+        if text == "\n" and not self.cut:
+            self.cut = True
+            raise KeyboardInterrupt
+        return super().write(text)
+
+
+def test_a_line_that_was_cut_does_not_swallow_the_last_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = CutShort()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    arguments, _ = COMMANDS["plan"]
+    assert main([*arguments, "--out", str(tmp_path / "out")]) == 130
+    progress, last = terminal.getvalue().splitlines()
+    assert not progress.startswith("greybox")
+    assert last.startswith("greybox plan: interrupted; ")
 
 
 def files(folder: Path) -> set[str]:
