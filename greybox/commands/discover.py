@@ -1,4 +1,5 @@
-"""`greybox discover`: from a vehicle file and flights to discovery.json, model.json, laws of what is left, report.html."""
+"""`greybox discover`: from a vehicle file and flights to discovery.json, model.json, laws of what
+is left, report.html."""
 
 from __future__ import annotations
 
@@ -12,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from greybox.data.checks import CheckReport
     from greybox.discovery.result import Discovery
+    from greybox.model.effect import Effect
+    from greybox.model.identified import IdentifiedModel
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console, json_option
@@ -22,13 +25,15 @@ from greybox.commands.model_options import names
 
 
 def set_aside(path: Path) -> Path:
-    """The file, of an earlier search and perhaps edited since, under the first free name F.old, F.old2, ..."""
+    """The file, of an earlier search and perhaps edited since, under the first free name F.old,
+    F.old2, ..."""
     names = (path.with_name(f"{path.name}.old{n if n > 1 else ''}") for n in itertools.count(1))
     return path.replace(next(name for name in names if not name.exists()))
 
 
 def _set_aside_laws(out: Path, laws: Mapping[str, str]) -> None:
-    """Set laws of an earlier search aside, but for those that are the same now (`laws`: file name -> text)."""
+    """Set laws of an earlier search aside, but for those that are the same now (`laws`: file name
+    -> text)."""
     from greybox.residual.laws.effect_file import LAW_FILE
 
     for old in out.glob("proposal_*.py"):
@@ -41,10 +46,14 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "discover",
         help="find, name and add the effects that a vehicle file misses",
-        description="Find where simulation and flights disagree, name what is missing with an e-value from flights that did "
-        "not propose it, add it and show how far the gap closed. Writes discovery.json, model.json (the improved model), "
-        "report.html and, where what is left follows a law, proposal_<n>.py and model_with_laws.json. Exit code 0: done, "
-        "whatever the verdict, 2: bad input, 130: interrupted (the files hold what was found until then).",
+        description="Find where simulation and flights disagree, name what is missing with an "
+        "e-value from flights that did "
+        "not propose it, add it and show how far the gap closed. Writes discovery.json, model.json "
+        "(the improved model), "
+        "report.html and, where what is left follows a law, proposal_<n>.py and "
+        "model_with_laws.json. Exit code 0: done, "
+        "whatever the verdict, 2: bad input, 130: interrupted (the files hold what was found until "
+        "then).",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file (not needed with --from)")
     p.add_argument(
@@ -135,7 +144,8 @@ def add(subparsers: Any) -> None:
 
 
 class _Search:
-    """The folder of a search: what it wrote so far (`content` of discovery.json), rewritten after every step."""
+    """The folder of a search: what it wrote so far (`content` of discovery.json), rewritten after
+    every step."""
 
     def __init__(
         self, out: Path, title: str, offered: Mapping[str, Sequence[Any]], faults: CheckReport
@@ -145,7 +155,8 @@ class _Search:
         self._began = False
 
     def write(self, found: Discovery) -> None:
-        """Write what is found. The result comes last: until then it says that the search was stopped."""
+        """Write what is found. The result comes last: until then it says that the search was
+        stopped."""
         from greybox.discovery.result import WITH_LAWS
         from greybox.files import withdraw, write_atomic, write_json
 
@@ -247,6 +258,24 @@ def _check(arguments: argparse.Namespace, out: Path) -> None:
         )
 
 
+def _vehicle_model(path: str, effects: Sequence[Effect]) -> IdentifiedModel:
+    """The model of --from. Raises `GreyboxError` for a model of the user's own that is no
+    vehicle."""
+    from greybox.errors import GreyboxError
+    from greybox.model.identified import IdentifiedModel
+    from greybox.model.layer import physics_of
+
+    model = IdentifiedModel.load(path, effects=effects)
+    if physics_of(model.dynamics) is None:
+        raise GreyboxError(
+            "discover names what vehicles have",
+            where=path,
+            got=f"the model {model.name} of your own",
+            fix="greybox learn MODEL.json --learner sparse finds a law of what it misses",
+        )
+    return model
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, search, report."""
     from greybox.commands.vehicle_lines import say_vehicle
@@ -255,7 +284,6 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.discovery.workflow import discover, refused
     from greybox.estimation.record import sample_time
     from greybox.model.effects_file import load_effects
-    from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import read_vehicle
 
     out, console = Path(arguments.out or "greybox-discover"), Console.of(arguments)
@@ -264,7 +292,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _go_on(arguments)
     offered = {path: load_effects(path) for path in arguments.effects_file}
     own = [e for effects in offered.values() for e in effects]
-    since = None if arguments.since is None else IdentifiedModel.load(arguments.since, effects=own)
+    since = None if arguments.since is None else _vehicle_model(arguments.since, own)
     vehicle = read_vehicle(arguments.vehicle) if since is None else since.physics.vehicle
     # The files show faults of their clocks, which reading mends.
     faults = check_logs(
@@ -363,7 +391,8 @@ def _go_on(arguments: argparse.Namespace) -> int:
     title = f"What the model of {model.physics.vehicle.name} misses"
     write_atomic(out / "report.html", discover_report(content, title=title))
     names = (
-        f"  {e['name']}: {e['status']}, log10 e {e['log10_e']:.1f} ({e.get('further', 0.0):+.1f} by these flights)"
+        f"  {e['name']}: {e['status']}, log10 e {e['log10_e']:.1f} ({e.get('further', 0.0):+.1f} "
+        "by these flights)"
         for e in (*content["effects"], *content["not_certified"])
     )
     Console.of(arguments).result(

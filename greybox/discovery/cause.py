@@ -21,7 +21,7 @@ from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel, build_model
-from greybox.model.noise import Augmented, Disturbance, SensorPart
+from greybox.model.noise import Augmented, Disturbance, Gust, SensorPart
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 
@@ -80,17 +80,17 @@ class Causes:
         return tuple(g for g in GROUPS if g in names)
 
     def built(self, structure: Iterable[str]) -> Augmented:
-        """The model of a structure: core, its effects, unnamed force and torque, its sensor noise."""
+        """The model of a structure: core, effects, unnamed force and torque, sensor noise."""
         chosen = [self.offered[n] for n in structure]
         there = {c.name for c in chosen}
         gone = [n for n in self.effects if n not in there]
         parts = [c.part for c in chosen if c.part is not None]
         core = self.model.without_effect(*gone) if gone else self.model
-        states = [Disturbance(group=g) for g in self.groups]
+        states = [(Gust if g == "force" else Disturbance)(group=g) for g in self.groups]
         return Augmented(core=core, parts=(*parts, *states))
 
     def canonical(self) -> Causes:
-        """The same with the catalogue's own effects: what came over the wire then shares one build."""
+        """The same with the catalogue's own effects, which share one build over the wire."""
         own = {type(e): e for e in CATALOGUE}
         effects = tuple(own.get(type(e), e) for e in self.model.effects)
         if effects == self.model.effects:
@@ -98,13 +98,13 @@ class Causes:
         return replace(self, model=replace(self.model, effects=effects))
 
     def with_cause(self, *more: Cause) -> Causes:
-        """These and further causes. Raises `ModelError` for an effect that the model cannot have."""
+        """These and further causes. Raises `ModelError` where the model cannot have one."""
         effects = [c.effect for c in more if c.effect is not None]
         model = self.model.with_effect(*effects) if effects else self.model
         return replace(self, model=model, offered={**self.offered, **{c.name: c for c in more}})
 
     def prior_of(self, name: str) -> tuple[float, float] | None:
-        """(value at which its cause is absent, sigma) of a parameter; None where it is of no cause."""
+        """(value at which its cause is absent, sigma) of a parameter; None without a cause."""
         owner = self.offered.get(name.split(".")[0])
         return None if owner is None else owner.prior.get(name)
 
@@ -220,7 +220,7 @@ def offer(
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """What an identified model says: its effects, and (value, standard deviation) of every number."""
+    """What an identified model says: its effects, and (value, sigma) of every number."""
 
     effects: tuple[Effect, ...]
     prior: Mapping[str, tuple[float, float]]
@@ -236,8 +236,9 @@ def since(model: IdentifiedModel) -> Known:
 
 
 def _unstated(vehicle: Vehicle, offered: Iterable[Effect]) -> set[str]:
-    """Core numbers of which the vehicle file says nothing and that an effect on offer moves under their
-    own name (the centre of mass): were they free in every model, the effect could never be needed."""
+    """Core numbers of which the vehicle file says nothing and that an effect on offer moves under
+    their own name (the centre of mass): were they free in every model, the effect could never be
+    needed."""
     moved = {slot for e in offered if e.stage == "body" for slot in e.case.expected}
     return {b.quantity for b in vehicle.beliefs.assumed if group_of(b.quantity) in moved}
 

@@ -6,20 +6,19 @@ For a structure S with the cause c and a rival R without it, and flights D1 and 
 
 If R is the truth, P(E >= 1/a) <= a in finite samples, whatever the number of parameters, at bounds,
 with thresholds and delays (Wasserman, Ramdas and Balakrishnan 2020, PNAS 117(29): universal
-inference). The numerator is evidence of D1 and D2 together less that of D1. Some forty unknowns that
-S and R share (noise levels, core, biases and start of a flight) are then fitted to D2 in the
+inference). The numerator is evidence of D1 and D2 together less that of D1. Some forty unknowns
+that S and R share (noise levels, core, biases and start of a flight) are then fitted to D2 in the
 denominator alone. The e-value of a name is therefore the mean of this one and of the sharper
 
     E = p(D2 | S, D1) / p(D2 | R, D1) / regret,
 
 in which both sides integrate what they share over what D1 taught, as group invariance allows
-(Perez-Ortiz, Lardy, de Heide and Gruenwald 2024, Annals of Statistics 52(4)), and only what R has in
-the place of c is taken at its worst: `regret` is the supremum over D2 against the integral. Where the
-first alone decides the second is not worked out, and counts as nothing. Evidence is Laplace's
-approximation and the invariance that of a linear model, so that for a vehicle the bound holds as
-well as these do, and not in finite samples. The e-value of a name is
-that against its strongest rival. Without D2 flights are halved, and the mean of both ways is an
-e-value, too.
+(Perez-Ortiz, Lardy, de Heide and Gruenwald 2024, Annals of Statistics 52(4)), and only what R has
+in the place of c is taken at its worst: `regret` is the supremum over D2 against the integral.
+Where the first alone decides the second is not worked out, and counts as nothing. Evidence is
+Laplace's approximation and the invariance that of a linear model, so that for a vehicle the bound
+holds as well as these do, and not in finite samples. The e-value of a name is that against its
+strongest rival. Without D2 flights are halved, and the mean of both ways is an e-value, too.
 """
 
 from __future__ import annotations
@@ -123,8 +122,9 @@ def halves(data: Dataset) -> tuple[Dataset, Dataset]:
 def certificates(
     at: Fitted, rivals: Mapping[str, Sequence[Rival]], judges: Sequence[Split], bar: float
 ) -> dict[str, Certificate]:
-    """Name -> certificate, of every name of `rivals` in the structure `at`. Every rival is fitted to
-    the flights that judge until it cannot be the strongest: its e-value is then the least it has."""
+    """Name -> certificate, of every name of `rivals` in the structure `at`. Every rival is fitted
+    to the flights that judge until it cannot be the strongest: its e-value is then the least it
+    has."""
     behind = judges[0].both.effort.behind
     out = {}
     for name, rows in rivals.items():
@@ -148,8 +148,8 @@ def certificates(
 def certificates_beside(
     flights: Flights, written: Fitted, names: Iterable[str], judges: Sequence[Split], bar: float
 ) -> dict[str, Certificate]:
-    """Certificates of names next to laws: `written` is the structure on `flights` with both, and its
-    rivals are those without a name."""
+    """Certificates of names next to laws: `written` is the structure on `flights` with both, and
+    its rivals are those without a name."""
     rivals = {}
     for name in names:
         without = flights.fit(written.structure - {name}, [written.known], rough=True)
@@ -189,8 +189,7 @@ def _log_e(
 
 
 def _less(log_e: float, *fits: Fitted) -> float:
-    """A log e-value against which counts whatever its fits may still gain. Nothing where a fit
-    predicts nothing."""
+    """A log e-value less what its fits may still gain; -inf where a fit predicts nothing."""
     if not all(f.value.valid for f in fits) or not np.isfinite(log_e):
         return -np.inf
     return log_e - sum(f.may_gain for f in fits)
@@ -215,8 +214,8 @@ def _keys(both: Fitted, split: Split, causes: Sequence[str]) -> list[Key]:
 
 
 def regret(first: Fitted, both: Fitted, keys: Sequence[Key]) -> float:
-    """Log of the supremum over D2 less that of the integral, for the unknowns `keys` of a rival, all
-    others integrated, to second order: with information V1 from D1 and V from both,
+    """Log of the supremum over D2 less that of the integral, for the unknowns `keys` of a rival,
+    all others integrated, to second order: with information V1 from D1 and V from both,
 
         log det(V) / 2 - log det(V1) / 2 + d' V1 d / 2 + (V1 d)' (V - V1)^-1 (V1 d) / 2,
 

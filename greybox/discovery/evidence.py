@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import pickle
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -23,19 +24,22 @@ from greybox.data import Dataset
 from greybox.discovery.cause import Causes
 from greybox.discovery.rules import EFFORT, Effort
 from greybox.estimation.engine import engine_for
-from greybox.estimation.fit import Fit, fit
+from greybox.estimation.few_samples import demand_samples
+from greybox.estimation.fit import Fit, concluded
 from greybox.estimation.initialisation import noise_start
 from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import Problem, Value, make_problem
-from greybox.estimation.solver import Objective, Progress
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND, LevenbergMarquardt
 from greybox.estimation.status import Code, Status
+from greybox.model.dynamics import Dynamics
 from greybox.symbolic import BoolArray, FloatArray
 
 Key = tuple[str, str | None]
 """An unknown and, where it is one flight's own, the flight (or record)."""
 Structure = frozenset[str]
 Start = Mapping[Key, float]
+Solution = tuple[FloatArray, Status, Value]
+"""Unknowns (n,), how the solver ended, and the value there."""
 WEAK = 1e-8
 """Precision, per squared scale, of an unknown without prior that nothing tells: a flat prior."""
 
@@ -43,7 +47,8 @@ WEAK = 1e-8
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fitted:
     """A structure at its maximum a posteriori on some flights. `log_evidence` is that of the
-    flights, `theta` (n,) all unknowns of `problem`, `value` its cost, gradient and Hessian there."""
+    flights, `theta` (n,) all unknowns of `problem`, `value` its cost, gradient and Hessian
+    there."""
 
     structure: Structure
     problem: Problem
@@ -124,21 +129,6 @@ def _log_mass(low: float, high: float, mean: float, sigma: float) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _There:
-    """A solver that knows the answer."""
-
-    theta: FloatArray
-    status: Status
-    name: str = "levenberg-marquardt"
-
-    def solve(
-        self, problem: Objective, start: FloatArray, progress: Progress | None = None
-    ) -> tuple[FloatArray, Status]:
-        """The answer."""
-        return self.theta, self.status
-
-
-@dataclass(frozen=True, kw_only=True)
 class Task:
     """One fit in plain values: a structure, unknowns to start from, of which the likeliest is taken
     (none: noise levels from the data), and where the solver stops."""
@@ -163,13 +153,7 @@ class Flights:
 
     def on(self, data: Dataset, *, flat: bool = False) -> Flights:
         """The same causes on other flights; `flat`: no parameter has a prior."""
-        return Flights(
-            causes=replace(self.causes, flat=flat),
-            data=data,
-            options=self.options,
-            effort=self.effort,
-            executor=self.executor,
-        )
+        return replace(self, causes=replace(self.causes, flat=flat), data=data, _known={})
 
     def fit(
         self,
@@ -197,8 +181,8 @@ class Flights:
     def contest(
         self, asked: Sequence[tuple[Structure, Sequence[Start]]], than: Fitted
     ) -> list[Fitted]:
-        """Structures that are held against each other and against `than`, each from the likeliest of
-        its starts: carried on as long as they may catch up, and exact where they come near."""
+        """Structures that are held against each other and against `than`, each from the likeliest
+        of its starts: carried on as long as they may catch up, and exact where they come near."""
         e = self.effort
         new = [(s, tuple(starts)) for s, starts in asked if s not in self._known]
         self.prepare(s for s, _ in new)
@@ -219,12 +203,9 @@ class Flights:
         target = best.value.likelihood + e.behind
         on = [f for f in found() if not f.exact and f.status.code is Code.MAX_ITERATIONS]
         on = [f for f in on if f.value.likelihood - target <= f.may_gain]
+        left = e.iterations - e.opening
         goes_on = Task(
-            structure=frozenset(),
-            starts=(),
-            tolerance=e.rough,
-            iterations=e.iterations - e.opening,
-            target=target,
+            structure=frozenset(), starts=(), tolerance=e.rough, iterations=left, target=target
         )
         self._carried_out([replace(goes_on, structure=f.structure, starts=(f.known,)) for f in on])
         best = max([than, *found()], key=lambda f: f.log_evidence)
@@ -234,18 +215,16 @@ class Flights:
         return found()
 
     def _carried_out(self, tasks: Sequence[Task], exact: bool = False) -> list[Fitted]:
-        """Carry out tasks, side by side where there is an executor; what cannot be sent runs here."""
+        """Tasks, side by side where there is an executor; what cannot be sent runs here."""
         common = self.causes, self.data, self.options
+        problems = [self._problem(t.structure) for t in tasks]
         if self.executor is not None and len(tasks) > 1 and _sendable((common, tasks)):
             sent = [self.executor.submit(solved, *common, t) for t in tasks]
             answers = [f.result() for f in sent]
         else:
-            answers = [solved(*common, t) for t in tasks]
+            answers = [solution(p, t) for p, t in zip(problems, tasks, strict=True)]
         out = []
-        for task, (theta, status) in zip(tasks, answers, strict=True):
-            with threadpool_limits(limits=1):
-                problem = problem_of(*common, task.structure)
-                value = problem.evaluate(theta)
+        for task, problem, (theta, status, value) in zip(tasks, problems, answers, strict=True):
             evidence = -np.inf
             if value.valid and value.hessian is not None:
                 evidence = log_evidence(problem, theta, value)
@@ -261,17 +240,24 @@ class Flights:
             out.append(self._known[task.structure])
         return out
 
+    def _problem(self, structure: Structure) -> Problem:
+        """That of an earlier fit where there was one."""
+        known = self._known.get(structure)
+        if known is not None:
+            return known.problem
+        with threadpool_limits(limits=1):
+            return problem_of(self.causes, self.data, self.options, structure)
+
     def known(self, structure: Iterable[str]) -> Fitted | None:
         """The fit of a structure that was done already."""
         return self._known.get(frozenset(structure))
 
     def prepare(self, structures: Iterable[Structure]) -> None:
-        """Build the steps that fits of these structures need, side by side: compilers are
-        processes."""
+        """Build the steps of these structures side by side: compilers are processes."""
 
         def build(structure: Structure) -> None:
             model = self.causes.built(sorted(structure))
-            wanted = set(choices(self.causes, self.options, structure).free or ())
+            wanted = set(choices(self.causes, self.options, structure, model).free or ())
             engine_for(model, tuple(d.name for d in model.parameters if d.name in wanted))
 
         with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
@@ -279,16 +265,20 @@ class Flights:
 
     def settled(self, found: Fitted) -> Fit:
         """The whole result of a fit, with errors, as `greybox.estimation.fit` gives it."""
-        p = found.problem
-        options = choices(self.causes, self.options, found.structure)
-        solver = _There(theta=found.theta, status=found.status)
-        return fit(p.dynamics, self.data, options, solver=solver)
+        problem = found.problem
+        demand_samples(problem)
+        options = choices(self.causes, self.options, found.structure, problem.dynamics)
+        now = time.perf_counter()
+        with threadpool_limits(limits=1):
+            return concluded(problem, self.data, options, found.theta, found.status, now)
 
 
-def choices(causes: Causes, options: FitOptions, structure: Structure) -> FitOptions:
-    """What is free, and every prior, in a fit of a structure."""
+def choices(
+    causes: Causes, options: FitOptions, structure: Structure, model: Dynamics
+) -> FitOptions:
+    """What is free, and every prior, in a fit of a structure, whose `model` it is."""
     chosen = [causes.offered[n] for n in sorted(structure)]
-    declared = {d.name: d for d in causes.built(sorted(structure)).parameters}
+    declared = {d.name: d for d in model.parameters}
     own = [p for c in chosen for p in c.parameters if p in declared]
     lasting = [n for n in declared if n.split(".")[0] == "disturbance"]
     priors = {n: p for n, d in declared.items() if (p := causes.prior(d)) is not None}
@@ -310,25 +300,29 @@ def choices(causes: Causes, options: FitOptions, structure: Structure) -> FitOpt
 def problem_of(causes: Causes, data: Dataset, options: FitOptions, structure: Structure) -> Problem:
     """The unknowns and the cost of a structure. Raises `DataError`, `ModelError`."""
     model = causes.built(sorted(structure))
-    return make_problem(model, data, choices(causes, options, structure))
+    return make_problem(model, data, choices(causes, options, structure, model))
 
 
-def solved(
-    causes: Causes, data: Dataset, options: FitOptions, task: Task
-) -> tuple[FloatArray, Status]:
-    """Carry out one task: (unknowns (n,), how the solver ended)."""
+def solved(causes: Causes, data: Dataset, options: FitOptions, task: Task) -> Solution:
+    """Carry out one task that was sent."""
     with threadpool_limits(limits=1):
         problem = problem_of(causes.canonical(), data, options, task.structure)
+    return solution(problem, task)
+
+
+def solution(problem: Problem, task: Task) -> Solution:
+    """Carry out one task on its problem."""
+    with threadpool_limits(limits=1):
         offered = [problem.inside(vector(problem, s)) for s in task.starts]
         offered = offered or [noise_start(problem)]
         start = offered[0]
         if len(offered) > 1:
             start = min(offered, key=lambda t: problem.evaluate(t, 0).cost)
-        most = task.iterations
         solver = LevenbergMarquardt(
-            tolerance=task.tolerance, max_iterations=most, target=task.target
+            tolerance=task.tolerance, max_iterations=task.iterations, target=task.target
         )
-        return solver.solve(problem, start)
+        theta, status = solver.solve(problem, start)
+        return theta, status, problem.evaluate(theta)  # kept by the problem
 
 
 def _sendable(content: object) -> bool:

@@ -1,8 +1,8 @@
 """Further: more flights multiply the evidence of names that were found before.
 
-New flights D judge the structure S that a search ended with, its posterior as the prior, against the
-structure without a name and against that name's strongest rival, both fitted to D at their worst;
-of what was known each number's own error counts, not how the errors go together (universal
+New flights D judge the structure S that a search ended with, its posterior as the prior, against
+the structure without a name and against that name's strongest rival, both fitted to D at their
+worst; of what was known each number's own error counts, not how the errors go together (universal
 inference, see `greybox.discovery.certificate`):
 
     E = p(D | S, what was known) / sup p(D | R, theta).
@@ -38,7 +38,8 @@ def further(
     """The `content` of discovery.json with the evidence of new flights `data` multiplied to that of
     its names; `model` is the one beside it, `own` are effects besides the catalogue.
 
-    Raises `DataError` where a flight judged already or nothing has a name, `ModelError`, `FitError`.
+    Raises `DataError` where a flight judged already or nothing has a name, `ModelError`,
+    `FitError`.
     """
     taken = {*content["trained_on"], *content["tested_on"]}
     if twice := sorted(taken & set(data.names)):
@@ -100,7 +101,7 @@ def further(
 def _rivals(
     structure: Structure, effect: Mapping[str, Any], offered: Iterable[str]
 ) -> list[Structure]:
-    """The structures that do without a name: it is dropped, or its strongest rival is in its place."""
+    """The structures that do without a name: dropped, or its strongest rival in its place."""
     left = structure - {effect["name"]}
     instead = frozenset(str(effect["against"]).split(" + "))
     return [left, left | instead] if instead <= set(offered) else [left]

@@ -1,13 +1,15 @@
 """Left: what the unnamed force and torque still hold, and whether it can be written down.
 
-Every structure carries force and torque as Gauss-Markov states. An axis whose state the flights need
-next to all names holds something: how large it is, how long it lasts and, where terms of a small
-library (greybox.residual.laws.terms) explain it on flights that were left out, the law. A law is written
-as an effect file and enters the race as any other cause: it stays where the evidence says so.
+Every structure carries force and torque as Gauss-Markov states. An axis whose state the flights
+need next to all names holds something: how large it is, how long it lasts and, where terms of a
+small library (greybox.residual.laws.terms) explain it on flights that were left out, the law. A law
+is written as an effect file and enters the race as any other cause: it stays where the evidence
+says so.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -45,8 +47,8 @@ class Left:
     taken: tuple[str, ...] = ()
 
     def lawful(self, settled: Fit) -> IdentifiedModel:
-        """The model of `written`, whose whole result is `settled`, its laws read from the files that
-        hold its numbers: a model file goes with the files beside it."""
+        """The model of `written`, whose whole result is `settled`, its laws read from the files
+        that hold its numbers: a model file goes with the files beside it."""
         effects = proposed(self.laws, self.taken)
         own = [e.name for e in effects]
         dynamics = with_physics(
@@ -68,10 +70,16 @@ class Left:
 def axis_gains(at: Fitted, bar: float) -> dict[str, tuple[float, bool]]:
     """Axis -> (log likelihood lost when its state is taken away and white noise takes over what it
     can, whether that is clear and worth anything). All else stays, which overstates the loss."""
+    least = -0.5 * np.log1p(-RULES.trace) * sum(r.n for r in at.problem.records)
+    return {axis: (lost, lost > max(bar, least)) for axis, lost in _lost(at).items()}
+
+
+@functools.lru_cache(maxsize=8)
+def _lost(at: Fitted) -> Mapping[str, float]:
+    """Axis -> its loss, see `axis_gains`; asked of one fit again and again."""
     problem, theta = at.problem, at.theta
     place = {u.name: i for i, u in enumerate(problem.unknowns)}
-    samples = sum(r.n for r in problem.records)
-    out: dict[str, tuple[float, bool]] = {}
+    out: dict[str, float] = {}
     for name, i in place.items():
         axis = name.removeprefix("noise.process.disturbance.")
         if axis == name:
@@ -83,11 +91,11 @@ def axis_gains(at: Fitted, bar: float) -> dict[str, tuple[float, bool]]:
             still[i] = max(problem.lower[i], theta[i] - SILENT)
             high = problem.upper[white]
             still[white] = min(max(theta[white], theta[i]) + louder, high)
-            value = problem.evaluate(still, 0)
-            best = min(best, value.likelihood if value.valid else np.inf)
-        lost = best - at.value.likelihood if np.isfinite(best) else np.inf
-        share = -np.expm1(-2 * lost / max(samples, 1))
-        out[axis] = float(lost), bool(lost > bar and share > RULES.trace)
+            likelihood = problem.evaluate(still, 0).likelihood
+            if likelihood > best:  # it has passed its minimum
+                break
+            best = likelihood
+        out[axis] = float(best - at.value.likelihood)
     return out
 
 

@@ -235,6 +235,8 @@ def scored(flights: Flights, at: Fitted) -> Scores:
 def _brings_motion(flights: Flights, at: Fitted, name: str) -> bool:
     """Whether a cause brings states of the rigid body that the fit does not have."""
     have = set(at.problem.dynamics.states.names)
+    if {n.split(".")[0] for n in have} >= set(BODY):
+        return False
     more = set(flights.causes.built(sorted({*at.structure, name})).states.names) - have
     return any(n.split(".")[0] in BODY for n in more)
 

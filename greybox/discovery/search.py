@@ -2,8 +2,8 @@
 
 Moves are add, add together, drop, and swap one cause for another. Every structure has a prior: a
 cause that is not in the base costs the logarithm of how many were offered, so that many candidates
-make no name (Scott and Berger 2010, Annals of Statistics 38(5)). What is tried is heuristic; what is
-taken is the evidence.
+make no name (Scott and Berger 2010, Annals of Statistics 38(5)). What is tried is heuristic; what
+is taken is the evidence.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Search:
     # ---------------------------------------------------------------- moves
 
     def _add(self, at: Fitted) -> Fitted | None:
-        """The structure with one cause, or several, more, those of the sensors' noise among them."""
+        """The structure with one cause or several more, noise of sensors among them."""
         scores = self.scores = scored(self.flights, at)
         # What is not felt alone can only explain what is there and has no name. What acts with
         # another only (a wind with a drag) is offered before others bend into its place.

@@ -20,7 +20,6 @@ from greybox.data.lead import without_lead_in
 from greybox.discovery.alike import separating
 from greybox.discovery.cause import Causes, offer, since
 from greybox.discovery.certificate import certificates, certificates_beside, splits
-from greybox.discovery.colour import sensor_table
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.left import Left, left_over
 from greybox.discovery.name import Name, impossible, judged, unneeded
@@ -30,6 +29,7 @@ from greybox.discovery.search import Search
 from greybox.discovery.worth import worth
 from greybox.errors import DataError, GreyboxError, ModelError, UnknownNameError
 from greybox.estimation.fit import Fit
+from greybox.estimation.noise_table import sensor_table
 from greybox.estimation.options import says_choices
 from greybox.estimation.record import sample_time
 from greybox.model.identified import IdentifiedModel
@@ -57,8 +57,8 @@ def discover(
     executor: concurrent.futures.Executor | None = None,
     **choices: Unpack[DiscoverChoices],
 ) -> Discovery:
-    """Find, certify and add what the model of `vehicle` misses on the flights of `train`; flights of
-    `test` did not propose and judge (without any, halves of `train` judge each other).
+    """Find, certify and add what the model of `vehicle` misses on the flights of `train`; flights
+    of `test` did not propose and judge (without any, halves of `train` judge each other).
 
     The choices are keywords, fields of `DiscoverOptions` with its defaults, or `options` as a
     whole: own, alpha, max_effects, adapt, kinematic_noise, per_flight, fixed, hold_sensor_noise,
@@ -67,7 +67,8 @@ def discover(
     `faults`: what `check_logs` said about the files (by default the data sets are checked, which no
     longer show faults of their clock). `save` gets what is known after every step, with the verdict
     "stopped", so that an interruption loses nothing. `executor` fits rivals side by side, with the
-    same result. Raises `DataError`, `ModelError`, `FitError`, `UnknownNameError` (of a choice, too).
+    same result. Raises `DataError`, `ModelError`, `FitError`, `UnknownNameError` (of a choice,
+    too).
     """
     began = time.perf_counter()
     options = DiscoverOptions.of(options, choices)
@@ -200,7 +201,8 @@ class _Run:
 
     @property
     def bar(self) -> float:
-        """Log e-value of a name: one over alpha, times the causes that were offered (Bonferroni)."""
+        """Log e-value of a name: one over alpha, times the causes that were offered
+        (Bonferroni)."""
         offered = len(self.flights.causes.effects)
         return float(np.log(max(offered, 1) / self.options.alpha))
 

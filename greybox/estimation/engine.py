@@ -1,11 +1,11 @@
 """Engine: one step of a Dynamics with its exact sensitivities, compiled to C, and the recursions
 over a record.
 
-The step is linearised symbolically in the error state (SX, sparse). The step itself is generated as C, its
-linearisation is a tape (`greybox.estimation.tape`); both are driven by a small hand-written loop (driver.c)
-that carries the sensitivities S = d(error state)/d(parameters).
-Without a C compiler the same functions run in CasADi's VM under the same recursion in NumPy: the
-same numbers, slower. The file is long because both are one recursion, and are read side by side.
+The step is linearised symbolically in the error state (SX, sparse). The step itself is generated as
+C, its linearisation is a tape (`greybox.estimation.tape`); both are driven by a small hand-written
+loop (driver.c) that carries the sensitivities S = d(error state)/d(parameters). Without a C
+compiler the same functions run in CasADi's VM under the same recursion in NumPy: the same numbers,
+slower.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True)
 class GainTable:
-    """Correction per pattern of missing channels: gain (n_pat, n_d, n_e), its derivative per pattern (n_k, n_d, n_e)
-    in the first n_k columns of the sensitivities, or None.
+    """Correction per pattern of missing channels: gain (n_pat, n_d, n_e), its derivative per
+    pattern (n_k, n_d, n_e) in the first n_k columns of the sensitivities, or None.
 
     `zero[i]` true: pattern i corrects nothing (pure simulation).
     """

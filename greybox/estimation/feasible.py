@@ -7,6 +7,14 @@ which is the triangle inequality and makes J positive definite (Wensing, Kim and
 Linear matrix inequalities for physically consistent inertial parameter identification, IEEE RA-L
 3(1), sec. III). The margins below are the second moments over the trace of J; a sphere has 1/6
 three times, a flat plate has 0 across.
+
+With a mass above zero this says that the pseudo-inertia matrix, of mass, first and second moments,
+is positive definite, wherever the centre of mass lies. Cost is infinite elsewhere, so that every
+iterate is a possible body, as in log-Cholesky coordinates (Rucker and Wensing 2022, IEEE RA-L
+7(2)). A search in these is not better here: flights that pull across would lead it to a body
+without thickness, at infinity and with no error bar, unless the wall stands there too; and a moment
+that is held, or has a bound, is none of its coordinates. Draws of bodies are made in them
+(`greybox.simulators.coordinates`).
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ from greybox.statistics.blocks import block_samples
 from greybox.statistics.whiteness import is_coloured
 from greybox.symbolic import BoolArray, FloatArray
 
-__all__ = ["Estimate", "Fit", "FitOptions", "fit", "member", "noise_of"]
+__all__ = ["Estimate", "Fit", "FitOptions", "concluded", "fit", "member", "noise_of"]
 
 
 @says_choices(FitOptions)
@@ -101,11 +101,24 @@ def fit(
             theta, status = solver.solve(problem, problem.inside(start), progress)
         except Interrupted as stop:
             theta, status = stop.kept
-        held = considered(problem, data, options, theta)
-        result = _finish(problem, data, theta, status, began, _settings(problem, options), held)
+        result = concluded(problem, data, options, theta, status, began)
     if status.code is Code.INTERRUPTED:
         raise Interrupted(result)
     return result
+
+
+def concluded(
+    problem: Problem,
+    data: Dataset,
+    options: FitOptions,
+    theta: FloatArray,
+    status: Status,
+    began: float,
+) -> Fit:
+    """The whole result of a search for the unknowns of `problem`, made of `data` and `options`,
+    that `began` (`time.perf_counter`) and ended at `theta` (n,) with this status."""
+    held = considered(problem, data, options, theta)
+    return _finish(problem, data, theta, status, began, _settings(problem, options), held)
 
 
 def _settings(problem: Problem, options: FitOptions) -> dict[str, Any]:
@@ -219,7 +232,8 @@ def _finish(
             spread = replace(spread, fisher=spread.fisher + more, sandwich=spread.sandwich + more)
         if status.converged and newton_decrement(g, value.hessian, held) > 1e-2:
             warnings.append(
-                "the solver stopped at its own tolerance, but a full step would still lower the cost"
+                "the solver stopped at its own tolerance, but a full step would still lower the "
+                "cost"
             )
     one_step = problem.predictor.one_step
     blocks = list(one_step.blocks(problem, theta, False)) if value.valid else []
@@ -236,20 +250,23 @@ def _finish(
     if not status.converged:
         warnings.insert(0, status.advice)
     warnings += [
-        f"{n} is at its bound {e.value:.4g} {e.unit}: no error bar; check the vehicle file or the effect list"
+        f"{n} is at its bound {e.value:.4g} {e.unit}: no error bar; check the vehicle file or the "
+        "effect list"
         for n, e in estimates.items()
         if e.at_bound
     ]
     nearer = considered.told if status.converged and not coloured else {}
     warnings += [
-        f"{n} is held, but these flights tell it to {error:.2g}, nearer than its stated error of {stated:.2g}: "
+        f"{n} is held, but these flights tell it to {error:.2g}, nearer than its stated error of "
+        f"{stated:.2g}: "
         "estimate it (leave it out of --fixed and --considered)"
         for n, (error, stated) in nearer.items()
     ]
     gaps = _gappy(problem)
     if gaps and problem.predictor.name == "innovation":
         warnings.append(
-            f"{', '.join(gaps)} missing in more than 5 % of the samples, without a rhythm: the gain assumes that they are "
+            f"{', '.join(gaps)} missing in more than 5 % of the samples, without a rhythm: the "
+            "gain assumes that they are "
             "there; use the kalman predictor"
         )
     total_held = sum(r.held for r in problem.records)
@@ -322,8 +339,8 @@ def _finish(
 
 
 def _moves(problem: Problem, keep: Sequence[int], moves: FloatArray) -> dict[str, float]:
-    """Parameter -> how far it moves per unit of a held one, of those in `keep`, from `moves` (n,) of
-    all unknowns; of one with a value in every flight the mean over flights."""
+    """Parameter -> how far it moves per unit of a held one, of those in `keep`, from `moves` (n,)
+    of all unknowns; of one with a value in every flight the mean over flights."""
     each: dict[str, list[float]] = {problem.unknowns[i].name: [] for i in keep}
     for u, move in zip(problem.unknowns, moves.tolist(), strict=True):
         if u.name in each:

@@ -68,6 +68,7 @@ class Problem:
     thresholds: frozenset[str] = frozenset()
     spreads: tuple[FloatArray, ...] | None = None
     _prepared: dict[Predictor[object], object] = field(init=False, repr=False, default_factory=dict)
+    _best: list[tuple[bytes, Value]] = field(init=False, repr=False, default_factory=list)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "records", tuple(self.records))
@@ -216,7 +217,18 @@ class Problem:
 
     def evaluate(self, theta: FloatArray, order: int = 1, scores: int | None = None) -> Value:
         """Cost at `theta`; order 1 adds gradient and Hessian, `scores` the block scores of that
-        many samples."""
+        many samples. The best point with a gradient is kept: where a search ended is asked
+        again."""
+        known = [v for at, v in self._best if scores is None and at == theta.tobytes()]
+        if known:
+            return known[0]
+        value = self._evaluated(theta, order, scores)
+        better = not self._best or value.cost < self._best[0][1].cost
+        if better and value.valid and value.gradient is not None:
+            self._best[:] = [(theta.tobytes(), value)]
+        return value
+
+    def _evaluated(self, theta: FloatArray, order: int, scores: int | None) -> Value:
         limit = wall(self.bodies, theta)
         if not np.isfinite(limit.cost):
             return Value(cost=np.inf, likelihood=np.inf, valid=False)
@@ -406,8 +418,8 @@ def _initial_unknowns(
 def _levels(
     dynamics: Dynamics, dt: float, noise: Mapping[str, float], held: Iterable[str] = ()
 ) -> tuple[FloatArray, FloatArray]:
-    """(process (n_w), sensor (n_e)) levels: the model's, those in `noise` in their place. Raises `UnknownNameError` for
-    a name among `noise` or `held` that is none."""
+    """(process (n_w), sensor (n_e)) levels: the model's, those in `noise` in their place. Raises
+    `UnknownNameError` for a name among `noise` or `held` that is none."""
     process, sensor = dynamics.noise_scale(dt), dynamics.sensor_scale()
     known = [f"noise.process.{n}" for n in dynamics.noises.names]
     known += [f"noise.sensor.{n}" for n in dynamics.innovations.names]

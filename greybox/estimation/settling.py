@@ -180,8 +180,8 @@ class Settling:
 
     def gains(self, record: Record, spread: FloatArray | None) -> RecordGains:
         """The filter of a record, from the standard deviations `spread` (n_d,) of the errors of its
-        start (infinite: the stationary one of a Gauss-Markov state under its noise); without them as
-        if it had always run."""
+        start (infinite: the stationary one of a Gauss-Markov state under its noise); without them
+        as if it had always run."""
         pattern = record.usual
         solutions = list(self.settled(pattern))
         node = np.arange(record.n) % len(solutions)
@@ -363,7 +363,8 @@ class Settling:
     def _alike(self, one: Riccati, settled: Riccati) -> bool:
         """Whether gains and innovation covariances agree to `SETTLED`."""
         s = np.sqrt(np.diag(settled.S))
-        # A state without noise, which settles at zero (rounded: below it), counts as zero from some size on.
+        # A state without noise, which settles at zero (rounded: below it), counts as zero from some
+        # size on.
         size = np.sqrt(np.maximum(np.diag(settled.P), 0.0)) + NOTHING * self._unit
         off_s = np.abs(one.S - settled.S) / np.outer(s, s)
         off_n = np.abs(one.N - settled.N) / np.outer(size, s)
@@ -374,7 +375,7 @@ def kept_up(values: Sequence[FloatArray], q: FloatArray, own: npt.NDArray[np.int
     """Stationary variances (k,) of Gauss-Markov states `own` (k,), each fed by its noise alone, of
     the linear system (A, G, ...) under process noise of variances `q` (n_w,)."""
     a, g = values[0], values[1]
-    return np.asarray(g[own] ** 2 @ q / (1 - a[own, own] ** 2))
+    return np.asarray(g[own] ** 2 @ q / (1 - (a[np.ix_(own, own)] ** 2).sum(axis=1)))
 
 
 def start_variances(record: Record, values: Sequence[FloatArray], q: FloatArray) -> FloatArray:

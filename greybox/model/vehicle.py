@@ -4,7 +4,6 @@
 A number is exact (sigma 0) or a prior (value and one standard deviation). One that states no sigma
 is believed within the default of its quantity (see `beliefs`); in files of schema
 "greybox.vehicle/1" it is exact. SI units; body axes FLU from the body origin.
-The file is long because the class is one thing: the same tables are read, checked and written.
 """
 
 from __future__ import annotations
@@ -101,8 +100,8 @@ class Vehicle(Shown):
     Jyy, Jzz.
 
     `effects` maps effect names to their parameters (the model's catalogue knows which names exist);
-    `noise` has the known sensor sigmas by sensor name (see `NOISES`); `columns` says which
-    fields of its logs are which channels. `assumed` names the numbers whose sigma is the default of their
+    `noise` has the known sensor sigmas by sensor name (see `NOISES`); `columns` says which fields
+    of its logs are which channels. `assumed` names the numbers whose sigma is the default of their
     quantity; `schema` is that of the file.
     """
 
@@ -263,7 +262,8 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     data = read_toml(path, what="vehicle file", error=VehicleError)
     if _by_channel(data):
         warnings.warn(
-            f"{path}: [columns] by channel goes with 0.2.0. Usual fix: `greybox vehicle check {path}` prints "
+            f"{path}: [columns] by channel goes with 0.2.0. Usual fix: `greybox vehicle check "
+            f"{path}` prints "
             "it by group (docs/logs.md)",
             OldFormWarning,
             stacklevel=2,
@@ -397,7 +397,8 @@ def _inertia(top: TomlTable, silent: _Silent) -> tuple[Matrix3, Vector3]:
     if not principal[0] > 1e-9 * size:
         raise top.error(
             "inertia",
-            f"singular or not positive definite (principal moments {', '.join(f'{v:.3g}' for v in principal)} kg m^2)",
+            "singular or not positive definite (principal moments "
+            f"{', '.join(f'{v:.3g}' for v in principal)} kg m^2)",
             fix="give positive moments about the centre of mass",
         )
     if principal[2] > (principal[0] + principal[1]) * (1 + TRIANGLE_SLACK) + 3 * math.hypot(*sigma):

@@ -1,8 +1,10 @@
-"""Cells of the discovery grid: which effects hide in which vehicle, how large, and the flights that show them.
+"""Cells of the discovery grid: which effects hide in which vehicle, how large, and the flights that
+show them.
 
-Training flights go through random waypoints, test flights along a figure or a circle; the gains of the flight controller
-change with the seed. A size is a multiple of the noise: the effect changes the one-step errors by that many of their
-standard deviations (RMS over a flight, all channels), measured on a development flight.
+Training flights go through random waypoints, test flights along a figure or a circle; the gains of
+the flight controller change with the seed. A size is a multiple of the noise: the effect changes
+the one-step errors by that many of their standard deviations (RMS over a flight, all channels),
+measured on a development flight.
 """
 
 from __future__ import annotations
@@ -65,7 +67,8 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "attitude": ("omega", "x", "y", "z", "vx", "vy", "vz"),
     "imu": ("omega", "x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz"),
 }
-"""What a log lacks: rotor speeds, nothing, velocity, the IMU, position and velocity, all but gyro and accelerometer."""
+"""What a log lacks: rotor speeds, nothing, velocity, the IMU, position and velocity, all but gyro
+and accelerometer."""
 PAIRS = (
     ("motor_lag", "rotor_drag"),
     ("steady_wind", "rotor_drag"),
@@ -92,8 +95,8 @@ FIVES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Gusts:
-    """RMS of a first-order Gauss-Markov force (share of the weight) and torque (as angular acceleration, `turn` [rad/s^2])
-    on every axis, and how long it lasts."""
+    """RMS of a first-order Gauss-Markov force (share of the weight) and torque (as angular
+    acceleration, `turn` [rad/s^2]) on every axis, and how long it lasts."""
 
     force: float
     turn: float
@@ -105,9 +108,9 @@ GUSTS = Gusts(force=0.03, turn=2.0, seconds=0.3)
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """`hidden` effects at a `size` (a name of `SIZES`, or "flight": where it matters in flight), nominal values "exact" or
-    "off", `noise` "white", "coloured" (that of the sensors) or "gusts" (of force and torque), `columns` one of
-    `COLUMNS`, `rate` [Hz] of controller and log."""
+    """`hidden` effects at a `size` (a name of `SIZES`, or "flight": where it matters in flight),
+    nominal values "exact" or "off", `noise` "white", "coloured" (that of the sensors) or "gusts"
+    (of force and torque), `columns` one of `COLUMNS`, `rate` [Hz] of controller and log."""
 
     vehicle: str = "x250"
     hidden: tuple[str, ...] = ()
@@ -129,7 +132,8 @@ class Cell:
 
 
 def cases(frame: Airframe) -> dict[str, list[hidden.PlantEffect]]:
-    """Case name -> hidden effects at the size at which they matter in flight; it follows mass, inertia and rotor speed."""
+    """Case name -> hidden effects at the size at which they matter in flight; it follows mass,
+    inertia and rotor speed."""
     weight = float(frame.mass) * 9.81
     jx, jy, jz = (float(j) for j in frame.inertia)
     arm = float(max(abs(v) for r in frame.rotors for v in r.position[:2]))
@@ -187,17 +191,18 @@ def scaled(effect: hidden.PlantEffect, factor: float) -> hidden.PlantEffect:
     if isinstance(effect, hidden.RotorAsymmetry):
         return hidden.RotorAsymmetry(delta=tuple(factor * float(d) for d in effect.delta))
     own = {key.split(".")[1] for key in effect.parameters()}
-    return replace(
-        effect,
-        **{f.name: factor * getattr(effect, f.name) for f in fields(effect) if f.name in own},
-    )  # type: ignore[type-var, arg-type]
+    names = [f.name for f in fields(effect) if f.name in own]  # type: ignore[arg-type]
+    larger = {n: factor * getattr(effect, n) for n in names}
+    return replace(effect, **larger)  # type: ignore[type-var]
 
 
 @functools.cache
 def in_noise(vehicle: str, seconds: float) -> dict[str, float]:
-    """Case -> RMS change of the one-step errors in their standard deviations, at the size at which it matters in flight.
+    """Case -> RMS change of the one-step errors in their standard deviations, at the size at which
+    it matters in flight.
 
-    To first order, from the information of a development flight (seed 1) of the vehicle without effects.
+    To first order, from the information of a development flight (seed 1) of the vehicle without
+    effects.
     """
     plant = MAKERS[vehicle]()
     data = flights(plant, (101,), seconds, "size")
@@ -227,8 +232,8 @@ def in_noise(vehicle: str, seconds: float) -> dict[str, float]:
 
 
 def gusts(calm: Quadrotor) -> ProcessNoise:
-    """Force and torque that come and go, on top of the noise of the `calm` vehicle: what every real vehicle feels and no
-    effect of a catalogue explains."""
+    """Force and torque that come and go, on top of the noise of the `calm` vehicle: what every real
+    vehicle feels and no effect of a catalogue explains."""
     frame, level = calm.airframe, (2 / GUSTS.seconds) ** 0.5
     twist = tuple(level * GUSTS.turn * float(j) for j in frame.inertia)
     return replace(
@@ -240,7 +245,8 @@ def gusts(calm: Quadrotor) -> ProcessNoise:
 
 
 def plant_of(cell: Cell) -> tuple[Quadrotor, float | None]:
-    """(the plant with its hidden effects, the multiple of the noise that the size is; None where it was not asked for)."""
+    """(the plant with its hidden effects, the multiple of the noise that the size is; None where it
+    was not asked for)."""
     frame, maker = FRAMES[cell.vehicle], MAKERS[cell.vehicle]
     chosen, size = [effect_of(n, frame) for n in cell.hidden], None
     if cell.size != "flight" and chosen:
@@ -251,7 +257,8 @@ def plant_of(cell: Cell) -> tuple[Quadrotor, float | None]:
 
 
 def nominal(plant: Quadrotor, how: str, seed: int) -> Vehicle:
-    """The vehicle file: "exact", or `OFF` with a sigma of that size (in the direction that the seed chooses)."""
+    """The vehicle file: "exact", or `OFF` with a sigma of that size (in the direction that the seed
+    chooses)."""
     if how == "exact":
         return vehicle_of(plant, {}, {})
     signs = SIGNS[seed % len(SIGNS)]
@@ -317,7 +324,8 @@ def flights(plant: Quadrotor, seeds: Sequence[int], seconds: float, name: str) -
 def flown(
     cell: Cell, seeds: Sequence[int]
 ) -> Iterator[tuple[int, Quadrotor, float | None, Dataset, Dataset]]:
-    """(seed, plant, size in noise, training flights, test flight) for every seed; those with the same gains fly together.
+    """(seed, plant, size in noise, training flights, test flight) for every seed; those with the
+    same gains fly together.
 
     A test flight is half as long as a training flight.
     """

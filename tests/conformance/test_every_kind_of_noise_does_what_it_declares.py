@@ -20,6 +20,7 @@ from greybox.model.noise import (
     Delay,
     Disturbance,
     Drift,
+    Gust,
     Line,
     LowPass,
     disturbances,
@@ -38,13 +39,14 @@ DT = 0.01
 COLUMNS = ("p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz", "x", "y", "z")
 EXAMPLES = {
     "disturbance": Disturbance(group="torque", time=0.4),
+    "gust": Gust(group="force", time=0.4),
     "coloured": Coloured(sensor="gyro", time=0.05),
     "drift": Drift(sensor="gyro"),
     "line": Line(sensor="accelerometer", time=0.5, frequency=13.0),
     "low_pass": LowPass(sensor="accelerometer", time=0.008),
     "delay": Delay(sensor="gyro", time=0.004),
 }
-PARTS = (*EXAMPLES.values(), Disturbance(group="force"), Coloured(sensor="attitude", time=0.2))
+PARTS = (*EXAMPLES.values(), Coloured(sensor="attitude", time=0.2))
 
 
 @pytest.fixture(scope="module")
@@ -105,15 +107,21 @@ def test_sizes_names_and_units_fit(physics, kind):
     assert tuple(s.name for s in model.error_states.signals[len(physics.error_states) :]) == tuple(
         f"d_{s.name}" for s in own
     )
-    where = physics.noises if kind == "disturbance" else physics.innovations
+    where = physics.noises if isinstance(part, Disturbance) else physics.innovations
+    own_group = getattr(part, "group", "")
     units = [
-        s.unit for s in where if s.name.split(".")[0] in ("torque", "p", "q", "r", "ax", "ay", "az")
+        s.unit
+        for s in where
+        if s.name.split(".")[0] in (own_group, "p", "q", "r", "ax", "ay", "az")
     ]
     expected = units[-3:] if part.name.endswith("accelerometer") else units[:3]
     assert [s.unit for s in own] == expected * len(part.copies)
     declared = model.parameters[len(physics.parameters) :]
     assert [d.name for d in declared] == [f"{part.name}.{q}" for q in part.quantities]
-    assert all(d.unit == {"T": "s", "f": "Hz", "d": "s"}[d.name.split(".")[-1]] for d in declared)
+    assert all(
+        d.unit == {"T": "s", "f": "Hz", "d": "s", "world": "-"}[d.name.split(".")[-1]]
+        for d in declared
+    )
     for value, size in (
         (model.reference(dict.fromkeys(COLUMNS, 0.1)), len(model.states)),
         (model.initial_state({})[0], len(model.states)),
@@ -181,6 +189,33 @@ def test_own_states_make_the_step_of_their_closed_form(physics, kind):
     }[kind]
     after = flat(functions(model)["step"](x, u, p, w))[n:]
     assert after == pytest.approx(expected[: c.size] + w[len(physics.noises) :], rel=1e-12)
+
+
+@pytest.mark.parametrize(("world", "still"), [(1.0, "world"), (0.0, "body")])
+def test_a_gust_stands_still_in_the_axes_of_its_share(physics, world, still):
+    """A craft that turns by 3 rad/s for a second: the push of air stays, that of the craft goes
+    along."""
+    model = Augmented(core=physics, parts=(Gust(group="force"),))
+    x, u, p, w = point(model)
+    n, names = len(physics.states), model.states.names
+    attitude, rate = names.index("attitude.w"), names.index("rate.x")
+    p[-2:], u[:] = (1e9, world), 0.5
+
+    def pushed(state):
+        q0, q1, q2, q3 = state[attitude : attitude + 4]
+        v = np.array([q1, q2, q3])
+        turn = (q0**2 - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * q0 * np.cross(np.eye(3), v)
+        return {"world": turn @ state[n:], "body": state[n:]}
+
+    first, step = pushed(x), functions(model)["step"]
+    for _ in range(100):
+        x[rate : rate + 3] = [1.0, 2.0, -2.0]
+        x = flat(step(x, u, p, w))
+    other = {"world": "body", "body": "world"}[still]
+    assert pushed(x)[still] == pytest.approx(
+        first[still], rel=0.01, abs=0.01 * np.abs(first[still]).max()
+    )
+    assert np.linalg.norm(pushed(x)[other] - first[other]) > 0.3 * np.linalg.norm(first[other])
 
 
 def test_a_filter_of_a_ramp_lags_by_its_time_constant():
@@ -258,18 +293,18 @@ def test_parts_predict_the_same_in_whatever_order_they_were_added(physics):
 
 
 def test_adding_parts_to_an_augmented_model_gives_one_augmented_model(physics):
-    sensors = Augmented(core=physics, parts=PARTS[1:4])
+    sensors = Augmented(core=physics, parts=PARTS[2:5])
     both = with_disturbance(sensors, ("torque", "force"))
     assert isinstance(both, Augmented)
     assert both.core is physics
     assert innermost(both) is physics_of(both) is physics
     # Disturbances stand in the order of the process noise, behind the sensors' own noise.
     assert [p.name for p in both.parts] == [
-        *(p.name for p in PARTS[1:4]),
+        *(p.name for p in PARTS[2:5]),
         "disturbance.force",
         "disturbance.torque",
     ]
-    assert sensor_parts(both) == PARTS[1:4]
+    assert sensor_parts(both) == PARTS[2:5]
     assert [d.group for d in disturbances(both)] == ["force", "torque"]
     assert with_white_sensors(both) == with_disturbance(physics, ("force", "torque"))
     assert without_parts(both) is physics
@@ -331,7 +366,8 @@ def test_mistakes_are_named(physics):
 
 @pytest.mark.parametrize("kind", EXAMPLES)
 def test_at_another_rate_it_is_the_same_noise(physics, kind):
-    """Simulated at 100 and at 250 Hz, filters fed with nothing: the same spread after two seconds."""
+    """Simulated at 100 and at 250 Hz, filters fed with nothing: the same spread after two
+    seconds."""
     part = EXAMPLES[kind]
     values = {d.name.removeprefix(f"{part.name}."): d.nominal for d in part.parameters(physics)}
     full = {f"{part.name}.{n}": v for n, v in values.items()}
@@ -339,9 +375,7 @@ def test_at_another_rate_it_is_the_same_noise(physics, kind):
     for dt in (0.01, 0.004):
         size = len(part.copies) * len(part.place(physics).rows)
         c, w = ca.SX.sym("c", size), ca.SX.sym("w", size)
-        reading = (
-            ca.DM.zeros(len(part.place(physics).rows)) if getattr(part, "filters", False) else None
-        )
+        reading = ca.DM.zeros(len(part.place(physics).rows))
         step = part.step(c, w, values, reading, dt)
         a, g = (np.array(ca.DM(ca.jacobian(step, v))) for v in (c, w))
         level = 0.3 * part.rescaled(full, 0.01, dt)

@@ -1,4 +1,5 @@
-"""`--from` takes the numbers of a model with their errors as the prior, and offers its effects no more."""
+"""`--from` takes the numbers of a model with their errors as the prior, and offers its effects no
+more."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ def test_its_effects_are_in_every_model_and_are_no_causes():
 
 def test_its_numbers_with_their_errors_are_the_prior():
     found = causes()
-    options = choices(found, FitOptions(), frozenset())
+    options = choices(found, FitOptions(), frozenset(), found.built(()))
     for name, prior in KNOWN.items():
         assert options.priors[name] == prior
         assert options.values[name] == prior[0]

@@ -1,5 +1,5 @@
-"""Decisions rest on one frozen record of at most eight numbers; every other number of the package is listed here with what
-it does instead, and the package stays short enough to be read."""
+"""Decisions rest on one frozen record of at most eight numbers; every other number of the package
+is listed here with what it does instead, and the package stays short enough to be read."""
 
 from __future__ import annotations
 
@@ -41,7 +41,6 @@ COMPARED = {
     "search._doubted: 3": PROPOSES,
     "certificate.regret: 1e-09": COMPUTES,
     "certificate.regret: 1e-300": COMPUTES,
-    "colour.innovations_of: 4": "lags must be a quarter of the samples, at most",
 }
 """module.function: number in a comparison -> what it does. Zero, one and two need no reason."""
 

@@ -1,4 +1,5 @@
-"""From its first sample a filter weighs readings by how well the start is known, whatever the process noise."""
+"""From its first sample a filter weighs readings by how well the start is known, whatever the
+process noise."""
 
 from __future__ import annotations
 
@@ -97,7 +98,8 @@ def test_stretches_cover_every_sample_once_and_grow_with_time():
 
 @pytest.mark.parametrize("level", [1e-6, 0.05])
 def test_gains_of_a_linear_model_are_those_of_the_kalman_filter(level):
-    """A plain Kalman loop from the spread of the start; between the nodes the gain of the nearest one."""
+    """A plain Kalman loop from the spread of the start; between the nodes the gain of the nearest
+    one."""
     own = problem(rides(1), Innovation(), level)
     found = Innovation().gains(own, own.start, False)[0]
     lin, (x, window) = (
@@ -124,7 +126,8 @@ def test_gains_of_a_linear_model_are_those_of_the_kalman_filter(level):
 @pytest.mark.parametrize("every", [1, 5])
 @pytest.mark.parametrize("level", [1e-6, 0.05])
 def test_the_likelihood_of_a_linear_model_is_that_of_the_kalman_filter(level, every):
-    """The gain of a stretch is held, that of the Kalman filter follows: a tenth of a unit a ride."""
+    """The gain of a stretch is held, that of the Kalman filter follows: a tenth of a unit a
+    ride."""
     data = rides(5, shaken=level, every=every)
     held, exact = (problem(data, p, level) for p in (Innovation(), Kalman()))
     assert held.n == exact.n, "no start is an unknown"
@@ -161,8 +164,9 @@ def blown(predictor: Innovation | Kalman, count: int) -> Problem:
 
 
 def test_a_gust_that_blew_before_the_flight_is_as_likely_as_one_that_comes_later():
-    """The start of a Gauss-Markov process is its stationary state, as large as its level and time say. A spread that
-    does not know them lets whatever is constant in a flight, a bias or a steady force, pay for the first gust."""
+    """The start of a Gauss-Markov process is its stationary state, as large as its level and time
+    say. A spread that does not know them lets whatever is constant in a flight, a bias or a steady
+    force, pay for the first gust."""
     own = blown(Innovation(), 60)
     assert not any(u.kind == "initial" for u in own.unknowns), "the filter carries it"
     size = np.zeros(gusty.ROWS)
@@ -194,7 +198,8 @@ def test_a_lasting_gust_starts_alike_in_every_filter_and_its_slopes_are_exact():
 
 @pytest.mark.parametrize("predictor", ["simulation", "multiple-shooting"])
 def test_a_gust_whose_start_is_an_unknown_is_as_large_as_one_that_a_filter_carries(predictor):
-    """Its prior is the stationary state at the start values of level and time constant, a sensor's and a speed's stay."""
+    """Its prior is the stationary state at the start values of level and time constant, a sensor's
+    and a speed's stay."""
     for time in (gusty.TIME, gusty.TIME / 4):
         own = make_problem(
             gusty.model(),
@@ -257,7 +262,7 @@ def test_a_start_that_readings_do_not_tell_is_an_unknown():
         assert (spread == 0.0) == (name in unknown), name
 
 
-# ------------------------------------------------------------------------------------------------- a whole vehicle
+# -------------------------------------------------------------------------------- a whole vehicle
 
 
 @functools.cache
@@ -294,6 +299,7 @@ def loglik(found: Filtered) -> float:
     return total / found.record.n
 
 
+@pytest.mark.slow
 def test_held_out_flights_of_a_simulator_without_gusts_are_as_likely_as_those_of_the_fit():
     train, held = flights(2, 40), flights(2, 60)
     found = fit(build_model(vehicle(), train.channels, ()), train)

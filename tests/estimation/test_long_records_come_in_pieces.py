@@ -1,4 +1,5 @@
-"""An hour of sensitivities does not fit into memory: the predictor hands out pieces, and no number changes."""
+"""An hour of sensitivities does not fit into memory: the predictor hands out pieces, and no number
+changes."""
 
 from __future__ import annotations
 
@@ -76,6 +77,7 @@ def repeated(times: int) -> Dataset:
     )
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_length():
     peak = {}
     for times in (4, 16):

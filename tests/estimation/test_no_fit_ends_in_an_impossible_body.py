@@ -1,7 +1,9 @@
-"""From whatever start, a fit of a vehicle file of schema /2 ends with moments of inertia that a body can have.
+"""From whatever start, a fit of a vehicle file of schema /2 goes through bodies that can be, and
+ends in one.
 
-The simulated craft helps: its stated moments (1.43e-5, 1.43e-5, 2.89e-5 kg m^2) break the triangle inequality by one per
-cent, as those of rounded tables do, so that the data pull every fit of it towards the wall and across.
+The simulated craft helps: its stated moments (1.43e-5, 1.43e-5, 2.89e-5 kg m^2) break the triangle
+inequality by one per cent, as those of rounded tables do, so that the data pull every fit of it
+towards the wall and across.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.optimize
 
 from greybox.estimation.criteria import CRITERIA
 from greybox.estimation.feasible import NEAR, Body, is_possible, margins, moved_inside, wall
@@ -71,6 +74,29 @@ def test_every_body_of_points_is_possible_and_a_longer_axis_than_the_others_toge
     assert not is_possible(np.diag([1.0, 1.0, -0.1]))
     assert not is_possible(np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]]))
     np.testing.assert_allclose(margins(np.eye(3)), 1 / 6)
+
+
+def pseudo_inertia(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+    """Mass, first and second moments (4, 4) about the origin of body axes, of an inertia about the
+    centre of mass."""
+    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    first = mass * centre[:, None]
+    return np.block([[second + first @ centre[None], first], [first.T, np.array([[mass]])]])
+
+
+def test_a_body_is_possible_exactly_where_its_pseudo_inertia_is_positive_definite():
+    """So that mass above zero and the wall admit all that log-Cholesky coordinates reach, and
+    nothing else."""
+    rng, found = np.random.default_rng(7), []
+    for _ in range(1000):
+        turned = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        second = turned @ np.diag(rng.uniform(-0.2, 1.0, 3)) @ turned.T
+        inertia = np.trace(second) * np.eye(3) - second
+        mass = rng.choice([-1.0, 1.0, 1.0]) * rng.uniform(0.1, 2.0)
+        whole = np.linalg.eigvalsh(pseudo_inertia(mass, rng.standard_normal(3), inertia))
+        found.append(bool(whole[0] > 0))
+        assert found[-1] == (mass > 0 and is_possible(inertia))
+    assert 200 < sum(found) < 800
 
 
 def test_the_wall_is_felt_only_near_it_and_its_slope_is_that_of_its_height():
@@ -182,6 +208,7 @@ def ends(vehicle: Vehicle, count: int) -> list[bool]:
     return out
 
 
+@pytest.mark.slow
 def test_five_fits_from_random_starts_end_in_possible_bodies(stranger):
     assert all(ends(stranger, 5))
 
@@ -191,12 +218,65 @@ def test_a_thousand_fits_from_random_starts_end_in_possible_bodies(stranger):
     assert ends(stranger, 1000).count(False) == 0
 
 
-@pytest.mark.parametrize("name", ["gauss-newton", "scipy-trf", "ipopt"])
-def test_every_solver_ends_inside(stranger, name):
-    problem = problem_of(stranger)
+class Watched:
+    """A problem that remembers where its cost was finite."""
+
+    def __init__(self, problem):
+        self.problem, self.visited = problem, []
+
+    def __getattr__(self, name):
+        return getattr(self.problem, name)
+
+    def evaluate(self, theta, order=1, scores=None):
+        value = self.problem.evaluate(theta, order, scores)
+        if value.valid:
+            self.visited.append(theta.copy())
+        return value
+
+
+@pytest.mark.parametrize("name", ["levenberg-marquardt", "gauss-newton", "scipy-trf", "ipopt"])
+def test_every_solver_goes_through_bodies_only_with_mass_centre_and_inertia_free(stranger, name):
+    problem = Watched(problem_of(stranger))
     (body,) = problem.bodies
+    free = ["mass", *(f"center_of_mass.{a}" for a in "xyz")]
+    at = [problem.place(n) for n in free]
+    assert None not in at and len(body.columns) == 6
     theta, _ = SOLVERS[name](max_iterations=15).solve(problem, problem.start)
-    assert is_possible(body.inertia(theta))
+    for visited in [*problem.visited, theta]:
+        mass, *centre = visited[at]
+        size = (
+            np.append(np.full(3, stranger.arm_length), 1.0) * mass**0.5
+        )  # its eigenvalues without units
+        whole = pseudo_inertia(mass, np.array(centre), body.inertia(visited))
+        np.linalg.cholesky(whole / np.outer(size, size))  # raises unless it is positive definite
+    assert len(problem.visited) > 5
+
+
+def test_log_cholesky_coordinates_find_the_same_body_and_without_a_wall_one_without_thickness():
+    problem, box = pulled(PLAIN), np.ones((3, 3)) - np.eye(3)
+
+    def thickness(walled: bool) -> tuple[float, float]:
+        """Cost, and smallest second moment over the trace, where a search in logarithms of second
+        moments ends."""
+
+        def cost(logs):
+            theta = box @ np.exp(logs)
+            off = theta - problem.goal
+            value = problem.evaluate(theta)
+            plain = 0.5 * float(off @ problem.weight @ off), problem.weight @ off
+            level, slope = (value.cost, value.gradient) if walled else plain
+            return level, (box @ slope) * np.exp(logs)
+
+        found = scipy.optimize.minimize(
+            cost, np.log([1.0, 1.0, 0.5]), jac=True, options={"maxiter": 1000}
+        )
+        return found.fun, float(margins(np.diag(box @ np.exp(found.x)))[-1])
+
+    here, _ = LevenbergMarquardt().solve(problem, problem.inside(np.ones(3)))
+    level, thick = thickness(walled=True)
+    assert level == pytest.approx(problem.evaluate(here, 0).cost, abs=1e-3)
+    assert thick == pytest.approx(margins(PLAIN.inertia(here))[-1], rel=0.02)
+    assert thickness(walled=False)[1] < 0.01 * thick
 
 
 def test_stated_moments_of_a_rounded_table_are_moved_inside_before_the_fit(stranger):

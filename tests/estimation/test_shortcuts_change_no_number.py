@@ -1,4 +1,5 @@
-"""Linearisations with a fixed point: the same numbers as the plain way."""
+"""Linearisations with a fixed point, and the best point asked again: the same numbers as the plain
+way."""
 
 from __future__ import annotations
 
@@ -8,12 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from greybox.estimation.gain import Linearisation, linearisation_at
+from greybox.estimation.problem import make_problem
 from greybox.model.model import PhysicsModel
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import read_vehicle
 from greybox.plants.presets import X250
 from greybox.plants.quadrotor import Quadrotor
 from greybox.plants.vehicle_file import write_vehicle
+from tests import gusty
 
 
 def test_a_fixed_point_gives_the_same_linearisation():
@@ -38,3 +41,20 @@ def test_a_fixed_point_gives_the_same_linearisation():
     ):
         for a, b in zip(plain, quick):
             np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-12 * max(np.abs(a).max(), 1e-300))
+
+
+def test_the_best_point_asked_again_is_what_it_was():
+    """Worse points in between, and points without a gradient, do not take its place."""
+
+    def problem():
+        return make_problem(gusty.model(), gusty.rides(2), free=["b"], noise=gusty.LEVELS)
+
+    one = problem()
+    best = one.evaluate(one.start)
+    worse = one.evaluate(one.start + 3.0)
+    assert worse.cost > best.cost
+    assert one.evaluate(one.start + 3.0, 0).gradient is None
+    assert one.evaluate(one.start) is best
+    fresh = problem().evaluate(one.start)
+    assert fresh.cost == best.cost
+    assert fresh.gradient.tolist() == best.gradient.tolist()

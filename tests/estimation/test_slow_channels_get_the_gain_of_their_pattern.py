@@ -1,4 +1,5 @@
-"""A channel that comes at a tenth of the rate gets the gain of the pattern that the channels repeat."""
+"""A channel that comes at a tenth of the rate gets the gain of the pattern that the channels
+repeat."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ SLOW = 10
 
 @functools.cache
 def logs(first_seed: int) -> Dataset:
-    """Flights at 100 Hz without velocity whose positions come at 10 Hz, each flight with another phase."""
+    """Flights at 100 Hz without velocity whose positions come at 10 Hz, each flight with another
+    phase."""
     whole: Dataset | None = None
     for i, flight in enumerate(flights(2, 8.0, first_seed)):
         segment = flight.segments[0]
@@ -150,6 +152,7 @@ def test_a_fit_finds_the_noise_and_the_truth_and_foretells_as_the_extended_kalma
         assert per_sample[0] == pytest.approx(per_sample[1], abs=0.05)
 
 
+@pytest.mark.slow
 def test_gains_of_all_channels_foretell_worse_and_less_white():
     """What the filter did before: the covariance of a filter that has all channels all the time."""
     runner = Filter(fitted().model)

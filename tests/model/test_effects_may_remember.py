@@ -1,4 +1,5 @@
-"""An effect with states of its own: integrated with the body, fitted, simulated and exported like all else."""
+"""An effect with states of its own: integrated with the body, fitted, simulated and exported like
+all else."""
 
 from __future__ import annotations
 
@@ -179,6 +180,7 @@ def test_a_memory_may_follow_the_place():
     assert own.reference({"z": 1.5})[2] == 1.5  # where the filter is linearised
 
 
+@pytest.mark.slow
 def test_a_fit_finds_size_and_time_of_an_independent_plant_and_simulates_them():
     plant = x250([RelaxingDrag(k=0.25, time=0.3)])
     train, test = (flights(plant, seeds, 8.0, "log") for seeds in ((41, 42), (43,)))

@@ -21,6 +21,7 @@ from greybox.model.noise import (
     Delay,
     Disturbance,
     Drift,
+    Gust,
     Line,
     LowPass,
     part_named,
@@ -99,7 +100,7 @@ PARTS = (
     Drift(sensor="gyro"),
     Line(sensor="accelerometer", time=0.5, frequency=13.0),
     Delay(sensor="accelerometer", time=0.004),
-    Disturbance(group="force", time=0.5),
+    Gust(group="force", time=0.5),
     Disturbance(group="torque"),
 )
 
@@ -123,7 +124,7 @@ def test_every_kind_comes_back_the_same(physics, tmp_path):
 
 @pytest.mark.parametrize("part", PARTS, ids=lambda p: p.name)
 def test_a_part_is_known_by_its_name_with_the_start_values_of_its_kind(part):
-    named = part_named(part.name)
+    named = part_named(f"{part.kind}.{part.name.split('.')[1]}")
     assert type(named) is type(part)
     assert named.name == part.name
 

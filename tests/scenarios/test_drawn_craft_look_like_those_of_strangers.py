@@ -98,7 +98,10 @@ def seed_with(sigmas):
     return next(s for s in SEEDS if draw(s).knowledge.sigmas == sigmas)
 
 
-@pytest.mark.parametrize("simulator", drawing.SIMULATORS)
+@pytest.mark.parametrize(
+    "simulator",
+    [s if s == "mujoco" else pytest.param(s, marks=pytest.mark.slow) for s in drawing.SIMULATORS],
+)
 def test_the_folder_reads_back_and_its_flights_have_no_blocking_findings(simulator, tmp_path):
     make(simulator)
     drawn = draw(seed_with(True), simulator)

@@ -1,4 +1,5 @@
-"""The band of drawn craft holds a flight that the model describes, not one of another craft; a box of 30 % is far wider."""
+"""The band of drawn craft holds a flight that the model describes, not one of another craft; a box
+of 30 % is far wider."""
 
 from __future__ import annotations
 
@@ -64,6 +65,7 @@ def rows(m: IdentifiedModel) -> dict[tuple[str, float, bool], Covered]:
     return {(r.group, r.seconds, r.adapted): r for r in found}
 
 
+@pytest.mark.slow
 def test_the_right_craft_is_held_and_a_wrong_one_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coverage_module, "SPACING", 0.5)
     right, wrong = rows(model()), rows(model(off=1.1))
@@ -76,7 +78,8 @@ def test_the_right_craft_is_held_and_a_wrong_one_is_not(monkeypatch: pytest.Monk
 
 
 def test_the_error_of_a_share_counts_flights_and_not_instants() -> None:
-    """Twice the instants of the same flights tell nothing new; flights that agree leave no error; one has none."""
+    """Twice the instants of the same flights tell nothing new; flights that agree leave no error;
+    one has none."""
     flights = [np.array([1.0, 1.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 1.0])]
     error = share_error(flights)
     assert share_error([np.tile(f, 2) for f in flights]) == pytest.approx(error)
@@ -88,7 +91,8 @@ def test_the_error_of_a_share_counts_flights_and_not_instants() -> None:
 
 @pytest.mark.slow
 def test_pushes_counted_on_flights_hold_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Filter's levels five times too small, as where one step ahead says little of half a second; the plant has gusts."""
+    """Filter's levels five times too small, as where one step ahead says little of half a second;
+    the plant has gusts."""
     monkeypatch.setattr(coverage_module, "SPACING", 0.5)
     m = replace(model(), process_noise=0.2 * model().process_noise)
     few = draw(m, 60, seed=1)
@@ -122,7 +126,8 @@ def few_draws() -> Draws:
 
 @pytest.mark.slow
 def test_push_levels_follow_the_flights_and_not_the_seed() -> None:
-    """Pushes of force at the filter's level move this craft by a thousandth of its error: nothing tells of them."""
+    """Pushes of force at the filter's level move this craft by a thousandth of its error: nothing
+    tells of them."""
     m, flights = model(), simulated.flights(2, 9.0, first_seed=60)
     one, two = (factors(m, flights, seed) for seed in (1, 2))
     names = m.dynamics.noises.names
@@ -151,7 +156,8 @@ def test_a_flight_without_velocity_counts_by_its_other_sensors(place: int) -> No
 
 
 def test_every_file_has_the_level_of_pushes_ahead() -> None:
-    """A model with calibrated levels: words, simulate.py and draws say these, not those of one step ahead."""
+    """A model with calibrated levels: words, simulate.py and draws say these, not those of one step
+    ahead."""
     m = model()
     whole = with_disturbance(m.dynamics, ["force"], time=0.5)
     values = ParameterValues({d.name: d.nominal for d in whole.parameters}).replace(dict(m.values))

@@ -1,5 +1,5 @@
-"""pushes.py: unexplained pushes are as strong, as slow and as unrelated as the model has them, and a simulator that is
-given the present one flies what the model flies with it."""
+"""pushes.py: unexplained pushes are as strong, as slow and as unrelated as the model has them, and
+a simulator that is given the present one flies what the model flies with it."""
 
 from __future__ import annotations
 
@@ -77,6 +77,11 @@ def test_a_known_push_fades_and_none_stays_none(tmp_path: Path) -> None:
     np.testing.assert_allclose(force, PUSH[:3] * np.exp(-0.2 / 0.8))
     np.testing.assert_allclose(moment, PUSH[3:] * np.exp(-1.0))
     assert not np.any(module.Pushes().step(0.01))
+    module.FORCE_WORLD, fixed = 1.0, module.Pushes(force=PUSH[:3])
+    for _ in range(50):  # a quarter turn to the left in half a second
+        fixed.step(0.01, rate=(0.0, 0.0, np.pi))
+    seen = np.array([PUSH[1], -PUSH[0], PUSH[2]]) * np.exp(-0.5 / 0.8)
+    np.testing.assert_allclose(fixed.step(0.01)[0], seen, rtol=1e-3)
     plain = twin(identified({}), ["rotorpy"])
     assert "rotorpy/pushes.py" not in plain.files and "pushes.py" not in plain.summary()
 

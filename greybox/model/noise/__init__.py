@@ -16,6 +16,7 @@ from greybox.model.noise.coloured import Coloured
 from greybox.model.noise.delay import Delay
 from greybox.model.noise.disturbance import Disturbance
 from greybox.model.noise.drift import Drift
+from greybox.model.noise.gust import Gust
 from greybox.model.noise.kinds import KINDS, UNMOVED, noise_part, part_named
 from greybox.model.noise.line import Line
 from greybox.model.noise.low_pass import LowPass
@@ -29,6 +30,7 @@ __all__ = [
     "Delay",
     "Disturbance",
     "Drift",
+    "Gust",
     "Line",
     "LowPass",
     "NoisePart",

@@ -22,6 +22,7 @@ from greybox.errors import ModelError
 from greybox.model.dynamics import Dynamics
 from greybox.model.layer import Layer, layers
 from greybox.model.noise.disturbance import Disturbance
+from greybox.model.noise.gust import Gust
 from greybox.model.noise.part import NoisePart, Place, SensorPart
 from greybox.model.parameter import Parameter
 from greybox.symbolic import BoolArray, Expr, FloatArray, Layout, Signal, given, sum_of
@@ -193,6 +194,12 @@ class Augmented(Layer):
         them."""
         return None if y is None else y[list(placed.place.columns)]
 
+    def _reading(self, placed: _Placed, core: Expr, y: Expr) -> Expr:
+        """What the step of a part looks at: a filter at its sensor, a gust at the body's rate."""
+        if isinstance(placed.part, Gust):
+            return core[[self.core.states[f"rate.{a}"] for a in "xyz"]]
+        return self._of_sensor(placed, y) if placed in self._filters else None
+
     @cached_property
     def _filters(self) -> tuple[_Placed, ...]:
         return tuple(a for a in self._placed if isinstance(a.part, SensorPart) and a.part.filters)
@@ -214,7 +221,7 @@ class Augmented(Layer):
             a.part.rate(
                 own[a.own],
                 self._values(a, p),
-                self._of_sensor(a, y) if a in self._filters else None,
+                self._reading(a, core, y),
             )
             for a in self._placed
         ]
@@ -243,7 +250,7 @@ class Augmented(Layer):
                 own[a.own],
                 driving[a.own],
                 self._values(a, p),
-                self._of_sensor(a, y) if a in self._filters else None,
+                self._reading(a, core, y),
                 dt,
             )
             for a in self._placed

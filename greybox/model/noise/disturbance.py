@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from greybox.errors import UnknownNameError
 from greybox.model.dynamics import Dynamics
@@ -27,7 +28,7 @@ class Disturbance(NoisePart):
     "torque"); `time` [s] is the start value of the correlation time T."""
 
     kind = "disturbance"
-    quantities = ("T",)
+    quantities: ClassVar[tuple[str, ...]] = ("T",)
     lasting = True
     group: str
     time: float = 1.0
@@ -35,7 +36,7 @@ class Disturbance(NoisePart):
     @property
     def name(self) -> str:
         """disturbance.group, the prefix of its states and of its parameter."""
-        return f"{self.kind}.{self.group}"
+        return f"disturbance.{self.group}"
 
     def place(self, core: Dynamics) -> Place:
         """The process noises of the group. Raises `UnknownNameError` for a group that `core` does
@@ -51,7 +52,7 @@ class Disturbance(NoisePart):
     def signals(self, place: Place) -> tuple[Signal, ...]:
         """disturbance.<noise>, in the unit of the noise."""
         return tuple(
-            Signal(name=f"{self.kind}.{s.name}", unit=s.unit, meaning=f"disturbance, {s.meaning}")
+            Signal(name=f"disturbance.{s.name}", unit=s.unit, meaning=f"disturbance, {s.meaning}")
             for s in place.signals
         )
 

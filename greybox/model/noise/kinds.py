@@ -12,11 +12,12 @@ from greybox.model.noise.coloured import Coloured
 from greybox.model.noise.delay import Delay
 from greybox.model.noise.disturbance import Disturbance
 from greybox.model.noise.drift import Drift
+from greybox.model.noise.gust import Gust
 from greybox.model.noise.line import Line
 from greybox.model.noise.low_pass import LowPass
 from greybox.model.noise.part import NoisePart, SensorPart
 
-KINDS: tuple[type[NoisePart], ...] = (Disturbance, Coloured, Drift, Line, LowPass, Delay)
+KINDS: tuple[type[NoisePart], ...] = (Disturbance, Gust, Coloured, Drift, Line, LowPass, Delay)
 """All kinds of noise part."""
 UNMOVED = tuple(k.kind for k in KINDS if not (issubclass(k, SensorPart) and k.filters))
 """Kinds whose states no motion of the model reaches: all but filters of a reading."""

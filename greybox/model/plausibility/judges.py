@@ -1,9 +1,9 @@
 """Judges: each looks at one side of a craft and yields what is wrong with it.
 
-Limits are wide on purpose. Size and mass follow m ~ L^3 and J ~ m L^2 (Kushleyev, Mellinger, Powers and Kumar 2013,
-Autonomous Robots 35(4), sec. 2); thrust is judged by T / (rho A (Omega R)^2), torque over thrust by the rotor radius
-(Leishman 2006, Principles of Helicopter Aerodynamics, ch. 2). L is the longest arm. The file is long because the judges
-read side by side.
+Limits are wide on purpose. Size and mass follow m ~ L^3 and J ~ m L^2 (Kushleyev, Mellinger, Powers
+and Kumar 2013, Autonomous Robots 35(4), sec. 2); thrust is judged by T / (rho A (Omega R)^2),
+torque over thrust by the rotor radius (Leishman 2006, Principles of Helicopter Aerodynamics, ch.
+2). L is the longest arm.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ def _slip(value: float, low: float, high: float, units: dict[float, str]) -> str
 
 
 def extremes(vehicle: Vehicle) -> Iterator[Implausible]:
-    """Numbers that nothing on a small craft has in any unit; with them there is nothing to calculate."""
+    """Numbers that nothing on a small craft has in any unit; with them there is nothing to
+    calculate."""
 
     def numbers(place: str, value: Any) -> Iterator[tuple[str, float]]:
         if isinstance(value, dict):
@@ -264,7 +265,10 @@ def allocation(c: Craft) -> Iterator[Implausible]:
         elif not lever:
             fix = "give the torque map: without it there is no yaw"
         else:
-            fix = f"check spins ({pattern}) and positions: neighbours turn opposite ways, opposite rotors alike"
+            fix = (
+                f"check spins ({pattern}) and positions: neighbours turn opposite ways, "
+                "opposite rotors alike"
+            )
         yield Implausible(
             "blocking",
             "rotor",

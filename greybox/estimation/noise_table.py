@@ -1,0 +1,33 @@
+"""The noise of a fit's sensors as a table, as discovery.json holds it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from greybox.estimation.fit import Fit
+from greybox.model.noise import sensor_parts
+
+
+def sensor_table(found: Fit) -> list[dict[str, Any]]:
+    """One entry per channel and kind of noise, as in discovery.json: {channel, kind, parameters}.
+
+    `parameters`: `sigma` of the white part; what `SensorPart.described` says of the others.
+    """
+    noise = {n: v for n, (v, _, _) in found.noise.items()}
+    values, dt = found.model.values, found.model.sample_time
+    physics = found.model.physics
+    out: list[dict[str, Any]] = []
+    for sensor in physics.sensors:
+        channels = [s.name for s in sensor.innovation_signals(physics.vehicle)]
+        out += [
+            {"channel": c, "kind": "white", "parameters": {"sigma": noise.get(f"noise.sensor.{c}")}}
+            for c in channels
+        ]
+        for part in sensor_parts(found.model.dynamics):
+            if part.sensor != sensor.name:
+                continue
+            for c in channels:
+                level = noise.get(f"noise.process.{part.name}.c.{c.split('.')[-1]}", 0.0)
+                said = part.described(level, values, dt)
+                out.append({"channel": c, "kind": part.kind, "parameters": said})
+    return out
