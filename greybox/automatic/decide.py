@@ -31,7 +31,14 @@ from greybox.automatic.filters import (
 )
 from greybox.automatic.foretell import Score, foretell
 from greybox.automatic.pieces import SHORTEST, first_parts
-from greybox.automatic.sets import LATE_POSE, Step, names_of, nested_sets, per_flight_parameters
+from greybox.automatic.sets import (
+    LATE_POSE,
+    TRIMMED,
+    Step,
+    names_of,
+    nested_sets,
+    per_flight_parameters,
+)
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import fit, noise_of
@@ -208,7 +215,7 @@ class _Decider:
             effects=_effects(steps),
             input=self.given.input,
             kinematic_noise=self.kinematic_noise,
-            options=self._with_flight_values(options, steps),
+            options=self._trim_of_one_flight(self._with_flight_values(options, steps), steps),
         )
         return Decided(
             recipe=replace(recipe, adapt=self._adapt(recipe)),
@@ -286,7 +293,8 @@ class _Decider:
             self._note(
                 better.name,
                 f"held at {better.nominal:.4g} {better.unit}",
-                f"{pair[2]} shows only its ratio to {worse.name}, which is known less well; its own "
+                f"{pair[2]} shows only its ratio to {worse.name}, which is known less well; its "
+                "own "
                 f"{100 * better.sigma / abs(better.nominal):.2g} % are carried into the errors",
                 "--fixed, --considered",
             )
@@ -355,6 +363,23 @@ class _Decider:
             return options
         own = per_flight_parameters(steps, self.vehicle)
         return options.but(per_flight=tuple(dict.fromkeys((*options.per_flight, *own))))
+
+    def _trim_of_one_flight(self, options: FitOptions, steps: tuple[Step, ...]) -> FitOptions:
+        """The pieces of a single flight share its trim, so that they cannot ask for one per flight.
+        What takes it up in their place adapts to a new flight; to the fit it is nearly the same."""
+        if "free" in self.given.choices or len(self.data) > 1:
+            return options
+        declared = {d.name: d for d in core_parameters(self.vehicle)}
+        decided = {*options.fixed, *options.shared, *options.per_flight}
+        own = [n for n in TRIMMED if declared[n].sigma > 0 and n not in decided]
+        if own:
+            self._note(
+                ", ".join(own),
+                "one value per flight",
+                "one flight cannot tell whether its trim stays",
+                "--shared",
+            )
+        return options.but(per_flight=(*options.per_flight, *own))
 
     def _try(
         self,
@@ -460,7 +485,8 @@ class _Decider:
             "effects",
             _listed(chosen.steps),
             "of the sets within one standard error of the best on pieces left out the one with the "
-            "lowest BIC, less what nothing feels, with a late pose where the IMU is filtered; squared "
+            "lowest BIC, less what nothing feels, with a late pose where the IMU is filtered; "
+            "squared "
             f"error ahead over that of holding the last value, step by step: {listed}",
             "--effects, --per-flight",
         )
@@ -499,8 +525,10 @@ class _Decider:
             both = " together with a late pose" if steps != first.steps else ""
             reason = (
                 f"its innovations are not white; BIC {'falls' if gain > 0 else 'rises'} by "
-                f"{abs(gain):.0f}{both}, the squared error ahead goes from {first.score.mean:.3f} to "
-                f"{score:.3f} of the last value's; a filter that is left out looks like more lag of "
+                f"{abs(gain):.0f}{both}, the squared error ahead goes from {first.score.mean:.3f} "
+                "to "
+                f"{score:.3f} of the last value's; a filter that is left out looks like more lag "
+                "of "
                 "the motors"
             )
             if gain > CLEAR_EVIDENCE and score < max(1.0, first.score.mean):
@@ -558,7 +586,8 @@ class _Decider:
             self._note(
                 "criterion",
                 "likelihood one step ahead",
-                f"it foretells pieces left out: {chosen.score.mean:.3f} of the last value's squared error",
+                f"it foretells pieces left out: {chosen.score.mean:.3f} of the last value's "
+                "squared error",
                 "--predictor",
             )
             return options, chosen
@@ -568,7 +597,8 @@ class _Decider:
             "errors up to half a second ahead"
             if chosen.looks_ahead
             else "likelihood one step ahead",
-            f"pieces left out: {chosen.ahead_score.mean:.3f} ahead, {chosen.likelihood_score.mean:.3f} by "
+            f"pieces left out: {chosen.ahead_score.mean:.3f} ahead, "
+            f"{chosen.likelihood_score.mean:.3f} by "
             f"the likelihood, the difference +- {error:.3f}",
             "--predictor",
         )

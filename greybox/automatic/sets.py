@@ -40,6 +40,14 @@ BASE = Step(
     effects=("motor_lag", "command_delay", "gyro_bias", "accelerometer_bias"),
 )
 
+TRIM = Step(
+    name="trim of each flight",
+    effects=("rotor_asymmetry", "mocap_misalignment"),
+    per_flight=("rotor_asymmetry", "mocap_misalignment"),
+)
+TRIMMED = ("center_of_mass.x", "center_of_mass.y")
+"""What takes up the trim of a single flight: a torque in proportion to the thrust."""
+
 STEPS = (
     Step(
         name="air and battery",
@@ -51,11 +59,7 @@ STEPS = (
             "rotational_damping",
         ),
     ),
-    Step(
-        name="trim of each flight",
-        effects=("rotor_asymmetry", "mocap_misalignment"),
-        per_flight=("rotor_asymmetry", "mocap_misalignment"),
-    ),
+    TRIM,
     Step(name="clocks of each flight", effects=("pose_delay",), per_flight=("pose_delay",)),
 )
 

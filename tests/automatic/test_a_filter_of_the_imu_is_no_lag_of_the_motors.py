@@ -1,4 +1,5 @@
-"""A gyro that is filtered before the log gets a filter in the model, and the motors keep their lag."""
+"""A gyro that is filtered before the log gets a filter in the model, and the motors keep their
+lag."""
 
 from __future__ import annotations
 
@@ -38,6 +39,7 @@ def said(found: Decided) -> str:
     return one
 
 
+@pytest.mark.slow
 def test_a_filter_is_found_and_the_lag_is_right_with_it_and_wrong_without():
     found, without = decided(CUTOFF), decided(CUTOFF, noise_parts=())
     assert found.recipe.options.noise_parts == ("low_pass.gyro",)

@@ -1,6 +1,9 @@
-"""Clocks that wander turn on kinematic noise; of two numbers of which flights show the ratio the better known is held."""
+"""Clocks that wander turn on kinematic noise; of two numbers of which flights show the ratio the
+better known is held."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,13 +12,15 @@ from greybox.automatic.decide import Given, decide
 from greybox.automatic.facts import WANDER, facts_of
 from greybox.automatic.fit import prepare
 from greybox.data import Dataset
+from greybox.model.vehicle import Vehicle
 from tests.automatic.craft import IMU, POSE, RATES, flight, flights, flown, vehicle
 
 SEED, SECONDS = (7,), 20.0
 
 
 def wandering(drift: float) -> Dataset:
-    """A flight whose attitude falls behind its gyro by `drift` [s] from its first to its last sample."""
+    """A flight whose attitude falls behind its gyro by `drift` [s] from its first to its last
+    sample."""
     columns = dict(flown(SEED, SECONDS)[0])
     t = columns["t"]
     late = t - drift * (t - t[0]) / (t[-1] - t[0])
@@ -25,9 +30,12 @@ def wandering(drift: float) -> Dataset:
     return flight(columns, "run0", (*RATES, "qw", "qx", "qy", "qz"))
 
 
-def decided(data: Dataset, given: Given | None = None, **sigma: float):
-    """What is decided of flights that are too short to leave a part out, with the facts of the whole flight."""
-    own = vehicle(**sigma)
+def decided(
+    data: Dataset, given: Given | None = None, craft: Vehicle | None = None, **sigma: float
+):
+    """What is decided of flights that are too short to leave a part out, with the facts of the
+    whole flight."""
+    own = craft or vehicle(**sigma)
     ready = prepare(own, data)
     facts = facts_of(ready.data, own, ready.report)
     short = Dataset(flights=tuple(f.between(0.0, 5.0) or f for f in data))
@@ -65,6 +73,27 @@ def test_the_better_known_of_two_numbers_of_which_only_the_ratio_shows_is_held_a
         assert found.recipe.options.considered == (held,)
         (said,) = [d for d in found.decisions if d.about == held]
         assert "only its ratio" in said.reason
+
+
+def test_the_trim_of_a_single_flight_is_no_other_flights():
+    """A new flight finds its own from the value of the one that was fitted, within what the vehicle
+    file says."""
+    both, exact = flights(), vehicle()
+    one = Dataset(flights=both.flights[:1])
+    trim = ("center_of_mass.x", "center_of_mass.y")
+    unsure = replace(
+        exact, center_of_mass=tuple(replace(c, sigma=1e-3) for c in exact.center_of_mass)
+    )
+
+    def own(data, craft, **choices):
+        return decided(data, Given(choices=choices), craft)[1].recipe.options.per_flight
+
+    assert own(one, unsure) == trim
+    assert own(both, unsure) == own(one, exact) == ()
+    assert own(one, unsure, shared=trim) == ()
+    assert own(one, unsure, shared=("thrust.c2",)) == trim, "another choice decides nothing of it"
+    assert own(one, unsure, shared=trim[:1]) == trim[1:]
+    assert own(one, unsure, fixed=trim[:1]) == trim[1:]
 
 
 def test_disturbance_states_only_where_a_sensor_can_feel_them():
