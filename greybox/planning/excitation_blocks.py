@@ -1,10 +1,11 @@
 """Pieces: short manoeuvres that start and end in hover at home, from which a plan is put together.
 
-Setpoint pieces move position and yaw: sines slow and fast, speed and height sweeps, turns, coupled paths. Injected pieces
-add angular accelerations and thrust behind the attitude controller: orthogonal multi-sines (Morelli 2003, AIAA
-2003-5600: every input its own harmonics, random phases with a low peak), doublets and 3-2-1-1 (Jategaonkar 2015, Flight
-Vehicle System Identification, ch. 2). Amplitude 1 is the most that box, speed and tilt allow on paper; `fit_in` lowers
-it until the flight does.
+Setpoint pieces move position and yaw: sines slow and fast, speed and height sweeps, turns, coupled
+paths. Injected pieces add angular accelerations and thrust behind the attitude controller:
+orthogonal multi-sines (Morelli 2003, AIAA 2003-5600: every input its own harmonics, random phases
+with a low peak), doublets and 3-2-1-1 (Jategaonkar 2015, Flight Vehicle System Identification, ch.
+2). Amplitude 1 is the most that box, speed and tilt allow on paper; `fit_in` lowers it until the
+flight does.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from greybox.data import Dataset
 from greybox.errors import FitError
 from greybox.model.identified import IdentifiedModel
 from greybox.planning.limits import Limits
-from greybox.planning.manoeuvres import Manoeuvre, flown
+from greybox.planning.manoeuvres import Manoeuvre, flown_together
 from greybox.symbolic import FloatArray
 
 LEVELS = (1.0, 0.75, 0.55, 0.4, 0.3, 0.2, 0.14, 0.1)
@@ -33,8 +34,9 @@ Shape = Callable[[float, float], Four]
 
 @dataclass(frozen=True, kw_only=True)
 class ExcitationBlock:
-    """One manoeuvre of `seconds`: `offset(t, a)` -> (x, y, z, yaw) from home [m, rad], `twist(t, a)` -> angular acceleration
-    (3) [rad/s^2] and share of thrust added, `voltage(t)` -> factor on the battery voltage."""
+    """One manoeuvre of `seconds`: `offset(t, a)` -> (x, y, z, yaw) from home [m, rad], `twist(t,
+    a)` -> angular acceleration (3) [rad/s^2] and share of thrust added, `voltage(t)` -> factor on
+    the battery voltage."""
 
     name: str
     text: str
@@ -91,33 +93,35 @@ def sequence(
     )
 
 
-def fit_in(model: IdentifiedModel, piece: ExcitationBlock, limits: Limits) -> Flown | None:
-    """The piece at the largest amplitude that keeps the limits; None where even the smallest does not."""
-
-    def flies(a: float) -> Flown | None:
-        log = flown(model, sequence([(piece, a)], limits, piece.name), 1.0, seconds=piece.seconds)
-        return (
-            Flown(piece=piece, amplitude=a, log=log)
-            if log is not None and not limits.broken(log)
-            else None
-        )
-
-    best = flies(LEVELS[0])
-    if best is not None or piece.kind == "hover":
-        return best
-    low, high = (
-        0,
-        len(LEVELS),
-    )  # LEVELS[low] does not fly, LEVELS[high] does (beyond the last: none does)
-    while high - low > 1:
-        middle = (low + high) // 2
-        tried = flies(LEVELS[middle])
-        low, high, best = (low, middle, tried) if tried is not None else (middle, high, best)
+def fit_in(
+    model: IdentifiedModel, pieces: Sequence[ExcitationBlock], limits: Limits
+) -> list[Flown | None]:
+    """Every piece, all of one duration, at the largest amplitude that keeps the limits; None where
+    even the smallest does not. They are flown side by side."""
+    best: list[Flown | None] = [None] * len(pieces)
+    # LEVELS[low] does not fly, LEVELS[high] does (beyond the last: none does).
+    low, high = np.full(len(pieces), -1), np.full(len(pieces), len(LEVELS))
+    tried = np.zeros(len(pieces), dtype=int)  # the largest first, then the middle of what is left
+    while (open_ := np.flatnonzero(high - low > 1)).size:
+        flights = [
+            (sequence([(pieces[i], LEVELS[tried[i]])], limits, pieces[i].name), 1.0)
+            for i in open_.tolist()
+        ]
+        logs = flown_together(model, flights, seconds=pieces[0].seconds)
+        for i, log in zip(open_.tolist(), logs, strict=True):
+            if log is not None and not limits.broken(log):
+                best[i] = Flown(piece=pieces[i], amplitude=LEVELS[tried[i]], log=log)
+                high[i] = tried[i]
+            else:
+                # A hover has no amplitude.
+                low[i] = len(LEVELS) if pieces[i].kind == "hover" else tried[i]
+        tried = (low + high) // 2
     return best
 
 
 def authority(model: IdentifiedModel, limits: Limits) -> FloatArray:
-    """Largest angular accelerations [rad/s^2] and share of thrust (4,) that the command range leaves around hover.
+    """Largest angular accelerations [rad/s^2] and share of thrust (4,) that the command range
+    leaves around hover.
 
     Raises `FitError` where the model cannot hover inside the command range.
     """
@@ -152,7 +156,8 @@ def excitation_blocks(
     seed: int = 0,
     setpoints_only: bool = False,
 ) -> list[ExcitationBlock]:
-    """The pieces of `seconds` each that suit the limits. `seed` draws the phases of the multi-sines."""
+    """The pieces of `seconds` each that suit the limits. `seed` draws the phases of the
+    multi-sines."""
     reach = (
         np.array([0.5 * limits.box[0], 0.5 * limits.box[1], 0.5 * (limits.box[2] - limits.floor)])
         * 0.85
@@ -324,7 +329,8 @@ def _three_two_one_one(unit: float, every: float) -> Callable[[float], float]:
 
 
 def _multisine(seconds: float, channel: int, rng: np.random.Generator) -> Callable[[float], float]:
-    """Sines at the harmonics channel + 4 m of the piece within BAND, peak 1; of 40 draws of phases that of lowest peak."""
+    """Sines at the harmonics channel + 4 m of the piece within BAND, peak 1; of 40 draws of phases
+    that of lowest peak."""
     k = np.arange(1, int(BAND[1] * seconds) + 1)
     k = k[(k >= BAND[0] * seconds) & (k % 4 == channel)]
     # About as many per octave: neighbours at high frequency are thinned out.

@@ -1,15 +1,18 @@
-"""Experiment: which manoeuvre tells the rivals of an ambiguous group apart, and for how long it must be flown.
+"""Experiment: which manoeuvre tells the rivals of an ambiguous group apart, and for how long it
+must be flown.
 
-For every manoeuvre of the library that the vehicle can fly, each rival in turn is taken for the truth and flown; the other
-one predicts that noise-free log. Half the sum of its squared, whitened innovations is the expected log likelihood ratio
-(the Kullback-Leibler divergence of the two predictors at equal noise; Ljung, System Identification, 2nd ed., sec. 13).
-The predictor that is wrong may bend its parameters as far as the flights already flown allow: one Gauss-Newton step with
+For every manoeuvre of the library that the vehicle can fly, each rival in turn is taken for the
+truth and flown; the other one predicts that noise-free log. Half the sum of its squared, whitened
+innovations is the expected log likelihood ratio (the Kullback-Leibler divergence of the two
+predictors at equal noise; Ljung, System Identification, 2nd ed., sec. 13). The predictor that is
+wrong may bend its parameters as far as the flights already flown allow: one Gauss-Newton step with
 their information is taken off,
 
     L = e'e/2 - g' (H_manoeuvre + H_flown)^-1 g / 2.
 
-The manoeuvre with the largest L of the worse of both directions is proposed (discrimination designs: Atkinson and Fedorov
-1975, Biometrika 62(1)). BIC 10 needs L = 5; L grows with the time flown.
+The manoeuvre with the largest L of the worse of both directions is proposed (discrimination
+designs: Atkinson and Fedorov 1975, Biometrika 62(1)). BIC 10 needs L = 5; L grows with the time
+flown.
 """
 
 from __future__ import annotations
@@ -27,7 +30,7 @@ from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import Fit, noise_of
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Problem, make_problem
-from greybox.planning.manoeuvres import LIBRARY, SECONDS, Manoeuvre, flown, flying_model
+from greybox.planning.manoeuvres import LIBRARY, SECONDS, Manoeuvre, flown_together, flying_model
 from greybox.statistics.evidence import CLEAR_LOG_RATIO
 from greybox.symbolic import FloatArray
 
@@ -37,8 +40,9 @@ OTHERS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Separation:
-    """What a manoeuvre is expected to say: log likelihood ratio between the truth and the nearest rival after `seconds`,
-    and how long it takes to a BIC difference of 10 (infinite where the rivals predict the same)."""
+    """What a manoeuvre is expected to say: log likelihood ratio between the truth and the nearest
+    rival after `seconds`, and how long it takes to a BIC difference of 10 (infinite where the
+    rivals predict the same)."""
 
     manoeuvre: Manoeuvre
     amplitude: float
@@ -74,39 +78,40 @@ def separations(
     seconds: float = SECONDS,
     say: Callable[[str], None] | None = None,
 ) -> list[Separation]:
-    """Every manoeuvre that all rivals can fly, the most telling first. `rivals`: name -> fit, two or more."""
+    """Every manoeuvre that all rivals can fly, the most telling first. `rivals`: name -> fit, two
+    or more."""
     out = []
     known = {n: _information(f) for n, f in rivals.items()}
     flying = {n: flying_model(f.model) for n, f in rivals.items()}
     battery = all("vbat" in f.model.dynamics.inputs.names for f in rivals.values())
-    for manoeuvre in library:
-        if manoeuvre.needs_battery and not battery:
+    flights = [(m, a) for m in library if battery or not m.needs_battery for a in m.amplitudes]
+    logs = {n: flown_together(m, flights, seconds=seconds) for n, m in flying.items()}
+    for i, (manoeuvre, amplitude) in enumerate(flights):
+        own = {n: of[i] for n, of in logs.items()}
+        if any(log is None for log in own.values()):
             continue
         if say is not None:
             say(manoeuvre.text)
-        for amplitude in manoeuvre.amplitudes:
-            logs = {n: flown(m, manoeuvre, amplitude, seconds=seconds) for n, m in flying.items()}
-            if any(log is None for log in logs.values()):
-                continue
-            try:
-                told = [
-                    divergence(fitted, log, known[other])
-                    for truth, log in logs.items()
-                    for other, fitted in rivals.items()
-                    if other != truth and log is not None
-                ]
-            except GreyboxError:
-                continue
-            out.append(
-                Separation(
-                    manoeuvre=manoeuvre, amplitude=amplitude, seconds=seconds, expected=min(told)
-                )
+        try:
+            told = [
+                divergence(fitted, log, known[other])
+                for truth, log in own.items()
+                for other, fitted in rivals.items()
+                if other != truth and log is not None
+            ]
+        except GreyboxError:
+            continue
+        out.append(
+            Separation(
+                manoeuvre=manoeuvre, amplitude=amplitude, seconds=seconds, expected=min(told)
             )
+        )
     return sorted(out, key=lambda s: -s.expected)
 
 
 def separating_manoeuvre(rivals: Mapping[str, Fit], **options: Any) -> dict[str, Any] | None:
-    """The most telling manoeuvre with its runners-up, as in discovery.json; None where none can be flown."""
+    """The most telling manoeuvre with its runners-up, as in discovery.json; None where none can be
+    flown."""
     found = separations(rivals, **options)
     if not found:
         return None
@@ -123,7 +128,8 @@ def separating_manoeuvre(rivals: Mapping[str, Fit], **options: Any) -> dict[str,
 
 
 def divergence(fitted: Fit, log: Dataset, known: Mapping[str, Mapping[str, float]]) -> float:
-    """Expected log likelihood ratio against `fitted` on a noise-free `log`; `known` is what it was fitted with."""
+    """Expected log likelihood ratio against `fitted` on a noise-free `log`; `known` is what it was
+    fitted with."""
     names = [n for n in fitted.parameters if fitted.parameters[n].scope != "flight"]
     problem = make_problem(
         fitted.model.dynamics,
@@ -171,7 +177,8 @@ def _level(problem: Problem) -> float:
 
 
 def _information(fitted: Fit) -> dict[str, dict[str, float]]:
-    """Information of the training flights about the shared parameters, the other unknowns (noise, starts) projected out."""
+    """Information of the training flights about the shared parameters, the other unknowns (noise,
+    starts) projected out."""
     value = fitted.problem.evaluate(fitted.theta)
     assert value.hessian is not None
     h: FloatArray = value.hessian

@@ -1,16 +1,19 @@
-"""Manoeuvres: short flights that a model can be flown through, for asking which of them tells two models apart.
+"""Manoeuvres: short flights that a model can be flown through, for asking which of them tells two
+models apart.
 
-A manoeuvre is a path (position and yaw against time) and wanted angular accelerations and thrust steps on top. A cascade
-controller with the model's own mass, inertia and rotor maps flies it in closed loop (position and velocity to tilt, tilt to
-angular acceleration; Mahony, Kumar and Corke 2012, IEEE RAM 19(3), sec. "control"); the result is the noise-free log.
+A manoeuvre is a path (position and yaw against time) and wanted angular accelerations and thrust
+steps on top. A cascade controller with the model's own mass, inertia and rotor maps flies it in
+closed loop (position and velocity to tilt, tilt to angular acceleration; Mahony, Kumar and Corke
+2012, IEEE RAM 19(3), sec. "control"); the result is the noise-free log.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import FitError
@@ -28,13 +31,15 @@ CLIPPED = 0.05
 """Share of samples in which a rotor may stand at its limit."""
 POSITION, VELOCITY, ATTITUDE, RATE = 2.5, 3.0, 60.0, 13.0
 """Gains: 1/s^2, 1/s, 1/s^2, 1/s."""
+LOST = 3.0
+"""Distance from the path at which a flight counts as lost [m]."""
 START = (0.0, 0.0, 1.5)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Manoeuvre:
-    """`path(t, a)` -> (x, y, z, yaw) [m, rad]; `twist(t, a)` -> wanted (3,) [rad/s^2] and share of thrust added;
-    `amplitudes` a in `unit`; `voltage(t)` -> factor on the battery voltage."""
+    """`path(t, a)` -> (x, y, z, yaw) [m, rad]; `twist(t, a)` -> wanted (3,) [rad/s^2] and share of
+    thrust added; `amplitudes` a in `unit`; `voltage(t)` -> factor on the battery voltage."""
 
     name: str
     text: str
@@ -170,7 +175,8 @@ LIBRARY = (
 
 
 def flying_model(model: IdentifiedModel) -> IdentifiedModel:
-    """A model with all states, that can be flown, with the same parameters: `model` itself unless its log was blind."""
+    """A model with all states, that can be flown, with the same parameters: `model` itself unless
+    its log was blind."""
     physics = physics_of(model.dynamics)
     if "position" in {n.split(".")[0] for n in model.dynamics.states.names} or physics is None:
         return model
@@ -184,10 +190,21 @@ def flying_model(model: IdentifiedModel) -> IdentifiedModel:
 def flown(
     model: IdentifiedModel, manoeuvre: Manoeuvre, amplitude: float, *, seconds: float = SECONDS
 ) -> Dataset | None:
-    """The noise-free log of `model` flying the manoeuvre; None where the rotors saturate or the path is lost.
+    """The noise-free log of `model` flying the manoeuvre; None where the rotors saturate or the
+    path is lost.
 
     Raises `FitError` for a model without position and attitude.
     """
+    return flown_together(model, [(manoeuvre, amplitude)], seconds=seconds)[0]
+
+
+def flown_together(
+    model: IdentifiedModel, flights: Sequence[tuple[Manoeuvre, float]], *, seconds: float = SECONDS
+) -> list[Dataset | None]:
+    """`flown` for many manoeuvres with their amplitudes: all craft go on sample by sample side by
+    side."""
+    if not flights:
+        return []
     dynamics, dt = model.dynamics, model.sample_time
     engine = engine_for(dynamics, ())
     names = dynamics.states.names
@@ -197,59 +214,88 @@ def flown(
     }
     if not all(at.values()):
         raise FitError("the model cannot be flown: it has no position or attitude")
-    vehicle = model.physics.vehicle
-    n, rotors = round(seconds / dt), len(vehicle.rotors)
-    p, values = model.parameter_vector(), model.values
-    columns = list(dynamics.inputs.names)
-    voltage = columns.index("vbat") if "vbat" in columns else None
-    volts = model.reference_inputs[voltage] if voltage is not None else 0.0
+    n, m, rotors = round(seconds / dt), len(flights), len(model.physics.vehicle.rotors)
+    columns, width = list(dynamics.inputs.names), engine.past + 1 + engine.future
+    course = _Course.of(flights, n, dt)
     pilot = _Pilot(model)
-    u = np.zeros((n + engine.past + engine.future, len(columns)))
-    x = np.asarray(
-        dynamics.reference(dict(zip(columns, model.reference_inputs.tolist(), strict=True))),
-        dtype=float,
-    )
-    x[at["position"]] = manoeuvre.path(0.0, amplitude)[:3]
-    y = np.zeros((n, engine.ny))
-    clipped = 0
-    for k in range(n):
-        t = k * dt
-        command, hit = pilot.command(x, at, manoeuvre, amplitude, t)
-        clipped += hit
-        here = (
-            slice(0, k + engine.past + 1 + engine.future)
-            if k == 0
-            else slice(k + engine.past, k + engine.past + 1 + engine.future)
+    u = np.zeros((m, n + width - 1, len(columns)))
+    if "vbat" in columns:
+        volts = model.reference_inputs[columns.index("vbat")] * course.voltage
+        u[:, :, columns.index("vbat")] = np.pad(
+            volts, ((0, 0), (engine.past, engine.future)), mode="edge"
         )
-        u[here, :rotors] = command  # the first command also stands for those before the flight
-        if voltage is not None:
-            u[here, voltage] = volts * manoeuvre.voltage(t)
+    given = dict(zip(columns, model.reference_inputs.tolist(), strict=True))
+    x = np.tile(np.asarray(dynamics.reference(given), dtype=float), (m, 1))
+    x[:, at["position"]] = course.here[:, 0, :3]
+    y, clipped, p = np.zeros((m, n, engine.ny)), np.zeros(m), model.parameter_vector()
+    live = np.arange(m) if float(model.values["mass"]) > 0 else np.arange(0)
+    for k in range(n):
+        if not live.size:
+            break
+        command, hit = pilot.command(x, at, course, live, k)
+        clipped[live] += hit
+        # The first command also stands for those before the flight.
+        u[live, 0 if k == 0 else k + engine.past : k + width, :rotors] = command[:, None]
+        horizon = 2 if k < n - 1 else 1
+        windows = u[live, k : k + width + horizon - 1]
         seen, states = engine.rollout(
-            starts=x[None],
-            rows=np.array([k]),
-            horizon=2 if k < n - 1 else 1,
-            inputs=u,
+            starts=x,
+            rows=np.arange(live.size) * windows.shape[1],
+            horizon=horizon,
+            inputs=windows.reshape(-1, len(columns)),
             p=p,
             dt=dt,
             want_states=True,
         )
         assert states is not None
-        y[k] = seen[0, 0]
-        x = states[0, -1]
-        if (
-            not np.isfinite(x).all()
-            or abs(x[at["position"]] - np.array(manoeuvre.path(t, amplitude)[:3])).max() > 3.0
-        ):
-            return None
-    if clipped > CLIPPED * n or float(values["mass"]) <= 0:
-        return None
-    table = dict(zip(columns, u[engine.past : engine.past + n].T, strict=True))
-    table |= dict(zip(dynamics.outputs.names, y.T, strict=True))
-    return dataset_from_arrays(dt * np.arange(n), table, name=manoeuvre.name)
+        y[live, k], x = seen[:, 0], states[:, -1]
+        away = np.abs(x[:, at["position"]] - course.here[live, k, :3]).max(axis=1)
+        kept = np.isfinite(x).all(axis=1) & (away <= LOST)
+        live, x = live[kept], x[kept]
+    live = live[clipped[live] <= CLIPPED * n]
+    logs: list[Dataset | None] = [None] * m
+    for i in live.tolist():
+        table = dict(zip(columns, u[i, engine.past : engine.past + n].T, strict=True))
+        table |= dict(zip(dynamics.outputs.names, y[i].T, strict=True))
+        logs[i] = dataset_from_arrays(dt * np.arange(n), table, name=flights[i][0].name)
+    return logs
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Course:
+    """What is wanted of every craft at every sample: `here`, `velocity`, `push` (m, n, 4) of x, y,
+    z and yaw and their derivatives; `twist` (m, n, 4) and `voltage` (m, n) as in `Manoeuvre`."""
+
+    here: FloatArray
+    velocity: FloatArray
+    push: FloatArray
+    twist: FloatArray
+    voltage: FloatArray
+
+    @classmethod
+    def of(cls, flights: Sequence[tuple[Manoeuvre, float]], n: int, dt: float) -> _Course:
+        times = [k * dt for k in range(n + 1)]
+        path = np.array(
+            [[manoeuvre.path(t, a) for t in times] for manoeuvre, a in flights], dtype=float
+        )
+        before, here, after = (
+            np.concatenate([path[:, :1], path[:, :-2]], axis=1),
+            path[:, :-1],
+            path[:, 1:],
+        )
+        velocity, push = (after - before) / (2 * dt), (after - 2 * here + before) / dt**2
+        velocity[:, :2], push[:, :2] = (after - here)[:, :2] / dt, 0.0
+        twist = np.array(
+            [[manoeuvre.twist(t, a) for t in times[:-1]] for manoeuvre, a in flights], dtype=float
+        )
+        voltage = np.array(
+            [[manoeuvre.voltage(t) for t in times[:-1]] for manoeuvre, _ in flights], dtype=float
+        )
+        return cls(here=here, velocity=velocity, push=push, twist=twist, voltage=voltage)
 
 
 class _Pilot:
-    """The cascade controller of one model."""
+    """The cascade controller of one model, for many craft at once."""
 
     def __init__(self, model: IdentifiedModel) -> None:
         vehicle, v = model.physics.vehicle, model.values
@@ -262,49 +308,44 @@ class _Pilot:
         mix = np.stack([np.ones(len(spin)), place[:, 1], -place[:, 0], -lever * spin])
         self.unmix = np.linalg.pinv(mix)
         self.low, self.high = float(vehicle.actuator.u_min), float(vehicle.actuator.u_max)
-        self.dt = model.sample_time
 
     def command(
         self,
         x: FloatArray,
         at: dict[str, list[int]],
-        manoeuvre: Manoeuvre,
-        amplitude: float,
-        t: float,
-    ) -> tuple[FloatArray, bool]:
-        """(u (n,), whether a rotor stands at its limit)."""
-        q, omega = x[at["attitude"]], x[at["rate"]]
-        before, here, after = (
-            np.array(manoeuvre.path(max(t + s, 0.0), amplitude)) for s in (-self.dt, 0.0, self.dt)
+        course: _Course,
+        craft: npt.NDArray[np.int_],
+        k: int,
+    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """(u (m, rotors), whether a rotor stands at its limit (m,)) of `craft` in states x (m, n_x)
+        at sample k."""
+        omega = x[:, at["rate"]]
+        here, velocity, push, twist = (
+            v[craft, k] for v in (course.here, course.velocity, course.push, course.twist)
         )
-        velocity, push = (after - before) / (2 * self.dt), (after - 2 * here + before) / self.dt**2
-        if t < 2 * self.dt:
-            velocity, push = (after - here) / self.dt, 0 * push
-        wanted = (
-            push[:3]
-            + POSITION * (here[:3] - x[at["position"]])
-            + VELOCITY * (velocity[:3] - x[at["velocity"]])
+        wanted = push[:, :3] + POSITION * (here[:, :3] - x[:, at["position"]])
+        wanted += VELOCITY * (velocity[:, :3] - x[:, at["velocity"]])
+        wanted[:, 2] = np.maximum(wanted[:, 2] + self.gravity, 0.3 * self.gravity)
+        side = np.hypot(wanted[:, 0], wanted[:, 1])
+        wanted[:, :2] *= np.minimum(1.0, np.tan(TILT) * wanted[:, 2] / np.maximum(side, 1e-12))[
+            :, None
+        ]
+        turn = numeric("matrix", x[:, at["attitude"]]).reshape(-1, 3, 3)
+        up, nose = turn[:, :, 2], turn[:, :, 0]
+        thrust = self.mass * (wanted * up).sum(axis=1) * (1 + twist[:, 3])
+        goal = wanted / np.linalg.norm(wanted, axis=1, keepdims=True)
+        # In body axes: turn' (up x goal).
+        seen = np.einsum("kji,kj->ki", turn, goal)
+        off = here[:, 3] - np.arctan2(nose[:, 1], nose[:, 0])
+        error = np.stack(
+            [-seen[:, 1], seen[:, 0], 0.25 * np.arctan2(np.sin(off), np.cos(off))], axis=1
         )
-        wanted[2] += self.gravity
-        wanted[2] = max(wanted[2], 0.3 * self.gravity)
-        side = float(np.hypot(wanted[0], wanted[1]))
-        if side > np.tan(TILT) * wanted[2]:
-            wanted[:2] *= np.tan(TILT) * wanted[2] / side
-        turn = numeric("matrix", q)[0].reshape(3, 3)
-        up, nose = turn[:, 2], turn[:, 0]
-        twist = np.array(manoeuvre.twist(t, amplitude))
-        thrust = self.mass * float(wanted @ up) * (1 + twist[3])
-        error = turn.T @ np.cross(up, wanted / np.linalg.norm(wanted))
-        yaw = float(np.arctan2(nose[1], nose[0]))
-        error[2] = 0.25 * float(np.arctan2(np.sin(here[3] - yaw), np.cos(here[3] - yaw)))
-        turning = (
-            ATTITUDE * error
-            + RATE * (np.array([0.0, 0.0, velocity[3]]) - omega) * [1.0, 1.0, 0.5]
-            + twist[:3]
-        )
-        force = self.unmix @ np.array([thrust, *(self.inertia * turning)])
+        rate = -omega
+        rate[:, 2] = 0.5 * (velocity[:, 3] - omega[:, 2])
+        turning = ATTITUDE * error + RATE * rate + twist[:, :3]
+        force = np.column_stack([thrust, self.inertia * turning]) @ self.unmix.T
         c0, c1, c2 = self.thrust
         root = np.sqrt(np.maximum(c1 * c1 - 4 * c2 * (c0 - np.maximum(force, 0.0)), 0.0))
         nu = (root - c1) / (2 * c2) if c2 else (force - c0) / c1
-        u = np.clip(nu, self.low, self.high)
-        return u, bool((np.abs(u - nu) > 1e-9).any())
+        u: FloatArray = np.clip(nu, self.low, self.high)
+        return u, np.any(np.abs(u - nu) > 1e-9, axis=1)

@@ -1,4 +1,5 @@
-"""plan: from a vehicle or a model to excitation flights with the standard errors that they are expected to give."""
+"""plan: from a vehicle or a model to excitation flights with the standard errors that they are
+expected to give."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ from greybox.planning.result import Plan, Step
 from greybox.progress import in_notebooks
 
 ROUNDS, SMALLER = 8, 0.85
-"""How often, and by which factor, manoeuvres that break a limit in the whole flight are made smaller."""
+"""How often, and by which factor, manoeuvres that break a limit in the whole flight are made
+smaller."""
 
 
 @in_notebooks(say="say")
@@ -37,16 +39,18 @@ def plan(
     say: Callable[[str], None] | None = None,
     **choices: Unpack[PlanChoices],
 ) -> Plan:
-    """Choose `seconds` of manoeuvres of `piece` seconds each, in `flights` flights, that tell most about what is wanted.
+    """Choose `seconds` of manoeuvres of `piece` seconds each, in `flights` flights, that tell most
+    about what is wanted.
 
-    The choices are keywords, fields of `PlanOptions` with its defaults, or `options` as a whole: effects, seconds, piece,
-    flights, limits, free, values, noise, sensors, sample_time, setpoints_only, seed.
+    The choices are keywords, fields of `PlanOptions` with its defaults, or `options` as a whole:
+    effects, seconds, piece, flights, limits, free, values, noise, sensors, sample_time,
+    setpoints_only, seed.
 
-    Wanted are the parameters of `effects`, or all that are free where none is named; see `subject` for model, values,
-    noise levels and sensors. `limits` default to a box of 4 x 4 x 2.5 m, 3 m/s, 35 degrees and the command range less 2 %
-    at both ends. `setpoints_only` leaves out manoeuvres that need injected signals. `say` hears of progress.
-    Raises `GreyboxError` (limits without room, nothing to estimate), `FitError` (nothing that can be flown),
-    `UnknownNameError`, `ModelError`.
+    Wanted are the parameters of `effects`, or all that are free where none is named; see `subject`
+    for model, values, noise levels and sensors. `limits` default to a box of 4 x 4 x 2.5 m, 3 m/s,
+    35 degrees and the command range less 2 % at both ends. `setpoints_only` leaves out manoeuvres
+    that need injected signals. `say` hears of progress. Raises `GreyboxError` (limits without room,
+    nothing to estimate), `FitError` (nothing that can be flown), `UnknownNameError`, `ModelError`.
     """
     o = PlanOptions.of(options, choices)
     seconds, piece, flights = o.seconds, o.piece, o.flights
@@ -126,12 +130,13 @@ def plan(
 def _hovering(
     make: Callable[[float], PlanningCase], limits: Limits | None, seconds: float
 ) -> tuple[PlanningCase, Limits, list[str]]:
-    """The subject, with effects of assumed size made smaller until the craft hovers within the limits."""
+    """The subject, with effects of assumed size made smaller until the craft hovers within the
+    limits."""
     for assumed in (1.0, 0.5, 0.25, 0.1, 0.05):
         wish = make(assumed)
         room = limits or Limits(command=command_range(wish.dynamics.vehicle))
         hover = excitation_blocks(wish.flying, room, seconds=seconds, setpoints_only=True)[0]
-        if fit_in(wish.flying, hover, room) is not None:
+        if fit_in(wish.flying, [hover], room)[0] is not None:
             note = f"effects without a stated size are taken at {assumed:g} of their typical one"
             return wish, room, [] if assumed == 1.0 else [note]
     raise FitError(
@@ -155,12 +160,13 @@ def _flyable(
     setpoints_only: bool,
     say: Callable[[str], None] | None,
 ) -> tuple[dict[str, Flown], list[str]]:
-    """The pieces that keep the limits, by name, and the texts of those that do not. Raises `FitError` where none does."""
+    """The pieces that keep the limits, by name, and the texts of those that do not. Raises
+    `FitError` where none does."""
     out, left_out = {}, []
-    for p in excitation_blocks(
+    pieces = excitation_blocks(
         wish.flying, limits, seconds=seconds, seed=seed, setpoints_only=setpoints_only
-    ):
-        done = fit_in(wish.flying, p, limits)
+    )
+    for p, done in zip(pieces, fit_in(wish.flying, pieces, limits), strict=True):
         if done is None:
             left_out.append(p.text)
             _say(say, f"cannot be flown inside the limits: {p.text}")
@@ -172,7 +178,8 @@ def _flyable(
             "no manoeuvre keeps the limits",
             expected="at least hover and one manoeuvre",
             got=f"{len(out)} of {len(out) + len(left_out)}",
-            fix="widen --box, --speed, --tilt or --command; greybox vehicle check; smaller --value of the effects",
+            fix="widen --box, --speed, --tilt or --command; greybox vehicle check; smaller --value "
+            "of the effects",
         )
     return out, left_out
 
@@ -180,9 +187,11 @@ def _flyable(
 def _kept(
     wish: PlanningCase, limits: Limits, split: Sequence[Sequence[Step]]
 ) -> tuple[tuple[tuple[Step, ...], ...], Dataset]:
-    """The flights and their logs. Manoeuvres that break a limit where they follow each other are made smaller.
+    """The flights and their logs. Manoeuvres that break a limit where they follow each other are
+    made smaller.
 
-    What a manoeuvre leaves behind reaches into the next one, so that the one before is made smaller as well.
+    What a manoeuvre leaves behind reaches into the next one, so that the one before is made smaller
+    as well.
     """
     sizes = [[a for _, a in steps] for steps in split]
     seconds = split[0][0][0].seconds
@@ -228,7 +237,8 @@ def _fly(wish: PlanningCase, limits: Limits, split: Sequence[Sequence[Step]]) ->
 def _naive(
     wish: PlanningCase, limits: Limits, candidates: Mapping[str, Flown], seconds: float
 ) -> Dataset:
-    """Half hover, half figure of eight, as a pilot would who is asked for data (to and fro, where it cannot be flown)."""
+    """Half hover, half figure of eight, as a pilot would who is asked for data (to and fro, where
+    it cannot be flown)."""
     eight = candidates.get("figure_eight") or max(
         candidates.values(), key=lambda f: f.piece.kind == "speed"
     )

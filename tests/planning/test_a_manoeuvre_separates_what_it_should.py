@@ -1,4 +1,5 @@
-"""The proposed manoeuvre is one in which the rivals differ, and its length is what the ratio needs."""
+"""The proposed manoeuvre is one in which the rivals differ, and its length is what the ratio
+needs."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ import pytest
 from greybox.estimation.fit import Fit, fit
 from greybox.model.model import build_model
 from greybox.planning.experiment import Separation, separating_manoeuvre, separations
-from greybox.planning.manoeuvres import LIBRARY, Manoeuvre, flown
+from greybox.planning.manoeuvres import LIBRARY, Manoeuvre, flown, flown_together
 from greybox.plants.effects import RotorDrag
 from tests.discovery import small_world
 
@@ -47,6 +48,10 @@ def test_speed_separates_drags_and_hover_does_not():
         best["runners_up"][0]["seconds_to_bic_10"] is None
         or best["runners_up"][0]["seconds_to_bic_10"] > 100
     )
+
+
+def test_no_flights_are_none():
+    assert flown_together(rivals()["rotor_drag"].model, []) == []
 
 
 def test_a_flight_follows_its_path_and_its_commands_are_within_limits():

@@ -1,4 +1,5 @@
-"""A plan keeps its limits, excites what is asked for, beats an unplanned flight, and says what it will not know."""
+"""A plan keeps its limits, excites what is asked for, beats an unplanned flight, and says what it
+will not know."""
 
 from __future__ import annotations
 
@@ -25,8 +26,9 @@ LIMITS = Limits(
 
 
 def vehicle(**changes: object) -> Vehicle:
-    """The template; as a file of schema /1, whose bare numbers are exact and whose fits know no wall at the triangle
-    inequality (these flights say little of the yaw inertia, and a noise-free fit goes as far as it may)."""
+    """The template; as a file of schema /1, whose bare numbers are exact and whose fits know no
+    wall at the triangle inequality (these flights say little of the yaw inertia, and a noise-free
+    fit goes as far as it may)."""
     return Vehicle.from_dict(
         tomllib.loads(template_text("x")) | {"schema": "greybox.vehicle/1"} | changes
     )
@@ -89,7 +91,8 @@ def test_look_alikes_are_judged_in_both_directions(made):
 
 @pytest.fixture(scope="module")
 def scaled(made):
-    """The plan's subject with the mass known, so that nothing but noise is left to decide the common scale."""
+    """The plan's subject with the mass known, so that nothing but noise is left to decide the
+    common scale."""
     return planning_case(
         vehicle(),
         effects=["rotor_drag", "command_delay"],
@@ -187,7 +190,9 @@ def test_a_piece_is_made_smaller_until_it_fits():
     s = planning_case(vehicle())
     narrow = Limits(box=(4.0, 4.0, 2.5), speed=3.0, tilt=np.radians(8.0), command=(0.1, 0.9))
     by_name = {p.name: p for p in excitation_blocks(s.flying, LIMITS, seconds=5.0)}
-    wide, small = (fit_in(s.flying, by_name["roll_multisine"], room) for room in (LIMITS, narrow))
+    wide, small = (
+        fit_in(s.flying, [by_name["roll_multisine"]], room)[0] for room in (LIMITS, narrow)
+    )
     assert wide is not None and small is not None
     assert small.amplitude < wide.amplitude
 
