@@ -1,17 +1,19 @@
 """How fast is the innovation-form fit against peers on the same model and data?
 
-One simulated flight of a nano quadrotor (20 s at 100 Hz, N = 2000, closed loop, process noise); a model with 17 states
-(rigid body with quaternion, four rotors) and 13 free parameters, every one started 25 % off. Noise levels and the initial
-state are held, because that is what every peer can do. One BLAS thread, every competitor in a process of its own.
+One simulated flight of a nano quadrotor (20 s at 100 Hz, N = 2000, closed loop, process noise); a
+model with 17 states (rigid body with quaternion, four rotors) and 13 free parameters, every one
+started 25 % off. Noise levels and the initial state are held, because that is what every peer can
+do. One BLAS thread, every competitor in a process of its own.
 
-    python -m benchmarks.innovation_fit [--aeroid-python PYTHON] [--cap 600] [--only NAME,...] [--runs 5]
+    python -m benchmarks.innovation_fit [--aeroid-python PYTHON] [--cap 600] [--only NAME,...]
+    [--runs 5]
 
 All of the rows "gain held" minimise the same sum, 1/2 sum |S^-1/2 e_k|^2 over the innovations of
-x(k+1) = F(x(k), u_k) boxplus K e_k, with K and S of the start values. The row `greybox` is the fit as users get it: K and
-S follow the parameters, their derivatives included, and log det S counts. AeroID runs its own filter-error method, an
-extended Kalman filter in raw coordinates, on the same differential equations. Whatever they minimise, the final
-parameters of all are judged by one function: the log likelihood of the stationary innovation form.
-The file is long because every peer is given the same model, and that is to be seen.
+x(k+1) = F(x(k), u_k) boxplus K e_k, with K and S of the start values. The row `greybox` is the fit
+as users get it: K and S follow the parameters, their derivatives included, and log det S counts.
+AeroID runs its own filter-error method, an extended Kalman filter in raw coordinates, on the same
+differential equations. Whatever they minimise, the final parameters of all are judged by one
+function: the log likelihood of the stationary innovation form.
 """
 
 from __future__ import annotations
@@ -70,7 +72,7 @@ PEERS = (
 )
 
 
-# ---------------------------------------------------------------------------------------------------- the case
+# --------------------------------------------------------------------------------------- the case
 
 
 def make_case(folder: Path) -> None:
@@ -116,7 +118,8 @@ def load(folder: Path) -> tuple[Any, Any]:
 
 
 def problem_of(model: Any, data: Any, predictor: Any = None) -> Any:
-    """The fit as a minimisation: 13 unknowns without priors, noise levels and initial state held."""
+    """The fit as a minimisation: 13 unknowns without priors, noise levels and initial state
+    held."""
     from greybox.estimation.criteria.gaussian import Gaussian
     from greybox.estimation.predictors.innovation import Innovation
     from greybox.estimation.problem import make_problem
@@ -172,7 +175,7 @@ def _cpu() -> float:
     return used.ru_utime + used.ru_stime
 
 
-# ---------------------------------------------------------------------------------------------------- competitors
+# ------------------------------------------------------------------------------------ competitors
 
 
 def run_ours(name: str, folder: Path, runs: int) -> dict[str, Any]:
@@ -226,10 +229,11 @@ def _trf_compiled(problem: Any) -> tuple[Any, bool, int]:
 
 
 def vm_residual(problem: Any, kind: str) -> tuple[Any, Any]:
-    """(unknowns (13, scaled), whitened innovations): mapaccum of the predictor step, as CasADi's users write it.
+    """(unknowns (13, scaled), whitened innovations): mapaccum of the predictor step, as CasADi's
+    users write it.
 
-    kind "MX": the step itself is an MX graph, the natural form; "SX": the step is expanded to scalars first, which the
-    virtual machine runs several times faster.
+    kind "MX": the step itself is an MX graph, the natural form; "SX": the step is expanded to
+    scalars first, which the virtual machine runs several times faster.
     """
     import casadi as ca
 
@@ -312,9 +316,11 @@ def run_vm(name: str, folder: Path) -> dict[str, Any]:
 
 
 def write_aeroid(folder: Path) -> None:
-    """The differential equations as C (dynamics.so) and the numbers of the case (aeroid.npz) for the other interpreter.
+    """The differential equations as C (dynamics.so) and the numbers of the case (aeroid.npz) for
+    the other interpreter.
 
-    AeroID gets them as callbacks that take a microsecond, far less than hand-written NumPy would need.
+    AeroID gets them as callbacks that take a microsecond, far less than hand-written NumPy would
+    need.
     """
     import casadi as ca
 
@@ -336,7 +342,8 @@ def write_aeroid(folder: Path) -> None:
     by_name = dict(zip(d.innovations.names, sensor))
     values = {n: problem.base[i] for i, n in enumerate(q.name for q in d.parameters)}
     mass = values["mass"]
-    # Raw coordinates: a quaternion component moves by half an angle; the force noise reaches the accelerometer too.
+    # Raw coordinates: a quaternion component moves by half an angle; the force noise reaches the
+    # accelerometer too.
     noise_of = {"q": 0.5 * by_name["attitude.x"]}
     measured = [
         noise_of["q"] if n in ("qw", "qx", "qy", "qz") else _level(by_name, n)
@@ -409,8 +416,9 @@ def run_aeroid(folder: Path) -> dict[str, Any]:
     f, h = wrap(library.f, x_in.size), wrap(library.h, case["outputs"].size)
 
     def dynamics(t: float, x: Any, _: Any, params: Any) -> np.ndarray:
-        # AeroID would run the command linearly between samples; the log's commands are held. The four stages come in
-        # order: start, twice the middle, end; the end of a step still sees the step's own command.
+        # AeroID would run the command linearly between samples; the log's commands are held. The
+        # four stages come in order: start, twice the middle, end; the end of a step still sees the
+        # step's own command.
         place = t / dt
         if 0.25 < place % 1.0 < 0.75:
             memory["held"], memory["middle"] = int(place), True
@@ -458,11 +466,12 @@ def run_aeroid(folder: Path) -> dict[str, Any]:
     }
 
 
-# ---------------------------------------------------------------------------------------------------- the table
+# -------------------------------------------------------------------------------------- the table
 
 
 def compete(name: str, folder: Path, cap: float, runs: int, python: str) -> dict[str, Any]:
-    """Run one competitor in a process of its own; `capped` where it took more than `cap` seconds of CPU time."""
+    """Run one competitor in a process of its own; `capped` where it took more than `cap` seconds of
+    CPU time."""
     command = [
         python,
         str(Path(__file__).resolve()),
@@ -620,7 +629,8 @@ def main(argv: Sequence[str] | None = None) -> None:
 def render(table: Sequence[dict[str, Any]]) -> str:
     """The table as text."""
     lines = [
-        f"{'who':50s} {'solve':>9s} {'ratio':>8s} {'set-up':>8s} {'ratio':>8s} {'log lik.':>11s}  converged (evaluations)",
+        f"{'who':50s} {'solve':>9s} {'ratio':>8s} {'set-up':>8s} {'ratio':>8s} {'log lik.':>11s}  "
+        "converged (evaluations)",
         f"{'':50s} {'CPU s':>9s} {'':>8s} {'CPU s':>8s} {'of sums':>8s}",
     ]
     for r in table:
@@ -635,8 +645,10 @@ def render(table: Sequence[dict[str, Any]]) -> str:
             else f"{'yes' if r['converged'] else 'no'} ({r['evaluations']})"
         )
         lines.append(
-            f"{r['who']:50s} {more + format(r['solve_cpu_s'], '.3f'):>9s} {more + format(r['ratio_solve'], '.1f'):>8s} "
-            f"{r['setup_cpu_s']:8.2f} {more + format(r['ratio_with_setup'], '.1f'):>8s} {loglik:>11s}  {done}"
+            f"{r['who']:50s} {more + format(r['solve_cpu_s'], '.3f'):>9s} "
+            f"{more + format(r['ratio_solve'], '.1f'):>8s} "
+            f"{r['setup_cpu_s']:8.2f} {more + format(r['ratio_with_setup'], '.1f'):>8s} "
+            f"{loglik:>11s}  {done}"
         )
     return "\n".join(lines)
 

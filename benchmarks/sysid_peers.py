@@ -1,17 +1,21 @@
-"""Does MuJoCo's own system identification (mujoco.sysid) find better models of the same flights, in how much time?
+"""Does MuJoCo's own system identification (mujoco.sysid) find better models of the same flights, in
+how much time?
 
-    python -m benchmarks.sysid_peers nanobench [--out F.json]
+    python -m benchmarks.sysid_peers nanobench [--train FLIGHT ...] [--out F.json]
     python -m benchmarks.sysid_peers craft --seeds FIRST LAST --folder DIR [--out F.json]
 
-`nanobench`: nine real flights to fit, five to judge. `greybox fit` runs as typed, with nothing but vehicle file and
-flights. mujoco.sysid gets the same file as MJCF: four motors with a first-order lag, ctrl = the file's thrust. Free are
-a gain per rotor, the drag torque, the lag, damping of the free joint and the second moments of a box. It fits half a
-second from measured states, each signal scaled by what it changes in that time. Everybody then predicts from the same
-instants and the same measured pose, velocity and rates. In one row our discrepancy states are forgotten at the start,
-because mujoco.sysid has none. It needs `pip install 'mujoco[sysid]'`.
+`nanobench`: nine real flights to fit, or those that --train names, five to judge. `greybox fit`
+runs as typed, with nothing but vehicle file and flights. mujoco.sysid gets the same file as MJCF:
+four motors with a first-order lag, ctrl = the file's thrust. Free are a gain per rotor, the drag
+torque, the lag, damping of the free joint and the second moments of a box. It fits half a second
+from measured states, each signal scaled by what it changes in that time. Everybody then predicts
+from the same instants and the same measured pose, velocity and rates. In one row our discrepancy
+states are forgotten at the start, because mujoco.sysid has none. It needs `pip install
+'mujoco[sysid]'`.
 
-`craft`: drawn craft with known truth (`scenarios.foreign.draw`), with ideal and real sensors, gusts on and off. The true
-mass is told to mujoco.sysid, not to greybox. Shown: how many moments of inertia and lags lie inside their 95 % intervals.
+`craft`: drawn craft with known truth (`scenarios.foreign.draw`), with ideal and real sensors, gusts
+on and off. The true mass is told to mujoco.sysid, not to greybox. Shown: how many moments of
+inertia and lags lie inside their 95 % intervals.
 
 CPU seconds are of whole processes on one thread.
 """
@@ -49,14 +53,16 @@ from scenarios.foreign.campaign import DEVIATIONS, deviations, fit_plainly, seco
 from scenarios.foreign.draw import draw, truth_of, write  # noqa: E402
 
 SECONDS, ADAPT, SPACING, LEARNED = 0.5, 5.0, 0.1, 2.0
-"""Length of a prediction, start of the judged part of a flight, time between judged instants and between those that
-mujoco.sysid learns from [s]: its time grows with their number."""
+"""Length of a prediction, start of the judged part of a flight, time between judged instants and
+between those that mujoco.sysid learns from [s]: its time grows with their number."""
 SHOWN = (0.1, 0.5)
 JUDGED = ("position", "velocity", "rotation", "rate")
 START_LAG, MEMORY = 0.04, 0.5
-"""Motor lag that mujoco.sysid starts from, and how much of the commands before an instant its rotors remember [s]."""
+"""Motor lag that mujoco.sysid starts from, and how much of the commands before an instant its
+rotors remember [s]."""
 REFITS, SAME = 5, 0.005
-"""How often mujoco.sysid fits again at most, and the relative change of the lag that needs no further fit."""
+"""How often mujoco.sysid fits again at most, and the relative change of the lag that needs no
+further fit."""
 BOX = np.ones((3, 3)) - np.eye(3)
 """Moments of inertia of second moments of mass: any of these that are positive belong to a body."""
 COMPARED = ("motor_lag.tau", "inertia.xx", "inertia.yy", "inertia.zz")
@@ -67,8 +73,9 @@ Errors = dict[str, FloatArray]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Window:
-    """Half a second of a flight: measured states (H + 1, 13) of position, quaternion, world velocity and body rates,
-    thrusts that were commanded (H + 1, 4) [N] by the vehicle file, and those of the time before (m, 4)."""
+    """Half a second of a flight: measured states (H + 1, 13) of position, quaternion, world
+    velocity and body rates, thrusts that were commanded (H + 1, 4) [N] by the vehicle file, and
+    those of the time before (m, 4)."""
 
     measured: FloatArray
     commanded: FloatArray
@@ -126,7 +133,8 @@ def windows_of(data: Dataset, vehicle: Vehicle, origins: Mapping[str, IntArray])
 
 
 def instants(data: Dataset, first: float, spacing: float) -> dict[str, IntArray]:
-    """Flight -> samples from `first` [s] on, every `spacing`, whose window lies inside its first segment and is complete."""
+    """Flight -> samples from `first` [s] on, every `spacing`, whose window lies inside its first
+    segment and is complete."""
     out = {}
     for flight in data:
         segment, steps = flight.segments[0], round(SECONDS / flight.dt)
@@ -161,16 +169,20 @@ class Peer:
             for i, r in enumerate(vehicle.rotors)
         )
         motors = "".join(
-            f'<general name="m{i}" site="r{i}" dyntype="filter" dynprm="{START_LAG}" gainprm="1" biastype="none" '
+            f'<general name="m{i}" site="r{i}" dyntype="filter" dynprm="{START_LAG}" gainprm="1" '
+            'biastype="none" '
             f'gear="0 0 1 0 0 {-r.spin * ratio}"/>'
             for i, r in enumerate(vehicle.rotors)
         )
         moments = " ".join(str(v[f"inertia.{a}{a}"]) for a in "xyz")
         return (
-            f'<mujoco><option integrator="RK4" timestep="{self.dt}" gravity="0 0 {-float(vehicle.gravity)}" '
-            'density="1.2" viscosity="1.8e-5"/><worldbody><body name="craft"><freejoint name="free"/>'
+            f'<mujoco><option integrator="RK4" timestep="{self.dt}" gravity="0 0 '
+            f'{-float(vehicle.gravity)}" '
+            'density="1.2" viscosity="1.8e-5"/><worldbody><body name="craft"><freejoint '
+            'name="free"/>'
             f'<inertial pos="0 0 0" mass="{v["mass"]}" diaginertia="{moments}"/>'
-            f'<geom type="box" size="{arm} {arm} {0.3 * arm}" contype="0" conaffinity="0"/>{sites}</body></worldbody>'
+            f'<geom type="box" size="{arm} {arm} {0.3 * arm}" contype="0" '
+            f'conaffinity="0"/>{sites}</body></worldbody>'
             f"<actuator>{motors}</actuator></mujoco>"
         )
 
@@ -314,7 +326,8 @@ def squared(predicted: FloatArray, windows: Sequence[Window]) -> Errors:
 def ours(
     model: IdentifiedModel, data: Dataset, origins: Mapping[str, IntArray]
 ) -> dict[str, Errors]:
-    """Our errors from the same instants and measured states, with the filter's discrepancy and without."""
+    """Our errors from the same instants and measured states, with the filter's discrepancy and
+    without."""
     runner, reader = Filter(model), GroupReader(model)
     pushes = reader.state_rows("disturbance")
     rows: dict[str, list[Errors]] = {"greybox": [], "greybox, pushes forgotten": []}
@@ -374,17 +387,18 @@ def fitted(
     return seconds_of_children() - before
 
 
-def nanobench(work: Path) -> list[dict[str, Any]]:
-    """One row per method: RMSE of each group at `SHOWN`, CPU seconds."""
+def nanobench(work: Path, names: Sequence[str] = NANOBENCH_TRAIN) -> list[dict[str, Any]]:
+    """One row per method, fitted to the flights `names`: RMSE of each group at `SHOWN`, CPU
+    seconds."""
     vehicle = read_vehicle(vehicle_path("nanobench"))
     paths = {p.name.split(".")[0]: p for p in map(Path, flight_paths("nanobench"))}
     data = read_logs(list(paths.values()), vehicle)
-    train, test, dt = data.select(NANOBENCH_TRAIN), data.select(NANOBENCH_TEST), next(iter(data)).dt
+    train, test, dt = data.select(names), data.select(NANOBENCH_TEST), next(iter(data)).dt
     origins = instants(test, ADAPT, SPACING)
     judged = windows_of(test, vehicle, origins)
     still = np.stack([np.repeat(w.measured[:1], len(w.measured) - 1, axis=0) for w in judged])
     found: dict[str, tuple[Errors, dict[str, float]]] = {"last value": (squared(still, judged), {})}
-    flights = [[paths[n] for n in names] for names in (NANOBENCH_TRAIN, NANOBENCH_TEST)]
+    flights = [[paths[n] for n in some] for some in (names, NANOBENCH_TEST)]
     seconds = {
         f"cpu_{k}": fitted(vehicle_path("nanobench"), *flights, work / k, cold=k == "cold")
         for k in ("cold", "warm")
@@ -412,7 +426,8 @@ def nanobench(work: Path) -> list[dict[str, Any]]:
 
 
 def craft(seeds: Sequence[int], folder: Path) -> list[dict[str, Any]]:
-    """One row per seed and method: deviations from the truth in standard errors, and relative ones."""
+    """One row per seed and method: deviations from the truth in standard errors, and relative
+    ones."""
     rows = []
     for seed in seeds:
         drawn = draw(seed)
@@ -443,7 +458,8 @@ def craft(seeds: Sequence[int], folder: Path) -> list[dict[str, Any]]:
 def _off(
     told: Mapping[str, Mapping[str, Any]], truth: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
-    """Name -> (deviation in standard errors, relative deviation) of those of `COMPARED` that were estimated."""
+    """Name -> (deviation in standard errors, relative deviation) of those of `COMPARED` that were
+    estimated."""
     z, off = deviations({n: told[n] for n in COMPARED if n in told}, truth)
     return {n: (z[n], off[n]) for n in off}
 
@@ -454,6 +470,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("part", choices=("nanobench", "craft"))
+    parser.add_argument(
+        "--train",
+        nargs="+",
+        default=NANOBENCH_TRAIN,
+        metavar="FLIGHT",
+        help="flights that are fitted",
+    )
     parser.add_argument("--seeds", type=int, nargs=2, default=(1, 6), metavar=("FIRST", "LAST"))
     parser.add_argument(
         "--folder", type=Path, help="where fits and drawn craft are kept (a temporary folder)"
@@ -463,7 +486,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         work = options.folder or Path(temporary)
         if options.part == "nanobench":
-            rows = nanobench(work)
+            rows = nanobench(work, options.train)
             for row in rows:
                 print(
                     f"{row['method']:28s}"

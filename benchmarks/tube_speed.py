@@ -1,14 +1,17 @@
-"""How long does a step of the tube controller take, and the same problem solved to the end, next to IPOPT, do-mpc, acados?
+"""How long does a step of the tube controller take, and the same problem solved to the end, next to
+IPOPT, do-mpc, acados?
 
-    python -m benchmarks.tube_speed --models DIR [--points 50 100] [--acados DIR] [--flights 3] [--problems 8]
+    python -m benchmarks.tube_speed --models DIR [--points 50 100] [--acados DIR] [--flights 3]
+    [--problems 8]
 
-DIR holds hybrid-50.json and hybrid-100.json (and is given them by identification where it does not: minutes). First the
-controller flies the obstacle course: every call of `TubeController.sample` is timed, filter, variance propagation,
-data transfer and Python included. Then problems of these flights, with the back-offs that stood in them held fixed, are
-solved from one cold start (every state the present one, every command that of hover) to a KKT residual of 1e-6 by all
-solvers: same discretisation (the exported f_d), cost, limits and slack. The last stage has no limits, because do-mpc
-has no place for them. One thread; CPU time of the thread next to wall time, and the machine's load.
-The file is long because every competitor is given the same problem, and that is to be seen.
+DIR holds hybrid-50.json and hybrid-100.json (and is given them by identification where it does not:
+minutes). First the controller flies the obstacle course: every call of `TubeController.sample` is
+timed, filter, variance propagation, data transfer and Python included. Then problems of these
+flights, with the back-offs that stood in them held fixed, are solved from one cold start (every
+state the present one, every command that of hover) to a KKT residual of 1e-6 by all solvers: same
+discretisation (the exported f_d), cost, limits and slack. The last stage has no limits, because
+do-mpc has no place for them. One thread; CPU time of the thread next to wall time, and the
+machine's load.
 """
 
 from __future__ import annotations
@@ -68,7 +71,7 @@ def identified(folder: Path, points: int) -> Path:
     return path
 
 
-# ------------------------------------------------------------------------------------------------ steps in flight
+# -------------------------------------------------------------------------------- steps in flight
 
 
 def in_flight(
@@ -146,7 +149,7 @@ def common(met: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return out
 
 
-# ------------------------------------------------------------------------------------------------ the problem
+# ------------------------------------------------------------------------------------ the problem
 
 
 class Problem:
@@ -426,7 +429,8 @@ def with_do_mpc(problem: Problem) -> Callable[[dict[str, np.ndarray]], Answer]:
 def with_acados(
     problem: Problem, home: Path, work: Path, kind: str
 ) -> Callable[[dict[str, np.ndarray]], Answer]:
-    """acados with Gauss-Newton and HPIPM; kind "SQP" or "SQP_RTI". The command before is a state."""
+    """acados with Gauss-Newton and HPIPM; kind "SQP" or "SQP_RTI". The command before is a
+    state."""
     from acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver
 
     p, task = problem, problem.task
@@ -507,7 +511,8 @@ def with_acados(
             "u": plan,
             "cost": float(solver.get_cost()),
         }
-        # by acados' own clock, which is wall time: only their ratio says something on a crowded machine
+        # by acados' own clock, which is wall time: only their ratio says something on a crowded
+        # machine
         answer["qp iterations"] = int(np.sum(solver.get_stats("qp_iter")))
         return answer | {
             k: 1e3 * float(np.sum(solver.get_stats(f"time_{k}"))) for k in ("lin", "qp")
@@ -516,7 +521,7 @@ def with_acados(
     return solve
 
 
-# ------------------------------------------------------------------------------------------------ report
+# ----------------------------------------------------------------------------------------- report
 
 
 def compared(
@@ -607,7 +612,8 @@ def main() -> None:
             print(json.dumps(row))
     print(f"load {load}")
     content = {
-        "question": "How long does a step of the tube controller take, and the same problem solved to the end, next to "
+        "question": "How long does a step of the tube controller take, and the same problem solved "
+        "to the end, next to "
         "IPOPT, do-mpc and acados?",
         "unit": "ms, wall and CPU time of the thread",
         "machine": platform.machine(),

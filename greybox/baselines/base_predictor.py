@@ -1,14 +1,16 @@
-"""BasePredictor: an identified model, linear or physical, as a predictor of measured channels in innovation form.
+"""BasePredictor: an identified model, linear or physical, as a predictor of measured channels in
+innovation form.
 
     x(t+1|t) = f(x(t|t-1), u) (+) K e(t),    y(t) = h(x(t|t-1), u) + e(t),    cov(e) = S
 
-x(t|t-1) is known without any measurement of time t. A linear model brings K and S, a physical one those of its stationary
-filter (Ljung 1999, System Identification, sec. 4.3). With a Gaussian process g(z) for the mean of e(t) the same recursion
-runs the output residual of `greybox.baselines.output_residual`: what g foretells moves the state as a measured e would.
+x(t|t-1) is known without any measurement of time t. A linear model brings K and S, a physical one
+those of its stationary filter (Ljung 1999, System Identification, sec. 4.3). With a Gaussian
+process g(z) for the mean of e(t) the same recursion runs the output residual of
+`greybox.baselines.output_residual`: what g foretells moves the state as a measured e would.
 
-Ahead of an origin the covariance of the state is that of the innovations still to come, and the GP's own error, which is
-the same function all along, is carried as a consider state (Schmidt 1966), both linearised along the predicted path.
-The file is long because one-step predictions, features and rollouts share one set of expressions.
+Ahead of an origin the covariance of the state is that of the innovations still to come, and the
+GP's own error, which is the same function all along, is carried as a consider state (Schmidt 1966),
+both linearised along the predicted path.
 """
 
 from __future__ import annotations
@@ -55,8 +57,9 @@ LAST_ERROR = re.compile(r"error\.(?P<name>.+)\[t-1\]")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One segment under the predictor: `states` (n, n_x) x(t|t-1), `mean` (n, n_o) y(t|t-1), `known` (n,) where both are
-    predictions, `inputs` (n + past + future, n_u), parameters p (a zero for a linear model), shift (n_o,) of the outputs."""
+    """One segment under the predictor: `states` (n, n_x) x(t|t-1), `mean` (n, n_o) y(t|t-1),
+    `known` (n,) where both are predictions, `inputs` (n + past + future, n_u), parameters p (a zero
+    for a linear model), shift (n_o,) of the outputs."""
 
     states: FloatArray
     mean: FloatArray
@@ -68,11 +71,13 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BasePredictor:
-    """Predicts `outputs` of `model` (default: the IMU channels among its outputs, else all that are plain numbers).
+    """Predicts `outputs` of `model` (default: the IMU channels among its outputs, else all that are
+    plain numbers).
 
-    `channels`: input of a linear model -> (weight, log column) of the sum that it is; by its own name where absent.
-    `adapt` [s]: start, and output offset (linear) or per-flight parameters (physical, except of training flights), are
-    fitted on the first seconds of every segment, where nothing is then predicted. Raises `UnknownNameError`.
+    `channels`: input of a linear model -> (weight, log column) of the sum that it is; by its own
+    name where absent. `adapt` [s]: start, and output offset (linear) or per-flight parameters
+    (physical, except of training flights), are fitted on the first seconds of every segment, where
+    nothing is then predicted. Raises `UnknownNameError`.
     """
 
     model: Base
@@ -89,7 +94,7 @@ class BasePredictor:
                 raise UnknownNameError("output", n, plain, where=self.dynamics.name)
         object.__setattr__(self, "outputs", tuple(chosen))
 
-    # ------------------------------------------------------------------------------------------------ the model
+    # ----------------------------------------------------------------------------------- the model
 
     @property
     def dynamics(self) -> Any:
@@ -123,7 +128,8 @@ class BasePredictor:
 
     @property
     def parameters(self) -> int:
-        """How many numbers were fitted: entries of a minimal form, or shared parameters and their values per flight."""
+        """How many numbers were fitted: entries of a minimal form, or shared parameters and their
+        values per flight."""
         if isinstance(self.model, LinearModel):
             return free_entries(self.model)
         return len(self.model.covariance_names) + sum(
@@ -142,10 +148,11 @@ class BasePredictor:
     def _terms(self, name: str) -> Terms:
         return self.channels.get(name, ((1.0, name),))
 
-    # ------------------------------------------------------------------------------------------- one step ahead
+    # ------------------------------------------------------------------------------ one step ahead
 
     def run(self, segment: Segment) -> Run:
-        """Predictions of a whole segment. Raises `DataError` (a column is absent, too short), `FitError`."""
+        """Predictions of a whole segment. Raises `DataError` (a column is absent, too short),
+        `FitError`."""
         if abs(segment.dt - self.dt) > 1e-6 * self.dt:
             raise DataError(
                 f"sampled every {segment.dt:g} s, the model every {self.dt:g} s",
@@ -174,7 +181,8 @@ class BasePredictor:
         x0, offset, blind = np.zeros(model.order), model.output_offset, 0
         cut = max(model.delays, default=0)
         if self.adapt is not None:
-            # The record begins where its delayed commands are known, and ends with the seconds to adapt on.
+            # The record begins where its delayed commands are known, and ends with the seconds to
+            # adapt on.
             found = adapt(model, record, self.adapt - cut * model.dt)
             x0, offset, blind = found.x0, found.offset, found.samples
         moved = delayed(record, model.delays)
@@ -218,7 +226,8 @@ class BasePredictor:
         )
 
     def one_step(self, segment: Segment) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance (n, n_o) of every sample from what is known before it; NaN where too little is."""
+        """Mean and variance (n, n_o) of every sample from what is known before it; NaN where too
+        little is."""
         run = self.run(segment)
         mean = np.where(run.known[:, None], run.mean, np.nan)
         variance = np.broadcast_to(np.diag(self.gain[1])[self.rows], mean.shape)
@@ -227,15 +236,16 @@ class BasePredictor:
     def free_run(
         self, segment: Segment, origins: npt.ArrayLike, horizon: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance (m, horizon, n_o) of the samples k+1 .. k+horizon from every origin k."""
+        """Mean and variance (m, horizon, n_o) of the samples k+1 .. k+horizon from every origin
+        k."""
         return self.rolled(segment, origins, horizon, None)
 
-    # ------------------------------------------------------------------------------------------------- features
+    # ------------------------------------------------------------------------------------ features
 
     def feature_layout(self, names: Sequence[str]) -> Layout:
-        """Units of features: `NAME[t-1]`, `NAME[t-2]`, ... a log column or phi, theta, psi so many samples before, `NAME[t]`
-        a command at t, `error.NAME[t-1]` the model's own last one-step error, anything else a predicted output or a signal
-        of the predicted state.
+        """Units of features: `NAME[t-1]`, `NAME[t-2]`, ... a log column or phi, theta, psi so many
+        samples before, `NAME[t]` a command at t, `error.NAME[t-1]` the model's own last one-step
+        error, anything else a predicted output or a signal of the predicted state.
 
         Raises `UnknownNameError`, and `ModelError` for a measurement of time t.
         """
@@ -279,8 +289,8 @@ class BasePredictor:
         return outputs | {n: u for n, u in there.items() if n not in self.dynamics.inputs.names}
 
     def given(self, segment: Segment, names: Sequence[str]) -> FloatArray:
-        """The features (n, n_given) that name a sample (`NAME[t-1]`, `NAME[t]`) in their order, the last value where one is
-        missing."""
+        """The features (n, n_given) that name a sample (`NAME[t-1]`, `NAME[t]`) in their order, the
+        last value where one is missing."""
         out = []
         for name in names:
             late = _column(name)
@@ -298,8 +308,8 @@ class BasePredictor:
         return np.column_stack(out) if out else np.zeros((segment.n, 0))
 
     def errors(self, segment: Segment, run: Run) -> FloatArray:
-        """One-step errors (n, n_o) of the sample before each, the last known one where it was not measured; NaN before the
-        first."""
+        """One-step errors (n, n_o) of the sample before each, the last known one where it was not
+        measured; NaN before the first."""
         e = np.where(run.known[:, None], segment.matrix(self.outputs) - run.mean, np.nan)
         held, _ = hold_missing(e)
         held[~np.logical_or.accumulate(np.isfinite(e), axis=0)] = np.nan
@@ -325,7 +335,8 @@ class BasePredictor:
 
     @property
     def _n_p(self) -> int:
-        # The many entries of linear matrices are constants of the functions; the one argument left is not used.
+        # The many entries of linear matrices are constants of the functions; the one argument left
+        # is not used.
         return 1 if isinstance(self.model, LinearModel) else len(self.dynamics.parameters)
 
     @property
@@ -334,7 +345,8 @@ class BasePredictor:
         return past, 1, future
 
     def _told(self, names: tuple[str, ...], posterior: Candidate | None) -> Any:
-        """(x, window, given, last errors, p, shift) -> z; with `posterior` or no names what a step of `rolled` needs."""
+        """(x, window, given, last errors, p, shift) -> z; with `posterior` or no names what a step
+        of `rolled` needs."""
         cache = self.__dict__.setdefault("_functions", {})
         key = (names, id(posterior), bool(names) and posterior is None)
         if key not in cache:
@@ -409,15 +421,16 @@ class BasePredictor:
         out = around(still, at, *arguments)
         return ca.Function("step", arguments, [ca.densify(ca.vertcat(*(ca.vec(v) for v in out)))])
 
-    # ----------------------------------------------------------------------------------------------- many steps
+    # ---------------------------------------------------------------------------------- many steps
 
     def rolled(
         self, segment: Segment, origins: npt.ArrayLike, horizon: int, posterior: Candidate | None
     ) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance (m, horizon, n_o) from origins k, with the GP `posterior` as mean of the innovations or None.
+        """Mean and variance (m, horizon, n_o) from origins k, with the GP `posterior` as mean of
+        the innovations or None.
 
-        Measured features keep their value at k; of the errors to come the GP's mean is expected. NaN where nothing is known
-        at k+1, and past the end.
+        Measured features keep their value at k; of the errors to come the GP's mean is expected.
+        NaN where nothing is known at k+1, and past the end.
         """
         k = np.asarray(origins, dtype=np.int64).ravel()
         if k.size and (k.min() < 0 or k.max() >= segment.n):

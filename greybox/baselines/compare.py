@@ -11,15 +11,18 @@
 | nonlinear PEM + output GP | output residual of the nonlinear model | `budget` candidates |
 | GP alone | NARX | `budget` candidates |
 | LSTM | as in Ghoul et al. 2026 | `budget` candidates |
+| TCN | decoupled, with history and multi-step loss, as in Rao et al. 2024 | `budget` candidates |
 
-On request also linear SISO, linear MIMO and nonlinear PEM, each with other learners (`compare_methods.pairs`).
+On request also linear SISO, linear MIMO and nonlinear PEM, each with other learners
+(`compare_methods.pairs`).
 
-Candidates are judged on training flights that were held back for it; nothing looks at the test flights. The commands that
-linear models, black boxes and residuals use for y(t) end one sample before t. Black boxes see rates, specific force, body
-velocity and direction of gravity (`black_box_view`), predict all of them, and get their pose by the kinematics of
-`greybox.baselines.kinematics`; linear models and output residuals predict the IMU and get theirs likewise. The one-step
-variance of a model of motion is scaled per channel to its errors on the training flights, where those of the other methods
-come from too.
+Candidates are judged on training flights that were held back for it; nothing looks at the test
+flights. The commands that linear models, black boxes and residuals use for y(t) end one sample
+before t. Black boxes see rates, specific force, body velocity and direction of gravity
+(`black_box_view`), predict all of them, and get their pose by the kinematics of
+`greybox.baselines.kinematics`; linear models and output residuals predict the IMU and get theirs
+likewise. The one-step variance of a model of motion is scaled per channel to its errors on the
+training flights, where those of the other methods come from too.
 """
 
 from __future__ import annotations
@@ -48,8 +51,9 @@ def compare(
 ) -> Iterator[dict[str, Any]]:
     """Run the methods one after the other; yields the content of compare.json after each.
 
-    `methods` (default: all of the table; pairs have names too), then every model with each of `learners` (`pairs`). A
-    method that fails has its error in its row. Raises `UnknownNameError` for a method that there is not, and as `pairs`.
+    `methods` (default: all of the table; pairs have names too), then every model with each of
+    `learners` (`pairs`). A method that fails has its error in its row. Raises `UnknownNameError`
+    for a method that there is not, and as `pairs`.
     """
     more = pairs(learners)
     there = {**METHODS, **pairs((GP, *LEARNERS)), **more}
@@ -110,7 +114,8 @@ def _row(bench: Bench, name: str, found: Outcome) -> dict[str, Any]:
 
 
 def _series(bench: Bench, found: Outcome) -> dict[str, Any]:
-    """A few seconds of the first test segment for the figure: mean and standard deviation per channel."""
+    """A few seconds of the first test segment for the figure: mean and standard deviation per
+    channel."""
     i = 0
     rows = np.flatnonzero(bench.late[i])[: round(SHOWN / bench.dt)]
     mean, std = found.mean[i][rows], np.sqrt(found.variance[i][rows])

@@ -1,7 +1,9 @@
-"""The methods of a comparison: each takes a `Bench` and gives an `Outcome`. `METHODS` lists them in the order of the run.
+"""The methods of a comparison: each takes a `Bench` and gives an `Outcome`. `METHODS` lists them in
+the order of the run.
 
-What has choices is tuned with `Bench.budget` candidates on training flights that are held back for it (`Bench.split`), then
-fitted to all of them (the LSTM stops early by these flights and keeps its weights).
+What has choices is tuned with `Bench.budget` candidates on training flights that are held back for
+it (`Bench.split`), then fitted to all of them (LSTM and TCN stop early by these flights and keep
+their weights).
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ NARX_LAGS = (2, 4)
 
 @dataclass(frozen=True, kw_only=True)
 class Persistence:
-    """The last measured value; the variance is that of one-step differences on the training flights."""
+    """The last measured value; the variance is that of one-step differences on the training
+    flights."""
 
     outputs: tuple[str, ...]
     variance: FloatArray
@@ -119,7 +122,8 @@ def _output_hybrid(
     label: str,
     learner: str = GP,
 ) -> Outcome:
-    """`base` + what is learned of its one-step errors; features, kernel and size by the error on the held-back flights."""
+    """`base` + what is learned of its one-step errors; features, kernel and size by the error on
+    the held-back flights."""
     began = time.perf_counter()
     space: dict[str, Sequence[Any]] = {"points": FEATURES}
     if learner == GP:
@@ -170,7 +174,8 @@ def _linear_hybrid(
 
 
 def _choices(bench: Bench, plain: Sequence[str]) -> dict[str, Sequence[str]]:
-    """What is predicted alone, or also the model's last errors: black boxes see their last samples too."""
+    """What is predicted alone, or also the model's last errors: black boxes see their last samples
+    too."""
     return {
         "prediction": tuple(plain),
         "and last errors": (*plain, *(f"error.{n}[t-1]" for n in bench.outputs)),
@@ -189,7 +194,8 @@ def _nonlinear_output(bench: Bench) -> Outcome:
 def candidates(
     bench: Bench, space: Mapping[str, Sequence[Any]], first: str
 ) -> list[dict[str, Any]]:
-    """`bench.budget` points of the grid `space`, drawn without repetition; all values of `first` take turns."""
+    """`bench.budget` points of the grid `space`, drawn without repetition; all values of `first`
+    take turns."""
     grid = [dict(zip(space, values)) for values in itertools.product(*space.values())]
     drawn = [grid[i] for i in np.random.default_rng(bench.seed).permutation(len(grid))]
     turns = [[p for p in drawn if p[first] == v] for v in space[first]]
@@ -243,39 +249,69 @@ def _gp(bench: Bench) -> Outcome:
 def _lstm(bench: Bench) -> Outcome:
     from greybox.baselines.lstm_train import SPACE, LSTMSettings, train_lstm
 
+    def trained(point: Mapping[str, Any], given: Mapping[str, Any]) -> tuple[Any, float]:
+        rest = {k: v for k, v in point.items() if k != "window"}
+        model = train_lstm(
+            settings=LSTMSettings(
+                n_a=point["window"], n_b=point["window"], **_schedule(given["train"]), **rest
+            ),
+            **given,
+        )
+        return model, validation_error(model, given["validation"], bench.outputs, bench.spread)
+
+    return _network(bench, "LSTM", SPACE, trained)
+
+
+def _tcn(bench: Bench) -> Outcome:
+    from greybox.baselines.tcn import SPACE, TCNSettings, train_tcn
+
+    def trained(point: Mapping[str, Any], given: Mapping[str, Any]) -> tuple[Any, float]:
+        model = train_tcn(settings=TCNSettings(**_schedule(given["train"]), **point), **given)
+        return model, model.report["validation"]
+
+    return _network(bench, "TCN", SPACE, trained)
+
+
+def _schedule(segments: Sequence[Segment]) -> dict[str, Any]:
+    """Long logs get larger batches and fewer epochs, which are then as many steps."""
+    few = sum(s.n for s in segments) < 5000
+    return (
+        {"batch": 64, "epochs": 200, "patience": 25}
+        if few
+        else {"batch": 256, "epochs": 60, "patience": 10}
+    )
+
+
+def _network(
+    bench: Bench,
+    label: str,
+    space: Mapping[str, Sequence[Any]],
+    trained: Callable[[Mapping[str, Any], Mapping[str, Any]], tuple[Any, float]],
+) -> Outcome:
+    """The best of `bench.budget` networks; `trained(point of the space, keywords of every
+    training)` gives one and its error on the held-back flights, which also stop the training."""
     began = time.perf_counter()
     own, judge, outputs = _black_box(bench)
-    samples = sum(s.n for s in own)
-    # Long logs get larger batches and fewer epochs, which are then as many steps.
-    batch, epochs, patience = (64, 200, 25) if samples < 5000 else (256, 60, 10)
     tried: list[dict[str, Any]] = []
     best: Any = None
-    for number, point in enumerate(candidates(bench, SPACE, "increments")):
-        rest = {k: v for k, v in point.items() if k != "window"}
-        window = point["window"]
-        settings = LSTMSettings(
-            n_a=window, n_b=window, batch=batch, epochs=epochs, patience=patience, **rest
-        )
-        model = train_lstm(
-            own,
-            judge,
-            outputs=outputs,
-            inputs=bench.inputs,
-            settings=settings,
-            seed=bench.seed + number,
-            progress=lambda text: bench.say(f"LSTM: {text}"),
-        )
-        error = validation_error(model, judge, bench.outputs, bench.spread)
+    for number, point in enumerate(candidates(bench, space, "increments")):
+        given = {
+            "train": own,
+            "validation": judge,
+            "outputs": outputs,
+            "inputs": bench.inputs,
+            "seed": bench.seed + number,
+            "progress": lambda text: bench.say(f"{label}: {text}"),
+        }
+        model, error = trained(point, given)
         ended = {k: model.report[k] for k in ("epochs", "ended")}
-        tried.append({**point, "batch": batch, "validation": error, **ended})
-        bench.say(f"LSTM: candidate {number + 1} of {bench.budget}: {tried[-1]}")
+        tried.append({**point, "validation": error, **ended})
+        bench.say(f"{label}: candidate {number + 1} of {bench.budget}: {tried[-1]}")
         if error <= min(t["validation"] for t in tried):
             best = model
     seconds = time.perf_counter() - began
-    settings_used = min(tried, key=lambda t: t["validation"])
-    return bench.outcome(
-        "LSTM", best, views=True, seconds=seconds, search=tried, settings=settings_used
-    )
+    used = min(tried, key=lambda t: t["validation"])
+    return bench.outcome(label, best, views=True, seconds=seconds, search=tried, settings=used)
 
 
 def validation_error(
@@ -297,11 +333,13 @@ METHODS: Mapping[str, Callable[[Bench], Outcome]] = {
     "nonlinear PEM + output GP": _nonlinear_output,
     "GP alone": _gp,
     "LSTM": _lstm,
+    "TCN": _tcn,
 }
 
 
 def pairs(learners: Sequence[str]) -> dict[str, Callable[[Bench], Outcome]]:
-    """Every model with each of `learners` (names, or files of the user's own), by the name of the method.
+    """Every model with each of `learners` (names, or files of the user's own), by the name of the
+    method.
 
     What `METHODS` has already keeps its name there. Raises as `learner_of`.
     """

@@ -1,13 +1,14 @@
-"""LSTMModel: a two-layer long short-term memory network over a window of past samples, as plain numbers.
+"""LSTMModel: a two-layer long short-term memory network over a window of past samples, as plain
+numbers.
 
-The baseline of Ghoul et al. 2026 (network: Hochreiter and Schmidhuber, Neural Computation 9(8), 1997, with the forget
-gate of Gers et al., Neural Computation 12(10), 2000). The window runs from the oldest to the newest sample; step i sees
-the outputs i samples before the predicted one and the inputs of that row; what lies beyond n_a or n_b is zero in
-standardised units. The last state of the upper layer goes through one linear layer. Nothing is remembered between
-predictions.
+The baseline of Ghoul et al. 2026 (network: Hochreiter and Schmidhuber, Neural Computation 9(8),
+1997, with the forget gate of Gers et al., Neural Computation 12(10), 2000). The window runs from
+the oldest to the newest sample; step i sees the outputs i samples before the predicted one and the
+inputs of that row; what lies beyond n_a or n_b is zero in standardised units. The last state of the
+upper layer goes through one linear layer. Nothing is remembered between predictions.
 
-The equations stand once, in `_network`, for NumPy rows and for CasADi. Training is in lstm_train.py, which alone needs
-PyTorch.
+The equations stand once, in `_network`, for NumPy rows and for CasADi. Training is in
+lstm_train.py, which alone needs PyTorch.
 """
 
 from __future__ import annotations
@@ -36,16 +37,55 @@ BATCH = 8192
 _VECTORS = ("input_mean", "input_scale", "target_mean", "target_scale", "variance")
 
 
+class WindowedNetwork:
+    """What a network that tells the next sample from `lags` predicts: one step, and on with its own
+    predictions.
+
+    `variance` (h_max, n_y): mean squared error of the free run at horizon 1 .. h_max on validation
+    data; later horizons get the last.
+    """
+
+    lags: Lags
+    variance: FloatArray
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the predicted channels."""
+        return self.lags.outputs
+
+    def mean(self, z: FloatArray) -> FloatArray:
+        """Predicted outputs (N, n_y) for rows of regressors (N, n_z); NaN where a regressor is
+        missing."""
+        raise NotImplementedError
+
+    def one_step(self, segment: Segment) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance (n, n_y), teacher-forced: every window holds measured samples."""
+        mean = self.mean(self.lags.rows(segment))
+        return mean, np.where(np.isfinite(mean), self.variance[0], np.nan)
+
+    def free_run(
+        self, segment: Segment, origins: npt.ArrayLike, horizon: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance (m, horizon, n_y): predictions take the place of the outputs not yet
+        measured."""
+        past, moved = self.lags.starts(segment, origins, horizon)
+        mean = np.empty((len(past), horizon, len(self.outputs)))
+        for h in range(horizon):
+            mean[:, h] = self.mean(Lags.joined(past, moved[:, h]))
+            past = self.lags.pushed(past, mean[:, h])
+        spread = self.variance[np.minimum(np.arange(horizon), len(self.variance) - 1)]
+        return mean, np.where(np.isfinite(mean), spread, np.nan)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LSTMModel:
+class LSTMModel(WindowedNetwork):
     """A trained network: predicts `lags.outputs` from `lags`. Plain float64 numbers, no torch.
 
-    `input_mean`, `input_scale` (n_z,) and `target_mean`, `target_scale` (n_y,) standardise; with `increments` the target
-    is y[t] - y[t-1]. `layers`: per layer input weights (4 H, d), recurrent weights (4 H, H) and bias (4 H,), gates in the
-    order input, forget, cell, output; `head`: weights (n_y, H) and bias (n_y,). `variance` (h_max, n_y): mean squared error
-    of the free run at horizon 1 .. h_max on validation data; later horizons get the last. `report` says how it was trained,
-    `dt` [s] is the sample time of the training data.
-    Raises `ModelError` where shapes do not fit.
+    `input_mean`, `input_scale` (n_z,) and `target_mean`, `target_scale` (n_y,) standardise; with
+    `increments` the target is y[t] - y[t-1]. `layers`: per layer input weights (4 H, d), recurrent
+    weights (4 H, H) and bias (4 H,), gates in the order input, forget, cell, output; `head`:
+    weights (n_y, H) and bias (n_y,). `report` says how it was trained, `dt` [s] is the sample time
+    of the training data. Raises `ModelError` where shapes do not fit.
     """
 
     lags: Lags
@@ -84,17 +124,13 @@ class LSTMModel:
                 )
 
     @property
-    def outputs(self) -> tuple[str, ...]:
-        """Names of the predicted channels."""
-        return self.lags.outputs
-
-    @property
     def parameters(self) -> int:
         """Number of weights."""
         return sum(a.size for layer in (*self.layers, self.head) for a in layer)
 
     def mean(self, z: FloatArray) -> FloatArray:
-        """Predicted outputs (N, n_y) for rows of regressors (N, n_z); NaN where a regressor is missing."""
+        """Predicted outputs (N, n_y) for rows of regressors (N, n_z); NaN where a regressor is
+        missing."""
         out = np.full((len(z), len(self.outputs)), np.nan)
         whole = np.flatnonzero(np.isfinite(z).all(axis=1))
         for at in range(0, len(whole), BATCH):
@@ -125,7 +161,8 @@ class LSTMModel:
         )
         steps = []
         for lag in range(max(n_a, n_b), 0, -1):
-            # The input weights of what the window does not hold are left out: those inputs are zero.
+            # The input weights of what the window does not hold are left out: those inputs are
+            # zero.
             past = x[:, (lag - 1) * n_y : lag * n_y] if lag <= n_a else None
             first = n_a * n_y + (lag - 1) * n_u
             moved = x[:, first : first + n_u] if lag <= n_b and n_u else None
@@ -155,24 +192,7 @@ class LSTMModel:
         y = y * row(self.target_scale) + row(self.target_mean)
         return y + z[:, :n_y] if self.increments else y
 
-    def one_step(self, segment: Segment) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance (n, n_y), teacher-forced: every window holds measured samples."""
-        mean = self.mean(self.lags.rows(segment))
-        return mean, np.where(np.isfinite(mean), self.variance[0], np.nan)
-
-    def free_run(
-        self, segment: Segment, origins: npt.ArrayLike, horizon: int
-    ) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance (m, horizon, n_y): predictions take the place of the outputs not yet measured."""
-        past, moved = self.lags.starts(segment, origins, horizon)
-        mean = np.empty((len(past), horizon, len(self.outputs)))
-        for h in range(horizon):
-            mean[:, h] = self.mean(Lags.joined(past, moved[:, h]))
-            past = self.lags.pushed(past, mean[:, h])
-        spread = self.variance[np.minimum(np.arange(horizon), len(self.variance) - 1)]
-        return mean, np.where(np.isfinite(mean), spread, np.nan)
-
-    # -------------------------------------------------------------------------------------------------- files
+    # --------------------------------------------------------------------------------------- files
 
     def _arrays(self) -> dict[str, FloatArray]:
         named = {n: getattr(self, n) for n in _VECTORS}

@@ -1,8 +1,9 @@
 """Train the LSTM baseline: the only file of it that imports PyTorch.
 
-As in Ghoul et al. 2026: two layers, dropout between them, Adam (Kingma and Ba 2015) with weight decay, a schedule that
-lowers the learning rate where the validation error stands still, early stopping on validation data. Hidden size, learning
-rate, window and target come from a random search of a stated budget; the model with the lowest validation error wins.
+As in Ghoul et al. 2026: two layers, dropout between them, Adam (Kingma and Ba 2015) with weight
+decay, a schedule that lowers the learning rate where the validation error stands still, early
+stopping on validation data. Hidden size, learning rate, window and target come from a random search
+of a stated budget; the model with the lowest validation error wins.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from greybox.baselines.lstm import LSTMModel
+from greybox.baselines.lstm import LSTMModel, WindowedNetwork
 from greybox.baselines.regressors import Lags, segments_of
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError
@@ -30,8 +31,21 @@ ORIGINS = 400
 
 
 @dataclass(frozen=True, kw_only=True)
-class LSTMSettings:
-    """Choices of one training. `increments`: the target is the change since the last sample, not the value."""
+class Schedule:
+    """How `descend` goes down: batches of so many rows, `epochs` at most, stopped after `patience`
+    without a better one."""
+
+    weight_decay: float = 1e-6
+    learning_rate: float = 3e-3
+    batch: int = 64
+    epochs: int = 200
+    patience: int = 25
+
+
+@dataclass(frozen=True, kw_only=True)
+class LSTMSettings(Schedule):
+    """Choices of one training. `increments`: the target is the change since the last sample, not
+    the value."""
 
     n_a: int = 10
     n_b: int = 10
@@ -39,11 +53,6 @@ class LSTMSettings:
     hidden: int = 64
     layers: int = 2
     dropout: float = 0.1
-    weight_decay: float = 1e-6
-    learning_rate: float = 3e-3
-    batch: int = 64
-    epochs: int = 200
-    patience: int = 25
     increments: bool = False
 
 
@@ -67,11 +76,13 @@ def train_lstm(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> LSTMModel:
-    """A network trained on `train`, stopped by `validation`. Deterministic for one seed on one machine.
+    """A network trained on `train`, stopped by `validation`. Deterministic for one seed on one
+    machine.
 
-    The validation error is the mean over outputs of the squared one-step error in units of the training variance.
-    `report` holds settings, epochs, validation error and whether early stopping was reached ("stopped" or "epochs used
-    up"). Raises `DataError` where a part has no complete window.
+    The validation error is the mean over outputs of the squared one-step error in units of the
+    training variance. `report` holds settings, epochs, validation error and whether early stopping
+    was reached ("stopped" or "epochs used up"). Raises `DataError` where a part has no complete
+    window.
     """
     s = settings or LSTMSettings()
     began = time.perf_counter()
@@ -97,7 +108,7 @@ def train_lstm(
             xv = _single(sequences(lags, (zv - scaling["input_mean"]) / scaling["input_scale"]))
             scales = _single(scaling["target_scale"] / _spread(y))
             wanted = _single((yv - base - scaling["target_mean"]) / scaling["target_scale"])
-            best, report = _fit(network, x, t, xv, wanted, scales, s, progress)
+            best, report = descend(network, x, t, xv, wanted, scales, s, progress)
     finally:
         torch.set_num_threads(threads)
     model = LSTMModel(
@@ -126,9 +137,11 @@ def search_lstm(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> LSTMModel:
-    """The best of `budget` trainings with settings drawn from `SPACE` without repetition, by validation error.
+    """The best of `budget` trainings with settings drawn from `SPACE` without repetition, by
+    validation error.
 
-    `train_seconds` is that of all of them together; `report["search"]` lists every candidate with its error.
+    `train_seconds` is that of all of them together; `report["search"]` lists every candidate with
+    its error.
     """
     if budget < 1:
         raise DataError(f"a search of {budget} candidates", expected="at least 1")
@@ -166,9 +179,10 @@ def search_lstm(
 
 
 def residual_variance(
-    model: LSTMModel, segments: Sequence[Segment], horizon: int = HORIZON
+    model: WindowedNetwork, segments: Sequence[Segment], horizon: int = HORIZON
 ) -> FloatArray:
-    """Mean squared error (horizon, n_y) of the free run over up to `ORIGINS` origins of the segments."""
+    """Mean squared error (horizon, n_y) of the free run over up to `ORIGINS` origins of the
+    segments."""
     total: FloatArray = np.zeros((horizon, len(model.outputs)))
     count: FloatArray = np.zeros_like(total)
     for segment in segments:
@@ -210,17 +224,19 @@ class Network(torch.nn.Module):
         return self.head(states[:, -1])
 
 
-def _fit(
+def descend(
     network: Any,
     x: Any,
     t: Any,
     xv: Any,
     tv: Any,
     scales: Any,
-    s: LSTMSettings,
+    s: Schedule,
     progress: Callable[[str], None] | None,
 ) -> tuple[dict[str, FloatArray], dict[str, Any]]:
-    """Weights at the lowest validation error, and what happened."""
+    """Weights at the lowest validation error, and what happened: Adam on batches of rows x -> t;
+    errors of xv -> tv, times `scales`, lower the learning rate and stop. Raises `DataError` where
+    it diverges at once."""
     optimiser = torch.optim.Adam(
         network.parameters(), lr=s.learning_rate, weight_decay=s.weight_decay
     )
@@ -258,7 +274,9 @@ def _fit(
             ended = "stopped"
             break
     if not np.isfinite(lowest):
-        raise DataError("the training of the LSTM diverged at once", fix="lower the learning rate")
+        raise DataError(
+            "the training of the network diverged at once", fix="lower the learning rate"
+        )
     return {k: v.numpy().astype(np.float64) for k, v in best.items()}, {
         "validation": lowest,
         "epochs": len(history),
@@ -268,13 +286,15 @@ def _fit(
 
 
 def _layer(weights: dict[str, FloatArray], i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Input weights, recurrent weights, bias of one layer; PyTorch has two biases that only ever add."""
+    """Input weights, recurrent weights, bias of one layer; PyTorch has two biases that only ever
+    add."""
     bias = weights[f"lstm.bias_ih_l{i}"] + weights[f"lstm.bias_hh_l{i}"]
     return weights[f"lstm.weight_ih_l{i}"], weights[f"lstm.weight_hh_l{i}"], bias
 
 
 def sequences(lags: Lags, x: FloatArray) -> FloatArray:
-    """Standardised regressors (N, n_z) as sequences (N, steps, n_y + n_u), oldest step first, zero beyond the window."""
+    """Standardised regressors (N, n_z) as sequences (N, steps, n_y + n_u), oldest step first, zero
+    beyond the window."""
     n_y, n_u = len(lags.outputs), len(lags.inputs)
     steps = max(lags.n_a, lags.n_b)
     out = np.zeros((len(x), steps, n_y + n_u))

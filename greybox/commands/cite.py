@@ -1,4 +1,5 @@
-"""`greybox cite MODEL.json`: what to cite for a model: the method, the sources of its effects, its data, the software."""
+"""`greybox cite MODEL.json`: what to cite for a model: the method, the sources of its effects, its
+data, the software."""
 
 from __future__ import annotations
 
@@ -16,29 +17,35 @@ PREDICTION_ERROR = (
     "Ljung 1999, System Identification: Theory for the User, 2nd edition, Prentice Hall"
 )
 HYBRID = (
-    "Ghoul, Bousserhane and Boufeldja 2026, A Hybrid PEM-GP Framework for Uncertainty-Aware System Identification of "
+    "Ghoul, Bousserhane and Boufeldja 2026, A Hybrid PEM-GP Framework for Uncertainty-Aware System "
+    "Identification of "
     "Quadcopters, International Journal of Control, Automation and Systems 24(8)"
 )
 DISTURBANCE = (
-    "Kristensen, Madsen and Jorgensen 2004, A method for systematic improvement of stochastic grey-box models, Computers "
+    "Kristensen, Madsen and Jorgensen 2004, A method for systematic improvement of stochastic "
+    "grey-box models, Computers "
     "& Chemical Engineering 28(8)"
 )
 CASADI = (
-    "Andersson, Gillis, Horn, Rawlings and Diehl 2019, CasADi: a software framework for nonlinear optimization and "
+    "Andersson, Gillis, Horn, Rawlings and Diehl 2019, CasADi: a software framework for nonlinear "
+    "optimization and "
     "optimal control, Mathematical Programming Computation 11(1)"
 )
 DATA_SETS: Mapping[str, tuple[str, str]] = {
     "nanobench": (
         "NanoBench",
-        "Ullah and Baca 2026, NanoBench: A Multi-Task Benchmark Dataset for Nano-Quadrotor System Identification, "
+        "Ullah and Baca 2026, NanoBench: A Multi-Task Benchmark Dataset for Nano-Quadrotor System "
+        "Identification, "
         "Control, and State Estimation, arXiv:2603.09908",
     ),
     "arpl": (
         "ARPL Crazyflie logs",
-        "Eschmann, Albani and Loianno 2024, Data-Driven System Identification of Quadrotors Subject to Motor Delays",
+        "Eschmann, Albani and Loianno 2024, Data-Driven System Identification of Quadrotors "
+        "Subject to Motor Delays",
     ),
 }
-"""Data sets by a word that the name of their vehicle, or an entry of the model's `data_sets`, contains."""
+"""Data sets by a word that the name of their vehicle, or an entry of the model's `data_sets`,
+contains."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +61,8 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "cite",
         help="what to cite for a model",
-        description="List what to cite for a model file: method, sources of its effects, data sets, software.",
+        description="List what to cite for a model file: method, sources of its effects, data "
+        "sets, software.",
     )
     p.add_argument("model", metavar="MODEL.json", help="a model file")
     p.add_argument(
@@ -83,9 +91,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def works(model: Mapping[str, Any], *, where: str = "model") -> tuple[Work, ...]:
-    """What to cite for the values of a model file; a work with several reasons comes once, with all of them.
+    """What to cite for the values of a model file; a work with several reasons comes once, with all
+    of them.
 
-    Raises `FileFormatError` where the values are not those of a model, `UnknownNameError` for an unknown effect.
+    Raises `FileFormatError` where the values are not those of a model, `UnknownNameError` for an
+    unknown effect.
     """
     from greybox.errors import FileFormatError
     from greybox.model.effects import effect_by_name
@@ -109,7 +119,7 @@ def works(model: Mapping[str, Any], *, where: str = "model") -> tuple[Work, ...]
         Work(reason="framework", text=HYBRID),
     ]
     parts = model.get("noise_parts", [])
-    if model.get("disturbance") or any(p.get("kind") == "disturbance" for p in parts):
+    if model.get("disturbance") or any(p.get("kind") in ("disturbance", "gust") for p in parts):
         found.append(Work(reason="disturbance states", text=DISTURBANCE))
     own = model.get("own_effects", {})
     for e in effects:

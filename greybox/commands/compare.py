@@ -19,10 +19,13 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "compare",
         help="compare linear, nonlinear, black-box and hybrid models on the same flights",
-        description="Train every method on the same flights and judge them on the same samples of others: linear and "
-        "nonlinear PEM, their hybrids with a Gaussian process, a GP alone, an LSTM. Options of `greybox fit` say how the "
-        "nonlinear model is built. Writes compare.json after every method, and report.html. Exit code 0: done, 1: a "
-        "method failed (its row says why), 2: bad input.",
+        description="Train every method on the same flights and judge them on the same samples of "
+        "others: linear and "
+        "nonlinear PEM, their hybrids with a Gaussian process, a GP alone, an LSTM, a TCN. Options "
+        "of `greybox fit` "
+        "say how the nonlinear model is built. Writes compare.json after every method, and "
+        "report.html. Exit code 0: "
+        "done, 1: a method failed (its row says why), 2: bad input.",
     )
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to train on")
@@ -57,7 +60,8 @@ def add(subparsers: Any) -> None:
         type=names,
         default=(),
         metavar="a,b",
-        help="also every model (linear SISO, linear MIMO, nonlinear) with these learners, as in greybox learn; "
+        help="also every model (linear SISO, linear MIMO, nonlinear) with these learners, as in "
+        "greybox learn; "
         "all: every learner that there is",
     )
     horizon_options(p)
@@ -123,7 +127,10 @@ def run(arguments: argparse.Namespace) -> int:
         write_atomic(out / "report.html", compare_report(content))
         done = len(content["methods"])
         others = content["not_run"]
-        arguments.kept = f"what is done is in {out / 'compare.json'}; for the rest: --methods {','.join(others)} --out OTHER"
+        arguments.kept = (
+            f"what is done is in {out / 'compare.json'}; for the rest: --methods "
+            f"{','.join(others)} --out OTHER"
+        )
         console.share(f"{done} of {done + len(others)} done", done / (done + len(others)))
     console.result(content, format_table(content), f"wrote compare.json and report.html in {out}")
     failed = [m["method"] for m in content["methods"] if m["status"] != "done"]

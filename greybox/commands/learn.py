@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console, json_option
@@ -20,15 +21,23 @@ from greybox.commands.judgement import (
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.own_model import demand_disjoint, loaded, model_file_option, read_flights_of
 
+if TYPE_CHECKING:
+    from greybox.data import Dataset
+    from greybox.model.identified import IdentifiedModel
+    from greybox.model.verdict import Verdict
+
 
 def add(subparsers: Any) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "learn",
         help="learn what a fitted model misses as a Gaussian process",
-        description="Learn what a fitted model misses as a Gaussian process and calibrate its uncertainty. Writes "
-        "hybrid.json, learn.json and report.html (where nothing was worth learning, hybrid.json is the physics with "
-        "calibrated uncertainty). Exit code 0: usable (or too calm to judge), 1: not usable, 2: bad input.",
+        description="Learn what a fitted model misses as a Gaussian process and calibrate its "
+        "uncertainty. Writes "
+        "hybrid.json, learn.json and report.html (where nothing was worth learning, hybrid.json is "
+        "the physics with "
+        "calibrated uncertainty). Exit code 0: usable (or too calm to judge), 1: not usable, 2: "
+        "bad input.",
     )
     p.add_argument(
         "model",
@@ -54,7 +63,8 @@ def add(subparsers: Any) -> None:
         default="gp",
         metavar="NAME",
         help="gp (default), random-features, neural (a network with "
-        "a Bayesian last layer), ensemble (of networks), sparse (a law of few terms), tcn (a convolution "
+        "a Bayesian last layer), ensemble (of networks), sparse (a law of few terms), tcn (a "
+        "convolution "
         "over earlier commands), or own.py:Name, Python that is run",
     )
     p.add_argument("--kernel", default="se", help="se, matern32, matern52, or linear+ one of these")
@@ -105,7 +115,6 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, learn, validate before and after, report."""
     from greybox.commands.learn_output import RESULTS, is_linear, run_output
-    from greybox.errors import GreyboxError
     from greybox.files import withdraw, write_atomic, write_json
     from greybox.model.layer import physics_of
     from greybox.model.verdict import NOT_JUDGED
@@ -113,51 +122,16 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.residual.files import save_model
     from greybox.residual.learn import learn
     from greybox.residual.train import check_extra
-    from greybox.validation.validate import validate
 
     if arguments.learner == "gp":
         check_extra()
     demand_adapt(arguments)
-    points: int | str = arguments.points
-    if points != "auto":
-        try:
-            points = int(points)
-        except ValueError:
-            points = 0
-        if points < 1:
-            raise GreyboxError(
-                "--points takes a number above zero or auto",
-                got=repr(arguments.points),
-                fix="--points 50",
-            )
-    if arguments.place and arguments.inputs:
-        raise GreyboxError(
-            "--place competes with other sets, --inputs is the only one", fix="one of the two"
-        )
+    points = _points(arguments.points)
     need_mcap(arguments.mcap)
-    if is_linear(arguments.model):
-        if arguments.mcap:
-            raise GreyboxError(
-                "--mcap is for models of a vehicle", got=f"the linear model {arguments.model}"
-            )
-        if arguments.place:
-            raise GreyboxError(
-                "--place is for models of a vehicle", got=f"the linear model {arguments.model}"
-            )
-        if arguments.guard and arguments.learner != "gp":
-            raise GreyboxError(
-                "--guard is for the Gaussian process", got=f"--learner {arguments.learner}"
-            )
-        if arguments.keep_impossible:
-            raise GreyboxError(
-                "--keep-impossible is for models of a vehicle",
-                got=f"the linear model {arguments.model}",
-            )
+    linear = is_linear(arguments.model)
+    _demand_options(arguments, linear=linear)
+    if linear:
         return run_output(arguments)
-    if arguments.guard:
-        raise GreyboxError(
-            "--guard is for linear models: what is learned of physics has its variance from the errors ahead"
-        )
     model = loaded(arguments)
     horizons = given_horizons(arguments, own=physics_of(model.dynamics) is None)
     train, test = (
@@ -194,36 +168,108 @@ def run(arguments: argparse.Namespace) -> int:
     withdraw(out, *RESULTS)
     save_model(learned.model, out / "hybrid.json")
     write_json(out / "learn.json", content)
-    arguments.kept = f"what was learned is in {out}, not judged: greybox validate {out / 'hybrid.json'} --log LOGS judges it"
-    judged = test if test.flights else train
-    checked: dict[str, Any] = {}
-    verdict = None
-    for label, candidate in (("before", model), ("after", learned.model)):
-        console.share(f"validate {label}", 1.0)
-        try:
-            seen = validate(candidate, judged, **horizons, adapt=arguments.adapt)
-            checked[label], verdict = seen.to_dict(), seen.verdict
-        except GreyboxError as error:
-            content["warnings"].append(f"no validation {label}: {error}")
-            verdict = None
+    arguments.kept = (
+        f"what was learned is in {out}, not judged: greybox validate "
+        f"{out / 'hybrid.json'} --log LOGS judges it"
+    )
+    verdict = _validated(
+        arguments,
+        console,
+        content,
+        (model, learned.model),
+        test if test.flights else train,
+        horizons,
+    )
     hybrid = replace(learned.model, verdict=verdict)
     save_model(hybrid, out / "hybrid.json")
-    content["verdict"] = None if verdict is None else verdict.to_dict()
     if not test.flights:
         content["warnings"].append(
             "validated on the flights that were learned from: give --test flights"
         )
-    content["validation"] = checked
     write_json(out / "learn.json", content)
-    page = learn_report(content, title=f"What {model.name} misses")
-    report = write_atomic(out / "report.html", page)
-    adapted = ((checked.get("after") or {}).get("adapted_on") or {}).get("flights")
+    report = write_atomic(
+        out / "report.html", learn_report(content, title=f"What {model.name} misses")
+    )
+    adapted = ((content["validation"].get("after") or {}).get("adapted_on") or {}).get("flights")
     write_if_asked(arguments.mcap, hybrid, train, test, adapted=adapted)
+    said = NOT_JUDGED if verdict is None else verdict.line
+    warnings = [f"warning: {w}" for w in content["warnings"]]
     console.result(
         content,
-        NOT_JUDGED if verdict is None else verdict.line,
-        *(f"warning: {w}" for w in content["warnings"]),
+        said,
+        *warnings,
         learned.summary(),
         f"wrote hybrid.json, learn.json and {report.name} in {out}",
     )
     return exit_code(verdict)
+
+
+def _points(text: str) -> int | str:
+    """Number of support points, or "auto"."""
+    from greybox.errors import GreyboxError
+
+    if text == "auto":
+        return text
+    points = int(text) if text.strip().isdecimal() else 0
+    if points < 1:
+        raise GreyboxError(
+            "--points takes a number above zero or auto", got=repr(text), fix="--points 50"
+        )
+    return points
+
+
+def _demand_options(arguments: argparse.Namespace, *, linear: bool) -> None:
+    """Options that belong to one kind of model, or exclude each other."""
+    from greybox.errors import GreyboxError
+
+    if arguments.place and arguments.inputs:
+        raise GreyboxError(
+            "--place competes with other sets, --inputs is the only one", fix="one of the two"
+        )
+    if linear:
+        for given, option in (
+            (arguments.mcap, "--mcap"),
+            (arguments.place, "--place"),
+            (arguments.keep_impossible, "--keep-impossible"),
+        ):
+            if given:
+                raise GreyboxError(
+                    f"{option} is for models of a vehicle",
+                    got=f"the linear model {arguments.model}",
+                )
+        if arguments.guard and arguments.learner != "gp":
+            raise GreyboxError(
+                "--guard is for the Gaussian process", got=f"--learner {arguments.learner}"
+            )
+    elif arguments.guard:
+        raise GreyboxError(
+            "--guard is for linear models: what is learned of physics has its variance from the "
+            "errors ahead"
+        )
+
+
+def _validated(
+    arguments: argparse.Namespace,
+    console: Console,
+    content: dict[str, Any],
+    models: tuple[IdentifiedModel, IdentifiedModel],
+    judged: Dataset,
+    horizons: Mapping[str, Any],
+) -> Verdict | None:
+    """Verdict of the second of `models` (before and after); puts the validation of both into
+    `content`."""
+    from greybox.errors import GreyboxError
+    from greybox.validation.validate import validate
+
+    content["validation"] = {}
+    verdict = None
+    for label, model in zip(("before", "after"), models):
+        console.share(f"validate {label}", 1.0)
+        try:
+            seen = validate(model, judged, **horizons, adapt=arguments.adapt)
+            content["validation"][label], verdict = seen.to_dict(), seen.verdict
+        except GreyboxError as error:
+            content["warnings"].append(f"no validation {label}: {error}")
+            verdict = None
+    content["verdict"] = None if verdict is None else verdict.to_dict()
+    return verdict

@@ -1,15 +1,27 @@
-"""`greybox linear`: from logs to a linear state-space model in innovation form, with error bars and a report."""
+"""`greybox linear`: from logs to a linear state-space model in innovation form, with error bars and
+a report."""
 
 from __future__ import annotations
 
 import argparse
 import shlex
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from greybox.commands.console import Console, json_option
 from greybox.commands.judgement import given_horizons, horizon_options, horizon_steps
+
+if TYPE_CHECKING:
+    from greybox.linear.fit import LinearFit
+    from greybox.linear.logs import ChannelSpec, Logs
+    from greybox.linear.records import Record
+    from greybox.linear.validation import Identified, Interval
+
+Group = tuple[tuple[int, ...], tuple[int, ...]]
+"""Columns of the inputs and of the outputs of one model."""
 
 
 def add(subparsers: Any) -> None:
@@ -17,9 +29,12 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "linear",
         help="identify a linear state-space model",
-        description="Identify x+ = A x + B u + K e, y = C x + D u + e from logs by subspace start and prediction error "
-        "polish. Any CSV with a time column `t` works; a vehicle file is only needed for its column names. A channel is a "
-        "column, or a sum of columns: 'roll=u4+u3-u2-u1'. Writes fit.json, model.json and report.html. Exit code 0: "
+        description="Identify x+ = A x + B u + K e, y = C x + D u + e from logs by subspace start "
+        "and prediction error "
+        "polish. Any CSV with a time column `t` works; a vehicle file is only needed for its "
+        "column names. A channel is a "
+        "column, or a sum of columns: 'roll=u4+u3-u2-u1'. Writes fit.json, model.json and "
+        "report.html. Exit code 0: "
         "converged, 1: not converged, 2: bad input.",
     )
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="logs to fit")
@@ -95,16 +110,47 @@ def add(subparsers: Any) -> None:
     p.set_defaults(run=run)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """What is to be identified: channels, order and delays, and `groups` of (inputs, outputs) that
+    share a model."""
+
+    inputs: tuple[ChannelSpec, ...]
+    outputs: tuple[ChannelSpec, ...]
+    order: int | str
+    delays: list[int] | str
+    groups: tuple[Group, ...]
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Read, identify, validate, report. Returns 0, or 1 where a fit did not converge."""
-    from greybox.errors import DataError
-    from greybox.files import write_atomic, write_json
-    from greybox.linear.logs import parse_channels, read_records
-    from greybox.linear.validation import Identified, validate_linear
-    from greybox.model.vehicle import read_vehicle
-    from greybox.report.linear_report import linear_report
-
     console = Console.of(arguments)
+    asked = _asked(arguments)
+    train, test = _logs(arguments, asked)
+    horizons = horizon_steps(arguments, train.dt)
+    results = [
+        _identified(arguments, console, asked, group, (train, test), horizons)
+        for group in asked.groups
+    ]
+    content = _content(arguments, asked, (train, test), results)
+    written = _write(Path(arguments.out), content, results, (train, test))
+    console.result(
+        content,
+        *(r.format() for r in results),
+        *(f"note: {n}" for n in content["notes"]),
+        f"wrote {written}",
+    )
+    bad = [r.fit.model.name for r in results if not r.fit.converged]
+    if bad:
+        print(f"not converged: {', '.join(bad)}", file=sys.stderr)
+    return 1 if bad else 0
+
+
+def _asked(arguments: argparse.Namespace) -> _Asked:
+    """The options, judged before any log is read."""
+    from greybox.errors import DataError
+    from greybox.linear.logs import parse_channels
+
     inputs, outputs = (
         parse_channels(arguments.inputs, "inputs"),
         parse_channels(arguments.outputs, "outputs"),
@@ -121,7 +167,7 @@ def run(arguments: argparse.Namespace) -> int:
             expected="equal numbers",
             fix="mix the inputs: --inputs 'roll=u4+u3-u2-u1,...'",
         )
-    given_horizons(arguments)  # what is wrong with them is said before logs are read
+    given_horizons(arguments)
     order = (
         arguments.order
         if arguments.order == "auto"
@@ -132,93 +178,149 @@ def run(arguments: argparse.Namespace) -> int:
             "--exact-order keeps the states of an order that is given",
             fix="--order 6 --exact-order",
         )
-    delays = _delays(arguments.delay, len(inputs))
     if arguments.max_order < 1:
         raise DataError(f"--max-order {arguments.max_order}", expected="at least 1")
+    whole = (tuple(range(len(inputs))), tuple(range(len(outputs))))
+    return _Asked(
+        inputs=inputs,
+        outputs=outputs,
+        order=order,
+        delays=_delays(arguments.delay, len(inputs)),
+        groups=tuple(((i,), (i,)) for i in range(len(outputs))) if arguments.siso else (whole,),
+    )
+
+
+def _logs(arguments: argparse.Namespace, asked: _Asked) -> tuple[Logs, Logs | None]:
+    """(training logs, test logs): at one sample time, and no flight in both."""
+    from greybox.errors import DataError
+    from greybox.linear.logs import read_records
+    from greybox.model.vehicle import read_vehicle
+
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
-    train = read_records(
-        arguments.train,
-        inputs,
-        outputs,
-        vehicle,
-        rate=arguments.rate,
-        bridge=0,
-        mapping=arguments.mapping,
-    )
-    test = (
-        read_records(
-            arguments.test, inputs, outputs, vehicle, rate=arguments.rate, mapping=arguments.mapping
+    how = {"rate": arguments.rate, "mapping": arguments.mapping}
+    train = read_records(arguments.train, asked.inputs, asked.outputs, vehicle, bridge=0, **how)
+    if not arguments.test:
+        return train, None
+    test = read_records(arguments.test, asked.inputs, asked.outputs, vehicle, **how)
+    if abs(test.dt - train.dt) > 1e-6 * train.dt:
+        raise DataError(
+            f"test logs have sample time {test.dt:g} s", expected=f"{train.dt:g} s", fix="--rate"
         )
-        if arguments.test
-        else None
-    )
-    if test is not None:
-        if abs(test.dt - train.dt) > 1e-6 * train.dt:
-            raise DataError(
-                f"test logs have sample time {test.dt:g} s",
-                expected=f"{train.dt:g} s",
-                fix="--rate",
-            )
-        same = sorted({f.sha256 for f in train.flights} & {f.sha256 for f in test.flights} - {""})
-        if same:
-            twice = next(f.name for f in test.flights if f.sha256 == same[0])
-            raise DataError(
-                f"log '{twice}' is both train and test", fix="give every log to one of the two"
-            )
-    groups = (
-        [((i,), (i,)) for i in range(len(outputs))]
-        if arguments.siso
-        else [(tuple(range(len(inputs))), tuple(range(len(outputs))))]
-    )
-    horizons = horizon_steps(arguments, train.dt)
-    results: list[Identified] = []
-    for columns, rows in groups:
-        fit = _fit(arguments, train, inputs, outputs, columns, rows, order, delays)
-        if not console.quiet:
-            said = [
-                fit.model.name,
-                fit.summary(),
-                *([] if fit.order_choice is None else [fit.order_choice.format()]),
-            ]
-            # In one piece: an interrupt between a text and its end of line would leave half a line.
-            print("\n".join([*said, ""]), end="")
-        intervals = _intervals(fit, train.records, columns, rows) if arguments.profile else ()
-        results.append(
-            validate_linear(
-                fit,
-                train.records,
-                () if test is None else test.records,
-                columns,
-                rows,
-                horizons=horizons,
-                adapt_seconds=arguments.adapt,
-                feedback=not arguments.open_loop,
-                intervals=intervals,
-            )
+    same = sorted({f.sha256 for f in train.flights} & {f.sha256 for f in test.flights} - {""})
+    if same:
+        twice = next(f.name for f in test.flights if f.sha256 == same[0])
+        raise DataError(
+            f"log '{twice}' is both train and test", fix="give every log to one of the two"
         )
-    out = Path(arguments.out)
-    command = "greybox linear " + " ".join(shlex.quote(a) for a in _shown(arguments))
-    content: dict[str, Any] = {
+    return train, test
+
+
+def _identified(
+    arguments: argparse.Namespace,
+    console: Console,
+    asked: _Asked,
+    group: Group,
+    logs: tuple[Logs, Logs | None],
+    horizons: Sequence[int],
+) -> Identified:
+    """The model of one group, fitted, said and validated."""
+    from greybox.linear.validation import validate_linear
+
+    (columns, rows), (train, test) = group, logs
+    fit = _fit(arguments, train, asked, group)
+    if not console.quiet:
+        said = [
+            fit.model.name,
+            fit.summary(),
+            *([] if fit.order_choice is None else [fit.order_choice.format()]),
+        ]
+        # In one piece: an interrupt between a text and its end of line would leave half a line.
+        print("\n".join([*said, ""]), end="")
+    return validate_linear(
+        fit,
+        train.records,
+        () if test is None else test.records,
+        columns,
+        rows,
+        horizons=horizons,
+        adapt_seconds=arguments.adapt,
+        feedback=not arguments.open_loop,
+        intervals=_intervals(fit, train.records, columns, rows) if arguments.profile else (),
+    )
+
+
+def _fit(arguments: argparse.Namespace, train: Logs, asked: _Asked, group: Group) -> LinearFit:
+    from greybox.linear.fit import Options, Record, Settings, fit_linear
+
+    columns, rows = group
+    outputs = asked.outputs
+    whole = len(rows) == len(outputs) and not arguments.siso
+    return fit_linear(
+        [Record(u=r.u[:, list(columns)], y=r.y[:, list(rows)], name=r.name) for r in train.records],
+        asked.order,
+        dt=train.dt,
+        inputs=[asked.inputs[i].signal for i in columns],
+        outputs=[outputs[i].signal for i in rows],
+        delays=asked.delays
+        if isinstance(asked.delays, str)
+        else [asked.delays[i] for i in columns],
+        options=Options(
+            noise_model=not arguments.output_error,
+            feedthrough=arguments.feedthrough,
+            methods=("cva", "ssarx") if arguments.open_loop else ("ssarx", "pbsid"),
+            exact_order=arguments.exact_order,
+            settings=Settings(stable=arguments.stable or arguments.output_error),
+        ),
+        largest=arguments.max_order,
+        criterion=arguments.criterion,
+        cross_validate=asked.order == "auto",
+        name="linear" if whole else f"linear-{outputs[rows[0]].name}",
+    )
+
+
+def _content(
+    arguments: argparse.Namespace,
+    asked: _Asked,
+    logs: tuple[Logs, Logs | None],
+    results: Sequence[Identified],
+) -> dict[str, Any]:
+    """What fit.json holds."""
+    train, test = logs
+
+    def channels(of: Sequence[ChannelSpec]) -> list[dict[str, Any]]:
+        return [
+            {"name": s.name, "unit": s.signal.unit, "terms": [list(t) for t in s.terms]} for s in of
+        ]
+
+    def flights(of: Logs | None) -> list[dict[str, Any]]:
+        return [] if of is None else [{"name": f.name, "sha256": f.sha256} for f in of.flights]
+
+    return {
         "schema": "greybox.linear_fit/1",
-        "command": command,
+        "command": "greybox linear " + " ".join(shlex.quote(a) for a in _shown(arguments)),
         "sample_time": train.dt,
-        "inputs": [
-            {"name": s.name, "unit": s.signal.unit, "terms": [list(t) for t in s.terms]}
-            for s in inputs
-        ],
-        "outputs": [
-            {"name": s.name, "unit": s.signal.unit, "terms": [list(t) for t in s.terms]}
-            for s in outputs
-        ],
-        "train": [{"name": f.name, "sha256": f.sha256} for f in train.flights],
-        "test": []
-        if test is None
-        else [{"name": f.name, "sha256": f.sha256} for f in test.flights],
+        "inputs": channels(asked.inputs),
+        "outputs": channels(asked.outputs),
+        "train": flights(train),
+        "test": flights(test),
         "siso": bool(arguments.siso),
         "models": [r.to_dict() for r in results],
         "warnings": [w for r in results for w in r.fit.warnings],
         "notes": list(train.notes) + ([] if test is None else list(test.notes)),
     }
+
+
+def _write(
+    out: Path,
+    content: dict[str, Any],
+    results: Sequence[Identified],
+    logs: tuple[Logs, Logs | None],
+) -> str:
+    """Writes fit.json, model.json and report.html; returns their names."""
+    from greybox.files import write_atomic, write_json
+    from greybox.report.linear_report import linear_report
+
+    train, test = logs
     html = linear_report(content, results, train.records, () if test is None else test.records)
     models = [r.fit.model.to_dict() for r in results]
     write_json(out / "fit.json", content)
@@ -227,65 +329,14 @@ def run(arguments: argparse.Namespace) -> int:
         models[0] if len(models) == 1 else {"schema": "greybox.linear_models/1", "models": models},
     )
     write_atomic(out / "report.html", html)
-    console.result(
-        content,
-        *(r.format() for r in results),
-        *(f"note: {n}" for n in content["notes"]),
-        f"wrote {out / 'fit.json'}, {out / 'model.json'}, {out / 'report.html'}",
-    )
-    bad = [r.fit.model.name for r in results if not r.fit.converged]
-    if bad:
-        print(f"not converged: {', '.join(bad)}", file=sys.stderr)
-    return 1 if bad else 0
-
-
-def _fit(
-    arguments: argparse.Namespace,
-    train: Any,
-    inputs: Any,
-    outputs: Any,
-    columns: tuple[int, ...],
-    rows: tuple[int, ...],
-    order: int | str,
-    delays: list[int] | str,
-) -> Any:
-    from greybox.linear.fit import Options, Record, Settings, fit_linear
-
-    records = [
-        Record(u=r.u[:, list(columns)], y=r.y[:, list(rows)], name=r.name) for r in train.records
-    ]
-    methods: Any = ("cva", "ssarx") if arguments.open_loop else ("ssarx", "pbsid")
-    options = Options(
-        noise_model=not arguments.output_error,
-        feedthrough=arguments.feedthrough,
-        methods=methods,
-        exact_order=arguments.exact_order,
-        settings=Settings(stable=arguments.stable or arguments.output_error),
-    )
-    name = (
-        "linear"
-        if len(rows) == len(outputs) and not arguments.siso
-        else f"linear-{outputs[rows[0]].name}"
-    )
-    return fit_linear(
-        records,
-        order,
-        dt=train.dt,
-        inputs=[inputs[i].signal for i in columns],
-        outputs=[outputs[i].signal for i in rows],
-        delays=delays if isinstance(delays, str) else [delays[i] for i in columns],
-        options=options,
-        largest=arguments.max_order,
-        criterion=arguments.criterion,
-        cross_validate=order == "auto",
-        name=name,
-    )
+    return f"{out / 'fit.json'}, {out / 'model.json'}, {out / 'report.html'}"
 
 
 def _intervals(
-    fit: Any, records: Any, columns: tuple[int, ...], rows: tuple[int, ...]
-) -> tuple[Any, ...]:
-    """Profile likelihood intervals of every pole: real part, and imaginary part of the complex ones above the axis."""
+    fit: LinearFit, records: Sequence[Record], columns: tuple[int, ...], rows: tuple[int, ...]
+) -> tuple[Interval, ...]:
+    """Profile likelihood intervals of every pole: real part, and imaginary part of the complex ones
+    above the axis."""
     from greybox.linear.fit import Record
     from greybox.linear.pole_profile import pole_profile
 

@@ -1,4 +1,5 @@
-"""The report of `greybox compare`: from compare.json (greybox.compare/1) to one HTML page, and the table as text."""
+"""The report of `greybox compare`: from compare.json (greybox.compare/1) to one HTML page, and the
+table as text."""
 
 from __future__ import annotations
 
@@ -25,13 +26,22 @@ LOOK: Mapping[str, tuple[str, str, Colour, Stroke]] = {
     "nonlinear PEM + GP": (SERIES[0], "-", "c1", "line"),
     "GP alone": (SERIES[1], "-", "c2", "line"),
     "LSTM": (SERIES[4], "-", "c5", "line"),
+    "TCN": (SERIES[4], "--", "c5", "dash"),
     "dead reckoning": (SERIES[2], ":", "c3", "dots"),
 }
 """Colour and stroke of the rows that the figures of error growth show."""
-BANDS = ("nonlinear PEM + GP", "nonlinear PEM + output GP", "linear PEM + GP", "GP alone", "LSTM")
+BANDS = (
+    "nonlinear PEM + GP",
+    "nonlinear PEM + output GP",
+    "linear PEM + GP",
+    "GP alone",
+    "LSTM",
+    "TCN",
+)
 """Rows whose intervals are drawn."""
 FOLLOWS, WIDEST = ("sigma_error", "sigma_manoeuvre"), 4.0
-"""What is shown of the stated deviation, and where histograms of errors end (schemas/compare.json)."""
+"""What is shown of the stated deviation, and where histograms of errors end
+(schemas/compare.json)."""
 COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("mse", "MSE, standardised", ".4g"),
     ("r2", "R\N{SUPERSCRIPT TWO}", ".4f"),
@@ -49,7 +59,8 @@ def format_table(content: Mapping[str, Any]) -> str:
     width = max(len(m["method"]) for m in content["methods"])
     heads = "".join(f"{title.split(',')[0]:>15}" for _, title, _ in COLUMNS)
     lines = [
-        f"one step ahead, means over {', '.join(content['channels'])} in units of their training spread"
+        f"one step ahead, means over {', '.join(content['channels'])} in units of their training "
+        "spread"
     ]
     lines.append(f"{'':{width}}{heads}{'train [s]':>11}{'us/sample':>11}{'parameters':>12}")
     for m in content["methods"]:
@@ -94,7 +105,8 @@ def _ahead(
 
 
 def compare_report(content: Mapping[str, Any]) -> str:
-    """The page. `content` follows schemas/compare.json. Raises `KeyError` where a required field is missing."""
+    """The page. `content` follows schemas/compare.json. Raises `KeyError` where a required field is
+    missing."""
     content = to_plain(dict(content))
     count = len(content["train"]), len(content["test"])
     report = Report(
@@ -142,8 +154,10 @@ def _one_step(
         ],
         body,
         numeric=range(1, 13),
-        caption=f"Means over {', '.join(content['channels'])}, in units of their standard deviation on the training "
-        "flights. Spectral error: share of the signal's power at 0.1-20 Hz that is left. Training includes every candidate. "
+        caption=f"Means over {', '.join(content['channels'])}, in units of their standard "
+        "deviation on the training "
+        "flights. Spectral error: share of the signal's power at 0.1-20 Hz that is left. Training "
+        "includes every candidate. "
         "Time in Python over a whole flight, many samples at once; exported C has its own.",
     )
     names = content["channels"]
@@ -176,7 +190,8 @@ def _one_step(
             ["method", *heads],
             rows,
             numeric=range(1, 2 * len(names) + 1),
-            caption="Share of lags whose correlation lies outside the band of independence (5 % and 1 % by chance).",
+            caption="Share of lags whose correlation lies outside the band of independence (5 % "
+            "and 1 % by chance).",
         )
 
 
@@ -188,8 +203,10 @@ def _multi_step(
         return
     report.section("Further ahead")
     report.paragraph(
-        "Recorded commands, no measurement after the origin. Methods that predict channels get attitude by integrating "
-        "their rates, velocity from their body velocity or specific force, position by integrating that."
+        "Recorded commands, no measurement after the origin. Methods that predict channels get "
+        "attitude by integrating "
+        "their rates, velocity from their body velocity or specific force, position by integrating "
+        "that."
     )
     curves = {m["method"]: m["curve"] for m in done if m["curve"]}
     if content["dead_reckoning_curve"]:
@@ -264,7 +281,8 @@ def _uncertainty(
         panels.append((pit_histogram(bars, title=m["method"]), f"PIT histogram of {m['method']}"))
     report.figures(
         panels,
-        caption="Probability integral transform one step ahead, mean over channels: flat where the stated distribution is "
+        caption="Probability integral transform one step ahead, mean over channels: flat where the "
+        "stated distribution is "
         "right, a hump where it is too wide, a bowl where it is too narrow.",
     )
     _errors(report, done)
@@ -295,7 +313,8 @@ def _uncertainty(
 
 
 def _errors(report: Report, done: Sequence[Mapping[str, Any]]) -> None:
-    """Histograms of the errors, and whether the stated deviation follows them; of results that have them."""
+    """Histograms of the errors, and whether the stated deviation follows them; of results that have
+    them."""
     done = [m for m in done if all("histogram" in c for c in m["channels"].values())]
     if not done:
         return
@@ -305,7 +324,8 @@ def _errors(report: Report, done: Sequence[Mapping[str, Any]]) -> None:
     ]
     report.figures(
         [(error_histogram(b, title=n), f"histogram of the errors of {n}") for n, b in bars],
-        caption="Errors one step ahead over their root mean square, mean over channels; dashed: normal distribution.",
+        caption="Errors one step ahead over their root mean square, mean over channels; dashed: "
+        "normal distribution.",
     )
     names = list(done[0]["channels"])
     rows: list[list[Cell]] = [
@@ -325,8 +345,10 @@ def _errors(report: Report, done: Sequence[Mapping[str, Any]]) -> None:
             ["method", *heads],
             rows,
             numeric=range(1, 2 * len(names) + 1),
-            caption="Rank correlation with the size of the error and with the distance of the commands from their mean. "
-            "Empty: one deviation for all samples. It is weak where most of the deviation is sensor noise, which is the "
+            caption="Rank correlation with the size of the error and with the distance of the "
+            "commands from their mean. "
+            "Empty: one deviation for all samples. It is weak where most of the deviation is "
+            "sensor noise, which is the "
             "same everywhere.",
         )
 
@@ -339,8 +361,10 @@ def _rate(m: Mapping[str, Any]) -> Cell:
 def _search(report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]) -> None:
     report.section("What was tried")
     report.paragraph(
-        f"Every method with choices had {content['budget']} candidates, judged on the training flights "
-        f"{', '.join(content['held_back'])}; the nonlinear hybrid judges its own on each training flight left out."
+        f"Every method with choices had {content['budget']} candidates, judged on the training "
+        "flights "
+        f"{', '.join(content['held_back'])}; the nonlinear hybrid judges its own on each training "
+        "flight left out."
     )
     for m in done:
         if not (m["search"] or m["settings"]):
@@ -401,7 +425,8 @@ def pit_histogram(shares: npt.ArrayLike, *, title: str) -> Figure:
 
 
 def error_histogram(shares: npt.ArrayLike, *, title: str) -> Figure:
-    """Shares (BINS,) as a density over errors in units of their root mean square, with the normal one."""
+    """Shares (BINS,) as a density over errors in units of their root mean square, with the normal
+    one."""
     figure, axes = _panel(1.7)
     values = np.asarray(shares, dtype=np.float64)
     width = 2 * WIDEST / len(values)
@@ -424,7 +449,8 @@ def band_figure(
     *,
     title: str,
 ) -> Figure:
-    """Per channel measured (n,), predicted (n,) and two standard deviations (n,) around it, against t (n,) [s]."""
+    """Per channel measured (n,), predicted (n,) and two standard deviations (n,) around it, against
+    t (n,) [s]."""
     each, space, left, right, bottom = 0.85, 0.1, 0.74, 0.14, 0.46
     figure = _figure(_TOP + bottom + len(rows) * each + (len(rows) - 1) * space)
     last = len(rows) - 1

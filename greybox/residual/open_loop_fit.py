@@ -1,24 +1,27 @@
-"""Weights of a learned push from multi-step prediction errors: the Gaussian process as a member of the PEM.
+"""Weights of a learned push from multi-step prediction errors: the Gaussian process as a member of
+the PEM.
 
-In weight space a sparse GP is linear, g_j(z) = s_j psi_j(z)'theta_j with psi_j = L_j^-1 k_j(support, z), K = L L' and
-theta_j ~ N(0, I) (Quinonero-Candela and Rasmussen 2005, JMLR 6; whitened as in Hensman, Fusi and Lawrence 2013). The
-weights are estimated like physical parameters: by the errors of the open-loop model at several horizons, with their
-sensitivities carried along the path,
+In weight space a sparse GP is linear, g_j(z) = s_j psi_j(z)'theta_j with psi_j = L_j^-1
+k_j(support, z), K = L L' and theta_j ~ N(0, I) (Quinonero-Candela and Rasmussen 2005, JMLR 6;
+whitened as in Hensman, Fusi and Lawrence 2013). The weights are estimated like physical parameters:
+by the errors of the open-loop model at several horizons, with their sensitivities carried along the
+path,
 
     S+ = A S + G s psi(z),    de/dtheta = -(C S + D s psi(z)),    V = sum w e^2 + sum_j lambda_j |theta_j|^2
 
-from the filter's state, which depends on the weights too: S+ = (A - K C) S + (G - K D) s psi(z) up to the origin (what the
-push explains the disturbance states no longer do).
+from the filter's state, which depends on the weights too: S+ = (A - K C) S + (G - K D) s psi(z) up
+to the origin (what the push explains the disturbance states no longer do).
 
-Smoothed disturbances say what pushed the vehicle; in closed loop they are correlated with states and commands through
-time delays and feedback, and a regression on them learns that correlation too. What lowers the errors of a model that runs
-on alone does not have this bias (omitted lags and clock errors do not average into it). The strengths lambda_j of the prior
-are chosen by leaving kinds of flight out, from the same normal equations: what does not lower the errors of flights unlike
-those it has seen, or raises those of any channel group, is switched off. Gauss-Newton with step control; the inverse Hessian
-is the posterior covariance up to a factor per group, for nobody knows how many independent errors overlapping windows hold.
-The factor follows from how much the weights move when a kind of flight is left out, against how much they should
-(`_dispersion`; the jackknife of Wu 1986, Annals of Statistics 14(4), in the metric of the errors).
-The file is long because it is one derivation, from the errors of a path to the posterior.
+Smoothed disturbances say what pushed the vehicle; in closed loop they are correlated with states
+and commands through time delays and feedback, and a regression on them learns that correlation too.
+What lowers the errors of a model that runs on alone does not have this bias (omitted lags and clock
+errors do not average into it). The strengths lambda_j of the prior are chosen by leaving kinds of
+flight out, from the same normal equations: what does not lower the errors of flights unlike those
+it has seen, or raises those of any channel group, is switched off. Gauss-Newton with step control;
+the inverse Hessian is the posterior covariance up to a factor per group, for nobody knows how many
+independent errors overlapping windows hold. The factor follows from how much the weights move when
+a kind of flight is left out, against how much they should (`_dispersion`; the jackknife of Wu 1986,
+Annals of Statistics 14(4), in the metric of the errors).
 """
 
 from __future__ import annotations
@@ -73,7 +76,8 @@ HORIZONS = (1, 2, 5, 10, 20, 35, 50)
 STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, np.inf)
 """Prior strengths to choose from; infinite switches the outputs of a group off."""
 FEW, BLOCKS = 4, 4
-"""With fewer flights than this, stretches of a flight (this many) are left out instead of flights."""
+"""With fewer flights than this, stretches of a flight (this many) are left out instead of
+flights."""
 SMALLEST = 1e-3
 """Least factor on the covariance of the weights."""
 CHUNK = 1000
@@ -86,7 +90,8 @@ IntArray = npt.NDArray[np.int_]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WeightedHybrid(HybridModel):
-    """A hybrid whose GP weights are parameters, `gp.<output>.<i>` after those of `inner`: compiled once, fitted often."""
+    """A hybrid whose GP weights are parameters, `gp.<output>.<i>` after those of `inner`: compiled
+    once, fitted often."""
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -128,11 +133,13 @@ class WeightedHybrid(HybridModel):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OpenLoopFit:
-    """The fitted posterior and how it came about: prior strength per output, cost before and after, share of held-out
-    cost that it saves, `status` ("converged", "iteration limit" or "null": nothing was worth learning).
+    """The fitted posterior and how it came about: prior strength per output, cost before and after,
+    share of held-out cost that it saves, `status` ("converged", "iteration limit" or "null":
+    nothing was worth learning).
 
-    `left_out`: (flight, horizon in samples, channel group) -> mean squared error with weights that have not seen its kind of
-    flight, over that with the weights of all flights (at least 1). Empty for null."""
+    `left_out`: (flight, horizon in samples, channel group) -> mean squared error with weights that
+    have not seen its kind of flight, over that with the weights of all flights (at least 1). Empty
+    for null."""
 
     posterior: Candidate
     strengths: Mapping[str, float]
@@ -171,9 +178,11 @@ class Basis:
 
 
 class Paths:
-    """Open-loop predictions of a model along all flights: errors, and their normal equations for any number of bases.
+    """Open-loop predictions of a model along all flights: errors, and their normal equations for
+    any number of bases.
 
-    `engine` runs the model itself, or a `WeightedHybrid` of it; `extra` are the parameters after the model's own.
+    `engine` runs the model itself, or a `WeightedHybrid` of it; `extra` are the parameters after
+    the model's own.
     """
 
     def __init__(
@@ -200,7 +209,8 @@ class Paths:
         for record in self.records:
             _, _, _, e, mask = self.errors(record)
             total, count = total + (e * e * mask).sum(axis=0), count + mask.sum(axis=0)
-        # Every horizon and channel weighs alike; errors of overlapping windows share what caused them.
+        # Every horizon and channel weighs alike; errors of overlapping windows share what caused
+        # them.
         share = stride / (self.chosen.size * (int(self.chosen[-1]) + 1))
         self.scales = np.where(
             total > 0, share * np.maximum(count, 1) / np.where(total > 0, total, 1.0), 0.0
@@ -209,7 +219,8 @@ class Paths:
     def errors(
         self, record: Record
     ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
-        """(p, rows (m,), filter's states (n, n_x), errors (m, H, n_e), mask alike) of one record."""
+        """(p, rows (m,), filter's states (n, n_x), errors (m, H, n_e), mask alike) of one
+        record."""
         p = np.concatenate([self.model.flight_vector(record.flight), self.extra])
         found = self.gains(record)
         run = self.engine.run(
@@ -256,7 +267,8 @@ class Paths:
         rows: IntArray,
         bases: Sequence[Basis],
     ) -> list[FloatArray]:
-        """Per basis the sensitivity (m, n_d, P) of the filter's state at `rows` (m,) to the whitened weights."""
+        """Per basis the sensitivity (m, n_d, P) of the filter's state at `rows` (m,) to the
+        whitened weights."""
         found = self.gains(record)
         table = found.tables()[0].gain
         width = self.engine.past + 1 + self.engine.future
@@ -297,8 +309,9 @@ class Paths:
     def normal(
         self, record: Record, bases: Sequence[Basis], blocks: int = 1, *, by_horizon: bool = False
     ) -> list[list[Normal]]:
-        """Per basis the cost and normal equations of one record, in `blocks` parts along its time. With `by_horizon` every
-        channel group at every horizon is a group of its own, horizon by horizon."""
+        """Per basis the cost and normal equations of one record, in `blocks` parts along its time.
+        With `by_horizon` every channel group at every horizon is a group of its own, horizon by
+        horizon."""
         p, rows, states, e, mask = self.errors(record)
         width = self.engine.past + 1 + self.engine.future
         carried = self.filtered(record, p, states, rows, bases)
@@ -359,10 +372,11 @@ class Paths:
         return parts
 
     def kinds(self, basis: Basis) -> list[int]:
-        """Number of the kind of flight of every record: flights that cover the features alike are one kind.
+        """Number of the kind of flight of every record: flights that cover the features alike are
+        one kind.
 
-        Mean and spread of every feature, clustered by average linkage into half as many kinds as flights (three at
-        least); below `MANY` flights every flight is a kind of its own.
+        Mean and spread of every feature, clustered by average linkage into half as many kinds as
+        flights (three at least); below `MANY` flights every flight is a kind of its own.
         """
         flights = list(dict.fromkeys(r.flight for r in self.records))
         numbers = {f: i for i, f in enumerate(flights)}
@@ -399,13 +413,16 @@ def fit_open_loop(
     iterations: int = 4,
     progress: Progress | None = None,
 ) -> tuple[OpenLoopFit, str, dict[str, float]]:
-    """(fit, name of the candidate chosen, name -> share of held-out cost that each candidate saves).
+    """(fit, name of the candidate chosen, name -> share of held-out cost that each candidate
+    saves).
 
-    Of every candidate the kernels and support points (or features) stay and the weights are refitted by multi-step errors on
-    the flights of `data`. With a `maker` the best candidate must stand again with features that have not seen the flights
-    they are judged on; where it does not the next one is asked, and none is learned where none does. `model` is the
-    identified model without the learned part; `horizons` are samples, `stride` the samples between the starts of two
-    predictions. Raises `DataError` for flights that are too short, `FitError` where the model itself does not stay finite.
+    Of every candidate the kernels and support points (or features) stay and the weights are
+    refitted by multi-step errors on the flights of `data`. With a `maker` the best candidate must
+    stand again with features that have not seen the flights they are judged on; where it does not
+    the next one is asked, and none is learned where none does. `model` is the identified model
+    without the learned part; `horizons` are samples, `stride` the samples between the starts of two
+    predictions. Raises `DataError` for flights that are too short, `FitError` where the model
+    itself does not stay finite.
     """
     say = progress or (lambda _text, _share: None)
     with threadpool_limits(limits=1):
@@ -468,8 +485,8 @@ def _judged_apart(
 ) -> str:
     """The best candidate that stands with features made without the flights that judge it.
 
-    Changes `found` (strengths, share saved) of those that were asked to what they saved so; a candidate that the half of the
-    flights does not offer saves nothing.
+    Changes `found` (strengths, share saved) of those that were asked to what they saved so; a
+    candidate that the half of the flights does not offer saves nothing.
     """
     flights = [r.flight for r in paths.records]
     halves = Halves.of(
@@ -575,10 +592,12 @@ def _iterate(
 def _newton(
     hessian: FloatArray, gradient: FloatArray, prior: FloatArray, theta: FloatArray, basis: Basis
 ) -> tuple[FloatArray, FloatArray]:
-    """(Gauss-Newton step of theta (P,), slope of the penalised cost): Hessian (P, P) and gradient (P,) of the cost at theta.
+    """(Gauss-Newton step of theta (P,), slope of the penalised cost): Hessian (P, P) and gradient
+    (P,) of the cost at theta.
 
-    Each member k of an ensemble with mean theta solves its own normal equations, linearised along the path of the mean:
-    H_kk theta_k + prior theta_k = (H theta)_k - g_k. With one member this is the ordinary step.
+    Each member k of an ensemble with mean theta solves its own normal equations, linearised along
+    the path of the mean: H_kk theta_k + prior theta_k = (H theta)_k - g_k. With one member this is
+    the ordinary step.
     """
     own, block = basis.members * theta, alone(hessian, basis.members, basis.m)
     slope = gradient + prior * own + (block @ own - hessian @ theta)
@@ -625,10 +644,11 @@ def _dispersion(
 ) -> FloatArray:
     """Factor (n_out,) on the covariance of the weights, one per group of outputs.
 
-    Where a fold f is left out the weights move by d = C_f r_f with C_f = (H - H_f + Lambda)^-1 and the fold's gradient r_f
-    at the fit to all. If the weighted errors had unit variance and were independent, d had the covariance C_f - C; the
-    factor is the sum of d' H_f d over its expectation, in the block of the group. Prior and data share it, so that the
-    fit itself does not change.
+    Where a fold f is left out the weights move by d = C_f r_f with C_f = (H - H_f + Lambda)^-1 and
+    the fold's gradient r_f at the fit to all. If the weighted errors had unit variance and were
+    independent, d had the covariance C_f - C; the factor is the sum of d' H_f d over its
+    expectation, in the block of the group. Prior and data share it, so that the fit itself does not
+    change.
     """
     on = np.isfinite(np.repeat(chosen, basis.m))
     out = np.ones(basis.outputs)

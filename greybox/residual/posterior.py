@@ -1,17 +1,20 @@
-"""GPPosterior: a trained Gaussian process as plain numbers (float64), with its predictions as CasADi expressions.
+"""GPPosterior: a trained Gaussian process as plain numbers (float64), with its predictions as
+CasADi expressions.
 
-One independent process per output; all share the support points. Without PyTorch. For output j and an input z,
+One independent process per output; all share the support points. Without PyTorch. For output j and
+an input z,
 
     x = (z - input_mean)/input_scale,   k = k_j(support, x)
     mean_j     = output_mean_j + output_scale_j weights_j'k
     variance_j = output_scale_j^2 factor_j (max(k_j(x, x) - |L1_j k|^2, 0) + |L2_j k|^2)        [+ noise_j]
 
-which covers the exact posterior (L2 = 0), SGPR and SVGP (greybox/residual/sparse.py). The Jacobians are written out
-analytically: from dk_i/dx = 2 g_i (x - b_i)/lengthscale^2 both are matrix-vector products with one `exp` over the support.
-In MX the vectors stay vectors, which is the fast form inside optimisers; SX gives scalars, and numbers give numbers.
+which covers the exact posterior (L2 = 0), SGPR and SVGP (greybox/residual/sparse.py). The Jacobians
+are written out analytically: from dk_i/dx = 2 g_i (x - b_i)/lengthscale^2 both are matrix-vector
+products with one `exp` over the support. In MX the vectors stay vectors, which is the fast form
+inside optimisers; SX gives scalars, and numbers give numbers.
 
-On disk: `<name>.json` (schema "greybox.gp/1", all but the large arrays, with a checksum) and `<name>.npz` beside it.
-The file is long because the class is one thing: the same numbers predict, and are written and read.
+On disk: `<name>.json` (schema "greybox.gp/1", all but the large arrays, with a checksum) and
+`<name>.npz` beside it.
 """
 
 from __future__ import annotations
@@ -52,8 +55,9 @@ _ARRAYS = ("support", "weights", "explained", "uncertain")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Domain:
-    """Where the training inputs lie: lower and upper (n_in,) in the inputs' units, and the 50, 95, 99 and 100 % quantiles
-    of `GPPosterior.distance` over them (they say which distance is usual inside the domain)."""
+    """Where the training inputs lie: lower and upper (n_in,) in the inputs' units, and the 50, 95,
+    99 and 100 % quantiles of `GPPosterior.distance` over them (they say which distance is usual
+    inside the domain)."""
 
     lower: FloatArray
     upper: FloatArray
@@ -68,7 +72,8 @@ class Domain:
 
 @dataclass(kw_only=True)
 class _Common:
-    """What outputs with one kernel share: k and g of the kernel, and the product of the last factor L1 with k."""
+    """What outputs with one kernel share: k and g of the kernel, and the product of the last factor
+    L1 with k."""
 
     k: Expr
     g: Expr
@@ -79,15 +84,18 @@ class _Common:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GPPosterior(AsFunction, Shown):
-    """A trained GP; all fields are plain numbers. Shapes: n_in inputs, n_out outputs, M support points.
+    """A trained GP; all fields are plain numbers. Shapes: n_in inputs, n_out outputs, M support
+    points.
 
-    `kernels` one per output (outputs that share a kernel share its evaluation). `support` (M, n_in) and the kernels are in
-    standardised inputs, `weights` (M, n_out), `explained` and `uncertain` (n_out, M, M; lower triangular L1 and L2) in
-    standardised outputs. `output_mean` (n_out,) includes the prior mean and is what the mean returns to far from the data.
-    `noise` (n_out,) is the noise variance of a new sample in output units squared, `group_noise` the same of each known
-    group (flight). `noise_inflation` and `jitter` (n_out,) say how the numbers were made; `variance_factor` (n_out,), 1
-    or more, multiplies the variance (`sparse.variance_guard`). An output whose weights are all zero carries no
-    information: its mean is constant and its variance the prior's. Raises `ModelError`.
+    `kernels` one per output (outputs that share a kernel share its evaluation). `support` (M, n_in)
+    and the kernels are in standardised inputs, `weights` (M, n_out), `explained` and `uncertain`
+    (n_out, M, M; lower triangular L1 and L2) in standardised outputs. `output_mean` (n_out,)
+    includes the prior mean and is what the mean returns to far from the data. `noise` (n_out,) is
+    the noise variance of a new sample in output units squared, `group_noise` the same of each known
+    group (flight). `noise_inflation` and `jitter` (n_out,) say how the numbers were made;
+    `variance_factor` (n_out,), 1 or more, multiplies the variance (`sparse.variance_guard`). An
+    output whose weights are all zero carries no information: its mean is constant and its variance
+    the prior's. Raises `ModelError`.
     """
 
     inputs: Layout
@@ -161,7 +169,7 @@ class GPPosterior(AsFunction, Shown):
                 "GPPosterior: scales must be positive and noise variances not negative"
             )
 
-    # ------------------------------------------------------------------------------------------- predictions
+    # --------------------------------------------------------------------------------- predictions
 
     @property
     def points(self) -> int:
@@ -179,13 +187,16 @@ class GPPosterior(AsFunction, Shown):
         return self.support * self.input_scale + self.input_mean
 
     def mean(self, z: Expr) -> Expr:
-        """Posterior mean (n_out, 1) in output units at z (n_in, 1), for SX, MX, DM or plain numbers."""
+        """Posterior mean (n_out, 1) in output units at z (n_in, 1), for SX, MX, DM or plain
+        numbers."""
         return self.expressions(z, ("mean",))["mean"]
 
     def variance(self, z: Expr, noise: bool | str = False) -> Expr:
-        """Variance (n_out, 1) in output units squared: of the function; with `noise` of a new measured sample.
+        """Variance (n_out, 1) in output units squared: of the function; with `noise` of a new
+        measured sample.
 
-        `noise` may also be the name of a group (flight) whose own noise level counts. Never negative.
+        `noise` may also be the name of a group (flight) whose own noise level counts. Never
+        negative.
         """
         return self.expressions(z, ("variance",), noise=noise)["variance"]
 
@@ -198,17 +209,20 @@ class GPPosterior(AsFunction, Shown):
         return self.expressions(z, ("variance_jacobian",))["variance_jacobian"]
 
     def distance(self, z: Expr) -> Expr:
-        """How far z is from the training data, a scalar in [0, 1]: the largest of `distances` over the active outputs.
+        """How far z is from the training data, a scalar in [0, 1]: the largest of `distances` over
+        the active outputs.
 
-        0 where the support points determine the function, 1 where they say nothing. `domain.distance` holds its quantiles
-        over the training inputs. A GP without active outputs knows no domain: 1 everywhere.
+        0 where the support points determine the function, 1 where they say nothing.
+        `domain.distance` holds its quantiles over the training inputs. A GP without active outputs
+        knows no domain: 1 everywhere.
         """
         return self.expressions(z, ("distance",))["distance"]
 
     def distances(self, z: Expr) -> Expr:
-        """Per output (n_out, 1) the share of the prior variance that the support points leave unexplained,
-        1 - |L1 k(x)|^2/k(x, x): the conditional variance in which Burt, Rasmussen and van der Wilk (JMLR 21, 2020) place
-        inducing points, over the prior's. 1 for outputs that are not active."""
+        """Per output (n_out, 1) the share of the prior variance that the support points leave
+        unexplained, 1 - |L1 k(x)|^2/k(x, x): the conditional variance in which Burt, Rasmussen and
+        van der Wilk (JMLR 21, 2020) place inducing points, over the prior's. 1 for outputs that are
+        not active."""
         return self.expressions(z, ("distances",))["distances"]
 
     def expressions(
@@ -319,7 +333,8 @@ class GPPosterior(AsFunction, Shown):
         return out
 
     def noise_variance(self, noise: bool | str = True) -> FloatArray:
-        """(n_out,) in output units squared: zero for False, that of a new sample for True, or of the named group."""
+        """(n_out,) in output units squared: zero for False, that of a new sample for True, or of
+        the named group."""
         if noise is False:
             return np.zeros(len(self.outputs))
         if noise is True:
@@ -329,7 +344,8 @@ class GPPosterior(AsFunction, Shown):
         return self.group_noise[noise]
 
     def with_spread(self, factor: float) -> GPPosterior:
-        """The same mean with `factor` > 0 times the standard deviation, near the data and far from it."""
+        """The same mean with `factor` > 0 times the standard deviation, near the data and far from
+        it."""
         return replace(self, output_scale=self.output_scale * factor, weights=self.weights / factor)
 
     @cached_property
@@ -339,13 +355,15 @@ class GPPosterior(AsFunction, Shown):
     def evaluate(
         self, z: npt.ArrayLike, *, noise: bool | str = False
     ) -> tuple[FloatArray, FloatArray]:
-        """(mean, variance), each (N, n_out), at the rows of z (N, n_in): the expressions above over many samples."""
+        """(mean, variance), each (N, n_out), at the rows of z (N, n_in): the expressions above over
+        many samples."""
         both = evaluate(self._moments, self._rows(z))
         n = len(self.outputs)
         return both[:, :n].copy(), both[:, n:] + self.noise_variance(noise)
 
     def evaluate_mean(self, z: npt.ArrayLike) -> FloatArray:
-        """The mean alone, (N, n_out), at the rows of z (N, n_in); about ten times cheaper than `evaluate`."""
+        """The mean alone, (N, n_out), at the rows of z (N, n_in); about ten times cheaper than
+        `evaluate`."""
         return evaluate(self._mean, self._rows(z))
 
     def evaluate_distance(self, z: npt.ArrayLike) -> FloatArray:
@@ -357,7 +375,8 @@ class GPPosterior(AsFunction, Shown):
         return "\n".join(
             [
                 f"GP({', '.join(self.outputs.names)}) from {', '.join(self.inputs.names)}",
-                f"  {self.points} support points, {self.method}, {self.domain.samples} training samples",
+                f"  {self.points} support points, {self.method}, {self.domain.samples} training "
+                "samples",
             ]
         )
 
@@ -384,8 +403,9 @@ class GPPosterior(AsFunction, Shown):
         at: Mapping[str, float] | None = None,
         ax: Sequence[Axes] | None = None,
     ) -> list[Axes]:
-        """A slice: mean and two standard deviations of `outputs` (all) along the input `along` over its training range,
-        the other inputs at the middle of theirs or `at` given values. Matplotlib axes, one panel per output.
+        """A slice: mean and two standard deviations of `outputs` (all) along the input `along` over
+        its training range, the other inputs at the middle of theirs or `at` given values.
+        Matplotlib axes, one panel per output.
 
         Raises `UnknownNameError` for an input or output that is not there.
         """
@@ -420,10 +440,11 @@ class GPPosterior(AsFunction, Shown):
             )
         return rows
 
-    # ---------------------------------------------------------------------------------------------------- files
+    # --------------------------------------------------------------------------------------- files
 
     def parts(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-        """(plain JSON values, arrays by name): the triangular factors are packed, kernels that are shared are one."""
+        """(plain JSON values, arrays by name): the triangular factors are packed, kernels that are
+        shared are one."""
         unique: list[Kernel] = []
         for kernel in self.kernels:
             if not any(kernel is u for u in unique):
@@ -461,7 +482,8 @@ class GPPosterior(AsFunction, Shown):
     def from_parts(
         cls, plain: Mapping[str, Any], arrays: Mapping[str, npt.ArrayLike]
     ) -> GPPosterior:
-        """Inverse of `parts`. Raises `FileFormatError` where something is missing or does not fit."""
+        """Inverse of `parts`. Raises `FileFormatError` where something is missing or does not
+        fit."""
         try:
             kernels = [Kernel.from_dict(k) for k in plain["kernels"]]
             m = int(plain["points"])
@@ -474,7 +496,8 @@ class GPPosterior(AsFunction, Shown):
             for name, packed in given.items():  # before anything of size M^2 is made
                 if m < 0 or packed.size != n_out * (m * (m + 1) // 2):
                     raise ValueError(
-                        f"{name} has {packed.size} numbers, not those of {m} points and {n_out} outputs"
+                        f"{name} has {packed.size} numbers, not those of {m} points and {n_out} "
+                        "outputs"
                     )
             lower = np.tril_indices(m if n_out else 0)
             for name, packed in given.items():
@@ -519,7 +542,8 @@ class GPPosterior(AsFunction, Shown):
         return cls.from_parts(value, value.get("arrays", {}))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write `path` (JSON) and the arrays beside it (same stem, .npz), each atomically. Returns the path."""
+        """Write `path` (JSON) and the arrays beside it (same stem, .npz), each atomically. Returns
+        the path."""
         target = Path(path)
         plain, arrays = self.parts()
         body = {
@@ -535,7 +559,8 @@ class GPPosterior(AsFunction, Shown):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> GPPosterior:
-        """Read what `save` wrote. Raises `FileFormatError` (schema, checksum, missing or foreign array file)."""
+        """Read what `save` wrote. Raises `FileFormatError` (schema, checksum, missing or foreign
+        array file)."""
         where = str(path)
         body = read_json(path, schema=SCHEMA)
         if body.pop("checksum", None) != checksum(body):

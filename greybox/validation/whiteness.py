@@ -1,16 +1,17 @@
 """Are the innovations white? Autocorrelation with bands and portmanteau tests.
 
-Innovations of the right model with the right noise are uncorrelated in time. Per channel: G. M. Ljung and G. E. P. Box,
-"On a measure of lack of fit in time series models", Biometrika 65, 1978; with gaps every lag enters with its own number
-of pairs, after D. S. Stoffer and C. M. C. Toloi, Statistics and Probability Letters 13, 1992. All channels together:
-J. R. M. Hosking, "The multivariate portmanteau statistic", J. American Statistical Association 75, 1980. Fitting makes
-innovations whiter than they should be, so that the chi-square loses as many degrees of freedom as dynamic parameters
-were fitted.
+Innovations of the right model with the right noise are uncorrelated in time. Per channel: G. M.
+Ljung and G. E. P. Box, "On a measure of lack of fit in time series models", Biometrika 65, 1978;
+with gaps every lag enters with its own number of pairs, after D. S. Stoffer and C. M. C. Toloi,
+Statistics and Probability Letters 13, 1992. All channels together: J. R. M. Hosking, "The
+multivariate portmanteau statistic", J. American Statistical Association 75, 1980. Fitting makes
+innovations whiter than they should be, so that the chi-square loses as many degrees of freedom as
+dynamic parameters were fitted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,7 @@ import numpy.typing as npt
 import scipy.stats
 
 from greybox.errors import DataError
+from greybox.estimation.predictor import Block
 from greybox.statistics.correlation import check_lags, predictable_share
 from greybox.statistics.whiteness import (
     Portmanteau,
@@ -35,10 +37,11 @@ from greybox.validation.samples import names_for, stretches
 class ChannelWhiteness:
     """Whiteness of one innovation component.
 
-    `r` (max_lag,) is the autocorrelation at lags 1.., `band` (max_lag,) its half-width if white. `outside` is the share
-    of lags outside the band, `periodogram` and `periodogram_band` what `cumulated_periodogram` gives, `predictable` the
-    share of variance that the component's own past explains, `mean` and `std` those of the component (0 and 1 for
-    normalised innovations of the right model).
+    `r` (max_lag,) is the autocorrelation at lags 1.., `band` (max_lag,) its half-width if white.
+    `outside` is the share of lags outside the band, `periodogram` and `periodogram_band` what
+    `cumulated_periodogram` gives, `predictable` the share of variance that the component's own past
+    explains, `mean` and `std` those of the component (0 and 1 for normalised innovations of the
+    right model).
     """
 
     name: str
@@ -79,7 +82,8 @@ class ChannelWhiteness:
 
 @dataclass(frozen=True, kw_only=True)
 class Whiteness:
-    """Whiteness of all innovation components; `multivariate` is None where no sample has all components."""
+    """Whiteness of all innovation components; `multivariate` is None where no sample has all
+    components."""
 
     channels: tuple[ChannelWhiteness, ...]
     multivariate: Portmanteau | None
@@ -104,13 +108,15 @@ class Whiteness:
         lines = [f"{'channel':<{width}}  {head}"]
         for c in self.channels:
             lines.append(
-                f"{c.name:<{width}}  {c.n:>7d}  {c.outside:>7.0%}  {c.predictable:>11.1%}  {c.test.q:>10.1f}"
+                f"{c.name:<{width}}  {c.n:>7d}  {c.outside:>7.0%}  {c.predictable:>11.1%}  "
+                f"{c.test.q:>10.1f}"
                 f"  {c.test.dof:>4d}  {c.test.p_value:>8.2g}"
             )
         if self.multivariate is not None:
             m = self.multivariate
             lines.append(
-                f"all channels together: Q = {m.q:.1f}, dof = {m.dof}, p = {m.p_value:.2g}, n = {m.n}"
+                f"all channels together: Q = {m.q:.1f}, dof = {m.dof}, p = {m.p_value:.2g}, n = "
+                f"{m.n}"
             )
         return "\n".join(lines)
 
@@ -125,11 +131,12 @@ def whiteness(
 ) -> Whiteness:
     """Autocorrelation, bands and portmanteau tests of innovations.
 
-    `innovations`: one array (N_i, d) per flight or per stretch without gap, NaN = missing; best normalised by their
-    predicted covariance. `fitted` is the number of fitted parameters that shape the dynamics of one channel: it is
-    taken off the degrees of freedom of every channel's test, and `fitted` times d off the joint test. One mean over all
-    flights is removed, so that an offset that differs between flights counts as correlation, as it should. Raises
-    `DataError` for too few samples, constant channels, or when no degree of freedom is left.
+    `innovations`: one array (N_i, d) per flight or per stretch without gap, NaN = missing; best
+    normalised by their predicted covariance. `fitted` is the number of fitted parameters that shape
+    the dynamics of one channel: it is taken off the degrees of freedom of every channel's test, and
+    `fitted` times d off the joint test. One mean over all flights is removed, so that an offset
+    that differs between flights counts as correlation, as it should. Raises `DataError` for too few
+    samples, constant channels, or when no degree of freedom is left.
     """
     records = stretches(innovations, what="innovations")
     d = records[0].shape[1]
@@ -159,7 +166,8 @@ def whiteness(
                 r=r,
                 band=band,
                 outside=float(np.mean(np.abs(r) > band)),
-                # Weighting by the share of pairs keeps the sequence positive definite for full records.
+                # Weighting by the share of pairs keeps the sequence positive definite for full
+                # records.
                 predictable=predictable_share(r * pairs / n),
                 periodogram=share,
                 periodogram_band=width,
@@ -170,3 +178,18 @@ def whiteness(
     return Whiteness(
         channels=tuple(channels), multivariate=joint, max_lag=max_lag, fitted=fitted, level=level
     )
+
+
+def whiteness_of_blocks(
+    blocks: Iterable[Block], names: Sequence[str], *, max_lag: int
+) -> dict[str, ChannelWhiteness]:
+    """Innovation component -> test of its whiteness over all records, of those that can be
+    tested."""
+    # Lags are at most a quarter of the samples.
+    records = [np.where(b.mask != 0, b.e, np.nan) for b in blocks]
+    records = [e for e in records if len(e) > 4 * max_lag]
+    live = [j for j in range(len(names)) if any(np.isfinite(e[:, j]).any() for e in records)]
+    if not live:
+        return {}
+    test = whiteness([e[:, live] for e in records], names=[names[j] for j in live], max_lag=max_lag)
+    return {c.name: c for c in test.channels}

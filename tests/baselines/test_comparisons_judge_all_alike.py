@@ -1,4 +1,5 @@
-"""compare: same samples for all, failures in their row, partial results; its schema accepts and its page shows them."""
+"""compare: same samples for all, failures in their row, partial results; its schema accepts and its
+page shows them."""
 
 from __future__ import annotations
 
@@ -144,6 +145,7 @@ def test_every_promised_method_is_there():
         "linear MIMO PEM",
         "nonlinear PEM",
         "LSTM",
+        "TCN",
         "GP alone",
         "linear PEM + GP",
         "nonlinear PEM + GP",
@@ -152,6 +154,7 @@ def test_every_promised_method_is_there():
         next(compare(bench(), ("linear SIS PEM",)))
 
 
+@pytest.mark.slow
 def test_pairs_are_every_model_with_every_learner(judged):
     found = pairs(("gp", *LEARNERS))
     assert set(found) | set(METHODS) >= {
@@ -210,7 +213,8 @@ def test_bad_input_is_one_line(tmp_path, capsys):
 
 
 def test_outcomes_of_a_method_of_ones_own_are_judged_too(judged, monkeypatch):
-    """A row is whatever a function of the bench returns: here the truth itself, with a small spread."""
+    """A row is whatever a function of the bench returns: here the truth itself, with a small
+    spread."""
 
     def oracle(given):
         mean = [s.matrix(given.outputs) for s in given.segments]

@@ -1,4 +1,5 @@
-"""Small hybrids for the tests: a quadrotor with a push in plain numbers, and a pendulum that hides a damping."""
+"""Small hybrids for the tests: a quadrotor with a push in plain numbers, and a pendulum that hides
+a damping."""
 
 from __future__ import annotations
 
@@ -28,8 +29,11 @@ DT = 0.02
 
 
 @functools.cache
-def craft() -> PhysicsModel:
-    """A nano quadrotor with motor lag and delay, so that the command window is longer than one sample."""
+def craft(
+    effects: tuple[str, ...] = ("motor_lag", "command_delay", "rotor_drag"),
+) -> PhysicsModel:
+    """A nano quadrotor with motor lag and delay, so that the command window is longer than one
+    sample."""
     columns = (
         "u1",
         "u2",
@@ -50,9 +54,7 @@ def craft() -> PhysicsModel:
         "z",
         "vbat",
     )
-    return build_model(
-        simulated.vehicle(), columns, ("motor_lag", "command_delay", "rotor_drag"), sample_time=0.01
-    )
+    return build_model(simulated.vehicle(), columns, effects, sample_time=0.01)
 
 
 def push(
@@ -104,10 +106,11 @@ def push(
 def drawn_weights(
     posterior: GPPosterior, output: int, size: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """`size` functions of the process as weights of its kernel values (size, M): mean plus the posterior's spread.
+    """`size` functions of the process as weights of its kernel values (size, M): mean plus the
+    posterior's spread.
 
-    uncertain' uncertain is the covariance of these weights, and the conditional variance between the support points is
-    left out.
+    uncertain' uncertain is the covariance of these weights, and the conditional variance between
+    the support points is left out.
     """
     spread = posterior.uncertain[output]
     return posterior.weights[:, output] + rng.standard_normal((size, posterior.points)) @ spread
@@ -176,7 +179,8 @@ def swings(
     seconds: float = 16.0,
     name: str = "swing",
 ) -> Dataset:
-    """Flights of the true pendulum, with -hidden rate |rate| on top; `period` [s] is that of the drive's slowest part."""
+    """Flights of the true pendulum, with -hidden rate |rate| on top; `period` [s] is that of the
+    drive's slowest part."""
     rng = np.random.default_rng(seed)
     n, fine = round(seconds / DT), 4
     whole: Dataset | None = None
