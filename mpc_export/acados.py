@@ -1,12 +1,14 @@
 """acados: an AcadosModel of an exported model, and a session in which an unpacked acados is used.
 
-Discrete dynamics with f_d are the default: delay, rotor lag and the held command are in them as they were identified.
-f_expl and f_impl are offered too; `explicit_difference` measures what they leave out.
+Discrete dynamics with f_d are the default: delay, rotor lag and the held command are in them as
+they were identified. f_expl and f_impl are offered too; `explicit_difference` measures what they
+leave out.
 
-acados finds itself through environment variables and its linker path. `session` sets them for the time of a `with` block
-and loads the shared libraries by path, so that nothing has to be set before Python starts. It takes an installed acados
-(a folder with lib, include, bin and interfaces) or the folder into which the wheel `comma-deps-acados` was unpacked
-(`pip install --no-deps --target DIR comma-deps-acados`); the old casadi in that wheel is never imported.
+acados finds itself through environment variables and its linker path. `session` sets them for the
+time of a `with` block and loads the shared libraries by path, so that nothing has to be set before
+Python starts. It takes an installed acados (a folder with lib, include, bin and interfaces) or the
+folder into which the wheel `comma-deps-acados` was unpacked (`pip install --no-deps --target DIR
+comma-deps-acados`); the old casadi in that wheel is never imported.
 """
 
 from __future__ import annotations
@@ -27,12 +29,15 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     from mpc_export.exported import Exported
 
+MAX_ITERATIONS = 2
+"""acados' status for iterations that were used up."""
 LIBRARIES = ("blasfeo", "hpipm", "qpOASES_e", "acados")
 """In the order of their dependencies; those that a build does not have are left out."""
 
 
 def lay_out(wheel: str | Path, home: str | Path) -> Path:
-    """A folder `home` of links in which acados finds itself, from an unpacked wheel. Raises `FileNotFoundError`."""
+    """A folder `home` of links in which acados finds itself, from an unpacked wheel. Raises
+    `FileNotFoundError`."""
     source, place = Path(wheel).resolve() / "acados", Path(home).resolve()
     links = {part: source / "install" / part for part in ("lib", "include", "bin")}
     links["interfaces/acados_template/acados_template"] = source / "acados_template"
@@ -51,7 +56,8 @@ def lay_out(wheel: str | Path, home: str | Path) -> Path:
 def session(folder: str | Path) -> Iterator[Path]:
     """acados from `folder` (installed, or an unpacked wheel) while the block runs; yields its home.
 
-    The environment and sys.path are put back afterwards; the imported module and the loaded libraries stay.
+    The environment and sys.path are put back afterwards; the imported module and the loaded
+    libraries stay.
     """
     with tempfile.TemporaryDirectory(prefix="acados-") as scratch:
         wheel = (Path(folder) / "acados" / "install").is_dir()
@@ -74,7 +80,8 @@ def session(folder: str | Path) -> Iterator[Path]:
 
 
 def _load_libraries(folder: Path) -> None:
-    """What the generated solver is linked against, so that the loader finds it already in the process."""
+    """What the generated solver is linked against, so that the loader finds it already in the
+    process."""
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
     for name in LIBRARIES:
         path = folder / f"lib{name}{suffix}"
@@ -88,12 +95,14 @@ def acados_model(
     dynamics: Literal["discrete", "continuous"] = "discrete",
     second_order: bool = False,
 ) -> Any:
-    """An `acados_template.AcadosModel` inside a `session`; set `ocp.parameter_values = model.parameter_values` beside it.
+    """An `acados_template.AcadosModel` inside a `session`; set `ocp.parameter_values =
+    model.parameter_values` beside it.
 
-    "discrete": states x (n_x, with the command history), `disc_dyn_expr` = f_d. "continuous": the model's own states,
-    `f_expl_expr` = f and `f_impl_expr` = xdot - f, without the delay. acados always generates second derivatives of
-    discrete dynamics, although Gauss-Newton never looks at them; without `second_order` they are NaN and cost nothing
-    (the code is a tenth and compiles in a tenth of the time), and an exact Hessian fails at once instead of being wrong.
+    "discrete": states x (n_x, with the command history), `disc_dyn_expr` = f_d. "continuous": the
+    model's own states, `f_expl_expr` = f and `f_impl_expr` = xdot - f, without the delay. acados
+    always generates second derivatives of discrete dynamics, although Gauss-Newton never looks at
+    them; without `second_order` they are NaN and cost nothing (the code is a tenth and compiles in
+    a tenth of the time), and an exact Hessian fails at once instead of being wrong.
     """
     from acados_template import AcadosModel
 
@@ -119,7 +128,8 @@ def acados_model(
 
 
 def first_order(model: Exported) -> Any:
-    """f_d whose derivative is the analytic f_d_jac_raw, computed in one go, and whose second derivatives are NaN."""
+    """f_d whose derivative is the analytic f_d_jac_raw, computed in one go, and whose second
+    derivatives are NaN."""
     step, slopes = model["f_d"], model["f_d_jac_raw"]
     sizes = {"x": len(model.states), "u": len(model.inputs), "p": len(model.parameters)}
     n = sizes["x"]
@@ -165,11 +175,66 @@ def first_order(model: Exported) -> Any:
     )
 
 
-def explicit_difference(model: Exported, points: int = 50, seed: int = 0) -> dict[str, float]:
-    """Largest difference per own state after one sample, in units of its typical size: f by one RK4 step against f_d.
+def robust_solve(
+    solver: Any,
+    model: Exported,
+    limits: Any,
+    upper: npt.ArrayLike,
+    *,
+    kappa: float,
+    covariance: npt.ArrayLike,
+    gain: npt.ArrayLike,
+    rounds: int = 20,
+    tolerance: float = 1e-6,
+) -> tuple[int, npt.NDArray[np.float64]]:
+    """Zero-order robust optimisation with an `AcadosOcpSolver`: (status, back-offs (N + 1, m)).
 
-    At random points around the reference; the commands have been the same for as long as the delay reaches back, then
-    change by up to a tenth of their range: what remains is the delay, the exact rotor lag and the held learned push.
+    The solver's `con_h_expr` and `con_h_expr_e` are `limits`, a function of x (n_x,) with m values
+    that must stay below `upper` (m,). In turn it solves, propagates `covariance` (n_d, n_d) of the
+    first state along the plan under the feedback `gain` (n_u, n_d), and takes kappa standard
+    deviations of every limit off `upper`, stage by stage, until nothing moves by more than
+    `tolerance`. A status other than 0 ends it, with the limits as they were solved with; that of
+    `rounds` that were not enough is 2 (acados' "maximum number of iterations"). The covariance is
+    fixed while it solves (Feng, Di Cairano and Quirynen 2020;
+    Zanelli, Frey, Messerer and Diehl 2021). What is added at a stage is what the model says there,
+    learned part included: acados' own template knows one W for all stages, and raw coordinates, in
+    which a quaternion has none. The bundle needs the group "covariance". Raises `ValueError`
+    without it, and for fewer rounds than one.
+    """
+    step, p = model["covariance_feedback"], model.parameter_values
+    x, d = ca.MX.sym("x", len(model.states)), ca.MX.sym("d", len(model.error_states))
+    slope = ca.Function(
+        "slope",
+        [x],
+        [ca.substitute(ca.jacobian(limits(model["boxplus"](x, d)), d), d, ca.DM.zeros(d.shape))],
+    )
+    steps, most = int(solver.N), np.atleast_1d(np.asarray(upper, dtype=float))
+    if rounds < 1:
+        raise ValueError(f"rounds must be at least 1, not {rounds}")
+    off = np.zeros((steps + 1, most.size))
+    for _ in range(rounds):
+        for k in range(1, steps + 1):
+            solver.constraints_set(k, "uh", most - off[k])
+        if status := int(solver.solve()):
+            return status, off
+        spread, before = np.asarray(covariance, dtype=float), off.copy()
+        for k in range(steps + 1):
+            c = slope(solver.get(k, "x")).full()
+            off[k] = kappa * np.sqrt(np.maximum(np.diag(c @ spread @ c.T), 0.0))
+            if k < steps:
+                spread = step(solver.get(k, "x"), solver.get(k, "u"), p, spread, gain).full()
+        if np.abs(off - before).max() <= tolerance:
+            return 0, before
+    return MAX_ITERATIONS, before
+
+
+def explicit_difference(model: Exported, points: int = 50, seed: int = 0) -> dict[str, float]:
+    """Largest difference per own state after one sample, in units of its typical size: f by one RK4
+    step against f_d.
+
+    At random points around the reference; the commands have been the same for as long as the delay
+    reaches back, then change by up to a tenth of their range: what remains is the delay, the exact
+    rotor lag and the held learned push.
     """
     rng = np.random.default_rng(seed)
     n, n_d = model.own_states, len(model.error_states)

@@ -1,22 +1,30 @@
-"""adapt_step: the identified filter that learns the flight's own parameters, and on request the learned weights, in flight.
+"""adapt_step: the identified filter that learns the flight's own parameters, and on request the
+learned weights, in flight.
 
-    psi = [H, C],   Z = S + psi V psi',   d = V psi' Z^-1 e,   V+ = V - V psi' Z^-1 psi V          the innovation's word
-    theta+ = bounded(theta + d_theta),   x~ = x boxplus d_x
-    x_next = f_d(x~, u, theta+) boxplus K (e - H (theta+ - theta) - C d_x)
-    F = [[k, 0], [P - K H, A - K C]],   V_next = F V+ F' + (1 - k^2) V_0 for theta,   k = exp(-dt / memory)
+    psi = -de/d(theta, x),   Z = S + psi V psi',   d = V psi' Z^-1 e,   V+ = V - V psi' Z^-1 psi V     the innovation's word
+    theta+ = bounded(theta + d_theta),   x~ = x boxplus d_x,   c = K (e - psi d)
+    x_next = f_d(x~, u, theta+) boxplus c
+    F = [[k, 0], [M P, M A] - N K psi],   V_next = F V+ F' + (1 - k^2) V_0 for theta,   k = exp(-dt / memory)
 
-V (n_a, n_a) is the joint covariance of theta and of the error of the state beyond that of the settled filter, whose gain
-K and innovation covariance S are constants. For a linear model this is the Kalman filter of state and parameters
-together, written for what exceeds the settled covariance. For constant theta it is the recursive form of the batch
-estimate in innovation form (Ljung 1999, System Identification, section 11.4).
+M and N are the slopes of the error of x boxplus c in the error of x and in c: 1 but for rotations.
+psi is the slope at the innovation as it is: C and H, its slopes at e = 0, bias parameters that a
+flight hardly tells apart.
 
-The start of the flight is not known as well as a settled filter knows its state: V begins with what is missing there.
+V (n_a, n_a) is the joint covariance of theta and of the error of the state beyond that of the
+settled filter, whose gain K and innovation covariance S are constants. For a linear model this is
+the Kalman filter of state and parameters together, written for what exceeds the settled covariance.
+For constant theta it is the recursive form of the batch estimate in innovation form (Ljung 1999,
+System Identification, section 11.4).
 
-Forgetting: theta is a Gauss-Markov process whose stationary mean and spread are those of the training flights. After
-`memory` seconds without information theta is back at 1/e of its distance from the mean; its variance never exceeds that
-from flight to flight, however long nothing is learned. What theta becomes has not been felt by the state yet, which is
-why the covariance of both is carried, not a sensitivity. memory = 0: theta is constant, as in the fit. The discrepancy
-is a state of the model (disturbance.*): it forgets by its own identified time.
+The start of the flight is not known as well as a settled filter knows its state: V begins with what
+is missing there.
+
+Forgetting: theta is a Gauss-Markov process whose stationary mean and spread are those of the
+training flights. After `memory` seconds without information theta is back at 1/e of its distance
+from the mean; its variance never exceeds that from flight to flight, however long nothing is
+learned. What theta becomes has not been felt by the state yet, which is why the covariance of both
+is carried, not a sensitivity. memory = 0: theta is constant, as in the fit. The discrepancy is a
+state of the model (disturbance.*): it forgets by its own identified time.
 """
 
 from __future__ import annotations
@@ -45,9 +53,10 @@ STEADY = 50
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Adapted:
-    """What adapt_step adapts: `names` (n_a), first those of theta with their places `rows` (n_t) in p, then error.* of the
-    states (n_d); the `mean` (n_t) of theta over the training flights, the `covariance` (n_a, n_a) before the flight
-    (between flights; of learned weights their posterior's; of the start beyond that of the filter), and bounds (n_t,).
+    """What adapt_step adapts: `names` (n_a), first those of theta with their places `rows` (n_t) in
+    p, then error.* of the states (n_d); the `mean` (n_t) of theta over the training flights, the
+    `covariance` (n_a, n_a) before the flight (between flights; of learned weights their
+    posterior's; of the start beyond that of the filter), and bounds (n_t,).
 
     `limits` maps states that are bounded too, to their largest size.
     """
@@ -67,7 +76,8 @@ NOTHING = Adapted(
 
 
 def flight_parameters(model: Any) -> tuple[str, ...]:
-    """The parameters whose values differ from flight to flight. Raises `ModelError` for another kind of model."""
+    """The parameters whose values differ from flight to flight. Raises `ModelError` for another
+    kind of model."""
     if not isinstance(model, IdentifiedModel):
         raise ModelError(
             "adapt needs the physics model of a fit, or a hybrid on it",
@@ -88,10 +98,11 @@ def adapted(
     error_states: Layout,
     filtered: FloatArray,
 ) -> Adapted:
-    """All of p that is adapted: per-flight parameters, and the `weights` of the learned outputs where they are in p.
+    """All of p that is adapted: per-flight parameters, and the `weights` of the learned outputs
+    where they are in p.
 
-    `values` (n_p,) are the identified ones, `filtered` (n_d, n_d) is the covariance of the settled filter, `error_states`
-    (n_d) are its rows. Raises `ModelError` where nothing is adapted.
+    `values` (n_p,) are the identified ones, `filtered` (n_d, n_d) is the covariance of the settled
+    filter, `error_states` (n_d) are its rows. Raises `ModelError` where nothing is adapted.
     """
     names = list(flight_parameters(model))
     declared = {d.name: d for d in model.dynamics.parameters}
@@ -110,7 +121,8 @@ def adapted(
     if not names:
         raise ModelError(
             "adapt: no parameter of this model differs between its training flights",
-            expected="per-flight parameters (`greybox fit --per-flight`, several flights) or --runtime gp.weights",
+            expected="per-flight parameters (`greybox fit --per-flight`, several flights) or "
+            "--runtime gp.weights",
             fix="leave adapt out of --with: filter_step follows the disturbance states without it",
         )
     extra = len(names) - len(low)
@@ -131,7 +143,8 @@ def adapted(
 
 
 def start_excess(model: IdentifiedModel, filtered: FloatArray) -> FloatArray:
-    """Variance (n_own,) of a start that is read off its first measurements beyond that of the settled filter (n_d,)."""
+    """Variance (n_own,) of a start that is read off its first measurements beyond that of the
+    settled filter (n_d,)."""
     d = model.dynamics
     u = np.repeat(model.reference_inputs[:, None], sum(d.window) + 1, axis=1)
     p, w = ca.DM(model.parameter_vector()), ca.DM.zeros(len(d.noises))
@@ -149,11 +162,12 @@ def start_excess(model: IdentifiedModel, filtered: FloatArray) -> FloatArray:
 
 
 def weight_covariance(posterior: GPPosterior | FeaturePosterior, output: int) -> FloatArray:
-    """Covariance (M, M) of the weights of one output, in the standardised units in which they are stored."""
+    """Covariance (M, M) of the weights of one output, in the standardised units in which they are
+    stored."""
     if isinstance(posterior, FeaturePosterior):
         return np.asarray(posterior.root[output].T @ posterior.root[output])
-    # Between the support points the prior's conditional variance is nobody's to learn; at them it is L2' L2, and for an
-    # exact process, whose L1 takes more than the prior away, the difference.
+    # Between the support points the prior's conditional variance is nobody's to learn; at them it
+    # is L2' L2, and for an exact process, whose L1 takes more than the prior away, the difference.
     z, first, second = posterior.support.T, posterior.explained[output], posterior.uncertain[output]
     at = posterior.kernels[output].covariance(z, z)
     values = at - at @ first.T @ first @ at + at @ second.T @ second @ at
@@ -163,8 +177,9 @@ def weight_covariance(posterior: GPPosterior | FeaturePosterior, output: int) ->
 
 
 def authority(model: IdentifiedModel) -> dict[str, float]:
-    """State -> largest size of a disturbance: of a force [N] all thrust, of a torque [N m] about the centre of mass the
-    most that rotors make about that axis, each somewhere in the range of its command.
+    """State -> largest size of a disturbance: of a force [N] all thrust, of a torque [N m] about
+    the centre of mass the most that rotors make about that axis, each somewhere in the range of its
+    command.
     """
     physics = physics_of(model.dynamics)
     if physics is None:
@@ -201,12 +216,12 @@ def adapt_function(
     y, there, memory = ca.MX.sym("y", n_y), ca.MX.sym("there", n_e), ca.MX.sym("memory")
     v = ca.MX.sym("V", n_a, n_a)
     rows = list(own.rows)
-    seen, c, _, h = functions["h_jac"](x, u, p)
+    seen, by_x, _, by_p = functions["h_jac_raw"](x, u, p)
     gain, spread = functions["innovation_gain"](there)
     found = innovation(y, seen, x)
-    on = ca.if_else(there != 0, 1.0, 0.0)
     e = ca.if_else(there != 0, found, 0.0)
-    psi = ca.repmat(on, 1, n_a) * ca.horzcat(h[:, rows], c)
+    slopes = _slopes(innovation, functions["boxplus"], n_t)(y, seen, x, by_x, by_p[:, rows])
+    psi = ca.if_else(ca.repmat(there != 0, 1, n_a), slopes, 0.0)
     through = psi @ v
     scaled = _whitened(n_e, n_a)(spread + through @ psi.T, ca.horzcat(through, e))
     across, left = scaled[:, :n_a], scaled[:, n_a]
@@ -224,11 +239,14 @@ def adapt_function(
     q = ca.MX(p)
     q[rows] = theta
     after, a, _, by = functions["f_d_jac"](at, u, q)
-    after = functions["boxplus"](after, gain @ (e - psi @ moved))
+    pushed = gain @ (e - psi @ moved)
+    turned, by_push = _carried(functions)(after, pushed)
+    after = functions["boxplus"](after, pushed)
     keep = ca.if_else(memory > 0, ca.exp(-dt / ca.fmax(memory, 1e-12)), 1.0)
     q[rows] = own.mean + keep * (theta - own.mean)
     on_step = ca.vertcat(
-        keep * ca.MX(ca.DM(np.eye(n_t, n_a))), ca.horzcat(by[:, rows], a) - gain @ psi
+        keep * ca.MX(ca.DM(np.eye(n_t, n_a))),
+        turned @ ca.horzcat(by[:, rows], a) - by_push @ gain @ psi,
     )
     v_next = on_step @ left_over @ on_step.T
     v_next[:n_t, :n_t] += (1 - keep**2) * ca.DM(own.covariance[:n_t, :n_t])
@@ -241,6 +259,38 @@ def adapt_function(
         ["x", "u", "p", "y", "there", "V", "memory"],
         ["x_next", "p_next", "V_next", "e", "y_hat"],
     )
+
+
+def _slopes(innovation: Any, boxplus: Any, n_t: int) -> Any:
+    """(y, y_hat, x, dy_hat/dx raw, dy_hat/dtheta) -> psi (n_e, n_t + n_d), how the innovation falls
+    with theta and the error of the state. It is not that at y = y_hat: a rotation that is some way
+    off turns the slopes."""
+    n_y, n_x, n_d = innovation.numel_in(0), boxplus.numel_in(0), boxplus.numel_in(1)
+    y, seen, x, d = (
+        ca.MX.sym(n, k) for n, k in (("y", n_y), ("y_hat", n_y), ("x", n_x), ("d", n_d))
+    )
+    by_x, by_theta = ca.MX.sym("by_x", n_y, n_x), ca.MX.sym("by_theta", n_y, n_t)
+    chart = ca.substitute(ca.jacobian(boxplus(x, d), d), d, ca.DM.zeros(n_d))
+    e = innovation(y, seen, x)
+    by_seen, direct = ca.jacobian(e, seen), ca.jacobian(e, x)
+    psi = -ca.horzcat(by_seen @ by_theta, (by_seen @ by_x + direct) @ chart)
+    return ca.Function("slopes", [y, seen, x, by_x, by_theta], [ca.densify(psi)])
+
+
+def _carried(functions: Mapping[str, Any]) -> Any:
+    """(x, d) -> slopes (n_d, n_d) of the error of x boxplus d in the error of x, and in d."""
+    plus, minus = functions["boxplus"], functions["boxminus"]
+    n_x, n_d = plus.numel_in(0), plus.numel_in(1)
+    x, own, d, small = (
+        ca.MX.sym("x", n_x),
+        ca.MX.sym("own", n_d),
+        ca.MX.sym("d", n_d),
+        ca.MX.sym("small", n_d),
+    )
+    apart = minus(plus(plus(x, own), d + small), plus(x, d))
+    none = [ca.DM.zeros(n_d)] * 2
+    found = ca.substitute([ca.jacobian(apart, own), ca.jacobian(apart, small)], [own, small], none)
+    return ca.Function("carried", [x, d], [ca.densify(v) for v in found])
 
 
 def _whitened(n: int, m: int) -> Any:

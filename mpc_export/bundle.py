@@ -1,4 +1,5 @@
-"""ExportBundle: one folder that holds everything a controller needs of a model, and nothing of greybox.
+"""ExportBundle: one folder that holds everything a controller needs of a model, and nothing of
+greybox.
 
     manifest.json     what it is: signal order, units, frames, sample time, bounds, values, covariance, sizes, checksums
     README.md         ordering tables and the two lines that build and run the self-test
@@ -8,8 +9,9 @@
     golden/           one CSV per function: arguments and results
     LICENSES/         of everything inside
 
-A bundle is written beside its place and then moved there; an existing folder is replaced only when it is a bundle too. The
-same model with the same options comes from a cache (`greybox.estimation.cache`), whose key covers the code.
+A bundle is written beside its place and then moved there; an existing folder is replaced only when
+it is a bundle too. The same model with the same options comes from a cache
+(`greybox.estimation.cache`), whose key covers the code.
 """
 
 from __future__ import annotations
@@ -64,9 +66,9 @@ from mpc_export.points import with_points
 from mpc_export.predictors import Fitted, PredictorModel, predictor_model
 from mpc_export.readme import licences, readme
 from mpc_export.tape import write_tape
-from mpc_export.targets import EXAMPLES, NEEDS, write_target
+from mpc_export.targets import NAMES, NEEDS, ONBOARD, write_target
 
-TARGETS = ("c", "casadi", *EXAMPLES)
+TARGETS = ("c", "casadi", *NAMES)
 """Those that `mpc_export.targets` adds come after the two that are written here."""
 DEFAULT_TARGETS = ("c", "casadi")
 GOLDEN_POINTS = 12
@@ -85,7 +87,8 @@ class ExportBundle(Shown):
 
     @functools.cached_property
     def functions(self) -> ModelFunctions:
-        """The model's functions and numbers. Raises `ModelError` for a bundle that was loaded: its model is not at hand."""
+        """The model's functions and numbers. Raises `ModelError` for a bundle that was loaded: its
+        model is not at hand."""
         if self.source is None:
             raise ModelError(
                 f"{self.folder} was loaded, its model is not at hand",
@@ -123,7 +126,8 @@ class ExportBundle(Shown):
 
     @staticmethod
     def load(folder: str | os.PathLike[str]) -> ExportBundle:
-        """Read a bundle and check that its files are whole and inside it. Raises `FileFormatError`."""
+        """Read a bundle and check that its files are whole and inside it. Raises
+        `FileFormatError`."""
         where = Path(folder)
         if (where / "manifest.json").exists() and not (where / "manifest.json").is_file():
             raise FileFormatError(
@@ -153,9 +157,11 @@ class ExportBundle(Shown):
         return ExportBundle(folder=where, manifest=manifest)
 
     def rebuild(self, names: Iterable[str] | None = None) -> dict[str, Any]:
-        """The CasADi functions by name, from the bundle's own numbers. The code is this package's, not the bundle's.
+        """The CasADi functions by name, from the bundle's own numbers. The code is this package's,
+        not the bundle's.
 
-        Raises `FileFormatError` where the numbers are no functions or are larger than `rebuild.py` allows.
+        Raises `FileFormatError` where the numbers are no functions or are larger than `rebuild.py`
+        allows.
         """
         from mpc_export.rebuild.rebuild import load
 
@@ -213,9 +219,10 @@ def write_bundle(
 
     The arguments are those of `model_functions` and of the command line.
 
-    `name` is the prefix in C (default: the folder's name), `points` projects the learned part on that many support
-    points first. Raises `ModelError` (a name that is no C identifier, see `model_functions`), `UnknownNameError` (a
-    target), `OutputError` (a folder that is not a bundle, or cannot be written).
+    `name` is the prefix in C (default: the folder's name), `points` projects the learned part on
+    that many support points first. Raises `ModelError` (a name that is no C identifier, see
+    `model_functions`), `UnknownNameError` (a target), `OutputError` (a folder that is not a bundle,
+    or cannot be written).
     """
     place = Path(folder)
     name = check_name(place.resolve().name if name is None else name)
@@ -230,6 +237,8 @@ def write_bundle(
     groups = tuple(
         sorted({*groups, *(group for target in chosen for group in NEEDS.get(target, ()))})
     )
+    if "c" not in chosen and any(target in ONBOARD for target in chosen):
+        chosen = ("c", *chosen)
     check_place(place)
     options = [name, dt, sorted(chosen), real, groups, runtime, points]
     if not isinstance(model, (IdentifiedModel, LinearModel)):
@@ -305,8 +314,8 @@ def _write_parts(
         for n, f in functions.functions.items():
             f.save(str(part / "casadi" / f"{n}.casadi"))
     for target in targets:
-        if target in EXAMPLES:
-            entry["targets"][target] = write_target(target, functions, part, name)
+        if target in NAMES:
+            entry["targets"][target] = write_target(target, functions, part, name, real)
     return entry
 
 
@@ -325,7 +334,7 @@ def _kernels(functions: ModelFunctions) -> tuple[Any, ...]:
     return gp_kernels(functions.posterior, learned, weights_at=at, silent=silent)
 
 
-# ------------------------------------------------------------------------------------------------ places
+# ----------------------------------------------------------------------------------------- places
 
 
 def is_bundle(folder: Path) -> bool:
@@ -388,12 +397,13 @@ def _move(part: Path, place: Path) -> None:
         ) from None
 
 
-# ------------------------------------------------------------------------------------------------ cache
+# ------------------------------------------------------------------------------------------ cache
 
 
 @functools.cache
 def _code_digest() -> str:
-    """SHA-256 of the code that shapes a bundle: another version of it must not find this one's bundles."""
+    """SHA-256 of the code that shapes a bundle: another version of it must not find this one's
+    bundles."""
     digest = hashlib.sha256()
     for package in ("greybox", "mpc_export"):
         root = Path(str(resources.files(package)))
@@ -403,7 +413,8 @@ def _code_digest() -> str:
 
 
 def _cache_key(model: IdentifiedModel | LinearModel, options: list[Any]) -> str | None:
-    """None for a model that a key cannot tell from others: no file form, or code of the user's own in no known file."""
+    """None for a model that a key cannot tell from others: no file form, or code of the user's own
+    in no known file."""
     if _has_unknown_code(model):
         return None
     try:
@@ -417,7 +428,8 @@ def _cache_key(model: IdentifiedModel | LinearModel, options: list[Any]) -> str 
 
 
 def _has_unknown_code(model: IdentifiedModel | LinearModel) -> bool:
-    """Whether code shapes the model that neither this package nor the checksum of an effects file stands for."""
+    """Whether code shapes the model that neither this package nor the checksum of an effects file
+    stands for."""
     dynamics: Dynamics = model.dynamics if isinstance(model, IdentifiedModel) else model
     if any(type(layer) not in (HybridModel, Augmented) for layer in layers(dynamics)):
         return True
@@ -467,20 +479,23 @@ def describe(bundle: ExportBundle) -> str:
     lines = [
         f"{bundle.folder}: {m['model']['name']}, {m['sample_time']:g} s a sample"
         + (" (from the cache)" if bundle.cached else ""),
-        f"  states {sizes['n_x']} (error states {sizes['n_d']}), commands {sizes['n_u']}, outputs {sizes['n_y']}, run-time "
+        f"  states {sizes['n_x']} (error states {sizes['n_d']}), commands {sizes['n_u']}, outputs "
+        f"{sizes['n_y']}, run-time "
         f"parameters {sizes['n_p']}",
         f"  functions: {', '.join(f['name'] for f in m['functions'])}",
     ]
     if m["c"]:
         lines.append(
-            f"  C: {m['c']['real']}, {m['c']['source_bytes'] / 1e3:.0f} kB of source, work {m['c']['work_bytes']} bytes; "
+            f"  C: {m['c']['real']}, {m['c']['source_bytes'] / 1e3:.0f} kB of source, work "
+            f"{m['c']['work_bytes']} bytes; "
             f"python -m mpc_export.verify {bundle.folder}"
         )
     if m["reduction"]:
         cost = m["reduction"]
         worst = max(cost["mean_error"], default=0.0)
         lines.append(
-            f"  {cost['points']} of {cost['of']} support points: the learned mean moved by at most {worst:.2g} of its spread"
+            f"  {cost['points']} of {cost['of']} support points: the learned mean moved by at most "
+            f"{worst:.2g} of its spread"
         )
     lines += [f"  note: {n}" for n in m["notes"]]
     return "\n".join(lines)

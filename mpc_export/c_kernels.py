@@ -1,17 +1,18 @@
 """A Gaussian process as C of our own, in place of the body that CasADi would generate for it.
 
-`GPKernel` computes the quantities of `GPPosterior.expressions` from the same numbers, differently arranged:
+`GPKernel` computes the quantities of `GPPosterior.expressions` from the same numbers, differently
+arranged:
 
-- squared distances as they are, sum_d ((x_d - b_d)/l_d)^2, for all kernels in one pass over the support;
+- squared distances as they are, sum_d ((x_d - b_d)/l_d)^2, for all kernels in one pass over the
+  support;
 - one vectorised exponential (`c_kernels_common`);
-- one triangular factor per output. With L1 = `explained` and L2 = `uncertain` the variance is
-  k(x, x) - k'(L1'L1 - L2'L2)k. Where T = L2 L1^-1 has no singular value above one (SGPR: always) that is
-  k(x, x) - |E k|^2 with E = (I - T'T)^(1/2) L1, made triangular: half the work, and entries as large as the square root of
-  the data's precision instead of the jitter's. I - T'T acts on L1 k, whose length is bounded, and T is formed in
-  extended precision, so that nothing cancels. Otherwise (SVGP, and wherever `distance` is asked for) both factors are used;
+- one triangular factor per output. With L1 = `explained` and L2 = `uncertain` the variance is k(x,
+  x) - k'(L1'L1 - L2'L2)k. Where T = L2 L1^-1 has no singular value above one (SGPR: always) that is
+  k(x, x) - |E k|^2 with E = (I - T'T)^(1/2) L1, made triangular: half the work, and entries as
+  large as the square root of the data's precision instead of the jitter's. I - T'T acts on L1 k,
+  whose length is bounded, and T is formed in extended precision, so that nothing cancels. Otherwise
+  (SVGP, and wherever `distance` is asked for) both factors are used;
 - Jacobians from E'(E k), made in the same pass over E.
-
-The file is long because one function writes one C function from top to bottom.
 """
 
 from __future__ import annotations
@@ -35,11 +36,13 @@ from mpc_export import c_kernels_common as common
 from mpc_export.c_code import Real
 
 MERGE_TOLERANCE = 1e-9
-"""How far below zero the smallest eigenvalue of I - T'T may be (rounding) for the factors to be merged."""
+"""How far below zero the smallest eigenvalue of I - T'T may be (rounding) for the factors to be
+merged."""
 
 
 def merged_factor(explained: FloatArray, uncertain: FloatArray) -> FloatArray | None:
-    """Lower triangular E (M, M) with E'E = L1'L1 - L2'L2, or None where there is none (or L1 has no inverse)."""
+    """Lower triangular E (M, M) with E'E = L1'L1 - L2'L2, or None where there is none (or L1 has no
+    inverse)."""
     if not np.any(uncertain):
         return explained
     if not np.all(np.diag(explained) != 0.0):
@@ -62,7 +65,8 @@ def _merged(explained: bytes, uncertain: bytes, m: int) -> FloatArray | None:
     root = np.sqrt(np.maximum(share, 0.0))[:, None] * (turn.T.astype(np.longdouble) @ first).astype(
         np.float64
     )
-    # Rows may be turned: of root P = Q U (P reverses columns) follows root = Q P (P U P), lower triangular.
+    # Rows may be turned: of root P = Q U (P reverses columns) follows root = Q P (P U P), lower
+    # triangular.
     upper = qr(root[:, ::-1], mode="r")[0]
     out = np.tril(np.asarray(upper)[::-1, ::-1])
     out.setflags(write=False)
@@ -73,9 +77,10 @@ def _merged(explained: bytes, uncertain: bytes, m: int) -> FloatArray | None:
 class GPKernel:
     """The function `name` of z (n_in) -> the quantities `which` of a posterior, as C.
 
-    The CasADi function may have further arguments. `weights` = (argument, offset) says that the weights (M, n_out; column by
-    column) are read at run time from that place; else they are constants. With `silent` outputs that are not active have
-    variance 0 and no slope (`HybridModel.learned_variance`); otherwise the prior's. `noise` as in `GPPosterior.variance`.
+    The CasADi function may have further arguments. `weights` = (argument, offset) says that the
+    weights (M, n_out; column by column) are read at run time from that place; else they are
+    constants. With `silent` outputs that are not active have variance 0 and no slope
+    (`HybridModel.learned_variance`); otherwise the prior's. `noise` as in `GPPosterior.variance`.
     Raises `UnknownNameError` for a quantity that is not known, `ModelError` for an empty list.
     """
 
@@ -96,12 +101,13 @@ class GPKernel:
             )
 
     def function(self) -> Any:
-        """The CasADi function of z alone that this kernel stands for (weights constant, `silent` off)."""
+        """The CasADi function of z alone that this kernel stands for (weights constant, `silent`
+        off)."""
         if self.weights is not None or self.silent:
             raise ModelError("GPKernel.function has neither weights at run time nor silent outputs")
         return self.posterior.function(self.name, self.which, noise=self.noise)
 
-    # ------------------------------------------------------------------------------------------- numbers
+    # ------------------------------------------------------------------------------------- numbers
 
     @cached_property
     def active(self) -> tuple[int, ...]:
@@ -123,7 +129,8 @@ class GPKernel:
 
     @cached_property
     def factors(self) -> dict[int, tuple[FloatArray, FloatArray | None]]:
-        """Active output -> (E, F): its variance is max(k(x, x) - |E k|^2, 0) + |F k|^2; F is None where it is zero."""
+        """Active output -> (E, F): its variance is max(k(x, x) - |E k|^2, 0) + |F k|^2; F is None
+        where it is zero."""
         out: dict[int, tuple[FloatArray, FloatArray | None]] = {}
         for j in self.active:
             first, second = self.posterior.explained[j], self.posterior.uncertain[j]
@@ -134,7 +141,7 @@ class GPKernel:
             )
         return out
 
-    # ------------------------------------------------------------------------------------------- text
+    # ---------------------------------------------------------------------------------------- text
 
     def c_source(self, symbol: str, real: Real) -> tuple[dict[str, str], str]:
         """(shared definitions by name, the function `symbol`) as `c_code.write_c` takes it."""
@@ -148,7 +155,8 @@ def gp_kernels(
     weights_at: int | None = None,
     silent: bool = True,
 ) -> tuple[GPKernel, ...]:
-    """Kernels for the functions of (z, p) of a hybrid model: name -> quantities in the order of its results.
+    """Kernels for the functions of (z, p) of a hybrid model: name -> quantities in the order of its
+    results.
 
     With `silent` outputs that are off have no variance there. `weights_at` is the place in p where
     weights that are set at run time start.
@@ -161,8 +169,9 @@ def gp_kernels(
 
 
 class _Writer:
-    """Writes one C function. Names in it: z input, x standardised, k and g kernel (in float less its variance) and slope
-    per kernel (g only where it is not -k/2), v = E'E k, i point, d input, j output, q kernel."""
+    """Writes one C function. Names in it: z input, x standardised, k and g kernel (in float less
+    its variance) and slope per kernel (g only where it is not -k/2), v = E'E k, i point, d input, j
+    output, q kernel."""
 
     def __init__(self, kernel: GPKernel, symbol: str, real: Real) -> None:
         self.of, self.symbol, self.real = kernel, symbol, real
@@ -175,8 +184,8 @@ class _Writer:
         self.second = bool({"variance", "variance_jacobian", "distance"} & set(kernel.which))
         self.back = "variance_jacobian" in self.place
         self.needs_slope = self.back or "mean_jacobian" in self.place
-        # Float keeps k - variance: with long length-scales all k are near one and weights are large and alternate, so
-        # that what is common is better summed beforehand.
+        # Float keeps k - variance: with long length-scales all k are near one and weights are large
+        # and alternate, so that what is common is better summed beforehand.
         self.less = real == "float"
 
     def write(self) -> tuple[dict[str, str], str]:
@@ -227,11 +236,12 @@ class _Writer:
         """Whether g needs an array: it is -k/2 for a plain squared exponential."""
         return self.needs_slope and (_family(kernel) != "se" or kernel.slopes is not None)
 
-    # ------------------------------------------------------------------------------------------- parts
+    # --------------------------------------------------------------------------------------- parts
 
     def _open(self) -> None:
         self.lines += [
-            f"static int {self.symbol}(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w,",
+            f"static int {self.symbol}(const casadi_real** arg, casadi_real** res, casadi_int* iw, "
+            "casadi_real* w,",
             "    int mem) {",
             "  (void)arg; (void)res; (void)iw; (void)w; (void)mem;",
         ]
@@ -257,7 +267,8 @@ class _Writer:
             self.lines.append("  int i;")
 
     def _features(self, kernel: Kernel, q: str) -> None:
-        """Features f<q>_<d> of the linear part, their fade<q>, the powers y<q>_<d> = x_d^4, and prior<q> = k(x, x)."""
+        """Features f<q>_<d> of the linear part, their fade<q>, the powers y<q>_<d> = x_d^4, and
+        prior<q> = k(x, x)."""
         assert kernel.reach is not None
         assert kernel.slopes is not None
         power, slopes = self._array(kernel.reach ** -float(FADE_POWER)), self._array(kernel.slopes)
@@ -327,7 +338,8 @@ class _Writer:
         if kernel.slopes is not None:
             features = self._support_features(kernel)
             out.append(
-                f"    s{q} += {common.tree([f'f{q}_{d}*{self._over(d, features)}' for d in range(self.n_in)])};"
+                f"    s{q} += "
+                f"{common.tree([f'f{q}_{d}*{self._over(d, features)}' for d in range(self.n_in)])};"
             )
         return [*out, f"    GB_STORE(k{q} + i, s{q});"]
 
@@ -343,7 +355,8 @@ class _Writer:
             m = self.gp.points
             self.lines += [
                 f"    casadi_real weights[{self.points}] GB_ALIGNED = {{0}};",
-                f"    if (arg[{argument}]) for (i=0; i<{m}; ++i) weights[i] = arg[{argument}][{offset + j * m} + i];",
+                f"    if (arg[{argument}]) for (i=0; i<{m}; ++i) weights[i] = "
+                f"arg[{argument}][{offset + j * m} + i];",
             ]
         scale, size = float(self.gp.output_scale[j]), self.gp.kernels[j].variance
         base, whole = float(self.gp.output_mean[j]), f"GB_LOAD(k{q} + i)"
@@ -364,9 +377,11 @@ class _Writer:
             self._slope("mean_jacobian", j, f"GB_LOAD({name} + i)", scale)
 
     def _slope(self, quantity: str, j: int, c: str, scale: float, prior: str = "") -> None:
-        """Row j of a Jacobian: scale (sum_i c_i dk(b_i, x)/dx [+ prior/2 dk(x, x)/dx]) / input_scale.
+        """Row j of a Jacobian: scale (sum_i c_i dk(b_i, x)/dx [+ prior/2 dk(x, x)/dx]) /
+        input_scale.
 
-        total = sum c g and gb_sum(a<d>) = sum c g b_d, with k for g where g = -k/2; h<d> = sum c slopes_d phi_d(b).
+        total = sum c g and gb_sum(a<d>) = sum c g b_d, with k for g where g = -k/2; h<d> = sum c
+        slopes_d phi_d(b).
         """
         kernel, q, n = self.gp.kernels[j], self.of.kernel_of(j), range(self.n_in)
         own, target = self._own_slope(kernel), self._result(quantity)
@@ -417,7 +432,8 @@ class _Writer:
         along = common.tree([f"h{d}*x{d}" for d in range(self.n_in)])
         self.lines.append(f"      const casadi_real along = {along}*fade{q}*fade{q};")
         self.lines += [
-            f"      {p} += {outer}[{d}]*(fade{q}*h{d} - along*{steep}[{d}]*(y{q}_{d}*(x{d}*x{d}*x{d})));"
+            f"      {p} += {outer}[{d}]*(fade{q}*h{d} - "
+            f"along*{steep}[{d}]*(y{q}_{d}*(x{d}*x{d}*x{d})));"
             for d, p in enumerate(places)
         ]
 
@@ -435,7 +451,10 @@ class _Writer:
             start = ""
             if self.less:
                 start = f", {self._array(self._padded((factor.sum(1) * kernel.variance)[None]))}"
-            return f"{name}({self._array(common.blocks(factor, self.real))}, k{q}{given}, {self.points}{start})"
+            return (
+                f"{name}({self._array(common.blocks(factor, self.real))}, k{q}{given}, "
+                f"{self.points}{start})"
+            )
 
         self.lines.append(f"    const casadi_real left = {prior} - {norm(first, 'v')};")
         cut = "(left < 0.0 ? 0.0 : left)"  # so that NaN stays
@@ -462,7 +481,8 @@ class _Writer:
             self._slope("variance_jacobian", j, c, 2.0 * scale, "on")
 
     def _inactive(self, j: int) -> None:
-        """An output that the data say nothing about: constant mean, the prior's variance (or none, if silent)."""
+        """An output that the data say nothing about: constant mean, the prior's variance (or none,
+        if silent)."""
         kernel, tag, n = self.gp.kernels[j], f"o{j}", range(self.n_in)
         scale = float(self.gp.output_scale[j] ** 2 * self.gp.variance_factor[j])
         linear = kernel.slopes is not None and self.second and not self.of.silent

@@ -1,8 +1,9 @@
-"""The readable C around the generated functions: header with ordering tables, wrapper, self-test, CMake, C++ example.
+"""The readable C around the generated functions: header with ordering tables, wrapper, self-test,
+CMake, C++ example.
 
-The generated functions keep CasADi's calling convention (`NAME.h`); `NAME_model.h` gives each of them a plain C function
-with named arguments, numbers as constant arrays, and return codes. Everything is in one translation unit without state.
-The file is long because these texts share one list of functions and numbers, and are made in one go.
+The generated functions keep CasADi's calling convention (`NAME.h`); `NAME_model.h` gives each of
+them a plain C function with named arguments, numbers as constant arrays, and return codes.
+Everything is in one translation unit without state.
 """
 
 from __future__ import annotations
@@ -22,12 +23,14 @@ from greybox.symbolic import FloatArray, Layout
 from mpc_export.c_code import CFunction, CSource, Port
 from mpc_export.functions import ModelFunctions
 from mpc_export.golden import FARTHEST, Golden
+from mpc_export.template import filled
 
 CODES = (
     ("OK", "results are written"),
     (
         "OUT_OF_RANGE",
-        "results are written, but a command is out of its bounds or the quaternion is not of unit length",
+        "results are written, but a command is out of its bounds or the quaternion is not of unit "
+        "length",
     ),
     ("NOT_FINITE_INPUT", "an argument is NaN or infinite: nothing is written"),
     ("NOT_FINITE_RESULT", "results are written, but one of them is NaN or infinite"),
@@ -184,7 +187,7 @@ class CModel:
             f"{n}_model.c": self._wrapper(),
             f"{n}_selftest.c": self._selftest(),
             f"{n}_example.cpp": self._example(),
-            "CMakeLists.txt": self._cmake(),
+            "CMakeLists.txt": filled("model/CMakeLists.txt", n=n),
             f"{n}.pc.in": self._pkg_config(),
         }
 
@@ -194,7 +197,7 @@ class CModel:
         sizes = ("sz_arg", "sz_res", "sz_iw", "sz_w")
         return {k: max((getattr(f, k) for f in self.source.functions), default=0) for k in sizes}
 
-    # ------------------------------------------------------------------------------------------------ header
+    # -------------------------------------------------------------------------------------- header
 
     def _tables(self) -> list[str]:
         f, out = self.functions, []
@@ -227,7 +230,8 @@ class CModel:
                 out.append(f"/* {names[0]} .. {names[-1]}: the manifest lists them all */")
                 continue
             out += [
-                f"#define {self.upper}_{letter}_{identifier(n)} {i}{f'  /* [{_comment(unit)}] */' if unit else ''}"
+                f"#define {self.upper}_{letter}_{identifier(n)} "
+                f"{i}{f'  /* [{_comment(unit)}] */' if unit else ''}"
                 for i, (n, unit) in enumerate(zip(names, units))
             ]
         return out
@@ -272,304 +276,183 @@ class CModel:
 
     def _header(self) -> str:
         up, n, f = self.upper, self.name, self.functions
-        lines = [
-            f"/* {n}: {_comment(f.name)}, {f.dt:g} s a sample. Written by greybox {self.version}; see README.md.",
-            "",
-            "   Frames: world ENU (z up), body FLU (x forward, y left, z up); the unit quaternion (w, x, y, z) maps body",
-            "   vectors to world; SI units. Matrices are stored column by column. Error states: README.md.",
-            "",
-            "   Reentrant and free of state: any number of threads may call any function at once, each with its own work.",
-            "   No malloc, no stdio. Do not compile with -ffast-math: it would remove the checks for NaN. */",
-            f"#ifndef {up}_MODEL_H",
-            f"#define {up}_MODEL_H",
-            "",
-            f'#include "{n}.h"',
-            "",
-            f'#define {up}_GREYBOX_VERSION "{self.version}"',
-            f"#define {up}_ABI 0x{self.abi:08x}u  /* changes with the layout of any argument or result */",
-            f"#if defined({up}_EXPECTED_ABI) && {up}_EXPECTED_ABI != {up}_ABI",
-            f'#error "{n}: another layout than the program was written for"',
-            "#endif",
-            "",
-            f"#define {up}_SAMPLE_TIME {_number(f.dt)}  /* [s] */",
-            f"#define {up}_N_OWN_STATES {f.own_states}  /* of x; f and f_jac_raw take these alone, the rest is history */",
-            *self._tables(),
-            "",
-            "/* return codes */",
-            *(f"#define {up}_{code} {i}  /* {why} */" for i, (code, why) in enumerate(CODES)),
-            "",
-            "/* work space of any one call, owned by the caller */",
-            *(f"#define {up}_{k.upper()} {v}" for k, v in self.work.items()),
-            "typedef struct {",
-            f"  const {self.real} *arg[{up}_SZ_ARG + 1];",
-            f"  {self.real} *res[{up}_SZ_RES + 1];",
-            f"  {n}_int iw[{up}_SZ_IW + 1];",
-            f"  {self.real} w[{up}_SZ_W + 1];",
-            f"}} {n}_work;",
-            "",
-            "#ifdef __cplusplus",
-            'extern "C" {',
-            "#endif",
-            "",
-            f"/* {up}_ABI of the compiled library */",
-            f"unsigned int {n}_abi(void);",
-            "",
-        ]
-        for name, (why, values) in self._numbers().items():
-            lines.append(f"extern const {self.real} {n}_{name}[{values.size}];  /* {why} */")
-        lines += [
-            "",
-            "/* A null pointer for a result: it is not wanted. For p where the model has none: 0. Results must not overlap",
-            "   arguments: x_next is another array than x. */",
-        ]
+        numbers = self._numbers().items()
+        signatures = []
         for c in self.source.functions:
             shape = (
                 ", ".join(_shape(p) for p in c.inputs)
                 + " -> "
                 + ", ".join(_shape(p) for p in c.outputs)
             )
-            lines += [f"/* {shape} */", f"{self._prototype(c)};"]
-        lines += ["", "#ifdef __cplusplus", "}", "#endif", "", f"#endif /* {up}_MODEL_H */", ""]
-        return "\n".join(lines)
+            signatures += [f"/* {shape} */", f"{self._prototype(c)};"]
+        return filled(
+            "model/header.h",
+            n=n,
+            up=up,
+            what=_comment(f.name),
+            version=self.version,
+            dt=f"{f.dt:g}",
+            abi=f"{self.abi:08x}",
+            dt_number=_number(f.dt),
+            own_states=f.own_states,
+            tables="\n".join(self._tables()),
+            codes="\n".join(
+                f"#define {up}_{code} {i}  /* {why} */" for i, (code, why) in enumerate(CODES)
+            ),
+            work="\n".join(f"#define {up}_{k.upper()} {v}" for k, v in self.work.items()),
+            numbers="\n".join(
+                f"extern const {self.real} {n}_{k}[{v.size}];  /* {why} */"
+                for k, (why, v) in numbers
+            ),
+            functions="\n".join(signatures),
+        )
 
-    # ------------------------------------------------------------------------------------------------ wrapper
+    # ------------------------------------------------------------------------------------- wrapper
 
     def _wrapper(self) -> str:
-        n, up, real = self.name, self.upper, self.real
-        lines = [
-            f"/* Plain C functions around the generated ones. Written by greybox {self.version}. */",
-            f'#include "{n}_model.h"',
-            "",
-            f"unsigned int {n}_abi(void) {{ return {up}_ABI; }}",
-            "",
-        ]
+        numbers = []
         for name, (_, values) in self._numbers().items():
-            lines += [
-                f"const {real} {n}_{name}[{values.size}] = {{",
-                *_wrapped(values, self.source.real),
-                "};",
-            ]
-        lines += [
-            "",
-            f"static int finite_all(const {real} *v, int n) {{",
-            "  int i;",
-            "  if (v == 0) return 1;",
-            "  for (i = 0; i < n; ++i) {",
-            "    if (!(v[i] - v[i] == 0)) return 0;",
-            "  }",
-            "  return 1;",
-            "}",
-        ]
+            head = f"const {self.real} {self.name}_{name}[{values.size}] = {{"
+            numbers += [head, *_wrapped(values, self.source.real), "};"]
+        return filled(
+            "model/wrapper.c",
+            n=self.name,
+            up=self.upper,
+            version=self.version,
+            numbers="\n".join(numbers),
+            attitude=self._unit_quaternion(),
+            commands=self._commands_in_bounds(),
+            functions="\n".join(self._evaluation(f) for f in self.source.functions),
+        )
+
+    def _unit_quaternion(self) -> str:
+        """Lines that return 0 for a state whose quaternion is not of unit length."""
         states = self.functions.states.names
-        lines += ["", f"static int in_range(const {real} *x, const {real} *u) {{"]
-        if "attitude.w" in states:
-            lines += [
-                f"  const {real} *q = x + {states.index('attitude.w')};",
-                f"  const {real} norm = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];",
+        if "attitude.w" not in states:
+            return "  (void)x;"
+        return "\n".join(
+            [
+                f"  const {self.real} *q = x + {states.index('attitude.w')};",
+                f"  const {self.real} norm = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * "
+                "q[3];",
                 f"  if (norm < {self._literal(0.98)} || norm > {self._literal(1.02)}) return 0;",
             ]
-        else:
-            lines.append("  (void)x;")
-        if len(self.functions.inputs):
-            lines += [
+        )
+
+    def _commands_in_bounds(self) -> str:
+        """Lines that return 0 for commands out of their bounds."""
+        if not len(self.functions.inputs):
+            return "  (void)u;"
+        return "\n".join(
+            [
                 "  {",
                 "    int i;",
-                f"    for (i = 0; i < {up}_N_U; ++i) {{",
-                f"      if (u[i] < {n}_u_lower[i] || u[i] > {n}_u_upper[i]) return 0;",
+                f"    for (i = 0; i < {self.upper}_N_U; ++i) {{",
+                f"      if (u[i] < {self.name}_u_lower[i] || u[i] > {self.name}_u_upper[i]) return "
+                "0;",
                 "    }",
                 "  }",
             ]
-        else:
-            lines.append("  (void)u;")
-        lines += ["  return 1;", "}"]
-        for f in self.source.functions:
-            lines += ["", f"{self._prototype(f)} {{"]
-            # A measurement that is marked as missing may be NaN, and so is its innovation; x_next tells.
-            checked = [p for p in f.inputs if p.nnz and p.name != "y"]
-            if checked:
-                test = " || ".join(f"!finite_all({p.name}, {p.nnz})" for p in checked)
-                lines.append(f"  if ({test}) return {up}_NOT_FINITE_INPUT;")
-            lines += [f"  work->arg[{i}] = {p.name};" for i, p in enumerate(f.inputs)]
-            lines += [f"  work->res[{i}] = {p.name};" for i, p in enumerate(f.outputs)]
+        )
+
+    def _evaluation(self, f: CFunction) -> str:
+        """The plain C function around a generated one."""
+        up = self.upper
+        lines = ["", f"{self._prototype(f)} {{"]
+        # A measurement that is marked as missing may be NaN, and so is its innovation; x_next
+        # tells.
+        checked = [p for p in f.inputs if p.nnz and p.name != "y"]
+        if checked:
+            test = " || ".join(f"!finite_all({p.name}, {p.nnz})" for p in checked)
+            lines.append(f"  if ({test}) return {up}_NOT_FINITE_INPUT;")
+        lines += [f"  work->arg[{i}] = {p.name};" for i, p in enumerate(f.inputs)]
+        lines += [f"  work->res[{i}] = {p.name};" for i, p in enumerate(f.outputs)]
+        lines.append(
+            f"  if ({f.symbol}(work->arg, work->res, work->iw, work->w, 0)) return {up}_FAILED;"
+        )
+        results = [p for p in f.outputs if p.nnz and p.name != "e"]
+        if results:
+            test = " || ".join(f"!finite_all({p.name}, {p.nnz})" for p in results)
+            lines.append(f"  if ({test}) return {up}_NOT_FINITE_RESULT;")
+        if {"x", "u"} <= {p.name for p in f.inputs}:
             lines.append(
-                f"  if ({f.symbol}(work->arg, work->res, work->iw, work->w, 0)) return {up}_FAILED;"
+                f"  return x == 0 || u == 0 || in_range(x, u) ? {up}_OK : {up}_OUT_OF_RANGE;"
             )
-            results = [p for p in f.outputs if p.nnz and p.name != "e"]
-            if results:
-                test = " || ".join(f"!finite_all({p.name}, {p.nnz})" for p in results)
-                lines.append(f"  if ({test}) return {up}_NOT_FINITE_RESULT;")
-            if {"x", "u"} <= {p.name for p in f.inputs}:
-                lines.append(
-                    f"  return x == 0 || u == 0 || in_range(x, u) ? {up}_OK : {up}_OUT_OF_RANGE;"
-                )
-            else:
-                lines.append(f"  return {up}_OK;")
-            lines.append("}")
-        return "\n".join([*lines, ""])
+        else:
+            lines.append(f"  return {up}_OK;")
+        return "\n".join([*lines, "}"])
 
     def _literal(self, value: float) -> str:
         return _number(value) + ("f" if self.source.real == "float" else "")
 
-    # ------------------------------------------------------------------------------------------------ self-test
+    # ----------------------------------------------------------------------------------- self-test
 
     def _selftest(self) -> str:
-        """A program that compares every function with golden vectors; the vectors are in its text."""
-        n, up, real = self.name, self.upper, self.real
-        limit = 1e-10 if self.source.real == "double" else 1e-4
-        lines = [
-            f"/* Self-test of {n}: every function at golden points. Returns 0 when all agree. Written by greybox",
-            f"   {self.version}. */",
-            "#include <stdio.h>",
-            f'#include "{n}_model.h"',
-            "",
-            f"static {n}_work work;",
-            f"static {real} result[{max(self._most(), 1)}];",
-            "static double worst;",
-            "static int failures;",
-            "",
-            f"static double compare(const {real} *got, const double *want, int n, double scale) {{",
-            "  double most = 0;",
-            "  int i;",
-            "  for (i = 0; i < n; ++i) {",
-            "    double gap = (double)got[i] - want[i];",
-            "    if (gap < 0) gap = -gap;",
-            "    if (!(gap == gap)) return 1e300;",
-            "    if (gap > most) most = gap;",
-            "  }",
-            "  return most / scale;",
-            "}",
-            "",
-            "static void judge(const char *name, int code, double gap) {",
-            "  if (gap > worst) worst = gap;",
-            f"  if (code > {up}_OUT_OF_RANGE || gap > {limit:g}) {{",
-            "    ++failures;",
-            '    printf("%s: code %d, difference %.2g of the output\'s scale\\n", name, code, gap);',
-            "  }",
-            "}",
-        ]
-        calls = []
-        for f in self.source.functions:
-            golden = next(g for g in self.golden if g.name == f.name)
-            count = next(iter(golden.results.values())).shape[0]
-            body = [f"static void test_{f.name}(void) {{", "  int code;"]
-            # Usual flight, and the farthest out.
-            for row in sorted({min(1, count - 1), min(FARTHEST, count - 1)}):
-                body.append("  {")
-                for p in f.inputs:
-                    if p.nnz:
-                        values = golden.arguments[p.name][row]
-                        body += [
-                            f"    static const {real} {p.name}[{p.nnz}] = {{",
-                            *_wrapped(values, self.source.real),
-                            "    };",
-                        ]
-                at = 0
-                names = []
-                for p in f.outputs:
-                    names.append(f"result + {at}" if p.nnz else "0")
-                    at += p.nnz
-                for p in f.outputs:
-                    if p.nnz:
-                        values = golden.results[p.name][row]
-                        body += [
-                            f"    static const double want_{p.name}[{p.nnz}] = {{",
-                            *_wrapped(values, "double"),
-                            "    };",
-                        ]
-                given = [p.name if p.nnz else "0" for p in f.inputs]
-                body.append(f"    code = {n}_eval_{f.name}({', '.join([*given, *names])}, &work);")
-                for p, place in zip(f.outputs, names):
-                    if p.nnz:
-                        scale = scale_of(golden.results[p.name])
-                        gap = f"compare({place}, want_{p.name}, {p.nnz}, {_number(scale)})"
-                        body.append(f'    judge("{f.name}, {p.name}", code, {gap});')
-                body.append("  }")
-            lines += ["", *body, "}"]
-            calls.append(f"  test_{f.name}();")
-        lines += [
-            "",
-            "int main(void) {",
-            f"  if ({n}_abi() != {up}_ABI) {{",
-            '    printf("the library has another layout than the header\\n");',
-            "    return 2;",
-            "  }",
-            *calls,
-            f'  printf("{n}: %d functions, largest difference %.2g of the output\'s scale (limit {limit:g}): %s\\n",',
-            f'         {len(calls)}, worst, failures ? "FAILED" : "passed");',
-            "  return failures ? 1 : 0;",
-            "}",
-            "",
-        ]
-        return "\n".join(lines)
+        """A program that compares every function with golden vectors; the vectors are in its
+        text."""
+        return filled(
+            "model/selftest.c",
+            n=self.name,
+            up=self.upper,
+            version=self.version,
+            most=max(self._most(), 1),
+            limit=f"{1e-10 if self.source.real == 'double' else 1e-4:g}",
+            tests="".join(f"\n{self._golden_test(f)}\n" for f in self.source.functions),
+            calls="\n".join(f"  test_{f.name}();" for f in self.source.functions),
+            count=len(self.source.functions),
+        )
+
+    def _golden_test(self, f: CFunction) -> str:
+        """Usual flight, and the farthest out."""
+        golden = next(g for g in self.golden if g.name == f.name)
+        count = next(iter(golden.results.values())).shape[0]
+        lines = [f"static void test_{f.name}(void) {{", "  int code;"]
+        for row in sorted({min(1, count - 1), min(FARTHEST, count - 1)}):
+            lines += ["  {", *self._golden_call(f, golden, row), "  }"]
+        return "\n".join([*lines, "}"])
+
+    def _golden_call(self, f: CFunction, golden: Golden, row: int) -> list[str]:
+        """One call with its arguments and what must come out."""
+        lines, places, at = [], [], 0
+        for p in f.inputs:
+            if p.nnz:
+                head = f"    static const {self.real} {p.name}[{p.nnz}] = {{"
+                lines += [
+                    head,
+                    *_wrapped(golden.arguments[p.name][row], self.source.real),
+                    "    };",
+                ]
+        for p in f.outputs:
+            places.append(f"result + {at}" if p.nnz else "0")
+            at += p.nnz
+            if p.nnz:
+                head = f"    static const double want_{p.name}[{p.nnz}] = {{"
+                lines += [head, *_wrapped(golden.results[p.name][row], "double"), "    };"]
+        given = [p.name if p.nnz else "0" for p in f.inputs]
+        lines.append(
+            f"    code = {self.name}_eval_{f.name}({', '.join([*given, *places])}, &work);"
+        )
+        for p, place in zip(f.outputs, places):
+            if p.nnz:
+                gap = (
+                    f"compare({place}, want_{p.name}, {p.nnz}, "
+                    f"{_number(scale_of(golden.results[p.name]))})"
+                )
+                lines.append(f'    judge("{f.name}, {p.name}", code, {gap});')
+        return lines
 
     def _most(self) -> int:
         return max((sum(p.nnz for p in f.outputs) for f in self.source.functions), default=1)
 
-    # ------------------------------------------------------------------------------------------------ the rest
+    # ------------------------------------------------------------------------------------ the rest
 
     def _example(self) -> str:
-        n, up = self.name, self.upper
-        has_p = len(self.functions.parameters) > 0
-        return f"""// How to use {n} from C++: one second of flight at the reference command, then its linearisation.
-#include "{n}_model.h"
-
-#include <array>
-#include <cstdio>
-
-int main() {{
-  static {n}_work work;  // one per thread
-  std::array<{n}_real, {up}_N_X> x{{}}, next{{}};
-  std::array<{n}_real, {up}_N_D * {up}_N_D> a{{}};
-  std::array<{n}_real, {up}_N_D * {up}_N_U> b{{}};
-  for (int i = 0; i < {up}_N_X; ++i) x[i] = {n}_x_reference[i];
-  const {n}_real *u = {n}_u_reference, *p = {f"{n}_p_identified" if has_p else "nullptr"};
-  for (int k = 0; k * {up}_SAMPLE_TIME < 1.0; ++k) {{
-    const int code = {n}_eval_f_d(x.data(), u, p, next.data(), &work);
-    if (code > {up}_OUT_OF_RANGE) return code;
-    x = next;
-  }}
-  const int code = {n}_eval_f_d_jac(x.data(), u, p, next.data(), a.data(), b.data(), nullptr, &work);
-  std::printf("x[0] = %g after one second, A[0][0] = %g\\n", double(x[0]), double(a[0]));
-  return code > {up}_OUT_OF_RANGE ? code : 0;
-}}
-"""
-
-    def _cmake(self) -> str:
-        n = self.name
-        return f"""cmake_minimum_required(VERSION 3.10)
-project({n} LANGUAGES C)
-include(GNUInstallDirs)
-if(NOT CMAKE_BUILD_TYPE)
-  set(CMAKE_BUILD_TYPE Release)
-endif()
-add_library({n} {n}.c {n}_model.c)
-set_target_properties({n} PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON POSITION_INDEPENDENT_CODE ON)
-target_include_directories({n} PUBLIC $<BUILD_INTERFACE:${{CMAKE_CURRENT_SOURCE_DIR}}> $<INSTALL_INTERFACE:include>)
-if(UNIX)
-  target_link_libraries({n} PUBLIC m)
-endif()
-add_executable({n}_selftest {n}_selftest.c)
-set_target_properties({n}_selftest PROPERTIES C_STANDARD 99)
-target_link_libraries({n}_selftest PRIVATE {n})
-enable_testing()
-add_test(NAME {n}_selftest COMMAND {n}_selftest)
-configure_file({n}.pc.in {n}.pc @ONLY)
-install(TARGETS {n} DESTINATION ${{CMAKE_INSTALL_LIBDIR}})
-install(FILES {n}.h {n}_model.h DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})
-install(FILES ${{CMAKE_CURRENT_BINARY_DIR}}/{n}.pc DESTINATION ${{CMAKE_INSTALL_LIBDIR}}/pkgconfig)
-"""
+        p = f"{self.name}_p_identified" if len(self.functions.parameters) else "nullptr"
+        return filled("model/example.cpp", n=self.name, up=self.upper, p=p)
 
     def _pkg_config(self) -> str:
-        return f"""prefix=@CMAKE_INSTALL_PREFIX@
-includedir=${{prefix}}/@CMAKE_INSTALL_INCLUDEDIR@
-libdir=${{prefix}}/@CMAKE_INSTALL_LIBDIR@
-
-Name: {self.name}
-Description: {re.sub(r"[^A-Za-z0-9 _.,:+-]", "_", self.functions.name)}, written by greybox
-Version: {self.version}
-Cflags: -I${{includedir}}
-Libs: -L${{libdir}} -l{self.name} -lm
-"""
+        what = re.sub(r"[^A-Za-z0-9 _.,:+-]", "_", self.functions.name)
+        return filled("model/model.pc.in", n=self.name, what=what, version=self.version)
 
     def write(self, folder: Path) -> None:
         """Write all texts into the folder."""
@@ -578,7 +461,8 @@ Libs: -L${{libdir}} -l{self.name} -lm
 
 
 def scale_of(results: npt.ArrayLike) -> float:
-    """Scale of an output: its largest size over the golden points (1e-30 for one that is zero everywhere)."""
+    """Scale of an output: its largest size over the golden points (1e-30 for one that is zero
+    everywhere)."""
     values = np.abs(np.asarray(results, dtype=float))
     return max(float(values.max(initial=0.0)), 1e-30)
 

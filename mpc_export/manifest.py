@@ -25,7 +25,8 @@ FRAMES = {
     "world": "ENU, z up; gravity is (0, 0, -g)",
     "body": "FLU: x forward, y left, z up; thrust along +z",
     "attitude": "unit quaternion (w, x, y, z), body to world",
-    "error_state": "q = q_hat * exp(d_attitude/2), p = p_hat + R_hat d_position, v = v_hat + R_hat d_velocity, the rest by "
+    "error_state": "q = q_hat * exp(d_attitude/2), p = p_hat + R_hat d_position, v = v_hat + R_hat "
+    "d_velocity, the rest by "
     "addition: body axes of the estimate",
     "matrices": "column by column, all entries",
 }
@@ -108,7 +109,8 @@ def manifest_of(
         "return_codes": [
             {"code": i, "name": n, "meaning": why} for i, (n, why) in enumerate(CODES)
         ],
-        "thread_safety": "functions have no state: call them from any number of threads, each with work space of its own",
+        "thread_safety": "functions have no state: call them from any number of threads, each with "
+        "work space of its own",
         "tolerance": TOLERANCE[real],
         "targets_written": dict(targets),
         "notes": _notes(f),
@@ -146,7 +148,8 @@ def _integrator(f: ModelFunctions) -> str:
         else ""
     )
     return (
-        "rotor lag exactly (exponential), rigid body by one classical Runge-Kutta 4 step per sample, quaternion brought "
+        "rotor lag exactly (exponential), rigid body by one classical Runge-Kutta 4 step per "
+        "sample, quaternion brought "
         f"back to unit length{learned}"
     )
 
@@ -157,7 +160,8 @@ def _delay(f: ModelFunctions) -> dict[str, Any]:
     return {
         "history": {k: int(v) for k, v in f.delay.items()},
         "parameters": {k: float(v) for k, v in seconds.items()},
-        "form": "d = (m + s) dt with whole m and 0 <= s < 1: over the first s dt of a step the rotors see the command of "
+        "form": "d = (m + s) dt with whole m and 0 <= s < 1: over the first s dt of a step the "
+        "rotors see the command of "
         "m + 1 samples ago, then that of m samples ago; exact for a held command",
         "f_excludes_delay": True,
     }
@@ -238,23 +242,27 @@ def _notes(f: ModelFunctions) -> list[str]:
         out.append("the model is discrete: there is no f, only f_d")
     if isinstance(f.model, PredictorModel) and f.model.form.exogenous:
         out.append(
-            f"{', '.join(f.model.form.exogenous)}: measured or known from elsewhere, in p; held over a prediction"
+            f"{', '.join(f.model.form.exogenous)}: measured or known from elsewhere, in p; held "
+            "over a prediction"
         )
     if f.delay:
         out.append("f has no delay; f_d has it, as input-history states")
     if any(k.startswith("sensor_delay.") and v != 0 for k, v in f.sampled.values.items()):
         out.append(
-            "states are those of the instant that gyro and accelerometer show, sensor_delay.d before the pose's"
+            "states are those of the instant that gyro and accelerometer show, sensor_delay.d "
+            "before the pose's"
         )
     if not math.isclose(f.dt, f.identified_dt, rel_tol=1e-9):
         out.append(
-            f"identified at {f.identified_dt:g} s and exported at {f.dt:g} s: white noise keeps its intensity, the sensor "
+            f"identified at {f.identified_dt:g} s and exported at {f.dt:g} s: white noise keeps "
+            "its intensity, the sensor "
             "noise of one sample stays"
         )
     window = f.sampled.dynamics.window
     if window[1]:
         out.append(
-            "identified with commands that run linearly between samples, exported with commands that are held"
+            "identified with commands that run linearly between samples, exported with commands "
+            "that are held"
         )
     if f.sampled.exogenous:
         out.append(
@@ -262,4 +270,9 @@ def _notes(f: ModelFunctions) -> list[str]:
         )
     if f.sampled.runtime:
         out.append("Q, K and S are those of the identified values, whatever p says")
+    if isinstance(f.model, IdentifiedModel) and f.model.flight_spread and not f.adapted.names:
+        out.append(
+            f"{', '.join(f.model.flight_spread)}: differs from flight to flight, the mean is taken "
+            "as exact; the group adapt learns it in flight"
+        )
     return out

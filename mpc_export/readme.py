@@ -63,7 +63,8 @@ def licences(with_c: bool) -> dict[str, str]:
     """File name -> text."""
     head, body = MIT.split("\n\n", 1)
     own = (
-        "The wrapper, the self-test, the kernels of the learned part, rebuild.py, consumers and examples come from "
+        "The wrapper, the self-test, the kernels of the learned part, rebuild.py, consumers and "
+        "examples come from "
         f"greybox:\n\n{head}\n\n"
     )
     out = {"greybox-MIT.txt": f"{own}{_copyright()}\n\n{body}"}
@@ -78,7 +79,8 @@ def readme(manifest: Mapping[str, Any]) -> str:
     lines = [
         f"# {n}: {plain(m['model']['name'])}",
         "",
-        f"A {m['model']['kind']} model that greybox {m['versions']['greybox']} identified, {m['sample_time']:g} s a sample, "
+        f"A {m['model']['kind']} model that greybox {m['versions']['greybox']} identified, "
+        f"{m['sample_time']:g} s a sample, "
         "as code. It needs nothing of greybox.",
         "",
     ]
@@ -92,11 +94,14 @@ def readme(manifest: Mapping[str, Any]) -> str:
             "```",
             "",
             f"In C and C++ include `c/{n}_model.h`, in CMake `add_subdirectory(c)` and link `{n}`. "
-            f"`c/{n}_example.cpp` is a program to start from. For speed add `-O3 -march=native -ffp-contract=fast`, never "
+            f"`c/{n}_example.cpp` is a program to start from. For speed add `-O3 -march=native "
+            "-ffp-contract=fast`, never "
             "`-ffast-math`.",
             "",
-            f"Source {m['c']['source_bytes'] / 1e3:.0f} kB, numbers in {m['c']['real']}, work space {m['c']['work_bytes']} "
-            "bytes per thread (on a 64-bit machine). No malloc, no stdio, no variables that live between calls.",
+            f"Source {m['c']['source_bytes'] / 1e3:.0f} kB, numbers in {m['c']['real']}, work "
+            f"space {m['c']['work_bytes']} "
+            "bytes per thread (on a 64-bit machine). No malloc, no stdio, no variables that live "
+            "between calls.",
             "",
         ]
     lines += [
@@ -108,17 +113,26 @@ def readme(manifest: Mapping[str, Any]) -> str:
         'f_d = rebuild.load()["f_d"]  # casadi.Function: x_next = f_d(x, u, p)',
         "```",
         "",
-        "`casadi/*.casadi`, if there, are the same functions for the CasADi version that wrote them only. `golden/*.csv` "
-        "hold arguments and results of every function. `manifest.json` says all of this, and the noise of the identified "
+        "`casadi/*.casadi`, if there, are the same functions for the CasADi version that wrote "
+        "them only. `golden/*.csv` "
+        "hold arguments and results of every function. `manifest.json` says all of this, and the "
+        "noise of the identified "
         "filter, to programs.",
         "",
     ]
     for target, said in m["targets_written"].items():
+        if "folder" in said:
+            lines += [
+                f"For {target}: `{said['folder']}/README.md`; `c/{n}_bench.c` reads a recording.",
+                "",
+            ]
+            continue
         lines += [f"With {target}: `python {said['example']} --help`.", ""]
         if "f_expl_difference" in said:
             worst = max(said["f_expl_difference"].items(), key=lambda pair: pair[1])
             lines += [
-                f"One Runge-Kutta step of f_expl is up to {worst[1]:.1g} of a state's size ({worst[0]}) away from f_d when "
+                f"One Runge-Kutta step of f_expl is up to {worst[1]:.1g} of a state's size "
+                f"({worst[0]}) away from f_d when "
                 "commands change by a tenth of their range: use discrete dynamics.",
                 "",
             ]
@@ -139,7 +153,8 @@ def readme(manifest: Mapping[str, Any]) -> str:
     own = m["sizes"]["own_states"]
     if own < m["sizes"]["n_x"]:
         lines += [
-            f"The first {own} states are the model's own; `f` takes these alone and knows no delay. The rest is the history "
+            f"The first {own} states are the model's own; `f` takes these alone and knows no "
+            "delay. The rest is the history "
             "of commands, `history.u.k` the command of k samples ago. "
             f"{m['delay']['form'][0].upper()}{m['delay']['form'][1:]}.",
             "",
@@ -193,7 +208,8 @@ def _table(title: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]
     for row in rows[:LISTED]:
         numbers = "".join(f"{'-' if row[c] is None else format(row[c], '.6g')} | " for c in columns)
         lines.append(
-            f"| {row['index']} | {plain(row['name'])} | {plain(row['unit'])} | {numbers}{plain(row['meaning'])} |"
+            f"| {row['index']} | {plain(row['name'])} | {plain(row['unit'])} | "
+            f"{numbers}{plain(row['meaning'])} |"
         )
     if len(rows) > LISTED:
         lines.append(

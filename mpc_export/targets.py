@@ -3,6 +3,7 @@
     python/consumers/   exported.py, hover.py and the file of each target: casadi, numpy and the target's package
     examples/           one script per target that runs with the bundle and that package alone
     fmu/                NAME.fmu
+    crazyflie/, px4/, ros2/   code around c/ that an autopilot builds: mpc_export/onboard
 
 | target | needs | example |
 |---|---|---|
@@ -11,13 +12,14 @@
 | rockit | rockit-meco | rockit_hover.py |
 | l4acados | nothing more; the group "nominal" | l4acados_hover.py |
 | fmu | to simulate: fmpy | fmu_simulate.py |
+| crazyflie-app, px4-module, ros2 | the target "c", the group "pilot", the autopilot's sources | c/NAME_bench.c |
 """
 
 from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.files import write_atomic
@@ -25,6 +27,8 @@ from mpc_export.acados import explicit_difference
 from mpc_export.exported import of
 from mpc_export.fmu import write_fmu
 from mpc_export.functions import ModelFunctions
+from mpc_export.onboard import crazyflie_app, px4_module, ros2
+from mpc_export.onboard.flight import OnBoard, write_flight
 
 COMMON = ("exported", "hover")
 MODULES = {
@@ -41,20 +45,33 @@ EXAMPLES = {
     "l4acados": "l4acados_hover",
     "fmu": "fmu_simulate",
 }
-NEEDS = {"l4acados": ("nominal",)}
+ONBOARD = {own.TARGET: own.write for own in (crazyflie_app, px4_module, ros2)}
+NEEDS = {"l4acados": ("nominal",)} | dict.fromkeys(ONBOARD, ("pilot",))
 """Groups of functions that a target cannot do without."""
+NAMES = (*EXAMPLES, *ONBOARD)
 PACKAGE = (
     '"""What this bundle\'s model looks like to controllers; see the scripts in examples/."""\n'
 )
 
 
-def write_target(target: str, functions: ModelFunctions, folder: Path, name: str) -> dict[str, Any]:
-    """Add a target to the bundle in `folder`; `name` is the bundle's. Returns what the manifest says of it.
+def write_target(
+    target: str,
+    functions: ModelFunctions,
+    folder: Path,
+    name: str,
+    real: Literal["double", "float"] = "double",
+) -> dict[str, Any]:
+    """Add a target to the bundle in `folder`; `name` is the bundle's, `real` the precision of its
+    C. Returns what the manifest says of it.
 
     Raises `UnknownNameError`, and `ModelError` for a model that the target cannot take.
     """
-    if target not in MODULES:
-        raise UnknownNameError("export target", target, MODULES)
+    if target not in NAMES:
+        raise UnknownNameError("export target", target, NAMES)
+    if target in ONBOARD:
+        board = OnBoard(functions=functions, name=name, real=real)
+        write_flight(board, folder / "c")
+        return ONBOARD[target](board, folder)
     model = of(functions, name)
     said: dict[str, Any] = {"example": f"examples/{EXAMPLES[target]}.py"}
     if target == "fmu":

@@ -1,4 +1,5 @@
-"""greybox export MODEL.json --out DIR: a fitted model as C, CasADi and numbers that a controller can use without greybox."""
+"""greybox export MODEL.json --out DIR: a fitted model as C, CasADi and numbers that a controller
+can use without greybox."""
 
 from __future__ import annotations
 
@@ -8,8 +9,19 @@ from typing import Any
 from greybox.commands.console import Console, json_option
 from greybox.commands.own_model import model_file_option
 
-TARGETS = ("c", "casadi", "acados", "do-mpc", "rockit", "l4acados", "fmu")
-GROUPS = ("covariance", "filter", "target", "hessian", "nominal", "adapt", "calibrate")
+TARGETS = (
+    "c",
+    "casadi",
+    "acados",
+    "do-mpc",
+    "rockit",
+    "l4acados",
+    "fmu",
+    "crazyflie-app",
+    "px4-module",
+    "ros2",
+)
+GROUPS = ("covariance", "filter", "target", "hessian", "nominal", "adapt", "calibrate", "pilot")
 
 
 def add(commands: Any) -> None:
@@ -17,10 +29,13 @@ def add(commands: Any) -> None:
     p = commands.add_parser(
         "export",
         help="write a fitted model as C and CasADi for a controller",
-        description="Write anything fitted (physics, hybrid, linear, output hybrid, NARX, LSTM, Gaussian "
+        description="Write anything fitted (physics, hybrid, linear, output hybrid, NARX, LSTM, "
+        "Gaussian "
         "process) as a folder that a controller can use without "
-        "greybox: C with a self-test, CasADi functions rebuilt from numbers, golden vectors, a manifest. An existing folder "
-        "is replaced only when it is such a bundle. Exit code 0: done, 1: refused, as the model is not usable, 2: bad "
+        "greybox: C with a self-test, CasADi functions rebuilt from numbers, golden vectors, a "
+        "manifest. An existing folder "
+        "is replaced only when it is such a bundle. Exit code 0: done, 1: refused, as the model is "
+        "not usable, 2: bad "
         "input.",
     )
     p.add_argument(

@@ -1,7 +1,5 @@
-"""The report of `greybox mpc`: from mpc.json (greybox.mpc/1), rows of flights and their traces to one HTML page.
-
-The file is long because a page is one story: a function per section, in the order in which they are read.
-"""
+"""The report of `greybox mpc`: from mpc.json (greybox.mpc/1), rows of flights and their traces to
+one HTML page."""
 
 from __future__ import annotations
 
@@ -30,7 +28,8 @@ CELL = 0.1
 
 
 def mpc_report(content: Mapping[str, Any], rows: Sequence[Row], traces: Traces) -> str:
-    """The page. `content` follows schemas/mpc.json; rows and traces may be few or none (an interrupted run)."""
+    """The page. `content` follows schemas/mpc.json; rows and traces may be few or none (an
+    interrupted run)."""
     what, found = content["what"], content["controllers"]
     flown = sum(c["flights"] for c in found.values())
     titles = {
@@ -40,7 +39,8 @@ def mpc_report(content: Mapping[str, Any], rows: Sequence[Row], traces: Traces) 
     }
     report = Report(
         titles[what["mode"]],
-        f"{flown} flights, {len(found)} controllers, at most {100 * content['level']:g} % of flights may cross a limit",
+        f"{flown} flights, {len(found)} controllers, at most {100 * content['level']:g} % of "
+        "flights may cross a limit",
     )
     report.first_line(content["verdict"], good=_kept(content))
     with report.headline():
@@ -81,11 +81,14 @@ def _flight(
         return
     report.section("One flight, and what the tube planned")
     report.paragraph(
-        "Every controller flies the same course in the same gusts. The blue tube is the plan of the moment: "
+        "Every controller flies the same course in the same gusts. The blue tube is the plan of "
+        "the moment: "
         "where the vehicle "
         "will be over the next "
-        f"{number(data['ahead'], 2)} s, with ellipses that hold it in 95 of 100 cases. The plan keeps the limits by the "
-        "half width of its tube, not by its middle. A cross marks where a controller was deepest beyond a limit."
+        f"{number(data['ahead'], 2)} s, with ellipses that hold it in 95 of 100 cases. The plan "
+        "keeps the limits by the "
+        "half width of its tube, not by its middle. A cross marks where a controller was deepest "
+        "beyond a limit."
     )
     report.live(markup(data), script("mpc_animation"), CSS)
     _passages(report, content, data)
@@ -115,7 +118,8 @@ def _passages(report: Report, content: Mapping[str, Any], data: Mapping[str, Any
                 f["runs"].get(c["name"], {"crashed": True})["crashed"] for f in data["flights"]
             )
         ],
-        caption=f"Paths past every limit in {count} flight{'s' * (count != 1)}, crashed ones left out; the "
+        caption=f"Paths past every limit in {count} flight{'s' * (count != 1)}, crashed ones left "
+        "out; the "
         f"limit is at 0 cm, "
         "beyond it is shaded.",
     )
@@ -174,8 +178,10 @@ def _table(report: Report, content: Mapping[str, Any]) -> None:
         ],
         body,
         numeric=(2, 3, 4, 5, 6, 7, 8),
-        caption="Beyond: the true centre of mass crossed a plane, or the flight crashed. Interval: exact (Clopper and "
-        "Pearson). Tilted: further than allowed. Cost: tracking cost per sample with the controller's own "
+        caption="Beyond: the true centre of mass crossed a plane, or the flight crashed. Interval: "
+        "exact (Clopper and "
+        "Pearson). Tilted: further than allowed. Cost: tracking cost per sample with the "
+        "controller's own "
         "weights, 100 for a "
         "crash; against the tube: paired by seed, with one standard error.",
     )
@@ -199,7 +205,8 @@ def _table(report: Report, content: Mapping[str, Any]) -> None:
             ["controller", *(f"{p} [cm]" for p in planes)],
             body,
             numeric=range(1, 1 + len(planes)),
-            caption="Least distance of all flights to every limit, negative beyond it; in brackets how many "
+            caption="Least distance of all flights to every limit, negative beyond it; in brackets "
+            "how many "
             "flights crossed it.",
         )
 
@@ -208,13 +215,19 @@ def _what(report: Report, content: Mapping[str, Any]) -> None:
     report.section("What was flown")
     what, course, tuning = content["what"], content["course"], content["tuning"]
     plants = {
-        "demo": "An independent simulated vehicle with effects that its data sheet does not know (motor lag, rotor and "
-        "body drag, blade flapping, a centre of mass beside the middle), sensor noise and gusts. The models were "
-        "identified from one flight of it: motor lag, rotor drag and centre of mass are fitted, body drag and flapping "
+        "demo": "An independent simulated vehicle with effects that its data sheet does not know "
+        "(motor lag, rotor and "
+        "body drag, blade flapping, a centre of mass beside the middle), sensor noise and gusts. "
+        "The models were "
+        "identified from one flight of it: motor lag, rotor drag and centre of mass are fitted, "
+        "body drag and flapping "
         "are left to what is learned.",
-        "plant": f"The plant is {what['plant']}, independent of the model; disturbed by {what['disturbed_by']}.",
-        "model": "The plant is the identified model itself, with parameters drawn from their covariance for every flight, "
-        f"disturbed by {what['disturbed_by']}. What the model's structure misses does not act here.",
+        "plant": f"The plant is {what['plant']}, independent of the model; disturbed by "
+        f"{what['disturbed_by']}.",
+        "model": "The plant is the identified model itself, with parameters drawn from their "
+        "covariance for every flight, "
+        f"disturbed by {what['disturbed_by']}. What the model's structure misses does not act "
+        "here.",
     }
     report.paragraph(plants[what["mode"]])
     seeds = content["seeds"]
@@ -239,13 +252,15 @@ def _what(report: Report, content: Mapping[str, Any]) -> None:
         ),
         (
             "Controller",
-            f"plans every {1e3 * course['plan_time']:.0f} ms over {course['horizon']} stages, one real-time "
+            f"plans every {1e3 * course['plan_time']:.0f} ms over {course['horizon']} stages, one "
+            "real-time "
             "iteration a plan; the identified filter estimates the state from measurements",
         ),
         ("Tube", _tightened(tuning)),
         (
             "Constant back-off",
-            f"{1e3 * tuning['moved']:.1f} mm, from {tuning['flights']} training flights on this course",
+            f"{1e3 * tuning['moved']:.1f} mm, from {tuning['flights']} training flights on this "
+            "course",
         ),
         (
             "Gusts",
@@ -258,14 +273,21 @@ def _what(report: Report, content: Mapping[str, Any]) -> None:
 
 def _tightened(tuning: Mapping[str, Any]) -> str:
     """Where the tube's back-off comes from."""
-    touched = f"{number(tuning['pairs'], 3)} limits that a flight without tightening touches ({tuning['flights']} flights)"
+    touched = (
+        f"{number(tuning['pairs'], 3)} limits that a flight without tightening touches "
+        f"({tuning['flights']} flights)"
+    )
     if tuning["risk"] == "boole":
-        return f"{number(tuning['kappa'], 3)} standard deviations, by Boole's inequality over {touched}"
+        return (
+            f"{number(tuning['kappa'], 3)} standard deviations, by Boole's inequality over "
+            f"{touched}"
+        )
     tried = ", ".join(
         f"{r['crossed']} of {r['flights']} at {r['kappa']:g}" for r in tuning["rehearsed"]
     )
     return (
-        f"{number(tuning['kappa'], 3)} standard deviations, rehearsed on the model itself (beyond a limit: {tried}); "
+        f"{number(tuning['kappa'], 3)} standard deviations, rehearsed on the model itself (beyond "
+        f"a limit: {tried}); "
         f"Boole's inequality over {touched} would ask for {number(tuning['boole'], 3)}"
     )
 
@@ -278,7 +300,8 @@ def _margins(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) ->
     report.figures(
         panels,
         key=MARGIN_KEY,
-        caption="Distance of the true position to the nearest limit; below zero, shaded, is beyond it. Gaps: no limit near. "
+        caption="Distance of the true position to the nearest limit; below zero, shaded, is beyond "
+        "it. Gaps: no limit near. "
         "A crashed flight ends where it left the course.",
     )
 
@@ -352,7 +375,8 @@ def _unsure(report: Report, content: Mapping[str, Any], traces: Traces) -> None:
             if len(rows) > 2
             else ""
         )
-        + "Plan's end: standard deviation of the position at the end of every plan, world axes. Outside data: how far state "
+        + "Plan's end: standard deviation of the position at the end of every plan, world axes. "
+        "Outside data: how far state "
         "and command lie beyond what the training flights covered (0: inside).",
     )
     worst = int(np.argmax(np.asarray(wide).max(axis=1)))
@@ -362,7 +386,8 @@ def _unsure(report: Report, content: Mapping[str, Any], traces: Traces) -> None:
         f"{number(float(np.max(wide)), 2)} cm at its "
         f"end. {100 * far:.0f} % of the plans began outside what the training flights covered"
         + (
-            ", where a learned part fades and only its stated variance is left: fly training data there."
+            ", where a learned part fades and only its stated variance is left: fly training data "
+            "there."
             if far > 0.2
             else "."
         )
@@ -429,7 +454,8 @@ def _times(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> N
         report.figure(
             mpc_figures.solve_times(times, deadline),
             key=[Key(text=n, colour=look(n)[0], stroke=look(n)[1]) for n in times],  # type: ignore[arg-type]
-            caption="One plan in C: linearisation, tube, quadratic programme. The deadline is one sample of the filter.",
+            caption="One plan in C: linearisation, tube, quadratic programme. The deadline is one "
+            "sample of the filter.",
             alt="Distribution of solution times",
         )
     body: list[list[Cell]] = []
@@ -451,7 +477,8 @@ def _times(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> N
         ["controller", "plans", "median [ms]", "99 % below [ms]", "worst [ms]", "late answers"],
         body,
         numeric=(1, 2, 3, 4, 5),
-        caption="Late answers: samples whose command took longer than a sample, filter, transfer and Python included."
+        caption="Late answers: samples whose command took longer than a sample, filter, transfer "
+        "and Python included."
         + (
             f" {jobs} flights ran at a time, which spoils these times a little." if jobs > 1 else ""
         ),
@@ -473,8 +500,10 @@ def _events(report: Report, content: Mapping[str, Any]) -> None:
         ["controller", "event", "times", "flights with a declared descent"],
         body,
         numeric=(2, 3),
-        caption="No solution: the plan before goes on with the ancillary gain. Not believed, doubted: a measurement that "
-        "the filter leaves out, or lets count in part. No measurement, calls did not come: the filter predicts. Descent "
+        caption="No solution: the plan before goes on with the ancillary gain. Not believed, "
+        "doubted: a measurement that "
+        "the filter leaves out, or lets count in part. No measurement, calls did not come: the "
+        "filter predicts. Descent "
         "declared: the path is given up, straight down at half a metre a second.",
     )
 
@@ -489,7 +518,8 @@ def _reproduce(report: Report, content: Mapping[str, Any]) -> None:
 def format_table(content: Mapping[str, Any]) -> str:
     """The table for a terminal."""
     lines = [
-        f"{'controller':10s} {'flights':>7s} {'beyond':>6s} {'95 % interval':>14s} {'crashed':>7s} {'tilted':>6s} "
+        f"{'controller':10s} {'flights':>7s} {'beyond':>6s} {'95 % interval':>14s} {'crashed':>7s} "
+        f"{'tilted':>6s} "
         f"{'RMSE [cm]':>9s} {'cost':>7s} {'median/99 % [ms]':>16s}"
     ]
     for name, c in content["controllers"].items():
@@ -500,7 +530,9 @@ def format_table(content: Mapping[str, Any]) -> str:
         speed = f"{t['median']:.1f}/{t['p99']:.1f}" if t["count"] else "-"
         low, high = c["crossed"]["interval"]
         lines.append(
-            f"{name:10s} {c['flights']:7d} {c['crossed']['count']:6d} {100 * low:5.0f} ..{100 * high:4.0f} % "
-            f"{c['crashed']:7d} {c['tilted']:6d} {100 * c['rmse']:9.2f} {c['cost']:7.3f} {speed:>16s}"
+            f"{name:10s} {c['flights']:7d} {c['crossed']['count']:6d} {100 * low:5.0f} "
+            f"..{100 * high:4.0f} % "
+            f"{c['crashed']:7d} {c['tilted']:6d} {100 * c['rmse']:9.2f} {c['cost']:7.3f} "
+            f"{speed:>16s}"
         )
     return "\n".join(lines)

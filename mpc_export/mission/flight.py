@@ -1,7 +1,9 @@
-"""Flights of any controller over a course against any plant: what a row says, and what an animation needs.
+"""Flights of any controller over a course against any plant: what a row says, and what an animation
+needs.
 
-A plant has `reset(seed, position=)`, `step(u, dt)`, `measure(u)` by column of a log,
-`states()` or `truth()["states"]`. A controller is a `TubeController` or has its `start`, `sample`, `u`, `plan`, `events`.
+A plant has `reset(seed, position=)`, `step(u, dt)`, `measure(u)` by column of a log, `states()` or
+`truth()["states"]`. A controller is a `TubeController` or has its `start`, `sample`, `u`, `plan`,
+`events`.
 """
 
 from __future__ import annotations
@@ -24,18 +26,20 @@ from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray
+from mpc_export.feedback import Weights
 from mpc_export.mission.cascade import CascadeController
 from mpc_export.mission.course import Course, SampledPath
 from mpc_export.mission.model_plant import ModelPlant, RehearsedPlant
 from mpc_export.mission.trace import Trace
 from mpc_export.tube.controller import Event, TubeController
-from mpc_export.tube.problem import TubeProblem, Weights
+from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.risk import touching
 
 STEP = 0.02
 """Sample time of plans, or the multiple of the model's own that comes next [s]."""
 ANCILLARY = 64.0
-"""Weight on position of the gain inside the tube; eight times the plan's keeps the tube narrow (docs/tube_mpc.md)."""
+"""Weight on position of the gain inside the tube; eight times the plan's keeps the tube narrow
+(docs/tube_mpc.md)."""
 TRUE = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")
 CELL = 0.1
 """A row keeps the least distance to a limit in cells of this length [s]."""
@@ -53,7 +57,8 @@ class PlantError(GreyboxError, ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Mission:
-    """A course flown at `pace` (2: half as fast) with plans every `problem.dt` and samples every `dt` [s]."""
+    """A course flown at `pace` (2: half as fast) with plans every `problem.dt` and samples every
+    `dt` [s]."""
 
     course: Course
     problem: TubeProblem
@@ -74,7 +79,8 @@ def top_speed(course: Course) -> float:
 
 
 def natural_pace(model: IdentifiedModel, course: Course) -> float:
-    """1, or how much slower the course must be for its speed to stay below the highest that the model was trained at.
+    """1, or how much slower the course must be for its speed to stay below the highest that the
+    model was trained at.
 
     Half of that speed counts where a log has no velocity: nothing is known then.
     """
@@ -98,7 +104,7 @@ def mission(model: IdentifiedModel, course: Course, pace: float = 1.0) -> Missio
     return Mission(course=chosen, problem=problem, dt=model.sample_time, pace=pace)
 
 
-# ------------------------------------------------------------------------------------------------ plants
+# ----------------------------------------------------------------------------------------- plants
 
 
 def named(option: str, name: str, example: str) -> Any:
@@ -127,7 +133,8 @@ def load_course(name: str) -> Course:
 
 
 def load_plant(name: str) -> Any:
-    """The plant that `module:attribute` names: a plant, or a class or function that makes one. Raises `PlantError`."""
+    """The plant that `module:attribute` names: a plant, or a class or function that makes one.
+    Raises `PlantError`."""
     found = named("--plant", name, "my_plant:Vehicle")
     try:
         plant = found() if inspect.isclass(found) or inspect.isfunction(found) else found
@@ -181,11 +188,12 @@ def truth(plant: Any) -> Any:
     return plant.states() if hasattr(plant, "states") else plant.truth()["states"]
 
 
-# ------------------------------------------------------------------------------------------------ controllers
+# ------------------------------------------------------------------------------------ controllers
 
 
 class CoursePlanes:
-    """Planes of the course that exist near the reference, `moved` [m] toward the path: (n, planes, 4) at the times (n,)."""
+    """Planes of the course that exist near the reference, `moved` [m] toward the path: (n, planes,
+    4) at the times (n,)."""
 
     def __init__(self, course: Course, moved: float = 0.0) -> None:
         self.course, self.moved = course, moved
@@ -216,15 +224,17 @@ def controller(model: IdentifiedModel, task: Mission) -> TubeController:
 def tightened(
     pilot: TubeController, task: Mission, *, kappa: float = 0.0, moved: float = 0.0
 ) -> TubeController:
-    """The same controller from its next start on, planes and tilt tightened by `kappa` standard deviations, the commands
-    by one of them at most, planes moved by `moved` [m]. Nothing is compiled anew."""
+    """The same controller from its next start on, planes and tilt tightened by `kappa` standard
+    deviations, the commands by one of them at most, planes moved by `moved` [m]. Nothing is
+    compiled anew."""
     pilot.kappa, pilot.kappa_u = (kappa,) * (len(task.course.planes) + 1), min(kappa, 1.0)
     pilot.planes = CoursePlanes(task.course, moved)
     return pilot
 
 
 class Cascade:
-    """The cascade of PID loops, with the vehicle file as its only knowledge, behind the tube's interface."""
+    """The cascade of PID loops, with the vehicle file as its only knowledge, behind the tube's
+    interface."""
 
     def __init__(self, vehicle: Vehicle, task: Mission) -> None:
         self.inner = CascadeController(vehicle)
@@ -240,7 +250,8 @@ class Cascade:
         self._velocity = np.zeros(3)
 
     def sample(self, time_: float, seen: dict[str, float]) -> FloatArray:
-        """The command from the next sample on; velocity by filtered differences where none is measured."""
+        """The command from the next sample on; velocity by filtered differences where none is
+        measured."""
         goal = self.task.course.sample(np.array([time_ + self.task.dt]))
         if "vx" not in seen:
             place = np.array([seen[n] for n in "xyz"])
@@ -255,7 +266,7 @@ class Cascade:
         return self.u
 
 
-# ------------------------------------------------------------------------------------------------ a flight
+# --------------------------------------------------------------------------------------- a flight
 
 
 def fly(
@@ -269,11 +280,12 @@ def fly(
 ) -> dict[str, Any]:
     """One flight as a row of plain values; with `watch` also "trace", what an animation needs.
 
-    near: also count the limits that plans touch, closer than this [m]. Keys: seed, crashed, margins (least distance to
-    every plane [m], None: never beside it), tilt [rad], rmse [m], cost (per second, CRASH for a crash), late (samples
-    whose answer took longer than a sample), solve_ms (every solution), events (time and what of the first twenty),
-    event_kinds (how many of each), descended (whether the path was given up), nearest (least distance to any plane per
-    cell [m]), crossings (plane, time and depth where it was deepest).
+    near: also count the limits that plans touch, closer than this [m]. Keys: seed, crashed, margins
+    (least distance to every plane [m], None: never beside it), tilt [rad], rmse [m], cost (per
+    second, CRASH for a crash), late (samples whose answer took longer than a sample), solve_ms
+    (every solution), events (time and what of the first twenty), event_kinds (how many of each),
+    descended (whether the path was given up), nearest (least distance to any plane per cell [m]),
+    crossings (plane, time and depth where it was deepest).
     """
     course, dt = task.course, task.dt
     plant.reset(seed, position=course.start[:3])
@@ -392,8 +404,8 @@ def _crossings(
 
 
 def flown_with(plant: str, model: IdentifiedModel, disturbances: list[FloatArray] | None) -> Any:
-    """The plant of a name: "model" is the identified model itself, "rehearsal" the same with a learned part that errs,
-    everything else `module:attribute`."""
+    """The plant of a name: "model" is the identified model itself, "rehearsal" the same with a
+    learned part that errs, everything else `module:attribute`."""
     if plant == "rehearsal":
         return RehearsedPlant(model)
     return ModelPlant(model, disturbances) if plant == "model" else load_plant(plant)

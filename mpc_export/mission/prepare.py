@@ -1,4 +1,5 @@
-"""Prepare a mission: models, plant, controllers and the back-offs that training flights and rehearsals ask for.
+"""Prepare a mission: models, plant, controllers and the back-offs that training flights and
+rehearsals ask for.
 
 Controllers have the same solver and the same seeds and differ in what they know:
 
@@ -21,6 +22,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import SCHEMA as LINEAR
 from greybox.residual.files import load_model
 from greybox.residual.hybrid import HybridModel
+from mpc_export.feedback import NEEDED
 from mpc_export.mission import TRAINING_SEEDS, judging
 from mpc_export.mission.campaign import (
     NEAR,
@@ -35,7 +37,6 @@ from mpc_export.mission.campaign import (
 )
 from mpc_export.mission.flight import load_course, load_plant, natural_pace
 from mpc_export.mission.model_plant import real_disturbances
-from mpc_export.tube.stages import NEEDED
 
 Say = Callable[[str], None]
 TEXTS = {
@@ -51,7 +52,8 @@ TUNING = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Demo:
-    """Its plant as `module:attribute`, and what writes its models into a folder: name (nominal, pem, hybrid) -> file."""
+    """Its plant as `module:attribute`, and what writes its models into a folder: name (nominal,
+    pem, hybrid) -> file."""
 
     identify: Callable[[Path, Say], Mapping[str, Path]]
     plant: str
@@ -59,7 +61,8 @@ class Demo:
 
 @dataclass(frozen=True, kw_only=True)
 class Flown:
-    """Everything that a report needs: the campaign's hangar, its controllers, what was tuned, and words about it."""
+    """Everything that a report needs: the campaign's hangar, its controllers, what was tuned, and
+    words about it."""
 
     hangar: Hangar
     entries: tuple[Entry, ...]
@@ -85,13 +88,14 @@ def prepare(
     jobs: int = 1,
     say: Say = print,
 ) -> Flown:
-    """Models, plant, controllers and tuned back-offs of `subject`: a model file, or what a `demo` is called.
+    """Models, plant, controllers and tuned back-offs of `subject`: a model file, or what a `demo`
+    is called.
 
-    plant: `module:attribute`; None flies the demo's plant, or the model itself under disturbances that are resampled from
-    `logs` or else as identified. pace: how much slower the course is flown; None: 1 for the demo, and for a model what its
-    training speeds ask for. risk: how the level becomes standard deviations, "rehearsal" or "boole" (see
-    mpc_export/tube/risk.py).
-    Raises `ModelError`, `PlantError`, `BuildError`, `FileFormatError`.
+    plant: `module:attribute`; None flies the demo's plant, or the model itself under disturbances
+    that are resampled from `logs` or else as identified. pace: how much slower the course is flown;
+    None: 1 for the demo, and for a model what its training speeds ask for. risk: how the level
+    becomes standard deviations, "rehearsal" or "boole" (see mpc_export/tube/risk.py). Raises
+    `ModelError`, `PlantError`, `BuildError`, `FileFormatError`.
     """
     if demo is not None and logs:
         raise ModelError(
@@ -145,7 +149,8 @@ def prepare(
     warnings = []
     if risk == "rehearsal":
         say(
-            f"rehearsing {REHEARSALS} flights at each of {len(REHEARSED)} back-offs against the model itself"
+            f"rehearsing {REHEARSALS} flights at each of {len(REHEARSED)} back-offs against the "
+            "model itself"
         )
         try:
             found, tuning["rehearsed"] = rehearsed(
@@ -239,5 +244,8 @@ def _disturbed(plant: str, logs: Sequence[str]) -> str:
     if plant != "model":
         return "the plant's own gusts and sensor noise"
     if logs:
-        return "force and torque that the smoother found in real flights, resampled in blocks, and the identified noise"
+        return (
+            "force and torque that the smoother found in real flights, resampled in blocks, "
+            "and the identified noise"
+        )
     return "the identified process and sensor noise"

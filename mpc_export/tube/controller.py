@@ -1,22 +1,27 @@
-"""TubeController: measurement in, command out. Filter, delay compensation, target, one real-time iteration, fallback.
+"""TubeController: measurement in, command out. Filter, delay compensation, target, one real-time
+iteration, fallback.
 
-Timing. The filter runs at every sample of the identified model. A plan is made every `every` samples from the
-filter's prediction one sample ahead, with the command that will be in force until then; its first command is applied at
-that sample. So the solver has one sample to compute in, and that delay is part of the plan.
+Timing. The filter runs at every sample of the identified model. A plan is made every `every`
+samples from the filter's prediction one sample ahead, with the command that will be in force until
+then; its first command is applied at that sample. So the solver has one sample to compute in, and
+that delay is part of the plan.
 
-Whatever decided it, a command comes into force in one place (`_take`), within the limits of command and rate.
+Whatever decided it, a command comes into force in one place (`_take`), within the limits of command
+and rate.
 
 What may go wrong, and what is done; `events` says what happened when:
 
-- a solution fails (a model function is not finite, the QP is not solved: neither to the end nor, cut off, so far that it
-  meets its dynamics and limits): the plan before goes on, its next command plus the
-  ancillary gain on the estimate, for as long as the plan lasts; then the ancillary gain about the path. A plan that failed
-  three times in a row, or is older than itself, is replaced by a simulation of that fallback before the next attempt;
-- measurements are missing, infinite, no numbers or cannot be believed (gate.py): the filter goes on without them;
-- the estimate itself runs away: one begun at what is measured now takes over where that explains the measurements far
-  better (rival.py);
-- calls do not come: the filter predicts over the gap. A clock that jumps back or by more than LATE is not followed: one
-  sample has passed;
+- a solution fails (a model function is not finite, the QP is not solved: neither to the end nor,
+  cut off, so far that it meets its dynamics and limits): the plan before goes on, its next command
+  plus the ancillary gain on the estimate, for as long as the plan lasts; then the ancillary gain
+  about the path. A plan that failed three times in a row, or is older than itself, is replaced by a
+  simulation of that fallback before the next attempt;
+- measurements are missing, infinite, no numbers or cannot be believed (gate.py): the filter goes on
+  without them;
+- the estimate itself runs away: one begun at what is measured now takes over where that explains
+  the measurements far better (rival.py);
+- calls do not come: the filter predicts over the gap. A clock that jumps back or by more than LATE
+  is not followed: one sample has passed;
 - flying on is not possible: a descent is declared (descent.py).
 """
 
@@ -36,10 +41,11 @@ from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from mpc_export.adaptation import flight_parameters
 from mpc_export.c_code import CKernel
+from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.tube.calibrated import Calibrated
 from mpc_export.tube.correlation import innovations
-from mpc_export.tube.descent import AWAY, BLIND, HELD, SLOW, Descent, Watch
+from mpc_export.tube.descent import AWAY, HELD, SLOW, Descent, Watch, carried
 from mpc_export.tube.gate import Gate, plausible
 from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
@@ -52,7 +58,8 @@ FOREVER = 1e6
 LATE = 0.25
 """A longer pause between two calls is a fault of the clock [s]."""
 EARLY = 0.25
-"""A call counts for another sample when it comes no more than this share of one too early for it."""
+"""A call counts for another sample when it comes no more than this share of one too early for
+it."""
 FAILURES = 3
 """So many failed solutions in a row, and the next starts anew."""
 MEASURED = {
@@ -66,8 +73,6 @@ NEAR_STEADY = 1e-6
 """A steady state that misses its condition by less is not looked for anew."""
 ROUNDING = 1e-6
 """A command that its limits move by less is as it was decided: the QP is solved to this."""
-NEAR = {"position": 0.3, "velocity": 1.0}
-"""The fallback corrects no more than this at a time [m, m/s]: its gain is linear and the commands are bounded."""
 GIVEN = 0.7
 """Part of the hover command below which, in the mean, nothing is said of weak rotors."""
 MEAN = 0.3
@@ -86,7 +91,8 @@ class Planes(Protocol):
     """Position constraints along a path."""
 
     def __call__(self, time: FloatArray) -> FloatArray:
-        """(n, planes, 4): normal and offset at the times (n,) of the reference; zeros and 1 where there is none."""
+        """(n, planes, 4): normal and offset at the times (n,) of the reference; zeros and 1 where
+        there is none."""
         ...
 
 
@@ -100,7 +106,8 @@ class Event:
 
 @dataclass(kw_only=True)
 class Plan:
-    """What was decided last: outcome of the solver, time at which the plan starts, states and commands of it."""
+    """What was decided last: outcome of the solver, time at which the plan starts, states and
+    commands of it."""
 
     time: float
     outcome: Outcome
@@ -112,17 +119,19 @@ class Plan:
 class TubeController:
     """Flies `reference` inside `planes` with the model of a file.
 
-    kappa: standard deviations by which every plane, the tilt (last) and the commands are tightened: (planes + 1,) and
-    `kappa_u`; zeros fly the nominal plan. integrate: the filter's and the plan's disturbances are constant between noise
-    (no decay), which leaves no offset under a constant force (Pannocchia and Rawlings 2003, AIChE J. 49(2)); else
-    they decay as identified, which suits gusts. white: the learned function's error is fresh at every stage, to compare.
-    calibrate: planes and tilt are tightened by as much more or less as errors of forecasts turn out (calibrated.py).
-    adapt: the filter learns parameters in flight and plans use them (adaptation.py): those that differ between the model's
-    training flights, and those named, with the standard deviation that they may be off by ({}: the former alone; None:
-    nothing). They are forgotten within `memory` [s], 0: never. Both together: where errors are larger than stated,
-    disturbances are followed faster.
-    lost [m]: farther from the reference than this, a descent is declared; only for references that do not jump.
-    The sample time of `problem` must be a multiple of the model's. Raises `ModelError`, `BuildError`.
+    kappa: standard deviations by which every plane, the tilt (last) and the commands are tightened:
+    (planes + 1,) and `kappa_u`; zeros fly the nominal plan. integrate: the filter's and the plan's
+    disturbances are constant between noise (no decay), which leaves no offset under a constant
+    force (Pannocchia and Rawlings 2003, AIChE J. 49(2)); else they decay as identified, which suits
+    gusts. white: the learned function's error is fresh at every stage, to compare. calibrate:
+    planes and tilt are tightened by as much more or less as errors of forecasts turn out
+    (calibrated.py). adapt: the filter learns parameters in flight and plans use them
+    (adaptation.py): those that differ between the model's training flights, and those named, with
+    the standard deviation that they may be off by ({}: the former alone; None: nothing). They are
+    forgotten within `memory` [s], 0: never. Both together: where errors are larger than stated,
+    disturbances are followed faster. lost [m]: farther from the reference than this, a descent is
+    declared; only for references that do not jump. The sample time of `problem` must be a multiple
+    of the model's. Raises `ModelError`, `BuildError`.
     """
 
     model: IdentifiedModel
@@ -185,13 +194,15 @@ class TubeController:
         groups = self.model.dynamics.innovation_columns
         self._present = [[self.columns.index(c) for c in names] for names in groups]
         self.gate = Gate(groups, self.filter.noise.innovation)
+        self.blind = carried(self.filter, groups)
         self._spin = np.array([float(r.spin) for r in self.model.physics.vehicle.rotors])
         pose = ("x, y, z", "qw, qx, qy, qz")
         self._pose = [(k, rows) for k, (name, rows) in enumerate(self.gate.sensors) if name in pose]
         self.start()
 
     def _filter_covariance(self) -> FloatArray:
-        """P_f of the filter at the model's sample time, in the error state of the plan; the history of commands is known."""
+        """P_f of the filter at the model's sample time, in the error state of the plan; the history
+        of commands is known."""
         size = len(self.functions.error_states)
         own = size - (len(self.functions.states) - self.functions.own_states)
         full = np.zeros((size, size))
@@ -254,7 +265,8 @@ class TubeController:
         return column
 
     def _state(self) -> FloatArray:
-        """The plan's state: the estimate, with the history of commands at the plan's sample time."""
+        """The plan's state: the estimate, with the history of commands at the plan's sample
+        time."""
         names, own = self.functions.states.names, self.functions.own_states
         state = np.concatenate([self.estimate[:own], np.zeros(len(names) - own)])
         for i, name in enumerate(names[own:], own):
@@ -268,7 +280,7 @@ class TubeController:
             self._blocks[name, error] = block(self.functions, name, error=error)
         return self._blocks[name, error]
 
-    # ------------------------------------------------------------------------------------------------ every sample
+    # -------------------------------------------------------------------------------- every sample
 
     @property
     def descending(self) -> bool:
@@ -276,7 +288,8 @@ class TubeController:
         return self.descent is not None
 
     def sample(self, time: float, measured: Mapping[str, float | None] | None) -> FloatArray:
-        """The command that is in force from the next sample on, (n_u,), given the measurements at `time` by column.
+        """The command that is in force from the next sample on, (n_u,), given the measurements at
+        `time` by column.
 
         Whatever is measured or told, it raises nothing and the command keeps its limits. Columns
         that are left out, None or no numbers are not measured; None for all: nothing is.
@@ -303,7 +316,8 @@ class TubeController:
         return self.u.copy()
 
     def _take(self, time: float, u: FloatArray) -> None:
-        """The one place where a command comes into force: finite, within its limits and its rate."""
+        """The one place where a command comes into force: finite, within its limits and its
+        rate."""
         if not np.isfinite(u).all():
             self._note(time, "the command is not finite")
             u = self.u
@@ -320,7 +334,8 @@ class TubeController:
         return np.asarray(np.clip(inside, before - problem.rate_max, before + problem.rate_max))
 
     def _passed(self, time: float) -> int:
-        """Samples since the call before: 1, more where calls did not come. A clock that jumps is put right."""
+        """Samples since the call before: 1, more where calls did not come. A clock that jumps is
+        put right."""
         step = self.model.sample_time
         if self._told is None:
             self._told = time - step if math.isfinite(time) else 0.0
@@ -346,7 +361,8 @@ class TubeController:
     def filtered(
         self, estimate: FloatArray, u: FloatArray, measured: Mapping[str, float | None]
     ) -> tuple[FloatArray, bool]:
-        """The identified filter's estimate one sample after `estimate` under u, and whether anything was measured.
+        """The identified filter's estimate one sample after `estimate` under u, and whether
+        anything was measured.
 
         Everything that is finite is believed.
         """
@@ -390,7 +406,8 @@ class TubeController:
     def _filtered(
         self, y: FloatArray, there: FloatArray
     ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any] | None]:
-        """(Next state, innovation, expected measurement), (parameters, covariance of what is adapted) where any is."""
+        """(Next state, innovation, expected measurement), (parameters, covariance of what is
+        adapted) where any is."""
         if self._adapt is None:
             return self._step(self.estimate, self.u, self.p, y, there), None
         after, p, unsure, e, y_hat = self._adapt(
@@ -409,7 +426,8 @@ class TubeController:
                 self.p, self._unsure = p, unsure
 
     def _challenge(self, time: float, y: FloatArray, there: FloatArray, innovation: Any) -> None:
-        """Let an estimate that is begun at what is measured take over where it explains the measurements far better."""
+        """Let an estimate that is begun at what is measured take over where it explains the
+        measurements far better."""
         denied = self.gate.surprise(innovation.full().ravel(), there)
         rival = self._rival
         if rival.estimate is not None:
@@ -451,7 +469,8 @@ class TubeController:
     def _believed(
         self, time: float, share: FloatArray, y: FloatArray, there: FloatArray, expected: Any
     ) -> tuple[FloatArray, FloatArray]:
-        """y and `there` with every sensor moved toward what was expected, so that `share` of its innovation is left."""
+        """y and `there` with every sensor moved toward what was expected, so that `share` of its
+        innovation is left."""
         y, there, y_hat = y.copy(), there.copy(), expected.full().ravel()
         for part, (name, at) in zip(share, self.gate.sensors, strict=True):
             if part == 0.0:
@@ -468,7 +487,7 @@ class TubeController:
     def _note(self, time: float, what: str) -> None:
         self.events.append(Event(time=time, what=what))
 
-    # ------------------------------------------------------------------------------------------------ every plan
+    # ---------------------------------------------------------------------------------- every plan
 
     def _decide(self, begin: float) -> FloatArray:
         problem, data, n = self.problem, self.solver.data, self.problem.horizon
@@ -524,7 +543,7 @@ class TubeController:
                 "no steady command within the limits": (bool(self._weak.any()), HELD),
                 "position or attitude not measured": (
                     min(self._seen, default=begin) < begin - SLOW,
-                    BLIND - SLOW,
+                    self.blind - SLOW,
                 ),
                 f"more than {self.lost:g} m from the path": (not away <= self.lost, AWAY),
             }
@@ -543,7 +562,8 @@ class TubeController:
         return self.descent.sample(times)
 
     def _give_up_yaw(self) -> None:
-        """The heading that the plan has anyway becomes its reference, and so does its rate at the end."""
+        """The heading that the plan has anyway becomes its reference, and so does its rate at the
+        end."""
         data, attitude, turn = self.solver.data, self._rows("attitude"), self._rows("rate")[2]
         yaw = numeric("euler", data["x"][:, attitude])[:, 2]
         data["ref"][:, 6] = yaw[:-1]
@@ -552,10 +572,12 @@ class TubeController:
         end[attitude], end[turn] = _tilted(up, float(yaw[-1])), data["x"][-1, turn]
 
     def _aim(self, path: Any) -> None:
-        """One Newton step of the steady state that holds the reference's place under the estimated disturbance.
+        """One Newton step of the steady state that holds the reference's place under the estimated
+        disturbance.
 
-        It goes on from the step before, or from hover where that misses the condition by less: after
-        a disturbance that nothing holds against, Newton's method would not find back by itself.
+        It goes on from the step before, or from hover where that misses the condition by less:
+        after a disturbance that nothing holds against, Newton's method would not find back by
+        itself.
         """
         goal = np.array([*path.position[0], path.yaw[0]])
         x, u, missed = self._steadier(*self.steady, goal)
@@ -578,12 +600,14 @@ class TubeController:
         return new_x.full().ravel(), new_u.full().ravel(), float(np.abs(missed.full()).max())
 
     def _needed(self, u: FloatArray) -> FloatArray:
-        """Steady command (n_u,) if rotors are weak by a factor, where u (n_u,) holds against what acts now.
+        """Steady command (n_u,) if rotors are weak by a factor, where u (n_u,) holds against what
+        acts now.
 
-        What a rotor lost is a force and a torque to the filter, which grow with its command: as long as less is given, less
-        seems to be needed. With thrust as the square of the command, a mean m that acts like m^2 - (u^2 - hover^2) says
-        hover m / sqrt(m^2 - (u^2 - hover^2)). A model whose yaw torque has no noise shares one rotor's loss
-        among four, with their spins' signs: the median over the rotors is that share.
+        What a rotor lost is a force and a torque to the filter, which grow with its command: as
+        long as less is given, less seems to be needed. With thrust as the square of the command, a
+        mean m that acts like m^2 - (u^2 - hover^2) says hover m / sqrt(m^2 - (u^2 - hover^2)). A
+        model whose yaw torque has no noise shares one rotor's loss among four, with their spins'
+        signs: the median over the rotors is that share.
         """
         hover = self.solver.stages.steady[1]
         self._mean += self.problem.dt / (self.problem.dt + MEAN) * (self.u - self._mean)
@@ -596,8 +620,8 @@ class TubeController:
         return np.asarray(np.where(self._mean > GIVEN * hover, np.maximum(u, weak), u))
 
     def _along(self, path: Any, k: int) -> FloatArray:
-        """State at sample k of the path: thrust along its acceleration and what the steady state holds against gravity and
-        disturbances; rotors and rates at rest."""
+        """State at sample k of the path: thrust along its acceleration and what the steady state
+        holds against gravity and disturbances; rotors and rates at rest."""
         x = self.steady[0].copy()
         up = numeric("rotate", x[self._rows("attitude")], [0.0, 0.0, 1.0])[0]
         x[self._rows("position")], x[self._rows("velocity")] = path.position[k], path.velocity[k]
@@ -615,7 +639,8 @@ class TubeController:
         x[-1] = self.functions["f_d"](x[-2], u[-1], self.p).full().ravel()
 
     def _anew(self, path: Any) -> None:
-        """A plan that owes nothing to the one before: the fallback about the path, simulated from the estimate."""
+        """A plan that owes nothing to the one before: the fallback about the path, simulated from
+        the estimate."""
         data, u = self.solver.data, self.u
         x = self._state()
         for k in range(self.problem.horizon):
@@ -637,7 +662,8 @@ class TubeController:
     def _corrected(
         self, state: FloatArray, before: FloatArray, x: FloatArray, u: FloatArray
     ) -> FloatArray:
-        """u and the ancillary gain on what `state` is away from x, within the limits of command and rate."""
+        """u and the ancillary gain on what `state` is away from x, within the limits of command and
+        rate."""
         away = self.functions["boxminus"](state, x).full().ravel()
         for name, most in NEAR.items():
             rows = self._rows(name, error=True)
@@ -653,7 +679,8 @@ def _integrating(model: IdentifiedModel) -> IdentifiedModel:
 
 
 def _uncertain(model: IdentifiedModel, spread: Mapping[str, float]) -> IdentifiedModel:
-    """The model with these standard deviations of parameters from flight to flight. Raises `ModelError`."""
+    """The model with these standard deviations of parameters from flight to flight. Raises
+    `ModelError`."""
     for name, sigma in spread.items():
         if name not in model.values:
             raise ModelError(

@@ -1,4 +1,5 @@
-"""TubeProblem: what the controller is asked to do, in plain numbers. The equations are in stages.py and controller.c."""
+"""TubeProblem: what the controller is asked to do, in plain numbers. The equations are in stages.py
+and controller.c."""
 
 from __future__ import annotations
 
@@ -7,41 +8,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from greybox.errors import ModelError
-
-
-@dataclass(frozen=True, kw_only=True)
-class Weights:
-    """Weights of the tracking cost, 0.5 (weight x error)^2 per stage.
-
-    position [1/m], velocity [s/m], yaw [1/rad], rate [s/rad], command (distance from the steady command) and change of the
-    command per sample, both per unit of command.
-    """
-
-    position: float = 8.0
-    velocity: float = 1.5
-    yaw: float = 2.0
-    rate: float = 0.3
-    command: float = 0.6
-    change: float = 3.0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (math.isfinite(value) and value >= 0):
-                raise ModelError(f"weight {name} must be finite and not negative", got=f"{value:g}")
+from mpc_export.feedback import Weights
 
 
 @dataclass(frozen=True, kw_only=True)
 class TubeProblem:
     """Horizon, weights and limits of the controller.
 
-    dt [s]: sample time of plan and controller; horizon: stages; planes: how many position constraints a stage has room
-    for. command_min, command_max and rate_max (change per sample) bound every command and are hard; planes and tilt_max
-    [rad] are soft with an exact penalty: `penalty` per metre (or unit of cosine) beyond, `penalty_square` on its square.
-    feedback: whether the ancillary gain acts inside the tube; without it the covariance is that of an open loop. ancillary:
-    weights of the LQR that gives this gain, default those of the tracking cost; a stiffer one makes the tube narrower in
-    place and takes more off the commands. kind:
-    "probabilistic" (covariances, back-off = kappa standard deviations) or "worst case" (ellipsoids that hold
-    every disturbance inside its own ellipsoid; back-off = their half width).
+    dt [s]: sample time of plan and controller; horizon: stages; planes: how many position
+    constraints a stage has room for. command_min, command_max and rate_max (change per sample)
+    bound every command and are hard; planes and tilt_max [rad] are soft with an exact penalty:
+    `penalty` per metre (or unit of cosine) beyond, `penalty_square` on its square. feedback:
+    whether the ancillary gain acts inside the tube; without it the covariance is that of an open
+    loop. ancillary: weights of the LQR that gives this gain, default those of the tracking cost; a
+    stiffer one makes the tube narrower in place and takes more off the commands. kind:
+    "probabilistic" (covariances, back-off = kappa standard deviations) or "worst case" (ellipsoids
+    that hold every disturbance inside its own ellipsoid; back-off = their half width).
     """
 
     dt: float = 0.02

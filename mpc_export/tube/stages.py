@@ -1,25 +1,29 @@
 """Stage functions of the controller as CasADi functions: dynamics, cost, limits, tube.
 
-Error coordinates are those of the exported model (x = x_plan boxplus d). The tracking residual of a stage is
+Error coordinates are those of the exported model (x = x_plan boxplus d). The tracking residual of a
+stage is
 
-    r = (w_p (position - reference), w_v (velocity - reference), w_psi sin(psi - reference) cos(theta),
+    r = (w_p (position - reference), w_v (velocity - reference), w_psi sin(psi - reference)
+    cos(theta),
          w_omega omega, w_u (u - u_steady), w_du (u - u_before)),      cost = 0.5 r'r,      Hessian = J'J (Gauss-Newton),
 
-and the last stage costs 0.5 e'P e, e the error state against the reference state, P the solution of the discrete
-Riccati equation at hover, which bounds the cost of the linear feedback from there on (Rawlings, Mayne and Diehl, Model
-Predictive Control, 2017, section 2.5.2). The tube: with the estimate x_hat = x - e_hat, e_hat of covariance P_f (the
-filter's, stationary), and u = u_plan + K (x_hat - x_plan),
+and the last stage costs 0.5 e'P e, e the error state against the reference state, P the solution of
+the discrete Riccati equation at hover, which bounds the cost of the linear feedback from there on
+(Rawlings, Mayne and Diehl, Model Predictive Control, 2017, section 2.5.2). The tube: with the
+estimate x_hat = x - e_hat, e_hat of covariance P_f (the filter's, stationary), and u = u_plan + K
+(x_hat - x_plan),
 
     total = P_f + Z + c c' + b Cov(theta) b' + D_k,
     Z+ = (A + B K) Z (A + B K)' + W,    W = sum A_1^i L S L' A_1^i',     Z = 0 where the plan starts at the estimate,
     c+ = (A + B K) c + B_d sd_g,        b+ = (A + B K) b + df_d/dtheta.
 
-W is what the filter's innovations (covariance S, gain L, transition A_1) move the estimate by in the samples of one stage
-(separation of estimation and control; Anderson and Moore 1979, chapter 5): at one sample time for all it is A P_f A' + Q -
-P_f. D_k is what this linear loop leaves out (second_order.py). Errors of the learned function (standard deviation sd_g)
-and of the parameters theta stay the same over a horizon and are consider states (Schmidt 1966), not noise that is fresh at
-every step. In the worst case the sums are outer ellipsoids with the least trace: E(X) + E(Y) inside E((1 + 1/a) X + (1 + a)
-Y), a = sqrt(tr X / tr Y) (Kurzhanski and Valyi 1997, section 2.7).
+W is what the filter's innovations (covariance S, gain L, transition A_1) move the estimate by in
+the samples of one stage (separation of estimation and control; Anderson and Moore 1979, chapter 5):
+at one sample time for all it is A P_f A' + Q - P_f. D_k is what this linear loop leaves out
+(second_order.py). Errors of the learned function (standard deviation sd_g) and of the parameters
+theta stay the same over a horizon and are consider states (Schmidt 1966), not noise that is fresh
+at every step. In the worst case the sums are outer ellipsoids with the least trace: E(X) + E(Y)
+inside E((1 + 1/a) X + (1 + a) Y), a = sqrt(tr X / tr Y) (Kurzhanski and Valyi 1997, section 2.7).
 """
 
 from __future__ import annotations
@@ -30,25 +34,23 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy.linalg
 
 from greybox.errors import ModelError
 from greybox.frames import rotation_matrix
 from greybox.symbolic import Expr, FloatArray
+from mpc_export.feedback import Weights, cost, demand_flight, hover, lqr, rows
 from mpc_export.functions import ModelFunctions
-from mpc_export.tube.problem import TubeProblem, Weights
+from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.second_order import second_order
-
-NEEDED = ("position", "velocity", "attitude", "rate")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stages:
     """The functions by name, and what was computed once.
 
-    keep: error states (n_k) that the plan may change, disturbances left out; free: raw states of the disturbances;
-    gain K (n_u, n_d); terminal P (n_k, n_k); steady = (x, u) at hover; estimate P_f and fresh W (n_d, n_d);
-    bent D (N + 1, n_d, n_d), which `tube_spread` does not hold.
+    keep: error states (n_k) that the plan may change, disturbances left out; free: raw states of
+    the disturbances; gain K (n_u, n_d); terminal P (n_k, n_k); steady = (x, u) at hover; estimate
+    P_f and fresh W (n_d, n_d); bent D (N + 1, n_d, n_d), which `tube_spread` does not hold.
     """
 
     functions: Mapping[str, Any]
@@ -70,23 +72,27 @@ def stages(
     estimate: FloatArray | None = None,
     fresh: FloatArray | None = None,
 ) -> Stages:
-    """Stage functions for a model exported at the controller's sample time with groups "covariance" and "target".
+    """Stage functions for a model exported at the controller's sample time with groups "covariance"
+    and "target".
 
-    white: treat the learned function's error as noise that is fresh at every step, for comparison. estimate and fresh (n_d,
-    n_d): P_f and W of the filter that will run; default those of a filter at the model's sample time, of which P_f is too
-    wide, and W too narrow, where the real one runs faster than the plan. Raises `ModelError` for a model that has no
-    position, velocity, attitude and rates.
+    white: treat the learned function's error as noise that is fresh at every step, for comparison.
+    estimate and fresh (n_d, n_d): P_f and W of the filter that will run; default those of a filter
+    at the model's sample time, of which P_f is too wide, and W too narrow, where the real one runs
+    faster than the plan. Raises `ModelError` for a model that has no position, velocity, attitude
+    and rates.
     """
     _check(model, problem)
-    x_steady, u_steady = _hover(model)
+    x_steady, u_steady = hover(
+        model.functions, model.states, model.reference, model.parameter_values, len(model.targets)
+    )
     keep = tuple(
         i for i, n in enumerate(model.error_states.names) if not n.startswith("d_disturbance.")
     )
     free = tuple(block(model, "disturbance"))
     _, a, b, _ = (v.full() for v in model["f_d_jac"](x_steady, u_steady, model.parameter_values))
-    gain, terminal = _lqr(a, b, *_weights(model, problem.weights), keep)
+    gain, terminal = lqr(a, b, *_weights(model, problem.weights), keep)
     if problem.ancillary is not None:
-        gain, _ = _lqr(a, b, *_weights(model, problem.ancillary), keep)
+        gain, _ = lqr(a, b, *_weights(model, problem.ancillary), keep)
     if not problem.feedback:
         gain = np.zeros_like(gain)
     estimate = model.noise.covariance if estimate is None else np.asarray(estimate, dtype=float)
@@ -116,14 +122,7 @@ def stages(
 
 
 def _check(model: ModelFunctions, problem: TubeProblem) -> None:
-    names = model.states.names
-    missing = [n for n in NEEDED if not any(s.startswith(f"{n}.") for s in names)]
-    if missing:
-        raise ModelError(
-            f"the controller needs a model with {', '.join(missing)}",
-            got=model.name,
-            fix="fit on flights with pose or position and attitude",
-        )
+    demand_flight(model.states, model.name)
     if abs(model.dt - problem.dt) > 1e-9:
         raise ModelError(
             "model and controller differ in sample time",
@@ -138,73 +137,14 @@ def _check(model: ModelFunctions, problem: TubeProblem) -> None:
             )
 
 
-def _hover(model: ModelFunctions) -> tuple[FloatArray, FloatArray]:
-    """Level hover at the origin without disturbances."""
-    x, u = (np.array(v, dtype=float) for v in model.reference)
-    names = model.states.names
-    for i, n in enumerate(names):
-        if n.startswith(("disturbance.", "position.", "velocity.", "rate.", "attitude.")):
-            x[i] = float(n == "attitude.w")
-    goal = np.zeros(len(model.targets))
-    for _ in range(30):
-        x, u, residual = (
-            v.full().ravel() for v in model["target_step"](x, u, model.parameter_values, goal)
-        )
-        if residual[0] < 1e-10:
-            break
-    else:
-        raise ModelError(
-            "the model has no steady hover", got=f"condition missed by {residual[0]:.2g}"
-        )
-    return x, u
-
-
 def block(model: ModelFunctions, name: str, *, error: bool = False) -> list[int]:
     """Rows of a block of the state, such as "position", or of the error state."""
-    layout = model.error_states if error else model.states
-    prefix = f"d_{name}." if error else f"{name}."
-    return [i for i, n in enumerate(layout.names) if n.startswith(prefix)]
+    return rows(model.error_states, f"d_{name}") if error else rows(model.states, name)
 
 
 def _weights(model: ModelFunctions, w: Weights) -> tuple[FloatArray, FloatArray]:
     """Stage cost about hover as Q (n_d, n_d) and R (n_u, n_u)."""
-    q = np.full(len(model.error_states), 1e-6)
-    for name, weight in (("position", w.position), ("velocity", w.velocity), ("rate", w.rate)):
-        q[block(model, name, error=True)] += weight**2
-    q[block(model, "attitude", error=True)[2]] += w.yaw**2
-    r = np.full(len(model.inputs), w.command**2 + w.change**2 + 1e-9)
-    return np.diag(q), np.diag(r)
-
-
-def _lqr(
-    a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray, keep: tuple[int, ...]
-) -> tuple[FloatArray, FloatArray]:
-    """(K, P): u = K d over all error states, and the cost P (n_k, n_k) of what the plan may change.
-
-    Disturbances cannot be steered; with the cost d'P d + 2 d'X e, e the disturbances that go on as Phi e,
-
-        K_d = -S^-1 B'P A_dd,   K_e = -S^-1 B'(P A_de + X Phi),   S = R + B'P B,
-        X = (A_dd + B K_d)'(P A_de + X Phi).
-    """
-    rows = np.array(keep)
-    rest = np.setdiff1d(np.arange(a.shape[0]), rows)
-    a_dd, a_de, phi, b_d = (
-        a[np.ix_(rows, rows)],
-        a[np.ix_(rows, rest)],
-        a[np.ix_(rest, rest)],
-        b[rows],
-    )
-    p = scipy.linalg.solve_discrete_are(a_dd, b_d, q[np.ix_(rows, rows)], r)
-    s = r + b_d.T @ p @ b_d
-    gain = np.zeros((b.shape[1], a.shape[0]))
-    gain[:, rows] = -np.linalg.solve(s, b_d.T @ p @ a_dd)
-    closed = a_dd + b_d @ gain[:, rows]
-    x = np.linalg.solve(
-        np.eye(len(rows) * len(rest)) - np.kron(phi.T, closed.T),
-        (closed.T @ p @ a_de).ravel(order="F"),
-    ).reshape(len(rows), len(rest), order="F")
-    gain[:, rest] = -np.linalg.solve(s, b_d.T @ (p @ a_de + x @ phi))
-    return gain, np.asarray(p)
+    return cost(model.error_states, len(model.inputs), w)
 
 
 def _positive(m: FloatArray) -> FloatArray:
@@ -256,7 +196,8 @@ def _moved(model: ModelFunctions, keep: tuple[int, ...]) -> tuple[Expr, Expr, Ex
 
 
 def _cost(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) -> Any:
-    """(x, u, u_before, ref) -> cost and its derivatives in (d, u_before, u); ref = position, velocity, psi, u_steady."""
+    """(x, u, u_before, ref) -> cost and its derivatives in (d, u_before, u); ref = position,
+    velocity, psi, u_steady."""
     w = problem.weights
     x, d, moved = _moved(model, keep)
     nu = len(model.inputs)
@@ -294,7 +235,8 @@ def _end(model: ModelFunctions, keep: tuple[int, ...], terminal: FloatArray) -> 
 
 
 def _limits(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) -> Any:
-    """(x, planes (4, n)) -> values that must not be positive, and their Jacobian in d: planes, then tilt."""
+    """(x, planes (4, n)) -> values that must not be positive, and their Jacobian in d: planes, then
+    tilt."""
     x, d, moved = _moved(model, keep)
     planes = ca.SX.sym("planes", 4, problem.planes)
     place = moved[block(model, "position")]

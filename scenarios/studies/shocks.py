@@ -1,21 +1,25 @@
-"""Unannounced shocks in flight: what the tube does that calibrates and learns on the craft, and what others do.
+"""Unannounced shocks in flight: what the tube does that calibrates and learns on the craft, and
+what others do.
 
     python -m scenarios.foreign.draw --seed 25 --simulator rotorpy --out DIR
     greybox fit --vehicle DIR/vehicle.toml --train DIR/train?.csv --test DIR/test?.csv --out DIR/fit
     python -m scenarios.studies.shocks DIR --seeds 1 2 3 --out rows.jsonl
     python -m scenarios.studies.shocks --out rows.jsonl --summary
 
-The plant is a craft of RotorPy or MuJoCo that was drawn by seed (DIR/truth.json, which only the plant reads), the model
-what the plain command made of its flights. The path swings along x exactly in the corner of a wall (y <= 0) and a floor
-(z >= 1.5 m), so that both limits bind all the time; a controller has to know how far it must keep off. The true place
-counts. LEVEL of the time may be beyond (half for each). A second or so after T0 the shock comes, and stays:
+The plant is a craft of RotorPy or MuJoCo that was drawn by seed (DIR/truth.json, which only the
+plant reads), the model what the plain command made of its flights. The path swings along x exactly
+in the corner of a wall (y <= 0) and a floor (z >= 1.5 m), so that both limits bind all the time; a
+controller has to know how far it must keep off. The true place counts. LEVEL of the time may be
+beyond (half for each). A second or so after T0 the shock comes, and stays:
 
-    none; payload: +20 % mass; rotor: one gives 15 % less; wind: 5 m/s toward the wall; battery: 85 % of the voltage, which
-    the speed of all rotors follows; delay: commands 10 ms later; mocap: no pose and velocity for 0.5 s; gusts: 2 m/s more
+    none; payload: +20 % mass; rotor: one gives 15 % less; wind: 5 m/s toward the wall; battery: 85
+    % of the voltage, which the speed of all rotors follows; delay: commands 10 ms later; mocap: no
+    pose and velocity for 0.5 s; gusts: 2 m/s more
 
-Controllers: `aware` the tube that calibrates and learns the mass; `tube` the same without; `nominal` the same model, not
-tightened; `pid` the cascade that flew the training flights, which knows the true craft before the shock. All but `pid`
-estimate constant disturbances. Seeds below 1000 develop, those from 1000 on judge.
+Controllers: `aware` the tube that calibrates and learns the mass; `tube` the same without;
+`nominal` the same model, not tightened; `pid` the cascade that flew the training flights, which
+knows the true craft before the shock. All but `pid` estimate constant disturbances. Seeds below
+1000 develop, those from 1000 on judge.
 """
 
 from __future__ import annotations
@@ -33,10 +37,11 @@ from greybox.files import append_json_line, file_sha256, read_json
 from greybox.plants.controller import CascadeController, Setpoint
 from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
+from mpc_export.feedback import Weights
 from mpc_export.mission.course import SampledPath
 from mpc_export.mission.summary import exact
 from mpc_export.tube.controller import TubeController
-from mpc_export.tube.problem import TubeProblem, Weights
+from mpc_export.tube.problem import TubeProblem
 from scenarios.foreign.craft import Craft
 from scenarios.foreign.draw import draw, plant_of
 from scenarios.foreign.flights import gains_for
@@ -45,7 +50,8 @@ from scenarios.studies.rows import open_ended, read_rows
 
 DT, SECONDS, T0 = 0.01, 11.0, 4.0
 WINDOW = 0.5
-"""Rows keep the share of time beyond a limit in windows of this length after the shock [s], and before it."""
+"""Rows keep the share of time beyond a limit in windows of this length after the shock [s], and
+before it."""
 WINDOWS = round((SECONDS - T0 - 1.0) / WINDOW)
 """So many of them, whenever the shock comes."""
 SWING, PERIOD, HEIGHT = 1.0, 4.0, 1.5
@@ -143,7 +149,8 @@ CONTROLLERS = (*TUBES, "pid")
 
 
 class Pid:
-    """The cascade of the training flights behind the tube's interface. What is not measured stays as it was."""
+    """The cascade of the training flights behind the tube's interface. What is not measured stays
+    as it was."""
 
     def __init__(self, craft: Craft) -> None:
         self.inner, self.path = CascadeController(craft.airframe, gains_for(craft)), Corner()
@@ -188,7 +195,8 @@ def pilot_of(name: str, folder: Path, craft: Craft) -> Any:
 
 
 def fly(pilot: Any, plant: ForeignPlant, shock: str, seed: int) -> dict[str, Any]:
-    """One flight as a row: lost, descended, when the shock came, how far beyond a limit the true place was per window."""
+    """One flight as a row: lost, descended, when the shock came, how far beyond a limit the true
+    place was per window."""
     path, craft = Corner(), plant.craft
     random = np.random.default_rng([seed, 7])
     at, rotor = T0 + random.uniform(0.0, 1.0), int(random.integers(len(craft.airframe.rotors)))
@@ -233,7 +241,8 @@ def _lands(pilot: Any) -> bool:
 
 
 def _within(pilot: Any) -> tuple[float, float, int]:
-    """Errors of forecasts due at this sample: how many are inside calibrated and inside stated intervals, of all."""
+    """Errors of forecasts due at this sample: how many are inside calibrated and inside stated
+    intervals, of all."""
     own = pilot.calibrated if isinstance(pilot, TubeController) else None
     if own is None:
         return 0.0, 0.0, 0
@@ -245,8 +254,9 @@ def _within(pilot: Any) -> tuple[float, float, int]:
 
 
 def coverage(within: FloatArray, at: float) -> dict[str, Any]:
-    """Shares of errors up to 0.5 s ahead inside 95 % intervals, from rows (n, 3) of `_within`: before and per window after
-    the shock, calibrated (`held`) and as the model states them (`stated`); none where nothing is calibrated."""
+    """Shares of errors up to 0.5 s ahead inside 95 % intervals, from rows (n, 3) of `_within`:
+    before and per window after the shock, calibrated (`held`) and as the model states them
+    (`stated`); none where nothing is calibrated."""
     if not within[:, 2].any():
         return {}
     first, size = round(at / DT), round(WINDOW / DT)
@@ -260,7 +270,8 @@ def coverage(within: FloatArray, at: float) -> dict[str, Any]:
 
 
 def row_of(beyond: FloatArray, away: FloatArray, at: float, steps: int) -> dict[str, Any]:
-    """What a row says of distances beyond the limits and from the path (n,) [m]; n < steps: lost, beyond from then on."""
+    """What a row says of distances beyond the limits and from the path (n,) [m]; n < steps: lost,
+    beyond from then on."""
     lost = len(beyond) < steps
     first, size = round(at / DT), round(WINDOW / DT)
     bad = np.concatenate([beyond > 0.0, np.ones(steps - len(beyond))])
@@ -276,8 +287,8 @@ def row_of(beyond: FloatArray, away: FloatArray, at: float, steps: int) -> dict[
 
 
 def back(rows: Sequence[Mapping[str, Any]]) -> float:
-    """Seconds after the shock from which on the mean share beyond in all later windows together keeps LEVEL; infinite:
-    never."""
+    """Seconds after the shock from which on the mean share beyond in all later windows together
+    keeps LEVEL; infinite: never."""
     share = np.mean([r["after"][:WINDOWS] for r in rows], axis=0)
     for k in range(len(share)):
         if share[k] <= LEVEL and share[k:].mean() <= LEVEL:
@@ -288,7 +299,8 @@ def back(rows: Sequence[Mapping[str, Any]]) -> float:
 def summary(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table in Markdown: one line per shock and controller."""
     lines = [
-        f"| shock | controller | flights | lost, landing | beyond before | 0 to {BACK:g} s after | later | "
+        f"| shock | controller | flights | lost, landing | beyond before | 0 to {BACK:g} s after | "
+        "later | "
         "flights above the level later (95 %) | back after | deepest | from the path | "
         f"errors inside calibrated and stated 95 %, 0 to {BACK:g} s after | later |",
         "|" + "---|" * 13,
@@ -307,18 +319,23 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> str:
             low, high = exact(bad, len(mine))
             when = back(mine)
             lines.append(
-                f"| {shock} | {name} | {len(mine)} | {sum(r['lost'] for r in mine)}, {sum(r['descended'] for r in mine)} | "
-                f"{100 * np.mean([r['before'] for r in mine]):.1f} % | {100 * early.mean():.1f} % | "
+                f"| {shock} | {name} | {len(mine)} | {sum(r['lost'] for r in mine)}, "
+                f"{sum(r['descended'] for r in mine)} | "
+                f"{100 * np.mean([r['before'] for r in mine]):.1f} % | {100 * early.mean():.1f} % "
+                "| "
                 f"{100 * late.mean():.1f} % | "
-                f"{bad} ({100 * low:.0f} to {100 * high:.0f} %) | {f'{when:g} s' if math.isfinite(when) else 'never'} | "
-                f"{max(r['deepest'] for r in mine):.0f} mm | {np.mean([r['away'] for r in mine]):.0f} mm | "
+                f"{bad} ({100 * low:.0f} to {100 * high:.0f} %) | "
+                f"{f'{when:g} s' if math.isfinite(when) else 'never'} | "
+                f"{max(r['deepest'] for r in mine):.0f} mm | "
+                f"{np.mean([r['away'] for r in mine]):.0f} mm | "
                 f"{_shares(mine, slice(1, 1 + cut))} | {_shares(mine, slice(1 + cut, None))} |"
             )
     return "\n".join(lines)
 
 
 def _shares(rows: Sequence[Mapping[str, Any]], windows: slice) -> str:
-    """Mean shares inside calibrated and stated intervals in these windows; a dash where nothing is calibrated."""
+    """Mean shares inside calibrated and stated intervals in these windows; a dash where nothing is
+    calibrated."""
     both = [
         [np.mean(r[n][windows]) for r in rows if r.get(n, [])[windows]] for n in ("held", "stated")
     ]
@@ -351,7 +368,8 @@ def run(
                 append_json_line(out, row)
                 late = np.mean(row["after"][round(BACK / WINDOW) :])
                 print(
-                    f"{shock:8} {name:8} flight {seed}: {100 * row['before']:5.1f} % beyond before, {100 * late:5.1f} % "
+                    f"{shock:8} {name:8} flight {seed}: {100 * row['before']:5.1f} % beyond "
+                    f"before, {100 * late:5.1f} % "
                     f"later, deepest {row['deepest']:.0f} mm{', lost' if row['lost'] else ''}",
                     flush=True,
                 )
@@ -378,7 +396,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         for needed in ("truth.json", "fit/model.json"):
             if not (options.folder / needed).is_file():
                 parser.error(
-                    f"{options.folder} has no {needed}: draw the craft and fit it first, as --help says"
+                    f"{options.folder} has no {needed}: draw the craft and fit it first, as --help "
+                    "says"
                 )
         run(options.folder, options.shocks, options.controllers, options.seeds, options.out)
     print(summary(read_rows(options.out)))

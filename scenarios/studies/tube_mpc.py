@@ -1,7 +1,8 @@
-"""Does a tube keep its promise? Controllers with the same solver and different models fly a course in gusts.
+"""Does a tube keep its promise? Controllers with the same solver and different models fly a course
+in gusts.
 
-One training flight identifies the models; then every controller flies the obstacle course (mpc_export/mission) with the
-seeds that judge:
+One training flight identifies the models; then every controller flies the obstacle course
+(mpc_export/mission) with the seeds that judge:
 
     nominal     what the data sheet says, noise levels from the training flight
     pem         physics with motor lag, rotor drag, centre of mass, fitted; no tightening
@@ -16,12 +17,13 @@ seeds that judge:
     constant    hybrid, every limit moved by one constant, tuned on training flights of the plant to cross in 10 % of them
     cascade     the cascade controller that flew the training flight
 
-The risk is that of crossing a plane (or a crash); flights that tilt too far are counted beside it. Cost of a flight: its
-tracking cost with the controller's own weights, per second; a crash (farther than `lost` from the path) costs CRASH.
-Everything is kept in OUT as it comes (flights.jsonl), and a second run goes on where the first stopped.
+The risk is that of crossing a plane (or a crash); flights that tilt too far are counted beside it.
+Cost of a flight: its tracking cost with the controller's own weights, per second; a crash (farther
+than `lost` from the path) costs CRASH. Everything is kept in OUT as it comes (flights.jsonl), and a
+second run goes on where the first stopped.
 
-    python -m scenarios.studies.tube_mpc --out OUT [--flights 200] [--first 0] [--only tube-10,hybrid]
-    python -m scenarios.studies.tube_coverage --out OUT [--flights 20]
+    python -m scenarios.studies.tube_mpc --out OUT [--flights 200] [--first 0] [--only
+    tube-10,hybrid] python -m scenarios.studies.tube_coverage --out OUT [--flights 20]
 """
 
 from __future__ import annotations
@@ -52,12 +54,13 @@ from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual.files import load_model, save_model
 from greybox.residual.learn import learn
 from greybox.residual.noise_levels import refit_noise
+from mpc_export.feedback import Weights
 from mpc_export.mission import JUDGING_SEEDS, OBSTACLE_COURSE
 from mpc_export.mission.craft import vehicle
 from mpc_export.mission.demo import EFFECTS, ERRORS, HELD, SIGMA, training_log
 from mpc_export.mission.flight import CRASH, REACH, tracking_cost
 from mpc_export.tube.controller import TubeController
-from mpc_export.tube.problem import TubeProblem, Weights
+from mpc_export.tube.problem import TubeProblem
 from scenarios.studies.rows import read_rows, wilson
 
 Array = NDArray[np.float64]
@@ -80,10 +83,11 @@ PROBLEM = TubeProblem(
     tilt_max=OBSTACLE_COURSE.tilt_max,
     ancillary=Weights(position=64.0),
 )
-"""The ancillary gain holds the place eight times as hard as the plan: after 0.4 s the tube is 7 mm wide instead of 16."""
+"""The ancillary gain holds the place eight times as hard as the plan: after 0.4 s the tube is 7 mm
+wide instead of 16."""
 
 
-# ------------------------------------------------------------------------------------------------ models
+# ----------------------------------------------------------------------------------------- models
 
 
 def training_flight(seconds: float = 60.0) -> Dataset:
@@ -115,12 +119,13 @@ def models(out: Path, report: Callable[[str], None] = print) -> dict[str, Identi
         save_model(fitted.model, out / "pem.json")
         report("learning what is left")
         hybrid = refit_noise(learn(fitted.model, data, points=50, seed=0).model, data, each=True)
-        # the filter's own levels are the tube's: what is calibrated for horizons is so on the flight that was learned from
+        # the filter's own levels are the tube's: what is calibrated for horizons is so on the
+        # flight that was learned from
         save_model(replace(hybrid, horizon_noise=None), out / "hybrid.json")
     return {n: load_model(out / f"{n}.json") for n in names}
 
 
-# ------------------------------------------------------------------------------------------------ flights
+# ---------------------------------------------------------------------------------------- flights
 
 
 class Route:
@@ -146,7 +151,8 @@ class Route:
         return type(self.whole)(**{k: v[rows] for k, v in vars(self.whole).items()})
 
     def planes(self, time_: Array, moved: float = 0.0) -> Array:
-        """Planes of the course that exist near the reference at these times, `moved` [m] toward the path."""
+        """Planes of the course that exist near the reference at these times, `moved` [m] toward the
+        path."""
         out = self.limits[self._rows(time_)].copy()
         out[(out[..., :3] != 0).any(axis=-1), 3] -= moved
         return out
@@ -166,7 +172,8 @@ def controller(
     white: bool = False,
     worst: bool = False,
 ) -> TubeController:
-    """The tube controller on the course; `deviations` tighten planes and tilt, one of them at most the commands."""
+    """The tube controller on the course; `deviations` tighten planes and tilt, one of them at most
+    the commands."""
     problem = replace(PROBLEM, kind="worst case") if worst else PROBLEM
     return TubeController(
         model=model,
@@ -211,7 +218,8 @@ class Cascade:
 def flight(
     pilot: Any, seed: int, at: Callable[[int, Any, Any], None] | None = None, plant: Any = None
 ) -> dict[str, Any]:
-    """One flight over the course: margins, tracking error, cost, times. `at(k, plant, pilot)` is called after every plan.
+    """One flight over the course: margins, tracking error, cost, times. `at(k, plant, pilot)` is
+    called after every plan.
 
     plant: default the course's vehicle.
     """
@@ -277,7 +285,7 @@ def tilted(record: dict[str, Any]) -> bool:
     return bool(record["crashed"] or record["tilt"] > OBSTACLE_COURSE.tilt_max)
 
 
-# ------------------------------------------------------------------------------------------------ controllers
+# ------------------------------------------------------------------------------------ controllers
 
 
 def pilots(
@@ -302,13 +310,15 @@ def pilots(
     yield "worst-case", partial(controller, hybrid, deviations=WORST, worst=True)
 
 
-# ------------------------------------------------------------------------------------------------ table
+# ------------------------------------------------------------------------------------------ table
 
 
 def summary(records: Sequence[dict[str, Any]]) -> str:
-    """Per controller: flights that crossed a plane, with the exact one-sided test of the level; error, cost, times."""
+    """Per controller: flights that crossed a plane, with the exact one-sided test of the level;
+    error, cost, times."""
     lines = [
-        f"{'controller':10s} {'flights':>7s} {'crossed':>7s} {'95 %':>13s} {'p(rate<=level)':>15s} {'tilted':>7s} "
+        f"{'controller':10s} {'flights':>7s} {'crossed':>7s} {'95 %':>13s} {'p(rate<=level)':>15s} "
+        f"{'tilted':>7s} "
         f"{'crashed':>8s} {'RMSE [m]':>9s} {'cost':>8s} {'ms':>10s}"
     ]
     for name in CONTROLLERS:
@@ -324,7 +334,8 @@ def summary(records: Sequence[dict[str, Any]]) -> str:
             np.median([r[k] for r in mine if k in r] or [math.nan]) for k in ("median_ms", "p99_ms")
         )
         lines.append(
-            f"{name:10s} {n:7d} {hits / n:7.3f} {low:6.3f}-{high:.3f} {test:>15s} {sum(map(tilted, mine)):7d} "
+            f"{name:10s} {n:7d} {hits / n:7.3f} {low:6.3f}-{high:.3f} {test:>15s} "
+            f"{sum(map(tilted, mine)):7d} "
             f"{n - len(whole):8d} {np.mean([r['rmse'] for r in whole] or [math.nan]):9.4f} "
             f"{np.mean([r['cost'] for r in mine]):8.4f} {f'{middle:.1f}/{late:.1f}':>10s}"
         )
@@ -332,7 +343,8 @@ def summary(records: Sequence[dict[str, Any]]) -> str:
 
 
 def paired(records: Sequence[dict[str, Any]], one: str, other: str) -> tuple[float, float, int]:
-    """Mean of cost(one) - cost(other) over the seeds that both flew, its standard error, and how many these are."""
+    """Mean of cost(one) - cost(other) over the seeds that both flew, its standard error, and how
+    many these are."""
     costs = {
         name: {r["seed"]: r["cost"] for r in records if r["controller"] == name}
         for name in (one, other)

@@ -1,16 +1,20 @@
-"""What the tube controller does when something breaks in flight: rotors, battery, samples, measurements, solver, clock.
+"""What the tube controller does when something breaks in flight: rotors, battery, samples,
+measurements, solver, clock.
 
-Every fault of `FAULTS` begins in the middle of a flight over the obstacle course (a seeded time between 2 and 4 s), against
-the independent plant in gusts, ten flights or more each, the same seeds for all. The vehicle lifts 3.4 times its weight.
-A flight ends at the end of the course, or at the ground (z = 0) where the controller has declared a descent. Per flight:
+Every fault of `FAULTS` begins in the middle of a flight over the obstacle course (a seeded time
+between 2 and 4 s), against the independent plant in gusts, ten flights or more each, the same seeds
+for all. The vehicle lifts 3.4 times its weight. A flight ends at the end of the course, or at the
+ground (z = 0) where the controller has declared a descent. Per flight:
 
     broken      a Python exception, a command that is not finite, beyond its limits or its rate limit: none may be
     outcome     "course" (flown to its end), "landed" (declared descent, ground touched slower than SOFT and flatter than
-                FLAT), "crashed" (farther than `lost` from the path without a declared descent, or a hard landing)
+                FLAT), "crashed" (farther than `lost` from the path without a declared descent, or a
+                hard landing)
     crossings   planes that the true position crossed while the course was flown
     events      what the controller said of itself, by kind
 
-    python -m scenarios.studies.tube_robustness --out OUT [--flights 10] [--model hybrid.json] [--only rotor-30,battery]
+    python -m scenarios.studies.tube_robustness --out OUT [--flights 10] [--model hybrid.json]
+    [--only rotor-30,battery]
 
 Rows go to OUT/robustness.jsonl as they come, and a second run goes on where the first stopped.
 """
@@ -55,7 +59,8 @@ PLACE, ALL = (
 
 @dataclass(frozen=True, kw_only=True)
 class WeakRotors(PlantEffect):
-    """Thrust and torque of every rotor times its factor from `begin` [s] on: a chipped blade, a sagging battery."""
+    """Thrust and torque of every rotor times its factor from `begin` [s] on: a chipped blade, a
+    sagging battery."""
 
     name: ClassVar[str] = "weak_rotors"
     begin: float
@@ -74,13 +79,15 @@ class WeakRotors(PlantEffect):
 
 Seen = dict[str, float]
 Change = Callable[[Seen, int, np.random.Generator], Seen | None]
-"""Measurements k samples after the fault began -> those that arrive; None: the controller is not called at all."""
+"""Measurements k samples after the fault began -> those that arrive; None: the controller is not
+called at all."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """What breaks. factors: of the thrust, `weak` one's or all rotors'; seen: what happens to measurements; failing: how
-    many plans the QP fails for; clock: by how much the clock that the controller is told jumps [s]."""
+    """What breaks. factors: of the thrust, `weak` one's or all rotors'; seen: what happens to
+    measurements; failing: how many plans the QP fails for; clock: by how much the clock that the
+    controller is told jumps [s]."""
 
     name: str
     text: str
@@ -100,11 +107,10 @@ def _one(samples: float, value: float) -> Change:
 
     def change(seen: Seen, k: int, rng: np.random.Generator) -> Seen:
         names = [c for c in ALL if c in seen]
-        return (
-            seen | {names[int(rng.bit_generator.seed_seq.entropy[0]) % len(names)]: value}
-            if k < samples
-            else seen
-        )  # type: ignore[attr-defined]
+        if k >= samples:
+            return seen
+        seed = int(rng.bit_generator.seed_seq.entropy[0])  # type: ignore[attr-defined]
+        return seen | {names[seed % len(names)]: value}
 
     return change
 
@@ -318,9 +324,11 @@ def _row(
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Per fault: outcomes, broken commands, flights that crossed a plane and how deep, error, tilt, events."""
+    """Per fault: outcomes, broken commands, flights that crossed a plane and how deep, error, tilt,
+    events."""
     lines = [
-        f"{'fault':10s} {'n':>3s} {'course':>6s} {'landed':>6s} {'crashed':>7s} {'broken':>6s} {'crossed':>7s} "
+        f"{'fault':10s} {'n':>3s} {'course':>6s} {'landed':>6s} {'crashed':>7s} {'broken':>6s} "
+        f"{'crossed':>7s} "
         f"{'deepest':>8s} {'RMSE':>7s} {'tilt':>5s}  events a flight"
     ]
     for name in FAULTS:
@@ -341,8 +349,10 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         lines.append(
             f"{name:10s} {len(mine):3d} {count['course']:6d} {count['landed']:6d} "
             f"{count['crashed'] + count['in the air']:7d} "
-            f"{sum(r['broken_count'] for r in mine):6d} {len(depth):7d} {1e3 * max(depth, default=0.0):5.1f} mm "
-            f"{np.median([r['rmse'] for r in mine]):7.4f} {math.degrees(max(r['tilt'] for r in mine)):4.0f}°  {said}"
+            f"{sum(r['broken_count'] for r in mine):6d} {len(depth):7d} "
+            f"{1e3 * max(depth, default=0.0):5.1f} mm "
+            f"{np.median([r['rmse'] for r in mine]):7.4f} "
+            f"{math.degrees(max(r['tilt'] for r in mine)):4.0f}°  {said}"
         )
     return "\n".join(lines)
 

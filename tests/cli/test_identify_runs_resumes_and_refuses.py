@@ -1,4 +1,5 @@
-"""`greybox identify` goes from logs to an export in one folder, goes on after kill -9, refuses what is not usable."""
+"""`greybox identify` goes from logs to an export in one folder, goes on after kill -9, refuses what
+is not usable."""
 
 from __future__ import annotations
 
@@ -67,7 +68,8 @@ def line(flights: Path, out: Path, *more: str) -> list[str]:
 
 
 def killed(arguments: Sequence[str], sign: str, how: int) -> tuple[int, list[str]]:
-    """(exit code, lines on standard error) of a run that gets the signal `how` when it says `sign`."""
+    """(exit code, lines on standard error) of a run that gets the signal `how` when it says
+    `sign`."""
     said: list[str] = []
     with subprocess.Popen(
         [sys.executable, "-m", "greybox.cli", *arguments],
@@ -91,7 +93,8 @@ def killed(arguments: Sequence[str], sign: str, how: int) -> tuple[int, list[str
 
 @pytest.fixture(scope="module")
 def chain(flights: Path) -> tuple[Path, str, list[StageRecord]]:
-    """(folder of a chain that was killed in the fit and went to its end, what it said then, what was done before)."""
+    """(folder of a chain that was killed in the fit and went to its end, what it said then, what
+    was done before)."""
     out = Path(tempfile.mkdtemp(dir=flights)) / "out"
     code, _ = killed(line(flights, out), FIT, signal.SIGKILL)
     assert code == -signal.SIGKILL
@@ -117,6 +120,7 @@ def stages(out: Path) -> dict[str, dict[str, Any]]:
     return {s["name"]: s for s in record(out)["stages"]}
 
 
+@pytest.mark.slow
 def test_kill_9_in_the_fit_keeps_what_was_done_and_the_same_command_goes_on(chain):
     out, said, before = chain
     assert [r.name for r in before] == ["inspect", "check"]

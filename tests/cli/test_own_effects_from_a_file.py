@@ -1,4 +1,5 @@
-"""An effect from a user's file is listed, fitted, saved by name, asked for at loading, validated and cited."""
+"""An effect from a user's file is listed, fitted, saved by name, asked for at loading, validated
+and cited."""
 
 from __future__ import annotations
 
@@ -48,6 +49,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_from_listing_to_citation(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,4 +1,5 @@
-"""Claim: a user's own model needs no vehicle anywhere; what a command cannot do with it is one line and exit code 2."""
+"""Claim: a user's own model needs no vehicle anywhere; what a command cannot do with it is one line
+and exit code 2."""
 
 from __future__ import annotations
 
@@ -211,6 +212,10 @@ WRONG = {
     "no range": (
         ["plan", "--model-file", "{b}/tank.py:build", "--rate", "10"],
         "no range of the input pump",
+    ),
+    "a name": (
+        ["discover", "--from", "{b}/fit/model.json", "--train", "{b}/a.csv"],
+        "--learner sparse",
     ),
     "a course": (["mpc", "{b}/fit/model.json"], "flown by vehicles"),
     "a place": (

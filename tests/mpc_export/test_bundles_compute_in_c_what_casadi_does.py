@@ -1,4 +1,5 @@
-"""C of a bundle equals CasADi at 1e-10 of the output's scale (float: 1e-4), inside the domain, at its edge, far outside."""
+"""C of a bundle equals CasADi at 1e-10 of the output's scale (float: 1e-4), inside the domain, at
+its edge, far outside."""
 
 from __future__ import annotations
 
@@ -162,7 +163,7 @@ def test_hybrids_over_ten_thousand_points(tmp_path, kernel):
     assert max(gaps.values()) < LIMIT["double"], gaps
 
 
-# ------------------------------------------------------------------------------------------------ the C itself
+# ----------------------------------------------------------------------------------- the C itself
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
@@ -182,6 +183,7 @@ def test_self_test_and_wrapper_compile_strictly_and_pass(hybrid, objects, tmp_pa
     assert done.returncode == 0 and "passed" in done.stdout, done.stdout
 
 
+@pytest.mark.slow
 def test_no_address_error_and_no_undefined_behaviour(hybrid, tmp_path):
     compiled.needs_compiler()
     flags = ["-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-std=c99"]
@@ -392,7 +394,8 @@ def test_cmake_builds_tests_and_installs(hybrid, tmp_path):
 @pytest.mark.slow
 def test_export_and_compilation_stay_within_their_budget(tmp_path):
     model = cases.hybrid(100)
-    # Processor time of Python and compiler together: the clock on the wall would measure what else runs.
+    # Processor time of Python and compiler together: the clock on the wall would measure what else
+    # runs.
     start = sum(os.times()[:4])
     bundle = write_bundle(model, tmp_path / "big", use_cache=False)
     compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O2")

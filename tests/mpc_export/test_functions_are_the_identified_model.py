@@ -1,7 +1,5 @@
-"""Exported functions are the identified model: its step, its filter, its uncertainty, with exact Jacobians.
-
-The file is long because every function of a model is held against that model, in the order of the list of functions.
-"""
+"""Exported functions are the identified model: its step, its filter, its uncertainty, with exact
+Jacobians."""
 
 from __future__ import annotations
 
@@ -248,7 +246,8 @@ def test_uncertainty_travels_as_greybox_propagates_it(kind):
         "c": np.zeros((size["n_d"], size["n_g"])),
         "b": np.zeros((size["n_d"], size["n_theta"])),
     }
-    # greybox takes B_d at the reference point, the exported step where the path is: put the former into the latter.
+    # greybox takes B_d at the reference point, the exported step where the path is: put the former
+    # into the latter.
     reference = {
         "x": functions.reference[0],
         "u": functions.reference[1],
@@ -426,8 +425,9 @@ def test_battery_voltage_is_a_parameter_and_noise_keeps_its_intensity_at_another
     slow, fast = model_functions(model), model_functions(model, dt=0.005)
     assert slow.parameters.names == ("vbat",) and slow.parameter_values == 3.8
     assert (slow.delay["u1"], fast.delay["u1"]) == (2, 3)
-    # Two short steps under one command end where one long step ends, and their noise adds up to the same.
-    # Noise at the end of one long step: rates gain dt w/J, so that variances add over the two short ones.
+    # Two short steps under one command end where one long step ends, and their noise adds up to the
+    # same. Noise at the end of one long step: rates gain dt w/J, so that variances add over the two
+    # short ones.
     rate = slow.error_states["d_rate.x"]
     np.testing.assert_allclose(
         2 * fast.noise.process[rate, rate], slow.noise.process[rate, rate], rtol=1e-4
@@ -458,7 +458,8 @@ def test_what_is_not_a_number_is_out_of_every_domain(kind):
 
 @pytest.mark.parametrize("dt", [0.0025, 0.03])
 def test_disturbances_decay_and_spread_alike_at_another_rate(dt):
-    """d+ = exp(-dt/T) d + w with the stationary variance of the identified rate, q / (1 - exp(-2 dt/T))."""
+    """d+ = exp(-dt/T) d + w with the stationary variance of the identified rate, q / (1 - exp(-2
+    dt/T))."""
     model = cases.disturbed()
     own, other = model_functions(model), model_functions(model, dt=dt)
     for state in ("disturbance.force.x", "disturbance.torque.z"):

@@ -1,4 +1,5 @@
-"""adapt_step finds in one pass what the batch fit of the flight finds, in C as in CasADi, and stays inside the physics."""
+"""adapt_step finds in one pass what the batch fit of the flight finds, in C as in CasADi, and stays
+inside the physics."""
 
 from __future__ import annotations
 
@@ -23,6 +24,7 @@ from greybox.validation.adapt import adapt_to_flight
 from mpc_export.adaptation import authority
 from mpc_export.bundle import write_bundle
 from mpc_export.functions import model_functions
+from mpc_export.manifest import _notes
 from mpc_export.verify import main as verify
 from tests.mpc_export import cases, compiled
 from tests.residual import hybrid_cases
@@ -84,8 +86,46 @@ def test_one_pass_gives_the_numbers_of_the_batch_fit(functions):
     assert abs(last[still] - batch.values[still]) < 0.5 * batch.std[still]
 
 
+def test_the_covariance_goes_with_the_slopes_of_the_filter_however_large_the_innovation(functions):
+    """Errors so small that the update moves nothing: V_next is F V F' with F by differences of
+    filter_step, .3 rad off in attitude, where the slopes of a rotation's innovation are not those
+    at zero."""
+    rng = np.random.default_rng(3)
+    n_t, n_d = len(functions.adapted.rows), len(functions.error_states)
+    x, u, p = (
+        functions.reference[0].copy(),
+        functions.reference[1],
+        functions.parameter_values.copy(),
+    )
+    off = 0.3 * rng.standard_normal(n_d)
+    away = np.array(functions["boxplus"](x, off)).ravel()
+    y, there = np.array(functions["h"](away, u, p)).ravel(), np.ones(functions.sizes["n_e"])
+
+    def following(moved):
+        q = p.copy()
+        q[list(functions.adapted.rows)] += moved[:n_t]
+        start = np.array(functions["boxplus"](x, moved[n_t:])).ravel()
+        return np.array(functions["filter_step"](start, u, q, y, there)[0]).ravel()
+
+    still, h = following(np.zeros(n_t + n_d)), 1e-6
+    slope = np.eye(n_t + n_d)
+    for j, unit in enumerate(np.eye(n_t + n_d)):
+        ends = [
+            np.array(functions["boxminus"](following(s * h * unit), still)).ravel() for s in (1, -1)
+        ]
+        slope[n_t:, j] = (ends[0] - ends[1]) / (2 * h)
+    small = 1e-14
+    after = (
+        np.array(functions["adapt_step"](x, u, p, y, there, small * np.eye(n_t + n_d), 0.0)[2])
+        / small
+    )
+    want = slope @ slope.T
+    assert np.abs(after - want).max() < 1e-5 * np.abs(want).max()
+
+
 def test_learned_weights_get_the_numbers_of_their_batch_fit():
-    """Of a pendulum with a learned torque: weights by Gauss-Newton on the filter's innovations, with the prior."""
+    """Of a pendulum with a learned torque: weights by Gauss-Newton on the filter's innovations,
+    with the prior."""
     base = hybrid_cases.pendulum_model()
     push = hybrid_cases.push(base.dynamics, ("rate",), ("rate",), points=4)
     push = replace(push, output_scale=np.array([0.5]))
@@ -233,7 +273,8 @@ def test_the_self_test_of_an_adaptive_bundle_passes(tmp_path, real):
 
 
 def pushed_cart(states):
-    """A mass that friction slows and an unknown acceleration b pushes. Measured is its place, or the speed as only state."""
+    """A mass that friction slows and an unknown acceleration b pushes. Measured is its place, or
+    the speed as only state."""
     names = {1: ("v",), 2: ("s", "v")}[states]
     dynamics = StateSpaceModel(
         name="cart",
@@ -261,7 +302,8 @@ def pushed_cart(states):
 
 @pytest.mark.parametrize(("states", "memory"), [(2, 0.0), (2, 0.5), (2, 5.0), (1, 0.5)])
 def test_the_stated_error_is_the_one_made_with_a_memory_too(states, memory):
-    """b is drawn as the filter supposes. Judge: a Kalman filter of state and b together, written here."""
+    """b is drawn as the filter supposes. Judge: a Kalman filter of state and b together, written
+    here."""
     functions = model_functions(pushed_cart(states), with_=("adapt",))
     flights, n, rng = 200, 800, np.random.default_rng(0)
     keep = np.exp(-0.01 / memory) if memory else 1.0
@@ -339,3 +381,10 @@ def test_what_cannot_adapt_is_refused_in_one_line():
         model_functions(replace(make_model(), flight_spread={}), with_=("adapt",))
     with pytest.raises(ModelError, match="adapt needs the physics model"):
         model_functions(cases.linear(), with_=("adapt",))
+
+
+def test_an_export_that_does_not_adapt_says_what_it_takes_as_exact(functions):
+    plain = model_functions(craft(), with_=("filter",))
+    (said,) = [n for n in _notes(plain) if "flight to flight" in n]
+    assert said.startswith("mass") or ", mass" in said
+    assert not [n for n in _notes(functions) if "flight to flight" in n]

@@ -1,8 +1,9 @@
-"""One real flight written in the formats of the readers, byte for byte as each format's own description has it.
+"""One real flight written in the formats of the readers, byte for byte as each format's own
+description has it.
 
-The flight is a NanoBench one (Crazyflie, 100 Hz). Values are turned into each system's units, axes and scales here, by
-formulas written independently of the readers: PX4 in FRD and NED, Betaflight in counts, the Crazyflie in degrees and g.
-The file is long because the formats are held against each other here, one function each.
+The flight is a NanoBench one (Crazyflie, 100 Hz). Values are turned into each system's units, axes
+and scales here, by formulas written independently of the readers: PX4 in FRD and NED, Betaflight in
+counts, the Crazyflie in degrees and g.
 """
 
 from __future__ import annotations
@@ -187,7 +188,8 @@ def write_ulog(
     thrust_factor: float = 0.0,
     change: Any = None,
 ) -> Path:
-    """A PX4 log of the flight: `new` as since 1.13 (actuator_motors), `old` as before (actuator_outputs in PWM)."""
+    """A PX4 log of the flight: `new` as since 1.13 (actuator_motors), `old` as before
+    (actuator_outputs in PWM)."""
     log = ULogWriter(start=int(boot * 1e6))
     log.info("sys_name", "PX4")
     log.info("ver_hw", "PX4_FMU_V5")
@@ -269,7 +271,8 @@ def usd_bytes(
     events: Sequence[tuple[str, Sequence[tuple[str, str]], np.ndarray, np.ndarray]],
     version: int = 2,
 ) -> bytes:
-    """Bytes of a log: per event its name, (variable, type character), stamps [ms or us], values (N, K)."""
+    """Bytes of a log: per event its name, (variable, type character), stamps [ms or us], values (N,
+    K)."""
     out = struct.pack("<BHH", 0xBC, version, len(events))
     rows = []
     for number, (name, variables, stamps, values) in enumerate(events):
@@ -324,7 +327,8 @@ DATAFLASH = {"Q": "Q", "B": "B", "H": "H", "f": "f", "N": "16s", "n": "4s", "Z":
 
 
 def dataflash_bytes(messages: Sequence[tuple[str, str, str, Sequence[tuple[Any, ...]]]]) -> bytes:
-    """(name, letters, fields, rows) of messages as an onboard log: what they are first, then in turn by their time."""
+    """(name, letters, fields, rows) of messages as an onboard log: what they are first, then in
+    turn by their time."""
 
     def declared(number: int, length: int, name: str, letters: str, fields: str) -> bytes:
         texts = [
@@ -404,7 +408,8 @@ def _signed(value: int) -> bytes:
 
 
 def blackbox_bytes(fields: Mapping[str, np.ndarray], headers: Mapping[str, str]) -> bytes:
-    """A blackbox log of I frames: every field a signed variable-byte integer without a prediction."""
+    """A blackbox log of I frames: every field a signed variable-byte integer without a
+    prediction."""
     names = ["loopIteration", *fields]
     n = len(next(iter(fields.values())))
     out = "H Product:Blackbox flight data recorder by Nicholas Sherlock\nH Data version:2\n"
@@ -422,7 +427,8 @@ def blackbox_bytes(fields: Mapping[str, np.ndarray], headers: Mapping[str, str])
 
 
 def write_betaflight(path: Path, c: Columns, *, headers: Mapping[str, str] | None = None) -> Path:
-    """The flight as Betaflight would have logged it, at 16 times the resolution of its integer fields where it scales."""
+    """The flight as Betaflight would have logged it, at 16 times the resolution of its integer
+    fields where it scales."""
     own = {
         "Firmware revision": "Betaflight 4.4.2 (23d066d08) STM32F7X2",
         "Craft name": "nano",
@@ -447,7 +453,8 @@ def write_betaflight(path: Path, c: Columns, *, headers: Mapping[str, str] | Non
 
 
 def write_ros(path: Path, c: Columns, *, kind: str = "mcap", received_late: float = 0.004) -> Path:
-    """A bag by rosbags' writers: `bag` (ROS 1), `sqlite` or `mcap` (ROS 2 folders); returns what a user would pass."""
+    """A bag by rosbags' writers: `bag` (ROS 1), `sqlite` or `mcap` (ROS 2 folders); returns what a
+    user would pass."""
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2

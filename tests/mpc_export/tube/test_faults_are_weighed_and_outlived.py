@@ -1,11 +1,13 @@
-"""Spikes do not reach the estimate and what persists does; clocks, gaps and garbage are outlived; a descent is one."""
+"""Spikes do not reach the estimate and what persists does; clocks, gaps and garbage are outlived; a
+descent is one."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mpc_export.tube.descent import BRAKE, SPEED, Descent, Watch
+from mpc_export.tube.descent import BLIND, BRAKE, SLOW, SPEED, Descent, Watch, carried
 from mpc_export.tube.gate import PARTLY, REACH, Gate, plausible
 from mpc_export.tube.rival import DENIED, Rival
 from tests.mpc_export.tube.test_controller_flies_and_survives import fly, pilot
@@ -91,6 +93,7 @@ def test_a_reason_counts_when_it_holds_more_often_than_not():
     found = [watch(0.1, {"why": (k % 3 != 0, 0.3)}) for k in range(20)]
     assert found[0] is None
     assert "why" in found
+    assert Watch()(0.02, {"why": (False, 0.0)}) is None, "what does not hold is no reason"
 
 
 def test_a_rival_is_believed_where_it_explains_all_samples_better_and_by_more_than_one_sensor_can():
@@ -110,7 +113,7 @@ def test_a_rival_is_believed_where_it_explains_all_samples_better_and_by_more_th
     assert rival.estimate is None
 
 
-# ------------------------------------------------------------------------------------------------ in flight
+# -------------------------------------------------------------------------------------- in flight
 
 
 @pytest.fixture
@@ -245,13 +248,32 @@ def test_a_pose_that_is_slower_than_the_plan_is_no_reason_to_come_down(controlle
     np.testing.assert_allclose(path, np.tile([0.0, 0.0, 1.0], (200, 1)), atol=0.01)
 
 
+def test_a_filter_carries_on_without_a_pose_while_it_is_sure_of_its_place(controller):
+    lost = dict.fromkeys(("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz"), math.nan)
+    path, _ = fly(controller, 200, seen=lambda k, y: y | lost if 50 <= k < 100 else y)
+    assert not controller.descending
+    np.testing.assert_allclose(path, np.tile([0.0, 0.0, 1.0], (200, 1)), atol=0.02)
+    functions, columns = controller.filter, controller.model.dynamics.innovation_columns
+    assert carried(functions, columns) == controller.blind == pytest.approx(BLIND)
+    pushed = replace(
+        functions, noise=replace(functions.noise, process=1e4 * functions.noise.process)
+    )
+    assert SLOW <= carried(pushed, columns) < BLIND
+    # Satellites: a position that is known to 10 cm with every measurement is not lost without one.
+    known = functions.noise.covariance.copy()
+    place = [i for i, n in enumerate(functions.error_states.names) if "position" in n]
+    known[place, place] += 0.1**2
+    vague = replace(functions, noise=replace(functions.noise, covariance=known))
+    assert carried(vague, columns) > SLOW
+
+
 def test_without_a_position_it_comes_down_and_says_so(controller):
     lost = dict.fromkeys(PLACE, math.nan)
     path, _ = fly(controller, 300, seen=lambda k, y: y | lost if k >= 50 else y)
     assert [e.what for e in controller.events] == [
         "descent declared: position or attitude not measured"
     ]
-    assert 1.0 <= controller.events[0].time <= 1.05
+    assert 0.5 + controller.blind <= controller.events[0].time <= 0.55 + controller.blind
     fall = np.diff(path[200:, 2]) / 0.01
     np.testing.assert_allclose(fall, -SPEED, atol=0.05)
     assert np.abs(path[:, :2]).max() < 0.02

@@ -1,14 +1,16 @@
-"""The tube's covariance is that of a simulated loop of plant, identified filter and ancillary gain."""
+"""The tube's covariance is that of a simulated loop of plant, identified filter and ancillary
+gain."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from mpc_export.feedback import Weights
 from mpc_export.functions import model_functions
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.correlation import correlation, error_transition, innovations
-from mpc_export.tube.problem import TubeProblem, Weights
+from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.second_order import _surplus
 from mpc_export.tube.solver import TubeSolver
 from mpc_export.tube.stages import _weights, stages
@@ -47,7 +49,8 @@ def test_covariance_is_that_of_an_ensemble(solver):
     _, a, b, _ = (v.full() for v in model["f_d_jac"](x, u, model.parameter_values))
     k, n = model.noise.gain, 20_000
     rng = np.random.default_rng(3)
-    # innovations are white and of covariance S; the estimate moves by K times them, and the error stays of covariance P
+    # innovations are white and of covariance S; the estimate moves by K times them, and the error
+    # stays of covariance P
     s = np.linalg.cholesky(model.noise.innovation)
     away = np.zeros((n, a.shape[0]))
     closed = a + b @ made.gain
@@ -143,6 +146,7 @@ def test_gain_is_the_riccati_solution_with_disturbances_as_states(solver):
     )
 
 
+@pytest.mark.slow
 def test_the_filters_error_is_that_of_the_filter_that_runs():
     # plans twice as long as the filter's samples: the tube starts at the error of the quick filter
     model = cases.disturbed()
@@ -172,7 +176,8 @@ def test_a_stiffer_ancillary_gain_makes_the_tube_narrower_and_the_plan_stays(sol
 
 
 def test_innovations_of_a_quicker_filter_add_up_to_what_it_does_not_know(solver):
-    # estimate and its error together move as the state does: A P A' + Q = W + P, at the filter's own sample time
+    # estimate and its error together move as the state does: A P A' + Q = W + P, at the filter's
+    # own sample time
     filter_ = model_functions(cases.disturbed(), with_=("filter",))
     noise = solver.model.noise
     x, u = filter_.reference
@@ -185,7 +190,8 @@ def test_innovations_of_a_quicker_filter_add_up_to_what_it_does_not_know(solver)
 
 
 def test_the_second_order_is_what_a_nonlinear_loop_adds(solver):
-    # rough air that does not turn the vehicle about its vertical: what it turns there comes of turns about the other two
+    # rough air that does not turn the vehicle about its vertical: what it turns there comes of
+    # turns about the other two
     model, problem = (
         solver.model,
         TubeProblem(dt=solver.model.dt, horizon=25, ancillary=Weights(position=64.0)),
@@ -244,7 +250,8 @@ def test_stages_hang_together_as_in_an_ensemble(solver):
     _, c, _, _ = (v.full() for v in filter_["h_jac"](x, u, model.parameter_values))
     closed, gain, n = a + b @ made.gain, model.noise.gain, 20_000
     rng = np.random.default_rng(5)
-    # innovations first: the error that makes them is drawn with them, S = C P C' + (what else they hold)
+    # innovations first: the error that makes them is drawn with them, S = C P C' + (what else they
+    # hold)
     p, s = made.estimate, model.noise.innovation
     rest = np.linalg.cholesky(s - c @ p @ c.T + 1e-18 * np.eye(len(s)))
     process = p - (a - gain @ c) @ p @ (a - gain @ c).T

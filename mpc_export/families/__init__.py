@@ -1,0 +1,1 @@
+"""Families of exported functions: each adds its own to the functions of one model."""

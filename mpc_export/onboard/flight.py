@@ -1,0 +1,147 @@
+"""NAME_flight.h and .c: `pilot_step` with its memory, for whatever autopilot calls it, and a bench
+that reads a recording.
+
+A target hands over measurements in the model's columns, units and frames (world ENU, body FLU, SI),
+and takes commands. What is not measured is said per column. No malloc, no stdio, and no command
+beyond its limits. A sample that fails is predicted without measurements; what no measurement can be
+is refused, and the filter starts again from a pose when that lasts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from greybox.errors import ModelError
+from greybox.files import write_atomic
+from greybox.symbolic import FloatArray
+from mpc_export.functions import ModelFunctions
+from mpc_export.template import filled, places_in
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OnBoard:
+    """What a target is written from: functions with the group "pilot", the bundle's name, "double"
+    or "float".
+
+    `said` are the target's own words in its files: @KEY@ is replaced.
+    """
+
+    functions: ModelFunctions
+    name: str
+    real: str
+    said: Mapping[str, str] = field(default_factory=dict)
+
+    def text(self, template: str, **said: str) -> str:
+        """The template of that name with the bundle's words in it."""
+        pushed = any(n.startswith("disturbance.force.") for n in self.functions.states.names)
+        words = (
+            {
+                "NAME": self.name,
+                "UPPER": self.name.upper(),
+                "real": f"{self.name}_real",
+                "leans": " that leans against the force it estimates" if pushed else "",
+            }
+            | dict(self.said)
+            | said
+        )
+        own = places_in(template)
+        return filled(template, **{k: v for k, v in words.items() if k in own})
+
+    def number(self, value: float) -> str:
+        """A number as a literal of the bundle's precision: firmware refuses doubles in float
+        code."""
+        return f"{float(value)!r}{'f' if self.real == 'float' else ''}"
+
+    def array(self, name: str, values: FloatArray) -> str:
+        """A constant array, column by column."""
+        flat = [self.number(v) for v in np.ravel(values, order="F")] or [self.number(0.0)]
+        return f"static const {self.name}_real {name}[{len(flat)}] = {{{', '.join(flat)}}};"
+
+    def measured(self, known: Mapping[str, str], there: Mapping[str, str] | None = None) -> str:
+        """C that fills y and there from what a target knows by column; a column that it does not
+        know is not there."""
+        lines = []
+        for i, column in enumerate(self.functions.outputs.names):
+            if column in known:
+                lines += [
+                    f"y[{i}] = {known[column]};  /* {column} */",
+                    f"there[{i}] = {(there or {}).get(column, '1')};",
+                ]
+        return "\n".join(f"  {line}" for line in lines)
+
+    def demand(self, target: str, *, rotors: int, unit: bool) -> None:
+        """Raises `ModelError` for more commands than `rotors`, or commands that do not run from 0
+        to 1 where they must."""
+        lower, upper = self.functions.bounds
+        if len(lower) > rotors or (unit and not ((lower == 0.0).all() and (upper == 1.0).all())):
+            raise ModelError(
+                f"the target {target} is for a model with commands from 0 to 1",
+                expected=f"at most {rotors} of them",
+                got=f"{', '.join(self.functions.inputs.names)}, {lower.tolist()} to "
+                f"{upper.tolist()}",
+                fix="fit on what the autopilot sends to the motors, or leave the target out",
+            )
+
+
+POSE = {
+    **{axis: f"position.{axis}" for axis in "xyz"},
+    **{f"q{axis}": f"attitude.{axis}" for axis in "wxyz"},
+}
+MOTION = {
+    **{f"v{axis}": f"velocity.{axis}" for axis in "xyz"},
+    **{column: f"rate.{axis}" for column, axis in zip("pqr", "xyz")},
+}
+"""States that measured columns are, as they stand: a pose, and what else a start takes over."""
+
+
+def _starts(f: ModelFunctions) -> dict[str, str]:
+    """Words of flight.c: where a start from measurements takes its states from."""
+    whole = all(column in f.outputs.names for column in POSE)
+    known = (POSE if whole else {}) | MOTION
+    pairs = [(f.outputs[c], f.states[s]) for c, s in known.items() if c in f.outputs.names]
+    return {
+        "pose": str(len(POSE) if whole else 0),
+        "starts": str(len(pairs)),
+        "start_from": "".join(f"{{{column}, {state}}}, " for column, state in pairs),
+    }
+
+
+def write_flight(board: OnBoard, folder: Path) -> None:
+    """NAME_flight.h, .c and NAME_bench.c beside the generated C in `folder`."""
+    f = board.functions
+    kinds = f.sampled.dynamics.innovation_columns
+    rows = [", ".join(str(int(c in own)) for c in f.outputs.names) for own in kinds]
+    lower, upper = f.bounds
+    single = board.real == "float"
+    words = {
+        "hover": "\n".join(
+            [
+                board.array("hover_x", f.pilot.x),
+                board.array("hover_u", np.clip(f.pilot.u, lower, upper)),
+            ]
+        ),
+        "spread": board.array("spread", np.sqrt(np.diag(f.noise.innovation))),
+        **_starts(f),
+        "columns": ",\n".join(f"  {{{row}}}" for row in rows),
+        "parameters": f"  memcpy(f->p, {board.name}_p_identified, sizeof "
+        f"{board.name}_p_identified);"
+        if len(f.parameters)
+        else "  f->p[0] = 0;",
+        "cos": "cosf" if single else "cos",
+        "sin": "sinf" if single else "sin",
+        "atan2": "atan2f" if single else "atan2",
+        "half": board.number(0.5),
+        "n_y": str(len(f.outputs)),
+        "outputs": " ".join(f.outputs.names),
+        "inputs": " ".join(f.inputs.names),
+    }
+    for end, template in (
+        ("flight.h", "flight/flight.h"),
+        ("flight.c", "flight/flight.c"),
+        ("bench.c", "flight/bench.c"),
+    ):
+        write_atomic(folder / f"{board.name}_{end}", board.text(template, **words))
