@@ -1,4 +1,5 @@
-"""Every word of README's list of features, and every command, stands in a table with a test that proves it.
+"""Every word of README's list of features, and every command, stands in a table with a test that
+proves it.
 
 Exports and consumers have a table of their own, word by word: test_export_claims_are_tested.py.
 """
@@ -60,7 +61,7 @@ CLAIMS: dict[str, dict[str, str]] = {
     "What is left": {
         "greybox learn learns the remaining force and torque": "tests/residual/test_learn_helps_and_does_no_harm.py",
         "with an uncertainty that holds": "tests/claims/test_hybrid_knows_how_sure_it_is.py",
-        "greybox compare puts linear PEM, LSTM, GP alone and both hybrids into one table": "tests/baselines/"
+        "greybox compare puts linear PEM, LSTM, TCN, GP alone and both hybrids into one table": "tests/baselines/"
         "test_comparisons_judge_all_alike.py",
     },
     "Digital twin": {
