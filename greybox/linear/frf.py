@@ -93,7 +93,11 @@ def frf(
 ) -> FrequencyResponse:
     """The estimate behind `greybox.frf`, which says what the arguments mean and what is raised."""
     vehicle = vehicle or vehicle_of(model)
-    columns = model.dynamics.inputs.names if vehicle_of(model) is not None else data.channels
+    columns = (
+        model.dynamics.inputs.names
+        if isinstance(model, IdentifiedModel) and model.sensors
+        else data.channels
+    )
     c = _channels(inputs, outputs, references, vehicle, columns)
     stretches, seconds = _stretches(data, c)
     dt = data.flights[0].dt
