@@ -50,8 +50,9 @@ from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.core_parameters import core_parameters
 from greybox.model.effect import Effect
 from greybox.model.effective_lag import PARTS as IN_A_ROW
-from greybox.model.model import PhysicsModel, build_model
+from greybox.model.model import PhysicsModel, build_model, input_of
 from greybox.model.noise import Coloured, LowPass, part_named
+from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
 from greybox.statistics.evidence import CLEAR as CLEAR_EVIDENCE
 from greybox.statistics.evidence import FELT
@@ -88,7 +89,7 @@ class Given:
     """What the user decided; None or absent: open. `choices` are fields of `FitOptions`."""
 
     effects: tuple[str | Effect, ...] | None = None
-    input: Literal["command", "speed"] = "command"
+    input: Literal["command", "speed"] | None = None
     kinematic_noise: bool | None = None
     adapt: float | None = None
     choices: FitChoices = field(default_factory=lambda: FitChoices())
@@ -162,6 +163,7 @@ class _Decider:
     given: Given
     say: Say
     decisions: list[Decision] = field(default_factory=list)
+    input: Literal["command", "speed"] = "command"
     kinematic_noise: bool = False
     largest: tuple[Step, ...] = ()
     considered: tuple[str, ...] = ()
@@ -170,6 +172,7 @@ class _Decider:
         said = FitOptions.of(None, self.given.choices)
         for member in (said.chosen_predictor, said.chosen_criterion, said.chosen_solver):
             member()  # a name that there is not is said before anything takes time
+        self._input()
         self._kinematics()
         options = self._held(self._noise(self._disturbance(said)))
         self.considered = options.considered
@@ -179,7 +182,7 @@ class _Decider:
                 Step(name="the effects asked for", effects=self.given.effects),
             )
         else:
-            steps = nested_sets(self.vehicle, self.facts, input=self.given.input)
+            steps = nested_sets(self.vehicle, self.facts, input=self.input)
         self.largest = steps
         if parts is None:
             self._note(
@@ -213,7 +216,7 @@ class _Decider:
     ) -> Decided:
         recipe = Recipe(
             effects=_effects(steps),
-            input=self.given.input,
+            input=self.input,
             kinematic_noise=self.kinematic_noise,
             options=self._trim_of_one_flight(self._with_flight_values(options, steps), steps),
         )
@@ -229,6 +232,18 @@ class _Decider:
         self.say(f"  {about}: {choice} ({reason})")
 
     # ------------------------------------------------------------ from facts
+
+    def _input(self) -> None:
+        self.input = self.given.input or input_of(self.data.channels, self.vehicle)
+        if self.input == "speed":
+            self.facts = self.facts.without({s.name for s in SENSORS if not s.usual})
+        if self.given.input is None and self.input != "command":
+            self._note(
+                "input",
+                "measured rotor speeds",
+                "the logs have rotor speeds and no commands",
+                "--input",
+            )
 
     def _kinematics(self) -> None:
         if self.given.kinematic_noise is not None:
@@ -352,7 +367,7 @@ class _Decider:
             self.vehicle,
             self.data.channels,
             effects,
-            input=self.given.input,
+            input=self.input,
             sample_time=sample_time(self.data),
             noncausal=self.data.noncausal,
             kinematic_noise=self.kinematic_noise,

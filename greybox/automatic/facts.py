@@ -3,8 +3,8 @@ from."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,6 +40,14 @@ class Facts:
     flights: int
     rate: float
     voltage: bool
+
+    def without(self, sensors: Collection[str]) -> Facts:
+        """The same where these sensors measure nothing: they drive the model."""
+        return replace(
+            self,
+            sensors=self.sensors - set(sensors),
+            noise={at: level for at, level in self.noise.items() if at[0] not in sensors},
+        )
 
     @property
     def has_pose(self) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 from greybox.automatic.facts import response_rate
 from greybox.data import Dataset, Flight
 from greybox.data.checks import CheckReport
+from greybox.data.drive import drive
 from greybox.data.raw import RawLog
 from greybox.model.vehicle import Vehicle
 
@@ -99,15 +100,15 @@ def sound_flights(
 def thrust_share(flight: Flight, vehicle: Vehicle) -> float:
     """Mean specific force along the thrust axis over that which commands and vehicle file promise.
 
-    Without an accelerometer the weight stands for it. NaN where there are no commands.
+    Without an accelerometer the weight stands for it. Rotor speeds stand for commands that the log
+    lacks; NaN where it lacks both.
     """
     c0, c1, c2 = (float(c.value) for c in vehicle.actuator.thrust)
     promised, felt = [], []
     for s in flight.segments:
-        names = [f"u{i + 1}" for i in range(len(vehicle.rotors))]
-        if not all(n in s.channels for n in names):
+        u = drive(s.channels, vehicle)
+        if u is None:
             return float("nan")
-        u = np.column_stack([s.channels[n] for n in names])
         thrust = (c0 + c1 * u + c2 * u * u).sum(axis=1) / float(vehicle.mass.value)
         az = s.channels.get("az", np.full(s.n, vehicle.gravity))
         good = np.isfinite(thrust) & np.isfinite(az)

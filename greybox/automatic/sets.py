@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from greybox.automatic.facts import Facts
+from greybox.model.composition import acts_on_speeds
 from greybox.model.effect import Effect
 from greybox.model.effects import effect_by_name
 from greybox.model.vehicle import Vehicle
@@ -88,7 +89,7 @@ def nested_sets(
 
 
 def _acts_on(name: str, input: str) -> bool:
-    return input == "command" or effect_by_name(name).stage not in ("command", "rotor")
+    return input == "command" or acts_on_speeds(effect_by_name(name))
 
 
 def _felt(name: str, vehicle: Vehicle, facts: Facts) -> bool:

@@ -328,7 +328,7 @@ def _pieces(
     from greybox.automatic.fit import on_pieces
     from greybox.commands.model_options import explicit_recipe
 
-    recipe = result.provenance.recipe or explicit_recipe(arguments)
+    recipe = result.provenance.recipe or explicit_recipe(arguments, result)
     return on_pieces(vehicle, prepared.data, recipe) if result.converged else None
 
 

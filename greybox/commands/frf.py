@@ -236,7 +236,8 @@ def _flights(
             )
     specs: list[ChannelSpec] = []
     for what, given in (("inputs", inputs), ("outputs", outputs), ("references", references)):
-        specs += channels(given, vehicle, what) if given or what != "references" else ()
+        if given or what != "references":
+            specs += channels(given, vehicle, what, raws[0].channels)
     rate = arguments.rate
     if rate is None and model is not None:
         rate = 1 / model.sample_time

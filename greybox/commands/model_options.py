@@ -144,7 +144,11 @@ def model_options(p: Any) -> None:
         help="noise between attitude and gyro (clocks that drift)",
     )
     p.add_argument(
-        "--input", choices=("command", "speed"), default="command", help="what drives the rotors"
+        "--input",
+        choices=("command", "speed"),
+        default=None,
+        help="what drives the rotors (default: commands, or rotor speeds where the logs have no "
+        "commands)",
     )
     p.add_argument(
         "--max-iterations",
@@ -178,13 +182,15 @@ def fit_with(
     return fit(model, train, fit_options(arguments), progress=progress)
 
 
-def explicit_recipe(arguments: argparse.Namespace) -> Recipe:
+def explicit_recipe(arguments: argparse.Namespace, fitted: Fit) -> Recipe:
     """The explicit fit as a recipe; the logs have their rate already."""
     from greybox.estimation.recipe import Recipe
+    from greybox.model.layer import physics_of
 
+    physics = physics_of(fitted.model.dynamics)
     return Recipe(
         effects=(*(arguments.effects or ()), *_own_effects(arguments)),
-        input=arguments.input,
+        input=physics.input if physics else "command",
         kinematic_noise=bool(arguments.kinematic_noise),
         options=fit_options(arguments),
     )

@@ -35,7 +35,7 @@ def responses(model: IdentifiedModel, *datasets: Dataset) -> Responses | None:
     inputs, outputs = (tuple(dict.fromkeys(names)) for names in zip(*pairs, strict=True))
     vehicle = vehicle_of(model)
     data = Dataset(flights=tuple(f for d in datasets for f in d))
-    specs = channels(inputs, vehicle, "inputs")
+    specs = channels(inputs, vehicle, "inputs", model.dynamics.inputs.names)
     steps = max(round(SECONDS / model.sample_time), SAMPLES)
     seen = weights_of(
         channels(outputs, vehicle, "outputs"),

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from greybox.data.channel import command_names
 from greybox.runs import runs
 
 FloatArray = npt.NDArray[np.float64]
@@ -45,18 +44,22 @@ def _held(values: FloatArray) -> FloatArray:
 
 
 def airborne(
-    t: FloatArray, channels: Mapping[str, FloatArray], *, u_min: float = 0.0
+    t: FloatArray,
+    channels: Mapping[str, FloatArray],
+    *,
+    driving: Sequence[str],
+    u_min: float = 0.0,
 ) -> tuple[BoolArray, tuple[str, ...]]:
     """(rows of flight (N,), notes) of a log with increasing stamps `t` (N,) [s].
 
-    The hover level is the median of the mean command while the motors run. A log without commands,
-    or whose motors never ran, is left whole, and the notes say so.
+    The hover level is the median of the mean of the channels `driving` the rotors (commands, which
+    begin at `u_min`, or rotor speeds) while the motors run. A log without them, or whose motors
+    never ran, is left whole, and the notes say so.
     """
     everything = np.ones(t.size, dtype=bool)
-    commands = command_names(channels)
-    if not commands:
+    if not driving:
         return everything, ("no commands: take-off and landing not looked for",)
-    mean = np.mean([_held(channels[n]) for n in commands], axis=0) - u_min
+    mean = np.mean([_held(channels[n]) for n in driving], axis=0) - u_min
     top = float(np.percentile(mean, 95))
     if top <= 0.0:
         return everything, ("the motors never ran: take-off and landing not looked for",)

@@ -17,6 +17,7 @@ from greybox.data.airframe import Airframe
 from greybox.data.channel import command_names, group_names
 from greybox.data.clock import Clock, backward_rows, read_clock
 from greybox.data.dataset import Flight
+from greybox.data.drive import drive_names
 from greybox.data.raw import RawLog
 from greybox.data.resampling import AVERAGE_FROM, averaged, continuous_signs, held, interpolated
 from greybox.data.segment import Segment
@@ -58,8 +59,11 @@ def condition(
     channels: dict[str, FloatArray] = dict(raw.channels)
     notes += _mask_quaternions(channels)
     keep = np.ones(raw.n, dtype=bool)
+    driving = drive_names(channels, len(vehicle.rotors)) if vehicle else command_names(channels)
     if trim:
-        keep, cuts = airborne(raw.t, channels, u_min=vehicle.actuator.u_min if vehicle else 0.0)
+        sent = bool(command_names(driving))
+        u_min = vehicle.actuator.u_min if vehicle and sent else 0.0
+        keep, cuts = airborne(raw.t, channels, driving=driving, u_min=u_min)
         notes += cuts
     clock = read_clock(raw.t, max_gap=max_gap)
     linear_hold = vehicle is not None and vehicle.actuator.hold == "linear"
@@ -81,7 +85,7 @@ def condition(
             pieces += _placed(part, clock.slots[rows], dt, raw.flight)
         else:
             pieces += _resampled(part, dt, clock.dt, raw.flight, linear_hold)
-    pieces, said = _with_commands(pieces, max_gap)
+    pieces, said = _with_drive(pieces, driving, max_gap)
     notes += said
     return _flight(raw, pieces, notes, where)
 
@@ -213,15 +217,17 @@ def _last_known(values: FloatArray) -> FloatArray:
     return np.where(known >= 0, values[np.maximum(known, 0)], np.nan)
 
 
-def _with_commands(pieces: list[Segment], max_gap: float) -> tuple[list[Segment], list[str]]:
-    """Hold commands over at most `max_gap` [s]; break the segments where they stay unknown."""
+def _with_drive(
+    pieces: list[Segment], names: tuple[str, ...], max_gap: float
+) -> tuple[list[Segment], list[str]]:
+    """Over at most `max_gap` [s] hold the commands `names`, or draw a line between the rotor speeds
+    that drive in their place; break the segments where they stay unknown."""
+    if not names:
+        return pieces, []
+    measured = not command_names(names)
     out: list[Segment] = []
     filled = lost = 0
     for piece in pieces:
-        names = command_names(piece.names)
-        if not names:
-            out.append(piece)
-            continue
         values = piece.matrix(names)
         limit = max(round(max_gap / piece.dt), 1)
         index = np.arange(piece.n)[:, None]
@@ -229,6 +235,13 @@ def _with_commands(pieces: list[Segment], max_gap: float) -> tuple[list[Segment]
         last = np.maximum.accumulate(np.where(known, index, -1), axis=0)
         usable = (last >= 0) & (index - last <= limit)
         carried = np.take_along_axis(values, np.maximum(last, 0), axis=0)
+        if measured:
+            ahead = np.where(known, index, piece.n)[::-1]
+            following = np.minimum.accumulate(ahead, axis=0)[::-1]
+            usable &= known | ((following < piece.n) & (following - last <= limit + 1))
+            after = np.take_along_axis(values, np.minimum(following, piece.n - 1), axis=0)
+            share = (index - last) / np.maximum(following - last, 1)
+            carried = np.where(known, values, carried + share * (after - carried))
         filled += int((usable & ~known).any(axis=1).sum())
         good = usable.all(axis=1)
         lost += int((~good).sum())
@@ -242,12 +255,15 @@ def _with_commands(pieces: list[Segment], max_gap: float) -> tuple[list[Segment]
             else:
                 lost += 1
     notes = []
-    if filled:
+    if filled and measured:
+        notes.append(f"rotor speeds interpolated over {filled} sample(s) without one")
+    elif filled:
         notes.append(
             f"commands held over {filled} sample(s) without one; measurements there are missing"
         )
     if lost:
-        notes.append(f"dropped {lost} sample(s) whose command is not known")
+        what = "rotor speeds are" if measured else "command is"
+        notes.append(f"dropped {lost} sample(s) whose {what} not known")
     return out, notes
 
 
@@ -257,7 +273,7 @@ def _flight(raw: RawLog, pieces: list[Segment], notes: list[str], where: str) ->
         raise DataError(
             "no stretch of samples with known commands",
             where=where,
-            fix="log all commands at every row",
+            fix="log all commands (or all rotor speeds) at every row",
         )
     if len(long) < len(pieces):
         dropped = sum(p.n for p in pieces if p.n < SHORT)

@@ -7,7 +7,7 @@ The estimate itself is in `greybox.statistics.spectra`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -93,7 +93,12 @@ def frf(
 ) -> FrequencyResponse:
     """The estimate behind `greybox.frf`, which says what the arguments mean and what is raised."""
     vehicle = vehicle or vehicle_of(model)
-    c = _channels(inputs, outputs, references, vehicle)
+    columns = (
+        model.dynamics.inputs.names
+        if isinstance(model, IdentifiedModel) and model.sensors
+        else data.channels
+    )
+    c = _channels(inputs, outputs, references, vehicle, columns)
     stretches, seconds = _stretches(data, c)
     dt = data.flights[0].dt
     longest = _longest([len(s) for s in stretches], dt, len(c.z or c.u), window)
@@ -150,11 +155,12 @@ def _channels(
     outputs: Sequence[str],
     references: Sequence[str],
     vehicle: Airframe | None,
+    columns: Collection[str],
 ) -> _Channels:
     c = _Channels(
-        inputs=channels(inputs, vehicle, "inputs"),
-        outputs=channels(outputs, vehicle, "outputs"),
-        references=channels(references, vehicle, "references") if references else (),
+        inputs=channels(inputs, vehicle, "inputs", columns),
+        outputs=channels(outputs, vehicle, "outputs", columns),
+        references=channels(references, vehicle, "references", columns) if references else (),
     )
     names = [s.name for s in c.all]
     if both := sorted({n for n in names if names.count(n) > 1}):

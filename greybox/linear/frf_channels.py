@@ -8,12 +8,14 @@ unit of roll moves the outermost rotors by a unit, left ones up.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from greybox.data import Segment
 from greybox.data.airframe import Airframe
+from greybox.data.channel import group_names
+from greybox.data.drive import drive_names
 from greybox.errors import DataError, UnknownNameError
 from greybox.linear.logs import ChannelSpec
 from greybox.model.identified import IdentifiedModel
@@ -23,9 +25,11 @@ from greybox.symbolic import FloatArray
 MIXERS = ("roll", "pitch", "yaw", "thrust")
 
 
-def mixers(vehicle: Airframe) -> dict[str, ChannelSpec]:
+def mixers(vehicle: Airframe, columns: Collection[str] = ()) -> dict[str, ChannelSpec]:
     """The mixed commands that the rotors of a vehicle have, by name (positive: x to the left wing
-    up is roll, nose down pitch, to the left yaw, up thrust; body axes FLU)."""
+    up is roll, nose down pitch, to the left yaw, up thrust; body axes FLU). Where `columns` hold no
+    commands but rotor speeds, these are mixed."""
+    drive = drive_names(columns, len(vehicle.rotors)) or group_names("command", len(vehicle.rotors))
     hubs = np.array([r.position for r in vehicle.rotors], dtype=np.float64)
     hubs = hubs - hubs.mean(axis=0)
     spins = np.array([r.spin for r in vehicle.rotors], dtype=np.float64)
@@ -37,7 +41,7 @@ def mixers(vehicle: Airframe) -> dict[str, ChannelSpec]:
     return {
         name: ChannelSpec(
             name=name,
-            terms=tuple((float(w), f"u{i + 1}") for i, w in enumerate(row) if abs(w) > 1e-9),
+            terms=tuple((float(w), n) for w, n in zip(row, drive, strict=True) if abs(w) > 1e-9),
         )
         for name, row in zip(names, weights, strict=True)
     }
@@ -50,9 +54,12 @@ def vehicle_of(model: IdentifiedModel | LinearModel | None) -> Airframe | None:
     return None
 
 
-def channels(texts: Sequence[str], vehicle: Airframe | None, what: str) -> tuple[ChannelSpec, ...]:
-    """`p`, `name=a+2*b-c` or, with a vehicle, a mixed command. Raises `DataError`."""
-    mixed = {} if vehicle is None else mixers(vehicle)
+def channels(
+    texts: Sequence[str], vehicle: Airframe | None, what: str, columns: Collection[str] = ()
+) -> tuple[ChannelSpec, ...]:
+    """`p`, `name=a+2*b-c` or, with a vehicle, a mixed command of what is among `columns`. Raises
+    `DataError`."""
+    mixed = {} if vehicle is None else mixers(vehicle, columns)
     found = tuple(mixed.get(t) or ChannelSpec.parse(t) for t in texts)
     names = [s.name for s in found]
     if not found:

@@ -55,7 +55,8 @@ class CommandWindow:
         past, future = self.past, self.future
         if past == 0 and future == 0:
             return window, window, 0.0
-        older, newer, share = self.bracket(window, delay / dt - 0.5 * future)
+        # Of a line the value at the middle of the step, half a sample later.
+        older, newer, share = self.bracket(window, delay / dt - 0.5 * min(future, 1))
         rest = window[self.rotors :, past]
         if future:
             middle = ca.vertcat(share * older + (1 - share) * newer, rest)
@@ -80,7 +81,7 @@ class CommandWindow:
         past, future = self.past, self.future
         young, old = ca.fmin(start, end), ca.fmax(start, end)
         if future:
-            middle = self.sampled(window, ca.fmax(0.5 * (young + old), 0.0), dt)
+            middle = self.sampled(window, ca.fmax(0.5 * (young + old), (1 - future) * dt), dt)
             return middle, middle
         if past == 0:
             return window, window

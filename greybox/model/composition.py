@@ -13,8 +13,16 @@ from greybox.model.flow import Remembered
 from greybox.model.sensor import Sensor
 from greybox.model.vehicle import Vehicle
 
+SHAPING = ("command", "rotor")
+"""Stages between the command and the rotor speed."""
 REMEMBERING = ("thrust", "wrench")
 """Stages whose effects may have states of their own."""
+
+
+def acts_on_speeds(effect: Effect) -> bool:
+    """Whether an effect has anything to do where measured rotor speeds drive the model: what shapes
+    the command is in them already, but for the clock of the log."""
+    return effect.stage not in SHAPING or set(effect.early) == {"delay"}
 
 
 def check_effects(
@@ -27,7 +35,7 @@ def check_effects(
     """Raises `ModelError` where an effect is there twice, lacks what it needs, or is ill declared.
 
     `measured_speed`: measured rotor speeds drive the model, which leaves nothing to effects of the
-    command.
+    command but a delay.
     """
     names = [e.name for e in effects]
     double = sorted({n for n in names if names.count(n) > 1})
@@ -40,7 +48,7 @@ def check_effects(
                 fix="add speed_max",
             )
         for e in effects:
-            if e.stage in ("command", "rotor"):
+            if not acts_on_speeds(e):
                 raise ModelError(
                     f"effect {e.name} shapes the command, which --input speed does not use"
                 )

@@ -28,11 +28,13 @@ OF_SENSORS = ("sensor_delay.d", "low_pass.gyro.T", "delay.gyro.d")
 @dataclass(frozen=True, kw_only=True)
 class EffectiveLag:
     """`value` and its standard error `std` [s] (0 where all of it is held, None where it is not
-    known); `parts` [s] by parameter."""
+    known); `parts` [s] by parameter. `measured`: what acts are rotor speeds, which a log may have
+    late (a negative delay)."""
 
     value: float
     std: float | None
     parts: Mapping[str, float]
+    measured: bool = False
 
     @property
     def line(self) -> str:
@@ -40,8 +42,11 @@ class EffectiveLag:
         shows = any(n in self.parts for n in OF_SENSORS)
         each = " + ".join(f"{PARTS[n]} {1e3 * v:.1f}" for n, v in self.parts.items())
         error = f" +- {1e3 * self.std:.2g}" if self.std else ""
+        if self.measured and self.value < 0:
+            return f"rotor speeds are logged {-1e3 * self.value:.1f}{error} ms late"
         return (
-            f"commands {'show in the gyro' if shows else 'act'} after "
+            f"{'rotor speeds' if self.measured else 'commands'} "
+            f"{'show in the gyro' if shows else 'act'} after "
             f"{1e3 * self.value:.1f}{error} ms: {each}"
         )
 
@@ -51,14 +56,19 @@ class EffectiveLag:
 
 
 def effective_lag(
-    values: Mapping[str, float], names: tuple[str, ...], covariance: FloatArray
+    values: Mapping[str, float],
+    names: tuple[str, ...],
+    covariance: FloatArray,
+    *,
+    measured: bool = False,
 ) -> EffectiveLag | None:
     """The sum of those of `PARTS` among `values`, its error from the `covariance` (n, n) of the
-    estimates `names`; None where there are fewer than two parts, as one of them says it itself."""
+    estimates `names`; None where there are fewer than two parts, as one of them says it itself,
+    unless rotor speeds were `measured`."""
     parts = {n: float(values[n]) for n in PARTS if n in values}
-    if len(parts) < 2:
+    if len(parts) < (1 if measured else 2):
         return None
     own = np.array([n in parts for n in names], dtype=bool)
     variance = float(covariance[np.ix_(own, own)].sum())
     std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) else None
-    return EffectiveLag(value=sum(parts.values()), std=std, parts=parts)
+    return EffectiveLag(value=sum(parts.values()), std=std, parts=parts, measured=measured)

@@ -160,7 +160,9 @@ class IdentifiedModel(Shown):
     @cached_property
     def effective_lag(self) -> EffectiveLag | None:
         """Motor lag, delays and filter of the gyro as one number; None for fewer than two."""
-        return effective_lag(self.values, self.covariance_names, self.covariance)
+        physics = physics_of(self.dynamics)
+        measured = physics is not None and physics.input == "speed"
+        return effective_lag(self.values, self.covariance_names, self.covariance, measured=measured)
 
     @property
     def channel_groups(self) -> tuple[str, ...]:

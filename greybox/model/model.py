@@ -24,6 +24,8 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from greybox.data.channel import command_names
+from greybox.data.drive import LATE_SPEEDS, drive_names
 from greybox.errors import ModelError, UnknownNameError
 from greybox.frames import (
     quat_difference,
@@ -33,7 +35,7 @@ from greybox.frames import (
     rotation_matrix,
 )
 from greybox.model.command_window import CommandWindow
-from greybox.model.composition import check_effects, check_sensors
+from greybox.model.composition import SHAPING, check_effects, check_sensors
 from greybox.model.core_parameters import core_parameters
 from greybox.model.dynamics_text import dynamics_text, parameter_rows
 from greybox.model.effect import SLOTS, Effect
@@ -160,6 +162,9 @@ class PhysicsModel(Shown):
                     )
             for d in declared:
                 given = stated.get(d.name)
+                if self.input == "speed" and "delay" in e.early:
+                    # A command may not act before it was sent; a speed is often logged late.
+                    d = replace(d, lower=-LATE_SPEEDS)
                 out.append(
                     replace(d, name=f"{e.name}.{d.name}")
                     if given is None
@@ -300,7 +305,8 @@ class PhysicsModel(Shown):
 
     @cached_property
     def window(self) -> tuple[int, int]:
-        """Earlier commands for the longest delay, one later command for a linear hold."""
+        """Earlier commands for the longest delay, one later command for a linear hold, and later
+        rotor speeds where they may have been logged late."""
         past = 0
         if self._clocks.late:
             upper = {
@@ -309,8 +315,11 @@ class PhysicsModel(Shown):
                 for d in e.parameters(self.vehicle)
             }
             past = math.ceil(self._clocks.reach(upper, self.sample_time) / self.sample_time + 1e-9)
+        if self.input == "command":
+            return past, int(self.vehicle.actuator.hold == "linear")
         # Measured rotor speeds run smoothly between samples, whatever the command does.
-        return past, int(self.vehicle.actuator.hold == "linear" or self.input == "speed")
+        late = LATE_SPEEDS if self._staged.has("delay") else 0.0
+        return past, 1 + math.ceil(late / self.sample_time - 1e-9)
 
     # ---------------------------------------------------------------- parts
 
@@ -586,12 +595,19 @@ def sensors_for(
     )
 
 
+def input_of(columns: Iterable[str], vehicle: Vehicle) -> Literal["command", "speed"]:
+    """What drives a model of a log with these `columns`: its commands, or its rotor speeds where it
+    has no commands but these."""
+    names = drive_names(columns, len(vehicle.rotors))
+    return "speed" if names and not command_names(names) else "command"
+
+
 def build_model(
     vehicle: Vehicle,
     columns: Iterable[str],
     effects: Iterable[str | Effect] = (),
     *,
-    input: Literal["command", "speed"] = "command",
+    input: Literal["command", "speed"] | None = None,
     sample_time: float = 0.01,
     noncausal: Iterable[str] = (),
     kinematic_noise: bool = False,
@@ -603,9 +619,12 @@ def build_model(
     smoothed with later samples and must not serve as measurements; `kinematic_noise` is that of
     `PhysicsModel`. An effect object (`load_effects`) also stands for its name in the vehicle file.
     `sensors` are further ones, of the user's own, which always take part: the log must have their
-    columns. Raises `ModelError`, `UnknownNameError`.
+    columns. `input` None: what the log has, commands before rotor speeds. Raises `ModelError`,
+    `UnknownNameError`.
     """
-    usable = set(columns) - set(noncausal)
+    columns = set(columns)
+    usable = columns - set(noncausal)
+    input = input or input_of(columns, vehicle)
     asked = tuple(effects)
     given = {e.name: e for e in asked if isinstance(e, Effect)}
     for e in asked:
@@ -613,7 +632,7 @@ def build_model(
             raise ModelError(f"two effects are named {e.name}", fix="give each its own name")
     chosen: list[Effect] = [given.get(n) or effect_by_name(n) for n in vehicle.effects]
     if input == "speed":  # measured rotor speeds already contain what shapes the command
-        chosen = [e for e in chosen if e.stage not in ("command", "rotor")]
+        chosen = [e for e in chosen if e.stage not in SHAPING]
     names = [e.name for e in chosen]
     for e in asked:
         effect = e if isinstance(e, Effect) else given.get(e) or effect_by_name(e)

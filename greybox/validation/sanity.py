@@ -150,7 +150,11 @@ def sanity_of(fit: Fit) -> Sanity:
     physics = physics_of(fit.model.dynamics)
     if physics is None:
         return Sanity(findings=())
-    found = sanity(fit.parameters, physics.vehicle, fit.model.values)
+    # Measured rotor speeds may be logged late: they then act before their stamps.
+    delays = tuple(f"{e.name}." for e in physics.effects if "delay" in e.early)
+    late = delays if physics.input == "speed" else ()
+    judged = {n: e for n, e in fit.parameters.items() if not n.startswith(late)}
+    found = sanity(judged, physics.vehicle, fit.model.values)
     there = frozenset(fit.model.effects)
     return Sanity(
         findings=tuple(replace(f, attempt=untried(f.attempt, there)) for f in found.findings)

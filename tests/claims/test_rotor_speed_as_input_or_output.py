@@ -3,6 +3,8 @@ without bias."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from greybox import build_model, dataset_from_arrays, fit
 from greybox.excitation.injection import rich_excitation
 from greybox.excitation.waypoints import RandomWaypoints
@@ -39,6 +41,42 @@ def test_speed_input_and_speed_output_recover_the_same_physics() -> None:
         assert result.converged
         for name, estimate in result.parameters.items():
             assert abs(estimate.value - truth()[name]) < 4.5 * estimate.std, (model.input, name)
+
+
+def test_a_fit_finds_how_late_speeds_were_logged() -> None:
+    true_plant = plant()
+    log = dict(
+        fly(
+            true_plant,
+            controller_for(true_plant),
+            RandomWaypoints(),
+            rich_excitation(),
+            8.0,
+            seed=5,
+        )
+    )
+    t = log.pop("t")
+    for n in ("u1", "u2", "u3", "u4"):
+        del log[n]
+    for n in ("omega1", "omega2", "omega3", "omega4"):
+        log[n] = np.interp(t - 0.017, t, log[n])
+    data = dataset_from_arrays(t, log, name="run")
+    model = build_model(
+        vehicle(), data.channels, ["command_delay", "rotor_drag", "rotational_damping"]
+    )
+    result = fit(model, data, initialisation="noise")
+    assert result.converged
+    # In the mean over a step rotors that follow a held command are ahead of the straight line
+    # between its ends, by dt^2 / (12 tau).
+    ahead = data.flights[0].dt ** 2 / (12 * truth()["motor_lag.tau"])
+    delay = result.parameters["command_delay.d"]
+    assert abs(delay.value + 0.017 + ahead) < 3 * delay.std
+    assert delay.std < 3e-4
+    assert result.model.effective_lag is not None
+    assert "rotor speeds are logged 17." in result.model.effective_lag.line
+    for name in ("inertia.xx", "inertia.yy", "thrust.c2"):
+        estimate = result.parameters[name]
+        assert abs(estimate.value / truth()[name] - 1) < 0.02, name
 
 
 def test_a_vehicle_that_knows_its_lag_may_still_be_driven_by_measured_speed() -> None:

@@ -55,7 +55,7 @@ def hops(count: int) -> dict[str, np.ndarray]:
 def of_landings(count: int, seen: bool) -> None:
     """What is flight in so many hops, with or without a height."""
     log = {n: v.view(Counted) for n, v in hops(count).items()}
-    keep, _ = airborne(log["t"], {n: log[n] for n in ("u1", "z")[: 1 + seen]})
+    keep, _ = airborne(log["t"], {n: log[n] for n in ("u1", "z")[: 1 + seen]}, driving=("u1",))
     assert 0 < keep.sum() < keep.size
 
 

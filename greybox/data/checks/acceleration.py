@@ -106,7 +106,7 @@ def streams(view: View) -> Streams | str:
 
 def _thrust(view: View) -> FloatArray:
     """What the commands push along the body's z, as if it carried the weight on average (N, 3)."""
-    lift = (view.group("command") ** 2).sum(axis=1)
+    lift = (view.drive**2).sum(axis=1)
     mean = float(np.nanmean(lift)) if np.isfinite(lift).any() else 0.0
     out = np.zeros((lift.size, 3))
     out[:, 2] = lift / mean * view.vehicle.gravity if mean > 0 else np.nan

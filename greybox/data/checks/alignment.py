@@ -139,8 +139,9 @@ def _offset(view: View, windows: FloatArray, offset: float) -> Finding:
 
 def _answers(view: View, offset: float | None) -> Iterator[Finding | Unjudged]:
     """The instant at which each channel answers, relative to the command."""
-    if not view.has("rate", "command"):
+    if not (view.has("rate") and view.drives):
         return
+    drive = "the commands" if view.commanded else "the rotor speeds"
     found = torque_regression(view)
     evidence: dict[str, float] = {}
     if found is not None and found.misaligned:
@@ -149,8 +150,8 @@ def _answers(view: View, offset: float | None) -> Iterator[Finding | Unjudged]:
             check="alignment",
             severity="blocking",
             flight=view.name,
-            where="p, q, r against the commands",
-            message=f"the motion fits the commands best {abs(lag) * 1e3:.0f} ms "
+            where=f"p, q, r against {drive}",
+            message=f"the motion fits {drive} best {abs(lag) * 1e3:.0f} ms "
             f"{'after' if lag > 0 else 'before'} them, "
             "which no craft does: they are not on one clock",
             evidence={
@@ -158,7 +159,7 @@ def _answers(view: View, offset: float | None) -> Iterator[Finding | Unjudged]:
                 "share": found.searched_share,
                 "share_plausible": found.plausible_share,
             },
-            fix="shift the commands against the sensors, or log both on one clock",
+            fix=f"shift {drive} against the sensors, or log both on one clock",
         )
         return
     if found is not None:
@@ -173,18 +174,19 @@ def _answers(view: View, offset: float | None) -> Iterator[Finding | Unjudged]:
         evidence["az_s"] = lift
     if not evidence:
         yield Unjudged(
-            check="alignment", flight=view.name, reason="no motion that answers to the commands"
+            check="alignment", flight=view.name, reason=f"no motion that answers to {drive}"
         )
         return
-    late = bool(rolls) and max(rolls) < 0.5 * view.dt
+    # A speed acts at once, and is often logged late: a fit finds by how much.
+    late = view.commanded and bool(rolls) and max(rolls) < 0.5 * view.dt
     yield Finding(
         check="alignment",
         severity="warning" if late else "info",
         flight=view.name,
-        where="each channel against the commands",
+        where=f"each channel against {drive}",
         message="the motion does not lag the commands: the commands are logged too late"
         if late
-        else "motion follows the commands by "
+        else f"motion follows {drive} by "
         + ", ".join(f"{v * 1e3:.0f} ms ({k[:-2]})" for k, v in evidence.items()),
         evidence=evidence,
         fix="log the command at the instant it is sent; check that the log is not one row late",
@@ -198,7 +200,7 @@ def _lift_lag(view: View) -> float | None:
         return None
     half = max(1, round(0.02 / view.dt))
     slow = max(2, round(0.5 / view.dt))
-    force, lift = view.joined(["az"]), (view.group("command") ** 2).sum(axis=1, keepdims=True)
+    force, lift = view.joined(["az"]), (view.drive**2).sum(axis=1, keepdims=True)
     force, lift = (smoothed(v, half) - smoothed(v, slow) for v in (force, lift))
     lags = np.arange(-round(0.05 / view.dt), round(0.15 / view.dt) + 1)
     lag, peak = best_lag(force, lift, lags)

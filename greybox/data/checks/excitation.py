@@ -32,9 +32,10 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         return
     evidence: dict[str, float] = {"duration_s": view.flight.duration}
     still = []
-    u = view.group("command")
+    u = view.drive
     moved = u - smoothed(u, max(1, round(0.5 / view.dt)))
-    span = view.vehicle.actuator.u_max - view.vehicle.actuator.u_min
+    actuator = view.vehicle.actuator
+    span = actuator.u_max - actuator.u_min if view.commanded else 1.0
     mix = np.vstack([expected_signs(view), np.full((1, u.shape[1]), 1.0 / np.sqrt(u.shape[1]))])
     for name, row in zip(("roll", "pitch", "yaw", "thrust"), mix, strict=True):
         combined = (moved @ row) / np.sqrt(u.shape[1]) / span

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.data.channel import group_names
 from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.relations import ANGLES
 from greybox.data.checks.signals import correlation, derivative, smoothed
 from greybox.data.checks.view import FloatArray, View
+from greybox.data.drive import drive_names
 from greybox.frames import GRAVITY, numeric
 
 FAST = 0.2
@@ -110,8 +110,9 @@ def _below_the_ground(view: View) -> float | None:
     """How far [m] the craft flies below every place where its motors stood still; None where that
     is not seen."""
     log = view.increasing
-    names = group_names("command", len(view.vehicle.rotors))
-    mean = np.mean([log.channels[n] for n in names], axis=0) - view.vehicle.actuator.u_min
+    names = drive_names(log.channels, len(view.vehicle.rotors))
+    least = view.vehicle.actuator.u_min if view.commanded else 0.0
+    mean = np.mean([log.channels[n] for n in names], axis=0) - least
     z = log.channels["z"]
     running = mean[mean > max(0.3 * float(np.nanpercentile(mean, 95)), 0.0)]
     if not running.size:

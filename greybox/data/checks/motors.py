@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.data.airframe import Airframe, ThrustMap, Weighed
+from greybox.data.channel import command_names
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged
 from greybox.data.checks.relations import CLEAR, LEAST, LEFT, jackknife
 from greybox.data.checks.torque import (
@@ -59,10 +60,10 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
     weigh most."""
     found: dict[str, Torque] = {}
     for view in views:
-        torque = torque_regression(view) if view.has("rate", "command") else None
+        torque = torque_regression(view) if view.has("rate") and view.drives else None
         if torque is None:
             what = "no airborne stretch" if view.flight is None else "no gyro"
-            reason = "fewer than 200 complete samples" if view.has("rate", "command") else what
+            reason = "fewer than 200 complete samples" if view.has("rate") and view.drives else what
             yield Unjudged(check="motors", flight=view.name, reason=reason)
         elif (torque.share[:2] < SEEN).any():
             reason = "the commands explain too little of the angular acceleration (share "
@@ -72,14 +73,14 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
             found[view.name] = torque
     if not found:
         return
-    promised = expected_signs(views[0])
+    promised, names = expected_signs(views[0]), views[0].drive_names
     craft = joined_sums([t.sums for t in found.values()])
-    verdict = _order(craft, promised)
+    verdict = _order(craft, promised, names)
     if verdict is not None:
         yield from (_finding(name, verdict, len(found)) for name in found)
         return
     for name, torque in found.items():
-        alone = _order(torque.sums, promised) if len(found) > 1 else None
+        alone = _order(torque.sums, promised, names) if len(found) > 1 else None
         if alone is not None:
             text = f"in this flight {alone.message}; all flights together say otherwise"
             yield _finding(name, replace(alone, severity="warning", message=text))
@@ -107,10 +108,11 @@ def _finding(flight: str, verdict: Verdict, flights: int = 1) -> Finding:
     )
 
 
-def _order(sums: Sums, promised: FloatArray) -> Verdict | None:
-    """What is wrong with the order of the commands; None where the one given agrees or nothing fits
-    far better."""
+def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | None:
+    """What is wrong with the order of the commands (or rotor speeds) `names`; None where the one
+    given agrees or nothing fits far better."""
     n = promised.shape[1]
+    table = "[columns.command]" if command_names(names) else "[columns.rotor_speed]"
     agreement = sums.total.agreement(promised)[:, 0]
     evidence = {f"agreement_{a}": float(c) for a, c in zip(AXES, agreement, strict=True)}
     orders = itertools.permutations(range(n)) if n <= MOST_ROTORS else iter([tuple(range(n))])
@@ -126,30 +128,30 @@ def _order(sums: Sums, promised: FloatArray) -> Verdict | None:
         return np.log((other + LEAST) / (given + LEAST))
 
     far = float(left(total)[0]) + CLEAR * jackknife(left(sums.left_out)) < np.log(LEFT)
-    moved = [f"u{i + 1} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
+    moved = [f"{names[i]} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
     says = (
         f"(of what the commands explain, roll {agreement[0]:+.2f}, pitch {agreement[1]:+.2f} "
         "where +1 is right)"
     )
     fix = (
-        "compare rotor positions and the fields of [columns.command] with the craft, and the "
+        f"compare rotor positions and the fields of {table} with the craft, and the "
         "signs of the gyro axes"
     )
     evidence["agreement_other_order"] = float(best[:2].mean())
     if moved and far and bool((best[:2] >= AGREE).all()):
         return Verdict(
             severity="blocking",
-            where="u1.. against p, q, r",
+            where=f"{names[0]}.. against p, q, r",
             message=f"the motor order is wrong: {', '.join(moved)} {says}",
             evidence=evidence,
-            fix="reorder the fields of [columns.command] or the [[rotor]] tables (or correct the "
+            fix=f"reorder the fields of {table} or the [[rotor]] tables (or correct the "
             "sign of a gyro axis)",
         )
     if bool((agreement[:2] >= AGREE).all()):
         return None
     return Verdict(
         severity="warning",
-        where="u1.. against p, q, r",
+        where=f"{names[0]}.. against p, q, r",
         message=f"the torques of the commands fit the rotor positions poorly {says}, and no other "
         "order fits far better",
         evidence=evidence,

@@ -27,13 +27,13 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         return
     actuator = view.vehicle.actuator
     tiny = 1e-3 * (actuator.u_max - actuator.u_min)
-    u = view.group("command")
+    u = view.group("command") if view.commanded else np.zeros((0, 1))
     u = u[np.isfinite(u).all(axis=1)]
     for what, mask in (
         ("u_max", u >= actuator.u_max - tiny),
         ("u_min", u <= actuator.u_min + tiny),
     ):
-        share = float(mask.any(axis=1).mean())
+        share = float(mask.any(axis=1).mean()) if u.size else 0.0
         if share > SHARE:
             worst = int(np.argmax(mask.mean(axis=0)))
             yield Finding(

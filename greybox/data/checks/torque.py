@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from greybox.data.checks.signals import derivative, shifted, smoothed
 from greybox.data.checks.view import FloatArray, View
+from greybox.data.drive import LATE_SPEEDS
 
 HALF_WINDOW = 0.015
 """Rates are differentiated over twice this time [s]."""
@@ -99,7 +100,7 @@ class Torque:
     `share` (3,) of variance that they explain beyond everything else, `sums` of the regression over
     blocks of time. These use lags that a craft can have; `searched_lag` [s] and `searched_share`
     are the best of roll and pitch together over all lags, and `plausible_share` the best of these
-    over the plausible ones.
+    over the plausible ones, which begin at `earliest` [s].
     """
 
     gains: FloatArray
@@ -109,11 +110,12 @@ class Torque:
     searched_lag: float
     searched_share: float
     plausible_share: float
+    earliest: float = 0.0
 
     @property
     def misaligned(self) -> bool:
         """Whether commands and motion fit clearly better at a lag that no craft has."""
-        outside = not -1e-9 <= self.searched_lag <= LARGEST_LAG + 1e-9
+        outside = not self.earliest - 1e-9 <= self.searched_lag <= LARGEST_LAG + 1e-9
         return (
             outside
             and self.searched_share > CLEARLY * self.plausible_share
@@ -148,7 +150,7 @@ def _regression(view: View) -> Torque | None:
     half = max(1, round(HALF_WINDOW / dt))
     rate = view.group("rate")
     turn = derivative(rate, dt, half)
-    u = smoothed(view.group("command") ** 2, half)
+    u = smoothed(view.drive**2, half)
     n = u.shape[1]
     other = np.ones((u.shape[0], 1))
     if view.has("specific_force"):
@@ -170,7 +172,9 @@ def _regression(view: View) -> Torque | None:
         b = _solve(x, rest)
         shares[i] = (base - ((rest - x @ b) ** 2).sum(axis=0)) / np.maximum(total, 1e-300)
         gains[i] = b.T
-    plausible = np.flatnonzero((lags >= 0) & (lags * dt <= LARGEST_LAG + 1e-9))
+    earliest = 0.0 if view.commanded else -LATE_SPEEDS
+    times = lags * dt
+    plausible = np.flatnonzero((times >= earliest - 1e-9) & (times <= LARGEST_LAG + 1e-9))
     best = plausible[shares[plausible].argmax(axis=0)]
     sums = [
         _sums(u, np.flatnonzero(known), int(lags[best[axis]]), other, turn[:, axis])
@@ -186,6 +190,7 @@ def _regression(view: View) -> Torque | None:
         searched_lag=float(lags[both.argmax()] * dt),
         searched_share=float(both.max()),
         plausible_share=float(both[plausible].max()),
+        earliest=earliest,
     )
 
 

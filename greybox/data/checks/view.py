@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.airframe import Airframe
-from greybox.data.channel import group_names
+from greybox.data.channel import command_names, group_names
 from greybox.data.clock import Clock, read_clock
 from greybox.data.conditioning import MAX_GAP, condition
 from greybox.data.dataset import Flight
+from greybox.data.drive import drive_names, full_drive
 from greybox.data.impossible import without_impossible
 from greybox.data.raw import RawLog
 from greybox.errors import DataError
@@ -108,6 +109,27 @@ class View:
         """Whether every channel of these groups is in the log."""
         names = [n for g in groups for n in group_names(g, len(self.vehicle.rotors))]
         return self.flight is not None and all(n in self.flight.channels for n in names)
+
+    @property
+    def commanded(self) -> bool:
+        """Whether commands drive the rotors; else measured rotor speeds stand in their place."""
+        return self.flight is None or bool(command_names(self.flight.channels))
+
+    @property
+    def drive_names(self) -> tuple[str, ...]:
+        """The channels that drive the rotors, in their order."""
+        return drive_names(self.flight.channels if self.flight else (), len(self.vehicle.rotors))
+
+    @property
+    def drives(self) -> bool:
+        """Whether the log has what drives every rotor."""
+        return len(self.drive_names) == len(self.vehicle.rotors)
+
+    @functools.cached_property
+    def drive(self) -> FloatArray:
+        """The airborne commands, or rotor speeds as shares of the highest, (N, n), see `joined`."""
+        values = self.joined(self.drive_names)
+        return values / full_drive(self.drive_names, self.vehicle, values)
 
     def group(self, group: str) -> FloatArray:
         """The airborne samples of a group, (N, k), see `joined`."""

@@ -17,7 +17,8 @@ def to_channels(table: Table, vehicle: Airframe | None, *, where: str) -> RawLog
     demanded.
 
     Raises `DataError` for fewer than two rows, no value or text in a needed column, an infinite
-    value, or a column that is not there (`t`, and with a vehicle every command).
+    value, or a column that is not there (`t`, and with a vehicle what drives every rotor: commands,
+    or rotor speeds where no column is a command).
     """
     if table.rows.size < 2:
         raise DataError(
@@ -27,9 +28,7 @@ def to_channels(table: Table, vehicle: Airframe | None, *, where: str) -> RawLog
     notes: list[str] = list(table.notes)
     channels: dict[str, FloatArray] = {}
     empty: list[str] = []
-    needed = {TIME} | (
-        set() if vehicle is None else set(group_names("command", len(vehicle.rotors)))
-    )
+    needed = {TIME} | (set() if vehicle is None else _driving(table, len(vehicle.rotors)))
     for name in (TIME, *wanted):
         if name not in table.columns:
             if name in needed:
@@ -85,6 +84,14 @@ def _wanted(table: Table, vehicle: Airframe | None) -> tuple[str, ...]:
     return tuple(n for n in canonical_names(rotors) if n in table.columns and is_canonical(n))
 
 
+def _driving(table: Table, rotors: int) -> set[str]:
+    """The commands, or the rotor speeds where the table has no command and all of them."""
+    commands, speeds = (set(group_names(g, rotors)) for g in ("command", "rotor_speed"))
+    if commands.isdisjoint(table.columns) and speeds.issubset(table.columns):
+        return speeds
+    return commands
+
+
 def _absent(name: str, table: Table, where: str) -> DataError:
     known = ", ".join(list(table.columns)[:12]) + (", ..." if len(table.columns) > 12 else "")
     return DataError(
@@ -92,7 +99,7 @@ def _absent(name: str, table: Table, where: str) -> DataError:
         where=where,
         got=f"columns {known}",
         fix="`greybox inspect` says what the log lacks and how to log it; a mapping file can name "
-        "it"
+        "it; rotor speeds omega1, omega2, ... of every rotor will do in place of commands"
         if table.canonical
         else "log it, or say in [columns] of the vehicle file, or in a mapping file, which column "
         f"is {name}",

@@ -1,0 +1,94 @@
+"""A log without commands is flight data too where every rotor's speed was measured: it is read, cut
+and checked as others are, and speeds that are missing are not held but bridged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greybox.data import read_log, read_table
+from greybox.data.checks import check
+from greybox.data.conditioning import condition
+from greybox.errors import DataError
+from tests.automatic.craft import flown, vehicle
+
+SEED, SECONDS = (7,), 20.0
+SPEEDS = ("omega1", "omega2", "omega3", "omega4")
+OTHERS = ("p", "q", "r", "ax", "ay", "az")
+
+
+def columns(late: float = 0.0) -> dict[str, np.ndarray]:
+    """A flight without commands; its rotor speeds are logged `late` [s]."""
+    log = dict(flown(SEED, SECONDS)[0])
+    t = log["t"]
+    return {
+        "t": t,
+        **{n: np.interp(t - late, t, log[n]) for n in SPEEDS},
+        **{n: log[n] for n in OTHERS},
+    }
+
+
+def written(tmp_path, log):
+    path = tmp_path / "flight.csv"
+    text = [",".join(log)] + [
+        ",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in zip(*log.values())
+    ]
+    path.write_text("\n".join(text) + "\n")
+    return path
+
+
+def test_it_is_read(tmp_path):
+    flight = read_log(written(tmp_path, columns()), vehicle())
+    assert set(SPEEDS) <= set(flight.channels)
+    assert not any(n.startswith("u") for n in flight.channels)
+
+
+def test_a_log_with_neither_says_that_commands_are_missing(tmp_path):
+    log = columns()
+    del log["omega3"]
+    with pytest.raises(DataError, match="no column 'u1' for the command u1") as caught:
+        read_log(written(tmp_path, log), vehicle())
+    assert "rotor speeds" in str(caught.value)
+
+
+def test_speeds_that_are_missing_are_on_the_line_between_their_neighbours(tmp_path):
+    log = columns()
+    whole = log["omega2"].copy()
+    log["omega2"][500:503] = np.nan
+    log["omega1"][900:960] = np.nan
+    flight = condition(read_table(written(tmp_path, log), vehicle()), vehicle())
+    first, second = flight.segments
+    filled = np.interp(first.t, log["t"][[499, 503]], whole[[499, 503]])
+    inside = (first.t > log["t"][499]) & (first.t < log["t"][503])
+    assert inside.sum() == 3
+    np.testing.assert_allclose(first.column("omega2")[inside], filled[inside], rtol=1e-12)
+    assert second.t[0] == pytest.approx(log["t"][960])
+    assert any("rotor speeds interpolated over 3 sample(s)" in n for n in flight.notes)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.03])
+def test_speeds_that_come_late_are_no_fault(tmp_path, late):
+    flight = read_table(written(tmp_path, columns(late)), vehicle())
+    report = check([flight], vehicle())
+    assert not [f for f in report.findings if f.severity == "blocking"]
+    (said,) = [f for f in report.of("alignment") if "rotor speeds" in f.where]
+    assert said.evidence["p_s"] == pytest.approx(-late, abs=0.011)
+
+
+def test_rotors_in_another_order_are_named(tmp_path):
+    log = columns()
+    log["omega1"], log["omega2"] = log["omega2"], log["omega1"]
+    flight = read_table(written(tmp_path, log), vehicle())
+    (found,) = check([flight], vehicle()).of("motors")
+    assert found.severity == "blocking"
+    assert "omega1 drives rotor 2, omega2 drives rotor 1" in found.message
+    assert "[columns.rotor_speed]" in found.fix
+
+
+def test_speeds_without_a_stated_maximum_are_judged_too(tmp_path):
+    craft = vehicle()
+    silent = replace(craft, actuator=replace(craft.actuator, speed_max=None))
+    flight = read_table(written(tmp_path, columns()), silent)
+    assert not [f for f in check([flight], silent).findings if f.severity == "blocking"]
