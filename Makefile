@@ -28,6 +28,8 @@ JOBS ?= 2
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
+# Containers often forbid Python to keep what it compiled. Each command that a test starts would then compile it again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo demo-mpc test test-slow test-releases docs site lint clean install
 
