@@ -1,7 +1,10 @@
-"""Settings of all tests."""
+"""Settings of all tests, and which of them are long."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import pytest
 from hypothesis import HealthCheck, settings
 
 # A busy machine is no fault of what is tested: speed is measured in benchmarks/.
@@ -9,3 +12,31 @@ settings.register_profile(
     "any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("any machine")
+
+LONG = (
+    "automatic/",
+    "baselines/",
+    "claims/",
+    "discovery/",
+    "mpc_export/",
+)
+"""Folders and files with tests of many seconds (`python -m pytest --durations=0 PATH` tells them):
+whole fits, searches, exports and flights. `make test` leaves them to `make test-long`."""
+
+
+def is_long(path: Path) -> bool:
+    """Whether a test file belongs to `make test-long`."""
+    return path.relative_to(Path(__file__).parent).as_posix().startswith(LONG)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--part`: without it all tests are run."""
+    parser.addoption("--part", choices=("quick", "long"), help="run one part of the tests only")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Files of the other part are not even imported."""
+    part = config.getoption("--part")
+    if part is None or not collection_path.is_file():
+        return None
+    return True if is_long(collection_path) != (part == "long") else None
