@@ -1,7 +1,7 @@
 # make demo   (greybox demo) own environment, install, fit the shipped real flights, write a report, print where it is
 # make demo-mpc   the same for control: identify a simulated vehicle from one flight, fly it inside limits (about four minutes)
 # make test   own environment, install, lint, type check, the quick tests
-# make test-long   whole fits, searches, exports and flights: the other half of what every change is held against
+# make test-long   whole commands, fits, searches and exports: the other half of what every change is held against
 # make test-slow   the long studies (hours are not needed; minutes are)
 # make test-releases   wheel and sdist in clean environments on Python 3.11 to 3.13 (PYTHONS="/path/python3.12 ..."),
 #             oldest and newest versions of what they need; about twenty minutes, asks PyPI

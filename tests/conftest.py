@@ -17,11 +17,21 @@ LONG = (
     "automatic/",
     "baselines/",
     "claims/",
+    "cli/",
     "discovery/",
+    "docs/test_documentation_runs.py",
+    "estimation/test_no_fit_ends_in_an_impossible_body.py",
+    "estimation/test_solvers_reach_the_same_optimum.py",
+    "hardening/test_hostile_files_cannot_eat_the_memory.py",
+    "linear/test_linear_command.py",
     "mpc_export/",
+    "report/test_pages_work_in_a_real_browser.py",
+    "residual/test_gp_posterior_equals_gpytorch.py",
+    "scenarios/test_effects_outside_the_catalogue_act_and_vanish.py",
+    "simulators/",
 )
-"""Folders and files with tests of many seconds (`python -m pytest --durations=0 PATH` tells them):
-whole fits, searches, exports and flights. `make test` leaves them to `make test-long`."""
+"""Folders and files that take many seconds (`python -m pytest --durations=0 PATH` tells them): whole
+commands, fits, searches, exports and flights. `make test` leaves them to `make test-long`."""
 
 
 def is_long(path: Path) -> bool:
