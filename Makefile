@@ -1,6 +1,7 @@
 # make demo   (greybox demo) own environment, install, fit the shipped real flights, write a report, print where it is
 # make demo-mpc   the same for control: identify a simulated vehicle from one flight, fly it inside limits (about four minutes)
-# make test   own environment, install, lint, type check, all fast tests
+# make test   own environment, install, lint, type check, the quick tests
+# make test-long   whole commands, fits, searches and exports: the other half of what every change is held against
 # make test-slow   the long studies (hours are not needed; minutes are)
 # make test-releases   wheel and sdist in clean environments on Python 3.11 to 3.13 (PYTHONS="/path/python3.12 ..."),
 #             oldest and newest versions of what they need; about twenty minutes, asks PyPI
@@ -28,8 +29,10 @@ JOBS ?= 2
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
+# Containers often forbid Python to keep what it compiled. Each command that a test starts would then compile it again.
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo demo-mpc test test-slow test-releases docs site lint clean install
+.PHONY: demo demo-mpc test test-long test-slow test-releases docs site lint clean install
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -59,7 +62,10 @@ lint: $(STAMP)
 	$(BIN)/mypy
 
 test: lint
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -rs
+	$(BIN)/python -m pytest --part quick -n $(JOBS) --dist loadfile -rs
+
+test-long: $(STAMP)
+	$(BIN)/python -m pytest --part long -n $(JOBS) --dist loadfile -rs
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n $(JOBS) --dist loadfile

@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from greybox.commands.effects import STAGES
+from greybox.commands.effect_stages import STAGES
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
 from greybox.model.example import example_vehicle

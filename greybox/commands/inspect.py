@@ -226,14 +226,33 @@ def effects(found: Any, vehicle: Any) -> dict[str, Any]:
 
 def text(content: dict[str, Any], *, every: bool = False) -> str:
     """The result for a terminal."""
+    problem = content["problem"]
     lines = [f"{content['log']}: {content['title']}", f"  {content['verdict']}"]
     lines += [f"  {k}: {v}" for k, v in content["info"].items()]
+    lines += _holds(content, every)
+    lines += ["", f"CANNOT BE USED AS IT IS  {problem}"] if problem else _usable(content)
+    if content["looks_like"]:
+        lines += _looks_like(content)
+    if content["missing"] and not problem:
+        lines += _missing(content)
+    if content["advice"]:
+        lines += ["", f"HOW TO LOG  {content['advice']}"]
+    if content["rotors"]:
+        lines += _rotors(content)
+    for title in ("notes", "next"):
+        if content[title]:
+            lines += ["", title.upper(), *(f"  {n}" for n in content[title])]
+    return "\n".join(lines)
+
+
+def _holds(content: dict[str, Any], every: bool) -> list[str]:
+    """The streams of the log, all of them or those that are used."""
     used = {c["from"].partition(": ")[2].partition(" [")[0] for c in content["channels"]}
     used |= {o.split(": ")[2].partition(" [")[0] for o in content["other_sources"]}
     shown = [
         s for s in content["streams"] if every or s["name"] in used or len(content["streams"]) <= 12
     ]
-    lines += ["", f"HOLDS  {len(content['streams'])} stream(s)"]
+    lines = ["", f"HOLDS  {len(content['streams'])} stream(s)"]
     width = min(max((len(s["name"]) for s in shown), default=0), 40)
     for s in shown:
         span = "" if s["start"] is None else f"{s['start']:.2f}..{s['end']:.2f} s"
@@ -259,73 +278,79 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
             f"  the logger reports {len(lost)} drop-out(s), {sum(d['length'] for d in lost):.2f} s "
             "in all"
         )
-    if content["problem"]:
-        lines += ["", f"CANNOT BE USED AS IT IS  {content['problem']}"]
-    else:
-        lines += ["", f"GREYBOX CAN USE  {content['rows']} rows over {content['duration']:.2f} s"]
-        for c in content["channels"]:
-            few = "" if c["enough"] else "  (too slow)"
-            units = ", ".join(sorted({u["unit"] for u in c["channels"]} - {"1"}))
-            lines.append(f"  {c['from']}{' -> ' + units if units else ''}{few}")
-        good = content["uses"]
-        whole = good["fit"] or good["speed_input"]
-        none = (
-            "nothing under these names (see LOOKS LIKE and NEXT)"
+    return lines
+
+
+def _usable(content: dict[str, Any]) -> list[str]:
+    """What greybox takes of them, and what it can fit."""
+    lines = ["", f"GREYBOX CAN USE  {content['rows']} rows over {content['duration']:.2f} s"]
+    for c in content["channels"]:
+        few = "" if c["enough"] else "  (too slow)"
+        units = ", ".join(sorted({u["unit"] for u in c["channels"]} - {"1"}))
+        lines.append(f"  {c['from']}{' -> ' + units if units else ''}{few}")
+    good = content["uses"]
+    whole = good["fit"] or good["speed_input"]
+    none = (
+        "nothing under these names (see LOOKS LIKE and NEXT)"
+        if content["looks_like"]
+        else "nothing"
+    )
+    lines.append(
+        "  fits: "
+        + (
+            (", ".join(k for k in ("rotation", "translation") if good[k]) or none)
+            if whole
+            else none
             if content["looks_like"]
-            else "nothing"
+            else "no"
         )
-        lines.append(
-            "  fits: "
-            + (
-                (", ".join(k for k in ("rotation", "translation") if good[k]) or none)
-                if whole
-                else none
-                if content["looks_like"]
-                else "no"
-            )
-            + (", also with rotor speeds as the input" if good["speed_input"] else "")
-        )
-        if whole and good["predictor"] == "kalman":
-            lines.append("  some channels come slower than the rows: fit with --predictor kalman")
-        for other in content["other_sources"][:8]:
-            lines.append(f"  also there: {other}")
-        possible, lacking = content["effects"]["possible"], content["effects"]["lacking"]
-        lines.append(f"  effects: {len(possible)} of {len(possible) + len(lacking)}")
-        lines += [f"    {name} lacks {', '.join(lacks)}" for name, lacks in lacking.items()]
-    if content["looks_like"]:
-        lines += ["", "LOOKS LIKE  a guess from names and sizes; nothing of it is used by itself"]
-        for g in content["looks_like"]:
-            span = f"{g['limits'][0]:g} to {g['limits'][1]:g}" if g["limits"] else ""
-            said = ", ".join(part for part in (*g["fields"], g["unit"], span, g["frame"]) if part)
-            lines.append(f"  {g['group']}: {said}  ({g['why']})")
+        + (", also with rotor speeds as the input" if good["speed_input"] else "")
+    )
+    if whole and good["predictor"] == "kalman":
+        lines.append("  some channels come slower than the rows: fit with --predictor kalman")
+    for other in content["other_sources"][:8]:
+        lines.append(f"  also there: {other}")
+    possible, lacking = content["effects"]["possible"], content["effects"]["lacking"]
+    lines.append(f"  effects: {len(possible)} of {len(possible) + len(lacking)}")
+    lines += [f"    {name} lacks {', '.join(lacks)}" for name, lacks in lacking.items()]
+    return lines
+
+
+def _looks_like(content: dict[str, Any]) -> list[str]:
+    """What columns with names of their own may be."""
+    lines = ["", "LOOKS LIKE  a guess from names and sizes; nothing of it is used by itself"]
+    for g in content["looks_like"]:
+        span = f"{g['limits'][0]:g} to {g['limits'][1]:g}" if g["limits"] else ""
+        said = ", ".join(part for part in (*g["fields"], g["unit"], span, g["frame"]) if part)
+        lines.append(f"  {g['group']}: {said}  ({g['why']})")
+    return lines
+
+
+def _missing(content: dict[str, Any]) -> list[str]:
+    """Channels that are not there, what for, and how to log them."""
     guessed = {g["group"] for g in content["looks_like"]}
-    if content["missing"] and not content["problem"]:
-        lines += ["", "MISSING"]
-        for m in content["missing"]:
-            if m["group"] in guessed:
-                lines.append(
-                    f"  {m['group']} ({', '.join(m['channels'])}): not by this name, see above; "
-                    f"{m['purpose']}"
-                )
-                continue
+    lines = ["", "MISSING"]
+    for m in content["missing"]:
+        if m["group"] in guessed:
             lines.append(
-                f"  {m['group']} ({', '.join(m['channels'])}): {m['reason']}; {m['purpose']}"
+                f"  {m['group']} ({', '.join(m['channels'])}): not by this name, see above; "
+                f"{m['purpose']}"
             )
-            if m["advice"]:
-                lines.append(f"    to log it: {m['advice']}")
-    if content["advice"]:
-        lines += ["", f"HOW TO LOG  {content['advice']}"]
-    if content["rotors"]:
-        lines += ["", "ROTORS of the log, for the vehicle file"]
-        for r in content["rotors"]:
-            x, y, z = r["position"]
-            lines += [
-                "  [[rotor]]",
-                f"  position = [{x:.4g}, {y:.4g}, {z:.4g}]",
-                f"  spin = {r['spin']}",
-            ]
-    if content["notes"]:
-        lines += ["", "NOTES", *(f"  {n}" for n in content["notes"])]
-    if content["next"]:
-        lines += ["", "NEXT", *(f"  {n}" for n in content["next"])]
-    return "\n".join(lines)
+            continue
+        lines.append(f"  {m['group']} ({', '.join(m['channels'])}): {m['reason']}; {m['purpose']}")
+        if m["advice"]:
+            lines.append(f"    to log it: {m['advice']}")
+    return lines
+
+
+def _rotors(content: dict[str, Any]) -> list[str]:
+    """The rotors that the log states, as a vehicle file has them."""
+    lines = ["", "ROTORS of the log, for the vehicle file"]
+    for r in content["rotors"]:
+        x, y, z = r["position"]
+        lines += [
+            "  [[rotor]]",
+            f"  position = [{x:.4g}, {y:.4g}, {z:.4g}]",
+            f"  spin = {r['spin']}",
+        ]
+    return lines

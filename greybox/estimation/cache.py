@@ -1,7 +1,7 @@
 """The cache of what is compiled: what is taken from it is what was put there, by this user.
 
     <folder>/build/<key>             one line: SHA-256 and size of the file that belongs to the key
-    <folder>/build/<SHA-256>.so      the file
+    <folder>/build/<SHA-256>.so      the file (.npz: slopes that were derived before)
 
 The folder is $GREYBOX_CACHE, else $XDG_CACHE_HOME/greybox, else ~/.cache/greybox, the first that
 can be written, lets programs be run, belongs to this user and that nobody else may write; else a

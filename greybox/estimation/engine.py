@@ -24,7 +24,7 @@ import numpy.typing as npt
 from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, compiler, opened
 from greybox.estimation.cache import say
-from greybox.estimation.tape import Linear
+from greybox.estimation.tape_cache import linears
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, Expr, FloatArray
 
@@ -211,28 +211,15 @@ class Engine:
         s = symbols(d)
         x, window, p, dt, y = s["x"], s["U"], s["p"], s["dt"], s["y"]
         w0 = ca.DM.zeros(len(d.noises))
-        chosen = [int(i) for i in self.active_index]
         after = d.step(0, x, window, p, w0, dt)
         y_hat = d.output(0, x, window, p, w0, dt)
         e = d.innovation(y, y_hat, x)
         # What is written once is differentiated once.
         after, e, y_hat = ca.cse([after, e, y_hat])
         into, out = chart_jacobians(d, x, after)
-        a: Expr
-        b: Expr
-        ex: Expr
-        ep: Expr
-        if self.sensitive:
-            a = ca.sparsify(out @ ca.jacobian(after, x) @ into)
-            b = ca.sparsify(out @ ca.jacobian(after, p)[:, chosen])
-            ex = ca.sparsify(ca.jacobian(e, x) @ into)
-            ep = ca.sparsify(ca.jacobian(e, p)[:, chosen])
-        else:
-            a, b = ca.SX(self.nd, self.nd), ca.SX(self.nd, len(chosen))
-            ex, ep = ca.SX(self.ne, self.nd), ca.SX(self.ne, len(chosen))
         inputs = [x, window, y, p, dt]
         self.value = ca.Function("gb_value", inputs, [ca.densify(v) for v in (after, e, y_hat)])
-        self.slope = ca.Function("gb_slope", inputs, [a, b, ex, ep])
+        self._stepped = ca.Function("gb_stepped", inputs, [after, e, y_hat, into, out])
         self.pred = ca.Function(
             "gb_pred", [x, window, p, dt], [ca.densify(after), ca.densify(y_hat)]
         )
@@ -244,6 +231,25 @@ class Engine:
         self.inject = ca.Function("gb_inject", [z, k], [ca.densify(moved), j1, j2])
         self.move = ca.Function("gb_move", [z, k], [ca.densify(moved)])
         self.turn = ca.Function("gb_turn", [z, k], [j1, j2])
+
+    @functools.cached_property
+    def slope(self) -> Any:
+        """x, U, y, p, dt -> dxF/dx, dxF/dp, de/dx, de/dp in the error state; p are those that
+        sensitivities were built for."""
+        with CASADI:
+            inputs = self._stepped.sx_in()
+            x, _, _, p, _ = inputs
+            after, e, _, into, out = self._stepped.call(inputs)
+            chosen = [[d.name for d in self.dynamics.parameters].index(n) for n in self.built]
+            if self.sensitive:
+                a = ca.sparsify(out @ ca.jacobian(after, x) @ into)
+                b = ca.sparsify(out @ ca.jacobian(after, p)[:, chosen])
+                ex = ca.sparsify(ca.jacobian(e, x) @ into)
+                ep = ca.sparsify(ca.jacobian(e, p)[:, chosen])
+            else:
+                a, b = ca.SX(self.nd, self.nd), ca.SX(self.nd, len(chosen))
+                ex, ep = ca.SX(self.ne, self.nd), ca.SX(self.ne, len(chosen))
+            return ca.Function("gb_slope", inputs, [a, b, ex, ep])
 
     def _compile(self) -> None:
         with CASADI:
@@ -264,9 +270,15 @@ class Engine:
         )
         if library is None:
             return
+        names = [d.name for d in self.dynamics.parameters]
         try:
             with CASADI:
-                self._slope, self._turn = (Linear(f) for f in (self.slope, self.turn))
+                found = linears(
+                    self._stepped,
+                    f"{self.built} of {names}, sensitive: {self.sensitive}",
+                    {"slope": lambda: self.slope, "turn": lambda: self.turn},
+                )
+                self._slope, self._turn = found["slope"], found["turn"]
         except ModelError as error:
             say(f"{error}; CasADi's VM runs the same equations, slower")
             return

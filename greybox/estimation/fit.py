@@ -8,7 +8,7 @@ changed in place.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Unpack
 
@@ -27,7 +27,7 @@ from greybox.estimation.identifiability import marginal_information, unidentifie
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.result import Diagnostics, Estimate, Estimates, Fit, Provenance
-from greybox.estimation.solver import Progress, Solver
+from greybox.estimation.solver import Progress, Solver, Value
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.estimation.unknown import Unknown
@@ -197,44 +197,14 @@ def _finish(
 ) -> Fit:
     """Errors, identifiability and the identified model at the solution; what `considered`
     parameters add joins the covariance."""
-    # Scores are summed over stretches longer than the errors' correlation: half a second, twice the
-    # window of a predictor that looks further ahead.
-    ahead = max(problem.predictor.horizons)
-    block = max(
-        block_samples(problem.dt),
-        min(r.n for r in problem.records) // 200,
-        2 * ahead if ahead > 1 else 1,
-    )
+    block = _block(problem)
     value = problem.evaluate(theta, scores=block)
-    warnings: list[str] = []
     # A wall says where no body is. It is no measurement: errors are those without it.
     told = None if value.hessian is None else value.hessian - wall(problem.bodies, theta).hessian
     precision = np.array(
         [0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in problem.unknowns]
     )
-    if value.gradient is None or value.hessian is None or value.data_hessian is None:
-        n = problem.n
-        held = np.zeros(n, dtype=bool)
-        spread = Covariance(
-            fisher=np.full((n, n), np.nan), sandwich=np.full((n, n), np.nan), blocks=0
-        )
-        data_hessian = np.zeros((n, n))
-    else:
-        g = value.gradient
-        low, high = theta <= problem.lower, theta >= problem.upper
-        held = (low & (g > 0)) | (high & (g < 0))
-        assert told is not None
-        spread = covariance(told, value.scores, precision, held)
-        data_hessian = value.data_hessian
-        if considered.spread is not None:
-            free_rows = np.where(held, 0.0, 1.0)
-            more = considered.spread * np.outer(free_rows, free_rows)
-            spread = replace(spread, fisher=spread.fisher + more, sandwich=spread.sandwich + more)
-        if status.converged and newton_decrement(g, value.hessian, held) > 1e-2:
-            warnings.append(
-                "the solver stopped at its own tolerance, but a full step would still lower the "
-                "cost"
-            )
+    spread, held = _spread(problem, theta, value, told, precision, considered)
     one_step = problem.predictor.one_step
     blocks = list(one_step.blocks(problem, theta, False)) if value.valid else []
     innovations: dict[str, list[FloatArray]] = {}
@@ -247,44 +217,26 @@ def _finish(
     matrix = spread.chosen(coloured)
     alone = _without_priors(problem, told, precision, held)
     estimates = _estimates(problem, theta, matrix, spread.fisher, held, alone)
-    if not status.converged:
-        warnings.insert(0, status.advice)
-    warnings += [
-        f"{n} is at its bound {e.value:.4g} {e.unit}: no error bar; check the vehicle file or the "
-        "effect list"
-        for n, e in estimates.items()
-        if e.at_bound
-    ]
-    nearer = considered.told if status.converged and not coloured else {}
-    warnings += [
-        f"{n} is held, but these flights tell it to {error:.2g}, nearer than its stated error of "
-        f"{stated:.2g}: "
-        "estimate it (leave it out of --fixed and --considered)"
-        for n, (error, stated) in nearer.items()
-    ]
-    gaps = _gappy(problem)
-    if gaps and problem.predictor.name == "innovation":
-        warnings.append(
-            f"{', '.join(gaps)} missing in more than 5 % of the samples, without a rhythm: the "
-            "gain assumes that they are "
-            "there; use the kalman predictor"
-        )
-    total_held = sum(r.held for r in problem.records)
-    if total_held:
-        warnings.append(
-            f"{total_held} missing command or voltage cells were held from the sample before"
-        )
     levels = any(u.kind == "noise" for u in problem.unknowns)
     if value.gradient is not None and not spread.enough and (levels or coloured):
         doubt = too_short_for_errors(spread.blocks, block * problem.dt, levels, coloured)
-        warnings.insert(0 if status.converged else 1, doubt)
         spread = replace(spread, doubt=doubt)
-    if not problem.engine.compiled:
-        warnings.append(f"CasADi's VM ran the equations, slower than compiled: {trouble()}")
+    nearer = considered.told if status.converged and not coloured else {}
     keep = [i for i, u in enumerate(problem.unknowns) if u.kind == "parameter" and not held[i]]
     labels = [_label(problem.unknowns[i]) for i in keep]
+    n = problem.n
+    data_hessian = np.zeros((n, n)) if value.data_hessian is None else value.data_hessian
     information = marginal_information(data_hessian, keep)
     combinations = unidentified(information, labels, [theta[i] for i in keep])
+    unfinished = status.converged and _unfinished(value, held)
+    warnings = [
+        *([] if status.converged else [status.advice]),
+        *([spread.doubt] if spread.doubt else []),
+        *([UNFINISHED] if unfinished else []),
+        *_bound_warnings(estimates),
+        *_nearer_warnings(nearer),
+        *_record_warnings(problem),
+    ]
     for c in combinations:
         decided = any(np.isfinite(problem.unknowns[keep[labels.index(n)]].sigma) for n in c.names)
         warnings.append(
@@ -336,6 +288,86 @@ def _finish(
             ),
         ),
     )
+
+
+def _block(problem: Problem) -> int:
+    """Samples that scores are summed over, longer than the errors' correlation: half a second,
+    twice the window of a predictor that looks further ahead."""
+    ahead = max(problem.predictor.horizons)
+    return max(
+        block_samples(problem.dt),
+        min(r.n for r in problem.records) // 200,
+        2 * ahead if ahead > 1 else 1,
+    )
+
+
+def _spread(
+    problem: Problem,
+    theta: FloatArray,
+    value: Value,
+    told: FloatArray | None,
+    precision: FloatArray,
+    considered: Considered,
+) -> tuple[Covariance, BoolArray]:
+    """(covariances of the unknowns, with what `considered` parameters add; which unknowns are held
+    at a bound), nan and none where the cost has no derivatives. `told` (n, n) is the Hessian
+    without walls, `precision` (n,) that of the priors."""
+    n = problem.n
+    if value.gradient is None or told is None or value.data_hessian is None:
+        unknown = np.full((n, n), np.nan)
+        return Covariance(fisher=unknown, sandwich=unknown, blocks=0), np.zeros(n, dtype=bool)
+    low, high = theta <= problem.lower, theta >= problem.upper
+    held = (low & (value.gradient > 0)) | (high & (value.gradient < 0))
+    spread = covariance(told, value.scores, precision, held)
+    if considered.spread is not None:
+        free_rows = np.where(held, 0.0, 1.0)
+        more = considered.spread * np.outer(free_rows, free_rows)
+        spread = replace(spread, fisher=spread.fisher + more, sandwich=spread.sandwich + more)
+    return spread, held
+
+
+UNFINISHED = "the solver stopped at its own tolerance, but a full step would still lower the cost"
+
+
+def _unfinished(value: Value, held: BoolArray) -> bool:
+    """Whether a full Newton step would still lower the cost."""
+    if value.gradient is None or value.hessian is None or value.data_hessian is None:
+        return False
+    return newton_decrement(value.gradient, value.hessian, held) > 1e-2
+
+
+def _bound_warnings(estimates: Mapping[str, Estimate]) -> list[str]:
+    return [
+        f"{n} is at its bound {e.value:.4g} {e.unit}: no error bar; check the vehicle file or the "
+        "effect list"
+        for n, e in estimates.items()
+        if e.at_bound
+    ]
+
+
+def _nearer_warnings(nearer: Mapping[str, tuple[float, float]]) -> list[str]:
+    return [
+        f"{n} is held, but these flights tell it to {error:.2g}, nearer than its stated error of "
+        f"{stated:.2g}: "
+        "estimate it (leave it out of --fixed and --considered)"
+        for n, (error, stated) in nearer.items()
+    ]
+
+
+def _record_warnings(problem: Problem) -> Iterator[str]:
+    """What the records lack, and what ran them."""
+    gaps = _gappy(problem)
+    if gaps and problem.predictor.name == "innovation":
+        yield (
+            f"{', '.join(gaps)} missing in more than 5 % of the samples, without a rhythm: the "
+            "gain assumes that they are "
+            "there; use the kalman predictor"
+        )
+    total_held = sum(r.held for r in problem.records)
+    if total_held:
+        yield f"{total_held} missing command or voltage cells were held from the sample before"
+    if not problem.engine.compiled:
+        yield f"CasADi's VM ran the equations, slower than compiled: {trouble()}"
 
 
 def _moves(problem: Problem, keep: Sequence[int], moves: FloatArray) -> dict[str, float]:

@@ -12,6 +12,7 @@ A product that is added once, and used nowhere else, is one instruction with its
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -119,15 +120,11 @@ class _Carrier(ctypes.Structure):
 
 
 class Linear:
-    """The tape of a function with the sparsities of its results, as driver.c takes it: `carrier`
-    points into what this object keeps. Raises `ModelError` like `tape_of`."""
+    """The `tape` of a function with the `sparsities` of its results (CasADi's compressed form), as
+    driver.c takes it: `carrier` points into what this object keeps."""
 
-    def __init__(self, function: Any) -> None:
-        self._tape = tape = tape_of(function)
-        self._sparsities = [
-            np.array(function.sparsity_out(i).compress(), dtype=np.int64)
-            for i in range(function.n_out())
-        ]
+    def __init__(self, tape: Tape, sparsities: Sequence[npt.NDArray[np.int64]]) -> None:
+        self._tape, self._sparsities = tape, tuple(sparsities)
         places = [v.ctypes.data for v in self._sparsities]
         self.carrier = _Carrier(
             tape.instructions.ctypes.data,
@@ -136,6 +133,39 @@ class Linear:
             tape.work,
             (ctypes.c_void_p * 4)(*places),
         )
+
+    @classmethod
+    def of(cls, function: Any) -> Linear:
+        """Of a CasADi function of SX expressions. Raises `ModelError` like `tape_of`."""
+        sparsities = [
+            np.array(function.sparsity_out(i).compress(), dtype=np.int64)
+            for i in range(function.n_out())
+        ]
+        return cls(tape_of(function), sparsities)
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """All that it is made of, by name."""
+        tape = self._tape
+        sparsities = {f"sparsity{i}": v for i, v in enumerate(self._sparsities)}
+        return {
+            "instructions": tape.instructions,
+            "constants": tape.constants,
+            "slots": np.array(tape.slots),
+            "lengths": tape.lengths,
+            **sparsities,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Linear:
+        """Inverse of `arrays`."""
+        tape = Tape(
+            instructions=arrays["instructions"],
+            constants=arrays["constants"],
+            slots=int(arrays["slots"]),
+            lengths=arrays["lengths"],
+        )
+        many = sum(name.startswith("sparsity") for name in arrays)
+        return cls(tape, [arrays[f"sparsity{i}"] for i in range(many)])
 
 
 def tape_of(function: Any) -> Tape:

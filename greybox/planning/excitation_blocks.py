@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -30,6 +31,7 @@ BAND = (0.7, 8.0)
 """Frequencies of the multi-sines [Hz]."""
 Four = tuple[float, float, float, float]
 Shape = Callable[[float, float], Four]
+Signal = Callable[[float], float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +46,7 @@ class ExcitationBlock:
     seconds: float
     offset: Shape | None = None
     twist: Shape | None = None
-    voltage: Callable[[float], float] | None = None
+    voltage: Signal | None = None
 
     @property
     def injected(self) -> bool:
@@ -158,104 +160,125 @@ def excitation_blocks(
 ) -> list[ExcitationBlock]:
     """The pieces of `seconds` each that suit the limits. `seed` draws the phases of the
     multi-sines."""
-    reach = (
-        np.array([0.5 * limits.box[0], 0.5 * limits.box[1], 0.5 * (limits.box[2] - limits.floor)])
-        * 0.85
-    )
-    g = float(model.physics.vehicle.gravity)
+    room = _Room(limits=limits, seconds=seconds, gravity=float(model.physics.vehicle.gravity))
+    out = _setpoints(room)
+    if "vbat" in model.dynamics.inputs.names:
+        pack = room.block(
+            "full_and_empty_pack",
+            "climb and sink on a full, then on an empty pack",
+            "battery",
+            (2, room.sine(2, room.fast, 0.6)),
+        )
+        out.append(replace(pack, voltage=lambda t: 1.08 if t < 0.5 * seconds else 0.92))
+    if setpoints_only:
+        return out
+    return out + _injections(room, 0.6 * authority(model, limits), np.random.default_rng(seed))
 
-    def gate(t: float) -> float:
-        edge = min(t, seconds - t) / FADE
+
+@dataclass(frozen=True, kw_only=True)
+class _Room:
+    """Paths of pieces of `seconds`, as large as room, speed and tilt allow."""
+
+    limits: Limits
+    seconds: float
+    gravity: float
+
+    @cached_property
+    def reach(self) -> FloatArray:
+        """Distance from home (3,) [m]."""
+        x, y, z = self.limits.box
+        return 0.85 * np.array([0.5 * x, 0.5 * y, 0.5 * (z - self.limits.floor)])
+
+    @property
+    def fast(self) -> float:
+        """Cycles per piece of a quick motion."""
+        return max(2.0, round(self.seconds / 2.2))
+
+    @property
+    def slow(self) -> float:
+        """Cycles per piece of a slow motion."""
+        return max(1.0, round(self.seconds / 4.5))
+
+    def gate(self, t: float) -> float:
+        """Fades a path in and out."""
+        edge = min(t, self.seconds - t) / FADE
         return 0.0 if edge <= 0 else 1.0 if edge >= 1 else 0.5 - 0.5 * float(np.cos(np.pi * edge))
 
-    def sine(axis: int, cycles: float, share: float = 1.0) -> Callable[[float], float]:
-        """A sine of `cycles` per piece, as large as room, speed and tilt allow."""
-        w = 2 * np.pi * cycles / seconds
-        push = 0.8 * g * (np.tan(limits.tilt) if axis < 2 else 0.5)
-        size = share * min(reach[axis], 0.9 * limits.speed / w, push / w**2)
-        return lambda t: float(size * np.sin(w * t) * gate(t))
+    def sine(self, axis: int, cycles: float, share: float = 1.0) -> Signal:
+        """A sine of `cycles` per piece along an axis [m]."""
+        w, speed, tilt = 2 * np.pi * cycles / self.seconds, self.limits.speed, self.limits.tilt
+        push = 0.8 * self.gravity * (np.tan(tilt) if axis < 2 else 0.5)
+        size = share * min(self.reach[axis], 0.9 * speed / w, push / w**2)
+        return lambda t: float(size * np.sin(w * t) * self.gate(t))
 
-    def along(*moves: tuple[int, Callable[[float], float]]) -> Shape:
+    def turn(self, t: float) -> float:
+        """Yaw to the left and to the right [rad]."""
+        return float(0.8 * np.pi * np.sin(2 * np.pi * t / self.seconds) * self.gate(t))
+
+    def sink(self, t: float) -> float:
+        """Down to the floor and up again [m]."""
+        down = 0.5 - 0.5 * np.cos(2 * np.pi * t / self.seconds)
+        return float(-self.reach[2] / 0.85 * 0.95 * down)
+
+    def block(
+        self,
+        name: str,
+        text: str,
+        kind: str,
+        *moves: tuple[int, Signal],
+        twist: Shape | None = None,
+    ) -> ExcitationBlock:
+        """A piece that moves along these axes (3: yaw)."""
+
         def offset(t: float, a: float) -> Four:
             out = [0.0, 0.0, 0.0, 0.0]
             for axis, shape in moves:
                 out[axis] += a * shape(t)
             return out[0], out[1], out[2], out[3]
 
-        return offset
-
-    def turn(cycles: float) -> Callable[[float], float]:
-        return lambda t: float(0.8 * np.pi * np.sin(2 * np.pi * cycles * t / seconds) * gate(t))
-
-    def sink(t: float) -> float:
-        return float(-reach[2] / 0.85 * 0.95 * (0.5 - 0.5 * np.cos(2 * np.pi * t / seconds)))
-
-    fast, slow = max(2.0, round(seconds / 2.2)), max(1.0, round(seconds / 4.5))
-    out: list[ExcitationBlock] = []
-
-    def add(
-        name: str,
-        text: str,
-        kind: str,
-        *moves: tuple[int, Callable[[float], float]],
-        twist: Shape | None = None,
-    ) -> None:
-        offset = along(*moves) if moves else None
-        out.append(
-            ExcitationBlock(
-                name=name, text=text, kind=kind, seconds=seconds, offset=offset, twist=twist
-            )
+        return ExcitationBlock(
+            name=name,
+            text=text,
+            kind=kind,
+            seconds=self.seconds,
+            offset=offset if moves else None,
+            twist=twist,
         )
 
-    add("hover", "hover", "hover")
-    add("surge_slow", "to and fro along x, slowly", "speed", (0, sine(0, slow)))
-    add("surge_fast", "to and fro along x, fast", "speed", (0, sine(0, fast)))
-    add("sway_slow", "to and fro along y, slowly", "speed", (1, sine(1, slow)))
-    add("sway_fast", "to and fro along y, fast", "speed", (1, sine(1, fast)))
-    add(
-        "speed_sweep",
-        "to and fro along x, faster and faster",
-        "speed",
-        (0, _growing(sine(0, fast), seconds)),
-    )
-    add("climb_and_sink", "climb and sink", "height", (2, sine(2, fast)))
-    add("height_sweep", "sink to the floor and rise again", "height", (2, sink))
+
+def _setpoints(room: _Room) -> list[ExcitationBlock]:
+    """Pieces that move position and yaw."""
+    block, sine, fast, slow = room.block, room.sine, room.fast, room.slow
+    sweep = _growing(sine(0, fast), room.seconds)
     climb = ((0, sine(0, slow, 0.8)), (2, sine(2, fast, 0.6)))
-    add("climb_at_speed", "climb and sink while flying to and fro", "coupled", *climb)
     three = ((0, sine(0, fast, 0.65)), (1, sine(1, fast - 1, 0.65)), (2, sine(2, slow + 1, 0.5)))
-    add("lissajous", "x, y and height at once at three frequencies", "coupled", *three)
-    add(
-        "figure_eight",
-        "figure of eight",
-        "coupled",
-        (0, sine(0, slow, 0.8)),
-        (1, sine(1, 2 * slow, 0.6)),
-    )
-    add("turns", "turn on the spot, left and right", "yaw", (3, turn(1.0)))
-    add(
-        "turns_at_speed",
-        "to and fro while turning",
-        "coupled",
-        (0, sine(0, fast, 0.9)),
-        (3, turn(1.0)),
-    )
-    if "vbat" in model.dynamics.inputs.names:
-        add(
-            "full_and_empty_pack",
-            "climb and sink on a full, then on an empty pack",
-            "battery",
-            (2, sine(2, fast, 0.6)),
-        )
-        out[-1] = replace(out[-1], voltage=lambda t: 1.08 if t < 0.5 * seconds else 0.92)
-    if setpoints_only:
-        return out
-    top = 0.6 * authority(model, limits)
-    rng = np.random.default_rng(seed)
-    tones = [_multisine(seconds, c, rng) for c in range(4)]
-    pulses = (_doublet(0.12, 1.0), _doublet(0.25, 2.0), _three_two_one_one(0.1, 2.0))
-    quick, wide, steps = (_centred(pulse, gate) for pulse in pulses)
+    eight = ((0, sine(0, slow, 0.8)), (1, sine(1, 2 * slow, 0.6)))
+    turning = ((0, sine(0, fast, 0.9)), (3, room.turn))
+    return [
+        block("hover", "hover", "hover"),
+        block("surge_slow", "to and fro along x, slowly", "speed", (0, sine(0, slow))),
+        block("surge_fast", "to and fro along x, fast", "speed", (0, sine(0, fast))),
+        block("sway_slow", "to and fro along y, slowly", "speed", (1, sine(1, slow))),
+        block("sway_fast", "to and fro along y, fast", "speed", (1, sine(1, fast))),
+        block("speed_sweep", "to and fro along x, faster and faster", "speed", (0, sweep)),
+        block("climb_and_sink", "climb and sink", "height", (2, sine(2, fast))),
+        block("height_sweep", "sink to the floor and rise again", "height", (2, room.sink)),
+        block("climb_at_speed", "climb and sink while flying to and fro", "coupled", *climb),
+        block("lissajous", "x, y and height at once at three frequencies", "coupled", *three),
+        block("figure_eight", "figure of eight", "coupled", *eight),
+        block("turns", "turn on the spot, left and right", "yaw", (3, room.turn)),
+        block("turns_at_speed", "to and fro while turning", "coupled", *turning),
+    ]
 
-    def inject(*signals: tuple[int, Callable[[float], float], float]) -> Shape:
+
+def _injections(room: _Room, top: FloatArray, rng: np.random.Generator) -> list[ExcitationBlock]:
+    """Pieces that add angular accelerations [rad/s^2] and a share of thrust, up to `top` (4,)."""
+    block = room.block
+    tones = [_multisine(room.seconds, c, rng) for c in range(4)]
+    pulses = (_doublet(0.12, 1.0), _doublet(0.25, 2.0), _three_two_one_one(0.1, 2.0))
+    quick, wide, steps = (_centred(pulse, room.gate) for pulse in pulses)
+
+    def inject(*signals: tuple[int, Signal, float]) -> Shape:
         def twist(t: float, a: float) -> Four:
             pushes = [0.0, 0.0, 0.0, 0.0]
             for axis, shape, share in signals:
@@ -264,48 +287,50 @@ def excitation_blocks(
 
         return twist
 
-    def later(shape: Callable[[float], float], by: float) -> Callable[[float], float]:
+    def later(shape: Signal, by: float) -> Signal:
         return lambda t: shape(t - by) if t >= by else 0.0
 
-    for i, n in enumerate(("roll", "pitch", "yaw", "thrust")):
-        add(f"{n}_multisine", f"multi-sine in {n}", "multisine", twist=inject((i, tones[i], 1.0)))
+    out = [
+        block(f"{n}_multisine", f"multi-sine in {n}", "multisine", twist=inject((i, tones[i], 1.0)))
+        for i, n in enumerate(("roll", "pitch", "yaw", "thrust"))
+    ]
     every = inject(*((i, tones[i], 0.5) for i in range(4)))
-    add(
-        "all_multisine",
-        "orthogonal multi-sines in roll, pitch, yaw and thrust",
-        "multisine",
-        twist=every,
-    )
-    moving = ((0, sine(0, slow, 0.8)), (1, sine(1, slow + 1, 0.5)))
-    add(
-        "multisine_at_speed",
-        "orthogonal multi-sines while flying to and fro",
-        "coupled",
-        *moving,
-        twist=every,
-    )
-    both = inject((0, quick, 1.0), (1, later(quick, 0.5), 1.0))
-    add("roll_and_pitch_doublets", "roll and pitch doublets", "doublets", twist=both)
-    add("yaw_doublets", "yaw doublets", "doublets", twist=inject((2, wide, 1.0)))
-    add("throttle_doublets", "throttle doublets", "doublets", twist=inject((3, wide, 0.8)))
-    both = inject((0, steps, 0.6), (1, later(steps, 1.0), 0.6))
-    add("roll_and_pitch_3211", "3-2-1-1 in roll and pitch", "3-2-1-1", twist=both)
-    both = inject((2, steps, 1.0), (3, later(steps, 1.0), 0.8))
-    add("yaw_and_throttle_3211", "3-2-1-1 in yaw and throttle", "3-2-1-1", twist=both)
-    return out
+    moving = ((0, room.sine(0, room.slow, 0.8)), (1, room.sine(1, room.slow + 1, 0.5)))
+    tilting = inject((0, quick, 1.0), (1, later(quick, 0.5), 1.0))
+    tilts = inject((0, steps, 0.6), (1, later(steps, 1.0), 0.6))
+    turns = inject((2, steps, 1.0), (3, later(steps, 1.0), 0.8))
+    return [
+        *out,
+        block(
+            "all_multisine",
+            "orthogonal multi-sines in roll, pitch, yaw and thrust",
+            "multisine",
+            twist=every,
+        ),
+        block(
+            "multisine_at_speed",
+            "orthogonal multi-sines while flying to and fro",
+            "coupled",
+            *moving,
+            twist=every,
+        ),
+        block("roll_and_pitch_doublets", "roll and pitch doublets", "doublets", twist=tilting),
+        block("yaw_doublets", "yaw doublets", "doublets", twist=inject((2, wide, 1.0))),
+        block("throttle_doublets", "throttle doublets", "doublets", twist=inject((3, wide, 0.8))),
+        block("roll_and_pitch_3211", "3-2-1-1 in roll and pitch", "3-2-1-1", twist=tilts),
+        block("yaw_and_throttle_3211", "3-2-1-1 in yaw and throttle", "3-2-1-1", twist=turns),
+    ]
 
 
-def _growing(shape: Callable[[float], float], seconds: float) -> Callable[[float], float]:
+def _growing(shape: Signal, seconds: float) -> Signal:
     return lambda t: shape(t) * min(t / (0.85 * seconds), 1.0)
 
 
-def _centred(
-    shape: Callable[[float], float], gate: Callable[[float], float]
-) -> Callable[[float], float]:
+def _centred(shape: Signal, gate: Signal) -> Signal:
     return lambda t: shape(t) if gate(t) > 0.3 else 0.0
 
 
-def _doublet(width: float, every: float) -> Callable[[float], float]:
+def _doublet(width: float, every: float) -> Signal:
     """+1, -1, -1, +1 pulses (no net turn), then rest; every second one starts downwards."""
 
     def shape(t: float) -> float:
@@ -316,7 +341,7 @@ def _doublet(width: float, every: float) -> Callable[[float], float]:
     return shape
 
 
-def _three_two_one_one(unit: float, every: float) -> Callable[[float], float]:
+def _three_two_one_one(unit: float, every: float) -> Signal:
     """Up 3 units, down 2, up 1, down 1; then mirrored, so that nothing is left over."""
 
     def shape(t: float) -> float:
@@ -328,7 +353,7 @@ def _three_two_one_one(unit: float, every: float) -> Callable[[float], float]:
     return shape
 
 
-def _multisine(seconds: float, channel: int, rng: np.random.Generator) -> Callable[[float], float]:
+def _multisine(seconds: float, channel: int, rng: np.random.Generator) -> Signal:
     """Sines at the harmonics channel + 4 m of the piece within BAND, peak 1; of 40 draws of phases
     that of lowest peak."""
     k = np.arange(1, int(BAND[1] * seconds) + 1)

@@ -31,8 +31,7 @@ import numpy.typing as npt
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.residual.array_file import read_with_arrays, write_with_arrays
 from greybox.residual.as_function import AsFunction
-from greybox.residual.covariances import Covariance, covariance_from_dict
-from greybox.residual.covariances.covariance import frozen
+from greybox.residual.covariances.covariance import Covariance, covariance_from_dict, frozen
 from greybox.residual.posterior import QUANTITIES, Domain
 from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, evaluate

@@ -28,6 +28,7 @@ from greybox.model.vehicle import read_vehicle
 from greybox.plants.flight_log import fly, write_log
 from greybox.plants.presets import controller_for
 from greybox.plants.vehicle_file import write_vehicle
+from greybox.progress import TimeLeft
 from greybox.residual.files import save_model
 from greybox.residual.learn import learn
 from greybox.residual.noise_levels import refit_noise
@@ -122,8 +123,16 @@ def identify(out: Path, say: Callable[[str], None] = print) -> dict[str, Path]:
     )
     save_model(fitted.model, files["pem"])
     say("learning what is left")
+    left = TimeLeft()
+
+    def learning(text: str, share: float) -> None:
+        say(f"{100 * share:3.0f} %  {text}{left.after(share)}")
+
     try:
-        learned = learn(fitted.model, data, features=FEATURES, points=POINTS, seed=0).model
+        learned = learn(
+            fitted.model, data, features=FEATURES, points=POINTS, seed=0, progress=learning
+        ).model
+        say("noise levels of what was learned")
         # the tube's noise is the filter's own: what is calibrated for horizons is so on the flight
         # that was learned from
         save_model(

@@ -33,7 +33,8 @@ from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.ipopt import IpoptSolver
 from mpc_export.tube.stages import block
-from scenarios.studies.tube_mpc import PROBLEM, controller, flight, models
+from scenarios.studies.tube_flights import PROBLEM, controller, flight
+from scenarios.studies.tube_mpc import models
 
 Array = NDArray[np.float64]
 SEED = TRAINING_SEEDS[30]

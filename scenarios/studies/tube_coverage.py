@@ -30,7 +30,8 @@ from greybox.files import write_json
 from mpc_export.mission import JUDGING_SEEDS
 from mpc_export.mission.model_plant import RehearsedPlant
 from mpc_export.tube.controller import TubeController
-from scenarios.studies.tube_mpc import DT, PROBLEM, TRUE, controller, flight, models
+from scenarios.studies.tube_flights import DT, PROBLEM, TRUE, controller, flight
+from scenarios.studies.tube_mpc import models
 
 Array = NDArray[np.float64]
 GROUPS = {"position": 0, "velocity": 3, "attitude": 6, "rate": 9}

@@ -22,7 +22,7 @@ from mpc_export.mission.model_plant import RehearsedPlant
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.correlation import correlation, error_transition
 from mpc_export.tube.risk import kappa, kappa_passages, kappa_rehearsed, passages, touching
-from scenarios.studies.tube_mpc import controller, crossed, flight
+from scenarios.studies.tube_flights import controller, crossed, flight
 
 Array = NDArray[np.float64]
 TUNING = 24

@@ -16,7 +16,7 @@ from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual.noise_levels import refit_noise
 from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.mission.craft import vehicle
-from scenarios.studies import tube_coverage, tube_mpc
+from scenarios.studies import tube_coverage, tube_flights, tube_mpc
 
 FLIGHTS = 8
 
@@ -37,7 +37,7 @@ def test_sets_hold_what_they_say(tmp_path):
         disturbance=("force", "torque"),
         fixed=tube_mpc.HELD,
     )
-    pilot = tube_mpc.controller(refit_noise(fitted.model, data, each=True), deviations=1.5)
+    pilot = tube_flights.controller(refit_noise(fitted.model, data, each=True), deviations=1.5)
     rows = [tube_coverage.branches(pilot, seed) for seed in TRAINING_SEEDS[90 : 90 + FLIGHTS]]
     away, stated = (np.concatenate(v) for v in zip(*rows, strict=True))
     assert len(away) == 20 * FLIGHTS

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mpc_export.mission import OBSTACLE_COURSE
-from scenarios.studies import tube_coverage, tube_mpc, tube_tuning
+from scenarios.studies import tube_coverage, tube_flights, tube_mpc, tube_tuning
 
 
 def record(seed, *, margin=0.01, tilt=0.8, crashed=False, cost=0.2, controller="tube-10"):
@@ -24,7 +24,7 @@ def record(seed, *, margin=0.01, tilt=0.8, crashed=False, cost=0.2, controller="
 
 
 def test_the_table_of_the_route_is_the_course():
-    route, times = tube_mpc.route(), np.array([0.0, 1.23, 4.56, OBSTACLE_COURSE.duration])
+    route, times = tube_flights.route(), np.array([0.0, 1.23, 4.56, OBSTACLE_COURSE.duration])
     table, course = route.sample(times), OBSTACLE_COURSE.sample(times)
     for name, values in vars(course).items():
         np.testing.assert_allclose(vars(table)[name], values, atol=1e-12)
@@ -33,7 +33,7 @@ def test_the_table_of_the_route_is_the_course():
 
 
 def test_planes_move_toward_the_path_and_only_where_they_exist():
-    route = tube_mpc.route()
+    route = tube_flights.route()
     still, moved = (route.planes(route.times, v) for v in (0.0, 0.003))
     there = (still[..., :3] != 0).any(axis=-1)
     assert there.any(axis=0).all()  # every plane is met somewhere
@@ -43,14 +43,14 @@ def test_planes_move_toward_the_path_and_only_where_they_exist():
 
 
 def test_a_crash_crosses_and_tilts_and_a_tilt_alone_crosses_nothing():
-    assert not tube_mpc.crossed(record(1))
-    assert tube_mpc.crossed(record(1, margin=-1e-6))
+    assert not tube_flights.crossed(record(1))
+    assert tube_flights.crossed(record(1, margin=-1e-6))
     steep = record(1, tilt=OBSTACLE_COURSE.tilt_max + 1e-6)
-    assert tube_mpc.tilted(steep)
-    assert not tube_mpc.crossed(steep)
+    assert tube_flights.tilted(steep)
+    assert not tube_flights.crossed(steep)
     lost = record(1, crashed=True)
-    assert tube_mpc.crossed(lost)
-    assert tube_mpc.tilted(lost)
+    assert tube_flights.crossed(lost)
+    assert tube_flights.tilted(lost)
 
 
 def test_costs_are_compared_on_seeds_that_both_flew():

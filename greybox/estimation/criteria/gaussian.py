@@ -12,11 +12,16 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from greybox.estimation.problem import Block, IndexArray, Problem, Value
+from greybox.estimation.predictor import Block
+from greybox.estimation.solver import IndexArray, Value
 from greybox.symbolic import FloatArray
+
+if TYPE_CHECKING:
+    from greybox.estimation.problem import Problem
 
 LOG_2PI = float(np.log(2 * np.pi))
 

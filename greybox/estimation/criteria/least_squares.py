@@ -9,12 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.criteria.gaussian import LOG_2PI, Gaussian, weighted
-from greybox.estimation.problem import Block, Problem, Value
+from greybox.estimation.predictor import Block
+from greybox.estimation.solver import Value
+
+if TYPE_CHECKING:
+    from greybox.estimation.problem import Problem
 
 
 @dataclass(frozen=True, kw_only=True)

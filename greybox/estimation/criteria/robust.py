@@ -19,7 +19,7 @@ import numpy as np
 
 from greybox.errors import ModelError
 from greybox.estimation.criteria.gaussian import Gaussian
-from greybox.estimation.problem import Block
+from greybox.estimation.predictor import Block
 from greybox.symbolic import FloatArray
 
 

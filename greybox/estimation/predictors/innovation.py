@@ -16,17 +16,19 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import ClassVar, final
+from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 
 from greybox.errors import FitError
 from greybox.estimation.gain import Linearisation, Riccati, linearisation_at
 from greybox.estimation.lost_commands import LostCommands, any_lost, lost_commands
-from greybox.estimation.predictor import Predictor, Prepared_co
-from greybox.estimation.problem import Block, Problem
+from greybox.estimation.predictor import Block, Predictor, Prepared_co
 from greybox.estimation.settling import RecordGains, Settling
 from greybox.symbolic import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from greybox.estimation.problem import Problem
 
 FORGOTTEN = 1e-100
 """Sensitivity that is zero for the next piece. Of its start a long record forgets everything;

@@ -14,16 +14,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from greybox.errors import FitError, ModelError
-from greybox.estimation.predictor import Predictor
+from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.predictors.innovation import Innovation, InnovationPrepared
 from greybox.estimation.predictors.simulation import start_of
-from greybox.estimation.problem import Block, Problem
 from greybox.symbolic import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from greybox.estimation.problem import Problem
 
 
 @final

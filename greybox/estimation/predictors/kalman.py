@@ -23,7 +23,7 @@ import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, ClassVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import casadi as ca
 import numpy as np
@@ -31,12 +31,14 @@ import numpy as np
 from greybox.errors import FitError
 from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, opened
 from greybox.estimation.engine import chart_jacobians, symbols
-from greybox.estimation.predictor import Predictor
-from greybox.estimation.problem import Block, Problem
+from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.record import Record
 from greybox.estimation.settling import start_variances
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import FloatArray
+
+if TYPE_CHECKING:
+    from greybox.estimation.problem import Problem
 
 
 @final

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import casadi as ca
 import numpy as np
@@ -31,13 +31,15 @@ from greybox.errors import FitError, ModelError
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.engine import GainTable
 from greybox.estimation.gain import stationary
-from greybox.estimation.predictor import Predictor
+from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.predictors.innovation import Innovation, InnovationPrepared
 from greybox.estimation.predictors.simulation import Simulation, start_of
-from greybox.estimation.problem import Block, IndexArray, Problem
-from greybox.estimation.solver import Progress
+from greybox.estimation.solver import IndexArray, Progress
 from greybox.estimation.solvers.levenberg_marquardt import damped_step
 from greybox.symbolic import CASADI, FloatArray
+
+if TYPE_CHECKING:
+    from greybox.estimation.problem import Problem
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,15 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from greybox.errors import FitError
 from greybox.estimation.engine import GainTable
-from greybox.estimation.predictor import Predictor
-from greybox.estimation.problem import Block, Problem
+from greybox.estimation.predictor import Block, Predictor
 from greybox.symbolic import FloatArray
+
+if TYPE_CHECKING:
+    from greybox.estimation.problem import Problem
 
 
 @final

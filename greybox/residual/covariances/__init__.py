@@ -5,13 +5,12 @@ A new one is a file here and a line in `COVARIANCES`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
-from greybox.errors import FileFormatError, GreyboxError, ModelError
+from greybox.errors import ModelError
 from greybox.residual.covariances.algebra import OnDims, Product, Scaled, Sum
 from greybox.residual.covariances.constant import Constant
-from greybox.residual.covariances.covariance import Covariance, Pick
+from greybox.residual.covariances.covariance import KINDS, Covariance, Pick
 from greybox.residual.covariances.linear import Linear
 from greybox.residual.covariances.matern import Matern
 from greybox.residual.covariances.periodic import Periodic
@@ -32,18 +31,8 @@ COVARIANCES: tuple[type[Covariance], ...] = (
     Scaled,
     OnDims,
 )
-_BY_KIND = {c.kind: c for c in COVARIANCES}
+KINDS.update({c.kind: c for c in COVARIANCES})
 _BY_MODULE = {c.module: c for c in COVARIANCES if c.module}
-
-
-def covariance_from_dict(value: Mapping[str, Any]) -> Covariance:
-    """Inverse of `Covariance.to_dict`. Raises `FileFormatError`."""
-    try:
-        return _BY_KIND[value["kind"]].from_dict({k: v for k, v in value.items() if k != "kind"})
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        if isinstance(error, GreyboxError) and not isinstance(error, ModelError):
-            raise
-        raise FileFormatError(f"not a covariance: {error}") from None
 
 
 def read_module(module: Any, pick: Pick, where: str, *, whole: bool = False) -> Covariance:

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError
-from greybox.residual.covariances.covariance import Covariance, Pullback
+from greybox.residual.covariances.covariance import Covariance, Pullback, covariance_from_dict
 from greybox.symbolic import Expr, FloatArray
 
 
@@ -48,7 +48,7 @@ class Sum(Covariance):
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
         """Inverse of `to_dict`."""
-        return cls(parts=tuple(_plain(part) for part in value["parts"]))
+        return cls(parts=tuple(covariance_from_dict(part) for part in value["parts"]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,7 +90,7 @@ class Product(Covariance):
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
         """Inverse of `to_dict`."""
-        return cls(parts=tuple(_plain(part) for part in value["parts"]))
+        return cls(parts=tuple(covariance_from_dict(part) for part in value["parts"]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,7 +128,7 @@ class Scaled(Covariance):
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
         """Inverse of `to_dict`."""
-        return cls(factor=value["factor"], inner=_plain(value["inner"]))
+        return cls(factor=value["factor"], inner=covariance_from_dict(value["inner"]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -168,10 +168,4 @@ class OnDims(Covariance):
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
         """Inverse of `to_dict`."""
-        return cls(dims=tuple(value["dims"]), inner=_plain(value["inner"]))
-
-
-def _plain(value: Mapping[str, Any]) -> Covariance:
-    from greybox.residual.covariances import covariance_from_dict
-
-    return covariance_from_dict(value)
+        return cls(dims=tuple(value["dims"]), inner=covariance_from_dict(value["inner"]))

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
-from greybox.errors import ModelError
+from greybox.errors import FileFormatError, GreyboxError, ModelError
 from greybox.symbolic import Expr, FloatArray
 
 Pullback = Callable[[Expr], Expr]
@@ -143,3 +143,17 @@ class Stationary(Covariance):
     def variance(self, x: Any, xp: Any) -> Any:
         """k(x, x)."""
         return np.ones((1, x.shape[1])) if xp is np else ca.DM(1.0)
+
+
+KINDS: dict[str, type[Covariance]] = {}
+"""Covariances by their name in files; the package fills it with its members."""
+
+
+def covariance_from_dict(value: Mapping[str, Any]) -> Covariance:
+    """Inverse of `Covariance.to_dict`. Raises `FileFormatError`."""
+    try:
+        return KINDS[value["kind"]].from_dict({k: v for k, v in value.items() if k != "kind"})
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, GreyboxError) and not isinstance(error, ModelError):
+            raise
+        raise FileFormatError(f"not a covariance: {error}") from None
