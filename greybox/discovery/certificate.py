@@ -15,12 +15,11 @@ denominator alone. The e-value of a name is therefore the mean of this one and o
 in which both sides integrate what they share over what D1 taught, as group invariance allows
 (Perez-Ortiz, Lardy, de Heide and Gruenwald 2024, Annals of Statistics 52(4)), and only what R has
 in the place of c is taken at its worst: `regret` is the supremum over D2 against the integral.
-Where the sharper one alone decides the first is not worked out, and counts as nothing: the verdict
-is the same, and on real flights, whose numbers differ a little from flight to flight, the first
-hardly ever decides. Evidence is Laplace's approximation and the invariance that of a linear model,
-so that for a vehicle the bound holds as well as these do, and not in finite samples. The e-value of
-a name is that against its strongest rival. Without D2 flights are halved, and the mean of both ways
-is an e-value, too.
+Where the sharper one decides the first is not worked out, and counts as nothing: where numbers
+differ from flight to flight it hardly ever decides. Evidence is Laplace's approximation and the
+invariance that of a linear model, so that for a vehicle the bound holds as well as these do, and
+not in finite samples. The e-value of a name is that against its strongest rival. Without D2 flights
+are halved, and the mean of both ways is an e-value, too.
 """
 
 from __future__ import annotations

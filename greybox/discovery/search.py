@@ -251,12 +251,11 @@ class Search:
         gained = -np.inf if best is None else self.score(best) - self.score(at)
         if scores is not None:
             tried = [(sorted(f.structure - at.structure), f) for f in fits]
-            gains = [{"added": n, "gain": f.log_evidence - at.log_evidence} for n, f in tried]
             step: dict[str, object] = {
                 "structure": self.named(at.structure),
                 "log_evidence": at.log_evidence,
                 "predicted": {n: scores.gain(n) for n in scores.absent},
-                "tried": gains,
+                "tried": [{"added": n, "gain": f.log_evidence - at.log_evidence} for n, f in tried],
                 "added": [n for names, f in tried if f is best and gained > 0 for n in names],
             }
             self.steps.append(step)
