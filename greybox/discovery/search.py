@@ -182,7 +182,7 @@ class Search:
         while True:
             added = now.structure - self.flights.causes.base
             doubted = [n for n in sorted(added) if self._doubted(now, n)]
-            wanted = [
+            wanted: list[Move] = [
                 (now.structure - {n}, [_without(now, self.flights, n)])
                 for n in doubted
                 if self._new(now, now.structure - {n}, last)
