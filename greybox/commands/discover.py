@@ -128,7 +128,11 @@ def add(subparsers: Any) -> None:
         help="also learn, without a name, what could be closed (extra gp)",
     )
     p.add_argument(
-        "--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate"
+        "--rate",
+        type=float,
+        default=None,
+        metavar="HZ",
+        help="resample the logs to this rate (default: what the response of the craft needs)",
     )
     p.add_argument("--seed", type=int, default=0, help="seed of bootstraps and random halves")
     accept_option(p)
@@ -303,7 +307,9 @@ def run(arguments: argparse.Namespace) -> int:
     )
     search = _Search(out, f"What the model of {vehicle.name} misses", offered, faults)
     if faults.ok:
-        train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
+        train = read_flight_logs(
+            arguments, arguments.train, vehicle, rate=arguments.rate or "needed"
+        )
         test = Dataset(flights=())
         if arguments.test:
             rate = arguments.rate or 1 / sample_time(train)

@@ -98,9 +98,25 @@ def single_lines(rows: Sequence[Row], kind: str) -> list[str]:
         f"right {_count(seen, lambda r: r['judged'] == 'right')}; "
         f"wrong {_count(seen, _false)}{size}"
     ]
+    if missed := [stage(r) for r in seen if not _good(r)]:
+        counts = ", ".join(f"{missed.count(s)} {s}" for s in dict.fromkeys(missed))
+        out.append(f"  what hides and was missed with power: {counts}")
     if unseen:
         out.append(f"  without power: a false name {_count(unseen, _false)}")
     return out
+
+
+def stage(row: Row) -> str:
+    """How far what hides came in a log that is not right: an e-value is there of what the search
+    took up."""
+    hidden = set(row["hidden"])
+    if not hidden - {*row.get("traces", ()), *row.get("names", ())}:
+        return "certain, and worth nothing (a trace)"
+    if row["judged"] in ("refused", "failed"):
+        return str(row["judged"])
+    if not hidden - {n for name in row.get("log10_e", ()) for n in name.split("|")}:
+        return "taken up, its e-value too small"
+    return "not taken up"
 
 
 def several_lines(rows: Sequence[Row]) -> list[str]:

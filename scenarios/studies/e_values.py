@@ -73,6 +73,7 @@ HIDDEN, PART = "rotor_drag", 0.25
 COUNTS = (1, 2, 4, 8)
 """Flights that teach, and as many that judge."""
 CRAFT = ("x250", "nano")
+AIR = {False: "still air", True: "gusts"}
 FALSE = 20.0
 SLOW = "motor_lag"
 """What hides in a log of `depth`: fits next to a lag that is missing take most steps."""
@@ -81,12 +82,17 @@ DEEP = 200
 Row = dict[str, Any]
 
 
+def gusty(seed: int) -> bool:
+    """Whether the flights of a seed are in gusts."""
+    return seed // 2 % 2 == 1
+
+
 def craft(seed: int, hidden: str | None) -> Quadrotor:
-    """The plant of a seed: every other one in gusts, `HIDDEN` in it or nothing."""
+    """The plant of a seed, `HIDDEN` in it or nothing."""
     kind = CRAFT[seed % len(CRAFT)]
     effects = [] if hidden is None else [scaled(effect_of(hidden, FRAMES[kind]), PART)]
     calm = MAKERS[kind](effects)
-    return MAKERS[kind](effects, process=gusts(calm)) if seed // 2 % 2 else calm
+    return MAKERS[kind](effects, process=gusts(calm)) if gusty(seed) else calm
 
 
 def log_e(
@@ -204,13 +210,13 @@ def summary(rows: Sequence[Row]) -> str:
     asked = [r for r in rows if r["what"] != "depth"]
     lost = sum(r["log10_e"] is None for r in asked)
     out.append(f"  no e-value (a fit did not end): {lost} of {len(asked)}")
-    out.append(f"log10 E of {HIDDEN} at {PART:g} of its size")
-    for count, values in grown(rows).items():
-        low, middle, high = np.percentile(values, [25, 50, 75])
-        out.append(
-            f"  {count} flights: {middle:.1f} ({low:.1f} to {high:.1f} in half of {len(values)} "
-            "seeds)"
-        )
+    for gust, air in AIR.items():
+        out.append(f"log10 E of {HIDDEN} at {PART:g} of its size, {air}")
+        for count, values in grown(rows, gust).items():
+            low, middle, high = np.percentile(values, [0, 50, 100])
+            out.append(
+                f"  {count} flights: {middle:.1f} ({low:.1f} to {high:.1f}, {len(values)} seeds)"
+            )
     out.append(depths(rows))
     return "\n".join(out)
 
@@ -227,10 +233,11 @@ def said(row: Row) -> str:
     return f"{about}: log10 E {value}"
 
 
-def grown(rows: Sequence[Row]) -> dict[int, list[float]]:
-    """Number of flights -> log10 e-values of what hides."""
+def grown(rows: Sequence[Row], gust: bool) -> dict[int, list[float]]:
+    """Number of flights -> log10 e-values of what hides, of the seeds in gusts or still air."""
+    mine = [r for r in rows if r["what"] == "power" and gusty(r["seed"]) is gust]
     out: dict[int, list[float]] = {}
-    for r in sorted((r for r in rows if r["what"] == "power"), key=lambda r: r["flights"]):
+    for r in sorted(mine, key=lambda r: r["flights"]):
         if r["log10_e"] is not None:
             out.setdefault(r["flights"], []).append(r["log10_e"])
     return out
@@ -256,20 +263,20 @@ def drawn(rows: Sequence[Row]) -> str:
     left.set(yscale="log", xlim=(-6, 2.5), xlabel="log10 E", ylabel="share of E at least as large")
     left.set_title("nothing is missing", fontsize=9)
     left.legend(fontsize=8)
-    told = grown(rows)
-    for count, values in told.items():
-        right.plot([count] * len(values), values, ".", color="0.6")
-    middle = [float(np.median(v)) for v in told.values()]
-    right.plot(list(told), middle, "o-", color="tab:blue", label="median")
-    if middle:
-        right.plot(
-            list(told),
-            [middle[-1] * n / max(told) for n in told],
-            ":",
-            color="0.2",
-            label="in proportion",
-        )
+    for (gust, air), colour in zip(AIR.items(), ("tab:blue", "tab:orange"), strict=True):
+        told = grown(rows, gust)
+        if not told:
+            continue
+        for count, values in told.items():
+            right.plot([count] * len(values), values, ".", color=colour, alpha=0.4)
+        counts = np.array(list(told))
+        middle = np.array([float(np.median(v)) for v in told.values()])
+        right.plot(counts, middle, "o-", color=colour, label=f"median, {air}")
+        right.plot(counts, middle[-1] * counts / counts[-1], ":", color=colour)
     right.axhline(math.log10(FALSE), color="tab:red", linewidth=0.8, label=f"E = {FALSE:g}")
+    right.set_yscale("symlog", linthresh=1.0)
+    right.set_xscale("log", base=2)
+    right.set_xticks(COUNTS, [str(n) for n in COUNTS])
     right.set(xlabel="flights that teach, and that judge", ylabel="log10 E")
     right.set_title(f"{HIDDEN} at {PART:g} of its size", fontsize=9)
     right.legend(fontsize=8)

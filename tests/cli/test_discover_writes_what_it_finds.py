@@ -3,6 +3,7 @@ interrupted, refuses bad input."""
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
 import json
@@ -19,10 +20,14 @@ import greybox.discovery.cause
 import greybox.discovery.workflow
 from greybox.cli import main
 from greybox.commands.discover import set_aside
+from greybox.commands.flight_logs import read_flight_logs
+from greybox.estimation.record import sample_time
+from greybox.examples import flight_path, vehicle_path
 from greybox.excitation.injection import rich_excitation
 from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.effects_file import load_effects
 from greybox.model.identified import IdentifiedModel
+from greybox.model.vehicle import read_vehicle
 from greybox.plants.effects import RotationalDamping
 from greybox.plants.flight_log import fly, member, write_log
 from greybox.plants.presets import controller_for, x250
@@ -301,3 +306,18 @@ def test_nothing_to_start_from_is_one_line_and_exit_code_2(
     err = capsys.readouterr().err.strip()
     assert "\n" not in err and needle in err
     assert sorted(p.name for p in files.iterdir()) == before
+
+
+def test_fast_logs_are_searched_at_the_rate_that_the_response_needs(
+    capsys: pytest.CaptureFixture[str],
+):
+    """A real log of 1 kHz, whose craft answers within what 100 Hz show; a rate that is asked for
+    is kept."""
+    arguments = argparse.Namespace(mapping=None, keep_impossible=False)
+    vehicle = read_vehicle(vehicle_path("arpl_crazyflie"))
+    log = [str(flight_path("arpl_crazyflie", "log16"))]
+    found = read_flight_logs(arguments, log, vehicle, rate="needed")
+    assert sample_time(found) == pytest.approx(0.01)
+    assert "taken at 100 Hz" in capsys.readouterr().err
+    assert sample_time(read_flight_logs(arguments, log, vehicle, rate=500.0)) == pytest.approx(2e-3)
+    assert not capsys.readouterr().err

@@ -37,7 +37,14 @@ def test_one_large_e_value_is_counted_by_name_and_by_seed():
 
 def test_a_fit_that_did_not_end_is_said_and_is_no_evidence():
     assert "did not end): 1 of 2" in summary([row(1, None), row(2, 0.0)])
-    assert grown([row(1, None, what="power"), row(2, 3.0, what="power", flights=2)]) == {2: [3.0]}
+    rows = [row(1, None, what="power"), row(2, 3.0, what="power", flights=2)]
+    assert grown(rows, gust=True) == {2: [3.0]}
+
+
+def test_evidence_in_gusts_and_in_still_air_is_told_apart():
+    rows = [row(s, float(s), what="power") for s in (1, 2, 3, 4)]
+    assert grown(rows, gust=True) == {1: [2.0, 3.0]}
+    assert grown(rows, gust=False) == {1: [1.0, 4.0]}
 
 
 def test_depths_of_optima_are_those_of_every_later_step_of_fits_that_ended():

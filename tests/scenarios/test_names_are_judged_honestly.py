@@ -236,6 +236,11 @@ def test_shares_come_with_exact_intervals_and_logs_without_power_apart():
     said = summary(single)
     assert "with power 2 of 3" in said and "wrong 1 of 3" in said and "size of a set 2" in said
     assert "a hidden, said b" in said
+    assert "missed with power: 1 not taken up" in said
+    missed = row(asked="single", hidden=["a"], power=True, judged="silent")
+    trace, small = missed | {"traces": ["a"]}, missed | {"log10_e": {"a|b": 1.0}}
+    said = summary([trace, small, small])
+    assert "1 certain, and worth nothing (a trace), 2 taken up, its e-value too small" in said
 
 
 def test_recall_counts_only_what_can_be_seen():
