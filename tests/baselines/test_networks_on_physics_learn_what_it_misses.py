@@ -17,7 +17,7 @@ from tests import simulated
 from tests.residual.hybrid_cases import craft, craft_model
 
 pytest.importorskip("torch")
-from greybox.baselines import residual_network as rn  # noqa: E402
+from greybox.baselines import residual_network as rn
 
 SETTINGS = rn.ResidualSettings(window=1, ahead=10, epochs=15, learning_rate=3e-3)
 
@@ -90,4 +90,4 @@ def test_flights_without_velocity_are_one_line(physics, data):
     (segment,) = data.select(("run2",)).segments
     poor = Flight(name="run2", segments=(segment.without(("vx", "vy", "vz")),))
     with pytest.raises(DataError, match="learns from velocity and rates"):
-        rn.known(physics.base, Dataset(flights=(poor,), noncausal=frozenset()))
+        rn.known(physics.base, Dataset(flights=(poor,)))
