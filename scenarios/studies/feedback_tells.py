@@ -1,7 +1,7 @@
 """Do errors on recorded flights tell which model is right? Commands of a flight with feedback answer
 the gusts, and so tell of them.
 
-    python -m scenarios.studies.feedback_tells [--seed 1]
+    python -m scenarios.studies.feedback_tells [--seed 1] [--network]
 
 A simulated nano quadrotor in gusts (torque and force that last, Gauss-Markov) flies between
 waypoints under a cascade of feedback. Predictors of the second after an instant, given the commands
@@ -10,7 +10,8 @@ of that second:
     zero          rates of zero, the attitude of the start
     the craft     the simulator itself, from its true state, gusts of the instant fading: the best
                   that physics can do
-    TCN           the temporal convolution of `greybox compare`, trained on eight such flights
+    TCN           with --network: the temporal convolution of `greybox compare`, trained on eight such
+                  flights of 30 s (two minutes)
 
 Judged twice from the same instants: on what was flown ("as flown"), and on what the same commands do
 to the same craft in other gusts that come after the instant ("other gusts"). Only the second is
@@ -31,7 +32,7 @@ from greybox.baselines.kinematics import (
     black_box_view,
     motion,
 )
-from greybox.baselines.tcn import TCNSettings, train_tcn
+from greybox.baselines.tcn import TCNModel, TCNSettings, train_tcn
 from greybox.data import Segment, dataset_from_arrays
 from greybox.excitation.waypoints import RandomWaypoints
 from greybox.plants import effects as plant_effects
@@ -43,11 +44,12 @@ from greybox.symbolic import FloatArray
 from greybox.validation.groups import error_norms
 
 DT, STEPS, SHOWN = 0.01, 100, (0.1, 0.2, 0.5, 1.0)
-FLIGHTS, HELD_BACK, JUDGED, SECONDS = 8, 2, 8, 30.0
+FLIGHTS, HELD_BACK, LEARNED, JUDGED, SECONDS = 8, 2, 30.0, 8, 20.0
 TURNING, PUSHING, LASTING = 6.0, 0.3, 0.2
 """Gusts: standard deviations of angular [rad/s^2] and linear acceleration [m/s^2], seconds."""
 FIRST, SPACING = 3.0, 1.0
 """First instant of a flight and time between instants [s]."""
+OUTPUTS = (*IMU, *BODY_VELOCITY, *GRAVITY_DIRECTION)
 RATES, ATTITUDE = ("p", "q", "r"), ("qw", "qx", "qy", "qz")
 
 
@@ -109,27 +111,29 @@ class Branches:
         self.count += 1
 
 
-def study(seed: int) -> str:
-    """The table."""
+def trained(seed: int) -> TCNModel:
+    """The network."""
     plant = craft()
-    controller, reference = controller_for(plant), RandomWaypoints()
     seeds = [1000 * seed + i for i in range(FLIGHTS + HELD_BACK)]
-    log = fly(plant, controller, reference, None, SECONDS, DT, seeds)
+    log = fly(plant, controller_for(plant), RandomWaypoints(), None, LEARNED, DT, seeds)
     views = [view(member(log, i), f"run{i}") for i in range(len(seeds))]
-    outputs = (*IMU, *BODY_VELOCITY, *GRAVITY_DIRECTION)
-    network = train_tcn(
+    return train_tcn(
         views[:FLIGHTS],
         views[FLIGHTS:],
-        outputs=outputs,
+        outputs=OUTPUTS,
         inputs=("u1", "u2", "u3", "u4", "vbat"),
         settings=TCNSettings(batch=256, epochs=60, patience=10, unroll=25),
         seed=seed,
     )
+
+
+def study(seed: int, network: TCNModel | None) -> str:
+    """The table."""
     judged = Branches(craft(), seed)
     flown = fly(
         judged,  # type: ignore[arg-type]
-        controller,
-        reference,
+        controller_for(judged.plant),
+        RandomWaypoints(),
         None,
         SECONDS,
         DT,
@@ -140,9 +144,6 @@ def study(seed: int) -> str:
     origins = np.array(sorted(judged.at))
     later = origins[:, None] + 1 + np.arange(STEPS)
     for i in range(JUDGED):
-        one = view(member(flown, i), f"judged{i}")
-        mean, variance = network.free_run(one, origins, STEPS)
-        told, _ = motion(one, origins, outputs, mean, variance, gravity=9.81)
         truth = np.stack([flown[f"true.{n}"][:, i] for n in (*RATES, *ATTITUDE)], axis=-1)
         branch = {
             label: np.stack(
@@ -152,11 +153,12 @@ def study(seed: int) -> str:
         }
         still = np.zeros((len(origins), STEPS, 7))
         still[..., 3:] = truth[origins][:, None, 3:]
-        predictors = {
-            "zero": still,
-            "the craft": branch["the craft"],
-            "TCN": np.concatenate([told["rate"], told["rotation"]], axis=-1),
-        }
+        predictors = {"zero": still, "the craft": branch["the craft"]}
+        if network is not None:
+            one = view(member(flown, i), f"judged{i}")
+            mean, variance = network.free_run(one, origins, STEPS)
+            told, _ = motion(one, origins, OUTPUTS, mean, variance, gravity=9.81)
+            predictors["TCN"] = np.concatenate([told["rate"], told["rotation"]], axis=-1)
         for where, reached in (("as flown", truth[later]), ("other gusts", branch["other gusts"])):
             for label, p in predictors.items():
                 for g, part in (("rate", slice(0, 3)), ("rotation", slice(3, 7))):
@@ -177,7 +179,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seed", type=int, default=1)
-    print(study(parser.parse_args(arguments).seed))
+    parser.add_argument("--network", action="store_true", help="also train the convolution")
+    options = parser.parse_args(arguments)
+    print(study(options.seed, trained(options.seed) if options.network else None))
 
 
 if __name__ == "__main__":
