@@ -54,7 +54,7 @@ RATES, ATTITUDE = ("p", "q", "r"), ("qw", "qx", "qy", "qz")
 
 
 def craft() -> Quadrotor:
-    """Lag, delay, drag, damping and a moment of the velocity, in gusts."""
+    """Lag, delay, drag and damping, in gusts."""
     step = (2.0 / LASTING) ** 0.5
     return nano(
         [
@@ -64,7 +64,7 @@ def craft() -> Quadrotor:
             plant_effects.RotationalDamping(d_p=6e-5, d_q=6e-5, d_r=6e-5),
         ],
         process=ProcessNoise(
-            drift_torque=tuple(step * TURNING * float(i) for i in NANO.inertia[:3]),  # type: ignore[arg-type]
+            drift_torque=tuple(step * TURNING * float(i) for i in NANO.inertia[:3]),
             drift_force=step * PUSHING * float(NANO.mass),
             drift_time=LASTING,
         ),
