@@ -19,6 +19,7 @@ from greybox.model.dynamics import Dynamics
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
 from greybox.validation.advice import Hint, hints_of_checks, hints_of_fit, hints_of_sanity
+from greybox.validation.calibration import calibrated
 from greybox.validation.sanity import sanity_of
 from greybox.validation.usefulness import LEFT_OUT
 from greybox.validation.validate import validate
@@ -78,6 +79,7 @@ def _automatic(
     facts = facts_of(prepared.data, vehicle, prepared.report)
     decided = decide(vehicle, prepared.data, facts, Given(choices=choices), say=say)
     found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
+    found = calibrated(found, prepared.data)
     recipe = found.provenance.recipe
     assert recipe is not None
     hints: tuple[Hint, ...] = (

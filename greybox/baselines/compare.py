@@ -12,6 +12,7 @@
 | GP alone | NARX | `budget` candidates |
 | LSTM | as in Ghoul et al. 2026 | `budget` candidates |
 | TCN | decoupled, with history and multi-step loss, as in Rao et al. 2024 | `budget` candidates |
+| physics + MLP, physics + LSTM | the nonlinear model without disturbance states, and a network | `budget` candidates |
 
 On request also linear SISO, linear MIMO and nonlinear PEM, each with other learners
 (`compare_methods.pairs`).

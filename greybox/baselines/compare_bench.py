@@ -28,7 +28,6 @@ from greybox.data import Dataset, Segment
 from greybox.data.channel import channel
 from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
-from greybox.estimation.fit import Fit
 from greybox.estimation.record import hold_missing
 from greybox.linear.fit import LinearFit, fit_linear
 from greybox.linear.records import Record, split_at_missing
@@ -101,7 +100,7 @@ class Bench:
     vehicle: Vehicle
     train: Dataset
     test: Dataset
-    fit: Callable[[], Fit]
+    fit: Callable[[], IdentifiedModel]
     adapt: float | None = None
     budget: int = 4
     seed: int = 0
@@ -150,16 +149,20 @@ class Bench:
     def split(self) -> tuple[tuple[Segment, ...], tuple[Segment, ...]]:
         """(segments to train candidates on, segments to judge them on): about a quarter of the
         flights, or of the time."""
-        if len(self.train) == 1:
-            own, judge = self.train.split_by_time(0.75)
-        else:
-            count = max(1, round(0.25 * len(self.train)))
-            chosen = np.random.default_rng(self.seed).permutation(len(self.train))[:count]
-            own, judge = self.train.split_by_flight([self.train.names[i] for i in sorted(chosen)])
+        own, judge = self.parts
         return (
             tuple(s.without(self.train.noncausal) for s in own.segments),
             tuple(s.without(self.train.noncausal) for s in judge.segments),
         )
+
+    @cached_property
+    def parts(self) -> tuple[Dataset, Dataset]:
+        """What `split` is made of, with the channels that were smoothed with later samples."""
+        if len(self.train) == 1:
+            return self.train.split_by_time(0.75)
+        count = max(1, round(0.25 * len(self.train)))
+        chosen = np.random.default_rng(self.seed).permutation(len(self.train))[:count]
+        return self.train.split_by_flight([self.train.names[i] for i in sorted(chosen)])
 
     # --------------------------------------------------------------------------------- shared fits
 
@@ -240,8 +243,7 @@ class Bench:
     def physics(self) -> tuple[IdentifiedModel, float]:
         """The fitted nonlinear model and the seconds that it took."""
         began = time.perf_counter()
-        found = self.fit()
-        return found.model, time.perf_counter() - began
+        return self.fit(), time.perf_counter() - began
 
     # ------------------------------------------------------------------------------------ outcomes
 
@@ -331,7 +333,7 @@ class Bench:
         """Everything of a model of motion: its filter one step ahead, `validate` further on."""
         base = BasePredictor(model=model, outputs=self.outputs, adapt=self.adapt)
         mean, variance, microseconds = self.channels_of(base, self.segments)
-        level = self._level(base)
+        level = self.level(base)
         checked = validate(
             model,
             self.test,
@@ -352,7 +354,7 @@ class Bench:
             **more,
         )
 
-    def _level(self, base: BasePredictor) -> FloatArray:
+    def level(self, base: BasePredictor) -> FloatArray:
         """Mean squared error over stated variance (n_c,) on the training flights."""
         ratios = []
         for s in self.train_segments:

@@ -2,8 +2,8 @@
 the order of the run.
 
 What has choices is tuned with `Bench.budget` candidates on training flights that are held back for
-it (`Bench.split`), then fitted to all of them (LSTM and TCN stop early by these flights and keep
-their weights).
+it (`Bench.split`), then fitted to all of them (networks stop early by these flights and keep their
+weights).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.baselines.base_predictor import BasePredictor
 from greybox.baselines.compare_bench import Bench, Outcome
@@ -272,6 +273,54 @@ def _tcn(bench: Bench) -> Outcome:
     return _network(bench, "TCN", SPACE, trained)
 
 
+def _on_physics(bench: Bench, *, label: str, space: str) -> Outcome:
+    """The fitted model without its disturbance states, with a network for what one step misses."""
+    from greybox.baselines import residual_network as rn
+
+    model, seconds = bench.physics
+    began = time.perf_counter()
+    base = BasePredictor(model=model, outputs=bench.outputs, adapt=bench.adapt)
+    physics = rn.PhysicsAlone(base)
+    own, judge = (rn.known(base, part) for part in bench.parts)
+    tried: list[dict[str, Any]] = []
+    best: Any = None
+    for number, point in enumerate(candidates(bench, getattr(rn, space), "ahead")):
+        found = rn.train_residual(
+            physics,
+            own,
+            judge,
+            settings=rn.ResidualSettings(**_schedule(bench.split[0]), **point),
+            seed=bench.seed + number,
+            progress=lambda text: bench.say(f"{label}: {text}"),
+        )
+        ended = {k: found.report[k] for k in ("epochs", "ended")}
+        tried.append({**point, "validation": found.error, **ended})
+        bench.say(f"{label}: candidate {number + 1} of {bench.budget}: {tried[-1]}")
+        if best is None or found.error < best.error:
+            best = found
+    seconds += time.perf_counter() - began
+    stated = rn.spread(rn.free_run_errors(best, judge, bench.steps))
+    runs = [base.run(s) for s in bench.segments]
+
+    def ahead(i: int, origins: npt.NDArray[np.int64]) -> Any:
+        told = best.rolled(runs[i], origins, bench.steps)
+        return told, {
+            g: np.broadcast_to(c, (len(origins), *c.shape)) for g, c in stated.items() if g in told
+        }
+
+    mean, variance, microseconds = bench.channels_of(base, bench.segments)
+    return Outcome(
+        mean=mean,
+        variance=[bench.level(base) * v for v in variance],
+        table=bench.rolled(label, ahead),
+        parameters=base.parameters + best.parameters,
+        seconds=seconds,
+        microseconds=microseconds,
+        search=tried,
+        settings=min(tried, key=lambda t: t["validation"]),
+    )
+
+
 def _schedule(segments: Sequence[Segment]) -> dict[str, Any]:
     """Long logs get larger batches and fewer epochs, which are then as many steps."""
     few = sum(s.n for s in segments) < 5000
@@ -334,6 +383,8 @@ METHODS: Mapping[str, Callable[[Bench], Outcome]] = {
     "GP alone": _gp,
     "LSTM": _lstm,
     "TCN": _tcn,
+    "physics + MLP": partial(_on_physics, label="physics + MLP", space="MLP_SPACE"),
+    "physics + LSTM": partial(_on_physics, label="physics + LSTM", space="LSTM_SPACE"),
 }
 
 

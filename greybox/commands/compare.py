@@ -5,13 +5,17 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.judgement import adapt_option, demand_adapt, horizon_options
 from greybox.commands.model_options import model_options, names
+
+if TYPE_CHECKING:
+    from greybox.data import Dataset
+    from greybox.model.identified import IdentifiedModel
 
 
 def add(subparsers: Any) -> None:
@@ -21,7 +25,8 @@ def add(subparsers: Any) -> None:
         help="compare linear, nonlinear, black-box and hybrid models on the same flights",
         description="Train every method on the same flights and judge them on the same samples of "
         "others: linear and "
-        "nonlinear PEM, their hybrids with a Gaussian process, a GP alone, an LSTM, a TCN. Options "
+        "nonlinear PEM, their hybrids with a Gaussian process, a GP alone, an LSTM, a TCN, networks on "
+        "physics. Options "
         "of `greybox fit` "
         "say how the nonlinear model is built. Writes compare.json after every method, and "
         "report.html. Exit code 0: "
@@ -71,7 +76,14 @@ def add(subparsers: Any) -> None:
     p.add_argument("--seed", type=int, default=0, help="seed of searches, subsets and networks")
     p.add_argument("--out", default="greybox-compare", metavar="DIR", help="folder for the results")
     json_option(p, "compare.json")
-    model_options(p.add_argument_group("the nonlinear model, as in greybox fit"))
+    nonlinear = p.add_argument_group("the nonlinear model, as in greybox fit")
+    nonlinear.add_argument(
+        "--fitted",
+        metavar="MODEL.json",
+        help="take the model that greybox fit made of the same training flights; no other option "
+        "of this group counts then",
+    )
+    model_options(nonlinear)
     p.set_defaults(run=run)
 
 
@@ -105,11 +117,12 @@ def run(arguments: argparse.Namespace) -> int:
     train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
     test = read_flight_logs(arguments, arguments.test, vehicle, rate=1 / sample_time(train))
     demand_disjoint(train, test)
+    fitted = _fitted(arguments.fitted, train) if arguments.fitted else None
     bench = Bench(
         vehicle=vehicle,
         train=train,
         test=test,
-        fit=lambda: fit_with(arguments, vehicle, train, console.solver),
+        fit=lambda: fitted or fit_with(arguments, vehicle, train, console.solver).model,
         adapt=arguments.adapt,
         budget=arguments.budget,
         seed=arguments.seed,
@@ -138,3 +151,20 @@ def run(arguments: argparse.Namespace) -> int:
         if m["status"] != "done":
             print(f"greybox compare: {m['method']}: {m['error']}", file=sys.stderr)
     return 1 if failed else 0
+
+
+def _fitted(path: str, train: Dataset) -> IdentifiedModel:
+    """The model of a file. Raises `GreyboxError` where it was fitted to other flights."""
+    from greybox.errors import GreyboxError
+    from greybox.residual.files import load_model
+
+    model = load_model(path)
+    if not set(model.trained_on) <= set(train.names):
+        raise GreyboxError(
+            "the model was fitted to other flights than --train names",
+            where=path,
+            expected=", ".join(train.names),
+            got=", ".join(model.trained_on),
+            fix="greybox fit --train with these flights, or leave --fitted out",
+        )
+    return model

@@ -93,6 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.estimation.status import Interrupted
     from greybox.files import withdraw, write_json
     from greybox.model.vehicle import read_vehicle
+    from greybox.validation.calibration import calibrated
 
     _check(arguments)
     if arguments.model_file is not None:
@@ -136,6 +137,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise
     # The fit is safe before anything else can go wrong.
     withdraw(out, *RESULTS)
+    save(result)
+    result = calibrated(result, prepared.data)
     content = save(result)
     arguments.kept = (
         f"the fit is in {out}, not judged: greybox validate {out / 'model.json'} "

@@ -96,7 +96,7 @@ def compare(
         vehicle=vehicle,
         train=train,
         test=test,
-        fit=fit or (lambda: automatic(vehicle, train)),
+        fit=lambda: (fit() if fit else automatic(vehicle, train)).model,
         adapt=adapt,
         budget=budget,
         seed=seed,

@@ -104,6 +104,10 @@ class Disturbance:
         self.force: Vector = ZERO
         self.torque: Vector = ZERO
 
+    def calm(self) -> None:
+        """Nothing new from the next sample on; what lasts fades."""
+        self._white, self._drift_steps = [0.0] * 6, [0.0] * 6
+
     def advance(self, row: list[Number]) -> None:
         """Set force [N] and torque [N m] from one row of standard normals."""
         white = self._white

@@ -9,6 +9,7 @@ after the jump, which is what a log row (measurement at t_k, u_k) holds.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -159,6 +160,17 @@ class Quadrotor:
                 max(self._pose_delay, self._imu_delay),
                 self._reading(self.time, *self._speeds_now()),
             )
+
+    def branch(self, seed: int | Sequence[int] | None) -> Quadrotor:
+        """A copy that goes on from here with other noise: draws of `seed` (one per member), or none
+        at all (lasting force and torque then fade)."""
+        other = copy.deepcopy(self)
+        if seed is None:
+            other._disturbance.calm()
+            other.sensors = SensorNoise()
+        else:
+            other._draws = Draws(seed)
+        return other
 
     def _spread(self, value: Number) -> Number:
         if self._batch is None:

@@ -32,6 +32,7 @@ from greybox.data import Dataset
 from greybox.errors import DataError, FitError
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.propagation import Propagator, run_together
+from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import learned_push_of
 from greybox.symbolic import FloatArray
@@ -39,6 +40,8 @@ from greybox.validation.new_flight import GRID, new_flight_factor
 from greybox.validation.predictive import gaussian_nlpd
 
 HORIZONS = (5, 10, 20, 35, 50)
+AHEAD = (0.05, 0.1, 0.2, 0.35, 0.5)
+"""Seconds ahead at which a fit is calibrated."""
 LIMITS = (0.1, 10.0)
 LEVEL = 0.95
 """The region that has to hold on a new flight."""
@@ -134,6 +137,18 @@ def calibrate_horizons(
         learned=float(factors[-1]) if work.split_learned else 1.0,
         new_flight=wider,
     )
+
+
+def calibrated(found: Fit, data: Dataset) -> Fit:
+    """The fit with `horizon_noise`, calibrated on the flights `data` that it was fitted to; as it
+    was where none of them is long enough. Its mean predictions stay as they are."""
+    dt = found.model.sample_time
+    horizons = sorted({max(1, round(h / dt)) for h in AHEAD})
+    try:
+        model = calibrate_horizons(found.model, data, horizons=horizons).model
+    except (DataError, FitError):
+        return found
+    return replace(found, estimates=replace(found.estimates, model=model))
 
 
 class _Parts:
