@@ -95,11 +95,12 @@ def _square(matrix: FloatArray, extra: int) -> FloatArray:
 
 
 def parameter_covariance(model: Any) -> tuple[tuple[str, ...], FloatArray]:
-    """(names, covariance) of the shared parameters of a fit; empty for a model without."""
+    """(names, covariance) of the shared parameters of a fit and of those that were held although
+    they are not exact: the ratio of thrust to a mass that was held is known better than either.
+    Empty for a model without."""
     if not isinstance(model, IdentifiedModel):
         return (), np.zeros((0, 0))
     declared = {d.name for d in model.dynamics.parameters}
-    at = [i for i, n in enumerate(model.covariance_names) if n in declared]
-    return tuple(model.covariance_names[i] for i in at), np.nan_to_num(
-        model.covariance[np.ix_(at, at)]
-    )
+    names, joint = model.joint_covariance
+    at = [i for i, n in enumerate(names) if n in declared]
+    return tuple(names[i] for i in at), np.nan_to_num(joint[np.ix_(at, at)])
