@@ -27,7 +27,8 @@ class Noise:
 
     gain K (n_d, n_e), innovation covariance S (n_e, n_e), cross N (n_d, n_e) with K = N S^-1,
     covariance P (n_d, n_d) of the predicted state, process Q (n_d, n_d) per step of an open-loop
-    prediction, sensor (n_e,) standard deviations.
+    prediction, sensor (n_e,) standard deviations. unfiltered (n_d, n_d): the part of Q that the
+    filter does not allow for, where errors ahead are larger than one step ahead says.
     """
 
     gain: FloatArray
@@ -36,6 +37,7 @@ class Noise:
     covariance: FloatArray
     process: FloatArray
     sensor: FloatArray
+    unfiltered: FloatArray
 
 
 def levels_at(model: IdentifiedModel, levels: FloatArray, dt: float) -> FloatArray:
@@ -70,6 +72,7 @@ def identified_noise(
         covariance=_square(found.P, extra),
         process=_square((g * ahead**2) @ g.T, extra),
         sensor=np.asarray(model.sensor_noise, dtype=float),
+        unfiltered=_square((g * np.maximum(ahead**2 - noise**2, 0.0)) @ g.T, extra),
     )
 
 
@@ -83,6 +86,7 @@ def innovation_noise(k: FloatArray, covariance: FloatArray, extra: int) -> Noise
         covariance=np.zeros((len(k) + extra,) * 2),
         process=_square(k @ covariance @ k.T, extra),
         sensor=np.sqrt(np.diag(covariance)),
+        unfiltered=np.zeros((len(k) + extra,) * 2),
     )
 
 
