@@ -34,15 +34,14 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import casadi as ca  # noqa: E402 (after the thread counts)
 import numpy as np  # noqa: E402
 
-from greybox.frames import rotation_matrix  # noqa: E402
 from greybox.residual.files import load_model, save_model  # noqa: E402
-from mpc_export.acados import first_order, session  # noqa: E402
+from mpc_export.acados import session  # noqa: E402
 from mpc_export.do_mpc import do_mpc  # noqa: E402
 from mpc_export.mission import JUDGING_SEEDS, OBSTACLE_COURSE  # noqa: E402
 from mpc_export.mission.craft import vehicle  # noqa: E402
 from mpc_export.mission.flight import controller, mission, tightened  # noqa: E402
-from mpc_export.tube.solver import TubeSolver  # noqa: E402
-from mpc_export.tube.stages import block  # noqa: E402
+from mpc_export.tube.on_acados import acados_solver  # noqa: E402
+from mpc_export.tube.problem_expressions import Problem  # noqa: E402
 
 RESULTS = Path(__file__).resolve().parent / "results"
 TOLERANCE, KAPPA, DEADLINE = 1e-6, 1.5, 0.01
@@ -150,65 +149,6 @@ def common(met: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 # ------------------------------------------------------------------------------------ the problem
-
-
-class Problem:
-    """Cost, limits and steps as plain expressions, for solvers that bring their own derivatives."""
-
-    def __init__(self, solver: TubeSolver) -> None:
-        self.solver, self.model, self.task = solver, solver.model, solver.problem
-        m, w, n = self.model, self.task.weights, solver.sizes
-        self.n, self.nx, self.nu, self.npl, self.nl = (
-            n["N"],
-            n["NX"],
-            n["NU"],
-            n["NPL"],
-            n["NPL"] + 1,
-        )
-        x, u, before = ca.MX.sym("x", self.nx), ca.MX.sym("u", self.nu), ca.MX.sym("v", self.nu)
-        ref, goal, planes = (
-            ca.MX.sym("ref", 7 + self.nu),
-            ca.MX.sym("g", self.nx),
-            ca.MX.sym("pl", 4 * self.npl),
-        )
-        turn, place = rotation_matrix(x[block(m, "attitude")]), x[block(m, "position")]
-        heading = ca.cos(ref[6]) * turn[1, 0] - ca.sin(ref[6]) * turn[0, 0]
-        r = ca.vertcat(
-            w.position * (place - ref[:3]),
-            w.velocity * (x[block(m, "velocity")] - ref[3:6]),
-            w.yaw * heading,
-            w.rate * x[block(m, "rate")],
-            w.command * (u - ref[7:]),
-            w.change * (u - before),
-        )
-        keep = list(solver.stages.keep)
-        root = np.linalg.cholesky(solver.stages.terminal + 1e-12 * np.eye(len(keep)))
-        end = ca.DM(root.T) @ m["boxminus"](x, goal)[keep]
-        rows = [
-            ca.dot(planes[4 * j : 4 * j + 3], place) - planes[4 * j + 3] for j in range(self.npl)
-        ]
-        values = ca.vertcat(*rows, np.cos(self.task.tilt_max) - turn[2, 2])
-        self.residual = ca.Function("r", [x, u, before, ref], [r])
-        self.end = ca.Function("end", [x, goal], [end])
-        self.limits = ca.Function("limits", [x, planes], [values])
-        self.hover = solver.stages.steady[1]
-        self._check()
-
-    def _check(self) -> None:
-        """Same numbers as the controller's own stage functions."""
-        rng, f = np.random.default_rng(0), self.solver.stages.functions
-        x = self.model["boxplus"](
-            self.solver.stages.steady[0], 0.1 * rng.standard_normal(self.solver.sizes["ND"])
-        )
-        u, v, ref = rng.random(self.nu), rng.random(self.nu), rng.random(7 + self.nu)
-        planes, goal = rng.random((4, self.npl)), self.solver.stages.steady[0]
-        pairs = [
-            (0.5 * ca.sumsqr(self.residual(x, u, v, ref)), f["tube_cost"](x, u, v, ref)[0]),
-            (0.5 * ca.sumsqr(self.end(x, goal)), f["tube_end"](x, goal)[0]),
-            (self.limits(x, planes.ravel(order="F")), f["tube_limits"](x, planes)[0]),
-        ]
-        for mine, theirs in pairs:
-            np.testing.assert_allclose(np.asarray(mine), np.asarray(theirs), rtol=1e-9, atol=1e-12)
 
 
 Answer = dict[str, Any]
@@ -429,60 +369,9 @@ def with_do_mpc(problem: Problem) -> Callable[[dict[str, np.ndarray]], Answer]:
 def with_acados(
     problem: Problem, home: Path, work: Path, kind: str
 ) -> Callable[[dict[str, np.ndarray]], Answer]:
-    """acados with Gauss-Newton and HPIPM; kind "SQP" or "SQP_RTI". The command before is a
-    state."""
-    from acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver
-
+    """acados with Gauss-Newton and HPIPM; kind "SQP" or "SQP_RTI"."""
     p, task = problem, problem.task
-    ocp, model = AcadosOcp(), AcadosModel()
-    model.name = f"tube_{kind.lower()}_{id(problem)}"
-    x, u = ca.MX.sym("x", p.nx + p.nu), ca.MX.sym("u", p.nu)
-    given = ca.MX.sym("p", 7 + p.nu + 4 * p.npl + p.nx)
-    ref, planes, goal = ca.vertsplit(given, [0, 7 + p.nu, 7 + p.nu + 4 * p.npl, given.numel()])
-    model.x, model.u, model.p = x, u, given
-    model.disc_dyn_expr = ca.vertcat(
-        first_order(p.model)(x[: p.nx], u, p.model.parameter_values), u
-    )
-    model.cost_y_expr, model.cost_y_expr_e = (
-        p.residual(x[: p.nx], u, x[p.nx :], ref),
-        p.end(x[: p.nx], goal),
-    )
-    model.con_h_expr = p.limits(x[: p.nx], planes)
-    ocp.model = model
-    ocp.acados_include_path, ocp.acados_lib_path = str(home / "include"), str(home / "lib")
-    ocp.code_export_directory = str(work / model.name)
-    ocp.dims.N = p.n
-    ocp.cost.cost_type = ocp.cost.cost_type_e = "NONLINEAR_LS"
-    ny, ne = model.cost_y_expr.numel(), model.cost_y_expr_e.numel()
-    ocp.cost.W, ocp.cost.W_e = (
-        np.eye(ny) / task.dt,
-        np.eye(ne),
-    )  # all but the last stage are integrals to acados
-    ocp.cost.yref, ocp.cost.yref_e = np.zeros(ny), np.zeros(ne)
-    c = ocp.constraints
-    c.x0 = np.zeros(p.nx + p.nu)
-    c.idxbu, c.lbu, c.ubu = (
-        np.arange(p.nu),
-        np.full(p.nu, task.command_min),
-        np.full(p.nu, task.command_max),
-    )
-    c.C, c.D = np.hstack([np.zeros((p.nu, p.nx)), -np.eye(p.nu)]), np.eye(p.nu)
-    c.lg, c.ug = np.full(p.nu, -task.rate_max), np.full(p.nu, task.rate_max)
-    c.lh, c.uh, c.idxsh = np.full(p.nl, -100.0), np.zeros(p.nl), np.arange(p.nl)
-    ocp.cost.zl = ocp.cost.zu = np.full(p.nl, task.penalty / task.dt)
-    ocp.cost.Zl = ocp.cost.Zu = np.full(p.nl, task.penalty_square / task.dt)
-    ocp.parameter_values = np.zeros(given.numel())
-    options = ocp.solver_options
-    options.tf, options.integrator_type, options.hessian_approx = (
-        p.n * task.dt,
-        "DISCRETE",
-        "GAUSS_NEWTON",
-    )
-    options.nlp_solver_type, options.nlp_solver_max_iter = kind, 100
-    options.qp_solver, options.qp_solver_iter_max = "PARTIAL_CONDENSING_HPIPM", 200
-    options.tol, options.qp_tol = TOLERANCE, 1e-8
-    options.ext_fun_compile_flags = "-O3 -march=native"
-    solver = AcadosOcpSolver(ocp, json_file=str(work / f"{model.name}.json"), verbose=False)
+    solver = acados_solver(problem, home, work, kind, tolerance=TOLERANCE)
 
     def solve(found: dict[str, np.ndarray]) -> Answer:
         start = np.concatenate([found["x0"], found["u_before"]])

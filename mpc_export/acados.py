@@ -186,6 +186,8 @@ def robust_solve(
     gain: npt.ArrayLike,
     rounds: int = 20,
     tolerance: float = 1e-6,
+    off: npt.ArrayLike | None = None,
+    slopes: Any = None,
 ) -> tuple[int, npt.NDArray[np.float64]]:
     """Zero-order robust optimisation with an `AcadosOcpSolver`: (status, back-offs (N + 1, m)).
 
@@ -198,20 +200,17 @@ def robust_solve(
     fixed while it solves (Feng, Di Cairano and Quirynen 2020;
     Zanelli, Frey, Messerer and Diehl 2021). What is added at a stage is what the model says there,
     learned part included: acados' own template knows one W for all stages, and raw coordinates, in
-    which a quaternion has none. The bundle needs the group "covariance". Raises `ValueError`
-    without it, and for fewer rounds than one.
+    which a quaternion has none. Where one problem follows another, as in flight, `off` are the
+    back-offs to begin with (those before) and `slopes` is `limit_slopes(model, limits)`; two rounds
+    of an SQP_RTI solver are then a real-time iteration. The bundle needs the group "covariance".
+    Raises `ValueError` without it, and for fewer rounds than one.
     """
     step, p = model["covariance_feedback"], model.parameter_values
-    x, d = ca.MX.sym("x", len(model.states)), ca.MX.sym("d", len(model.error_states))
-    slope = ca.Function(
-        "slope",
-        [x],
-        [ca.substitute(ca.jacobian(limits(model["boxplus"](x, d)), d), d, ca.DM.zeros(d.shape))],
-    )
+    slope = limit_slopes(model, limits) if slopes is None else slopes
     steps, most = int(solver.N), np.atleast_1d(np.asarray(upper, dtype=float))
     if rounds < 1:
         raise ValueError(f"rounds must be at least 1, not {rounds}")
-    off = np.zeros((steps + 1, most.size))
+    off = np.zeros((steps + 1, most.size)) if off is None else np.array(off, dtype=float)
     for _ in range(rounds):
         for k in range(1, steps + 1):
             solver.constraints_set(k, "uh", most - off[k])
@@ -226,6 +225,13 @@ def robust_solve(
         if np.abs(off - before).max() <= tolerance:
             return 0, before
     return MAX_ITERATIONS, before
+
+
+def limit_slopes(model: Exported, limits: Any) -> Any:
+    """x -> slopes (m, n_d) of `limits`, a function of x (n_x,), in the error of the state."""
+    x, d = ca.MX.sym("x", len(model.states)), ca.MX.sym("d", len(model.error_states))
+    moved = ca.jacobian(limits(model["boxplus"](x, d)), d)
+    return ca.Function("slope", [x], [ca.substitute(moved, d, ca.DM.zeros(d.shape))])
 
 
 def explicit_difference(model: Exported, points: int = 50, seed: int = 0) -> dict[str, float]:

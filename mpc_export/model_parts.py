@@ -99,7 +99,8 @@ class ModelParts:
                 expected=f"dt = {self.own_dt:g} s",
                 got=f"{self.dt:g} s",
             )
-        return at_sample_time(dynamics, self.dt)
+        assert not isinstance(self.model, PredictorModel)
+        return at_sample_time(self.model, dynamics, self.dt)
 
     @property
     def _as_identified(self) -> bool:

@@ -27,7 +27,8 @@ class Noise:
 
     gain K (n_d, n_e), innovation covariance S (n_e, n_e), cross N (n_d, n_e) with K = N S^-1,
     covariance P (n_d, n_d) of the predicted state, process Q (n_d, n_d) per step of an open-loop
-    prediction, sensor (n_e,) standard deviations.
+    prediction, sensor (n_e,) standard deviations. unfiltered (n_d, n_d): the part of Q that the
+    filter does not allow for, where errors ahead are larger than one step ahead says.
     """
 
     gain: FloatArray
@@ -36,6 +37,7 @@ class Noise:
     covariance: FloatArray
     process: FloatArray
     sensor: FloatArray
+    unfiltered: FloatArray
 
 
 def levels_at(model: IdentifiedModel, levels: FloatArray, dt: float) -> FloatArray:
@@ -70,6 +72,7 @@ def identified_noise(
         covariance=_square(found.P, extra),
         process=_square((g * ahead**2) @ g.T, extra),
         sensor=np.asarray(model.sensor_noise, dtype=float),
+        unfiltered=_square((g * np.maximum(ahead**2 - noise**2, 0.0)) @ g.T, extra),
     )
 
 
@@ -83,6 +86,7 @@ def innovation_noise(k: FloatArray, covariance: FloatArray, extra: int) -> Noise
         covariance=np.zeros((len(k) + extra,) * 2),
         process=_square(k @ covariance @ k.T, extra),
         sensor=np.sqrt(np.diag(covariance)),
+        unfiltered=np.zeros((len(k) + extra,) * 2),
     )
 
 
@@ -95,11 +99,12 @@ def _square(matrix: FloatArray, extra: int) -> FloatArray:
 
 
 def parameter_covariance(model: Any) -> tuple[tuple[str, ...], FloatArray]:
-    """(names, covariance) of the shared parameters of a fit; empty for a model without."""
+    """(names, covariance) of the shared parameters of a fit and of those that were held although
+    they are not exact: the ratio of thrust to a mass that was held is known better than either.
+    Empty for a model without."""
     if not isinstance(model, IdentifiedModel):
         return (), np.zeros((0, 0))
     declared = {d.name for d in model.dynamics.parameters}
-    at = [i for i, n in enumerate(model.covariance_names) if n in declared]
-    return tuple(model.covariance_names[i] for i in at), np.nan_to_num(
-        model.covariance[np.ix_(at, at)]
-    )
+    names, joint = model.joint_covariance
+    at = [i for i, n in enumerate(names) if n in declared]
+    return tuple(names[i] for i in at), np.nan_to_num(joint[np.ix_(at, at)])

@@ -11,6 +11,7 @@ enters through the process-noise channels w. All expressions are SX.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,11 +23,15 @@ import numpy.typing as npt
 from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.engine import chart_jacobians
 from greybox.model.dynamics import Dynamics, StateSpaceModel
+from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import innermost, physics_of, with_physics
 from greybox.model.linear import LinearModel
+from greybox.model.model import PhysicsModel
 from greybox.residual.features import features
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
 
+MINUTES = 0.01
+"""Rate [1/s] below which nothing decays in a flight."""
 EXOGENOUS = ("vbat",)
 """Inputs of a multirotor that nobody commands."""
 
@@ -37,12 +42,35 @@ def is_discrete(dynamics: Dynamics) -> bool:
     return isinstance(core, LinearModel) or (isinstance(core, StateSpaceModel) and core.discrete)
 
 
-def at_sample_time(dynamics: Dynamics, dt: float) -> Dynamics:
+def at_sample_time(model: IdentifiedModel | LinearModel, dynamics: Dynamics, dt: float) -> Dynamics:
     """The same model for another sample time: its command window holds as many samples as its delay
-    then needs."""
-    if physics_of(dynamics) is None:
+    then needs. What decays goes on decaying: a sample takes the fewest Runge-Kutta steps that are
+    stable about the model's reference, at most as many as samples it was identified at."""
+    physics = physics_of(dynamics)
+    if physics is None or not isinstance(model, IdentifiedModel):
         return dynamics
-    return with_physics(dynamics, lambda physics: replace(physics, sample_time=dt))
+    modes, most = _decaying(physics, model), max(1, math.ceil(dt / model.sample_time - 1e-9))
+    stable = (n for n in range(1, most) if (np.abs(_runge_kutta(modes * dt / n)) < 1.0).all())
+    parts = next(stable, most)
+    return with_physics(dynamics, lambda physics: replace(physics, sample_time=dt, parts=parts))
+
+
+def _decaying(physics: PhysicsModel, model: IdentifiedModel) -> npt.NDArray[np.complex128]:
+    """Eigenvalues [1/s] of the rigid body about the model's reference that decay within minutes;
+    rotors are stepped exactly."""
+    body = [i for i, n in enumerate(physics.states.names) if not n.startswith("rotor.")]
+    x, u = ca.SX.sym("x", len(physics.states)), model.reference_inputs[: len(physics.inputs)]
+    p = ca.DM([model.values[d.name] for d in physics.parameters])
+    slope = ca.Function("slope", [x], [ca.jacobian(physics.f(0, x, ca.DM(u), p), x)])
+    found = np.linalg.eigvals(
+        slope(model.reference_state[: len(physics.states)]).full()[np.ix_(body, body)]
+    )
+    return np.asarray(found[found.real < -MINUTES])
+
+
+def _runge_kutta(z: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
+    """What a Runge-Kutta step of 4th order multiplies a mode by, z = eigenvalue times step."""
+    return 1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -62,9 +62,9 @@ class PhysicsModel(Shown):
     `input`: "command" (u1..un) or "speed" (measured rotor speeds omega1..omegan drive the rotors;
     needs speed_max). `kinematic_noise` adds white noise on the attitude kinematics, for logs whose
     attitude and gyro drift against each other in time, so that the one is not the integral of the
-    other. `sample_time` [s] fixes how many earlier commands a step sees (for a delay). States that
-    no sensor can feel, directly or through other states, are left out (an IMU-only log has no
-    position). Raises `ModelError`, `UnknownNameError`.
+    other. `sample_time` [s] fixes how many earlier commands a step sees (for a delay). `parts`:
+    Runge-Kutta steps of a sample. States that no sensor can feel, directly or through other states,
+    are left out (an IMU-only log has no position). Raises `ModelError`, `UnknownNameError`.
     """
 
     vehicle: Vehicle
@@ -73,6 +73,7 @@ class PhysicsModel(Shown):
     input: Literal["command", "speed"] = "command"
     sample_time: float = 0.01
     kinematic_noise: bool = False
+    parts: int = 1
 
     def __post_init__(self) -> None:
         if not self.sensors:
@@ -424,12 +425,30 @@ class PhysicsModel(Shown):
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample: rotors exactly, rigid body by Runge-Kutta 4, unit quaternion."""
         blocks, nu = self._split(x)
-        values, rotors, noise = self._values(p), self._rotors, self._noise(w)
+        values = self._values(p)
         u_a, u, switch = self._commands.held(window, self._clocks.command_age(OWN, values), dt)
-        first, second = rotors.goal(u_a, values), rotors.goal(u, values)
-        start = nu if self._has_lag else first
+        pull = (self._rotors.goal(u_a, values), self._rotors.goal(u, values))
+        held, length = (u, values, self._noise(w)), dt / self.parts
+        for k in range(self.parts):
+            at = switch if self.parts == 1 else ca.fmin(ca.fmax(switch - k * length, 0.0), length)
+            blocks, nu = self._runge_kutta(blocks, nu, pull, at, held, length)
+        return self._join(blocks, nu)
+
+    def _runge_kutta(
+        self,
+        blocks: dict[str, Expr],
+        nu: Expr,
+        pull: tuple[Expr, Expr],
+        switch: Expr,
+        held: tuple[Expr, dict[str, Expr], Expr],
+        dt: Expr,
+    ) -> tuple[dict[str, Expr], Expr]:
+        """Blocks and rotors after dt, where rotors are pulled to the first, from `switch` on to the
+        second speed; command, parameters and noise are `held`."""
+        u, values, noise = held
+        start = nu if self._has_lag else pull[0]
         path, end = rotor_path(
-            start, first, second, switch, dt, lambda gap: rotors.lag_over(gap, values)
+            start, *pull, switch, dt, lambda gap: self._rotors.lag_over(gap, values)
         )
         slope = (end - nu) / dt if self._has_lag else end * 0
 
@@ -445,7 +464,7 @@ class PhysicsModel(Shown):
         k4 = rates(moved(k3, dt), path[2])
         after = {b: blocks[b] + dt / 6 * (k1[b] + 2 * k2[b] + 2 * k3[b] + k4[b]) for b in blocks}
         after["attitude"] = quat_normalize(after["attitude"])
-        return self._join(after, end)
+        return after, end
 
     def output(
         self,

@@ -691,8 +691,15 @@ def _uncertain(model: IdentifiedModel, spread: Mapping[str, float]) -> Identifie
             raise ModelError(
                 f"adapt: {name} needs a standard deviation above zero", got=f"{sigma:g}"
             )
+    # what they are off by is learned with them, and no error of the others any more
+    covariance, names = model.covariance.copy(), model.covariance_names
+    for name in spread:
+        sigma, by = model.considered.get(name, (0.0, {}))
+        moves = np.array([by.get(n, 0.0) for n in names])
+        covariance -= sigma**2 * np.outer(moves, moves)
     return replace(
         model,
+        covariance=covariance,
         flight_spread={
             **model.flight_spread,
             **{n: (model.values[n], s) for n, s in spread.items()},

@@ -37,16 +37,17 @@ def innovations(filter_: ModelFunctions, steps: int, size: int) -> FloatArray:
     """W (size, size): what the filter's innovations move the estimate by over `steps` of its
     samples at hover.
 
-    Innovations L e of covariance L S L' are white, and go on with the model: W = sum_i A_1^i L S L'
-    A_1^i', i < steps.
+    Innovations L e of covariance L S L' are white, and go on with the model: W = sum_i A_1^i (L S L'
+    + U) A_1^i', i < steps. U is the noise that the model knows of several steps ahead and its filter
+    does not (`Noise.unfiltered`): with it, estimate and error move as the state does, A P A' + Q =
+    W + P, whichever Q the model states ahead.
     """
     x, u = filter_.reference
     _, a, _, _ = (v.full() for v in filter_["f_d_jac"](x, u, filter_.parameter_values))
     own = len(filter_.error_states) - (len(filter_.states) - filter_.own_states)
-    a, one = (
-        a[:own, :own],
-        (filter_.noise.gain @ filter_.noise.innovation @ filter_.noise.gain.T)[:own, :own],
-    )
+    noise = filter_.noise
+    one = (noise.gain @ noise.innovation @ noise.gain.T + noise.unfiltered)[:own, :own]
+    a = a[:own, :own]
     total = np.zeros((own, own))
     for _ in range(steps):
         total = a @ total @ a.T + one

@@ -14,12 +14,13 @@ estimate x_hat = x - e_hat, e_hat of covariance P_f (the filter's, stationary), 
 (x_hat - x_plan),
 
     total = P_f + Z + c c' + b Cov(theta) b' + D_k,
-    Z+ = (A + B K) Z (A + B K)' + W,    W = sum A_1^i L S L' A_1^i',     Z = 0 where the plan starts at the estimate,
+    Z+ = (A + B K) Z (A + B K)' + W,    W = sum A_1^i (L S L' + U) A_1^i',     Z = 0 where the plan starts at the estimate,
     c+ = (A + B K) c + B_d sd_g,        b+ = (A + B K) b + df_d/dtheta.
 
 W is what the filter's innovations (covariance S, gain L, transition A_1) move the estimate by in
-the samples of one stage (separation of estimation and control; Anderson and Moore 1979, chapter 5):
-at one sample time for all it is A P_f A' + Q - P_f. D_k is what this linear loop leaves out
+the samples of one stage (separation of estimation and control; Anderson and Moore 1979, chapter 5),
+U the noise that the model states ahead beyond its filter's: at one sample time for all W is
+A P_f A' + Q - P_f. D_k is what this linear loop leaves out
 (second_order.py). Errors of the learned function (standard deviation sd_g) and of the parameters
 theta stay the same over a horizon and are consider states (Schmidt 1966), not noise that is fresh
 at every step. In the worst case the sums are outer ellipsoids with the least trace: E(X) + E(Y)

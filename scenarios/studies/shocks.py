@@ -16,7 +16,8 @@ beyond (half for each). A second or so after T0 the shock comes, and stays:
     % of the voltage, which the speed of all rotors follows; delay: commands 10 ms later; mocap: no
     pose and velocity for 0.5 s; gusts: 2 m/s more
 
-Controllers: `aware` the tube that calibrates and learns the mass; `tube` the same without;
+Controllers: `aware` the tube that calibrates and learns the mass; `tube` the same without; `zoro`
+zero-order robust optimisation on acados (the folder of GREYBOX_ACADOS) behind the same filter;
 `nominal` the same model, not tightened; `pid` the cascade that flew the training flights, which
 knows the true craft before the shock. All but `pid` estimate constant disturbances. Seeds below
 1000 develop, those from 1000 on judge.
@@ -26,9 +27,13 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import thread_time
 from typing import Any
 
 import numpy as np
@@ -37,10 +42,12 @@ from greybox.files import append_json_line, file_sha256, read_json
 from greybox.plants.controller import CascadeController, Setpoint
 from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
+from mpc_export.acados import session
 from mpc_export.feedback import Weights
 from mpc_export.mission.course import SampledPath
 from mpc_export.mission.summary import exact
 from mpc_export.tube.controller import TubeController
+from mpc_export.tube.on_acados import ZeroOrder
 from mpc_export.tube.problem import TubeProblem
 from scenarios.foreign.craft import Craft
 from scenarios.foreign.draw import draw, plant_of
@@ -145,7 +152,10 @@ class Kind:
 
 
 TUBES = {"aware": Kind(calibrate=True, learn=True), "tube": Kind(), "nominal": Kind(kappa=0.0)}
+TUBES["zoro"] = TUBES["tube"]
 CONTROLLERS = (*TUBES, "pid")
+SLOWEST = 5
+"""So many of the longest answers of a flight are kept: its 99.9th percentile is among them."""
 
 
 class Pid:
@@ -174,15 +184,15 @@ class Pid:
         return self.u
 
 
-def pilot_of(name: str, folder: Path, craft: Craft) -> Any:
-    """The controller of a name for a craft of a folder."""
+def pilot_of(name: str, folder: Path, craft: Craft, stay: ExitStack) -> Any:
+    """The controller of a name for a craft of a folder; `stay` closes what acados needs."""
     if name == "pid":
         return Pid(craft)
     kind, model = TUBES[name], load_model(folder / "fit" / "model.json")
     problem = TubeProblem(
         dt=0.02, horizon=20, planes=len(PLANES), tilt_max=0.8, ancillary=Weights(position=64.0)
     )
-    return TubeController(
+    pilot = TubeController(
         model=model,
         problem=problem,
         reference=Corner(),
@@ -192,6 +202,13 @@ def pilot_of(name: str, folder: Path, craft: Craft) -> Any:
         calibrate=kind.calibrate,
         adapt={"mass": MASS * model.values["mass"]} if kind.learn else None,
     )
+    if name == "zoro":
+        home = stay.enter_context(session(os.environ["GREYBOX_ACADOS"]))
+        work = Path(stay.enter_context(tempfile.TemporaryDirectory()))
+        own: Any = ZeroOrder(pilot.solver, PLANES, kind.kappa, home, work)
+        pilot.solver = own
+        pilot.start()
+    return pilot
 
 
 def fly(pilot: Any, plant: ForeignPlant, shock: str, seed: int) -> dict[str, Any]:
@@ -203,20 +220,23 @@ def fly(pilot: Any, plant: ForeignPlant, shock: str, seed: int) -> dict[str, Any
     plant.reset(seed, position=(0.0, -0.05, HEIGHT + 0.05))
     pilot.start()
     u, beyond, away, within, changed = np.array(pilot.u), [], [], [], False
+    spent: list[float] = []
     steps = round(SECONDS / DT)
     goal = path.sample(np.asarray(DT * np.arange(steps), dtype=float))
     for k in range(steps):
-        time = DT * k
+        now = DT * k
         change = SHOCKS[shock]
-        if change is not None and not changed and time >= at:
+        if change is not None and not changed and now >= at:
             plant, changed = plant.goes_on_as(change(craft, rotor)), True
         seen = plant.measure()
-        if shock == "mocap" and at <= time < at + DROPPED:
+        if shock == "mocap" and at <= now < at + DROPPED:
             seen = {n: v for n, v in seen.items() if n not in POSE}
-        after = np.array(pilot.sample(time, seen))
+        began = thread_time()
+        after = np.array(pilot.sample(now, seen))
+        spent.append(1e3 * (thread_time() - began))
         within.append(_within(pilot))
-        now = plant.states()
-        place = np.array([now[n] for n in "xyz"])
+        true = plant.states()
+        place = np.array([true[n] for n in "xyz"])
         beyond.append(float(np.max(PLANES[:, :3] @ place - PLANES[:, 3])))
         away.append(float(np.linalg.norm(place - goal.position[k])))
         # who lands has left the path on purpose; the limits still count
@@ -232,6 +252,8 @@ def fly(pilot: Any, plant: ForeignPlant, shock: str, seed: int) -> dict[str, Any
             "seed": seed,
             "at": at,
             "descended": _lands(pilot),
+            "step_ms": round(float(np.median(spent)), 2),
+            "slowest_ms": np.round(np.sort(spent)[-SLOWEST:], 2).tolist(),
         }
     )
 
@@ -356,23 +378,24 @@ def run(
         (r["craft"], r["model"], r["shock"], r["controller"], r["seed"]) for r in read_rows(out)
     }
     pilots: dict[str, Any] = {}
-    for seed in seeds:
-        for shock in shocks:
-            for name in names:
-                if (drawn.seed, model, shock, name, seed) in there:
-                    continue
-                pilots[name] = pilots.get(name) or pilot_of(name, folder, drawn.craft)
-                row: dict[str, Any] = (
-                    which | {"controller": name} | fly(pilots[name], plant, shock, seed)
-                )
-                append_json_line(out, row)
-                late = np.mean(row["after"][round(BACK / WINDOW) :])
-                print(
-                    f"{shock:8} {name:8} flight {seed}: {100 * row['before']:5.1f} % beyond "
-                    f"before, {100 * late:5.1f} % "
-                    f"later, deepest {row['deepest']:.0f} mm{', lost' if row['lost'] else ''}",
-                    flush=True,
-                )
+    with ExitStack() as stay:
+        for seed in seeds:
+            for shock in shocks:
+                for name in names:
+                    if (drawn.seed, model, shock, name, seed) in there:
+                        continue
+                    pilots[name] = pilots.get(name) or pilot_of(name, folder, drawn.craft, stay)
+                    row: dict[str, Any] = (
+                        which | {"controller": name} | fly(pilots[name], plant, shock, seed)
+                    )
+                    append_json_line(out, row)
+                    late = np.mean(row["after"][round(BACK / WINDOW) :])
+                    print(
+                        f"{shock:8} {name:8} flight {seed}: {100 * row['before']:5.1f} % beyond "
+                        f"before, {100 * late:5.1f} % "
+                        f"later, deepest {row['deepest']:.0f} mm{', lost' if row['lost'] else ''}",
+                        flush=True,
+                    )
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -393,6 +416,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         open_ended(options.out, parser)
         if options.folder is None:
             parser.error("name the folder of a drawn craft, or --summary")
+        if "zoro" in options.controllers and "GREYBOX_ACADOS" not in os.environ:
+            parser.error("zoro needs acados: set GREYBOX_ACADOS to its folder, or leave zoro out")
         for needed in ("truth.json", "fit/model.json"):
             if not (options.folder / needed).is_file():
                 parser.error(

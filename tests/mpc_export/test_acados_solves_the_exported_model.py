@@ -16,6 +16,7 @@ from mpc_export.acados import (
     explicit_difference,
     first_order,
     lay_out,
+    limit_slopes,
     robust_solve,
     session,
 )
@@ -159,6 +160,18 @@ def test_zero_order_robust_plans_keep_a_limit_that_plain_ones_cross(tmp_path, mo
             model["covariance_step"](x, u, model.parameter_values, nothing).full()
             for x, u in zip(xs, us)
         ]
+        given = {"kappa": kappa, "covariance": nothing, "gain": gain}
+        status, _ = robust_solve(
+            solver,
+            model,
+            limits,
+            SPEED,
+            rounds=1,
+            off=off,
+            slopes=limit_slopes(model, limits),
+            **given,
+        )
+        assert status == 0, "from the back-offs that were found, nothing moves"
         robust_solve(solver, model, limits, SPEED, kappa=0.0, covariance=nothing, gain=gain)
         again = [float(limits(solver.get(k, "x"))) for k in range(n + 1)]
     assert max(again) == pytest.approx(SPEED, abs=1e-4), "limits of an earlier call are gone"

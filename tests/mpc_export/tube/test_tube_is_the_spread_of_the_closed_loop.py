@@ -1,6 +1,7 @@
 """The tube's covariance is that of a simulated loop of plant, identified filter and ancillary
 gain."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -175,11 +176,14 @@ def test_a_stiffer_ancillary_gain_makes_the_tube_narrower_and_the_plan_stays(sol
     np.testing.assert_array_equal(stiff.terminal, solver.stages.terminal)
 
 
-def test_innovations_of_a_quicker_filter_add_up_to_what_it_does_not_know(solver):
+@pytest.mark.parametrize("ahead", [1.0, 3.0])
+def test_innovations_of_a_quicker_filter_add_up_to_what_it_does_not_know(ahead):
     # estimate and its error together move as the state does: A P A' + Q = W + P, at the filter's
-    # own sample time
-    filter_ = model_functions(cases.disturbed(), with_=("filter",))
-    noise = solver.model.noise
+    # own sample time; also where errors ahead are larger than the filter's noise says
+    model = cases.disturbed()
+    model = replace(model, horizon_noise=ahead * model.process_noise)
+    filter_ = model_functions(model, with_=("filter",))
+    noise = filter_.noise
     x, u = filter_.reference
     _, a, _, _ = (v.full() for v in filter_["f_d_jac"](x, u, filter_.parameter_values))
     once, twice = (innovations(filter_, steps, len(a)) for steps in (1, 2))
