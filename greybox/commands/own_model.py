@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from greybox.data import Dataset
     from greybox.model.dynamics import Dynamics
     from greybox.model.identified import IdentifiedModel
+    from greybox.model.vehicle import Vehicle
 
 
 def model_file_option(p: Any, *, read: bool = True) -> None:
@@ -54,7 +55,7 @@ def loaded(arguments: argparse.Namespace) -> IdentifiedModel:
 
 def read_flights_of(
     arguments: argparse.Namespace,
-    dynamics: Dynamics,
+    dynamics: Dynamics | Vehicle,
     paths: Sequence[str],
     *,
     rate: float | None = None,
@@ -65,9 +66,12 @@ def read_flights_of(
     from greybox.commands.flight_logs import read_flight_logs
     from greybox.data import Dataset
     from greybox.model.layer import physics_of
+    from greybox.model.vehicle import Vehicle
 
     if not paths:
         return Dataset(flights=())
+    if isinstance(dynamics, Vehicle):
+        return read_flight_logs(arguments, paths, dynamics, rate=rate, trim=trim)
     physics = physics_of(dynamics)
     if physics is not None:
         return read_flight_logs(arguments, paths, physics.vehicle, rate=rate, trim=trim)
