@@ -22,7 +22,6 @@ from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import physics_of
 from greybox.model.model import PhysicsModel, build_model
 from greybox.model.noise import Augmented, Disturbance, Gust, SensorPart
 from greybox.model.parameter import Parameter
@@ -276,13 +275,16 @@ class Known:
 
 
 def since(model: IdentifiedModel) -> Known:
-    """An identified model as what is known before new flights: its numbers with their errors, those
-    that differ from flight to flight with that spread."""
+    """An identified model of a vehicle as what is known before new flights."""
+    return Known(effects=tuple(model.physics.effects), prior=known_numbers(model))
+
+
+def known_numbers(model: IdentifiedModel) -> dict[str, tuple[float, float]]:
+    """Parameter -> its number with its error; of those that differ from flight to flight with that
+    spread."""
     errors = dict(zip(model.covariance_names, np.sqrt(np.diag(model.covariance)), strict=True))
     prior = {n: (float(model.values[n]), float(s)) for n, s in errors.items() if s > 0}
-    prior |= {n: (float(m), float(s)) for n, (m, s) in model.flight_spread.items()}
-    physics = physics_of(model.dynamics)
-    return Known(effects=() if physics is None else tuple(physics.effects), prior=prior)
+    return prior | {n: (float(m), float(s)) for n, (m, s) in model.flight_spread.items()}
 
 
 def _unstated(vehicle: Vehicle, offered: Iterable[Effect]) -> set[str]:

@@ -18,7 +18,7 @@ from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.data.lead import without_lead_in
 from greybox.discovery.alike import separating
-from greybox.discovery.cause import Causes, offer, since
+from greybox.discovery.cause import Causes, known_numbers, offer, since
 from greybox.discovery.certificate import certificates, certificates_beside, splits
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.left import Left, left_over
@@ -130,9 +130,9 @@ def _settings(options: DiscoverOptions) -> dict[str, Any]:
 def _offered(
     subject: Vehicle | StateSpaceModel, train: Dataset, options: DiscoverOptions
 ) -> Causes:
-    known = None if options.since is None else since(options.since)
     causes: Causes
     if isinstance(subject, Vehicle):
+        known = None if options.since is None else since(options.since)
         causes = offer(
             subject,
             train.channels,
@@ -155,7 +155,7 @@ def _offered(
             subject,
             fixed=options.fixed,
             per_flight=options.per_flight,
-            known=None if known is None else known.prior,
+            known=None if options.since is None else known_numbers(options.since),
         )
     declared = [d.name for d in causes.model.parameters]
     if wrong := {*options.per_flight, *options.fixed} - set(declared):
