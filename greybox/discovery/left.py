@@ -193,11 +193,15 @@ def _refitted(law: Axis, name: str, values: Mapping[str, float]) -> Axis:
 
 def _white(settled: Fit, flights: Flights) -> IdentifiedModel:
     """The model of a fit without states of force, torque and sensors, noise levels fitted anew: a
-    filter with disturbance states takes most of a slow law for noise."""
+    filter with disturbance states takes most of a slow law for noise. Of a model of the user's own
+    its numbers, too: it is small, and next to a disturbance they only say what is fast."""
     dynamics = without_parts(settled.model.dynamics)
     there = {d.name for d in dynamics.parameters}
     values = {n: float(v) for n, v in settled.model.values.items() if n in there}
     own = [n for n in settled.model.flight_spread if n in there]
+    free = own
+    if physics_of(dynamics) is None:
+        free = [n for n in settled.parameters if n in there]
     return fit(
-        dynamics, flights.data, free=own, values=values, per_flight=own, initialisation="noise"
+        dynamics, flights.data, free=free, values=values, per_flight=own, initialisation="noise"
     ).model

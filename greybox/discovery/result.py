@@ -286,11 +286,11 @@ def _closing(rows: Sequence[GapRow]) -> list[str]:
         more = (
             ""
             if r.with_proposals is None
-            else f"; with the laws: {closed_in_words(r.with_proposals)}"
+            else f"; with the laws: {closed_in_words(r.with_proposals, floor=not own)}"
         )
         out.append(
             f"  {r.group} {r.horizon_s:g} s ahead: {r.before:.4g} -> {r.after:.4g} {r.unit} "
-            f"(of the gap closed: {closed_in_words(r.closed)}{more})"
+            f"(of the gap closed: {closed_in_words(r.closed, floor=not own)}{more})"
         )
     return out
 

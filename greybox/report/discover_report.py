@@ -3,6 +3,7 @@ tells the story, a function per section, in the order in which they are read."""
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -360,6 +361,7 @@ def _closing(
 
 def _gap_table(report: Report, rows: Sequence[Mapping[str, Any]]) -> None:
     body: list[list[Cell]] = []
+    words = functools.partial(closed_in_words, floor=any(r["floor"] is not None for r in rows))
     more = {
         "with_proposals": "closed with the proposed laws",
         "attainable": "closed by a learned part alone",
@@ -379,9 +381,9 @@ def _gap_table(report: Report, rows: Sequence[Mapping[str, Any]]) -> None:
                 after,
                 floor,
                 unit,
-                None if r["closed"] is None else closed_in_words(r["closed"]),
+                None if r["closed"] is None else words(r["closed"]),
                 interval,
-                *(None if r.get(k) is None else closed_in_words(r[k]) for k in more),
+                *(None if r.get(k) is None else words(r[k]) for k in more),
             ]
         )
     heads = [

@@ -83,10 +83,11 @@ class GapRow:
         }
 
 
-def closed_in_words(share: float) -> str:
-    """How much of the gap was closed. All of it, or more, is being at the floor: what lies below
-    the floor is the noise of the sensors that the floor was made with."""
-    return "all of it: at the floor" if share >= 0.995 else f"{100 * share:.0f} %"
+def closed_in_words(share: float, *, floor: bool = True) -> str:
+    """How much of the gap was closed. All of it, or more, is being at the floor, where there is
+    one: what lies below the floor is the noise of the sensors that the floor was made with."""
+    whole = "all of it: at the floor" if floor else "all of it"
+    return whole if share >= 0.995 else f"{100 * share:.0f} %"
 
 
 def outgrown(rows: Iterable[GapRow]) -> list[str]:
