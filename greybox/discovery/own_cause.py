@@ -12,6 +12,7 @@ from typing import Self
 
 from greybox.discovery.cause import Cause, Causes
 from greybox.discovery.rules import RULES
+from greybox.errors import ModelError
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.noise import Augmented, Disturbance
 from greybox.model.own_effect import (
@@ -64,9 +65,7 @@ class OwnCauses(Causes):
         for number, law in enumerate(laws, 1):
             declared, terms = own_law(own_law_text(law, number, taken))
             name = effect_name(law.channel, taken)
-            out.append(
-                LawCause(**vars(_cause(name, declared)), declared=declared, terms=terms)  # type: ignore[arg-type]
-            )
+            out.append(LawCause(**vars(_cause(name, declared)), declared=declared, terms=terms))
         return out
 
     def law_file(self, law: Law, number: int, taken: Collection[str]) -> str:
@@ -86,7 +85,16 @@ def offer_own(
     per_flight: Iterable[str] = (),
     known: dict[str, tuple[float, float]] | None = None,
 ) -> OwnCauses:
-    """The effects of a model of the user's own; none of one whose numbers are `known`."""
+    """The effects of a model of the user's own; none of one whose numbers are `known`.
+
+    Raises `ModelError` for one without process noise.
+    """
+    if not len(model.noises):
+        raise ModelError(
+            "the model has no process noise that something missing could enter by",
+            where=model.name,
+            fix="noise_states: the states whose equations are in doubt",
+        )
     declared = {} if known else declared_effects(model)
     offered = {n: _cause(n, ps) for n, ps in declared.items()}
     every = {p for c in offered.values() for p in c.parameters}

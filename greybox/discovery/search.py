@@ -8,7 +8,7 @@ is taken is the evidence.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -48,8 +48,6 @@ class Search:
     rivals: dict[str, list[Rival]] = field(default_factory=dict)
     scores: Scores | None = None
     tried: set[tuple[Structure, Structure]] = field(default_factory=set)
-    waiting: set[tuple[Structure, Structure]] = field(default_factory=set)
-    """What was (added, dropped) and lost: asked again where nothing else gains."""
 
     @property
     def price(self) -> float:
@@ -78,7 +76,7 @@ class Search:
             if better is not None:
                 better = self._leaner(better) or better
             else:
-                better = self._leaner(at, last=True) or self._swap(at)
+                better = self._leaner(at) or self._swap(at)
             if better is None:
                 return at
             at = better
@@ -95,21 +93,16 @@ class Search:
         silent = unfelt(scores, self.flights) if self._holds_something(at) else []
         bare = not set(self.named(at.structure)) - self.flights.causes.base
         pairs = [p for p in silent if bare and len(p.causes) > 1]
-        room = len(self.named(at.structure)) < self.most
-        unscored = [typical(self.flights, n) for n in scores.unscored if room]
-        fits = self._tried(at, scores, unscored, pairs)
-        for last in (unscored, silent):
-            if not any(self.score(f) > self.score(at) for f in fits):
-                fits += self._fits(at, self._moves(at, last), fits)
+        fits = self._tried(at, scores, pairs)
+        if not any(self.score(f) > self.score(at) for f in fits):
+            fits += self.flights.contest(self._moves(at, silent), _likeliest(at, fits))
         return self._best(at, fits, scores)
 
     def _holds_something(self, at: Fitted) -> bool:
         """Whether the unnamed force or torque clearly holds something."""
         return any(needed for _, needed in axis_gains(at, self.price).values())
 
-    def _tried(
-        self, at: Fitted, scores: Scores, unscored: list[Proposal], pairs: list[Proposal]
-    ) -> list[Fitted]:
+    def _tried(self, at: Fitted, scores: Scores, pairs: list[Proposal]) -> list[Fitted]:
         """Fits of what promises most: all that still gain next to each other, single causes and
         pairs, colour of the sensors, until what one gained is more than the next promises; and of
         `pairs` that nothing can be said of, before colour, whose fits take longest."""
@@ -119,15 +112,16 @@ class Search:
             together = self._together(scores)
             promising = [p for p in proposals(scores, self.price) if self._net(p) > 0]
             chosen += ([together] if together else []) + promising[: self.flights.effort.tried]
-            fits += self._fits(at, self._moves(at, unscored, last=False))
+            unscored = self._moves(at, [typical(self.flights, n) for n in scores.unscored])
+            fits += self.flights.contest(unscored, at)
         for p in sorted(chosen, key=self._net, reverse=True):
             if not p.start:
-                fits += self._fits(at, self._moves(at, pairs), fits)
+                fits += self.flights.contest(self._moves(at, pairs), _likeliest(at, fits))
             gained = max((self.score(f) - self.score(at) for f in fits), default=0.0)
             if gained > 0 and gained >= self._net(p):
                 break
-            fits += self._fits(at, self._moves(at, [p]), fits)
-        return fits + self._fits(at, self._moves(at, pairs), fits)
+            fits += self.flights.contest(self._moves(at, [p]), _likeliest(at, fits))
+        return fits + self.flights.contest(self._moves(at, pairs), _likeliest(at, fits))
 
     def _net(self, p: Proposal) -> float:
         """What a proposal promises, less the price of its causes."""
@@ -153,15 +147,18 @@ class Search:
             gained = more[best]
         return scores.proposal(*names) if len(names) > 1 else None
 
-    def _moves(self, at: Fitted, chosen: Iterable[Proposal], last: bool = True) -> list[Move]:
-        wanted = [(at.structure | set(p.causes), p) for p in chosen]
-        return [(s, self._starts(at, p)) for s, p in wanted if self._new(at, s, last)]
+    def _moves(self, at: Fitted, chosen: Iterable[Proposal]) -> list[Move]:
+        moves: list[Move] = []
+        for p in chosen:
+            structure = at.structure | set(p.causes)
+            if self._new(at, structure):
+                moves.append((structure, self._starts(at, p)))
+        return moves
 
-    def _new(self, at: Fitted, structure: Structure, last: bool) -> bool:
-        """Whether a move was not tried yet; one that waits is new at the `last`."""
+    def _new(self, at: Fitted, structure: Structure) -> bool:
+        """Whether a move was not tried yet."""
         move = (at.structure, structure)
-        waits = _change(at, structure) in self.waiting and not last
-        if structure == at.structure or move in self.tried or waits:
+        if structure == at.structure or move in self.tried:
             return False
         self.tried.add(move)
         return True
@@ -170,13 +167,17 @@ class Search:
         if not p.start:
             return [at.known]
         null = self.flights.causes.prior_of
-        zero = {k: v if (own := null(k[0])) is None else own[0] for k, v in p.start.items()}
-        return [
-            {**at.known, **{k: zero[k] + share * (v - zero[k]) for k, v in p.start.items()}}
-            for share in self.flights.effort.shares
-        ]
+        out: list[Mapping[Key, float]] = []
+        for share in self.flights.effort.shares:
+            moved = {}
+            for (name, flight), value in p.start.items():
+                own = null(name)
+                zero = value if own is None else own[0]
+                moved[name, flight] = zero + share * (value - zero)
+            out.append({**at.known, **moved})
+        return out
 
-    def _leaner(self, at: Fitted, last: bool = False) -> Fitted | None:
+    def _leaner(self, at: Fitted) -> Fitted | None:
         """The structure without causes that are not worth their price; None where all are."""
         found, now = None, at
         while True:
@@ -185,12 +186,12 @@ class Search:
             wanted = [
                 (now.structure - {n}, [_without(now, self.flights, n)])
                 for n in doubted
-                if self._new(now, now.structure - {n}, last)
+                if self._new(now, now.structure - {n})
             ]
             white = frozenset(n for n in now.structure if n in self.flights.causes.effects)
-            if self._new(now, white, last):  # colour that was physics goes with it
+            if self._new(now, white):  # colour that was physics goes with it
                 wanted.append((white, [now.known]))
-            better = self._best(now, self._fits(now, wanted))
+            better = self._best(now, self.flights.contest(wanted, now))
             if better is None:
                 return found
             found = now = better
@@ -232,17 +233,6 @@ class Search:
 
     # ---------------------------------------------------------------- fits
 
-    def _fits(self, at: Fitted, moves: list[Move], others: Sequence[Fitted] = ()) -> list[Fitted]:
-        """Fits of moves from `at`, held against the likeliest of `others`. What adds and gains
-        nothing, and what drops and falls far behind, waits from then on: it rarely gains while
-        something else does, and the search still ends only where no move gains."""
-        fits = self.flights.contest(moves, _likeliest(at, others))
-        for f in fits:
-            move = _change(at, f.structure)
-            lost = self.score(f) <= self.score(at) - (self.flights.effort.behind if move[1] else 0)
-            (self.waiting.add if lost else self.waiting.discard)(move)
-        return fits
-
     def _best(
         self, at: Fitted, found: Iterable[Fitted], scores: Scores | None = None
     ) -> Fitted | None:
@@ -250,22 +240,25 @@ class Search:
         best = max(fits, key=self.score, default=None)
         gained = -np.inf if best is None else self.score(best) - self.score(at)
         if scores is not None:
-            tried = [(sorted(f.structure - at.structure), f) for f in fits]
-            gains = [{"added": n, "gain": f.log_evidence - at.log_evidence} for n, f in tried]
-            step: dict[str, object] = {
-                "structure": self.named(at.structure),
-                "log_evidence": at.log_evidence,
-                "predicted": {n: scores.gain(n) for n in scores.absent},
-                "tried": gains,
-                "added": [n for names, f in tried if f is best and gained > 0 for n in names],
-            }
-            self.steps.append(step)
+            predicted = {n: scores.gain(n) for n in scores.absent}
+            self.steps.append(
+                {
+                    "structure": self.named(at.structure),
+                    "log_evidence": at.log_evidence,
+                    "predicted": predicted,
+                    "tried": [
+                        {
+                            "added": sorted(f.structure - at.structure),
+                            "gain": f.log_evidence - at.log_evidence,
+                        }
+                        for f in fits
+                    ],
+                    "added": []
+                    if best is None or gained <= 0
+                    else sorted(best.structure - at.structure),
+                }
+            )
         return best if gained > 0 else None
-
-
-def _change(at: Fitted, structure: Structure) -> tuple[Structure, Structure]:
-    """What is (added, dropped) from a fit to a structure."""
-    return structure - at.structure, at.structure - structure
 
 
 def _likeliest(at: Fitted, fits: Iterable[Fitted]) -> Fitted:
@@ -281,10 +274,13 @@ def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
         return 0.0 if rows else np.inf
     h = at.value.hessian + 1e-12 * np.diag(np.diag(at.value.hessian))
     free = ~at.held
-    place = np.ix_(free, free)
-    unit = np.sqrt(np.outer(np.diag(h), np.diag(h)))[place]
+    scale = 1 / np.sqrt(np.diag(h))
     inverse = np.zeros_like(h)
-    inverse[place] = np.linalg.pinv(h[place] / unit, hermitian=True) / unit
+    place = np.flatnonzero(free)
+    unit = h[np.ix_(place, place)] * np.outer(scale[place], scale[place])
+    inverse[np.ix_(place, place)] = np.linalg.pinv(unit, hermitian=True) * np.outer(
+        scale[place], scale[place]
+    )
     live = [i for i in rows if free[i]]
     if not live:
         return np.inf

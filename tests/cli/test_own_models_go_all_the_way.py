@@ -169,7 +169,7 @@ def controlled(own: Own, f_d: Any, steps: int = 20, samples: int = 60) -> float:
     opti.subject_to(
         opti.bounded(ca.repmat(ca.DM(low), 1, steps), u, ca.repmat(ca.DM(high), 1, steps))
     )
-    quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
+    quiet: Any = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
     opti.solver("ipopt", quiet)
     opti.set_initial(u, ca.repmat(ca.DM((low + high) / 2), 1, steps))
     x = np.array(own.start)
@@ -177,8 +177,9 @@ def controlled(own: Own, f_d: Any, steps: int = 20, samples: int = 60) -> float:
         opti.set_value(x0, [*x, *np.zeros(f_d.size1_in(0) - len(x))])
         solved = opti.solve()
         opti.set_initial(u, solved.value(u))
+        first = np.asarray(solved.value(u), float).reshape(len(low), steps)[:, 0]
         for _ in range(20):
-            x = x + own.dt / 20 * own.truth(x, np.atleast_2d(solved.value(u).T).T[..., 0].ravel())
+            x = x + own.dt / 20 * own.truth(x, first)
     return float(x[0])
 
 

@@ -132,15 +132,20 @@ def test_a_model_that_lacks_nothing_is_said_to() -> None:
     assert found.minimum_detectable["fan"]["fan"] > 0
 
 
+@pytest.mark.slow
 def test_a_model_that_was_identified_offers_laws_alone() -> None:
     """Its numbers are known with their errors: none of them is a candidate any more."""
     test = records()[1]
     known = searched(candidates(DRY, WIDTH)).model
-    again = discover(known.core, test, since=known)  # type: ignore[arg-type]
+    assert isinstance(known.core, StateSpaceModel)
+    again = discover(known.core, test, since=known)
     assert again.verdict == "nothing_missing" and not again.names
 
 
-def test_effects_of_the_catalogues_kind_are_refused_in_one_line() -> None:
+def test_what_own_models_do_not_have_is_refused_in_one_line() -> None:
     with pytest.raises(ModelError, match="a parameter with a null") as caught:
         discover(candidates(), *records(), kinematic_noise=True)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ModelError, match=r"no process noise .* noise_states") as caught:
+        discover(replace(candidates(), noise_states=()), *records())
     assert "\n" not in str(caught.value)
