@@ -240,10 +240,10 @@ def add(timer: Timer, function: Any, library: Any, size: Any, values: dict[str, 
 
 def table(rows: dict[str, dict[str, float | None]]) -> str:
     """The rows as text."""
-    lines = [f"{'us a call':24s}" + "".join(f"{c:>16s}" for c in COLUMNS)]
+    lines = [f"{'us a call':28s}" + "".join(f"{c:>16s}" for c in COLUMNS)]
     for name, found in rows.items():
         cells = ("-" if v is None else f"{v:.2f}" for v in found.values())
-        lines.append(f"{name:24s}" + "".join(f"{c:>16s}" for c in cells))
+        lines.append(f"{name:28s}" + "".join(f"{c:>16s}" for c in cells))
     return "\n".join(lines)
 
 
