@@ -302,7 +302,7 @@ def _write_parts(
     for file, text in licences("c" in targets or "fmu" in targets).items():
         write_atomic(part / "LICENSES" / file, text)
     if "c" in targets:
-        kernels = _kernels(functions)
+        kernels = kernels_of(functions)
         source = write_c(
             list(functions.functions.values()), part / "c", prefix=name, real=real, kernels=kernels
         )
@@ -319,7 +319,7 @@ def _write_parts(
     return entry
 
 
-def _kernels(functions: ModelFunctions) -> tuple[Any, ...]:
+def kernels_of(functions: ModelFunctions) -> tuple[Any, ...]:
     """Kernels of our own for the functions of the learned part."""
     if not isinstance(functions.posterior, GPPosterior):
         return ()

@@ -1,5 +1,5 @@
-"""`greybox discover`: from a vehicle file and flights to discovery.json, model.json, laws of what
-is left, report.html."""
+"""`greybox discover`: from a vehicle file, or a model of the user's own, and flights to
+discovery.json, model.json, laws of what is left, report.html."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from greybox.data.checks import CheckReport
     from greybox.discovery.result import Discovery
-    from greybox.model.effect import Effect
+    from greybox.model.dynamics import StateSpaceModel
     from greybox.model.identified import IdentifiedModel
+    from greybox.model.vehicle import Vehicle
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console, json_option
@@ -22,6 +23,7 @@ from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.judgement import accept_option, accepted, adapt_option, demand_adapt
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.model_options import names
+from greybox.commands.own_model import model_file_option, read_flights_of
 
 
 def set_aside(path: Path) -> Path:
@@ -45,7 +47,7 @@ def add(subparsers: Any) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "discover",
-        help="find, name and add the effects that a vehicle file misses",
+        help="find, name and add the effects that a vehicle file, or a model of your own, misses",
         description="Find where simulation and flights disagree, name what is missing with an "
         "e-value from flights that did "
         "not propose it, add it and show how far the gap closed. Writes discovery.json, model.json "
@@ -56,6 +58,7 @@ def add(subparsers: Any) -> None:
         "then).",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file (not needed with --from)")
+    model_file_option(p, read=False)
     p.add_argument(
         "--from",
         dest="since",
@@ -211,18 +214,17 @@ class _Search:
     def lines(self, found: Discovery) -> list[str]:
         """The result for people, and what was written."""
         from greybox.discovery.result import WITH_LAWS
+        from greybox.model.layer import physics_of
 
         lines, laws = [found.summary()], list(found.proposals())
         written = ["discovery.json", *(["model.json"] if found.fit is not None else []), *laws]
         if found.lawful is not None:
             written.append(WITH_LAWS)
-            files = shlex.join(
-                [*self.content["effects_files"], *(str(self._out / name) for name in laws)]
-            )
+            own = physics_of(found.lawful.dynamics) is None
+            files = [*self.content["effects_files"], *(str(self._out / name) for name in laws)]
+            more = "" if own else f" --effects-file {shlex.join(files)}"
             model = shlex.quote(str(self._out / WITH_LAWS))
-            lines.append(
-                f"what laws leave: greybox learn {model} --effects-file {files} --train ..."
-            )
+            lines.append(f"what laws leave: greybox learn {model}{more} --train ...")
         return [*lines, f"wrote {', '.join(written)} and report.html in {self._out}"]
 
 
@@ -256,39 +258,54 @@ def _check(arguments: argparse.Namespace, out: Path) -> None:
                 f"{path}: a search that writes to {out} may write over it",
                 fix="another --out, or rename the file",
             )
-    if (arguments.vehicle is None) == (arguments.since is None):
+    given = [arguments.vehicle, arguments.model_file, arguments.since]
+    if sum(g is not None for g in given) != 1:
         raise GreyboxError(
-            "discover takes a vehicle file or --from", fix="--vehicle V.toml, or --from model.json"
+            "discover takes one of --vehicle, --model-file and --from",
+            fix="--vehicle V.toml, --model-file own.py:build, or --from model.json",
         )
 
 
-def _vehicle_model(path: str, effects: Sequence[Effect]) -> IdentifiedModel:
-    """The model of --from. Raises `GreyboxError` for a model of the user's own that is no
-    vehicle."""
+def _subject(
+    arguments: argparse.Namespace, since: IdentifiedModel | None
+) -> Vehicle | StateSpaceModel:
+    """What is searched: a vehicle, or a model of the user's own. Raises `GreyboxError` for options
+    that the latter does not have."""
     from greybox.errors import GreyboxError
-    from greybox.model.identified import IdentifiedModel
+    from greybox.model.dynamics import StateSpaceModel
     from greybox.model.layer import physics_of
+    from greybox.model.own_model import load_own_model
+    from greybox.model.vehicle import read_vehicle
 
-    model = IdentifiedModel.load(path, effects=effects)
-    if physics_of(model.dynamics) is None:
-        raise GreyboxError(
-            "discover names what vehicles have",
-            where=path,
-            got=f"the model {model.name} of your own",
-            fix="greybox learn MODEL.json --learner sparse finds a law of what it misses",
-        )
+    if arguments.vehicle is not None:
+        return read_vehicle(arguments.vehicle)
+    if since is not None:
+        physics = physics_of(since.dynamics)
+        if physics is not None:
+            return physics.vehicle
+        assert isinstance(since.core, StateSpaceModel)
+        model = since.core
+    else:
+        model = load_own_model(arguments.model_file)
+    for option in ("effects_file", "kinematic_noise", "accept", "keep_impossible"):
+        if getattr(arguments, option):
+            raise GreyboxError(
+                f"--{option.replace('_', '-')} is for vehicles",
+                got=f"the model {model.name} of your own",
+                fix="leave it out; an effect of your own model is a parameter with a null",
+            )
     return model
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, search, report."""
     from greybox.commands.vehicle_lines import say_vehicle
-    from greybox.data import Dataset
-    from greybox.data.checks import check_logs
+    from greybox.data.checks import CheckReport, check_logs
     from greybox.discovery.workflow import discover, refused
     from greybox.estimation.record import sample_time
+    from greybox.model.dynamics import StateSpaceModel
     from greybox.model.effects_file import load_effects
-    from greybox.model.vehicle import read_vehicle
+    from greybox.model.identified import IdentifiedModel
 
     out, console = Path(arguments.out or "greybox-discover"), Console.of(arguments)
     _check(arguments, out)
@@ -296,28 +313,29 @@ def run(arguments: argparse.Namespace) -> int:
         return _go_on(arguments)
     offered = {path: load_effects(path) for path in arguments.effects_file}
     own = [e for effects in offered.values() for e in effects]
-    since = None if arguments.since is None else _vehicle_model(arguments.since, own)
-    vehicle = read_vehicle(arguments.vehicle) if since is None else since.physics.vehicle
-    # The files show faults of their clocks, which reading mends.
-    faults = check_logs(
-        [*arguments.train, *arguments.test],
-        vehicle,
-        mapping=arguments.mapping,
-        accept=accepted(arguments.accept),
-    )
-    search = _Search(out, f"What the model of {vehicle.name} misses", offered, faults)
-    if faults.ok:
-        train = read_flight_logs(
-            arguments, arguments.train, vehicle, rate=arguments.rate or "needed"
+    since = None if arguments.since is None else IdentifiedModel.load(arguments.since, effects=own)
+    subject = _subject(arguments, since)
+    if isinstance(subject, StateSpaceModel):
+        faults = CheckReport(vehicle=subject.name, flights=(), findings=(), not_judged=())
+    else:  # the files show faults of their clocks, which reading mends
+        faults = check_logs(
+            [*arguments.train, *arguments.test],
+            subject,
+            mapping=arguments.mapping,
+            accept=accepted(arguments.accept),
         )
-        test = Dataset(flights=())
-        if arguments.test:
-            rate = arguments.rate or 1 / sample_time(train)
-            test = read_flight_logs(arguments, arguments.test, vehicle, rate=rate)
-        say_vehicle(vehicle, console.say)
+    search = _Search(out, f"What the model of {subject.name} misses", offered, faults)
+    if faults.ok:
+        train = read_flights_of(
+            arguments, subject, arguments.train, rate=arguments.rate or "needed"
+        )
+        rate = arguments.rate or 1 / sample_time(train)
+        test = read_flights_of(arguments, subject, arguments.test, rate=rate)
+        if not isinstance(subject, StateSpaceModel):
+            say_vehicle(subject, console.say)
         try:
             found = discover(
-                vehicle,
+                subject,
                 train,
                 test,
                 own=own,
@@ -342,8 +360,9 @@ def run(arguments: argparse.Namespace) -> int:
                 arguments.kept = search.kept()
             raise
     else:
+        assert not isinstance(subject, StateSpaceModel)
         found = refused(
-            faults, vehicle, settings={"alpha": arguments.alpha, "seed": arguments.seed}
+            faults, subject, settings={"alpha": arguments.alpha, "seed": arguments.seed}
         )
     search.write(found)
     search.page()
@@ -362,11 +381,13 @@ def _go_on(arguments: argparse.Namespace) -> int:
     from greybox.files import read_json, withdraw, write_atomic, write_json
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
+    from greybox.model.layer import physics_of
     from greybox.report.discover_report import discover_report
 
-    if arguments.vehicle is not None or arguments.since is not None:
+    if any((arguments.vehicle, arguments.since, arguments.model_file)):
         raise GreyboxError(
-            "--continue goes on with its own model", fix="leave --vehicle and --from out"
+            "--continue goes on with its own model",
+            fix="leave --vehicle, --model-file and --from out",
         )
     folder, logs = Path(arguments.folder), [*arguments.train, *arguments.test]
     if not logs:
@@ -375,6 +396,12 @@ def _go_on(arguments: argparse.Namespace) -> int:
     files = [*content.get("effects_files", ()), *arguments.effects_file]
     own = [e for path in files for e in load_effects(path)]
     model = IdentifiedModel.load(folder / "model.json", effects=own)
+    if physics_of(model.dynamics) is None:
+        raise GreyboxError(
+            "--continue is for vehicles",
+            got=f"the model {model.name} of your own",
+            fix="greybox discover --from model.json --train LOGS",
+        )
     rate = arguments.rate or 1 / model.sample_time
     faults = check_logs(
         logs, model.physics.vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)

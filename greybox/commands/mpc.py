@@ -149,7 +149,7 @@ def run(arguments: argparse.Namespace) -> int:
             "the courses are flown by vehicles",
             where=arguments.subject,
             got=f"the model {file.get('name')} of your own",
-            fix="greybox export, and a controller on its f_d as in docs/own_model.md",
+            fix="greybox export --target acados,do-mpc, or CasADi alone as in docs/own_model.md",
         )
     judged = gate(file, arguments.subject, even_so=arguments.even_so)
     if not judged.open:

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from greybox.data import Dataset
     from greybox.model.dynamics import Dynamics
     from greybox.model.identified import IdentifiedModel
+    from greybox.model.vehicle import Vehicle
 
 
 def model_file_option(p: Any, *, read: bool = True) -> None:
@@ -54,20 +55,24 @@ def loaded(arguments: argparse.Namespace) -> IdentifiedModel:
 
 def read_flights_of(
     arguments: argparse.Namespace,
-    dynamics: Dynamics,
+    dynamics: Dynamics | Vehicle,
     paths: Sequence[str],
     *,
-    rate: float | None = None,
+    rate: float | Literal["needed"] | None = None,
     trim: bool = True,
 ) -> Dataset:
     """Logs for a model: of a vehicle by its columns and airborne part; of any other model its
-    inputs and outputs by their names, the whole record. No paths, no flights."""
+    inputs and outputs by their names, the whole record, at its own rate where what the response of
+    a craft is `"needed"` is asked for. No paths, no flights."""
     from greybox.commands.flight_logs import read_flight_logs
     from greybox.data import Dataset
     from greybox.model.layer import physics_of
+    from greybox.model.vehicle import Vehicle
 
     if not paths:
         return Dataset(flights=())
+    if isinstance(dynamics, Vehicle):
+        return read_flight_logs(arguments, paths, dynamics, rate=rate, trim=trim)
     physics = physics_of(dynamics)
     if physics is not None:
         return read_flight_logs(arguments, paths, physics.vehicle, rate=rate, trim=trim)
@@ -77,7 +82,8 @@ def read_flights_of(
         [ChannelSpec(name=n, terms=((1.0, n),)) for n in layout.names]
         for layout in (dynamics.inputs, dynamics.outputs)
     )
-    found = read_records(paths, inputs, outputs, rate=rate, mapping=arguments.mapping)
+    own = None if rate == "needed" else rate
+    found = read_records(paths, inputs, outputs, rate=own, mapping=arguments.mapping)
     return Dataset(flights=found.flights)
 
 

@@ -7,16 +7,18 @@ is absent and a prior about it, so that the evidence for any set of them is defi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
 from greybox.discovery.rules import RULES
 from greybox.errors import GreyboxError
 from greybox.model.beliefs import group_of
+from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
@@ -24,6 +26,7 @@ from greybox.model.model import PhysicsModel, build_model
 from greybox.model.noise import Augmented, Disturbance, Gust, SensorPart
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
+from greybox.residual.laws.effect_file import Law, proposal_text, proposed
 
 Kind = Literal["effect", "sensor noise"]
 BASE = ("gyro_bias", "accelerometer_bias")
@@ -49,19 +52,39 @@ class Cause:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Causes:
-    """All causes that are `offered`, on one `model` (PhysicsModel) that holds every effect of them
-    and those of the vehicle file. `core` are the free parameters that are of no cause, `unjudged`
-    maps what cannot be offered to the reason. `known`: (value, standard deviation) of parameters of
-    a model that was identified before. `flat`: no parameter has a prior."""
+class Causes(ABC):
+    """All causes that are `offered`, on one `model` that holds what is not offered. `core` are the
+    free parameters that are of no cause, `unjudged` maps what cannot be offered to the reason.
+    `known`: (value, standard deviation) of parameters of a model that was identified before.
+    `flat`: no parameter has a prior."""
 
-    model: PhysicsModel
+    model: Dynamics
     offered: Mapping[str, Cause]
     core: tuple[str, ...]
     unjudged: Mapping[str, str]
     per_flight: tuple[str, ...] = ()
     known: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     flat: bool = False
+
+    @abstractmethod
+    def built(self, structure: Iterable[str]) -> Augmented:
+        """The model of a structure: core, effects, what has no name, sensor noise."""
+
+    @abstractmethod
+    def with_cause(self, *more: Cause) -> Self:
+        """These and further causes. Raises `ModelError` where the model cannot have one."""
+
+    @abstractmethod
+    def of_laws(self, laws: Sequence[Law], taken: Collection[str]) -> list[Cause]:
+        """Laws of what has no name as causes proposal_<axis>, with coefficients c_1, c_2, ..."""
+
+    @abstractmethod
+    def law_file(self, law: Law, number: int, taken: Collection[str]) -> str:
+        """The text of the file proposal_<number>.py."""
+
+    def canonical(self) -> Causes:
+        """The same as it goes over the wire."""
+        return self
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -72,6 +95,39 @@ class Causes:
     def base(self) -> frozenset[str]:
         """Causes that are in the structure from the start."""
         return frozenset(n for n in BASE if n in self.offered)
+
+    @property
+    def omega_known(self) -> bool:
+        """Whether rotor speeds are known, where rotors are."""
+        return True
+
+    def prior_of(self, name: str) -> tuple[float, float] | None:
+        """(value at which its cause is absent, sigma) of a parameter; None without a cause."""
+        owner = self.offered.get(name.split(".")[0])
+        return None if owner is None else owner.prior.get(name)
+
+    def prior(self, d: Parameter) -> tuple[float, float] | None:
+        """(mean, sigma) of a parameter where it is not what its declaration says."""
+        if d.name in self.known:
+            return self.known[d.name]
+        own = self.prior_of(d.name)
+        if own is not None:
+            return own
+        if d.name.split(".")[0] in ("disturbance", "coloured", "low_pass", "line"):
+            return d.nominal, RULES.typical * d.scale
+        return None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VehicleCauses(Causes):
+    """Those of a vehicle: `model` holds every effect of them and those of the vehicle file."""
+
+    model: PhysicsModel
+
+    @property
+    def omega_known(self) -> bool:
+        """Whether the vehicle file knows the rotors' speed."""
+        return self.model.omega_known
 
     @cached_property
     def groups(self) -> tuple[str, ...]:
@@ -97,27 +153,19 @@ class Causes:
             return self
         return replace(self, model=replace(self.model, effects=effects))
 
-    def with_cause(self, *more: Cause) -> Causes:
+    def with_cause(self, *more: Cause) -> Self:
         """These and further causes. Raises `ModelError` where the model cannot have one."""
         effects = [c.effect for c in more if c.effect is not None]
         model = self.model.with_effect(*effects) if effects else self.model
         return replace(self, model=model, offered={**self.offered, **{c.name: c for c in more}})
 
-    def prior_of(self, name: str) -> tuple[float, float] | None:
-        """(value at which its cause is absent, sigma) of a parameter; None without a cause."""
-        owner = self.offered.get(name.split(".")[0])
-        return None if owner is None else owner.prior.get(name)
+    def of_laws(self, laws: Sequence[Law], taken: Collection[str]) -> list[Cause]:
+        """Each an effect, read back from its file."""
+        return [cause_of(e, self.model.vehicle) for e in proposed(laws, taken)]
 
-    def prior(self, d: Parameter) -> tuple[float, float] | None:
-        """(mean, sigma) of a parameter where it is not what its declaration says."""
-        if d.name in self.known:
-            return self.known[d.name]
-        own = self.prior_of(d.name)
-        if own is not None:
-            return own
-        if d.name.split(".")[0] in ("disturbance", "coloured", "low_pass", "line"):
-            return d.nominal, RULES.typical * d.scale
-        return None
+    def law_file(self, law: Law, number: int, taken: Collection[str]) -> str:
+        """An effect file."""
+        return proposal_text(law, number, taken)
 
 
 def cause_of(effect: Effect, vehicle: Vehicle) -> Cause:
@@ -140,7 +188,7 @@ def cause_of(effect: Effect, vehicle: Vehicle) -> Cause:
     )
 
 
-def sensor_cause(part: SensorPart, model: PhysicsModel) -> Cause:
+def sensor_cause(part: SensorPart, model: Dynamics) -> Cause:
     """A part of the sensors' noise as a cause; its name is that of the part."""
     declared = part.parameters(model)
     prior = {d.name: (d.nominal, RULES.typical * d.scale) for d in declared}
@@ -165,7 +213,7 @@ def offer(
     fixed: Iterable[str] = (),
     per_flight: Iterable[str] = (),
     known: Known | None = None,
-) -> Causes:
+) -> VehicleCauses:
     """The effects of the catalogue and of the user's `own` that the vehicle file and the `columns`
     of the log allow, and the biases of the sensors.
 
@@ -208,7 +256,7 @@ def offer(
         for d in model.parameters
         if d.sigma > 0 and d.name not in every and d.name not in held
     )
-    return Causes(
+    return VehicleCauses(
         model=model,
         offered=causes,
         core=core,
@@ -227,12 +275,16 @@ class Known:
 
 
 def since(model: IdentifiedModel) -> Known:
-    """An identified model as what is known before new flights: its numbers with their errors, those
-    that differ from flight to flight with that spread."""
+    """An identified model of a vehicle as what is known before new flights."""
+    return Known(effects=tuple(model.physics.effects), prior=known_numbers(model))
+
+
+def known_numbers(model: IdentifiedModel) -> dict[str, tuple[float, float]]:
+    """Parameter -> its number with its error; of those that differ from flight to flight with that
+    spread."""
     errors = dict(zip(model.covariance_names, np.sqrt(np.diag(model.covariance)), strict=True))
     prior = {n: (float(model.values[n]), float(s)) for n, s in errors.items() if s > 0}
-    prior |= {n: (float(m), float(s)) for n, (m, s) in model.flight_spread.items()}
-    return Known(effects=tuple(model.physics.effects), prior=prior)
+    return prior | {n: (float(m), float(s)) for n, (m, s) in model.flight_spread.items()}
 
 
 def _unstated(vehicle: Vehicle, offered: Iterable[Effect]) -> set[str]:

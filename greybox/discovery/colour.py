@@ -26,7 +26,8 @@ def sensor_proposals(at: Fitted, causes: Causes) -> tuple[list[Cause], float]:
     firmware filters; log likelihood that they promise together: what the channels' own past tells).
     What is not felt goes again; none where all are white."""
     physics = physics_of(at.problem.dynamics)
-    assert physics is not None
+    if physics is None:  # nothing is known of the sensors of a model of the user's own
+        return [], 0.0
     names = at.problem.dynamics.innovations.names
     tested = whiteness_of_blocks(
         at.problem.predictor.blocks(at.problem, at.theta, False), names, max_lag=LAGS

@@ -10,23 +10,22 @@ says so.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from greybox.discovery.cause import cause_of
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.law import Axis
 from greybox.discovery.rules import RULES
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit, fit
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import with_physics
+from greybox.model.layer import physics_of, with_physics
 from greybox.model.noise import disturbances, without_parts
 from greybox.residual.discrepancy import discrepancy
-from greybox.residual.laws.effect_file import proposed
+from greybox.residual.laws.effect_file import Law, file_name, proposal_text, proposed
 from greybox.residual.laws.found import laws_of
 from greybox.residual.laws.responses import library
 from greybox.residual.laws.terms import Memory, wanted_features
@@ -45,16 +44,27 @@ class Left:
     axes: tuple[Axis, ...]
     written: Fitted | None = None
     taken: tuple[str, ...] = ()
+    law_file: Callable[[Law, int, Collection[str]], str] = proposal_text
 
     def lawful(self, settled: Fit) -> IdentifiedModel:
         """The model of `written`, whose whole result is `settled`, its laws read from the files
-        that hold its numbers: a model file goes with the files beside it."""
+        that hold its numbers: a model file goes with the files beside it, but for that of a model
+        of the user's own, which holds all equations."""
+        if physics_of(settled.model.dynamics) is None:
+            return settled.model
         effects = proposed(self.laws, self.taken)
         own = [e.name for e in effects]
         dynamics = with_physics(
             settled.model.dynamics, lambda m: m.without_effect(*own).with_effect(*effects)
         )
         return replace(settled.model, dynamics=dynamics)
+
+    @property
+    def files(self) -> dict[str, str]:
+        """File name -> text, one for every law."""
+        return {
+            file_name(n): self.law_file(law, n, self.taken) for n, law in enumerate(self.laws, 1)
+        }
 
     @property
     def unnamed(self) -> tuple[Axis, ...]:
@@ -142,12 +152,12 @@ def _raced(
     flights: Flights, at: Fitted, axes: tuple[Axis, ...], lawful: Sequence[Axis], bar: float
 ) -> Left:
     """The laws against the structure without them: those stay whose evidence says so."""
-    vehicle = flights.causes.model.vehicle
-    taken = tuple(e.name for e in flights.causes.model.effects)
-    effects = proposed(lawful, taken)
-    causes = [cause_of(e, vehicle) for e in effects]
+    offered = flights.causes
+    physics = physics_of(offered.model)
+    taken = offered.effects if physics is None else tuple(e.name for e in physics.effects)
+    causes = offered.of_laws(lawful, taken)
     try:
-        flights.causes = flights.causes.with_cause(*causes)
+        flights.causes = offered.with_cause(*causes)
         start = dict(at.known)
         for cause, law in zip(causes, lawful, strict=True):
             start |= {(f"{cause.name}.c_{i}", None): c for i, c in enumerate(law.terms.values(), 1)}
@@ -158,7 +168,12 @@ def _raced(
         return Left(axes=axes)
     values = {k[0]: v for k, v in written.known.items()}
     by_axis = {a.channel: _refitted(a, c.name, values) for a, c in zip(lawful, causes, strict=True)}
-    return Left(axes=tuple(by_axis.get(a.channel, a) for a in axes), written=written, taken=taken)
+    return Left(
+        axes=tuple(by_axis.get(a.channel, a) for a in axes),
+        written=written,
+        taken=taken,
+        law_file=offered.law_file,
+    )
 
 
 def _refitted(law: Axis, name: str, values: Mapping[str, float]) -> Axis:
@@ -178,11 +193,15 @@ def _refitted(law: Axis, name: str, values: Mapping[str, float]) -> Axis:
 
 def _white(settled: Fit, flights: Flights) -> IdentifiedModel:
     """The model of a fit without states of force, torque and sensors, noise levels fitted anew: a
-    filter with disturbance states takes most of a slow law for noise."""
+    filter with disturbance states takes most of a slow law for noise. Of a model of the user's own
+    its numbers, too: it is small, and next to a disturbance they only say what is fast."""
     dynamics = without_parts(settled.model.dynamics)
     there = {d.name for d in dynamics.parameters}
     values = {n: float(v) for n, v in settled.model.values.items() if n in there}
     own = [n for n in settled.model.flight_spread if n in there]
+    free = own
+    if physics_of(dynamics) is None:
+        free = [n for n in settled.parameters if n in there]
     return fit(
-        dynamics, flights.data, free=own, values=values, per_flight=own, initialisation="noise"
+        dynamics, flights.data, free=free, values=values, per_flight=own, initialisation="noise"
     ).model

@@ -16,10 +16,12 @@ from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.layer import physics_of
 from greybox.plots import bars
-from greybox.residual.laws.effect_file import file_name, proposal_text
+from greybox.residual.laws.effect_file import file_name
 from greybox.shown import Cell, Shown
 from greybox.validation.gap import GapRow, closed_in_words
+from greybox.validation.groups import GROUPS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +34,7 @@ SAYS = {
     "stopped": "the search was stopped before its end: what it had found until then is not judged",
     "named": "missing effects were found and named",
     "ambiguous": "something is missing; these data cannot say which of several effects",
-    "unnamed": "something is left that no effect of the catalogue explains",
+    "unnamed": "something is left that no effect on offer explains",
     "nothing_missing": "nothing is missing at the power of these data",
 }
 
@@ -117,12 +119,16 @@ class Discovery(Shown):
         return [n.to_dict() | {"reason": n.reason} for n in self.said("trace", "impossible")]
 
     def _stage(self, name: str) -> str:
+        if physics_of(self.model.dynamics) is None:
+            return "own"
         return next((e.stage for e in self.final_effects if e.name == name), "wrench")
 
     def _parameters(self, name: str) -> dict[str, Any]:
         assert self.fit is not None
         own = {
-            n.split(".", 1)[1]: e for n, e in self.fit.parameters.items() if n.split(".")[0] == name
+            n.split(".", 1)[-1]: e
+            for n, e in self.fit.parameters.items()
+            if n.split(".")[0] == name
         }
         return {
             n: {"value": e.value, "std": e.std if np.isfinite(e.std) else None, "unit": e.unit}
@@ -131,8 +137,9 @@ class Discovery(Shown):
 
     @property
     def final_effects(self) -> tuple[Effect, ...]:
-        """Effects of the improved model."""
-        return self.model.physics.effects
+        """Effects of the improved model of a vehicle."""
+        physics = physics_of(self.model.dynamics)
+        return () if physics is None else tuple(physics.effects)
 
     def unnamed(self) -> list[dict[str, Any]]:
         """Axes that hold something no effect explains; where it has a law, with its file."""
@@ -146,13 +153,8 @@ class Discovery(Shown):
         ]
 
     def proposals(self) -> dict[str, str]:
-        """File name -> text of an effect file, one for every law of what is left."""
-        if self.left is None:
-            return {}
-        taken = self.left.taken
-        return {
-            file_name(n): proposal_text(law, n, taken) for n, law in enumerate(self.left.laws, 1)
-        }
+        """File name -> text, one for every law of what is left."""
+        return {} if self.left is None else self.left.files
 
     def locations(self) -> list[dict[str, Any]]:
         """Axes of force and torque: RMS of the discrepancy before and after the names."""
@@ -278,16 +280,17 @@ def _worth(effect: Mapping[str, Any]) -> str:
 def _closing(rows: Sequence[GapRow]) -> list[str]:
     out = []
     for r in rows:
-        if r.closed is None or r.horizon_s not in (0.1, 0.5):
+        own = r.group not in GROUPS
+        if r.closed is None or (r.horizon_s == 0 if own else r.horizon_s not in (0.1, 0.5)):
             continue
         more = (
             ""
             if r.with_proposals is None
-            else f"; with the laws: {closed_in_words(r.with_proposals)}"
+            else f"; with the laws: {closed_in_words(r.with_proposals, floor=not own)}"
         )
         out.append(
             f"  {r.group} {r.horizon_s:g} s ahead: {r.before:.4g} -> {r.after:.4g} {r.unit} "
-            f"(of the gap closed: {closed_in_words(r.closed)}{more})"
+            f"(of the gap closed: {closed_in_words(r.closed, floor=not own)}{more})"
         )
     return out
 

@@ -1,4 +1,4 @@
-"""discover: the whole loop, from a vehicle file and flights to certified names, or an honest no.
+"""discover: the whole loop, from a model and flights to certified names, or an honest no.
 
 faults -> search by evidence -> certificates and worth -> what is left -> gap before and after.
 """
@@ -18,12 +18,13 @@ from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.data.lead import without_lead_in
 from greybox.discovery.alike import separating
-from greybox.discovery.cause import Causes, offer, since
+from greybox.discovery.cause import Causes, known_numbers, offer, since
 from greybox.discovery.certificate import certificates, certificates_beside, splits
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.left import Left, left_over
 from greybox.discovery.name import Name, impossible, judged, unneeded
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
+from greybox.discovery.own_cause import offer_own
 from greybox.discovery.result import Discovery
 from greybox.discovery.search import Search
 from greybox.discovery.worth import worth
@@ -32,6 +33,7 @@ from greybox.estimation.fit import Fit
 from greybox.estimation.noise_table import sensor_table
 from greybox.estimation.options import says_choices
 from greybox.estimation.record import sample_time
+from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
@@ -46,7 +48,7 @@ Progress = Callable[[str, float], None]
 @says_choices(DiscoverOptions)
 @threadpool_limits.wrap(limits=1)  # small matrices: threads of BLAS only wait for each other
 def discover(
-    vehicle: Vehicle,
+    subject: Vehicle | StateSpaceModel,
     train: Dataset,
     test: Dataset | None = None,
     options: DiscoverOptions | None = None,
@@ -57,8 +59,9 @@ def discover(
     executor: concurrent.futures.Executor | None = None,
     **choices: Unpack[DiscoverChoices],
 ) -> Discovery:
-    """Find, certify and add what the model of `vehicle` misses on the flights of `train`; flights
-    of `test` did not propose and judge (without any, halves of `train` judge each other).
+    """Find, certify and add what the model of a vehicle, or one of your own, misses on the flights
+    of `train`; flights of `test` did not propose and judge (without any, halves of `train` judge
+    each other). Effects of a model of your own are its parameters with a `null`.
 
     The choices are keywords, fields of `DiscoverOptions` with its defaults, or `options` as a
     whole: own, alpha, max_effects, adapt, kinematic_noise, per_flight, fixed, hold_sensor_noise,
@@ -72,33 +75,34 @@ def discover(
     """
     began = time.perf_counter()
     options = DiscoverOptions.of(options, choices)
-    if not isinstance(vehicle, Vehicle):
+    if not isinstance(subject, Vehicle | StateSpaceModel):
         raise ModelError(
-            "discover names what the model of a vehicle misses",
-            expected="a vehicle (gb.read_vehicle)",
-            got=type(vehicle).__name__,
-            fix="for a model of your own: gb.learn says whether anything is left",
+            "discover names what the model of a vehicle, or one of your own, misses",
+            expected="a vehicle (gb.read_vehicle) or a StateSpaceModel",
+            got=type(subject).__name__,
         )
+    vehicle = subject if isinstance(subject, Vehicle) else None
     tested = test if test is not None and test.flights else None
     settings = _settings(options)
     _disjoint(train, tested)
-    if faults is None:
-        faults = check(train if tested is None else train + tested, vehicle)
-    if not faults.ok:
-        seconds = time.perf_counter() - began
-        return refused(faults, vehicle, settings=settings, seconds=seconds)
-    _long_enough(train)
-    causes = _offered(vehicle, train, options)
-    settings["sample_time"] = causes.model.sample_time
+    if vehicle is not None:
+        if faults is None:
+            faults = check(train if tested is None else train + tested, vehicle)
+        if not faults.ok:
+            seconds = time.perf_counter() - began
+            return refused(faults, vehicle, settings=settings, seconds=seconds)
+        _long_enough(train)
+    causes = _offered(subject, train, options)
+    settings["sample_time"] = sample_time(train)
     run = _Run(
         flights=Flights(
             causes=causes,
-            data=without_lead_in(train),
+            data=without_lead_in(train) if vehicle else train,
             options=options.of_every_fit,
             effort=options.effort,
             executor=executor,
         ),
-        test=None if tested is None else without_lead_in(tested),
+        test=without_lead_in(tested) if tested and vehicle else tested,
         judges=train if tested is None else tested,
         options=options,
         settings=settings,
@@ -123,19 +127,36 @@ def _settings(options: DiscoverOptions) -> dict[str, Any]:
     }
 
 
-def _offered(vehicle: Vehicle, train: Dataset, options: DiscoverOptions) -> Causes:
-    known = None if options.since is None else since(options.since)
-    causes = offer(
-        vehicle,
-        train.channels,
-        own=options.own,
-        sample_time=sample_time(train),
-        noncausal=train.noncausal,
-        kinematic_noise=options.kinematic_noise,
-        fixed=options.fixed,
-        per_flight=options.per_flight,
-        known=known,
-    )
+def _offered(
+    subject: Vehicle | StateSpaceModel, train: Dataset, options: DiscoverOptions
+) -> Causes:
+    causes: Causes
+    if isinstance(subject, Vehicle):
+        known = None if options.since is None else since(options.since)
+        causes = offer(
+            subject,
+            train.channels,
+            own=options.own,
+            sample_time=sample_time(train),
+            noncausal=train.noncausal,
+            kinematic_noise=options.kinematic_noise,
+            fixed=options.fixed,
+            per_flight=options.per_flight,
+            known=known,
+        )
+    else:
+        if options.own or options.kinematic_noise:
+            raise ModelError(
+                "effects of the catalogue's kind, and noise of an attitude, are for vehicles",
+                got=f"the model {subject.name} of your own",
+                fix="declare an effect in the model: a parameter with a null",
+            )
+        causes = offer_own(
+            subject,
+            fixed=options.fixed,
+            per_flight=options.per_flight,
+            known=None if options.since is None else known_numbers(options.since),
+        )
     declared = [d.name for d in causes.model.parameters]
     if wrong := {*options.per_flight, *options.fixed} - set(declared):
         raise UnknownNameError("parameter", min(wrong), declared)
@@ -251,7 +272,7 @@ class _Run:
             unjudged=dict(causes.unjudged),
             minimum_detectable={n: v for n, v in smallest.items() if v},
             warnings=tuple(self.warnings),
-            omega_known=causes.model.omega_known,
+            omega_known=causes.omega_known,
             seconds=time.perf_counter() - self.began,
             settings=self.settings,
             tested_on=() if self.test is None else tuple(self.test.names),
@@ -269,7 +290,7 @@ class _Run:
                 fit=self.settled(at),
                 bar=self.bar,
                 unjudged=dict(self.flights.causes.unjudged),
-                omega_known=self.flights.causes.model.omega_known,
+                omega_known=self.flights.causes.omega_known,
                 seconds=time.perf_counter() - self.began,
                 settings=self.settings,
                 warnings=("the search was stopped before its end",),
@@ -378,6 +399,7 @@ class _Run:
         rows = gap(
             (before.own, before.floor),
             (after.own, after.floor),
+            units=after.units,
             proposals=proposals,
             attainable=attainable,
             seed=self.options.seed,

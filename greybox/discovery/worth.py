@@ -67,13 +67,13 @@ def worth(without: HeldOutErrors, named: HeldOutErrors) -> Worth:
 
 
 def seconds(without: HeldOutErrors, named: HeldOutErrors) -> FloatArray:
-    """Per second of flight, the relative fall of the squared error over `RULES.fastest` to
-    `RULES.longest` ahead, (old - new) / (old + new), mean over groups and horizons: within -1,
-    1."""
+    """Per second of flight (of a model of the user's own, hundred samples), the relative fall of
+    the squared error over `RULES.fastest` to `RULES.longest` ahead, (old - new) / (old + new), mean
+    over groups and horizons: within -1, 1."""
     rows: list[FloatArray] = []
     for (group, horizon), blocks in without.own.items():
         new = named.own.get((group, horizon), [])
-        asked = RULES.fastest <= horizon <= RULES.longest
+        asked = RULES.fastest <= round(horizon / without.second, 6) <= RULES.longest
         if not asked or not blocks or len(new) != len(blocks):
             continue
         old = np.array([b.sum() for b in blocks])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from greybox.estimation.fit import Fit
+from greybox.model.layer import physics_of
 from greybox.model.noise import sensor_parts
 
 
@@ -15,8 +16,12 @@ def sensor_table(found: Fit) -> list[dict[str, Any]]:
     """
     noise = {n: v for n, (v, _, _) in found.noise.items()}
     values, dt = found.model.values, found.model.sample_time
-    physics = found.model.physics
+    physics = physics_of(found.model.dynamics)
     out: list[dict[str, Any]] = []
+    if physics is None:
+        names = found.model.dynamics.innovations.names
+        sigma = {c: {"sigma": noise.get(f"noise.sensor.{c}")} for c in names}
+        return [{"channel": c, "kind": "white", "parameters": s} for c, s in sigma.items()]
     for sensor in physics.sensors:
         channels = [s.name for s in sensor.innovation_signals(physics.vehicle)]
         out += [

@@ -193,6 +193,10 @@ class StateSpaceModel:
                 if name not in known:
                     raise UnknownNameError(f"{self.name}: {what}, name", name, known.names)
 
+    def __hash__(self) -> int:
+        """Of the declarations that can be hashed: equal models have equal ones."""
+        return hash((self.name, self.parameters, self.dynamics, self.measurement))
+
     def _named(self, p: Expr) -> dict[str, Expr]:
         return {d.name: p[i] for i, d in enumerate(self.parameters)}
 

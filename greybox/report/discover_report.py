@@ -3,6 +3,7 @@ tells the story, a function per section, in the order in which they are read."""
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -25,9 +26,10 @@ ANSWERS = {
     "stopped": "The search was stopped before its end. What it had found until then is not judged.",
     "named": "Something was missing, and it has a name.",
     "ambiguous": "Something is missing. These data cannot say which of several effects it is.",
-    "unnamed": "Something is left that no effect of the catalogue explains.",
+    "unnamed": "Something is left that no effect on offer explains.",
     "nothing_missing": "Nothing is missing at the power of these data.",
 }
+WRENCH = ("force", "torque")
 BARS = 14
 """Candidates that a bar chart shows; the table has all."""
 
@@ -229,23 +231,24 @@ def _where(report: Report, content: Mapping[str, Any]) -> None:
     if not rows:
         return
     report.section("Where simulation and data disagree")
+    flown = all(r["channel"].split(".")[0] in WRENCH for r in rows)
     report.paragraph(
-        "Every model of the search carries a force and a torque that nobody modelled. They were "
-        "estimated along the flight; the bars are their size on every body axis."
+        f"Every model of the search carries {'a force and a torque' if flown else 'pushes'} that "
+        "nobody modelled. They were estimated along the record; the bars are their size on every "
+        f"{'body axis' if flown else 'state that has process noise'}."
     )
     panels: list[tuple[Figure, str]] = []
-    for kind in ("force", "torque"):
-        own = [r for r in rows if r["channel"].startswith(kind)]
-        if own:
-            figure = paired_bars(
-                [r["channel"] for r in own],
-                [_float(r["rms"]) for r in own],
-                [_float(r["rms_after"]) for r in own],
-                unit=own[0]["unit"],
-                title=f"unmodelled {kind}, body axes",
-            )
-            alt = f"Unmodelled {kind} per body axis before and after the additions"
-            panels.append((figure, alt))
+    for unit in dict.fromkeys(r["unit"] for r in rows):
+        own = [r for r in rows if r["unit"] == unit]
+        kind = own[0]["channel"].split(".")[0] if flown else "push"
+        figure = paired_bars(
+            [r["channel"] for r in own],
+            [_float(r["rms"]) for r in own],
+            [_float(r["rms_after"]) for r in own],
+            unit=unit,
+            title=f"unmodelled {kind}" + (", body axes" if flown else ""),
+        )
+        panels.append((figure, f"Unmodelled {kind} before and after the additions"))
     report.figures(
         panels,
         key=[Key(text="before", colour="c4"), Key(text="after", colour="c1")],
@@ -298,15 +301,18 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
         if content["gap_on"] == "test"
         else "the training flights themselves"
     )
+    floored = any(r["floor"] is not None for r in rows)
     report.paragraph(
-        f"Open-loop prediction from the filtered state, on {where}, by physics alone: the "
-        "unmodelled force and torque are "
-        "zero from the start of every prediction. The floor is dead reckoning with the measured "
-        "gyro and "
-        "accelerometer. It feels gusts as they come, which no model of commands can foresee, so a "
-        "complete model may stay "
-        "above it; and it has the noise of its sensors, so that a model can also lie below. Rates "
-        "have no floor."
+        f"Open-loop prediction from the filtered state, on {where}, by the equations alone: what "
+        "nobody modelled is zero from the start of every prediction."
+        + (
+            " The floor is dead reckoning with the measured gyro and accelerometer. It feels gusts "
+            "as they come, which no model of commands can foresee, so a complete model may stay "
+            "above it; and it has the noise of its sensors, so that a model can also lie below. "
+            "Rates have no floor."
+            if floored
+            else ""
+        )
     )
     caption = "RMS of the error's vector norm (rotation: geodesic angle)."
     _closing(report, content, list(dict.fromkeys(r["group"] for r in rows)), caption)
@@ -355,6 +361,7 @@ def _closing(
 
 def _gap_table(report: Report, rows: Sequence[Mapping[str, Any]]) -> None:
     body: list[list[Cell]] = []
+    words = functools.partial(closed_in_words, floor=any(r["floor"] is not None for r in rows))
     more = {
         "with_proposals": "closed with the proposed laws",
         "attainable": "closed by a learned part alone",
@@ -374,9 +381,9 @@ def _gap_table(report: Report, rows: Sequence[Mapping[str, Any]]) -> None:
                 after,
                 floor,
                 unit,
-                None if r["closed"] is None else closed_in_words(r["closed"]),
+                None if r["closed"] is None else words(r["closed"]),
                 interval,
-                *(None if r.get(k) is None else closed_in_words(r[k]) for k in more),
+                *(None if r.get(k) is None else words(r[k]) for k in more),
             ]
         )
     heads = [
@@ -451,14 +458,26 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
             )
     own = list(content.get("effects_files", ()))
     files = [u["file"] for u in content["unnamed"] if u.get("file")]
-    if files:
+    flown = all(r["channel"].split(".")[0] in WRENCH for r in content["locations"])
+    if files and not flown:
+        texts.append(
+            "The laws that were found are proposals, programs beside this page "
+            f"({', '.join(files)}): keep the terms that make sense and fit again, greybox fit "
+            f"--model-file {files[0]}:build --train LOGS."
+        )
+        if content.get("model_with_laws"):
+            texts.append(
+                f"What laws leave can be learned: greybox learn {content['model_with_laws']} "
+                "--train LOGS"
+            )
+    elif files:
         texts.append(
             "The laws that were found are proposals, effect files beside this page "
             f"({', '.join(files)}): copy one, "
             "edit what makes sense (docs/own_effect.md), and run again with --effects-file and "
             "another --out."
         )
-    if files and content.get("model_with_laws"):
+    if files and flown and content.get("model_with_laws"):
         command = (
             f"greybox learn {content['model_with_laws']} --train LOGS --effects-file "
             f"{' '.join([*own, *files])}"
@@ -469,9 +488,8 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
         command = f"greybox learn model.json --train LOGS{more}"
         texts.append(
             f"No law was found for {_list(lawless)}: no signal of the log explains it, as with "
-            "gusts, noise of force and "
-            f"torque that lasts, or a state that nobody measured. {command} learns what can be "
-            "learned of it."
+            f"{'gusts, noise of force and torque that lasts' if flown else 'noise that lasts'}, or "
+            f"a state that nobody measured. {command} learns what can be learned of it."
         )
     if content["gap_on"] == "train":
         texts.append(

@@ -43,13 +43,21 @@ _SCALES = ("input_mean", "input_scale", "output_mean", "output_scale", "noise", 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Base:
     """A covariance and the support points (M, n_in) that it is evaluated against, in transformed
-    inputs."""
+    inputs. Raises `ModelError` for a covariance of another number of inputs."""
 
     covariance: Covariance
     support: FloatArray
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "support", frozen(self.support))
+        try:
+            self.covariance.matrix(self.support[:1], self.support[:1])
+        except (ValueError, IndexError):
+            raise ModelError(
+                "the kernel is not made for this number of inputs",
+                got=f"{self.support.shape[1]} inputs",
+                fix="ard_num_dims and active_dims must be those of the training inputs",
+            ) from None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

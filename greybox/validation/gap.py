@@ -27,7 +27,7 @@ from greybox.model.sensors import SENSORS
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import adapt_to_flight
 from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning
-from greybox.validation.groups import GROUPS, error_norms
+from greybox.validation.groups import GROUPS, Groups, error_norms
 from greybox.validation.open_loop import GroupReader, predict_from
 
 SECONDS = (0.0, 0.1, 0.5, 1.0)
@@ -41,6 +41,10 @@ START = 2.0
 they are not judged."""
 STRIDE = 0.05
 """Seconds between origins."""
+SAMPLES = (10, 50, 100)
+"""Samples ahead that a model of the user's own is asked for, besides one: nobody knows how fast it
+is, and at 100 Hz these are `SECONDS`."""
+UNITS = {n: g.unit for n, g in GROUPS.items()}
 Start = tuple[FloatArray | None, FloatArray | None]
 Squares = dict[tuple[str, float], list[FloatArray]]
 
@@ -79,10 +83,11 @@ class GapRow:
         }
 
 
-def closed_in_words(share: float) -> str:
-    """How much of the gap was closed. All of it, or more, is being at the floor: what lies below
-    the floor is the noise of the sensors that the floor was made with."""
-    return "all of it: at the floor" if share >= 0.995 else f"{100 * share:.0f} %"
+def closed_in_words(share: float, *, floor: bool = True) -> str:
+    """How much of the gap was closed. All of it, or more, is being at the floor, where there is
+    one: what lies below the floor is the noise of the sensors that the floor was made with."""
+    whole = "all of it: at the floor" if floor else "all of it"
+    return whole if share >= 0.995 else f"{100 * share:.0f} %"
 
 
 def outgrown(rows: Iterable[GapRow]) -> list[str]:
@@ -97,15 +102,40 @@ def outgrown(rows: Iterable[GapRow]) -> list[str]:
     ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Ahead:
+    """How far a model is asked to foretell, and how often: `steps` maps horizons [s], 0 for one
+    sample, to samples; times in units of `second` [s]."""
+
+    steps: Mapping[float, int]
+    second: float
+
+    @classmethod
+    def of(cls, model: IdentifiedModel) -> Ahead:
+        """Seconds for a vehicle, for any other model hundreds of samples."""
+        dt = model.sample_time
+        if physics_of(model.dynamics) is not None:
+            return cls(steps={s: max(1, round(s / dt)) for s in SECONDS}, second=1.0)
+        return cls(steps={0.0: 1, **{n * dt: n for n in SAMPLES}}, second=100 * dt)
+
+    @property
+    def longest(self) -> int:
+        """Samples of the longest horizon."""
+        return max(self.steps.values())
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeldOutErrors:
     """(group, horizon) -> one array of squared errors per second of flight, in order; the same of
     the `floor`. `reading`: group -> mean squared error of one reading of its sensor, as the model
-    knows it."""
+    knows it. `second`: the second of these blocks [s], which a model of the user's own has of its
+    own. `units`: of the groups."""
 
     own: Squares
     floor: Squares
     reading: Mapping[str, float] = field(default_factory=dict)
+    second: float = 1.0
+    units: Mapping[str, str] = field(default_factory=lambda: UNITS)
 
 
 def unknown_start(model: IdentifiedModel) -> bool:
@@ -130,17 +160,18 @@ def predict_ahead(
     the first `adapt` s.
 
     Physics alone foretells: force and torque that nobody named are zero from every origin on. Where
-    readings do not tell with which velocity or rates a segment begins, its first `START` s do.
+    readings do not tell with which velocity or rates a segment begins, its first `START` s do. A
+    model of the user's own is asked at `SAMPLES`.
     Raises `DataError` where no flight is long enough, `FitError` where a prediction is not finite.
     """
     runner, reader = Filter(model), GroupReader(model)
     dt = model.sample_time
     groups = reader.judged(data.any_channels)
-    steps = {s: max(1, round(s / dt)) for s in SECONDS}
-    longest = max(steps.values())
+    ahead = Ahead.of(model)
+    steps, longest, second = ahead.steps, ahead.longest, ahead.second
     blind = unknown_start(model)
-    own: Squares = {(g, s): [] for g in groups for s in SECONDS}
-    floor: Squares = {(g, s): [] for g in groups for s in SECONDS}
+    own: Squares = {(g, s): [] for g in groups for s in steps}
+    floor: Squares = {(g, s): [] for g in groups for s in steps}
     unnamed = [i for i, n in enumerate(model.dynamics.states.names) if n.startswith("disturbance.")]
     for flight in data:
         p = model.flight_vector(flight.name)
@@ -156,10 +187,10 @@ def predict_ahead(
             # What was commanded before a segment is not known, nor is its state.
             known = (
                 max(begin, float(segment.t[0]) + (_start(segment) if blind else 0.0))
-                + START_SECONDS
+                + START_SECONDS * second
             )
             late = np.flatnonzero(segment.t >= known)
-            origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE / dt))]
+            origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE * second / dt))]
             if not origins.size:
                 continue
             x0, sigma = _begun(model, flight, segment, runner) if blind else (None, None)
@@ -168,26 +199,35 @@ def predict_ahead(
             states[:, unnamed] = 0.0
             filtered = replace(filtered, states=states)
             predicted = predict_from(runner.engine, reader, filtered, origins, steps=longest)
-            references = {g: segment.matrix(GROUPS[g].columns, missing_ok=True) for g in groups}
-            second = np.asarray((segment.t[origins] - segment.t[0]) // 1.0, dtype=int)
-            _collect(own, predicted, references, origins, steps, second)
+            references = {
+                g: segment.matrix(reader.table[g].columns, missing_ok=True) for g in groups
+            }
+            block = np.asarray((segment.t[origins] - segment.t[0]) // second, dtype=int)
+            _collect(own, predicted, references, origins, steps, block, reader.table)
             dead = _floor(model, segment, filtered, reader, origins, longest, references)
             if dead is not None:
-                _collect(floor, dead, references, origins, steps, second)
+                _collect(floor, dead, references, origins, steps, block, reader.table)
     if not any(own.values()):
         raise DataError(
             "no flight is long enough for multi-step errors", expected=f"over {longest} samples"
         )
-    return HeldOutErrors(own=own, floor=floor, reading=readings(model))
+    return HeldOutErrors(
+        own=own,
+        floor=floor,
+        reading=readings(model),
+        second=second,
+        units={g: reader.table[g].unit for g in groups},
+    )
 
 
 def readings(model: IdentifiedModel) -> dict[str, float]:
     """Group -> mean squared error of one reading, over all of its channels: white noise and what
-    lasts of it. Empty for a model that is no vehicle's."""
+    lasts of it."""
     physics = physics_of(model.dynamics)
-    if physics is None:
-        return {}
     white = dict(zip(model.dynamics.innovations.names, model.sensor_noise.tolist(), strict=True))
+    if physics is None:
+        table = GroupReader(model).table
+        return {n: sum(white.get(c, 0.0) ** 2 for c in g.columns) for n, g in table.items()}
     driven = dict(zip(model.dynamics.noises.names, model.process_noise.tolist(), strict=True))
     out: dict[str, float] = {}
     for sensor in physics.sensors:
@@ -220,15 +260,16 @@ def _collect(
     predicted: dict[str, FloatArray],
     references: dict[str, FloatArray],
     origins: Any,
-    steps: dict[float, int],
+    steps: Mapping[float, int],
     second: Any,
+    table: Groups,
 ) -> None:
     for (g, s), rows in into.items():
         if g not in predicted:
             continue
         h = steps[s]
         target = references[g][origins + h]
-        norms = error_norms(g, predicted[g][:, h - 1], target)
+        norms = error_norms(table[g], predicted[g][:, h - 1], target)
         for block in np.unique(second):
             value = norms[second == block]
             rows.append(value[np.isfinite(value)] ** 2)
@@ -244,7 +285,8 @@ def _floor(
     references: dict[str, FloatArray],
 ) -> dict[str, FloatArray] | None:
     imu = [c for g in ("rate", "specific_force") for c in GROUPS[g].columns]
-    if not all(c in segment.channels for c in imu) or "rotation" not in references:
+    there = all(c in segment.channels for c in imu) and "rotation" in references
+    if not there or physics_of(model.dynamics) is None:
         return None
     commands = filtered.record.inputs[origins + model.dynamics.window[0]]
     own = reader.values(filtered.outputs[origins], filtered.states[origins], filtered.p, commands)
@@ -277,6 +319,7 @@ def gap(
     before: tuple[Squares, Squares],
     after: tuple[Squares, Squares],
     *,
+    units: Mapping[str, str] = UNITS,
     proposals: Squares | None = None,
     attainable: Squares | None = None,
     draws: int = 500,
@@ -314,7 +357,7 @@ def gap(
         out.append(
             GapRow(
                 group=key[0],
-                unit=GROUPS[key[0]].unit,
+                unit=units[key[0]],
                 horizon_s=key[1],
                 before=float(np.sqrt(total[0])),
                 after=float(np.sqrt(total[1])),

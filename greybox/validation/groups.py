@@ -118,8 +118,8 @@ def error_vectors(which: str | Group, predicted: FloatArray, reference: FloatArr
     return out.reshape(*shape[:-1], 3)
 
 
-def error_norms(name: str, predicted: FloatArray, reference: FloatArray) -> FloatArray:
+def error_norms(which: str | Group, predicted: FloatArray, reference: FloatArray) -> FloatArray:
     """Norm of `error_vectors`, (...): for the rotation the geodesic angle [rad], 0 .. pi. Raises as
     that does."""
-    norms: FloatArray = np.linalg.norm(error_vectors(name, predicted, reference), axis=-1)
+    norms: FloatArray = np.linalg.norm(error_vectors(which, predicted, reference), axis=-1)
     return norms

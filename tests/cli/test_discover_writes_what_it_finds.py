@@ -264,7 +264,7 @@ BAD = {
     "no such effects file": (["--train", "a.csv", "--effects-file", "none.py"], "none.py"),
     "a model beside a vehicle": (
         ["--train", "a.csv", "--from", "model.json"],
-        "a vehicle file or --from",
+        "one of --vehicle, --model-file and --from",
     ),
     "a vehicle to go on with": (["--train", "a.csv", "--continue", "found"], "its own model"),
 }
@@ -287,7 +287,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
 @pytest.mark.parametrize(
     ("arguments", "needle"),
     [
-        (["--train", "a.csv"], "a vehicle file or --from"),
+        (["--train", "a.csv"], "one of --vehicle, --model-file and --from"),
         (["--train", "a.csv", "--from", "none.json"], "none.json"),
         (["--continue", "found"], "further flights"),
         (["--continue", "nowhere", "--train", "a.csv"], "nowhere"),

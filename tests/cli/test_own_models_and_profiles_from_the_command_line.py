@@ -213,9 +213,28 @@ WRONG = {
         ["plan", "--model-file", "{b}/tank.py:build", "--rate", "10"],
         "no range of the input pump",
     ),
-    "a name": (
-        ["discover", "--from", "{b}/fit/model.json", "--train", "{b}/a.csv"],
-        "--learner sparse",
+    "an effect of vehicles": (
+        [
+            "discover",
+            "--model-file",
+            "{b}/tank.py:build",
+            "--train",
+            "{b}/a.csv",
+            "--kinematic-noise",
+        ],
+        "a parameter with a null",
+    ),
+    "two models": (
+        [
+            "discover",
+            "--vehicle",
+            "V.toml",
+            "--model-file",
+            "{b}/tank.py:build",
+            "--train",
+            "{b}/a.csv",
+        ],
+        "one of --vehicle, --model-file and --from",
     ),
     "a course": (["mpc", "{b}/fit/model.json"], "flown by vehicles"),
     "a place": (

@@ -19,7 +19,6 @@ from greybox.estimation.problem import Value
 from greybox.estimation.status import Code, Status
 from greybox.validation.gap import HeldOutErrors
 from tests.discovery import small_world
-from tests.residual import hybrid_cases
 
 BAR, ALPHA = 6.0, 0.05
 
@@ -148,6 +147,6 @@ def test_an_accelerometer_that_is_off_by_half_is_no_property_of_a_craft(size: fl
     assert why in said and bool(said) == bool(why)
 
 
-def test_a_model_that_is_no_vehicle_is_refused_in_one_line() -> None:
-    with pytest.raises(ModelError, match="names what the model of a vehicle misses"):
-        discover(hybrid_cases.pendulum(), Dataset(flights=()))  # type: ignore[arg-type]
+def test_what_is_neither_a_vehicle_nor_a_model_is_refused_in_one_line() -> None:
+    with pytest.raises(ModelError, match=r"expected a vehicle .* or a StateSpaceModel"):
+        discover("craft", Dataset(flights=()))  # type: ignore[arg-type]

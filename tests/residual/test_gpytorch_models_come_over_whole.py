@@ -334,6 +334,8 @@ def test_sizes_that_do_not_fit_are_refused():
     )
     with pytest.raises(ModelError, match="wrong length"):
         from_gpytorch(model, likelihood).mean(np.zeros(4))
+    model.covar_module = gpytorch.kernels.RBFKernel(ard_num_dims=2)
+    assert "not made for this number of inputs; got 3 inputs" in refusal(model, likelihood)
 
 
 def test_something_else_than_a_model_is_refused():

@@ -41,7 +41,7 @@ def laws_of(
     own = [
         i
         for i, (axis, t) in enumerate(offered.columns)
-        if axis in OWN and OWN[axis][0] == t.text and _bent(axis, free)
+        if t.absorbed or (axis in OWN and OWN[axis][0] == t.text and _bent(axis, free))
     ]
     # The last columns are a constant push on every axis.
     always = [*own, *range(len(labels), offered.innovations.xy.shape[1])]

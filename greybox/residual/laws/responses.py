@@ -26,8 +26,10 @@ from greybox.data import Dataset
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.gain import Linearisation, linearisation_anywhere
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import physics_of
 from greybox.residual.discrepancy import feature_function, smoothed_features
 from greybox.residual.laws.lagged import remembered_terms
+from greybox.residual.laws.own_terms import own_slopes, own_terms
 from greybox.residual.laws.terms import Term, terms
 from greybox.symbolic import FloatArray
 
@@ -118,11 +120,16 @@ def library(
         states, features = smoothed_features(runner, segment, look)
         z.append(features)
         wrench.append(states[:, rows])
-    every, vehicle = np.concatenate(z), model.physics.vehicle
-    ends = np.cumsum([0, *map(len, z)])
-    flown = [slice(a, b) for a, b in itertools.pairwise(ends.tolist())]
-    past = remembered_terms(names, every, vehicle, flown, model.sample_time) if memory else []
-    columns = [(axis, t) for axis in axes for t in (*terms(axis, names, every, vehicle), *past)]
+    every, physics = np.concatenate(z), physics_of(model.dynamics)
+    if physics is None:
+        shared, slopes = own_terms(model.dynamics, names, every), own_slopes(model, names, every)
+        columns = [(axis, t) for axis in axes for t in (*slopes.get(axis, ()), *shared)]
+    else:
+        vehicle = physics.vehicle
+        ends = np.cumsum([0, *map(len, z)])
+        flown = [slice(a, b) for a, b in itertools.pairwise(ends.tolist())]
+        past = remembered_terms(names, every, vehicle, flown, model.sample_time) if memory else []
+        columns = [(axis, t) for axis in axes for t in (*terms(axis, names, every, vehicle), *past)]
     places = [model.dynamics.noises[axis] for axis in (*(axis for axis, _ in columns), *axes)]
     blocks = sum(len(stretches(len(own), len(segments))) for own in wrench)
     seen, follows, owners, at, number = (

@@ -20,8 +20,9 @@ import numpy as np
 
 from greybox.frames import numeric
 from greybox.model.dynamics import Dynamics
+from greybox.model.layer import physics_of
 from greybox.model.vehicle import Vehicle
-from greybox.residual.features import available
+from greybox.residual.features import available, default_features
 from greybox.symbolic import FloatArray
 
 BUMPS = 6
@@ -61,13 +62,15 @@ class Term:
     """One column: `text` for people, `code` for an effect file (CasADi, `flow`), signals it `uses`,
     values (N,).
 
-    With a `memory` the column is what that keeps of `code` (greybox.residual.laws.lagged)."""
+    With a `memory` the column is what that keeps of `code` (greybox.residual.laws.lagged).
+    `absorbed`: a change of a number that the fit had does the same, so that it is no law."""
 
     text: str
     code: str
     uses: tuple[str, ...]
     values: FloatArray
     memory: Memory | None = None
+    absorbed: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +85,10 @@ class FlightSignal:
 
 
 def wanted_features(dynamics: Dynamics) -> tuple[str, ...]:
-    """Names of the model's features that `terms` reads."""
+    """Names of the model's features that terms read; of a model of the user's own all states and
+    inputs."""
+    if physics_of(dynamics) is None:
+        return default_features(dynamics)
     there = available(dynamics)
     rotors = [n for n in there if n[:2] == "nu"] or [
         n for n in dynamics.inputs.names if n[0] == "u"

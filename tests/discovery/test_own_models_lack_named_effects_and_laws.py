@@ -1,0 +1,151 @@
+"""Claim: discover names what a model of the user's own lacks. Its effects are parameters with a
+null; what none of them is gets a law of states and inputs, as a program that builds the model with
+it; a model that lacks nothing is said to.
+
+The motor is simulated in NumPy, independently, with a dry friction of 50 rad/s^2.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from greybox.data import Dataset
+from greybox.discovery.result import Discovery
+from greybox.discovery.workflow import discover
+from greybox.errors import ModelError, UnknownNameError
+from greybox.model.dynamics import StateSpaceModel
+from greybox.model.identified import IdentifiedModel
+from greybox.model.own_effect import declared_effects, with_terms, without_effects
+from greybox.model.own_model import load_own_model
+from greybox.model.parameter import Parameter
+from greybox.symbolic import Expr
+from tests import motor
+
+FAN = Parameter(name="fan", unit="N m s^2", nominal=0.0, null=0.0, lower=0.0, scale=1e-6)
+DRY = Parameter(name="dry.c", unit="N m", nominal=0.0, null=0.0, lower=0.0, scale=0.01)
+WIDTH = Parameter(name="dry.width", unit="rad/s", nominal=1.0, lower=0.5, upper=2.0, scale=0.3)
+
+
+def candidates(*more: Parameter) -> StateSpaceModel:
+    """The motor without its friction, with further parameters of a friction and of a fan."""
+    plain = motor.model()
+
+    def dynamics(t: Expr, x: Expr, u: Expr, p: Mapping[str, Expr]) -> list[Expr]:
+        held = p["b"] * x[1]
+        if DRY in more:
+            held += p["dry.c"] * ca.tanh(x[1] / p["dry.width"])
+        if FAN in more:
+            held += p["fan"] * x[1] * ca.fabs(x[1])
+        return [
+            (u[0] - p["R"] * x[0] - p["k"] * x[1]) / p["L"],
+            (p["k"] * x[0] - held) / p["J"],
+        ]
+
+    own = tuple(d for d in plain.parameters if d.name != "c")
+    return replace(plain, parameters=(*own, *more), dynamics=dynamics)
+
+
+@functools.cache
+def records() -> tuple[Dataset, Dataset]:
+    """Two to search in, one that judges."""
+    made = [motor.record(n=800, torque_noise=0.0005, seed=s, name=f"run {s}") for s in (0, 1, 2)]
+    return made[0] + made[1], made[2]
+
+
+def searched(model: StateSpaceModel) -> Discovery:
+    return discover(model, *records())
+
+
+def test_an_effect_is_the_parameters_of_a_name_of_which_one_has_a_null() -> None:
+    model = candidates(DRY, WIDTH, FAN)
+    assert declared_effects(model) == {"dry": (DRY, WIDTH), "fan": (FAN,)}
+    bare = without_effects(model, ["dry", "fan"])
+    assert [d.name for d in bare.parameters] == ["R", "L", "k", "J", "b"]
+    x, u = ca.DM([1.0, 20.0]), ca.DM([3.0])
+    p = [1.2, 0.02, 0.05, 2e-4, 1e-4]
+    whole = model.f(0, x, u, ca.DM([*p, 0.0, 1.0, 0.0]))
+    assert np.array_equal(np.asarray(whole), np.asarray(bare.f(0, x, u, ca.DM(p))))
+    with pytest.raises(UnknownNameError, match="effect 'fans'"):
+        without_effects(model, ["fans"])
+    with pytest.raises(ModelError, match="parameter fan is there already"):
+        with_terms(model, [FAN], lambda t, x, u, p: {})
+    with pytest.raises(UnknownNameError, match="state 'speeds'"):
+        with_terms(bare, [FAN], lambda t, x, u, p: {"speeds": p["fan"] * x[1]})
+
+
+def test_the_friction_that_is_there_is_named_and_the_fan_that_is_not_there_is_not() -> None:
+    found = searched(candidates(DRY, WIDTH, FAN))
+    assert found.verdict == "named" and [n.name for n in found.said("certified")] == ["dry"]
+    (dry,) = found.effects()
+    value = dry["parameters"]["c"]
+    assert abs(value["value"] - motor.TRUTH["c"]) < 4 * value["std"]
+    assert dry["stage"] == "own" and dry["worth"]["group"] in ("speed", "current")
+    assert "fan" not in [d.name for d in found.model.dynamics.parameters]
+    assert all(r.after < r.before for r in found.gap if r.horizon_s)
+
+
+def test_what_has_no_name_is_a_law_in_a_program_that_builds_the_model(tmp_path: Path) -> None:
+    found = searched(candidates())
+    assert found.verdict == "unnamed" and found.lawful is not None
+    assert found.left is not None
+    (law,) = found.left.laws
+    assert law.channel == "speed" and law.depends_on == ("speed",)
+    (text,) = law.terms
+    assert text.startswith("tanh(speed") and -60 < law.terms[text] < -45
+    ahead = [r.with_proposals for r in found.gap if r.horizon_s]
+    assert all(share is not None and share > 0.4 for share in ahead), ahead
+    found.model.save(tmp_path / "model.json")
+    for name, program in found.proposals().items():
+        (tmp_path / name).write_text(program)
+    built = load_own_model(f"{tmp_path}/proposal_1.py:build")
+    assert list(declared_effects(built)) == ["proposal_speed"]
+    lawful = IdentifiedModel.load(found.lawful.save(tmp_path / "lawful.json"))
+    assert isinstance(lawful.core, StateSpaceModel)
+    names = [d.name for d in lawful.core.parameters]
+    assert names == [d.name for d in built.parameters]
+    x, u, p = ca.DM([1.0, 20.0]), ca.DM([3.0]), ca.DM([lawful.values[n] for n in names])
+    ours, theirs = built.f(0, x, u, p), lawful.core.f(0, x, u, p)
+    assert np.allclose(np.asarray(ours), np.asarray(theirs), rtol=1e-12)
+    json.dumps(found.to_dict())
+
+
+def test_a_model_that_lacks_nothing_is_said_to() -> None:
+    plain = motor.model()
+
+    def dynamics(t: Expr, x: Expr, u: Expr, p: Mapping[str, Expr]) -> list[Expr]:
+        held = p["b"] * x[1] + p["c"] * ca.tanh(x[1]) + p["fan"] * x[1] * ca.fabs(x[1])
+        return [
+            (u[0] - p["R"] * x[0] - p["k"] * x[1]) / p["L"],
+            (p["k"] * x[0] - held) / p["J"],
+        ]
+
+    found = searched(replace(plain, parameters=(*plain.parameters, FAN), dynamics=dynamics))
+    assert found.verdict == "nothing_missing" and not found.names
+    assert found.minimum_detectable["fan"]["fan"] > 0
+
+
+@pytest.mark.slow
+def test_a_model_that_was_identified_offers_laws_alone() -> None:
+    """Its numbers are known with their errors: none of them is a candidate any more."""
+    test = records()[1]
+    known = searched(candidates(DRY, WIDTH)).model
+    assert isinstance(known.core, StateSpaceModel)
+    again = discover(known.core, test, since=known)
+    assert again.verdict == "nothing_missing" and not again.names
+
+
+def test_what_own_models_do_not_have_is_refused_in_one_line() -> None:
+    with pytest.raises(ModelError, match="a parameter with a null") as caught:
+        discover(candidates(), *records(), kinematic_noise=True)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ModelError, match=r"no process noise .* noise_states") as caught:
+        discover(replace(candidates(), noise_states=()), *records())
+    assert "\n" not in str(caught.value)
