@@ -13,15 +13,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, Self
 
-import numpy as np
-
 from greybox.discovery.rules import RULES
 from greybox.errors import GreyboxError
 from greybox.model.beliefs import group_of
 from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
-from greybox.model.identified import IdentifiedModel
+from greybox.model.known import Known
 from greybox.model.model import PhysicsModel, build_model
 from greybox.model.noise import Augmented, Disturbance, Gust, SensorPart
 from greybox.model.parameter import Parameter
@@ -264,27 +262,6 @@ def offer(
         per_flight=tuple(per_flight),
         known={} if known is None else known.prior,
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Known:
-    """What an identified model says: its effects, and (value, sigma) of every number."""
-
-    effects: tuple[Effect, ...]
-    prior: Mapping[str, tuple[float, float]]
-
-
-def since(model: IdentifiedModel) -> Known:
-    """An identified model of a vehicle as what is known before new flights."""
-    return Known(effects=tuple(model.physics.effects), prior=known_numbers(model))
-
-
-def known_numbers(model: IdentifiedModel) -> dict[str, tuple[float, float]]:
-    """Parameter -> its number with its error; of those that differ from flight to flight with that
-    spread."""
-    errors = dict(zip(model.covariance_names, np.sqrt(np.diag(model.covariance)), strict=True))
-    prior = {n: (float(model.values[n]), float(s)) for n, s in errors.items() if s > 0}
-    return prior | {n: (float(m), float(s)) for n, (m, s) in model.flight_spread.items()}
 
 
 def _unstated(vehicle: Vehicle, offered: Iterable[Effect]) -> set[str]:

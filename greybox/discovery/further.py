@@ -21,13 +21,14 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.data.lead import without_lead_in
-from greybox.discovery.cause import Known, offer, sensor_cause, since
+from greybox.discovery.cause import offer, sensor_cause
 from greybox.discovery.evidence import Flights, Key, Structure
 from greybox.discovery.name import LOG10
 from greybox.errors import DataError
 from greybox.estimation.record import sample_time
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
+from greybox.model.known import Known, since
 from greybox.model.noise import sensor_parts
 
 

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from greybox.discovery.evidence import Fitted, Flights
-from greybox.discovery.law import Axis
 from greybox.discovery.rules import RULES
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit, fit
@@ -25,6 +24,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of, with_physics
 from greybox.model.noise import disturbances, without_parts
 from greybox.residual.discrepancy import discrepancy
+from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import Law, file_name, proposal_text, proposed
 from greybox.residual.laws.found import laws_of
 from greybox.residual.laws.responses import library
@@ -138,6 +138,7 @@ def left_over(
             gain=gains[c.name][0],
             needed=gains[c.name][1],
             lasts=lasts[c.name.split(".")[0]],
+            lawful=is_law(found.get(c.name, {})),
             **found.get(c.name, {}),
         )
         for j, c in enumerate(seen.outputs)
@@ -146,6 +147,11 @@ def left_over(
     if not lawful:
         return Left(axes=axes)
     return _raced(flights, at, axes, lawful, bar)
+
+
+def is_law(found: Mapping[str, Any]) -> bool:
+    """Whether terms were found that explain enough."""
+    return bool(found.get("terms")) and bool(found["share"] >= RULES.law)
 
 
 def _raced(

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from greybox.discovery.law import Axis
 from greybox.discovery.left import Left
 from greybox.discovery.name import LOG10, Name
 from greybox.errors import GreyboxError
@@ -18,6 +17,7 @@ from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import physics_of
 from greybox.plots import bars
+from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import file_name
 from greybox.shown import Cell, Shown
 from greybox.validation.gap import GapRow, closed_in_words

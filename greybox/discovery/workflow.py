@@ -18,7 +18,7 @@ from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.data.lead import without_lead_in
 from greybox.discovery.alike import separating
-from greybox.discovery.cause import Causes, known_numbers, offer, since
+from greybox.discovery.cause import Causes, offer
 from greybox.discovery.certificate import certificates, certificates_beside, splits
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.left import Left, left_over
@@ -35,6 +35,7 @@ from greybox.estimation.options import says_choices
 from greybox.estimation.record import sample_time
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
+from greybox.model.known import known_numbers, since
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
 from greybox.validation.gap import HeldOutErrors, gap, outgrown, predict_ahead

@@ -9,10 +9,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox.discovery.law import Axis
 from greybox.model.effect import Flow
 from greybox.model.effects_file import load_effects
 from greybox.model.model import build_model
+from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import file_name, proposal_text, proposed
 from greybox.residual.laws.terms import Term, terms, wanted_features
 from tests.discovery.small_world import flown, vehicle
@@ -54,6 +54,7 @@ def law(channel: str, *picked: Term) -> Axis:
         lasts=1.0,
         needed=True,
         share=0.9,
+        lawful=True,
         terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
         depends_on=(),
         codes=tuple(t.code for t in picked),

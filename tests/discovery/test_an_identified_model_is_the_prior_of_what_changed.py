@@ -8,11 +8,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from greybox.discovery.cause import Causes, offer, since
+from greybox.discovery.cause import Causes, offer
 from greybox.discovery.evidence import choices
 from greybox.estimation.options import FitOptions
 from greybox.model.effects import effect_by_name
 from greybox.model.identified import IdentifiedModel
+from greybox.model.known import since
 from tests.discovery.small_world import flown, vehicle
 
 KNOWN = {"rotational_damping.d_p": (4e-3, 1e-4), "thrust.c2": (1.1e-5, 1e-7)}

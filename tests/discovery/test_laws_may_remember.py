@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox.discovery.law import Axis
 from greybox.discovery.workflow import discover
 from greybox.model.effects_file import load_effects
 from greybox.model.model import build_model
 from greybox.plants.presets import x250
+from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import file_name, proposal_text, proposed
 from greybox.residual.laws.lagged import DAMPING, FREQUENCIES, TIMES, follow, remembered_terms
 from greybox.residual.laws.terms import Memory, Term
@@ -56,6 +56,7 @@ def law(channel: str, *picked: Term) -> Axis:
         lasts=1.0,
         needed=True,
         share=0.9,
+        lawful=True,
         terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
         depends_on=(),
         codes=tuple(t.code for t in picked),

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.discovery.law import Axis
+from greybox.discovery.left import is_law
 from greybox.discovery.rules import RULES
 from greybox.estimation.filtering import Filter
 from greybox.estimation.fit import fit
 from greybox.estimation.gain import Linearisation
 from greybox.frames import numeric
 from greybox.model.model import build_model
+from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.found import laws_of
 from greybox.residual.laws.responses import Library, Normal, responses, stretches
 from greybox.residual.laws.selection import forward, left_out, select, solve
@@ -74,6 +75,7 @@ def law(y: np.ndarray, z: np.ndarray, flights: tuple[str, ...], seed: int = 0) -
         gain=100.0,
         lasts=1.0,
         needed=True,
+        lawful=is_law(found.get("torque.z", {})),
         **found.get("torque.z", {}),
     )
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from greybox.discovery.rules import RULES
 from greybox.residual.laws.terms import Memory
 
 
@@ -16,7 +15,8 @@ class Axis:
     evidence that its state brings, `lasts`: its correlation time [s]. Of its law, if it has one:
     `share` of the variance that `terms` (text -> coefficient, SI) explain on flights that were left
     out, the signals they look at, `codes` as lines of an effect file, and `memories`, how those
-    with a memory follow it, and its RMS. `needed`: whether the flights clearly need the state."""
+    with a memory follow it, and its RMS. `needed`: whether the flights clearly need the state,
+    `lawful`: whether the law explains enough of it."""
 
     channel: str
     unit: str
@@ -29,14 +29,10 @@ class Axis:
     depends_on: tuple[str, ...] = ()
     codes: tuple[str, ...] = ()
     memories: tuple[tuple[Memory, float] | None, ...] = ()
+    lawful: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", dict(self.terms or {}))
-
-    @property
-    def lawful(self) -> bool:
-        """Whether a law was found."""
-        return bool(self.terms) and self.share >= RULES.law
 
     def to_dict(self) -> dict[str, Any]:
         """As in discovery.json."""
