@@ -26,6 +26,7 @@ from greybox.baselines.output_residual import OutputHybrid
 from greybox.baselines.regressors import Predictor
 from greybox.data import Dataset, Segment
 from greybox.data.channel import channel
+from greybox.data.drive import drive_names
 from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
 from greybox.estimation.record import hold_missing
@@ -111,7 +112,7 @@ class Bench:
     def __post_init__(self) -> None:
         there = set(self.train.channels) & set(self.test.channels)
         self.outputs = tuple(n for n in IMU if n in there)
-        self.commands = tuple(f"u{i + 1}" for i in range(self.vehicle.n_rotors))
+        self.commands = drive_names(self.train.channels, self.vehicle.n_rotors)
         self.inputs = (*self.commands, *(n for n in ("vbat",) if n in there))
         if not self.outputs:
             raise DataError("no IMU channel in all flights", expected=", ".join(IMU))
