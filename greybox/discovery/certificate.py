@@ -33,6 +33,7 @@ from greybox.data import Dataset
 from greybox.discovery.evidence import Fitted, Flights, Key
 from greybox.discovery.search import Rival
 from greybox.estimation.status import Code
+from greybox.statistics import regret as of_arrays
 from greybox.symbolic import FloatArray
 
 APART = 0.5
@@ -215,32 +216,16 @@ def _keys(both: Fitted, split: Split, causes: Sequence[str]) -> list[Key]:
 
 
 def regret(first: Fitted, both: Fitted, keys: Sequence[Key]) -> float:
-    """Log of the supremum over D2 less that of the integral, for the unknowns `keys` of a rival,
-    all others integrated, to second order: with information V1 from D1 and V from both,
-
-        log det(V) / 2 - log det(V1) / 2 + d' V1 d / 2 + (V1 d)' (V - V1)^-1 (V1 d) / 2,
-
-    d what D2 moved the estimate by.
-    """
+    """`greybox.statistics.regret` of the unknowns `keys` of a rival, all others integrated."""
     v, theta = _information(both, keys)
     there = {(u.name, u.flight) for u in first.problem.unknowns}
     old = [i for i, k in enumerate(keys) if k in there]
-    places = both.problem.index
-    unknowns = [both.problem.unknowns[places[k]] for k in keys]
+    unknowns = [both.problem.unknowns[both.problem.index[k]] for k in keys]
     v1 = np.diag([1.0 / u.sigma**2 for u in unknowns])
     theta1 = np.array([u.mean for u in unknowns])
     if old:
-        part, value = _information(first, [keys[i] for i in old])
-        v1[np.ix_(old, old)] = part
-        theta1[old] = value
-    d = v1 @ (theta - theta1)
-    _, large = np.linalg.slogdet(v)
-    _, small = np.linalg.slogdet(v1)
-    level, directions = np.linalg.eigh(v - v1)
-    keep = level > 1e-9 * max(level.max(initial=0.0), 1e-300)
-    along = directions[:, keep].T @ d
-    ends = float((theta - theta1) @ d) + float((along**2 / level[keep]).sum())
-    return max(0.5 * float(large - small) + 0.5 * ends, 0.0)
+        v1[np.ix_(old, old)], theta1[old] = _information(first, [keys[i] for i in old])
+    return of_arrays.regret(v, theta, v1, theta1)
 
 
 def _information(fitted: Fitted, keys: Sequence[Key]) -> tuple[FloatArray, FloatArray]:
@@ -248,12 +233,4 @@ def _information(fitted: Fitted, keys: Sequence[Key]) -> tuple[FloatArray, Float
     assert fitted.value.hessian is not None
     places = [fitted.problem.index[k] for k in keys]
     rest = [i for i in range(fitted.problem.n) if i not in set(places) and not fitted.held[i]]
-    h = fitted.value.hessian
-    scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
-    unit = h / np.outer(scale, scale)
-    own = unit[np.ix_(places, places)]
-    if rest:
-        cross = unit[np.ix_(places, rest)]
-        inner = unit[np.ix_(rest, rest)] + 1e-10 * np.eye(len(rest))
-        own = own - cross @ np.linalg.solve(inner, cross.T)
-    return own * np.outer(scale[places], scale[places]), fitted.theta[places]
+    return of_arrays.information_on(fitted.value.hessian, places, rest), fitted.theta[places]

@@ -199,8 +199,8 @@ def _refitted(law: Axis, name: str, values: Mapping[str, float]) -> Axis:
 
 def _white(settled: Fit, flights: Flights) -> IdentifiedModel:
     """The model of a fit without states of force, torque and sensors, noise levels fitted anew: a
-    filter with disturbance states takes most of a slow law for noise. Of a model of the user's own
-    its numbers, too: it is small, and next to a disturbance they only say what is fast."""
+    filter with these takes most of a slow law for noise. Of a small model of one's own all numbers:
+    next to a disturbance they only say what is fast."""
     dynamics = without_parts(settled.model.dynamics)
     there = {d.name for d in dynamics.parameters}
     values = {n: float(v) for n, v in settled.model.values.items() if n in there}

@@ -115,15 +115,10 @@ def discover(
 
 
 def _settings(options: DiscoverOptions) -> dict[str, Any]:
-    return {
-        "alpha": options.alpha,
-        "seed": options.seed,
-        "max_effects": options.max_effects,
-        "adapt": options.adapt,
+    said = ("alpha", "seed", "max_effects", "adapt", "hold_sensor_noise", "trace")
+    return {n: getattr(options, n) for n in said} | {
         "per_flight": list(options.per_flight),
         "fixed": sorted(options.fixed),
-        "hold_sensor_noise": options.hold_sensor_noise,
-        "trace": options.trace,
         "since": None if options.since is None else options.since.data_hash,
     }
 

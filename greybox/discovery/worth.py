@@ -67,9 +67,8 @@ def worth(without: HeldOutErrors, named: HeldOutErrors) -> Worth:
 
 
 def seconds(without: HeldOutErrors, named: HeldOutErrors) -> FloatArray:
-    """Per second of flight (of a model of the user's own, hundred samples), the relative fall of
-    the squared error over `RULES.fastest` to `RULES.longest` ahead, (old - new) / (old + new), mean
-    over groups and horizons: within -1, 1."""
+    """Per second of flight (hundred samples of one's own model), (old - new) / (old + new) of the
+    squared error `RULES.fastest` to `RULES.longest` ahead, mean over groups and horizons."""
     rows: list[FloatArray] = []
     for (group, horizon), blocks in without.own.items():
         new = named.own.get((group, horizon), [])
