@@ -150,8 +150,8 @@ def write(seed: int, out: Path, *, duration: float = DURATION) -> None:
 def fitted(seed: int, out: Path) -> dict[str, Any]:
     """Fit a folder by the plain command; the row of its seed.
 
-    `share`: of the error of holding the last value, by group, half a second ahead. `late` and its
-    truth [s]. `z`: deviations from the truth in standard errors.
+    `share`: of the error of holding the last value, by group, half a second ahead. `late`: found,
+    its standard error, true [s]. `z`: deviations from the truth in standard errors.
     """
     train, test = (sorted(out.glob(f"{kind}?.csv")) for kind in ("train", "test"))
     before = seconds_of_children()
@@ -163,14 +163,14 @@ def fitted(seed: int, out: Path) -> dict[str, Any]:
     judged = json.loads((out / "fit" / "validate.json").read_text(encoding="utf-8"))
     truth = json.loads((out / "truth.json").read_text(encoding="utf-8"))
     z, _ = deviations(fit["parameters"], truth["parameters"])
-    delay = fit["parameters"].get("command_delay.d", {"value": 0.0, "std": None})
+    lag = fit["effective_lag"]
     return {
         "seed": seed,
         "code": run.returncode,
         "seconds": round(seconds, 1),
         "said": run.stdout.splitlines()[0] if run.stdout else "",
         "share": shares(judged),
-        "late": [-delay["value"], delay["std"], truth["telemetry"]["late"]],
+        "late": [-lag["value"], lag["std"], truth["telemetry"]["late"]],
         "z": z,
     }
 
