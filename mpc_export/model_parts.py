@@ -99,7 +99,8 @@ class ModelParts:
                 expected=f"dt = {self.own_dt:g} s",
                 got=f"{self.dt:g} s",
             )
-        assert not isinstance(self.model, PredictorModel)
+        if isinstance(self.model, PredictorModel):
+            raise ModelError(f"{self.model.name} predicts samples: it has one sample time")
         return at_sample_time(self.model, dynamics, self.dt)
 
     @property

@@ -27,8 +27,9 @@ class Noise:
 
     gain K (n_d, n_e), innovation covariance S (n_e, n_e), cross N (n_d, n_e) with K = N S^-1,
     covariance P (n_d, n_d) of the predicted state, process Q (n_d, n_d) per step of an open-loop
-    prediction, sensor (n_e,) standard deviations. unfiltered (n_d, n_d): the part of Q that the
-    filter does not allow for, where errors ahead are larger than one step ahead says.
+    prediction, sensor (n_e,) standard deviations. filtered (n_d, n_d): Q of the filter, which P
+    belongs to. unfiltered (n_d, n_d): the part of Q that it does not allow for, where errors ahead
+    are larger than one step ahead says.
     """
 
     gain: FloatArray
@@ -37,6 +38,7 @@ class Noise:
     covariance: FloatArray
     process: FloatArray
     sensor: FloatArray
+    filtered: FloatArray
     unfiltered: FloatArray
 
 
@@ -72,6 +74,7 @@ def identified_noise(
         covariance=_square(found.P, extra),
         process=_square((g * ahead**2) @ g.T, extra),
         sensor=np.asarray(model.sensor_noise, dtype=float),
+        filtered=_square((g * noise**2) @ g.T, extra),
         unfiltered=_square((g * np.maximum(ahead**2 - noise**2, 0.0)) @ g.T, extra),
     )
 
@@ -86,6 +89,7 @@ def innovation_noise(k: FloatArray, covariance: FloatArray, extra: int) -> Noise
         covariance=np.zeros((len(k) + extra,) * 2),
         process=_square(k @ covariance @ k.T, extra),
         sensor=np.sqrt(np.diag(covariance)),
+        filtered=_square(k @ covariance @ k.T, extra),
         unfiltered=np.zeros((len(k) + extra,) * 2),
     )
 

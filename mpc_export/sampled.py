@@ -30,6 +30,9 @@ from greybox.model.model import PhysicsModel
 from greybox.residual.features import features
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
 
+AS_WELL = 0.02
+"""By how much a mode may be left with another share after a longer sample than after as long in the
+samples that it was identified at."""
 MINUTES = 0.01
 """Rate [1/s] below which nothing decays in a flight."""
 EXOGENOUS = ("vbat",)
@@ -44,14 +47,20 @@ def is_discrete(dynamics: Dynamics) -> bool:
 
 def at_sample_time(model: IdentifiedModel | LinearModel, dynamics: Dynamics, dt: float) -> Dynamics:
     """The same model for another sample time: its command window holds as many samples as its delay
-    then needs. What decays goes on decaying: a sample takes the fewest Runge-Kutta steps that are
-    stable about the model's reference, at most as many as samples it was identified at."""
+    then needs. What decays goes on decaying: a sample takes the fewest Runge-Kutta steps that leave
+    of every mode about the model's reference what the samples leave that it was identified at
+    (`AS_WELL`), at most as many as these."""
     physics = physics_of(dynamics)
     if physics is None or not isinstance(model, IdentifiedModel):
         return dynamics
-    modes, most = _decaying(physics, model), max(1, math.ceil(dt / model.sample_time - 1e-9))
-    stable = (n for n in range(1, most) if (np.abs(_runge_kutta(modes * dt / n)) < 1.0).all())
-    parts = next(stable, most)
+    modes, own = _decaying(physics, model), model.sample_time
+    most = max(1, math.ceil(dt / own - 1e-9))
+    left = _runge_kutta(modes * own) ** (dt / own)
+
+    def as_well(n: int) -> bool:
+        return bool((np.abs(_runge_kutta(modes * dt / n) ** n - left) < AS_WELL).all())
+
+    parts = next((n for n in range(1, most) if as_well(n)), most)
     return with_physics(dynamics, lambda physics: replace(physics, sample_time=dt, parts=parts))
 
 

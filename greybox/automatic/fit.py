@@ -32,6 +32,7 @@ from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
 from greybox.model.vehicle import Vehicle
+from greybox.validation.calibration import calibrated
 
 LEFT_TO_JUDGE = 3.0
 """Times the seconds of adaptation that a test flight must last: two thirds of it judge."""
@@ -274,7 +275,7 @@ def on_pieces(
     if parts is None:
         return None
     options = recipe.options.but(solver=QUICK, considered=())
-    found = fit_recipe(vehicle, parts[0], replace(recipe, options=options))
+    found = calibrated(fit_recipe(vehicle, parts[0], replace(recipe, options=options)), parts[0])
     return found.model, parts[1]
 
 

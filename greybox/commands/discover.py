@@ -302,6 +302,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data.checks import CheckReport, check_logs
     from greybox.discovery.workflow import discover, refused
+    from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
     from greybox.model.dynamics import StateSpaceModel
     from greybox.model.effects_file import load_effects
@@ -359,8 +360,9 @@ def run(arguments: argparse.Namespace) -> int:
                 search.page()
                 arguments.kept = search.kept()
             raise
+    elif isinstance(subject, StateSpaceModel):
+        raise GreyboxError("faults are looked for in the flights of a vehicle only")
     else:
-        assert not isinstance(subject, StateSpaceModel)
         found = refused(
             faults, subject, settings={"alpha": arguments.alpha, "seed": arguments.seed}
         )

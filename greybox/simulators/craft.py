@@ -260,7 +260,7 @@ def of_a_body(moments: npt.NDArray[np.floating[Any]]) -> BoolArray:
 def _pushes(model: IdentifiedModel) -> str:
     """Disturbances with their standard deviation and time, and what was learned."""
     dynamics, dt = model.dynamics, model.sample_time
-    level = dict(zip(dynamics.noises.names, model.noise_ahead.tolist(), strict=True))
+    level = dict(zip(dynamics.noises.names, model.process_noise.tolist(), strict=True))
     parts = []
     for part in disturbances(dynamics):
         names = [n for n in dynamics.noises.names if n.startswith(f"{part.name}.")]

@@ -226,7 +226,7 @@ def draw(model: IdentifiedModel, count: int, seed: int = 0) -> Draws:
         values=values,
         drawn=drawn,
         seed=seed,
-        levels=np.tile(model.noise_ahead, (count, 1)),
+        levels=np.tile(model.process_noise, (count, 1)),
         learned=learned,
     )
 

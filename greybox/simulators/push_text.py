@@ -88,7 +88,7 @@ def push_text(craft: Craft) -> str | None:
 def _pushes(craft: Craft) -> dict[str, _Push]:
     model = craft.source
     names = model.dynamics.noises.names
-    level = dict(zip(names, model.noise_ahead.tolist(), strict=True))
+    level = dict(zip(names, model.process_noise.tolist(), strict=True))
     out = {}
     for part in disturbances(model.dynamics):
         if part.group in _GROUPS:

@@ -98,7 +98,8 @@ class ModelPlant:
         bounds = {d.name: (d.lower, d.upper) for d in model.dynamics.parameters}
         self._bounds = np.array([bounds[n] for n in names], dtype=float).reshape(-1, 2)
         self._slow = [i for i, n in enumerate(f.states.names) if n.startswith("disturbance.")]
-        self._levels = np.array(model.process_noise, dtype=float)
+        # As the tube allows for: what it tunes against must push as hard.
+        self._levels = np.array(model.noise_ahead, dtype=float)
         if disturbances is not None:
             self._levels[[n.startswith("disturbance.") for n in model.dynamics.noises.names]] = 0.0
         self._hover = self._steady()

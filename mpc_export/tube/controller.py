@@ -172,7 +172,7 @@ class TubeController:
         )
         self.filter: ModelFunctions = model_functions(model, with_=wanted)
         noise = dict(
-            zip(self.filter.error_states.names, np.diag(self.filter.noise.process), strict=True)
+            zip(self.filter.error_states.names, np.diag(self.filter.noise.filtered), strict=True)
         )
         self._pushes = [
             (at, name.split(".")[2], float(noise[f"d_{name.removeprefix('error.')}"]))

@@ -96,7 +96,7 @@ def carried(functions: ModelFunctions, columns: Sequence[Sequence[str]]) -> floa
     steps, known = round(BLIND / functions.dt), np.diag(covariance)[place]
     for k in range(steps):
         gain = np.linalg.solve(c @ covariance @ c.T + noise, c @ covariance).T
-        covariance = a @ (covariance - gain @ c @ covariance) @ a.T + functions.noise.process
+        covariance = a @ (covariance - gain @ c @ covariance) @ a.T + functions.noise.filtered
         if not (np.diag(covariance)[place] - known).max(initial=0.0) <= UNSURE**2:
             return max(k * functions.dt, SLOW)
     return steps * functions.dt

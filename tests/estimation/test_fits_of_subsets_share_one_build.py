@@ -53,6 +53,7 @@ def test_estimates_are_the_same():
 def test_only_built_parameters_can_be_selected():
     engine = engine_for(model(), SOME)
     assert engine.select(SOME) is engine
-    assert engine.select(("J",)).columns.tolist() == [1]
+    # Another fit in this process may have built more of the same model.
+    assert [engine.built[i] for i in engine.select(("J",)).columns] == ["J"]
     with pytest.raises(UnknownNameError, match="active parameter"):
         engine.select(("L",))
