@@ -36,7 +36,8 @@ commands, fits, searches, exports and flights. `make test` leaves them to `make 
 
 def is_long(path: Path) -> bool:
     """Whether a test file belongs to `make test-long`."""
-    return path.relative_to(Path(__file__).parent).as_posix().startswith(LONG)
+    folder = Path(__file__).parent
+    return path.is_relative_to(folder) and path.relative_to(folder).as_posix().startswith(LONG)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -40,7 +40,7 @@ from greybox.automatic.sets import (
     per_flight_parameters,
 )
 from greybox.data import Dataset
-from greybox.errors import GreyboxError
+from greybox.errors import GreyboxError, ModelError
 from greybox.estimation.fit import fit, noise_of
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.recipe import Decision, Recipe
@@ -237,6 +237,12 @@ class _Decider:
         self.input = self.given.input or input_of(self.data.channels, self.vehicle)
         if self.input == "speed":
             self.facts = self.facts.without({s.name for s in SENSORS if not s.usual})
+        if self.input == "speed" and self.vehicle.actuator.speed_max is None:
+            raise ModelError(
+                "the rotor speeds have no scale",
+                expected="actuator.speed_max [rad/s] in the vehicle file",
+                fix="add the rotor speed at full command, or log the commands",
+            )
         if self.given.input is None and self.input != "command":
             self._note(
                 "input",

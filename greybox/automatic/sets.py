@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from greybox.automatic.facts import Facts
-from greybox.model.composition import acts_on_speeds
+from greybox.model.composition import SHAPING, acts_on_speeds
 from greybox.model.effect import Effect
 from greybox.model.effects import effect_by_name
 from greybox.model.vehicle import Vehicle
@@ -81,11 +81,18 @@ def nested_sets(
         usable = tuple(
             n
             for n in names_of(step)
-            if n not in vehicle.effects and _felt(n, vehicle, facts) and _acts_on(n, input)
+            if not _there(n, vehicle, input) and _felt(n, vehicle, facts) and _acts_on(n, input)
         )
         if usable or step is BASE:
             steps.append(Step(name=step.name, effects=usable, per_flight=step.per_flight))
     return tuple(steps)
+
+
+def _there(name: str, vehicle: Vehicle, input: str) -> bool:
+    """Whether the vehicle file brings an effect; it says nothing of how a log has rotor speeds."""
+    return name in vehicle.effects and not (
+        input == "speed" and effect_by_name(name).stage in SHAPING
+    )
 
 
 def _acts_on(name: str, input: str) -> bool:

@@ -188,7 +188,7 @@ def uses(found: Any) -> dict[str, Any]:
 
     groups = {g.group for g in found.groups}
     sensors = [s for s in _sensors(found) if s in {x.name for x in USUAL}]
-    driven = "command" in groups
+    driven = bool({"command", "rotor_speed"} & groups)
     measured = ("rate", "specific_force", "attitude", "position", "velocity", "rotor_speed")
     return {
         "fit": driven and bool(sensors) and not found.unfit,

@@ -48,8 +48,8 @@ WANTED_RATE = {
 that commands and IMU must be logged several times in that time; the pose is bridged by the IMU."""
 
 PURPOSE = {
-    "command": "without it no model of forces or torques can be fitted (`--input speed` takes "
-    "rotor speeds instead)",
+    "command": "without it, or rotor speeds in its place, no model of forces or torques can be "
+    "fitted",
     "rotor_speed": "separates motor lag from everything else, and gives coefficients of true rotor "
     "speed",
     "battery": "battery_sag; thrust otherwise drifts over a flight",

@@ -218,9 +218,7 @@ def offer(
     Effects in the vehicle file, and those of the model that was `known`, are not offered again.
     Raises `ModelError` for a log without sensors.
     """
-    columns = tuple(columns)
-    noncausal = tuple(noncausal)
-
+    columns, noncausal = tuple(columns), tuple(noncausal)
     before = () if known is None else known.effects
 
     def build(effects: Iterable[Effect]) -> PhysicsModel:
@@ -228,6 +226,7 @@ def offer(
             vehicle,
             columns,
             (*before, *effects),
+            input=None if known is None else known.input,
             sample_time=sample_time,
             noncausal=noncausal,
             kinematic_noise=kinematic_noise,

@@ -60,7 +60,7 @@ def further(
         own=own,
         sample_time=sample_time(data),
         noncausal=data.noncausal,
-        known=Known(effects=(), prior=known.prior),
+        known=Known(effects=(), prior=known.prior, input=known.input),
     )
     parts = [sensor_cause(p, causes.model) for p in sensor_parts(model.dynamics)]
     causes = causes.with_cause(*parts)

@@ -161,8 +161,8 @@ def _raced(
     offered = flights.causes
     physics = physics_of(offered.model)
     taken = offered.effects if physics is None else tuple(e.name for e in physics.effects)
-    causes = offered.of_laws(lawful, taken)
     try:
+        causes = offered.of_laws(lawful, taken)
         flights.causes = offered.with_cause(*causes)
         start = dict(at.known)
         for cause, law in zip(causes, lawful, strict=True):

@@ -95,7 +95,7 @@ def offer_own(
             where=model.name,
             fix="noise_states: the states whose equations are in doubt",
         )
-    declared = {} if known else declared_effects(model)
+    declared = {} if known is not None else declared_effects(model)
     offered = {n: _cause(n, ps) for n, ps in declared.items()}
     every = {p for c in offered.values() for p in c.parameters}
     held = set(fixed)

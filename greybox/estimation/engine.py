@@ -275,7 +275,7 @@ class Engine:
             with CASADI:
                 found = linears(
                     self._stepped,
-                    f"{self.built} of {names}, sensitive: {self.sensitive}",
+                    f"{self.built} of {names}, sensitive: {self.sensitive}; {self.move.serialize()}",
                     {"slope": lambda: self.slope, "turn": lambda: self.turn},
                 )
                 self._slope, self._turn = found["slope"], found["turn"]

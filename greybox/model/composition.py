@@ -44,8 +44,9 @@ def check_effects(
     if measured_speed:
         if vehicle.actuator.speed_max is None:
             raise ModelError(
-                "--input speed needs actuator.speed_max in the vehicle file",
-                fix="add speed_max",
+                "rotor speeds as the input (--input speed) need actuator.speed_max in the "
+                "vehicle file",
+                fix="add speed_max [rad/s], or log the commands",
             )
         for e in effects:
             if not acts_on_speeds(e):

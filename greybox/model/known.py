@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -13,15 +14,18 @@ from greybox.model.identified import IdentifiedModel
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """What an identified model says: its effects, and (value, sigma) of every number."""
+    """What an identified model says: its effects, (value, sigma) of every number, and what drives
+    it."""
 
     effects: tuple[Effect, ...]
     prior: Mapping[str, tuple[float, float]]
+    input: Literal["command", "speed"]
 
 
 def since(model: IdentifiedModel) -> Known:
     """An identified model of a vehicle as what is known before new flights."""
-    return Known(effects=tuple(model.physics.effects), prior=known_numbers(model))
+    physics = model.physics
+    return Known(effects=tuple(physics.effects), prior=known_numbers(model), input=physics.input)
 
 
 def known_numbers(model: IdentifiedModel) -> dict[str, tuple[float, float]]:

@@ -164,8 +164,9 @@ class PhysicsModel(Shown):
             for d in declared:
                 given = stated.get(d.name)
                 if self.input == "speed" and "delay" in e.early:
-                    # A command may not act before it was sent; a speed is often logged late.
-                    d = replace(d, lower=-LATE_SPEEDS)
+                    # A command may not act before it was sent; a speed is often logged late, by
+                    # what the vehicle file does not know.
+                    d, given = replace(d, lower=-LATE_SPEEDS), None
                 out.append(
                     replace(d, name=f"{e.name}.{d.name}")
                     if given is None

@@ -8,14 +8,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from greybox import build_model, dataset_from_arrays, fit
+from greybox.automatic.facts import Facts
+from greybox.automatic.sets import nested_sets
 from greybox.data import read_log, read_table
 from greybox.data.checks import check
 from greybox.data.conditioning import condition
-from greybox.errors import DataError
+from greybox.errors import DataError, ModelError
+from greybox.model.model import input_of
+from greybox.model.vehicle import Quantity
 from tests.automatic.craft import flown, vehicle
 
 SEED, SECONDS = (7,), 20.0
 SPEEDS = ("omega1", "omega2", "omega3", "omega4")
+FACTS = Facts(
+    sensors=frozenset({"gyro", "accelerometer"}),
+    noise={},
+    wander=0.0,
+    apart=0.0,
+    seconds=SECONDS,
+    flights=1,
+    rate=100.0,
+    voltage=False,
+)
 OTHERS = ("p", "q", "r", "ax", "ay", "az")
 
 
@@ -92,3 +107,45 @@ def test_speeds_without_a_stated_maximum_are_judged_too(tmp_path):
     silent = replace(craft, actuator=replace(craft.actuator, speed_max=None))
     flight = read_table(written(tmp_path, columns()), silent)
     assert not [f for f in check([flight], silent).findings if f.severity == "blocking"]
+
+
+def test_command_columns_that_hold_nothing_do_not_count(tmp_path):
+    log = columns()
+    log |= {f"u{i}": np.full(log["t"].size, np.nan) for i in range(1, 5)}
+    flight = read_log(written(tmp_path, log), vehicle())
+    assert set(SPEEDS) <= set(flight.channels)
+
+
+def test_where_only_some_commands_are_there_speeds_drive():
+    log = columns()
+    t = log.pop("t")
+    log |= {"u1": np.full(t.size, 0.5), "u2": np.full(t.size, 0.5)}
+    data = dataset_from_arrays(t, log, name="run")
+    assert input_of(data.channels, vehicle()) == "speed"
+    assert not [f for f in check(data, vehicle()).findings if f.severity == "blocking"]
+
+
+def test_a_log_without_anything_that_drives_is_judged_by_the_rest():
+    log = columns()
+    t = log.pop("t")
+    data = dataset_from_arrays(t, {n: log[n] for n in OTHERS}, name="run")
+    report = check(data, vehicle())
+    assert any(u.check == "excitation" and "rotor speeds" in u.reason for u in report.not_judged)
+
+
+def test_a_delay_of_commands_in_the_vehicle_file_says_nothing_of_the_log():
+    stated = replace(vehicle(), effects={"command_delay": {"d": Quantity(value=0.012, sigma=0.0)}})
+    offered = nested_sets(stated, FACTS, input="speed")
+    assert "command_delay" in offered[0].effects
+    model = build_model(stated, [*SPEEDS, *OTHERS], ["command_delay"])
+    (delay,) = (d for d in model.parameters if d.name == "command_delay.d")
+    assert (delay.nominal, delay.sigma > 0) == (0.0, True)
+
+
+def test_speeds_without_a_scale_are_refused_before_any_work(tmp_path):
+    craft = vehicle()
+    silent = replace(craft, actuator=replace(craft.actuator, speed_max=None))
+    log = columns()
+    t = log.pop("t")
+    with pytest.raises(ModelError, match="rotor speeds have no scale"):
+        fit(silent, dataset_from_arrays(t, log, name="run"))

@@ -26,6 +26,8 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.own_effect import declared_effects, with_terms, without_effects
 from greybox.model.own_model import load_own_model
 from greybox.model.parameter import Parameter
+from greybox.residual.laws.axis import Axis
+from greybox.residual.laws.own_file import own_law_text
 from greybox.symbolic import Expr
 from tests import motor
 
@@ -149,3 +151,20 @@ def test_what_own_models_do_not_have_is_refused_in_one_line() -> None:
     with pytest.raises(ModelError, match=r"no process noise .* noise_states") as caught:
         discover(replace(candidates(), noise_states=()), *records())
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("unit", ['"+str(print("run"))+"', 'rad/"s', "m\\n", '"""'])
+def test_a_unit_of_a_file_never_becomes_code(unit: str, capsys: pytest.CaptureFixture[str]):
+    law = Axis(
+        channel="speed",
+        unit=unit,
+        rms=1.0,
+        gain=10.0,
+        lasts=1.0,
+        needed=True,
+        terms={"speed": 1.0},
+        codes=("x[0]",),
+    )
+    with pytest.raises(ModelError, match="cannot stand in a program"):
+        own_law_text(law, 1)
+    assert capsys.readouterr().out == ""

@@ -30,6 +30,11 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             check="excitation", flight=view.name, reason="no airborne stretch on a usable clock"
         )
         return
+    if not view.drives:
+        yield Unjudged(
+            check="excitation", flight=view.name, reason="neither all commands nor all rotor speeds"
+        )
+        return
     evidence: dict[str, float] = {"duration_s": view.flight.duration}
     still = []
     u = view.drive

@@ -111,6 +111,8 @@ def _below_the_ground(view: View) -> float | None:
     is not seen."""
     log = view.increasing
     names = drive_names(log.channels, len(view.vehicle.rotors))
+    if not names:
+        return None
     least = view.vehicle.actuator.u_min if view.commanded else 0.0
     mean = np.mean([log.channels[n] for n in names], axis=0) - least
     z = log.channels["z"]

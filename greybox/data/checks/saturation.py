@@ -27,7 +27,7 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         return
     actuator = view.vehicle.actuator
     tiny = 1e-3 * (actuator.u_max - actuator.u_min)
-    u = view.group("command") if view.commanded else np.zeros((0, 1))
+    u = view.group("command") if view.commanded and view.drives else np.zeros((0, 1))
     u = u[np.isfinite(u).all(axis=1)]
     for what, mask in (
         ("u_max", u >= actuator.u_max - tiny),

@@ -113,7 +113,7 @@ class View:
     @property
     def commanded(self) -> bool:
         """Whether commands drive the rotors; else measured rotor speeds stand in their place."""
-        return self.flight is None or bool(command_names(self.flight.channels))
+        return self.flight is None or bool(command_names(self.drive_names))
 
     @property
     def drive_names(self) -> tuple[str, ...]:

@@ -87,9 +87,13 @@ def _wanted(table: Table, vehicle: Airframe | None) -> tuple[str, ...]:
 def _driving(table: Table, rotors: int) -> set[str]:
     """The commands, or the rotor speeds where the table has no command and all of them."""
     commands, speeds = (set(group_names(g, rotors)) for g in ("command", "rotor_speed"))
-    if commands.isdisjoint(table.columns) and speeds.issubset(table.columns):
-        return speeds
-    return commands
+    held = {
+        n
+        for n in (*commands, *speeds)
+        if n in table.columns
+        and not (table.columns[n].dtype.kind == "f" and np.isnan(table.columns[n]).all())
+    }
+    return speeds if held.isdisjoint(commands) and speeds <= held else commands
 
 
 def _absent(name: str, table: Table, where: str) -> DataError:

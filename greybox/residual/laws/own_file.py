@@ -6,16 +6,35 @@ coefficients whose null is zero: `greybox fit --model-file proposal_1.py:build` 
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Iterable
 from typing import Any
 
+from greybox.errors import ModelError, printable
 from greybox.model.own_effect import Terms
 from greybox.model.parameter import Parameter
 from greybox.residual.laws.effect_file import Law, effect_name, file_name
 
+PLAIN = re.compile(r"[\w .,:;/^|*+()\[\]=<>%·²³-]*")
+"""What names, units and terms of a law may hold: a law is run as a program, and a model file that
+somebody sent must not become one. Its codes name signals by their places."""
+
+
+def _demand_plain(texts: Iterable[str]) -> None:
+    for text in texts:
+        if not PLAIN.fullmatch(text):
+            raise ModelError(
+                "a name or unit of this model cannot stand in a program",
+                expected="letters, digits, blanks and signs",
+                got=printable(text),
+                fix="rename it",
+            )
+
 
 def own_law_text(law: Law, number: int, taken: Collection[str] = ()) -> str:
-    """The program for one state, its effect named otherwise than those `taken`."""
+    """The program for one state, its effect named otherwise than those `taken`. Raises
+    `ModelError` for names and units that could be code."""
+    _demand_plain((law.channel, law.unit, *law.terms))
     name, rows = effect_name(law.channel, taken), list(law.terms.items())
     declared = [
         f'    Parameter(name="{name}.c_{i}", unit="{law.unit} / ...", nominal=0.0, null=0.0, '
