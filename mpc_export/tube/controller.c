@@ -39,6 +39,7 @@ static const int column[ND + 1] = TUBE_COLUMN, row[TUBE_NONZEROS] = TUBE_ROW;
 static const tube_real gain[NU * ND] = TUBE_GAIN;
 
 #ifdef TUBE_HOSTED
+#define TUBE_SOLVE
 typedef double seconds;
 
 static seconds now(void) {
@@ -65,6 +66,7 @@ tube_solver *tube_create(void) {
   return s;
 }
 #else
+#define TUBE_SOLVE static
 typedef tube_real seconds;
 
 static seconds now(void) { return 0; }
@@ -362,7 +364,7 @@ static int simulated(tube_solver *s, tube_data *d) {
    not solved; 3 where Newton's steps grow. After 1 to 3 the plan is the one from before the call, to the last bit. After 0
    its commands keep their limits and rates exactly; qp_status 1 or 2 then says that the QP was not solved to the end,
    though it met dynamics and limits to primal_tolerance. d->kkt <= d->tolerance says that the iterations converged. */
-int tube_solve(tube_solver *s, tube_data *d) {
+TUBE_SOLVE int tube_solve(tube_solver *s, tube_data *d) {
   seconds begin = now();
   d->seconds_linear = d->seconds_tube = d->seconds_qp = 0;
   d->iterations = d->qp_iterations = d->clipped = 0;
