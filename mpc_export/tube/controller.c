@@ -36,6 +36,7 @@ typedef struct {
 } tube_solver;
 
 static const int column[ND + 1] = TUBE_COLUMN, row[TUBE_NONZEROS] = TUBE_ROW;
+static const int by_row[ND + 1] = TUBE_BY_ROW, row_column[TUBE_NONZEROS] = TUBE_ROW_COLUMN, row_at[TUBE_NONZEROS] = TUBE_ROW_AT;
 static const tube_real gain[NU * ND] = TUBE_GAIN;
 
 #ifdef TUBE_HOSTED
@@ -103,13 +104,19 @@ static void closed_loop(const tube_solver *s, int k, const tube_real *x, tube_re
   plus_sparse(column, row, s->A[k], ND, x, y);
 }
 
-static void transposed(tube_real *m) {
-  for (int j = 0; j < ND; j++)
-    for (int i = 0; i < j; i++) {
-      tube_real v = m[j * ND + i];
-      m[j * ND + i] = m[i * ND + j];
-      m[i * ND + j] = v;
-    }
+/* out' = (A_k + B_k K) m for a matrix m that stands row by row: what is contiguous is added */
+static void closed_rows(const tube_solver *s, int k, const tube_real *m, tube_real *out) {
+  tube_real u[NU][ND] = {{0}}, line[ND];
+  for (int j = 0; j < NU; j++)
+    for (int i = 0; i < ND; i++)
+      if (gain[i * NU + j] != 0) PLUS(u[j], gain[i * NU + j], m + i * ND, ND);
+  for (int i = 0; i < ND; i++) {
+    memset(line, 0, sizeof line);
+    for (int j = 0; j < NU; j++)
+      if (s->B[k][j * ND + i] != 0) PLUS(line, s->B[k][j * ND + i], u[j], ND);
+    for (int j = by_row[i]; j < by_row[i + 1]; j++) PLUS(line, s->A[k][row_at[j]], m + row_column[j] * ND, ND);
+    for (int j = 0; j < ND; j++) out[j * ND + i] = line[j];
+  }
 }
 
 static tube_real trace(const tube_real *m) {
@@ -122,10 +129,8 @@ static tube_real trace(const tube_real *m) {
 static void propagated(tube_solver *s, int k, const tube_real *pushed) {
   static const tube_real fresh[ND * ND] = TUBE_FRESH;
   tube_real own = 1, other = 1, added;
-  for (int j = 0; j < ND; j++) closed_loop(s, k, s->Z + j * ND, s->Y + j * ND);
-  transposed(s->Y);
-  for (int j = 0; j < ND; j++) closed_loop(s, k, s->Y + j * ND, s->Z + j * ND);
-  transposed(s->Z);
+  closed_rows(s, k, s->Z, s->Y);
+  closed_rows(s, k, s->Y, s->Z);
   if (TUBE_WORST_CASE) {
     tube_real spread = trace(s->Z), more = trace(fresh), ratio;
     for (int i = 0; TUBE_WHITE && i < ND * NGP; i++) more += pushed[i] * pushed[i];
@@ -151,7 +156,7 @@ static void summed(const tube_solver *s, const tube_data *d, const tube_real *c,
       for (int i = 0; i < NTH; i++) along[i] += covariance[m * NTH + i] * b[m * ND + j];
     for (int i = 0; i <= j; i++) {
       int at = j * ND + i;
-      tube_real sum = estimate[at] + s->Z[at] + d->bent[k][0][at];
+      tube_real sum = estimate[at] + s->Z[at] + d->bent[k][j][i];
       for (int m = 0; m < NGP; m++) sum += c[m * ND + i] * c[m * ND + j];
       for (int m = 0; m < NTH; m++) sum += b[m * ND + i] * along[m];
       total[at] = total[i * ND + j] = sum;

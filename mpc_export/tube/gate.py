@@ -98,9 +98,7 @@ class Gate:
     def _sizes(self, innovation: FloatArray) -> FloatArray:
         # what overflows when squared is too far off as well
         e = np.nan_to_num(np.clip(innovation, -FAR, FAR), nan=FAR)
-        return np.asarray(
-            np.sqrt(np.maximum(self._member @ (e * (self.inverse @ e)), 0.0)) / REACH
-        )
+        return np.asarray(np.sqrt(np.maximum(self._member @ (e * (self.inverse @ e)), 0.0)) / REACH)
 
 
 def plausible(columns: Sequence[str], y: FloatArray) -> FloatArray:

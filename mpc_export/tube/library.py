@@ -17,10 +17,11 @@ import numpy as np
 
 from greybox.errors import ModelError
 from greybox.files import write_atomic
+from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from mpc_export.c_code import CSource, Real, single_precision, write_c
+from mpc_export.c_kernels import kernels_of
 from mpc_export.feedback import NEAR
-from mpc_export.functions import ModelFunctions
 from mpc_export.template import filled, places_in
 from mpc_export.tube.controller import (
     FAILURES,
@@ -29,6 +30,7 @@ from mpc_export.tube.controller import (
     ROUNDING,
     TubeController,
 )
+from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.solver import COARSE, PRIMAL, driver, settled
 from mpc_export.tube.stages import block
 
@@ -36,9 +38,11 @@ QP_ITERATIONS = 12
 """Iterations of the QP at most: what is found then is the plan, if it keeps its limits."""
 AGREE = {"double": 1e-5, "float": 1e-3}
 """Largest difference of commands from Python's in the self-test."""
-LIMITS_IN_C = 1e-6
 SAMPLES = 60
 """Samples of the self-test."""
+STEP, KAPPA = 0.02, 2.81
+"""Of the target: sample time of the plan, to whole samples of the model [s]; standard deviations of
+the tube (10 % a flight that touches 40 limits)."""
 
 
 def write_tube(
@@ -60,14 +64,14 @@ def write_tube(
         folder,
         prefix=f"{name}_tube_model",
         real=real,
-        kernels=pilot.kernels,
+        kernels=kernels_of(pilot.functions),
     )
     own = write_c(
         [pilot.filter["filter_step"]],
         folder,
         prefix=f"{name}_tube_filter",
         real=real,
-        kernels=pilot.kernels,
+        kernels=kernels_of(pilot.filter),
     )
     words = _words(pilot, own, name, real)
     header = _filled("tube/tube.h", words)
@@ -81,14 +85,50 @@ def write_tube(
     ]
     text = "".join(texts)
     text = single_precision(text) if real == "float" else text
-    text = text.replace("tube_model_", f"{name}_tube_model_").replace(
-        f"{name}_{name}_", f"{name}_"
-    )
+    text = text.replace("tube_model_", f"{name}_tube_model_").replace(f"{name}_{name}_", f"{name}_")
     includes = [f'#include "{name}_{part}.h"\n' for part in ("tube", "tube_model", "tube_filter")]
     write_atomic(folder / f"{name}_tube.c", "".join([*includes, text]))
+    words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE[real])}
     write_atomic(folder / f"{name}_tube_selftest.c", _selftest(pilot, words, real))
+    write_atomic(folder / "README.md", _filled("tube/README.md", words))
     ends = ("tube", "tube_model", "tube_filter", "tube_selftest")
     return tuple(folder / f"{name}_{end}.c" for end in ends)
+
+
+def pilot_of(functions: ModelFunctions, horizon: int) -> TubeController:
+    """The controller that the target exports: limits five hundredths of their range inside those of
+    the model's commands, back-offs of KAPPA standard deviations. Raises `ModelError`."""
+    model = functions.model
+    lower, upper = functions.bounds
+    if not isinstance(model, IdentifiedModel):
+        raise ModelError("the target tube is for a model of an aircraft", got=functions.name)
+    if not (len(lower) and np.isfinite(lower).all() and np.isfinite(upper).all()):
+        raise ModelError(
+            f"{functions.name} has commands without limits",
+            fix="speed_max of the actuator in the vehicle file",
+        )
+    low, high = float(lower.max()), float(upper.min())
+    problem = TubeProblem(
+        dt=model.sample_time * max(1, round(STEP / model.sample_time)),
+        horizon=horizon,
+        command_min=low + 0.05 * (high - low),
+        command_max=high - 0.05 * (high - low),
+        rate_max=0.25 * (high - low),
+    )
+    return TubeController(
+        model=model,
+        problem=problem,
+        reference=Still((0.0, 0.0, 0.0, 0.0)),
+        kappa=[KAPPA] * (problem.planes + 1),
+    )
+
+
+def write_target_tube(
+    functions: ModelFunctions, folder: Path, name: str, real: Real, horizon: int
+) -> dict[str, Any]:
+    """The library in folder/tube. Returns what the manifest says of it."""
+    write_tube(pilot_of(functions, horizon), folder / "tube", name=name, real=real)
+    return {"folder": "tube", "horizon": horizon, "selftest": f"tube/{name}_tube_selftest.c"}
 
 
 def _filled(template: str, words: Mapping[str, str]) -> str:
@@ -125,6 +165,8 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
     past = [n.split(".") for n in plan.states.names[plan.own_states :]]
     extended = f.sampled.extended(x[: f.own_states], pilot._column(pilot.u))[0]
     single = real == "float"
+    kappa = np.zeros(problem.planes + 1)
+    kappa[: len(pilot.kappa)] = pilot.kappa
     words: dict[str, Any] = {
         "NAME": name,
         "UPPER": name.upper(),
@@ -132,6 +174,8 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         "outputs": " ".join(f.outputs.names),
         "inputs": " ".join(f.inputs.names),
         "states": " ".join(f.states.names),
+        "kappa": _list(kappa),
+        "kappa_u": float(pilot.kappa_u),
         "low": problem.command_min,
         "high": problem.command_max,
         "rate": problem.rate_max,
@@ -181,11 +225,10 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         "near_steady": NEAR_STEADY * (COARSE if single else 1.0),
         "near_position": NEAR["position"],
         "near_velocity": NEAR["velocity"],
-        "rounding": LIMITS_IN_C,
+        "rounding": ROUNDING,
         "failures": FAILURES,
         "blind": pilot.blind,
     }
-    assert ROUNDING == LIMITS_IN_C
     return {k: v if isinstance(v, str) else repr(v) for k, v in words.items()}
 
 
@@ -238,17 +281,13 @@ def _selftest(pilot: TubeController, words: Mapping[str, str], real: Real) -> st
         pilot.start()
     finally:
         pilot.reference, pilot.planes = kept
-    kappa = np.zeros(pilot.problem.planes + 1)
-    kappa[: len(pilot.kappa)] = pilot.kappa
     numbers = f"static const {real}"
     missing = _matrix(flown["measured"]).replace("nan", "NAN")
     data = [
         f"{numbers} place[4] = {_list(place)}, goal[4] = {_list(place)};",
         f"{numbers} lowest = {words['low']}, highest = {words['high']}, rate = {words['rate']};",
-        f"{numbers} kappa[] = {_list(kappa)}, kappa_u = {float(pilot.kappa_u)!r};",
         f"{numbers} measured[SAMPLES][NY] = {missing};",
         f"{numbers} wanted[SAMPLES][NU] = {_matrix(flown['commands'])};",
     ]
-    more = {"samples": str(SAMPLES), "tolerance": repr(AGREE[real]), "data": "\n".join(data)}
-    text = _filled("tube/selftest.c", {**words, **more})
+    text = _filled("tube/selftest.c", {**words, "data": "\n".join(data)})
     return single_precision(text) if real == "float" else text

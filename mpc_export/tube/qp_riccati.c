@@ -230,13 +230,13 @@ static void qp_products(qp_solver *s, const tube_qp *q, int k) {
   for (int j = 0; k > 0 && j < NK; j++)
     for (int m = plan_column[j]; m < plan_column[j + 1]; m++) {
       const tube_real a = q->A[k][m], *p = s->P + plan_row[m] * NK;
-      for (int i = 0; i < NK; i++) s->F[j * NK + i] += a * p[i];
+      PLUS(s->F + j * NK, a, p, NK);
     }
   memcpy(s->E, s->Pv, sizeof s->E);
   for (int j = 0; j < NU; j++)
     for (int m = 0; m < NK; m++) {
       const tube_real b = q->B[k][j * NK + m], *p = s->P + m * NK;
-      for (int i = 0; i < NK; i++) s->E[j * NK + i] += b * p[i];
+      if (b != 0) PLUS(s->E + j * NK, b, p, NK);
     }
 }
 

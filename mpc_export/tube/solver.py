@@ -252,11 +252,19 @@ def settled(sizes: dict[str, int], made: Stages, source: CSource) -> str:
         f"#define TUBE_NONZEROS {whole.nnz}",
         f"#define TUBE_PLAN_NONZEROS {plan.nnz}",
     ]
+    rows = np.array(whole.row)
+    across = np.repeat(np.arange(whole.columns), np.diff(whole.colind))
+    order = np.argsort(rows, kind="stable")
     tables: dict[str, Sequence[float]] = {
         "KEEP": made.keep,
         "FREE": made.free or (0,),
         "COLUMN": whole.colind,
         "ROW": whole.row,
+        "BY_ROW": np.concatenate(
+            [[0], np.cumsum(np.bincount(rows, minlength=whole.rows))]
+        ).tolist(),
+        "ROW_COLUMN": across[order].tolist(),
+        "ROW_AT": order.tolist(),
         "PLAN_COLUMN": plan.colind,
         "PLAN_ROW": plan.row,
         "GAIN": made.gain.ravel(order="F").tolist(),

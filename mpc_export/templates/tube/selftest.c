@@ -20,7 +20,6 @@ int main(void) {
   unsigned said = 0;
   int outside = 0;
   if (!@NAME@_tube_start(place)) return 1;
-  @NAME@_tube_kappa(kappa, kappa_u);
   for (int k = 0; k <= @UPPER@_TUBE_STAGES; k++) {
     for (int i = 0; i < 3; i++) path[k].position[i] = goal[i];
     path[k].yaw = goal[3];

@@ -41,7 +41,7 @@ static struct {
   int has_rival, has_plan, plan_age, failures, count, begun;
 } c;
 
-static int finite(const tube_real *v, int n) {
+static int all_finite(const tube_real *v, int n) {
   for (int i = 0; i < n; i++)
     if (!(v[i] - v[i] == 0)) return 0;
   return 1;
@@ -53,14 +53,15 @@ static tube_real norm(const tube_real *v, int n) {
   return sqrt(sum);
 }
 
-int @NAME@_tube_start(const tube_real place[4]) {
-  tube_real kappa[NL + 1];
-  if (!finite(place, 4)) return 0;
-  memcpy(kappa, c.data.kappa, sizeof c.data.kappa);
-  kappa[NL] = c.data.kappa_u;
-  memset(&c, 0, sizeof c);
+void @NAME@_tube_kappa(const tube_real kappa[NL], tube_real commands) {
   memcpy(c.data.kappa, kappa, sizeof c.data.kappa);
-  c.data.kappa_u = kappa[NL];
+  c.data.kappa_u = commands;
+}
+
+int @NAME@_tube_start(const tube_real place[4]) {
+  if (!all_finite(place, 4)) return 0;
+  memset(&c, 0, sizeof c);
+  @NAME@_tube_kappa((const tube_real[NL])@kappa@, @kappa_u@);
   qp_renew(&c.solver.solver);
   for (int k = 0; k <= N; k++)
     for (int j = 0; j < NL; j++) c.data.wider[k][j] = 1;
@@ -92,11 +93,6 @@ int @NAME@_tube_start(const tube_real place[4]) {
   return 1;
 }
 
-void @NAME@_tube_kappa(const tube_real kappa[NL], tube_real commands) {
-  memcpy(c.data.kappa, kappa, sizeof c.data.kappa);
-  c.data.kappa_u = commands;
-}
-
 const @NAME@_tube_known *@NAME@_tube_state(void) { return &c.known; }
 
 /* -------------------------------------------------------------------------------------------------------- measurements */
@@ -104,13 +100,13 @@ const @NAME@_tube_known *@NAME@_tube_state(void) { return &c.known; }
 static int filtered(const tube_real *x, const tube_real *y, const tube_real *there, tube_real *next, tube_real *e, tube_real *y_hat) {
   const tube_real *arg[@filter_arg@] = {x, c.u, c.p, y, there};
   tube_real *res[@filter_res@] = {next, e, y_hat};
-  return @NAME@_tube_filter_filter_step(arg, res, c.filter_iw, c.filter_w, 0) || !finite(next, NF);
+  return @NAME@_tube_filter_filter_step(arg, res, c.filter_iw, c.filter_w, 0) || !all_finite(next, NF);
 }
 
 /* Which innovations what is measured gives; measurements without holes. Returns whether there is one. */
 static int present(const tube_real *y, const unsigned char *given, tube_real *clean, tube_real *there) {
   int any = 0, lying = 0;
-  for (int k = 0; k < NY; k++) clean[k] = given[k] && finite(y + k, 1) ? y[k] : (tube_real)INFINITY;
+  for (int k = 0; k < NY; k++) clean[k] = given[k] && all_finite(y + k, 1) ? y[k] : (tube_real)INFINITY;
   if (attitude_columns[0] >= 0) {
     tube_real sum = 0;
     for (int k = 0; k < 4; k++) sum += clean[attitude_columns[k]] * clean[attitude_columns[k]];
@@ -120,11 +116,11 @@ static int present(const tube_real *y, const unsigned char *given, tube_real *cl
   for (int i = 0; i < NE; i++) {
     there[i] = 1;
     for (int k = 0; k < NY; k++)
-      if (columns[i][k] && !finite(clean + k, 1)) there[i] = 0;
+      if (columns[i][k] && !all_finite(clean + k, 1)) there[i] = 0;
     any |= there[i] != 0;
   }
   for (int k = 0; k < NY; k++)
-    if (!finite(clean + k, 1)) clean[k] = 0;
+    if (!all_finite(clean + k, 1)) clean[k] = 0;
   return any;
 }
 
@@ -136,8 +132,8 @@ static void sizes(const tube_real *e, const tube_real *there, tube_real *size, i
   }
   for (int i = 0; i < NE; i++) {
     tube_real part = 0;
-    for (int j = 0; j < NE; j++) part += inverse[i][j] == 0 ? 0 : inverse[i][j] * clip(finite(e + j, 1) ? e[j] : 1e15, -1e15, 1e15);
-    size[sensor_of[i]] += part * clip(finite(e + i, 1) ? e[i] : 1e15, -1e15, 1e15);
+    for (int j = 0; j < NE; j++) part += inverse[i][j] == 0 ? 0 : inverse[i][j] * clip(all_finite(e + j, 1) ? e[j] : 1e15, -1e15, 1e15);
+    size[sensor_of[i]] += part * clip(all_finite(e + i, 1) ? e[i] : 1e15, -1e15, 1e15);
     if (there[i] == 0) whole[sensor_of[i]] = 0;
   }
   for (int k = 0; k < SENSORS; k++) size[k] = size[k] > 0 ? sqrt(size[k]) / 8 : 0;
@@ -277,7 +273,7 @@ static void planned_from(tube_real *x) {
 static int flown(const tube_real *x, const tube_real *u, tube_real *next) {
   const tube_real *arg[TUBE_ARG] = {x, u, c.p};
   tube_real *res[TUBE_RES] = {next};
-  return tube_model_tube_step(arg, res, c.solver.iw, c.solver.w, 0) || !finite(next, NX);
+  return tube_model_tube_step(arg, res, c.solver.iw, c.solver.w, 0) || !all_finite(next, NX);
 }
 
 /* A Newton step of the steady state from (x, u); returns by how much (x, u) missed. */
@@ -288,7 +284,7 @@ static tube_real steadier(const tube_real *x, const tube_real *u, const tube_rea
   const tube_real *arg[TUBE_ARG] = {from, u, c.p, goal};
   tube_real *res[TUBE_RES] = {next_x, next_u, &residual};
   if (tube_model_target_step(arg, res, c.solver.iw, c.solver.w, 0)) return (tube_real)INFINITY;
-  return finite(&residual, 1) ? residual : (tube_real)INFINITY;
+  return all_finite(&residual, 1) ? residual : (tube_real)INFINITY;
 }
 
 /* One Newton step of the steady state that holds the path's place under the estimated disturbance. */
@@ -301,7 +297,7 @@ static unsigned aimed(const @NAME@_tube_path *path) {
     memcpy(x, other_x, sizeof x);
     memcpy(u, other_u, sizeof u);
   }
-  if (!finite(x, NX) || !finite(u, NU)) return 0;
+  if (!all_finite(x, NX) || !all_finite(u, NU)) return 0;
   memcpy(c.steady_x, x, sizeof x);
   for (int j = 0; j < NU; j++) {
     most = fmax(most, u[j]);
@@ -359,7 +355,7 @@ static void corrected(const tube_real *state, const tube_real *before, const tub
   for (int j = 0; j < NU; j++) {
     tube_real v = u[j];
     for (int i = 0; i < ND; i++) v += gain[i * NU + j] * away[i];
-    out[j] = allowed(finite(&v, 1) ? v : before[j], before[j]);
+    out[j] = allowed(all_finite(&v, 1) ? v : before[j], before[j]);
   }
 }
 
@@ -477,7 +473,7 @@ unsigned @NAME@_tube_step(tube_real passed, const tube_real y[NY], const unsigne
     }
     said |= decided(path, planes, due, wanted);
     for (int j = 0; j < NU; j++) {
-      tube_real v = allowed(finite(wanted + j, 1) ? wanted[j] : c.u[j], c.u[j]);
+      tube_real v = allowed(all_finite(wanted + j, 1) ? wanted[j] : c.u[j], c.u[j]);
       if (!(fabs(v - wanted[j]) <= @rounding@)) said |= @UPPER@_TUBE_BEYOND_LIMITS;
       c.u[j] = v;
     }

@@ -55,7 +55,8 @@ typedef struct {
 /* Forget everything: at rest at place = (x, y, z, heading). Returns 0, and does nothing, for a place that is not finite. */
 int @NAME@_tube_start(const @NAME@_tube_real place[4]);
 
-/* Standard deviations by which planes, the tilt (last) and the commands are tightened; 0 until they are set. */
+/* Standard deviations by which planes, the tilt (last) and the commands are tightened, from now to the
+   next start, which sets @kappa@ and @kappa_u@. */
 void @NAME@_tube_kappa(const @NAME@_tube_real kappa[@UPPER@_TUBE_PLANES + 1], @NAME@_tube_real commands);
 
 /* The command from the next sample on, given what is measured now. passed: time since the call before [s]. given: which y are
