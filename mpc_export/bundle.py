@@ -220,7 +220,8 @@ def write_bundle(
     The arguments are those of `model_functions` and of the command line.
 
     `name` is the prefix in C (default: the folder's name), `points` projects the learned part on
-    that many support points first, `horizon` are the stages of the target tube. Raises `ModelError` (a name that is no C identifier, see
+    that many support points first, `horizon` are the stages of
+    the target tube. Raises `ModelError` (a name that is no C identifier, see
     `model_functions`), `UnknownNameError` (a target), `OutputError` (a folder that is not a bundle,
     or cannot be written).
     """

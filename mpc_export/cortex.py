@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -167,18 +167,28 @@ class FlightRun:
 
 
 def fly_on_cortex(
-    files: Sequence[Path], name: str, measured: FloatArray, place: FloatArray, part: Part, dt: float
+    files: Sequence[Path],
+    name: str,
+    measured: FloatArray,
+    reference: tuple[FloatArray, FloatArray],
+    part: Part,
+    dt: float,
 ) -> FlightRun:
     """Flies the library NAME_tube (its C files, in float) through measurements (samples, n_y), NaN
-    where nothing is measured, on the way to standing at `place` (4,), a sample of dt [s] a call.
+    where nothing is measured, a sample of dt [s] a call.
 
+    reference: paths (samples, stages + 1, 10) as NAME_tube_path has them, and planes
+    (stages + 1, planes, 4), the same at every sample; the flight begins where the first path does.
     Raises `CortexError` where a tool fails.
     """
     folder, shift = files[0].parent, 1
-    rows = ",\n".join(
-        "{" + ", ".join(f"{float(np.float32(v))!r}f" for v in row) + "}" for row in measured
-    ).replace("nanf", '__builtin_nanf("")')
+    paths, planes = reference
     harness, image = folder / f"{name}_cortex.c", folder / f"{name}_cortex.elf"
+    nan = '__builtin_nanf("")'
+    rows = _rows(measured).replace("nanf", nan)
+    way = ",\n".join(
+        f"{{{', '.join(_point(q) for q in stages)}}}" for stages in np.asarray(paths, dtype=float)
+    )
     harness.write_text(
         filled(
             "cortex/tube.c",
@@ -187,12 +197,14 @@ def fly_on_cortex(
             UPPER=name.upper(),
             samples=len(measured),
             measured=rows,
-            place=", ".join(f"{float(v)!r}f" for v in place),
+            path=way,
+            planes=_floats(np.ravel(planes)),
+            place=_floats([*paths[0][0][:3], paths[0][0][9]]),
             dt=f"{dt!r}f",
         ),
         encoding="utf-8",
     )
-    strict = (*part.flags, "-std=c99", *TUNED)
+    strict = (*part.flags, "-std=c99", *TUNED, "-O3")
     objects = [_compiled(path, strict, folder) for path in files]
     objects.append(_compiled(harness, (*OWN, *part.flags, f"-I{folder}"), folder))
     text, flash, static = _run(objects, image, part, shift)
@@ -205,13 +217,27 @@ def fly_on_cortex(
     stack = said["stack"][0]
     commands = np.array(said["u"], dtype=np.uint32).view(np.float32).reshape(len(measured), -1)
     return FlightRun(
-        flash=flash - 4 * measured.size,
+        flash=flash - 4 * (measured.size + paths.size + planes.size),
         ram=static + stack,
         stack=stack,
         instructions=np.array(said["instructions"], dtype=float),
         commands=commands.astype(float),
         said=np.array(said["said"], dtype=float),
     )
+
+
+def _floats(values: Iterable[float]) -> str:
+    return ", ".join(f"{float(np.float32(v))!r}f" for v in values)
+
+
+def _rows(values: FloatArray) -> str:
+    return ",\n".join(f"{{{_floats(row)}}}" for row in values)
+
+
+def _point(q: FloatArray) -> str:
+    """A NAME_tube_path from position, velocity, acceleration and yaw (10,)."""
+    blocks = ", ".join(f"{{{_floats(q[i : i + 3])}}}" for i in (0, 3, 6))
+    return f"{{{blocks}, {_floats(q[9:])}}}"
 
 
 def _harness(

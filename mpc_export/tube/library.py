@@ -22,12 +22,14 @@ from greybox.symbolic import FloatArray
 from mpc_export.c_code import CSource, Real, single_precision, write_c
 from mpc_export.c_kernels import kernels_of
 from mpc_export.feedback import NEAR
+from mpc_export.functions import ModelFunctions
 from mpc_export.template import filled, places_in
 from mpc_export.tube.controller import (
     FAILURES,
     MEASURED,
     NEAR_STEADY,
     ROUNDING,
+    Reference,
     TubeController,
 )
 from mpc_export.tube.problem import TubeProblem
@@ -253,6 +255,23 @@ def flight(pilot: TubeController, samples: int, seed: int = 0) -> dict[str, Floa
         commands.append(command)
         x, u = f["f_d"](x, u, f.parameter_values).full().ravel(), np.array(command)
     return {"measured": np.array(rows), "commands": np.array(commands)}
+
+
+def paths(pilot: TubeController, samples: int) -> tuple[FloatArray, FloatArray]:
+    """What the library is given in a flight from time 0: path (samples, stages + 1, 10) at every
+    sample, and planes (stages + 1, planes, 4), those of the start."""
+    problem, dt = pilot.problem, pilot.model.sample_time
+    ahead = dt + problem.dt * np.arange(problem.horizon + 1)
+    rows = [along(pilot.reference, k * dt + ahead) for k in range(samples)]
+    planes = np.zeros((problem.horizon + 1, problem.planes, 4))
+    planes[:, :, 3] = 1.0
+    return np.array(rows), planes if pilot.planes is None else pilot.planes(ahead)
+
+
+def along(reference: Reference, times: FloatArray) -> FloatArray:
+    """Position, velocity, acceleration and yaw (n, 10) as NAME_tube_path has them."""
+    path = reference.sample(times)
+    return np.column_stack([path.position, path.velocity, path.acceleration, path.yaw])
 
 
 class Still:

@@ -7,7 +7,10 @@
 static const float measured[SAMPLES][NY] = {
 @measured@
 };
-static @NAME@_tube_path path[@UPPER@_TUBE_STAGES + 1];
+static const @NAME@_tube_path path[SAMPLES][@UPPER@_TUBE_STAGES + 1] = {
+@path@
+};
+static const float planes[] = {@planes@};
 
 int main(void) {
   static const float place[4] = {@place@};
@@ -16,10 +19,6 @@ int main(void) {
   float u[NU];
   int i, k;
   TICK[1] = 0xFFFFFFu; TICK[2] = 0; TICK[0] = 5;
-  for (k = 0; k <= @UPPER@_TUBE_STAGES; ++k) {
-    for (i = 0; i < 3; ++i) path[k].position[i] = place[i];
-    path[k].yaw = place[3];
-  }
   @NAME@_tube_start(place);
   paint();
   for (k = 0; k < SAMPLES; ++k) {
@@ -27,7 +26,7 @@ int main(void) {
     uint32_t from, to, said;
     for (i = 0; i < NY; ++i) given[i] = measured[k][i] == measured[k][i];
     from = ticks();
-    said = @NAME@_tube_step(@dt@, measured[k], given, path, 0, u);
+    said = @NAME@_tube_step(@dt@, measured[k], given, path[k], planes, u);
     to = ticks();
     say("instructions", instructions(from, to));
     say("said", said);
