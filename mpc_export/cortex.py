@@ -170,19 +170,18 @@ def fly_on_cortex(
     files: Sequence[Path],
     name: str,
     measured: FloatArray,
-    reference: tuple[FloatArray, FloatArray],
+    reference: tuple[FloatArray, FloatArray, FloatArray],
     part: Part,
     dt: float,
 ) -> FlightRun:
     """Flies the library NAME_tube (its C files, in float) through measurements (samples, n_y), NaN
     where nothing is measured, a sample of dt [s] a call.
 
-    reference: paths (samples, stages + 1, 10) as NAME_tube_path has them, and planes
-    (stages + 1, planes, 4), the same at every sample; the flight begins where the first path does.
-    Raises `CortexError` where a tool fails.
+    reference: place (4,) to start at, paths (samples, stages + 1, 10) as NAME_tube_path has them,
+    and planes (stages + 1, planes, 4), the same at every sample. Raises `CortexError` where a tool fails.
     """
     folder, shift = files[0].parent, 1
-    paths, planes = reference
+    place, paths, planes = reference
     harness, image = folder / f"{name}_cortex.c", folder / f"{name}_cortex.elf"
     nan = '__builtin_nanf("")'
     rows = _rows(measured).replace("nanf", nan)
@@ -199,7 +198,7 @@ def fly_on_cortex(
             measured=rows,
             path=way,
             planes=_floats(np.ravel(planes)),
-            place=_floats([*paths[0][0][:3], paths[0][0][9]]),
+            place=_floats(place),
             dt=f"{dt!r}f",
         ),
         encoding="utf-8",

@@ -257,15 +257,16 @@ def flight(pilot: TubeController, samples: int, seed: int = 0) -> dict[str, Floa
     return {"measured": np.array(rows), "commands": np.array(commands)}
 
 
-def paths(pilot: TubeController, samples: int) -> tuple[FloatArray, FloatArray]:
-    """What the library is given in a flight from time 0: path (samples, stages + 1, 10) at every
-    sample, and planes (stages + 1, planes, 4), those of the start."""
+def paths(pilot: TubeController, samples: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What the library is given in a flight from time 0: place (4,) to start at, path (samples,
+    stages + 1, 10) at every sample, and planes (stages + 1, planes, 4), those of the start."""
     problem, dt = pilot.problem, pilot.model.sample_time
     ahead = dt + problem.dt * np.arange(problem.horizon + 1)
     rows = [along(pilot.reference, k * dt + ahead) for k in range(samples)]
     planes = np.zeros((problem.horizon + 1, problem.planes, 4))
     planes[:, :, 3] = 1.0
-    return np.array(rows), planes if pilot.planes is None else pilot.planes(ahead)
+    place = along(pilot.reference, np.zeros(1))[0, [0, 1, 2, 9]]
+    return place, np.array(rows), planes if pilot.planes is None else pilot.planes(ahead)
 
 
 def along(reference: Reference, times: FloatArray) -> FloatArray:
