@@ -240,11 +240,17 @@ def flight(pilot: TubeController, samples: int, seed: int = 0) -> dict[str, Floa
     f, rng = pilot.filter, np.random.default_rng(seed)
     pilot.start()
     x, u = pilot.estimate.copy(), pilot.u.copy()
-    noise = f.noise.sensor
+    groups = f.sampled.dynamics.innovation_columns
+    noise = np.array(
+        [
+            min(n for n, names in zip(f.noise.sensor, groups, strict=True) if c in names)
+            for c in f.outputs.names
+        ]
+    )
     rows, commands = [], []
     for k in range(samples):
         y = f["h"](x, u, f.parameter_values).full().ravel()
-        y += 0.3 * rng.standard_normal(len(y)) * (np.mean(noise) if len(noise) != len(y) else noise)
+        y += noise * rng.standard_normal(len(y))
         if samples // 3 <= k < samples // 3 + 4:
             y[:] = np.nan
         if k == samples // 2:
