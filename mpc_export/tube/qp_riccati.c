@@ -450,7 +450,8 @@ static void qp_solve(qp_solver *s, tube_qp *q, tube_real tolerance, int most, in
     tube_real product, aimed, length;
     qp_distance far = qp_judged(s, q);
     if (!(far.missed < (tube_real)INFINITY) || !(far.slope < (tube_real)INFINITY) || !(far.product < (tube_real)INFINITY)) answer->status = 3;
-    if (far.missed <= tolerance && far.product <= tolerance && far.slope <= tolerance) answer->status = 0;
+    /* a product of a thousandth still moves commands by a hundredth */
+    if (far.missed <= tolerance && far.product <= 0.01 * tolerance && far.slope <= tolerance) answer->status = 0;
     if (answer->status != 1 || answer->iterations >= most) break;
     for (int k = 0; k <= N; k++)
       for (int i = qp_first(k); i < qp_last(k); i++) {

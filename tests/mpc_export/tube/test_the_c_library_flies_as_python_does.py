@@ -154,7 +154,7 @@ def test_a_step_with_fifty_points_takes_six_million_instructions_at_most(tmp_pat
     """On a Cortex-M7 at 600 MHz and one instruction a cycle: 100 plans a second."""
     flown = TubeController(
         model=cases.hybrid(points=50),
-        problem=TubeProblem(dt=0.02, horizon=10, planes=2),
+        problem=TubeProblem(dt=0.02, horizon=6, planes=2),
         reference=Still(PLACE),
         kappa=(2.0, 2.0, 2.0),
     )
