@@ -32,9 +32,7 @@ typedef struct {
   tube_real value[N + 1][NL];
   tube_real Z[ND * ND], Y[ND * ND];
   tube_real x_kept[N + 1][NX], u_kept[N][NU];
-#ifdef TUBE_HOSTED
   tube_data first;
-#endif
 } tube_solver;
 
 static const int column[ND + 1] = TUBE_COLUMN, row[TUBE_NONZEROS] = TUBE_ROW;
@@ -354,7 +352,6 @@ static tube_real contraction(const tube_data *d, int failed) {
   return d->missed <= d->primal_tolerance ? 0 : d->missed / d->step;
 }
 
-#ifdef TUBE_HOSTED
 /* The plan's commands, flown by the model from where the craft is: a start that owes nothing to the states planned before,
    which a wild measurement may have sent anywhere. */
 static int simulated(tube_solver *s, tube_data *d) {
@@ -366,10 +363,9 @@ static int simulated(tube_solver *s, tube_data *d) {
   }
   return 0;
 }
-#endif
 
-/* Iterates from the plan in d; where that fails or its steps grow, a desktop also from its commands flown by the model, and
-   takes the better. A craft has time for one. Returns 0; 1 where a function of the model failed or the plan is not finite; 2 where the QP was
+/* Iterates from the plan in d; where that fails or its steps grow, also from its commands flown by the model, and takes
+   the better. Returns 0; 1 where a function of the model failed or the plan is not finite; 2 where the QP was
    not solved; 3 where Newton's steps grow. After 1 to 3 the plan is the one from before the call, to the last bit. After 0
    its commands keep their limits and rates exactly; qp_status 1 or 2 then says that the QP was not solved to the end,
    though it met dynamics and limits to primal_tolerance. d->kkt <= d->tolerance says that the iterations converged. */
@@ -384,7 +380,6 @@ TUBE_SOLVE int tube_solve(tube_solver *s, tube_data *d) {
   memcpy(d->x[0], d->x0, sizeof d->x[0]);
   int failed = iterated(s, d);
   tube_real ratio = contraction(d, failed);
-#ifdef TUBE_HOSTED
   if (ratio >= 1) {
     s->first = *d;
     if (failed) qp_renew(&s->solver);
@@ -398,7 +393,6 @@ TUBE_SOLVE int tube_solve(tube_solver *s, tube_data *d) {
       *d = s->first;
     }
   }
-#endif
   if (!failed && ratio >= 1) failed = 3;
   if (failed) {
     memcpy(d->x, s->x_kept, sizeof d->x);
