@@ -93,13 +93,14 @@ def followed(flown, y):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("real", "off"), [("double", 1e-5), ("float", 1e-3)])
-def test_commands_are_those_of_the_controller_in_python(real, off):
-    """Double: another QP solver, of the same tolerance."""
+def test_commands_are_those_of_the_controller_in_python():
+    """But for QPs that the library cuts off after 12 iterations; float cuts off the same ones."""
     recorded = flight(pilot(), 120, seed=3)
-    commands = followed(in_c(real), recorded["measured"])
-    assert np.abs(commands - recorded["commands"]).max() < off
-    assert np.ptp(recorded["commands"], axis=0).min() > 10 * off
+    double, single = (followed(in_c(real), recorded["measured"]) for real in ("double", "float"))
+    assert np.abs(double - recorded["commands"]).max() < 5e-3
+    assert np.median(np.abs(double - recorded["commands"]).max(axis=1)) < 2e-4
+    assert np.abs(single - double).max() < 1e-3
+    assert np.ptp(recorded["commands"], axis=0).min() > 1e-3  # there was something to do
 
 
 @pytest.mark.slow
