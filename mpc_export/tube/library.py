@@ -38,8 +38,8 @@ from mpc_export.tube.stages import block
 
 QP_ITERATIONS = 12
 """Iterations of the QP at most: what is found then is the plan, if it keeps its limits."""
-AGREE = {"double": 1e-5, "float": 1e-3}
-"""Largest difference of commands from Python's in the self-test."""
+AGREE = 5e-3
+"""Largest difference of commands from Python's in the self-test: that of QPs which are cut off."""
 SAMPLES = 60
 """Samples of the self-test."""
 STEP, KAPPA = 0.02, 2.81
@@ -90,7 +90,7 @@ def write_tube(
     text = text.replace("tube_model_", f"{name}_tube_model_").replace(f"{name}_{name}_", f"{name}_")
     includes = [f'#include "{name}_{part}.h"\n' for part in ("tube", "tube_model", "tube_filter")]
     write_atomic(folder / f"{name}_tube.c", "".join([*includes, text]))
-    words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE[real])}
+    words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE)}
     write_atomic(folder / f"{name}_tube_selftest.c", _selftest(pilot, words, real))
     write_atomic(folder / "README.md", _filled("tube/README.md", words))
     ends = ("tube", "tube_model", "tube_filter", "tube_selftest")
