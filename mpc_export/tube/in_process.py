@@ -72,7 +72,8 @@ class TubeInC:
         passed = self.dt if math.isnan(self._told) else time - self._told
         self._told = time
         n = self.problem.horizon
-        times = time + self.dt + self.problem.dt * np.arange(n + 1)
+        ahead = time + self.dt + self.problem.dt * np.arange(n + 1)
+        times: FloatArray = np.asarray(ahead, dtype=float)
         rows = np.ascontiguousarray(along(self.reference, times), dtype=self._type)
         planes = None
         if self.planes is not None:

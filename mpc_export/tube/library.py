@@ -267,8 +267,8 @@ def paths(pilot: TubeController, samples: int) -> tuple[FloatArray, FloatArray, 
     """What the library is given in a flight from time 0: place (4,) to start at, path (samples,
     stages + 1, 10) at every sample, and planes (stages + 1, planes, 4), those of the start."""
     problem, dt = pilot.problem, pilot.model.sample_time
-    ahead = dt + problem.dt * np.arange(problem.horizon + 1)
-    rows = [along(pilot.reference, k * dt + ahead) for k in range(samples)]
+    ahead: FloatArray = np.asarray(dt + problem.dt * np.arange(problem.horizon + 1), dtype=float)
+    rows = [along(pilot.reference, np.asarray(k * dt + ahead, dtype=float)) for k in range(samples)]
     planes = np.zeros((problem.horizon + 1, problem.planes, 4))
     planes[:, :, 3] = 1.0
     place = along(pilot.reference, np.zeros(1))[0, [0, 1, 2, 9]]

@@ -94,12 +94,12 @@ def followed(flown, y):
 
 @pytest.mark.slow
 def test_commands_are_those_of_the_controller_in_python():
-    """But for QPs that the library cuts off after 12 iterations; float cuts off the same ones."""
+    """To what a plan's QP is solved to, which is the coarsest at the start of a flight."""
     recorded = flight(pilot(), 120, seed=3)
     double, single = (followed(in_c(real), recorded["measured"]) for real in ("double", "float"))
     assert np.abs(double - recorded["commands"]).max() < 5e-3
     assert np.median(np.abs(double - recorded["commands"]).max(axis=1)) < 2e-4
-    assert np.abs(single - double).max() < 1e-3
+    assert np.abs(single - double).max() < 5e-3
     assert np.ptp(recorded["commands"], axis=0).min() > 1e-3  # there was something to do
 
 
