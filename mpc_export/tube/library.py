@@ -38,8 +38,8 @@ from mpc_export.tube.stages import block
 
 QP_ITERATIONS = 12
 """Iterations of the QP at most: what is found then is the plan, if it keeps its limits."""
-AGREE = 5e-3
-"""Largest difference of commands from Python's in the self-test: that of QPs which are cut off."""
+AGREE: dict[Real, float] = {"double": 1e-5, "float": 1e-3}
+"""Largest difference of commands from Python's in the self-test."""
 SAMPLES = 60
 """Samples of the self-test."""
 STEP, KAPPA = 0.02, 2.81
@@ -90,7 +90,7 @@ def write_tube(
     text = text.replace("tube_model_", f"{name}_tube_model_").replace(f"{name}_{name}_", f"{name}_")
     includes = [f'#include "{name}_{part}.h"\n' for part in ("tube", "tube_model", "tube_filter")]
     write_atomic(folder / f"{name}_tube.c", "".join([*includes, text]))
-    words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE)}
+    words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE[real])}
     write_atomic(folder / f"{name}_tube_selftest.c", _selftest(pilot, words, real))
     write_atomic(folder / "README.md", _filled("tube/README.md", words))
     ends = ("tube", "tube_model", "tube_filter", "tube_selftest")
@@ -165,7 +165,9 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         if set(columns) <= set(f.outputs.names)
     ]
     past = [n.split(".") for n in plan.states.names[plan.own_states :]]
-    extended = f.sampled.extended(x[: f.own_states], pilot._column(pilot.u))[0]
+    # the command in force at the start, whatever the pilot has flown since
+    held = np.clip(u, problem.command_min, problem.command_max)
+    extended = f.sampled.extended(x[: f.own_states], pilot._column(held))[0]
     single = real == "float"
     kappa = np.zeros(problem.planes + 1)
     kappa[: len(pilot.kappa)] = pilot.kappa

@@ -75,7 +75,9 @@ int @NAME@_tube_start(const tube_real place[4]) {
   memcpy(c.p, (const tube_real[NP1])@parameters@, sizeof c.p);
   memcpy(c.steady_x, hover_x, sizeof hover_x);
   memcpy(c.steady_x + POSITION, place, 3 * sizeof *place);
+  /* level: a model that hovers tilted finds its tilt by itself */
   c.steady_x[ATTITUDE] = cos(0.5 * place[3]);
+  c.steady_x[ATTITUDE + 1] = c.steady_x[ATTITUDE + 2] = 0;
   c.steady_x[ATTITUDE + 3] = sin(0.5 * place[3]);
   for (int j = 0; j < NU; j++) {
     c.data.u_min[j] = command_min;
