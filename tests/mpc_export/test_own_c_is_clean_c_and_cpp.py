@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from mpc_export.bundle import _kernels
 from mpc_export.c_code import RESTRICT, single_precision, write_c
+from mpc_export.c_kernels import kernels_of
 from mpc_export.c_kernels_products import PRODUCTS
 from mpc_export.c_model import CModel
 from mpc_export.functions import model_functions
@@ -55,7 +55,7 @@ def test_kernels_and_products(functions, tmp_path, real, compiler):
     ]
     shared: dict[str, str] = {}
     bodies = []
-    for k, kernel in enumerate(_kernels(functions)):
+    for k, kernel in enumerate(kernels_of(functions)):
         more, body = kernel.c_source(f"kernel_{k}", real)
         shared |= more
         bodies.append(body)
@@ -72,7 +72,7 @@ def test_kernels_and_products(functions, tmp_path, real, compiler):
 def test_wrapper_and_self_test(functions, tmp_path, compiler):
     golden = golden_vectors(functions, 2)
     made = write_c(
-        list(functions.functions.values()), tmp_path, prefix="quad", kernels=_kernels(functions)
+        list(functions.functions.values()), tmp_path, prefix="quad", kernels=kernels_of(functions)
     )
     CModel(functions, made, "0", golden).write(tmp_path)
     for name in ("quad_model.c", "quad_selftest.c"):
@@ -83,7 +83,7 @@ def test_wrapper_and_self_test(functions, tmp_path, compiler):
 @pytest.mark.parametrize("compiler", C + CPP, ids=lambda c: c[0])
 def test_the_whole_export_is_c_and_cpp(functions, tmp_path, compiler):
     made = write_c(
-        list(functions.functions.values()), tmp_path, prefix="quad", kernels=_kernels(functions)
+        list(functions.functions.values()), tmp_path, prefix="quad", kernels=kernels_of(functions)
     )
     assert (
         complaints(
