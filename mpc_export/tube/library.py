@@ -33,7 +33,7 @@ from mpc_export.tube.controller import (
     TubeController,
 )
 from mpc_export.tube.problem import TubeProblem
-from mpc_export.tube.solver import COARSE, PRIMAL, driver, settled
+from mpc_export.tube.solver import COARSE, PRIMAL, QP_TOLERANCE, driver, settled
 from mpc_export.tube.stages import block
 
 QP_ITERATIONS = 12
@@ -223,6 +223,7 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         "filter_res": max(3, step.sz_res),
         "filter_past": _list([*extended[f.own_states :], 0.0]),
         "tolerance": 1e-6 * (COARSE if single else 1.0),
+        "qp_tolerance": QP_TOLERANCE[real],
         "primal_tolerance": PRIMAL,
         "qp_iterations": QP_ITERATIONS,
         "parameters": _list([*pilot.functions.parameter_values] or [0.0]),
@@ -237,8 +238,8 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
 
 
 def flight(pilot: TubeController, samples: int, seed: int = 0) -> dict[str, FloatArray]:
-    """A flight of the model itself under `pilot` from its place to one 0.2 m beside it: measured
-    (samples, n_y), NaN where nothing was, and commands (samples, n_u)."""
+    """A flight of the model itself under `pilot`, with a gap and a spike in its measurements:
+    measured (samples, n_y), NaN where nothing was, and commands (samples, n_u)."""
     f, rng = pilot.filter, np.random.default_rng(seed)
     pilot.start()
     x, u = pilot.estimate.copy(), pilot.u.copy()

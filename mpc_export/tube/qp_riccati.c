@@ -441,8 +441,9 @@ static void qp_answered(const qp_solver *s, const tube_qp *q, tube_qp_answer *an
 /* Solves the QP. Where a recursion breaks down, which float does near the limits, the commands found so far are the answer: they
    fly by the dynamics, and the residual says how far they are from their limits. It always begins anew (`warm` is HPIPM's): in float the end of a QP before is too near its limits. */
 static void qp_solve(qp_solver *s, tube_qp *q, tube_real tolerance, int most, int warm, tube_qp_answer *answer) {
-  /* no weight may drown the cost in rounding */
-  const tube_real softest = 100 * (sizeof(tube_real) == sizeof(float) ? FLT_EPSILON : (tube_real)DBL_EPSILON);
+  /* Weights stay finite. Where limits are soft by more, the first plans beside a wall hardly converge: position feels the
+     first commands of a horizon by less than a thousandth. */
+  const tube_real softest = sizeof(tube_real) == sizeof(float) ? FLT_EPSILON : (tube_real)DBL_EPSILON;
   (void)warm;
   answer->status = 1;
   qp_begin(s, q);
@@ -450,8 +451,9 @@ static void qp_solve(qp_solver *s, tube_qp *q, tube_real tolerance, int most, in
     tube_real product, aimed, length;
     qp_distance far = qp_judged(s, q);
     if (!(far.missed < (tube_real)INFINITY) || !(far.slope < (tube_real)INFINITY) || !(far.product < (tube_real)INFINITY)) answer->status = 3;
-    /* a product of a thousandth still moves commands by a hundredth */
-    if (far.missed <= tolerance && far.product <= 0.01 * tolerance && far.slope <= tolerance) answer->status = 0;
+    /* What a limit is missed by moves commands as it is, a product by its root, a slope by its part of the curvature, and in float
+       it rounds with multipliers as large as the penalty. */
+    if (far.missed <= 0.1 * tolerance && far.product <= 0.001 * tolerance && far.slope <= tolerance) answer->status = 0;
     if (answer->status != 1 || answer->iterations >= most) break;
     for (int k = 0; k <= N; k++)
       for (int i = qp_first(k); i < qp_last(k); i++) {

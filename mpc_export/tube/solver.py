@@ -35,7 +35,9 @@ PRIMAL = 1e-4
 """A QP that was not solved to the end counts where it misses dynamics (m, m/s, rad, rad/s) and
 limits by no more than this: below what a sensor sees."""
 COARSE = 1e3
-"""Tolerances in float are so many times those in double."""
+"""Tolerances in float are so many times those in double, but the QP's."""
+QP_TOLERANCE: dict[Real, float] = {"double": 1e-6, "float": 1e-4}
+"""Up to which a QP counts as solved. Float gets no nearer in every QP, and commands are within 1e-3."""
 QP = Literal["hpipm", "riccati"]
 """Who solves the QP."""
 HERE = Path(__file__).parent
@@ -128,7 +130,7 @@ class TubeSolver:
         self._buffer, self.data = views(self.sizes, real)
         if self._buffer.nbytes != self._library.tube_data_size():
             raise BuildError("tube_data in C is not what structure.py describes")
-        self._coarse = real == "float"
+        self._real: Real = real
         self._solver = self._library.tube_create()
         if not self._solver:
             raise MemoryError("no memory for the controller")
@@ -153,8 +155,8 @@ class TubeSolver:
         d["u_min"][:], d["u_max"][:] = problem.command_min, problem.command_max
         d["rate_max"][:] = problem.rate_max
         d["penalty"][()], d["penalty_square"][()] = problem.penalty, problem.penalty_square
-        rounded = COARSE if self._coarse else 1.0
-        d["tolerance"][()], d["qp_tolerance"][()] = 1e-6 * rounded, 1e-6 * rounded
+        d["tolerance"][()] = 1e-6 * (COARSE if self._real == "float" else 1.0)
+        d["qp_tolerance"][()] = QP_TOLERANCE[self._real]
         d["primal_tolerance"][()] = PRIMAL
         d["iterations_max"][()], d["qp_iterations_max"][()], d["tube_updates_max"][()] = 1, 40, 1
 

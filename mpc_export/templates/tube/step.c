@@ -68,7 +68,8 @@ int @NAME@_tube_start(const tube_real place[4]) {
   memcpy(c.data.bent, bent, sizeof c.data.bent);
   c.data.penalty = penalty;
   c.data.penalty_square = penalty_square;
-  c.data.tolerance = c.data.qp_tolerance = @tolerance@;
+  c.data.tolerance = @tolerance@;
+  c.data.qp_tolerance = @qp_tolerance@;
   c.data.primal_tolerance = @primal_tolerance@;
   c.data.iterations_max = c.data.tube_updates_max = 1;
   c.data.qp_iterations_max = @qp_iterations@;

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.tube_on_chip import Circle
 from greybox.cli import main
 from greybox.errors import ModelError
 from greybox.residual.files import save_model
@@ -104,16 +105,34 @@ def tilted():
     )
 
 
+@functools.cache
+def hard():
+    """A circle that a wall cuts: slack, and limits that come and go."""
+    path = Circle(1)
+    return TubeController(
+        model=cases.disturbed(),
+        problem=TubeProblem(dt=0.02, horizon=10, planes=2),
+        reference=path,
+        planes=path.planes,
+        kappa=(2.0, 2.0, 2.0),
+        kappa_u=1.0,
+    )
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("of", [pilot, tilted])
-def test_commands_are_those_of_the_controller_in_python(tmp_path, of):
+@pytest.mark.parametrize(
+    ("of", "samples", "double", "single"),
+    [(pilot, 120, 1e-6, 1e-5), (tilted, 120, 1e-6, 1e-5), (hard, 240, 1e-4, 1e-3)],
+)
+def test_commands_are_those_of_the_controller_in_python(tmp_path, of, samples, double, single):
     """From the first plan on, whatever the pilot flew before it was written."""
-    recorded = flight(of(), 120, seed=3)
-    for real, most in (("double", 1e-6), ("float", 1e-4)):
+    recorded = flight(of(), samples, seed=3)
+    for real, most in (("double", double), ("float", single)):
         (tmp_path / real).mkdir()
         of().u[:] = 0.4  # a command in force is none of the library's
         flown = TubeInC(of(), tmp_path / real, real=real)
-        assert np.abs(followed(flown, recorded["measured"]) - recorded["commands"]).max() < most
+        off = np.abs(followed(flown, recorded["measured"]) - recorded["commands"]).max()
+        assert off < most
     assert np.ptp(recorded["commands"], axis=0).min() > 1e-3  # there was something to do
 
 
@@ -166,7 +185,7 @@ def test_the_command_line_exports_a_library_that_passes_its_self_test(tmp_path, 
 @pytest.mark.slow
 @pytest.mark.skipif(cortex.missing_tool() is not None, reason=f"{cortex.missing_tool()} is missing")
 def test_a_step_with_fifty_points_fits_a_cortex_m7(tmp_path):
-    """Its memory; commands keep their limits there, too."""
+    """Its memory; commands are Python's and keep their limits there, too."""
     flown = TubeController(
         model=cases.hybrid(points=50),
         problem=TubeProblem(dt=0.02, horizon=6, planes=2),
@@ -179,5 +198,6 @@ def test_a_step_with_fifty_points_fits_a_cortex_m7(tmp_path):
         files[:-1], "craft", recorded["measured"], paths(flown, 40), cortex.M7F, 0.01
     )
     assert ((run.commands >= 0.05 - 1e-6) & (run.commands <= 0.95 + 1e-6)).all()
+    assert np.abs(run.commands - recorded["commands"]).max() < 1e-3
     assert 1_000_000 < run.instructions.max() < 15_000_000
     assert 100_000 < run.ram < 512 * 1024
