@@ -45,8 +45,8 @@ from greybox.residual.from_gpytorch import from_gpytorch  # noqa: E402
 from greybox.residual.hybrid import HybridModel  # noqa: E402
 from greybox.residual.learners import LEARNERS, LooksBack, learner_of  # noqa: E402
 from greybox.symbolic import Layout, Signal  # noqa: E402
-from mpc_export.bundle import kernels_of  # noqa: E402
 from mpc_export.c_code import FAST_FLAGS, write_c  # noqa: E402
+from mpc_export.c_kernels import kernels_of  # noqa: E402
 from mpc_export.functions import model_functions  # noqa: E402
 from tests.mpc_export import cases  # noqa: E402
 from tests.mpc_export.predictor_cases import posterior  # noqa: E402

@@ -54,10 +54,9 @@ from greybox.model.noise import Augmented
 from greybox.model.sensors import SENSORS
 from greybox.residual.files import model_to_dict
 from greybox.residual.hybrid import HybridModel
-from greybox.residual.posterior import GPPosterior
 from greybox.shown import Cell, Shown
 from mpc_export.c_code import write_c
-from mpc_export.c_kernels import gp_kernels
+from mpc_export.c_kernels import kernels_of
 from mpc_export.c_model import CModel, check_name
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.golden import Golden, golden_vectors
@@ -66,7 +65,7 @@ from mpc_export.points import with_points
 from mpc_export.predictors import Fitted, PredictorModel, predictor_model
 from mpc_export.readme import licences, readme
 from mpc_export.tape import write_tape
-from mpc_export.targets import NAMES, NEEDS, ONBOARD, write_target
+from mpc_export.targets import HORIZON, NAMES, NEEDS, ONBOARD, write_target
 
 TARGETS = ("c", "casadi", *NAMES)
 """Those that `mpc_export.targets` adds come after the two that are written here."""
@@ -213,6 +212,7 @@ def write_bundle(
     with_: Iterable[str] = (),
     runtime_parameters: Iterable[str] = (),
     points: int | None = None,
+    horizon: int = HORIZON,
     use_cache: bool = True,
 ) -> ExportBundle:
     """Export anything fitted to `folder` (mpc_export/predictors.py says of what kinds).
@@ -220,7 +220,8 @@ def write_bundle(
     The arguments are those of `model_functions` and of the command line.
 
     `name` is the prefix in C (default: the folder's name), `points` projects the learned part on
-    that many support points first. Raises `ModelError` (a name that is no C identifier, see
+    that many support points first, `horizon` are the stages of
+    the target tube. Raises `ModelError` (a name that is no C identifier, see
     `model_functions`), `UnknownNameError` (a target), `OutputError` (a folder that is not a bundle,
     or cannot be written).
     """
@@ -240,7 +241,7 @@ def write_bundle(
     if "c" not in chosen and any(target in ONBOARD for target in chosen):
         chosen = ("c", *chosen)
     check_place(place)
-    options = [name, dt, sorted(chosen), real, groups, runtime, points]
+    options = [name, dt, sorted(chosen), real, groups, runtime, points, horizon]
     if not isinstance(model, (IdentifiedModel, LinearModel)):
         model, dt = predictor_model(model, dt=dt, name=name), None
     key = None if not use_cache or isinstance(model, PredictorModel) else _cache_key(model, options)
@@ -256,7 +257,9 @@ def write_bundle(
     functions = model_functions(model, dt=dt, with_=groups, runtime_parameters=runtime)
     golden = golden_vectors(functions, GOLDEN_POINTS)
     with _beside(place) as part:
-        entry = _write_parts(functions, golden, part, name=name, targets=chosen, real=real)
+        entry = _write_parts(
+            functions, golden, part, name=name, targets=chosen, real=real, horizon=horizon
+        )
         manifest = manifest_of(
             functions, name=name, real=real, groups=groups, golden=golden, **entry
         )
@@ -285,6 +288,7 @@ def _write_parts(
     name: str,
     targets: tuple[str, ...],
     real: Literal["double", "float"],
+    horizon: int,
 ) -> dict[str, Any]:
     """Writes everything but the manifest and the README. Returns what the manifest says of it."""
     entry: dict[str, Any] = {"c": None, "targets": {}, "abi": None}
@@ -315,23 +319,8 @@ def _write_parts(
             f.save(str(part / "casadi" / f"{n}.casadi"))
     for target in targets:
         if target in NAMES:
-            entry["targets"][target] = write_target(target, functions, part, name, real)
+            entry["targets"][target] = write_target(target, functions, part, name, real, horizon)
     return entry
-
-
-def kernels_of(functions: ModelFunctions) -> tuple[Any, ...]:
-    """Kernels of our own for the functions of the learned part."""
-    if not isinstance(functions.posterior, GPPosterior):
-        return ()
-    names = functions.parameters.names
-    at = next((i for i, n in enumerate(names) if n.startswith("gp.weights")), None)
-    learned = {
-        n: tuple(f.name_out())
-        for n, f in functions.functions.items()
-        if n.startswith("gp_") and "features" not in n
-    }
-    silent = not isinstance(functions.model, PredictorModel)
-    return gp_kernels(functions.posterior, learned, weights_at=at, silent=silent)
 
 
 # ----------------------------------------------------------------------------------------- places

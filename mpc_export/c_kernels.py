@@ -34,6 +34,8 @@ from greybox.residual.posterior import QUANTITIES, GPPosterior
 from greybox.symbolic import FloatArray
 from mpc_export import c_kernels_common as common
 from mpc_export.c_code import Real
+from mpc_export.functions import ModelFunctions
+from mpc_export.predictors import PredictorModel
 
 MERGE_TOLERANCE = 1e-9
 """How far below zero the smallest eigenvalue of I - T'T may be (rounding) for the factors to be
@@ -532,3 +534,18 @@ static inline gb_v gb_sqrt(gb_v x) {
 #endif
 }
 """
+
+
+def kernels_of(functions: ModelFunctions) -> tuple[Any, ...]:
+    """Kernels of our own for the functions of the learned part."""
+    if not isinstance(functions.posterior, GPPosterior):
+        return ()
+    names = functions.parameters.names
+    at = next((i for i, n in enumerate(names) if n.startswith("gp.weights")), None)
+    learned = {
+        n: tuple(f.name_out())
+        for n, f in functions.functions.items()
+        if n.startswith("gp_") and "features" not in n
+    }
+    silent = not isinstance(functions.model, PredictorModel)
+    return gp_kernels(functions.posterior, learned, weights_at=at, silent=silent)

@@ -121,6 +121,9 @@ def readme(manifest: Mapping[str, Any]) -> str:
         "",
     ]
     for target, said in m["targets_written"].items():
+        if "selftest" in said:
+            lines += [f"For {target}: `{said['folder']}/README.md`, `{said['selftest']}`.", ""]
+            continue
         if "folder" in said:
             lines += [
                 f"For {target}: `{said['folder']}/README.md`; `c/{n}_bench.c` reads a recording.",

@@ -3,6 +3,7 @@
     python/consumers/   exported.py, hover.py and the file of each target: casadi, numpy and the target's package
     examples/           one script per target that runs with the bundle and that package alone
     fmu/                NAME.fmu
+    tube/               the tube MPC as one C library: mpc_export/tube/library.py
     crazyflie/, px4/, ros2/   code around c/ that an autopilot builds: mpc_export/onboard
 
 | target | needs | example |
@@ -12,6 +13,7 @@
 | rockit | rockit-meco | rockit_hover.py |
 | l4acados | nothing more; the group "nominal" | l4acados_hover.py |
 | fmu | to simulate: fmpy | fmu_simulate.py |
+| tube | nothing more; a model of an aircraft | tube/NAME_tube_selftest.c |
 | crazyflie-app, px4-module, ros2 | the target "c", the group "pilot", the autopilot's sources | c/NAME_bench.c |
 """
 
@@ -29,6 +31,7 @@ from mpc_export.fmu import write_fmu
 from mpc_export.functions import ModelFunctions
 from mpc_export.onboard import crazyflie_app, px4_module, ros2
 from mpc_export.onboard.flight import OnBoard, write_flight
+from mpc_export.tube.library import write_target_tube
 
 COMMON = ("exported", "hover")
 MODULES = {
@@ -48,7 +51,9 @@ EXAMPLES = {
 ONBOARD = {own.TARGET: own.write for own in (crazyflie_app, px4_module, ros2)}
 NEEDS = {"l4acados": ("nominal",)} | dict.fromkeys(ONBOARD, ("pilot",))
 """Groups of functions that a target cannot do without."""
-NAMES = (*EXAMPLES, *ONBOARD)
+NAMES = (*EXAMPLES, *ONBOARD, "tube")
+HORIZON = 10
+"""Stages of the plan of the target tube."""
 PACKAGE = (
     '"""What this bundle\'s model looks like to controllers; see the scripts in examples/."""\n'
 )
@@ -60,9 +65,10 @@ def write_target(
     folder: Path,
     name: str,
     real: Literal["double", "float"] = "double",
+    horizon: int = HORIZON,
 ) -> dict[str, Any]:
     """Add a target to the bundle in `folder`; `name` is the bundle's, `real` the precision of its
-    C. Returns what the manifest says of it.
+    C, `horizon` the stages of the tube. Returns what the manifest says of it.
 
     Raises `UnknownNameError`, and `ModelError` for a model that the target cannot take.
     """
@@ -72,6 +78,8 @@ def write_target(
         board = OnBoard(functions=functions, name=name, real=real)
         write_flight(board, folder / "c")
         return ONBOARD[target](board, folder)
+    if target == "tube":
+        return write_target_tube(functions, folder, name, real, horizon)
     model = of(functions, name)
     said: dict[str, Any] = {"example": f"examples/{EXAMPLES[target]}.py"}
     if target == "fmu":

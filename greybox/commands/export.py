@@ -20,6 +20,7 @@ TARGETS = (
     "crazyflie-app",
     "px4-module",
     "ros2",
+    "tube",
 )
 GROUPS = ("covariance", "filter", "target", "hessian", "nominal", "adapt", "calibrate", "pilot")
 
@@ -74,6 +75,13 @@ def add(commands: Any) -> None:
         "--points", type=int, metavar="M", help="fewer support points for the learned part"
     )
     p.add_argument(
+        "--horizon",
+        type=int,
+        default=10,
+        metavar="N",
+        help="stages of the plan of the target tube (default %(default)s)",
+    )
+    p.add_argument(
         "--effects-file",
         nargs="+",
         default=[],
@@ -114,6 +122,8 @@ def run(arguments: argparse.Namespace) -> int:
         )
     if arguments.dt is not None and not 0 < arguments.dt < float("inf"):
         raise DataError("--dt", expected="a positive number of seconds", got=f"{arguments.dt:g}")
+    if not 2 <= arguments.horizon <= 100:
+        raise DataError("--horizon", expected="2 to 100 stages", got=str(arguments.horizon))
     model = _model(arguments)
     judged = gate(read_json(arguments.model), arguments.model, even_so=arguments.even_so)
     if not judged.open:
@@ -131,6 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
         with_=_split(arguments.groups),
         runtime_parameters=_split(arguments.runtime),
         points=arguments.points,
+        horizon=arguments.horizon,
         use_cache=not arguments.no_cache,
     )
     judged.say("export")

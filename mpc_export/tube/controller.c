@@ -1,362 +1,268 @@
 /* Real-time iterations of a nonlinear MPC with tightened constraints, in error coordinates of the model's manifold.
 
    One iteration: linearise along the present plan (x_k, u_k), propagate the covariance of the closed loop along it, turn it
-   into back-offs of the constraints, solve the structured QP (HPIPM), move the plan by its solution. Repeated until the KKT
+   into back-offs of the constraints, solve the structured QP (qp.h), move the plan by its solution. Repeated until the KKT
    residual is small it is a Gauss-Newton SQP method; once per sample it is the real-time iteration (Diehl, Bock and Schloeder
    2005, SIAM J. Control Optim. 43(5)). The covariance is fixed within an iteration (zero-order, Feng, Di Cairano and
    Quirynen 2020; Zanelli, Frey, Messerer and Diehl 2021).
 
-   Stage variables of the QP are z = (d, v) and w: d the error state without disturbances (which no command moves), v the change of the previous
-   command, w the change of the command. All sizes are macros of tube_sizes.h. */
+   All sizes are macros of tube_sizes.h, which also says of what precision a tube_real is. Nothing is allocated but by
+   tube_create, which only a desktop has (TUBE_HOSTED). */
 
-#define _POSIX_C_SOURCE 199309L
+#ifdef TUBE_HOSTED
+#include <time.h>
+#endif
 #include <math.h>
 #include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
-
-#include <blasfeo_d_aux_ext_dep.h>
-#include <hpipm_d_ocp_qp.h>
-#include <hpipm_d_ocp_qp_dim.h>
-#include <hpipm_d_ocp_qp_ipm.h>
-#include <hpipm_d_ocp_qp_res.h>
-#include <hpipm_d_ocp_qp_sol.h>
 
 #include "tube_model.h"
 #include "tube_sizes.h"
-
-#define NZ (NK + NU)
-#define NV (NK + 2 * NU)
-#define NL (NPL + 1)
-#define NG (NL + NU)
-#define FREE 1e12
-#define QP_ITERATIONS 200
+#include "qp.h"
+#include "qp_solver.c"
 
 typedef struct {
-  /* what the caller sets */
-  double x0[NX];                 /* state to plan from */
-  double u_before[NU];           /* command in force until then */
-  double p[NP1];                 /* run-time parameters */
-  double ref[N][NREF];           /* references of the running cost */
-  double x_end[NX];              /* reference of the terminal cost */
-  double plane[N + 1][NPL][4];   /* normal and offset, position . normal <= offset; zeros and 1: none */
-  double u_min[NU], u_max[NU], rate_max[NU];
-  double kappa[NL], kappa_u;     /* standard deviations by which constraints are tightened */
-  double wider[N + 1][NL];       /* by how much wider errors are than the model says */
-  double penalty, penalty_square;
-  double Z0[ND * ND];            /* covariance of the estimate about the plan at its start, usually zero */
-  double bent[N + 1][ND * ND];   /* added to the covariance: what the linear loop leaves out */
-  double tolerance, qp_tolerance, damping;
-  double primal_tolerance;       /* largest primal residual of a QP whose solution is taken over */
-  double iterations_max, qp_iterations_max, tube_updates_max;
-  /* the plan, also the start of the next solution */
-  double x[N + 1][NX];
-  double u[N][NU];
-  /* results */
-  double covariance[N + 1][ND * ND];
-  double backoff[N + 1][NL];
-  double backoff_u[N][NU];
-  double slack[N + 1][NL];
-  double cost, kkt, step, iterations, qp_iterations, qp_status;
-  double qp_residual;            /* primal residual of the last QP: dynamics, commands, rates */
-  double missed;                 /* how far the model, flown under the plan's commands, is from the plan */
-  double clipped;                /* by how much the limits moved a command of the plan at the end */
-  double seconds, seconds_linear, seconds_tube, seconds_qp;
-} tube_data;
-
-typedef struct {
-  struct d_ocp_qp_dim dim;
-  struct d_ocp_qp qp;
-  struct d_ocp_qp_sol sol;
-  struct d_ocp_qp_ipm_arg arg;
-  struct d_ocp_qp_ipm_ws ws;
-  struct d_ocp_qp_res res;
-  struct d_ocp_qp_res_ws res_ws;
-  void *memory[7];
-  double w[TUBE_W];
+  qp_solver solver;
+  tube_qp qp;
+  tube_qp_answer answer;
+  tube_real w[TUBE_W];
   tube_model_int iw[TUBE_IW];
-  double A[N][NK * NK], B[N][NK * NU];
-  double G[N + 1][NL * NK], value[N + 1][NL];
-  double c[ND * NGP1], b[ND * NTH1];
-  double c2[ND * NGP1], b2[ND * NTH1], Z[ND * ND], Z2[ND * ND];
-  double x_kept[N + 1][NX], u_kept[N][NU];
+  tube_real A[N][TUBE_NONZEROS], B[N][ND * NU]; /* of all error states; nonzeros of A */
+  tube_real value[N + 1][NL];
+  tube_real Z[ND * ND], Y[ND * ND];
+  tube_real x_kept[N + 1][NX], u_kept[N][NU];
   tube_data first;
 } tube_solver;
 
-static double now(void) {
+static const int column[ND + 1] = TUBE_COLUMN, row[TUBE_NONZEROS] = TUBE_ROW;
+static const int by_row[ND + 1] = TUBE_BY_ROW, row_column[TUBE_NONZEROS] = TUBE_ROW_COLUMN, row_at[TUBE_NONZEROS] = TUBE_ROW_AT;
+static const tube_real gain[NU * ND] = TUBE_GAIN;
+
+#ifdef TUBE_HOSTED
+#define TUBE_SOLVE
+typedef double seconds;
+
+static seconds now(void) {
   struct timespec t;
   clock_gettime(CLOCK_MONOTONIC, &t);
-  return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+  return (double)t.tv_sec + (double)t.tv_nsec / 1000000000;
 }
 
 size_t tube_data_size(void) { return sizeof(tube_data); }
 
 void tube_free(tube_solver *s) {
   if (s != NULL) {
-    for (int i = 0; i < 7; i++) free(s->memory[i]);
+    qp_free(&s->solver);
     free(s);
   }
 }
 
-/* A QP that broke down leaves NaN in the solver's memory: start it anew. */
-static void renewed(tube_solver *s) {
-  d_ocp_qp_create(&s->dim, &s->qp, s->memory[1]);
-  d_ocp_qp_set_all_zero(&s->qp);
-  d_ocp_qp_sol_create(&s->dim, &s->sol, s->memory[2]);
-  d_ocp_qp_sol_set_zero(&s->sol);
-  int most = QP_ITERATIONS;
-  d_ocp_qp_ipm_arg_set_iter_max(&most, &s->arg);
-  memset(s->memory[4], 0, (size_t)d_ocp_qp_ipm_ws_memsize(&s->dim, &s->arg));
-  d_ocp_qp_ipm_ws_create(&s->dim, &s->arg, &s->ws, s->memory[4]);
-}
-
-static int sized(tube_solver *s) {
-  struct d_ocp_qp_dim *dim = &s->dim;
-  for (int k = 0; k <= N; k++) {
-    d_ocp_qp_dim_set_nx(k, k > 0 ? NZ : 0, dim);
-    d_ocp_qp_dim_set_nu(k, k < N ? NU : 0, dim);
-    d_ocp_qp_dim_set_nbx(k, 0, dim);
-    d_ocp_qp_dim_set_nbu(k, k < N ? NU : 0, dim);
-    d_ocp_qp_dim_set_ng(k, k == 0 ? 0 : (k < N ? NG : NL), dim);
-    d_ocp_qp_dim_set_ns(k, k > 0 ? NL : 0, dim);
-  }
-  s->memory[1] = malloc((size_t)d_ocp_qp_memsize(dim));
-  s->memory[2] = malloc((size_t)d_ocp_qp_sol_memsize(dim));
-  s->memory[3] = malloc((size_t)d_ocp_qp_ipm_arg_memsize(dim));
-  if (!s->memory[1] || !s->memory[2] || !s->memory[3]) return 1;
-  d_ocp_qp_create(dim, &s->qp, s->memory[1]);
-  d_ocp_qp_set_all_zero(&s->qp);
-  d_ocp_qp_sol_create(dim, &s->sol, s->memory[2]);
-  d_ocp_qp_ipm_arg_create(dim, &s->arg, s->memory[3]);
-  d_ocp_qp_ipm_arg_set_default(SPEED, &s->arg);
-  /* where slacks and multipliers begin, as acados sets it: half as many iterations as HPIPM's default */
-  int scheme = 1;
-  d_ocp_qp_ipm_arg_set_var_init_scheme(&scheme, &s->arg);
-  /* the statistics of this many iterations are part of the workspace */
-  int most = QP_ITERATIONS;
-  d_ocp_qp_ipm_arg_set_iter_max(&most, &s->arg);
-  s->memory[4] = malloc((size_t)d_ocp_qp_ipm_ws_memsize(dim, &s->arg));
-  s->memory[5] = malloc((size_t)d_ocp_qp_res_memsize(dim));
-  s->memory[6] = malloc((size_t)d_ocp_qp_res_ws_memsize(dim));
-  if (!s->memory[4] || !s->memory[5] || !s->memory[6]) return 1;
-  d_ocp_qp_ipm_ws_create(dim, &s->arg, &s->ws, s->memory[4]);
-  d_ocp_qp_res_create(dim, &s->res, s->memory[5]);
-  d_ocp_qp_res_ws_create(dim, &s->res_ws, s->memory[6]);
-  return 0;
-}
-
 tube_solver *tube_create(void) {
   tube_solver *s = calloc(1, sizeof(tube_solver));
-  if (s == NULL) return NULL;
-  s->memory[0] = malloc((size_t)d_ocp_qp_dim_memsize(N));
-  if (s->memory[0] == NULL) {
-    tube_free(s);
-    return NULL;
-  }
-  d_ocp_qp_dim_create(N, &s->dim, s->memory[0]);
-  if (sized(s)) {
+  if (s != NULL && qp_create(&s->solver)) {
     tube_free(s);
     return NULL;
   }
   return s;
 }
+#else
+#define TUBE_SOLVE static
+typedef tube_real seconds;
+
+static seconds now(void) { return 0; }
+#endif
 
 /* Linearises stage k: A, B, and the defect of the plan there. Disturbances go where the model takes them. */
-static int dynamics(tube_solver *s, tube_data *d, int k, double *defect) {
+static int dynamics(tube_solver *s, tube_data *d, int k) {
   static const int moved[NFREE1] = TUBE_FREE;
-  double next[NX];
-  const double *arg[TUBE_ARG] = {d->x[k], d->u[k], d->p};
-  double *res[TUBE_RES] = {next, s->A[k], s->B[k]};
+  tube_real next[NX];
+  const tube_real *arg[TUBE_ARG] = {d->x[k], d->u[k], d->p};
+  tube_real *res[TUBE_RES] = {next, s->qp.A[k], s->qp.B[k], s->A[k], s->B[k]};
   if (tube_model_tube_linear(arg, res, s->iw, s->w, 0)) return 1;
   for (int j = 0; j < NFREE; j++) d->x[k + 1][moved[j]] = next[moved[j]];
-  const double *gap_arg[TUBE_ARG] = {next, d->x[k + 1]};
-  double *gap_res[TUBE_RES] = {defect};
+  const tube_real *gap_arg[TUBE_ARG] = {next, d->x[k + 1]};
+  tube_real *gap_res[TUBE_RES] = {s->qp.b[k]};
   return tube_model_tube_gap(gap_arg, gap_res, s->iw, s->w, 0);
 }
 
 static int limits(tube_solver *s, const tube_data *d, int k) {
-  const double *arg[TUBE_ARG] = {d->x[k], d->plane[k][0]};
-  double *res[TUBE_RES] = {s->value[k], s->G[k]};
+  const tube_real *arg[TUBE_ARG] = {d->x[k], d->plane[k][0]};
+  tube_real *res[TUBE_RES] = {s->value[k], s->qp.G[k]};
   return tube_model_tube_limits(arg, res, s->iw, s->w, 0);
+}
+
+/* y = (A_k + B_k K) x, one column */
+static void closed_loop(const tube_solver *s, int k, const tube_real *x, tube_real *y) {
+  tube_real u[NU] = {0};
+  for (int i = 0; i < ND; i++)
+    for (int j = 0; j < NU; j++) u[j] += gain[i * NU + j] * x[i];
+  for (int i = 0; i < ND; i++) {
+    y[i] = 0;
+    for (int j = 0; j < NU; j++) y[i] += s->B[k][j * ND + i] * u[j];
+  }
+  plus_sparse(column, row, s->A[k], ND, x, y);
+}
+
+/* out' = (A_k + B_k K) m for a matrix m that stands row by row: what is contiguous is added */
+static void closed_rows(const tube_solver *s, int k, const tube_real *m, tube_real *out) {
+  tube_real u[NU][ND] = {{0}}, line[ND];
+  for (int j = 0; j < NU; j++)
+    for (int i = 0; i < ND; i++)
+      if (gain[i * NU + j] != 0) PLUS(u[j], gain[i * NU + j], m + i * ND, ND);
+  for (int i = 0; i < ND; i++) {
+    memset(line, 0, sizeof line);
+    for (int j = 0; j < NU; j++)
+      if (s->B[k][j * ND + i] != 0) PLUS(line, s->B[k][j * ND + i], u[j], ND);
+    for (int j = by_row[i]; j < by_row[i + 1]; j++) PLUS(line, s->A[k][row_at[j]], m + row_column[j] * ND, ND);
+    for (int j = 0; j < ND; j++) out[j * ND + i] = line[j];
+  }
+}
+
+static tube_real trace(const tube_real *m) {
+  tube_real sum = 0;
+  for (int i = 0; i < ND; i++) sum += m[i * ND + i];
+  return sum;
+}
+
+/* Z+ from Z, see stages.py; pushed: of the learned functions, for errors that are fresh at every stage. */
+static void propagated(tube_solver *s, int k, const tube_real *pushed) {
+  static const tube_real fresh[ND * ND] = TUBE_FRESH;
+  tube_real own = 1, other = 1, added;
+  closed_rows(s, k, s->Z, s->Y);
+  closed_rows(s, k, s->Y, s->Z);
+  if (TUBE_WORST_CASE) {
+    tube_real spread = trace(s->Z), more = trace(fresh), ratio;
+    for (int i = 0; TUBE_WHITE && i < ND * NGP; i++) more += pushed[i] * pushed[i];
+    ratio = sqrt(spread / fmax(more, 1e-30));
+    /* at the start there is nothing to add to */
+    own = spread > 0 ? 1 + 1 / fmax(ratio, 1e-12) : 0;
+    other = spread > 0 ? 1 + ratio : 1;
+  }
+  for (int j = 0; j < ND; j++)
+    for (int i = 0; i < ND; i++) {
+      added = fresh[j * ND + i];
+      for (int m = 0; TUBE_WHITE && m < NGP; m++) added += pushed[m * ND + i] * pushed[m * ND + j];
+      s->Z[j * ND + i] = own * s->Z[j * ND + i] + other * added;
+    }
+}
+
+/* total = P_f + Z + D + c c' + b Cov(theta) b' */
+static void summed(const tube_solver *s, const tube_data *d, const tube_real *c, const tube_real *b, int k, tube_real *total) {
+  static const tube_real estimate[ND * ND] = TUBE_ESTIMATE, covariance[NTH1 * NTH1] = TUBE_COVARIANCE;
+  for (int j = 0; j < ND; j++) {
+    tube_real along[NTH1] = {0};
+    for (int m = 0; m < NTH; m++)
+      for (int i = 0; i < NTH; i++) along[i] += covariance[m * NTH + i] * b[m * ND + j];
+    for (int i = 0; i <= j; i++) {
+      int at = j * ND + i;
+      tube_real sum = estimate[at] + s->Z[at] + d->bent[k][j][i];
+      for (int m = 0; m < NGP; m++) sum += c[m * ND + i] * c[m * ND + j];
+      for (int m = 0; m < NTH; m++) sum += b[m * ND + i] * along[m];
+      total[at] = total[i * ND + j] = sum;
+    }
+  }
+}
+
+/* What the covariance takes off the limits of stage k, and the ancillary gain off the commands: K (Z + c c' + b b') K',
+   without the filter's error. */
+static void back_off(const tube_solver *s, tube_data *d, int k) {
+  static const int keep[NK] = TUBE_KEEP;
+  const tube_real *total = d->covariance[k][0];
+  for (int j = 0; j < NL; j++) {
+    tube_real sum = 0;
+    for (int m = 0; m < NK; m++) {
+      tube_real part = 0;
+      if (s->qp.G[k][m * NL + j] == 0) continue;
+      for (int i = 0; i < NK; i++) part += s->qp.G[k][i * NL + j] * total[keep[m] * ND + keep[i]];
+      sum += s->qp.G[k][m * NL + j] * part;
+    }
+    d->backoff[k][j] = k > 0 ? d->kappa[j] * d->wider[k][j] * sqrt(sum > 0 ? sum : 0) : 0;
+  }
+  for (int j = 0; k < N && j < NU; j++) {
+    tube_real sum = 0, room = 0.45 * (d->u_max[j] - d->u_min[j]);
+    for (int m = 0; k > 0 && m < ND; m++) {
+      tube_real part = 0;
+      for (int i = 0; i < ND; i++) part += gain[i * NU + j] * (total[m * ND + i] - d->covariance[0][m][i]);
+      sum += gain[m * NU + j] * part;
+    }
+    d->backoff_u[k][j] = k > 0 ? d->kappa_u * sqrt(sum > 0 ? sum : 0) : 0;
+    if (d->backoff_u[k][j] > room) d->backoff_u[k][j] = room;
+  }
 }
 
 /* Covariance of the closed loop along the plan, and what it takes off every constraint. */
 static int tube(tube_solver *s, tube_data *d) {
-  static const int keep[NK] = TUBE_KEEP;
-  static const double gain[NU * ND] = TUBE_GAIN;
+  tube_real c[ND * NGP1] = {0}, b[ND * NTH1] = {0}, push[ND * NGP1] = {0}, slope[ND * NTH1] = {0}, moved[ND];
   memcpy(s->Z, d->Z0, sizeof s->Z);
-  memset(s->c, 0, sizeof s->c);
-  memset(s->b, 0, sizeof s->b);
   for (int k = 0; k <= N; k++) {
-    const double *uk = d->u[k < N ? k : N - 1];
-    const double *arg[TUBE_ARG] = {d->x[k], uk, d->p, s->Z, s->c, s->b};
-    double *res[TUBE_RES] = {d->covariance[k], s->Z2, s->c2, s->b2};
-    if (tube_model_tube_spread(arg, res, s->iw, s->w, 0)) return 1;
-    double *total = d->covariance[k];
-    for (int i = 0; i < ND * ND; i++) total[i] += d->bent[k][i];
-    for (int j = 0; j < NL; j++) {
-      double sum = 0;
-      for (int m = 0; m < NK; m++) {
-        double row = 0;
-        if (s->G[k][m * NL + j] == 0.0) continue;
-        for (int i = 0; i < NK; i++) row += s->G[k][i * NL + j] * total[keep[m] * ND + keep[i]];
-        sum += s->G[k][m * NL + j] * row;
-      }
-      d->backoff[k][j] = k > 0 ? d->kappa[j] * d->wider[k][j] * sqrt(sum > 0 ? sum : 0) : 0;
+    summed(s, d, c, b, k, d->covariance[k][0]);
+    back_off(s, d, k);
+    if (k == N) break;
+    const tube_real *arg[TUBE_ARG] = {d->x[k], d->u[k], d->p};
+    tube_real *res[TUBE_RES] = {push, slope};
+    if (tube_model_tube_unsure(arg, res, s->iw, s->w, 0)) return 1;
+    propagated(s, k, push);
+    for (int m = 0; !TUBE_WHITE && m < NGP; m++) {
+      closed_loop(s, k, c + m * ND, moved);
+      for (int i = 0; i < ND; i++) c[m * ND + i] = moved[i] + push[m * ND + i];
     }
-    if (k < N) {
-      /* What the ancillary gain adds to the command: K (Z + c c' + b b') K', without the filter's error. */
-      for (int j = 0; j < NU; j++) {
-        double sum = 0;
-        for (int m = 0; m < ND; m++) {
-          double row = 0;
-          for (int i = 0; i < ND; i++) row += gain[i * NU + j] * (total[m * ND + i] - d->covariance[0][m * ND + i]);
-          sum += gain[m * NU + j] * row;
-        }
-        d->backoff_u[k][j] = k > 0 ? d->kappa_u * sqrt(sum > 0 ? sum : 0) : 0;
-        double room = 0.45 * (d->u_max[j] - d->u_min[j]);
-        if (d->backoff_u[k][j] > room) d->backoff_u[k][j] = room;
-      }
+    for (int m = 0; m < NTH; m++) {
+      closed_loop(s, k, b + m * ND, moved);
+      for (int i = 0; i < ND; i++) b[m * ND + i] = moved[i] + slope[m * ND + i];
     }
-    memcpy(s->Z, s->Z2, sizeof s->Z);
-    memcpy(s->c, s->c2, sizeof s->c);
-    memcpy(s->b, s->b2, sizeof s->b);
   }
   return 0;
 }
 
-/* Fills stage k of the QP. */
+/* Cost and dynamics of stage k of the QP. */
 static int stage(tube_solver *s, tube_data *d, int k) {
-  struct d_ocp_qp *qp = &s->qp;
-  double value, g[NV], H[NV * NV];
+  tube_real value;
   if (k < N) {
-    const double *before = k > 0 ? d->u[k - 1] : d->u_before;
-    const double *arg[TUBE_ARG] = {d->x[k], d->u[k], before, d->ref[k]};
-    double *res[TUBE_RES] = {&value, g, H};
+    const tube_real *arg[TUBE_ARG] = {d->x[k], d->u[k], k > 0 ? d->u[k - 1] : d->u_before, d->ref[k]};
+    tube_real *res[TUBE_RES] = {&value, s->qp.g[k], s->qp.H[k]};
     if (tube_model_tube_cost(arg, res, s->iw, s->w, 0)) return 1;
-    double R[NU * NU], S[NU * NZ], Q[NZ * NZ], A[NZ * NZ], B[NZ * NU], b[NZ] = {0};
-    for (int j = 0; j < NU; j++)
-      for (int i = 0; i < NU; i++) R[j * NU + i] = H[(NZ + j) * NV + NZ + i] + (i == j ? d->damping : 0);
-    d_ocp_qp_set_R(k, R, qp);
-    d_ocp_qp_set_r(k, g + NZ, qp);
-    if (k > 0) {
-      for (int j = 0; j < NZ; j++) {
-        for (int i = 0; i < NU; i++) S[j * NU + i] = H[j * NV + NZ + i];
-        for (int i = 0; i < NZ; i++) Q[j * NZ + i] = H[j * NV + i] + (i == j ? 1e-9 : 0);
-      }
-      d_ocp_qp_set_S(k, S, qp);
-      d_ocp_qp_set_Q(k, Q, qp);
-      d_ocp_qp_set_q(k, g, qp);
-    }
-    if (dynamics(s, d, k, b)) return 1;
-    memset(A, 0, sizeof A);
-    memset(B, 0, sizeof B);
-    for (int j = 0; j < NK; j++)
-      for (int i = 0; i < NK; i++) A[j * NZ + i] = s->A[k][j * NK + i];
-    for (int j = 0; j < NU; j++) {
-      for (int i = 0; i < NK; i++) B[j * NZ + i] = s->B[k][j * NK + i];
-      B[j * NZ + NK + j] = 1;
-    }
-    if (k > 0) d_ocp_qp_set_A(k, A, qp);
-    d_ocp_qp_set_B(k, B, qp);
-    d_ocp_qp_set_b(k, b, qp);
-    d->cost += value;
+    for (int j = NZ; j < NV; j++) s->qp.H[k][j * NV + j] += d->damping;
+    if (dynamics(s, d, k)) return 1;
   } else {
-    double Q[NZ * NZ] = {0}, q[NZ] = {0}, h[NK * NK], grad[NK];
-    const double *arg[TUBE_ARG] = {d->x[N], d->x_end};
-    double *res[TUBE_RES] = {&value, grad, h};
+    const tube_real *arg[TUBE_ARG] = {d->x[N], d->x_end};
+    tube_real *res[TUBE_RES] = {&value, s->qp.g_end, s->qp.H_end};
     if (tube_model_tube_end(arg, res, s->iw, s->w, 0)) return 1;
-    for (int j = 0; j < NK; j++) {
-      q[j] = grad[j];
-      for (int i = 0; i < NK; i++) Q[j * NZ + i] = h[j * NK + i];
-    }
-    for (int j = 0; j < NZ; j++) Q[j * NZ + j] += 1e-9;
-    d_ocp_qp_set_Q(N, Q, qp);
-    d_ocp_qp_set_q(N, q, qp);
-    d->cost += value;
   }
+  d->cost += value;
   return 0;
 }
 
 static void bounds(tube_solver *s, tube_data *d, int k) {
-  struct d_ocp_qp *qp = &s->qp;
-  if (k < N) {
-    double lower[NU], upper[NU];
-    int at[NU];
-    const double *before = k > 0 ? d->u[k - 1] : d->u_before;
-    for (int j = 0; j < NU; j++) {
-      at[j] = j;
-      lower[j] = d->u_min[j] + d->backoff_u[k][j] - d->u[k][j];
-      upper[j] = d->u_max[j] - d->backoff_u[k][j] - d->u[k][j];
-      if (k == 0) {
-        double low = before[j] - d->rate_max[j] - d->u[k][j], high = before[j] + d->rate_max[j] - d->u[k][j];
-        /* A command in force beyond the limits goes back as fast as it may. */
-        lower[j] = lower[j] > low ? (lower[j] < high ? lower[j] : high) : low;
-        upper[j] = upper[j] < high ? (upper[j] > low ? upper[j] : low) : high;
-      }
+  const tube_real *before = k > 0 ? d->u[k - 1] : d->u_before;
+  for (int j = 0; k < N && j < NU; j++) {
+    tube_real lower = d->u_min[j] + d->backoff_u[k][j] - d->u[k][j];
+    tube_real upper = d->u_max[j] - d->backoff_u[k][j] - d->u[k][j];
+    if (k == 0) {
+      tube_real low = before[j] - d->rate_max[j] - d->u[k][j], high = before[j] + d->rate_max[j] - d->u[k][j];
+      /* A command in force beyond the limits goes back as fast as it may. */
+      lower = lower > low ? (lower < high ? lower : high) : low;
+      upper = upper < high ? (upper > low ? upper : low) : high;
     }
-    d_ocp_qp_set_idxbu(k, at, qp);
-    d_ocp_qp_set_lbu(k, lower, qp);
-    d_ocp_qp_set_ubu(k, upper, qp);
+    s->qp.lower[k][j] = lower;
+    s->qp.upper[k][j] = upper;
+    s->qp.change[k][j] = d->u[k][j] - before[j];
+    s->qp.rate_max[j] = d->rate_max[j];
   }
-  if (k == 0) return;
-  int ng = k < N ? NG : NL, idxs[NL];
-  double C[NG * NZ] = {0}, D[NG * NU] = {0}, lg[NG], ug[NG], mask[NG], linear[NL], square[NL], none[NL] = {0};
-  for (int j = 0; j < NL; j++) {
-    for (int i = 0; i < NK; i++) C[i * ng + j] = s->G[k][i * NL + j];
-    lg[j] = -FREE;
-    mask[j] = 0;
-    ug[j] = -s->value[k][j] - d->backoff[k][j];
-    idxs[j] = (k < N ? NU : 0) + j;
-    linear[j] = d->penalty;
-    square[j] = d->penalty_square;
-  }
-  if (k < N) {
-    for (int j = 0; j < NU; j++) {
-      double change = d->u[k][j] - d->u[k - 1][j];
-      C[(NK + j) * ng + NL + j] = -1;
-      D[j * ng + NL + j] = 1;
-      lg[NL + j] = -d->rate_max[j] - change;
-      ug[NL + j] = d->rate_max[j] - change;
-      mask[NL + j] = 1;
-    }
-    d_ocp_qp_set_D(k, D, qp);
-  }
-  d_ocp_qp_set_C(k, C, qp);
-  d_ocp_qp_set_lg(k, lg, qp);
-  d_ocp_qp_set_ug(k, ug, qp);
-  d_ocp_qp_set_lg_mask(k, mask, qp);
-  d_ocp_qp_set_idxs(k, idxs, qp);
-  d_ocp_qp_set_Zu(k, square, qp);
-  d_ocp_qp_set_zu(k, linear, qp);
-  d_ocp_qp_set_Zl(k, square, qp);
-  d_ocp_qp_set_zl(k, linear, qp);
-  d_ocp_qp_set_lls(k, none, qp);
-  d_ocp_qp_set_lus(k, none, qp);
+  for (int j = 0; k > 0 && j < NL; j++) s->qp.most[k][j] = -s->value[k][j] - d->backoff[k][j];
+  s->qp.penalty = d->penalty;
+  s->qp.penalty_square = d->penalty_square;
 }
 
-/* The larger of two sizes; infinite where one is no number, so that a NaN is never lost among numbers. */
-static double larger(double a, double b) {
-  if (isnan(a) || isnan(b)) return INFINITY;
-  return a > b ? a : b;
-}
-
-static double largest(const double *v, int n) {
-  double m = 0;
-  for (int i = 0; i < n; i++) m = larger(m, fabs(v[i]));
-  return m;
-}
-
-static double clip(double v, double low, double high) { return v < low ? low : (v > high ? high : v); }
+static tube_real clip(tube_real v, tube_real low, tube_real high) { return v < low ? low : (v > high ? high : v); }
 
 /* Commands of the plan within their limits and, which comes first, their rates. Returns the largest change. */
-static double limited(tube_data *d) {
-  double most = 0;
+static tube_real limited(tube_data *d) {
+  tube_real most = 0;
   for (int k = 0; k < N; k++) {
-    const double *before = k > 0 ? d->u[k - 1] : d->u_before;
+    const tube_real *before = k > 0 ? d->u[k - 1] : d->u_before;
     for (int j = 0; j < NU; j++) {
-      double v = clip(d->u[k][j], d->u_min[j], d->u_max[j]);
+      tube_real v = clip(d->u[k][j], d->u_min[j], d->u_max[j]);
       v = clip(v, before[j] - d->rate_max[j], before[j] + d->rate_max[j]);
       most = larger(most, fabs(v - d->u[k][j]));
       d->u[k][j] = v;
@@ -365,48 +271,18 @@ static double limited(tube_data *d) {
   return most;
 }
 
-/* How far the solution of the QP is from its dynamics and its limits, of its multipliers nothing. */
-static double primal(tube_solver *s) {
-  double eq, ineq;
-  d_ocp_qp_res_compute(&s->qp, &s->sol, &s->res, &s->res_ws);
-  d_ocp_qp_res_compute_inf_norm(&s->res);
-  d_ocp_qp_res_get_max_res_eq(&s->res, &eq);
-  d_ocp_qp_res_get_max_res_ineq(&s->res, &ineq);
-  return larger(eq, ineq);
-}
-
-/* KKT residual of the plan as it is now, with the multipliers of the QP before. */
-static double residual(tube_solver *s) {
-  double zero[NZ] = {0}, m, v;
-  for (int k = 0; k <= N; k++) {
-    if (k > 0) d_ocp_qp_sol_set_x(k, zero, &s->sol);
-    if (k < N) d_ocp_qp_sol_set_u(k, zero, &s->sol);
-  }
-  d_ocp_qp_res_compute(&s->qp, &s->sol, &s->res, &s->res_ws);
-  d_ocp_qp_res_compute_inf_norm(&s->res);
-  d_ocp_qp_res_get_max_res_stat(&s->res, &v);
-  m = v;
-  d_ocp_qp_res_get_max_res_eq(&s->res, &v);
-  m = larger(m, v);
-  d_ocp_qp_res_get_max_res_ineq(&s->res, &v);
-  m = larger(m, v);
-  d_ocp_qp_res_get_max_res_comp(&s->res, &v);
-  return larger(m, v);
-}
-
 /* How far the model, flown from the plan's start under its commands, is from the plan, to first order: the gaps of the
    moved plan, carried along its linearisation. With the right commands the next step would have this size. */
 static int missed(tube_solver *s, tube_data *d) {
-  double away[NK] = {0};
+  tube_real away[NK] = {0};
   d->missed = 0;
   for (int k = 0; k < N; k++) {
-    double next[NX], gap[NK];
-    const double *arg[TUBE_ARG] = {d->x[k], d->u[k], d->p}, *gap_arg[TUBE_ARG] = {next, d->x[k + 1]};
-    double *res[TUBE_RES] = {next}, *gap_res[TUBE_RES] = {gap};
+    tube_real next[NX], gap[NK];
+    const tube_real *arg[TUBE_ARG] = {d->x[k], d->u[k], d->p}, *gap_arg[TUBE_ARG] = {next, d->x[k + 1]};
+    tube_real *res[TUBE_RES] = {next}, *gap_res[TUBE_RES] = {gap};
     if (tube_model_tube_step(arg, res, s->iw, s->w, 0)) return 1;
     if (tube_model_tube_gap(gap_arg, gap_res, s->iw, s->w, 0)) return 1;
-    for (int j = 0; j < NK; j++)
-      for (int i = 0; i < NK; i++) gap[i] += s->A[k][j * NK + i] * away[j];
+    plus_sparse(plan_column, plan_row, s->qp.A[k], NK, away, gap);
     memcpy(away, gap, sizeof away);
     d->missed = larger(d->missed, largest(away, NK));
   }
@@ -414,49 +290,35 @@ static int missed(tube_solver *s, tube_data *d) {
 }
 
 /* One QP about the plan: solves it and moves the plan by the solution. Returns what tube_solve does. */
-static int moved_by_qp(tube_solver *s, tube_data *d) {
-  double z[N + 1][NZ], w[N][NU], size = 0;
-  int status, n;
-  d_ocp_qp_ipm_solve(&s->qp, &s->sol, &s->arg, &s->ws);
-  d_ocp_qp_ipm_get_status(&s->ws, &status);
-  d_ocp_qp_ipm_get_iter(&s->ws, &n);
-  d->qp_status = status;
-  d->qp_iterations += n;
-  d->qp_residual = primal(s);
-  for (int k = 0; k <= N; k++) {
-    if (k > 0) {
-      d_ocp_qp_sol_get_x(k, &s->sol, z[k]);
-      d_ocp_qp_sol_get_su(k, &s->sol, d->slack[k]);
-      size = larger(size, largest(z[k], NK));
-    }
-    if (k < N) {
-      d_ocp_qp_sol_get_u(k, &s->sol, w[k]);
-      size = larger(size, largest(w[k], NU));
-    }
-  }
+static int moved_by_qp(tube_solver *s, tube_data *d, int warm) {
+  tube_qp_answer *a = &s->answer;
+  tube_real size = 0;
+  qp_solve(&s->solver, &s->qp, d->qp_tolerance, (int)d->qp_iterations_max, warm, a);
+  d->qp_status = (tube_real)a->status;
+  d->qp_iterations += (tube_real)a->iterations;
+  d->qp_residual = a->residual;
+  for (int k = 0; k < N; k++) size = larger(size, larger(largest(a->d[k + 1], NK), largest(a->w[k], NU)));
+  memcpy(d->slack[1], a->slack[1], N * sizeof d->slack[1]);
   /* A QP that broke down, or was cut off before it met its dynamics and limits, gives no plan. One that did meet them is
      a plan, if not the best. */
-  if (!(size < 1e6) || status > 2 || !(d->qp_residual <= d->primal_tolerance)) return 2;
+  if (!(size < 1e6) || a->status > 2 || !(d->qp_residual <= d->primal_tolerance)) return 2;
   d->step = size;
   for (int k = 0; k <= N; k++) {
     if (k > 0) {
-      double moved[NX];
-      const double *arg[TUBE_ARG] = {d->x[k], z[k]};
-      double *res[TUBE_RES] = {moved};
+      tube_real moved[NX];
+      const tube_real *arg[TUBE_ARG] = {d->x[k], a->d[k]};
+      tube_real *res[TUBE_RES] = {moved};
       if (tube_model_tube_move(arg, res, s->iw, s->w, 0)) return 1;
       memcpy(d->x[k], moved, sizeof moved);
     }
-    if (k < N)
-      for (int j = 0; j < NU; j++) d->u[k][j] += w[k][j];
+    for (int j = 0; k < N && j < NU; j++) d->u[k][j] += a->w[k][j];
   }
   return 0;
 }
 
 static int iterated(tube_solver *s, tube_data *d) {
-  int cold = 0, warm = 2;
-  d_ocp_qp_ipm_arg_set_warm_start(&cold, &s->arg);
   for (int it = 0; it <= (int)d->iterations_max; it++) {
-    double t0 = now(), t1, t2;
+    seconds t0 = now(), t1, t2;
     d->cost = 0;
     for (int k = 0; k <= N; k++)
       if (limits(s, d, k) || stage(s, d, k)) return 1;
@@ -464,30 +326,29 @@ static int iterated(tube_solver *s, tube_data *d) {
     if (it < (int)d->tube_updates_max && tube(s, d)) return 1;
     for (int k = 0; k <= N; k++) bounds(s, d, k);
     t2 = now();
-    d->seconds_linear += t1 - t0;
-    d->seconds_tube += t2 - t1;
+    d->seconds_linear += (tube_real)(t1 - t0);
+    d->seconds_tube += (tube_real)(t2 - t1);
     if (it > 0) {
       /* with one iteration a sample nobody needs the residual */
-      if (d->iterations_max > 1) d->kkt = residual(s);
+      if (d->iterations_max > 1) d->kkt = qp_kkt(&s->solver, &s->qp);
       if (d->kkt <= d->tolerance) break;
     }
     if (it == (int)d->iterations_max) break;
     /* the QP of the iteration before is near; that of the sample before may have other active limits */
-    if (it > 0) d_ocp_qp_ipm_arg_set_warm_start(&warm, &s->arg);
-    int failed = moved_by_qp(s, d);
-    d->seconds_qp += now() - t2;
+    int failed = moved_by_qp(s, d, it > 0);
+    d->seconds_qp += (tube_real)(now() - t2);
     if (failed) return failed;
-    d->iterations = it + 1;
+    d->iterations = (tube_real)(it + 1);
     if ((int)d->iterations_max == 1) break;
   }
-  if (!(largest(&d->x[0][0], (N + 1) * NX) < INFINITY) || !(largest(&d->u[0][0], N * NU) < INFINITY)) return 1;
+  if (!(largest(&d->x[0][0], (N + 1) * NX) < (tube_real)INFINITY) || !(largest(&d->u[0][0], N * NU) < (tube_real)INFINITY)) return 1;
   return missed(s, d);
 }
 
 /* The next step of Newton's method as a part of the last: it converges below 1 (Deuflhard 2011, Newton methods for
    nonlinear problems, section 2.1). 0 where the plan meets its dynamics, infinite without a plan. */
-static double contraction(const tube_data *d, int failed) {
-  if (failed) return INFINITY;
+static tube_real contraction(const tube_data *d, int failed) {
+  if (failed) return (tube_real)INFINITY;
   return d->missed <= d->primal_tolerance ? 0 : d->missed / d->step;
 }
 
@@ -496,8 +357,8 @@ static double contraction(const tube_data *d, int failed) {
 static int simulated(tube_solver *s, tube_data *d) {
   memcpy(d->x[0], d->x0, sizeof d->x[0]);
   for (int k = 0; k < N; k++) {
-    const double *arg[TUBE_ARG] = {d->x[k], d->u[k], d->p};
-    double *res[TUBE_RES] = {d->x[k + 1]};
+    const tube_real *arg[TUBE_ARG] = {d->x[k], d->u[k], d->p};
+    tube_real *res[TUBE_RES] = {d->x[k + 1]};
     if (tube_model_tube_step(arg, res, s->iw, s->w, 0)) return 1;
   }
   return 0;
@@ -508,34 +369,27 @@ static int simulated(tube_solver *s, tube_data *d) {
    not solved; 3 where Newton's steps grow. After 1 to 3 the plan is the one from before the call, to the last bit. After 0
    its commands keep their limits and rates exactly; qp_status 1 or 2 then says that the QP was not solved to the end,
    though it met dynamics and limits to primal_tolerance. d->kkt <= d->tolerance says that the iterations converged. */
-int tube_solve(tube_solver *s, tube_data *d) {
-  double begin = now();
-  int most = d->qp_iterations_max < QP_ITERATIONS ? (int)d->qp_iterations_max : QP_ITERATIONS;
+TUBE_SOLVE int tube_solve(tube_solver *s, tube_data *d) {
+  seconds begin = now();
   d->seconds_linear = d->seconds_tube = d->seconds_qp = 0;
   d->iterations = d->qp_iterations = d->clipped = 0;
-  d->step = d->kkt = d->qp_residual = d->missed = INFINITY;
+  d->step = d->kkt = d->qp_residual = d->missed = (tube_real)INFINITY;
   d->qp_status = -1;
-  d_ocp_qp_ipm_arg_set_iter_max(&most, &s->arg);
-  d_ocp_qp_ipm_arg_set_tol_stat(&d->qp_tolerance, &s->arg);
-  d_ocp_qp_ipm_arg_set_tol_eq(&d->qp_tolerance, &s->arg);
-  d_ocp_qp_ipm_arg_set_tol_ineq(&d->qp_tolerance, &s->arg);
-  d_ocp_qp_ipm_arg_set_tol_comp(&d->qp_tolerance, &s->arg);
   memcpy(s->x_kept, d->x, sizeof d->x);
   memcpy(s->u_kept, d->u, sizeof d->u);
   memcpy(d->x[0], d->x0, sizeof d->x[0]);
   int failed = iterated(s, d);
-  double ratio = contraction(d, failed);
+  tube_real ratio = contraction(d, failed);
   if (ratio >= 1) {
     s->first = *d;
-    if (failed) renewed(s);
-    d_ocp_qp_ipm_arg_set_iter_max(&most, &s->arg);
+    if (failed) qp_renew(&s->solver);
     memcpy(d->u, s->u_kept, sizeof d->u);
     int second = simulated(s, d) || iterated(s, d);
     if (contraction(d, second) < ratio) {
       ratio = contraction(d, second);
       failed = 0;
     } else {
-      if (second) renewed(s);
+      if (second) qp_renew(&s->solver);
       *d = s->first;
     }
   }
@@ -543,10 +397,10 @@ int tube_solve(tube_solver *s, tube_data *d) {
   if (failed) {
     memcpy(d->x, s->x_kept, sizeof d->x);
     memcpy(d->u, s->u_kept, sizeof d->u);
-    renewed(s);
+    qp_renew(&s->solver);
   } else {
     d->clipped = limited(d);
   }
-  d->seconds = now() - begin;
+  d->seconds = (tube_real)(now() - begin);
   return failed;
 }

@@ -49,10 +49,10 @@ class Gate:
         for i, names in enumerate(columns):
             rows.setdefault(tuple(names), []).append(i)
         self.sensors = [(", ".join(names), np.array(at)) for names, at in rows.items()]
-        self._inverse = np.zeros_like(covariance)
+        self.inverse = np.zeros_like(covariance)
         self._member = np.zeros((len(self.sensors), len(columns)))
         for k, (_, at) in enumerate(self.sensors):
-            self._inverse[np.ix_(at, at)] = np.linalg.inv(covariance[np.ix_(at, at)])
+            self.inverse[np.ix_(at, at)] = np.linalg.inv(covariance[np.ix_(at, at)])
             self._member[k, at] = 1.0
         self.start()
 
@@ -98,9 +98,7 @@ class Gate:
     def _sizes(self, innovation: FloatArray) -> FloatArray:
         # what overflows when squared is too far off as well
         e = np.nan_to_num(np.clip(innovation, -FAR, FAR), nan=FAR)
-        return np.asarray(
-            np.sqrt(np.maximum(self._member @ (e * (self._inverse @ e)), 0.0)) / REACH
-        )
+        return np.asarray(np.sqrt(np.maximum(self._member @ (e * (self.inverse @ e)), 0.0)) / REACH)
 
 
 def plausible(columns: Sequence[str], y: FloatArray) -> FloatArray:

@@ -11,11 +11,12 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
+import re
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -24,68 +25,26 @@ from greybox.estimation.build import BuildError, build
 from greybox.estimation.cache import cache_dir
 from greybox.files import write_atomic
 from greybox.symbolic import FloatArray
-from mpc_export.c_code import FAST_FLAGS, CKernel, Real, write_c
+from mpc_export.c_code import FAST_FLAGS, CKernel, CSource, Real, single_precision, write_c
 from mpc_export.functions import ModelFunctions
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.stages import Stages, stages
+from mpc_export.tube.structure import RESULTS, in_c, views
 
-_SCALARS = (
-    "cost",
-    "kkt",
-    "step",
-    "iterations",
-    "qp_iterations",
-    "qp_status",
-    "qp_residual",
-    "missed",
-    "clipped",
-    "seconds",
-    "seconds_linear",
-    "seconds_tube",
-    "seconds_qp",
-)
 PRIMAL = 1e-4
 """A QP that was not solved to the end counts where it misses dynamics (m, m/s, rad, rad/s) and
 limits by no more than this: below what a sensor sees."""
-
-
-def _fields(n: dict[str, int]) -> list[tuple[str, tuple[int, ...]]]:
-    """Members of tube_data in controller.c, in its order, with their shapes (last index
-    fastest)."""
-    stages_, nl = n["N"] + 1, n["NPL"] + 1
-    one: tuple[int, ...] = ()
-    return [
-        ("x0", (n["NX"],)),
-        ("u_before", (n["NU"],)),
-        ("p", (max(n["NP"], 1),)),
-        ("ref", (n["N"], n["NREF"])),
-        ("x_end", (n["NX"],)),
-        ("plane", (stages_, n["NPL"], 4)),
-        ("u_min", (n["NU"],)),
-        ("u_max", (n["NU"],)),
-        ("rate_max", (n["NU"],)),
-        ("kappa", (nl,)),
-        ("kappa_u", one),
-        ("wider", (stages_, nl)),
-        ("penalty", one),
-        ("penalty_square", one),
-        ("Z0", (n["ND"], n["ND"])),
-        ("bent", (stages_, n["ND"], n["ND"])),
-        ("tolerance", one),
-        ("qp_tolerance", one),
-        ("damping", one),
-        ("primal_tolerance", one),
-        ("iterations_max", one),
-        ("qp_iterations_max", one),
-        ("tube_updates_max", one),
-        ("x", (stages_, n["NX"])),
-        ("u", (n["N"], n["NU"])),
-        ("covariance", (stages_, n["ND"], n["ND"])),
-        ("backoff", (stages_, nl)),
-        ("backoff_u", (n["N"], n["NU"])),
-        ("slack", (stages_, nl)),
-        *((s, one) for s in _SCALARS),
-    ]
+COARSE = 1e3
+"""Tolerances in float are so many times those in double, but the QP's."""
+QP_TOLERANCE: dict[Real, float] = {"double": 1e-6, "float": 1e-4}
+"""Up to which a QP counts as solved. Float gets no nearer in every QP, and commands are within 1e-3."""
+QP = Literal["hpipm", "riccati"]
+"""Who solves the QP."""
+HERE = Path(__file__).parent
+HOSTED = "#define TUBE_HOSTED\n#define _POSIX_C_SOURCE 199309L\n"
+"""What a desktop adds: memory taken when a solver is made, and a clock."""
+WORK = ("ARG", "RES", "IW", "W")
+"""Memory that stage functions need."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +81,8 @@ class TubeSolver:
     """Compiled solver of one problem. Arrays of `data` by name are views of the C structure: write,
     call, read.
 
-    white, estimate and fresh: see `stages`. Raises `BuildError` without a C compiler or where HPIPM
+    white, estimate and fresh: see `stages`. qp: "riccati" is the QP solver of an export, which also
+    computes in float (real). Raises `BuildError` without a C compiler or where HPIPM
     is not with CasADi, `ModelError` from `stages`.
     """
 
@@ -135,6 +95,8 @@ class TubeSolver:
         white: bool = False,
         estimate: FloatArray | None = None,
         fresh: FloatArray | None = None,
+        qp: QP = "hpipm",
+        real: Real = "double",
     ) -> None:
         self.model, self.problem = model, problem
         self.stages: Stages = stages(model, problem, white=white, estimate=estimate, fresh=fresh)
@@ -147,31 +109,28 @@ class TubeSolver:
             "NP": n["n_p"],
             "NK": len(self.stages.keep),
             "NPL": problem.planes,
+            "NL": problem.planes + 1,
             "NREF": 7 + n["n_u"],
             "NGP": n["n_g"],
             "NTH": n["n_theta"],
             "NFREE": len(self.stages.free),
         }
+        # no array of C has no elements
+        self.sizes |= {f"{k}1": max(1, self.sizes[k]) for k in ("NP", "NGP", "NTH", "NFREE")}
         # Before all others in the process: acados brings an HPIPM of its own, of another layout.
         mode = ctypes.DEFAULT_MODE | getattr(os, "RTLD_DEEPBIND", 0)
         self._library = ctypes.CDLL(
-            str(_compiled(sources(self.sizes, self.stages, kernels))), mode=mode
+            str(_compiled(sources(self.sizes, self.stages, kernels, real=real, qp=qp), qp=qp)),
+            mode=mode,
         )
         self._library.tube_create.restype = ctypes.c_void_p
         self._library.tube_data_size.restype = ctypes.c_size_t
         self._library.tube_free.argtypes = [ctypes.c_void_p]
         self._library.tube_solve.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
-        fields = _fields(self.sizes)
-        total = sum(int(np.prod(shape)) for _, shape in fields)
-        if 8 * total != self._library.tube_data_size():
-            raise BuildError("tube_data in controller.c is not what solver.py describes")
-        self._buffer = np.zeros(total)
-        self.data: dict[str, FloatArray] = {}
-        at = 0
-        for name, shape in fields:
-            size = int(np.prod(shape))
-            self.data[name] = self._buffer[at : at + size].reshape(shape)
-            at += size
+        self._buffer, self.data = views(self.sizes, real)
+        if self._buffer.nbytes != self._library.tube_data_size():
+            raise BuildError("tube_data in C is not what structure.py describes")
+        self._real: Real = real
         self._solver = self._library.tube_create()
         if not self._solver:
             raise MemoryError("no memory for the controller")
@@ -196,14 +155,15 @@ class TubeSolver:
         d["u_min"][:], d["u_max"][:] = problem.command_min, problem.command_max
         d["rate_max"][:] = problem.rate_max
         d["penalty"][()], d["penalty_square"][()] = problem.penalty, problem.penalty_square
-        d["tolerance"][()], d["qp_tolerance"][()] = 1e-6, 1e-6
+        d["tolerance"][()] = 1e-6 * (COARSE if self._real == "float" else 1.0)
+        d["qp_tolerance"][()] = QP_TOLERANCE[self._real]
         d["primal_tolerance"][()] = PRIMAL
         d["iterations_max"][()], d["qp_iterations_max"][()], d["tube_updates_max"][()] = 1, 40, 1
 
     def solve(self) -> Outcome:
         """Iterate from the plan in `data`; the new plan stands there afterwards."""
         status = self._library.tube_solve(self._solver, self._buffer.ctypes.data)
-        v = {name: self.data[name][()] for name in _SCALARS}
+        v = {name: self.data[name][()] for name in RESULTS}
         whole = ("iterations", "qp_iterations", "qp_status")
         numbers: dict[str, Any] = {k: int(x) if k in whole else float(x) for k, x in v.items()}
         return Outcome(status=status, **numbers)
@@ -241,45 +201,91 @@ def _private(libraries: Path) -> Path:
 
 
 def sources(
-    sizes: dict[str, int], made: Stages, kernels: Sequence[CKernel], *, real: Real = "double"
+    sizes: dict[str, int],
+    made: Stages,
+    kernels: Sequence[CKernel],
+    *,
+    real: Real = "double",
+    qp: QP = "hpipm",
 ) -> dict[str, str]:
-    """C of the stage functions, in this precision, and of the controller (in double), by file name;
-    their headers are inside."""
+    """C of the stage functions and of the controller, in this precision, by file name; their
+    headers are inside."""
+    compiled = [f for name, f in made.functions.items() if name != "tube_spread"]
     with tempfile.TemporaryDirectory() as folder:
-        source = write_c(
-            list(made.functions.values()),
-            Path(folder),
-            prefix="tube_model",
-            kernels=kernels,
-            real=real,
-        )
+        source = write_c(compiled, Path(folder), prefix="tube_model", kernels=kernels, real=real)
         model, header = (
             source.source.read_text(encoding="utf-8"),
             source.header.read_text(encoding="utf-8"),
         )
-    works = {
-        "ARG": max(f.sz_arg for f in source.functions),
-        "RES": max(f.sz_res for f in source.functions),
-        "IW": max(1, *(f.sz_iw for f in source.functions)),
-        "W": max(1, *(f.sz_w for f in source.functions)),
-    }
-    gain = ", ".join(repr(float(v)) for v in made.gain.ravel(order="F"))
-    lines = [f"#define {k} {v}" for k, v in sizes.items()]
-    lines += [f"#define {k}1 {max(1, sizes[k])}" for k in ("NP", "NGP", "NTH", "NFREE")]
-    lines += [f"#define TUBE_{k} {v}" for k, v in works.items()]
-    lines += [
-        f"#define TUBE_KEEP {{{', '.join(map(str, made.keep))}}}",
-        f"#define TUBE_FREE {{{', '.join(map(str, made.free or (0,)))}}}",
-        f"#define TUBE_GAIN {{{gain}}}",
-    ]
-    driver = (Path(__file__).parent / "controller.c").read_text(encoding="utf-8")
-    headers = {"tube_model.h": header, "tube_sizes.h": "\n".join(lines) + "\n"}
-    for name, text in headers.items():
-        driver = driver.replace(f'#include "{name}"\n', text)
     return {
         "tube_model.c": model.replace('#include "tube_model.h"\n', header),
-        "controller.c": driver,
+        "controller.c": f"{HOSTED}{driver(header, settled(sizes, made, source), real, qp)}",
     }
+
+
+def driver(header: str, settings: str, real: Real, qp: QP) -> str:
+    """controller.c with everything that it includes of ours."""
+    text = (HERE / "controller.c").read_text(encoding="utf-8")
+    parts = {
+        "tube_model.h": header,
+        "tube_sizes.h": settings,
+        "qp.h": (HERE / "qp.h").read_text(encoding="utf-8"),
+        "qp_solver.c": (HERE / f"qp_{qp}.c").read_text(encoding="utf-8"),
+    }
+    for name, part in parts.items():
+        # headers of a library know nothing of macros like N: they come first
+        libraries = re.findall(r"^#include <.*>\n", part, re.MULTILINE)
+        text = "".join(libraries) + text.replace(
+            f'#include "{name}"\n', re.sub(r"^#include <.*>\n", "", part, flags=re.MULTILINE)
+        )
+    return single_precision(text) if real == "float" else text
+
+
+def settled(sizes: dict[str, int], made: Stages, source: CSource) -> str:
+    """tube_sizes.h: sizes, constants and tube_data, for stage functions in `source`."""
+    works = {k: max(1, *(getattr(f, f"sz_{k.lower()}") for f in source.functions)) for k in WORK}
+    linear = next(f for f in source.functions if f.name == "tube_linear")
+    plan, whole = linear.outputs[1], linear.outputs[3]
+    lines = [f"typedef {source.real} tube_real;", *(f"#define {k} {v}" for k, v in sizes.items())]
+    lines += [f"#define TUBE_{k} {v}" for k, v in works.items()]
+    lines += [
+        f"#define TUBE_WHITE {int(made.white)}",
+        f"#define TUBE_WORST_CASE {int(made.worst_case)}",
+        f"#define TUBE_NONZEROS {whole.nnz}",
+        f"#define TUBE_PLAN_NONZEROS {plan.nnz}",
+    ]
+    rows = np.array(whole.row)
+    across = np.repeat(np.arange(whole.columns), np.diff(whole.colind))
+    order = np.argsort(rows, kind="stable")
+    tables: dict[str, Sequence[float]] = {
+        "KEEP": made.keep,
+        "FREE": made.free or (0,),
+        "COLUMN": whole.colind,
+        "ROW": whole.row,
+        "BY_ROW": np.concatenate(
+            [[0], np.cumsum(np.bincount(rows, minlength=whole.rows))]
+        ).tolist(),
+        "ROW_COLUMN": across[order].tolist(),
+        "ROW_AT": order.tolist(),
+        "PLAN_COLUMN": plan.colind,
+        "PLAN_ROW": plan.row,
+        "GAIN": made.gain.ravel(order="F").tolist(),
+        "ESTIMATE": made.estimate.ravel().tolist(),
+        "FRESH": made.fresh.ravel().tolist(),
+        "COVARIANCE": made.covariance.ravel().tolist() or [0.0],
+    }
+    for name, values in tables.items():
+        lines.append(f"#define TUBE_{name} {{{', '.join(map(_literal(source.real), values))}}}")
+    return "\n".join(lines) + "\n" + in_c()
+
+
+def _literal(real: Real) -> Callable[[float], str]:
+    def text(v: float) -> str:
+        if isinstance(v, int):
+            return str(v)
+        return repr(v) if real == "double" else f"{float(np.float32(v))!r}f"
+
+    return text
 
 
 def link_flags() -> tuple[str, ...]:
@@ -288,16 +294,22 @@ def link_flags() -> tuple[str, ...]:
     return f"-L{private}", "-lgbhpi", "-l:libgbblasf.so.0", f"-Wl,-rpath,{private}"
 
 
-def _compiled(texts: dict[str, str]) -> Path:
-    include = hpipm()[0]
+def _compiled(texts: dict[str, str], qp: QP = "hpipm") -> Path:
+    own = qp == "hpipm"
     return build(
         [
             ("tube_model.c", texts["tube_model.c"], (*FAST_FLAGS, "-fPIC")),
             (
                 "controller.c",
                 texts["controller.c"],
-                (*FAST_FLAGS, "-Wall", "-Wextra", "-fPIC", f"-I{include}"),
+                (
+                    *FAST_FLAGS,
+                    "-Wall",
+                    "-Wextra",
+                    "-fPIC",
+                    *([f"-I{hpipm()[0]}"] if own else []),
+                ),
             ),
         ],
-        link=link_flags(),
+        link=link_flags() if own else ("-lm",),
     )

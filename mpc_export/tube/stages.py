@@ -51,7 +51,11 @@ class Stages:
 
     keep: error states (n_k) that the plan may change, disturbances left out; free: raw states of
     the disturbances; gain K (n_u, n_d); terminal P (n_k, n_k); steady = (x, u) at hover; estimate
-    P_f and fresh W (n_d, n_d); bent D (N + 1, n_d, n_d), which `tube_spread` does not hold.
+    P_f and fresh W (n_d, n_d); bent D (N + 1, n_d, n_d), which `tube_spread` does not hold;
+    covariance of the parameters (n_theta, n_theta); white: see `stages`; worst_case: kind of the tube.
+
+    `tube_spread` says the recursion in symbols; controller.c computes it from `tube_linear` and
+    `tube_unsure`, with A's zeros left out.
     """
 
     functions: Mapping[str, Any]
@@ -63,6 +67,9 @@ class Stages:
     estimate: FloatArray
     fresh: FloatArray
     bent: FloatArray
+    covariance: FloatArray
+    white: bool
+    worst_case: bool
 
 
 def stages(
@@ -107,6 +114,7 @@ def stages(
         _cost(model, problem, keep),
         _end(model, keep, terminal),
         _limits(model, problem, keep),
+        _unsure(model),
         _spread(model, problem, gain, estimate, fresh, white),
     ]
     return Stages(
@@ -119,6 +127,9 @@ def stages(
         estimate=estimate,
         fresh=fresh,
         bent=second_order(model, problem, gain, fresh, (x_steady, u_steady)),
+        covariance=np.asarray(model.covariance, dtype=float),
+        white=white,
+        worst_case=problem.kind == "worst case",
     )
 
 
@@ -165,13 +176,43 @@ def _step(model: ModelFunctions) -> Any:
 
 
 def _linear(model: ModelFunctions, keep: tuple[int, ...]) -> Any:
-    """(x, u, p) -> next state, A, B of what the plan may change."""
+    """(x, u, p) -> next state; A (its nonzeros), B of what the plan may change; A (its nonzeros), B
+    of all."""
     x, u, p = _arguments(model)
     after, a, b, _ = model["f_d_jac"](x, u, p)
+    a = ca.project(a, _pattern(model))
     rows = list(keep)
     return ca.Function(
-        "tube_linear", [x, u, p], [after, ca.densify(a[rows, rows]), ca.densify(b[rows, :])]
+        "tube_linear", [x, u, p], [after, a[rows, rows], ca.densify(b[rows, :]), a, ca.densify(b)]
     )
+
+
+def _pattern(model: ModelFunctions) -> Any:
+    """Sparsity of A (n_d, n_d): which error states depend on which, whatever the numbers are."""
+    x, u, p = _arguments(model)
+    d = ca.MX.sym("d", model.sizes["n_d"])
+    after = model["boxminus"](model["f_d"](model["boxplus"](x, d), u, p), x)
+    return ca.Function("after", [x, u, p, d], [after]).jac_sparsity(0, 3)
+
+
+def _unsure(model: ModelFunctions) -> Any:
+    """(x, u, p) -> what one standard deviation of the learned functions moves the next state by
+    (n_d, n_g), and its slope in the uncertain parameters (n_d, n_theta)."""
+    n = model.sizes
+    x, u, p = _arguments(model)
+    known = {"x": x, "u": u, "p": p}
+    zeros = {"K": (n["n_u"], n["n_d"]), "S": (n["n_d"],) * 2}
+    known |= {k: ca.DM(*v) for k, v in zeros.items()}
+    step = model["consider_step"].call(
+        known
+        | ({"c": ca.DM(n["n_d"], n["n_g"])} if n["n_g"] else {})
+        | ({"b": ca.DM(n["n_d"], n["n_theta"])} if n["n_theta"] else {}),
+        True,  # inlined, so that what is multiplied by nothing is not computed
+        False,
+    )
+    push = step.get("c_next", ca.DM(n["n_d"], 0))
+    slope = step.get("b_next", ca.DM(n["n_d"], 0))
+    return ca.Function("tube_unsure", [x, u, p], [ca.densify(v) for v in (push, slope)])
 
 
 def _charts(model: ModelFunctions, keep: tuple[int, ...]) -> tuple[Any, Any]:

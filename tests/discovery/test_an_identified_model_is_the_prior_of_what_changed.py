@@ -27,7 +27,8 @@ def identified() -> IdentifiedModel:
         covariance_names=tuple(KNOWN),
         flight_spread={"payload_mass.mu": (0.1, 0.02)},
         physics=SimpleNamespace(
-            effects=(effect_by_name("rotational_damping"), effect_by_name("payload_mass"))
+            input="command",
+            effects=(effect_by_name("rotational_damping"), effect_by_name("payload_mass")),
         ),
     )
     return cast(IdentifiedModel, model)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from mpc_export.bundle import kernels_of
 from mpc_export.c_code import RESTRICT, single_precision, write_c
+from mpc_export.c_kernels import kernels_of
 from mpc_export.c_kernels_products import PRODUCTS
 from mpc_export.c_model import CModel
 from mpc_export.functions import model_functions

@@ -1,0 +1,322 @@
+"""The tube MPC as one C library: NAME_tube.h and .c, with static memory and nothing to link but libm.
+
+One call takes measurements and gives the next command. In it are the identified filter with its
+gate and its rival, the steady state, the plan with its tube, the QP by Riccati recursions, and the
+fallback: the controller of controller.py without calibration, adaptation and the declared descent,
+which is a bit in the answer instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import ModelError
+from greybox.files import write_atomic
+from greybox.model.identified import IdentifiedModel
+from greybox.symbolic import FloatArray
+from mpc_export.c_code import CSource, Real, single_precision, write_c
+from mpc_export.c_kernels import kernels_of
+from mpc_export.feedback import NEAR
+from mpc_export.functions import ModelFunctions
+from mpc_export.template import filled, places_in
+from mpc_export.tube.controller import (
+    FAILURES,
+    MEASURED,
+    NEAR_STEADY,
+    ROUNDING,
+    Reference,
+    TubeController,
+)
+from mpc_export.tube.problem import TubeProblem
+from mpc_export.tube.solver import COARSE, PRIMAL, QP_TOLERANCE, driver, settled
+from mpc_export.tube.stages import block
+
+QP_ITERATIONS = 12
+"""Iterations of the QP at most: what is found then is the plan, if it keeps its limits."""
+AGREE: dict[Real, float] = {"double": 1e-5, "float": 1e-3}
+"""Largest difference of commands from Python's in the self-test."""
+SAMPLES = 60
+"""Samples of the self-test."""
+STEP, KAPPA = 0.02, 2.81
+"""Of the target: sample time of the plan, to whole samples of the model [s]; standard deviations of
+the tube (10 % a flight that touches 40 limits)."""
+
+
+def write_tube(
+    pilot: TubeController, folder: Path, *, name: str, real: Real = "float"
+) -> tuple[Path, ...]:
+    """Write the library of `pilot` into `folder`; returns its C files, the self-test last.
+
+    Raises `ModelError` for a controller that calibrates, adapts or has no planes: those stay on a
+    desktop.
+    """
+    if pilot.calibrate or pilot.adapt is not None:
+        raise ModelError("a controller that calibrates or adapts has no C library", fix="leave it")
+    if not pilot.problem.planes:
+        raise ModelError("the C library has room for at least one plane", got="planes = 0")
+    f = pilot.functions
+    made = {n: v for n, v in pilot.solver.stages.functions.items() if n != "tube_spread"}
+    model = write_c(
+        [*made.values(), f["target_step"], f["boxminus"]],
+        folder,
+        prefix=f"{name}_tube_model",
+        real=real,
+        kernels=kernels_of(pilot.functions),
+    )
+    own = write_c(
+        [pilot.filter["filter_step"]],
+        folder,
+        prefix=f"{name}_tube_filter",
+        real=real,
+        kernels=kernels_of(pilot.filter),
+    )
+    words = _words(pilot, own, name, real)
+    header = _filled("tube/tube.h", words)
+    write_atomic(folder / f"{name}_tube.h", header)
+    settings = settled(pilot.solver.sizes, pilot.solver.stages, model)
+    bent = _matrix(pilot.solver.stages.bent.reshape(len(pilot.solver.stages.bent), -1))
+    texts = [
+        driver("", settings, "double", "riccati"),
+        f"static const tube_real bent[N + 1][ND * ND] = {bent};\n",
+        _filled("tube/step.c", words),
+    ]
+    text = "".join(texts)
+    text = single_precision(text) if real == "float" else text
+    text = text.replace("tube_model_", f"{name}_tube_model_").replace(f"{name}_{name}_", f"{name}_")
+    includes = [f'#include "{name}_{part}.h"\n' for part in ("tube", "tube_model", "tube_filter")]
+    write_atomic(folder / f"{name}_tube.c", "".join([*includes, text]))
+    words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE[real])}
+    write_atomic(folder / f"{name}_tube_selftest.c", _selftest(pilot, words, real))
+    write_atomic(folder / "README.md", _filled("tube/README.md", words))
+    ends = ("tube", "tube_model", "tube_filter", "tube_selftest")
+    return tuple(folder / f"{name}_{end}.c" for end in ends)
+
+
+def pilot_of(functions: ModelFunctions, horizon: int) -> TubeController:
+    """The controller that the target exports: limits five hundredths of their range inside those of
+    the model's commands, back-offs of KAPPA standard deviations. Raises `ModelError`."""
+    model = functions.model
+    lower, upper = functions.bounds
+    if not isinstance(model, IdentifiedModel):
+        raise ModelError("the target tube is for a model of an aircraft", got=functions.name)
+    if not (len(lower) and np.isfinite(lower).all() and np.isfinite(upper).all()):
+        raise ModelError(
+            f"{functions.name} has commands without limits",
+            fix="speed_max of the actuator in the vehicle file",
+        )
+    low, high = float(lower.max()), float(upper.min())
+    problem = TubeProblem(
+        dt=model.sample_time * max(1, round(STEP / model.sample_time)),
+        horizon=horizon,
+        command_min=low + 0.05 * (high - low),
+        command_max=high - 0.05 * (high - low),
+        rate_max=0.25 * (high - low),
+    )
+    return TubeController(
+        model=model,
+        problem=problem,
+        reference=Still((0.0, 0.0, 0.0, 0.0)),
+        kappa=[KAPPA] * (problem.planes + 1),
+    )
+
+
+def write_target_tube(
+    functions: ModelFunctions, folder: Path, name: str, real: Real, horizon: int
+) -> dict[str, Any]:
+    """The library in folder/tube. Returns what the manifest says of it."""
+    write_tube(pilot_of(functions, horizon), folder / "tube", name=name, real=real)
+    return {"folder": "tube", "horizon": horizon, "selftest": f"tube/{name}_tube_selftest.c"}
+
+
+def _filled(template: str, words: Mapping[str, str]) -> str:
+    own = places_in(template)
+    return filled(template, **{k: v for k, v in words.items() if k in own})
+
+
+def _list(values: Any) -> str:
+    numbers = [repr(v.item() if hasattr(v, "item") else v) for v in values]
+    return f"{{{', '.join(numbers) or '0'}}}"
+
+
+def _matrix(values: Any) -> str:
+    return "{\n  " + ",\n  ".join(_list(row) for row in values) + "}"
+
+
+def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[str, str]:
+    f, plan, problem = pilot.filter, pilot.functions, pilot.problem
+    step = own.functions[0]
+    groups = f.sampled.dynamics.innovation_columns
+    x, u = pilot.solver.stages.steady
+    sensors = pilot.gate.sensors
+    sensor_of = np.zeros(len(groups), dtype=int)
+    for k, (_, rows) in enumerate(sensors):
+        sensor_of[rows] = k
+    poses = {k for k, _ in pilot._pose}
+    attitude = [c for c in ("qw", "qx", "qy", "qz") if c in f.outputs.names]
+    start = [
+        (f.outputs.names.index(c), block(f, at)[i])
+        for at, columns in MEASURED.items()
+        for i, c in enumerate(columns)
+        if set(columns) <= set(f.outputs.names)
+    ]
+    past = [n.split(".") for n in plan.states.names[plan.own_states :]]
+    # the command in force at the start, whatever the pilot has flown since
+    held = np.clip(u, problem.command_min, problem.command_max)
+    extended = f.sampled.extended(x[: f.own_states], pilot._column(held))[0]
+    single = real == "float"
+    kappa = np.zeros(problem.planes + 1)
+    kappa[: len(pilot.kappa)] = pilot.kappa
+    words: dict[str, Any] = {
+        "NAME": name,
+        "UPPER": name.upper(),
+        "real": real,
+        "outputs": " ".join(f.outputs.names),
+        "inputs": " ".join(f.inputs.names),
+        "states": " ".join(f.states.names),
+        "kappa": _list(kappa),
+        "kappa_u": float(pilot.kappa_u),
+        "low": problem.command_min,
+        "high": problem.command_max,
+        "rate": problem.rate_max,
+        "penalty": problem.penalty,
+        "penalty_square": problem.penalty_square,
+        "sample": pilot.model.sample_time,
+        "dt": problem.dt,
+        "every": pilot.every,
+        "horizon": problem.horizon,
+        "planes": problem.planes,
+        "n_y": len(f.outputs),
+        "n_u": len(f.inputs),
+        "n_e": len(groups),
+        "n_x": len(f.states),
+        "own": f.own_states,
+        "sensors": len(sensors),
+        "n_starts": len(start),
+        "lags": len(pilot.past) + 1,
+        "hover_x": _list(x),
+        "hover_u": _list(u),
+        "columns": _matrix([[int(c in names) for c in f.outputs.names] for names in groups]),
+        "sensor_of": _list(sensor_of),
+        "of_pose": _list([int(k in poses) for k in range(len(sensors))]),
+        "of_sensor": _list([len(rows) for _, rows in sensors]),
+        "inverse": _matrix(pilot.gate.inverse),
+        "attitude_columns": _list(
+            [f.outputs.names.index(c) for c in attitude] if len(attitude) == 4 else [-1] * 4
+        ),
+        "start_from": "{" + ", ".join(f"{{{a}, {b}}}" for a, b in [*start, (0, 0)]) + "}",
+        "lag_of": _list([*(int(n[2]) - 1 for n in past), 0]),
+        "command_of": _list([*(f.inputs[n[1]] for n in past), 0]),
+        "at_position": block(plan, "position")[0],
+        "at_velocity": block(plan, "velocity")[0],
+        "at_attitude": block(plan, "attitude")[0],
+        "at_rate": block(plan, "rate")[0],
+        "d_position": block(plan, "position", error=True)[0],
+        "d_velocity": block(plan, "velocity", error=True)[0],
+        "filter_iw": max(1, step.sz_iw),
+        "filter_w": max(1, step.sz_w),
+        "filter_arg": max(5, step.sz_arg),
+        "filter_res": max(3, step.sz_res),
+        "filter_past": _list([*extended[f.own_states :], 0.0]),
+        "tolerance": 1e-6 * (COARSE if single else 1.0),
+        "qp_tolerance": QP_TOLERANCE[real],
+        "primal_tolerance": PRIMAL,
+        "qp_iterations": QP_ITERATIONS,
+        "parameters": _list([*pilot.functions.parameter_values] or [0.0]),
+        "near_steady": NEAR_STEADY * (COARSE if single else 1.0),
+        "near_position": NEAR["position"],
+        "near_velocity": NEAR["velocity"],
+        "rounding": ROUNDING,
+        "failures": FAILURES,
+        "blind": pilot.blind,
+    }
+    return {k: v if isinstance(v, str) else repr(v) for k, v in words.items()}
+
+
+def flight(pilot: TubeController, samples: int, seed: int = 0) -> dict[str, FloatArray]:
+    """A flight of the model itself under `pilot`, with a gap and a spike in its measurements:
+    measured (samples, n_y), NaN where nothing was, and commands (samples, n_u)."""
+    f, rng = pilot.filter, np.random.default_rng(seed)
+    pilot.start()
+    x, u = pilot.estimate.copy(), pilot.u.copy()
+    groups = f.sampled.dynamics.innovation_columns
+    noise = np.array(
+        [
+            min(n for n, names in zip(f.noise.sensor, groups, strict=True) if c in names)
+            for c in f.outputs.names
+        ]
+    )
+    rows, commands = [], []
+    for k in range(samples):
+        y = f["h"](x, u, f.parameter_values).full().ravel()
+        y += noise * rng.standard_normal(len(y))
+        if samples // 3 <= k < samples // 3 + 4:
+            y[:] = np.nan
+        if k == samples // 2:
+            y[0] += 50.0
+        y = y.astype(np.float32).astype(float)
+        command = pilot.sample(k * pilot.model.sample_time, dict(zip(f.outputs.names, y.tolist())))
+        rows.append(y)
+        commands.append(command)
+        x, u = f["f_d"](x, u, f.parameter_values).full().ravel(), np.array(command)
+    return {"measured": np.array(rows), "commands": np.array(commands)}
+
+
+def paths(pilot: TubeController, samples: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What the library is given in a flight from time 0: place (4,) to start at, path (samples,
+    stages + 1, 10) at every sample, and planes (stages + 1, planes, 4), those of the start."""
+    problem, dt = pilot.problem, pilot.model.sample_time
+    ahead: FloatArray = np.asarray(dt + problem.dt * np.arange(problem.horizon + 1), dtype=float)
+    rows = [along(pilot.reference, np.asarray(k * dt + ahead, dtype=float)) for k in range(samples)]
+    planes = np.zeros((problem.horizon + 1, problem.planes, 4))
+    planes[:, :, 3] = 1.0
+    place = along(pilot.reference, np.zeros(1))[0, [0, 1, 2, 9]]
+    return place, np.array(rows), planes if pilot.planes is None else pilot.planes(ahead)
+
+
+def along(reference: Reference, times: FloatArray) -> FloatArray:
+    """Position, velocity, acceleration and yaw (n, 10) as NAME_tube_path has them."""
+    path = reference.sample(times)
+    return np.column_stack([path.position, path.velocity, path.acceleration, path.yaw])
+
+
+class Still:
+    """A reference that stands at place = (x, y, z, heading)."""
+
+    def __init__(self, place: Sequence[float]) -> None:
+        self.place = np.asarray(place, dtype=float)
+
+    def sample(self, time: FloatArray) -> Any:
+        """At the times (n,)."""
+        zero = np.zeros((len(time), 3))
+        return SimpleNamespace(
+            position=np.tile(self.place[:3], (len(time), 1)),
+            velocity=zero,
+            acceleration=zero,
+            yaw=np.full(len(time), self.place[3]),
+        )
+
+
+def _selftest(pilot: TubeController, words: Mapping[str, str], real: Real) -> str:
+    kept = pilot.reference, pilot.planes
+    place = (0.1, -0.2, 1.0, 0.3)
+    pilot.reference, pilot.planes = Still(place), None
+    try:
+        flown = flight(pilot, SAMPLES)
+        pilot.start()
+    finally:
+        pilot.reference, pilot.planes = kept
+    numbers = f"static const {real}"
+    missing = _matrix(flown["measured"]).replace("nan", "NAN")
+    data = [
+        f"{numbers} place[4] = {_list(place)}, goal[4] = {_list(place)};",
+        f"{numbers} lowest = {words['low']}, highest = {words['high']}, rate = {words['rate']};",
+        f"{numbers} measured[SAMPLES][NY] = {missing};",
+        f"{numbers} wanted[SAMPLES][NU] = {_matrix(flown['commands'])};",
+    ]
+    text = _filled("tube/selftest.c", {**words, "data": "\n".join(data)})
+    return single_precision(text) if real == "float" else text
