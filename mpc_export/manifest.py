@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.layer import physics_of
 from greybox.model.linear import LinearModel
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Layout
@@ -259,7 +260,13 @@ def _notes(f: ModelFunctions) -> list[str]:
             "noise of one sample stays"
         )
     window = f.sampled.dynamics.window
-    if window[1]:
+    physics = physics_of(f.sampled.dynamics)
+    if physics is not None and physics.input == "speed":
+        out.append(
+            "inputs are rotor speeds [rad/s]: no motor lag between a command and the thrust is in "
+            "the model, and how late its logs had the speeds is left out"
+        )
+    elif window[1]:
         out.append(
             "identified with commands that run linearly between samples, exported with commands "
             "that are held"

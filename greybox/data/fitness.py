@@ -36,6 +36,16 @@ def unfit(raw: RawLog, rates: Mapping[str, float]) -> Iterator[str]:
         if "rotor_speed" not in rates:
             yield "no commands of rotors and no rotor speeds"
             return
+        seen = [v for n, v in raw.channels.items() if n.startswith("omega")]
+        if not any((v[np.isfinite(v)] > 0).any() for v in seen):
+            yield "disarmed: no motor ever turns"
+        elif _stands(raw):
+            yield "on the ground: motors run, but the gyro shows no motion"
+        if rates["rotor_speed"] < SLOWEST:
+            yield (
+                f"too slow: rotor speeds come at {rates['rotor_speed']:.3g} Hz, a fit needs "
+                f"{SLOWEST:g} Hz or more"
+            )
     else:
         u = np.column_stack([raw.channels[n] for n in names])
         u = u[np.isfinite(u).all(axis=1)]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from greybox.data.drive import LATE_SPEEDS
 from greybox.estimation.lag_and_gain import LagAndGain
 from greybox.linear.logs import ChannelSpec
 from greybox.runs import runs
@@ -128,6 +129,9 @@ class Pair:
             f"{unit} per {per}"
         )
         early = f.lag + 2 * f.lag_std < 0
+        speeds = all(n.startswith("omega") for _, n in self.input.terms)
+        if early and speeds and f.lag > -LATE_SPEEDS:
+            return line + ": speeds of rotors are often logged late"
         return line + (
             ": before it is sent, so that this is the controller and not the craft" if early else ""
         )

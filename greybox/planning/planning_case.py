@@ -148,7 +148,7 @@ def planning_case(
     if physics.input != "command":
         raise ModelError(
             "a model driven by measured rotor speeds cannot be flown",
-            fix="fit it with --input command",
+            fix="log the commands, and fit them",
         )
     if sensors and model is not None:
         physics = replace(physics, sensors=_sensors(tuple(sensors)))

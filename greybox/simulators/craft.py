@@ -58,7 +58,7 @@ class Craft:
             raise ModelError(
                 f"{model.name} is driven by measured rotor speeds",
                 expected="a model driven by commands",
-                fix="fit without --input speed, so that lag and command map are in the model",
+                fix="log the commands and fit them, so that lag and command map are in the model",
             )
         usual = {s.name for s in USUAL}
         further = tuple(s for s in physics.sensors if s.name not in usual)

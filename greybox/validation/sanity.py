@@ -17,6 +17,8 @@ import numpy as np
 
 from greybox.estimation.feasible import margins
 from greybox.estimation.fit import Fit
+from greybox.model.composition import acts_on_speeds
+from greybox.model.effects import CATALOGUE
 from greybox.model.layer import physics_of
 from greybox.model.vehicle import Vehicle
 
@@ -156,6 +158,8 @@ def sanity_of(fit: Fit) -> Sanity:
     judged = {n: e for n, e in fit.parameters.items() if not n.startswith(late)}
     found = sanity(judged, physics.vehicle, fit.model.values)
     there = frozenset(fit.model.effects)
+    if physics.input == "speed":  # nothing that shapes a command can be added
+        there |= {e.name for e in CATALOGUE if not acts_on_speeds(e)}
     return Sanity(
         findings=tuple(replace(f, attempt=untried(f.attempt, there)) for f in found.findings)
     )

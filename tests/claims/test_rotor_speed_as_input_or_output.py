@@ -10,6 +10,7 @@ from greybox.excitation.injection import rich_excitation
 from greybox.excitation.waypoints import RandomWaypoints
 from greybox.plants.flight_log import fly
 from greybox.plants.presets import controller_for
+from greybox.validation.sanity import sanity_of
 from scenarios.studies.recovery import plant
 from tests.simulated import truth, vehicle
 
@@ -77,6 +78,10 @@ def test_a_fit_finds_how_late_speeds_were_logged() -> None:
     for name in ("inertia.xx", "inertia.yy", "thrust.c2"):
         estimate = result.parameters[name]
         assert abs(estimate.value / truth()[name] - 1) < 0.02, name
+    # Nothing that a command would need is advised, and nothing about the delay is impossible.
+    said = sanity_of(result).findings
+    assert not any("motor_lag" in f.attempt for f in said)
+    assert not any("command_delay.d" in f.parameters for f in said)
 
 
 def test_a_vehicle_that_knows_its_lag_may_still_be_driven_by_measured_speed() -> None:

@@ -14,6 +14,7 @@ from greybox.automatic.sets import nested_sets
 from greybox.data import read_log, read_table
 from greybox.data.checks import check
 from greybox.data.conditioning import condition
+from greybox.data.fitness import unfit
 from greybox.errors import DataError, ModelError
 from greybox.model.model import input_of
 from greybox.model.vehicle import Quantity
@@ -149,3 +150,21 @@ def test_speeds_without_a_scale_are_refused_before_any_work(tmp_path):
     t = log.pop("t")
     with pytest.raises(ModelError, match="rotor speeds have no scale"):
         fit(silent, dataset_from_arrays(t, log, name="run"))
+
+
+@pytest.mark.parametrize(
+    ("scale", "rate", "reason"),
+    [(0.0, 100.0, "no motor ever turns"), (1.0, 12.5, "rotor speeds come at 12.5 Hz")],
+)
+def test_speeds_that_say_nothing_are_not_usable(tmp_path, scale, rate, reason):
+    log = columns()
+    log |= {n: scale * log[n] for n in SPEEDS}
+    raw = read_table(written(tmp_path, log), vehicle())
+    rates = {"rotor_speed": rate, "rate": 100.0, "specific_force": 100.0}
+    assert any(reason in why for why in unfit(raw, rates))
+
+
+def test_sound_speeds_are_usable(tmp_path):
+    raw = read_table(written(tmp_path, columns()), vehicle())
+    rates = {"rotor_speed": 100.0, "rate": 100.0, "specific_force": 100.0}
+    assert not list(unfit(raw, rates))
