@@ -140,9 +140,9 @@ def test_what_is_considered_seeded_or_started_stays_as_it_was_said():
     )
 
 
-def test_measured_rotor_speeds_as_input_get_no_effect_of_the_command():
+def test_measured_rotor_speeds_as_input_get_no_effect_of_the_command_but_a_delay():
     _, found = decided(
         flights((*RATES, "omega1", "omega2", "omega3", "omega4")), Given(input="speed")
     )
     assert found.recipe.input == "speed"
-    assert found.recipe.effect_names == ("gyro_bias",)
+    assert found.recipe.effect_names == ("command_delay", "gyro_bias")

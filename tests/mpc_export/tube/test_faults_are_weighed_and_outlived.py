@@ -256,7 +256,7 @@ def test_a_filter_carries_on_without_a_pose_while_it_is_sure_of_its_place(contro
     functions, columns = controller.filter, controller.model.dynamics.innovation_columns
     assert carried(functions, columns) == controller.blind == pytest.approx(BLIND)
     pushed = replace(
-        functions, noise=replace(functions.noise, process=1e4 * functions.noise.process)
+        functions, noise=replace(functions.noise, filtered=1e4 * functions.noise.filtered)
     )
     assert SLOW <= carried(pushed, columns) < BLIND
     # Satellites: a position that is known to 10 cm with every measurement is not lost without one.
