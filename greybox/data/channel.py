@@ -121,4 +121,14 @@ def group_of(name: str) -> str | None:
 
 def command_names(names: Iterable[str]) -> tuple[str, ...]:
     """The commands u1, u2, ... among `names`, in rotor order."""
-    return tuple(sorted((n for n in names if _COMMAND.fullmatch(n)), key=lambda n: int(n[1:])))
+    return _of_rotors(_COMMAND, names)
+
+
+def rotor_speed_names(names: Iterable[str]) -> tuple[str, ...]:
+    """The rotor speeds omega1, omega2, ... among `names`, in rotor order."""
+    return _of_rotors(_ROTOR_SPEED, names)
+
+
+def _of_rotors(pattern: re.Pattern[str], names: Iterable[str]) -> tuple[str, ...]:
+    found = [(int(m[1]), n) for n in names if (m := pattern.fullmatch(n))]
+    return tuple(n for _, n in sorted(found))

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from greybox.data.channel import command_names
+from greybox.data.channel import command_names, rotor_speed_names
 from greybox.data.raw import RawLog
 
 SLOWEST = 30.0
@@ -36,7 +36,7 @@ def unfit(raw: RawLog, rates: Mapping[str, float]) -> Iterator[str]:
         if "rotor_speed" not in rates:
             yield "no commands of rotors and no rotor speeds"
             return
-        seen = [v for n, v in raw.channels.items() if n.startswith("omega")]
+        seen = [raw.channels[n] for n in rotor_speed_names(raw.channels)]
         if not any((v[np.isfinite(v)] > 0).any() for v in seen):
             yield "disarmed: no motor ever turns"
         elif _stands(raw):

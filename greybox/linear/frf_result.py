@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from greybox.data.channel import rotor_speed_names
 from greybox.data.drive import LATE_SPEEDS
 from greybox.estimation.lag_and_gain import LagAndGain
 from greybox.linear.logs import ChannelSpec
@@ -129,7 +130,8 @@ class Pair:
             f"{unit} per {per}"
         )
         early = f.lag + 2 * f.lag_std < 0
-        speeds = all(n.startswith("omega") for _, n in self.input.terms)
+        mixed = [n for _, n in self.input.terms]
+        speeds = len(rotor_speed_names(mixed)) == len(mixed)
         if early and speeds and f.lag > -LATE_SPEEDS:
             return line + ": speeds of rotors are often logged late"
         return line + (
