@@ -25,19 +25,17 @@ are halved, and the mean of both ways is an e-value, too.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from greybox.data import Dataset
+from greybox.data.halves import halves, renamed
 from greybox.discovery.evidence import Fitted, Flights, Key
 from greybox.discovery.search import Rival
 from greybox.estimation.status import Code
 from greybox.statistics import regret as of_arrays
 from greybox.symbolic import FloatArray
-
-APART = 0.5
-"""Seconds between the halves of a single flight: what is remembered has faded."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,43 +80,6 @@ def splits(train: Flights, test: Dataset | None) -> list[Split]:
     both = train if len(train.data.flights) > 1 else train.on(one + other)
     ways = (one, other), (other, one)
     return [Split(first=train.on(a), judge=train.on(b, flat=True), both=both) for a, b in ways]
-
-
-def renamed(data: Dataset, taken: Sequence[str]) -> Dataset:
-    """The flights under names that are not `taken`."""
-    flights = []
-    for f in data:
-        name = f.name
-        while name in taken:
-            name = f"{name} (test)"
-        flights.append(replace(f, name=name))
-    return Dataset(flights=tuple(flights))
-
-
-def halves(data: Dataset) -> tuple[Dataset, Dataset]:
-    """Two sets of flights of about the same length; of one flight its two halves, apart."""
-    if len(data.flights) > 1:
-        sides: tuple[list[object], list[object]] = ([], [])
-        length = [0.0, 0.0]
-        for f in sorted(data, key=lambda f: -f.duration):
-            i = int(length[1] < length[0])
-            sides[i].append(f)
-            length[i] += f.duration
-        return tuple(Dataset(flights=tuple(s)) for s in sides)  # type: ignore[return-value, arg-type]
-    (flight,) = data.flights
-    t = np.concatenate([s.t for s in flight.segments])
-    middle = t[t.size // 2]
-    early, late = [], []
-    for s in flight.segments:
-        stop, start = np.searchsorted(s.t, [middle - APART / 2, middle + APART / 2])
-        if stop > 1:
-            early.append(s.rows(0, int(stop)))
-        if s.n - start > 1:
-            late.append(s.rows(int(start), s.n))
-    return (
-        Dataset(flights=(replace(flight, segments=tuple(early)),)),
-        Dataset(flights=(replace(flight, name=f"{flight.name} (late)", segments=tuple(late)),)),
-    )
 
 
 def certificates(

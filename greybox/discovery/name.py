@@ -21,7 +21,8 @@ LOG10 = float(np.log(10.0))
 class Name:
     """One cause: its `status`, `certificate` and `worth` (None where no flight could tell). Of
     "one of these", `shares` are the probabilities of the sets of causes that the flights cannot
-    tell apart, itself first; `reason` says why it has no name."""
+    tell apart, itself first; `reason` says why it has no name; `kept`: it is in the model without
+    one."""
 
     name: str
     status: Status
@@ -29,6 +30,7 @@ class Name:
     worth: Worth | None
     shares: Mapping[str, float] = field(default_factory=dict)
     reason: str = ""
+    kept: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """What discovery.json says of it besides its estimates."""
@@ -91,7 +93,9 @@ def unneeded(name: Name, beside: Certificate, bar: float) -> Name:
         f"next to the laws of what has no name its log10 e is {beside.log_e / LOG10:.1f} of "
         f"{bar / LOG10:.1f} that a name needs"
     )
-    return replace(name, status="not certified", certificate=beside, shares={}, reason=reason)
+    return replace(
+        name, status="not certified", certificate=beside, shares={}, reason=reason, kept=True
+    )
 
 
 def _shares(

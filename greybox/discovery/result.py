@@ -187,7 +187,8 @@ class Discovery(Shown):
             "ambiguous": self.ambiguous() if fitted else [],
             "unnamed": self.unnamed(),
             "not_certified": [
-                n.to_dict() | {"reason": n.reason} for n in self.said("not certified")
+                n.to_dict() | {"reason": n.reason, "in_model": n.kept}
+                for n in self.said("not certified")
             ],
             "model_with_laws": None if self.lawful is None else WITH_LAWS,
             "base": [{"name": n, "parameters": self._parameters(n)} for n in self.base if fitted],
@@ -244,7 +245,8 @@ class Discovery(Shown):
                 size = f", {fly['amplitude']:g} {fly['unit']}" if fly["unit"] else ""
                 lines.append(f"    to tell them apart, {fly['text']}{size}")
         lines += [f"  {t['status']}: {t['name']}, {t['reason']}" for t in self.traces()]
-        lines += [f"  not certified: {n.name} ({n.reason})" for n in self.said("not certified")]
+        for n in self.said("not certified"):
+            lines.append(f"  not certified{', in the model' * n.kept}: {n.name} ({n.reason})")
         if self.base:
             lines.append(f"  in every model: {', '.join(self.base)}")
         for kind in dict.fromkeys(s["kind"] for s in self.sensors if s["kind"] != "white"):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import concurrent.futures
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Unpack
 
 import numpy as np
@@ -38,7 +38,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.known import known_numbers, since
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
-from greybox.validation.gap import HeldOutErrors, gap, outgrown, predict_ahead
+from greybox.validation.gap import HeldOutErrors, answered, gap, outgrown, predict_ahead
 
 SHORTEST_FLIGHT = 0.6
 """Seconds without an interruption: the first tenth tells only its commands."""
@@ -243,7 +243,7 @@ class _Run:
             if fewer is not at:
                 rest = self._left(fewer, self.settled(fewer))
                 if rest.written is not None:  # else the names had said what the laws say
-                    names, at, found, left = shorter, fewer, self.settled(fewer), rest
+                    names, left = shorter, rest
         before = left_over(self.flights, null, self.settled(null), self.bar, 0, laws=False)
         if not found.converged:
             self.warnings.append(f"the last fit: {found.status.advice}")
@@ -318,30 +318,40 @@ class _Run:
         self, search: Search, at: Fitted, rivals: Mapping[str, Sequence[Any]]
     ) -> tuple[list[Name], Fitted]:
         """What is said of every cause of the structure, and the structure of what is said."""
-        certified = certificates(at, rivals, splits(self.flights, self.test), self.bar)
+        judges = splits(self.flights, self.test)
         names = []
-        for name, certificate in certified.items():
+        for name, certificate in certificates(at, rivals, judges, self.bar).items():
             without = next(r.fitted for r in rivals[name] if not r.instead)
             old, new = self.held_out(without), self.held_out(at)
             good = None if old is None or new is None else worth(old, new)
             odd = impossible(at, self.flights, name)
-            names.append(judged(certificate, good, odd, self.bar, self.options.alpha))
+            found = judged(certificate, good, odd, self.bar, self.options.alpha)
+            if found.status == "not certified":
+                found = replace(found, kept=self._asked(at, name, judges[0].both))
+            names.append(found)
         keep = {"certified", "supported", "one of these"} | (
             {"trace"} if self.options.trace else set()
         )
         doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
         self.warnings += [doubt for doubt in doubts if doubt]
-        gone = {n.name for n in names if n.status not in keep}
-        if not gone:
-            return names, at
-        return names, self.flights.fit(at.structure - gone, [at.known])
+        gone = {n.name for n in names if n.status not in keep and not n.kept}
+        return names, self.flights.fit(at.structure - gone, [at.known]) if gone else at
+
+    def _asked(self, at: Fitted, name: str, both: Flights) -> bool:
+        """Whether all flights together, `both`, clearly ask for a cause: the model keeps it then,
+        or what it explains would bend the others. Evidence chooses models, e-values names."""
+        there, without = both.known(at.structure), both.known(at.structure - {name})
+        if there is None or without is None or impossible(at, self.flights, name):
+            return False
+        return there.log_evidence >= without.log_evidence + self.bar
 
     def _beside_laws(
         self, names: list[Name], at: Fitted, written: Fitted
     ) -> tuple[list[Name], Fitted]:
-        """Names that the flights do not need next to the laws that won are none: a name that was
-        near what is not in the catalogue bent into it before there was a law. What was supported
-        alone must not be refuted there."""
+        """Names that the flights do not need next to the laws that won are none, and the structure
+        without them: a name that was near what is not in the catalogue bent into it before there
+        was a law. What was supported alone must not be refuted there. The model without laws keeps
+        them: there they say what the laws say."""
         asked = [n.name for n in names if n.name in written.structure]
         judges = splits(self.flights, self.test)
         beside = certificates_beside(self.flights, written, asked, judges, self.bar)
@@ -400,6 +410,11 @@ class _Run:
             attainable=attainable,
             seed=self.options.seed,
         )
+        if grown := answered(rows):
+            self.warnings.append(
+                f"{', '.join(grown)}: foretold worse, and sooner better: commands of a feedback "
+                "answer what comes in between, and a model that follows them adds the answers up"
+            )
         if self.test is not None and (grown := outgrown(rows)):
             self.warnings.append(
                 f"the proposed laws do not hold on the test flights ({', '.join(grown)} grow with "

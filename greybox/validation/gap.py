@@ -102,6 +102,21 @@ def outgrown(rows: Iterable[GapRow]) -> list[str]:
     ]
 
 
+def answered(rows: Iterable[GapRow]) -> list[str]:
+    """Groups and horizons that clearly got worse, where a shorter horizon of the group clearly got
+    better: under feedback the commands answer what comes in between, which nobody foretells, and a
+    model that follows them adds these answers up (`scenarios.studies.feedback_tells`)."""
+    better: set[str] = set()
+    out = []
+    for r in sorted(rows, key=lambda r: r.horizon_s):
+        low, high = r.ci95 or (0.0, 0.0)
+        if low > 0:
+            better.add(r.group)
+        elif high < 0 and r.group in better:
+            out.append(f"{r.group} {r.horizon_s:g} s ahead")
+    return out
+
+
 @dataclass(frozen=True, kw_only=True)
 class Ahead:
     """How far a model is asked to foretell, and how often: `steps` maps horizons [s], 0 for one

@@ -20,7 +20,6 @@ PROPOSES = "decides what is tried or how long; what is taken is the evidence"
 COMPUTES = "accuracy of a computation"
 SAYS = "how something is said"
 ELSEWHERE = {
-    "certificate.APART": "seconds left out between two halves of one flight",
     "colour.LAGS": PROPOSES,
     "colour.CLEARLY": PROPOSES,
     "evidence.WEAK": COMPUTES,

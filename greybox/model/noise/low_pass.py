@@ -22,6 +22,9 @@ from greybox.symbolic import Expr, FloatArray
 
 FILTERED = ("gyro", "accelerometer")
 """Sensors that firmware filters before it logs them: those of the IMU."""
+SLOWEST = 1 / (2 * np.pi * 5.0)
+"""Longest T [s]: 5 Hz, half of the lowest cut-off that firmware sets for an IMU (10 Hz, ArduPilot's
+INS_ACCEL_FILTER; Crazyflie 30, PX4 30). What is slower is a lag of the craft, not of its sensor."""
 START_SPREAD = 10.0
 """Spread of the state at the start in units of the sensor's white noise, beside half of what the
 sensor shows first."""
@@ -44,7 +47,7 @@ class LowPass(SensorPart):
                 unit="s",
                 nominal=self.time,
                 lower=0.001,
-                upper=0.1,
+                upper=SLOWEST,
                 scale=self.time,
                 meaning=f"time constant, {self.kind} {self.sensor}",
             ),

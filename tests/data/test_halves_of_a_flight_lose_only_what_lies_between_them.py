@@ -8,7 +8,7 @@ import pytest
 
 from greybox.data import Dataset, Segment
 from greybox.data.dataset import Flight
-from greybox.discovery.certificate import APART, halves
+from greybox.data.halves import APART, halves
 
 DT = 0.01
 

@@ -1,0 +1,50 @@
+"""Halves: flights in two sets of which each judges what the other taught."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.data.dataset import Dataset
+
+APART = 0.5
+"""Seconds between the halves of a single flight: what is remembered has faded."""
+
+
+def renamed(data: Dataset, taken: Sequence[str]) -> Dataset:
+    """The flights under names that are not `taken`."""
+    flights = []
+    for f in data:
+        name = f.name
+        while name in taken:
+            name = f"{name} (test)"
+        flights.append(replace(f, name=name))
+    return Dataset(flights=tuple(flights))
+
+
+def halves(data: Dataset) -> tuple[Dataset, Dataset]:
+    """Two sets of flights of about the same length; of one flight its two halves, apart."""
+    if len(data.flights) > 1:
+        sides: tuple[list[object], list[object]] = ([], [])
+        length = [0.0, 0.0]
+        for f in sorted(data, key=lambda f: -f.duration):
+            i = int(length[1] < length[0])
+            sides[i].append(f)
+            length[i] += f.duration
+        return tuple(Dataset(flights=tuple(s)) for s in sides)  # type: ignore[return-value, arg-type]
+    (flight,) = data.flights
+    t = np.concatenate([s.t for s in flight.segments])
+    middle = t[t.size // 2]
+    early, late = [], []
+    for s in flight.segments:
+        stop, start = np.searchsorted(s.t, [middle - APART / 2, middle + APART / 2])
+        if stop > 1:
+            early.append(s.rows(0, int(stop)))
+        if s.n - start > 1:
+            late.append(s.rows(int(start), s.n))
+    return (
+        Dataset(flights=(replace(flight, segments=tuple(early)),)),
+        Dataset(flights=(replace(flight, name=f"{flight.name} (late)", segments=tuple(late)),)),
+    )
