@@ -94,6 +94,18 @@ def test_the_friction_that_is_there_is_named_and_the_fan_that_is_not_there_is_no
     assert all(r.after < r.before for r in found.gap if r.horizon_s)
 
 
+def test_what_a_short_judge_cannot_certify_and_all_flights_ask_for_stays_without_a_name() -> None:
+    train, _ = records()
+    judge = motor.record(n=24, torque_noise=0.0005, seed=5, name="short")
+    found = discover(candidates(DRY, WIDTH, FAN), train, judge)
+    (dry,) = found.said("not certified")
+    assert dry.name == "dry" and dry.kept and not found.effects()
+    assert "dry.c" in found.model.values
+    (row,) = found.to_dict()["not_certified"]
+    assert row["in_model"] is True
+    assert "not certified, in the model: dry" in found.summary()
+
+
 def test_what_has_no_name_is_a_law_in_a_program_that_builds_the_model(tmp_path: Path) -> None:
     found = searched(candidates())
     assert found.verdict == "unnamed" and found.lawful is not None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.validation.gap import GapRow, Squares, gap, groups_of, outgrown
+from greybox.validation.gap import GapRow, Squares, answered, gap, groups_of, outgrown
 
 KEY = ("rate", 0.5)
 
@@ -99,3 +99,17 @@ def test_laws_that_make_the_test_flights_worse_are_said():
     ]
     assert outgrown(rows) == ["rate 0.5 s ahead"]
     assert outgrown([row("rate", 0.5, None)]) == []
+
+
+def test_what_grows_later_than_it_fell_is_told_apart_from_what_only_grows():
+    def rows(*squares: tuple[float, float, float]) -> list[GapRow]:
+        """(horizon [s], before, after) of the rates."""
+        ends = [
+            {("rate", h): blocks(x, spread=0.1)[KEY] for h, *both in squares for x in [both[k]]}
+            for k in (0, 1)
+        ]
+        return gap((ends[0], {}), (ends[1], {}))
+
+    assert answered(rows((0.0, 9.0, 4.0), (0.5, 4.0, 9.0))) == ["rate 0.5 s ahead"]
+    assert answered(rows((0.0, 4.0, 9.0), (0.5, 4.0, 9.0))) == []
+    assert answered(rows((0.0, 9.0, 4.0), (0.5, 9.0, 4.0))) == []
