@@ -181,7 +181,7 @@ class Search:
         found, now = None, at
         while True:
             added = now.structure - self.flights.causes.base
-            doubted = [n for n in sorted(added) if self._doubted(now, n)]
+            doubted = [n for n in sorted(added) if self.doubted(now, n)]
             wanted: list[Move] = [
                 (now.structure - {n}, [_without(now, self.flights, n)])
                 for n in doubted
@@ -195,7 +195,7 @@ class Search:
                 return found
             found = now = better
 
-    def _doubted(self, at: Fitted, name: str) -> bool:
+    def doubted(self, at: Fitted, name: str) -> bool:
         """Whether dropping a cause may gain: its density at none against that of its prior (Dickey
         1971, Annals of Mathematical Statistics 42(1)), with the price of a cause to spare."""
         return drop_gain(at, self.flights, name) > -3 * self.price

@@ -239,7 +239,7 @@ class _Run:
         self.say("what is left", 0.8)
         left = self._left(at, found)
         if left.written is not None:
-            shorter, fewer = self._beside_laws(names, at, left.written)
+            shorter, fewer = self._beside_laws(search, names, at, left.written)
             if fewer is not at:
                 rest = self._left(fewer, self.settled(fewer))
                 if rest.written is not None:  # else the names had said what the laws say
@@ -346,13 +346,14 @@ class _Run:
         return there.log_evidence >= without.log_evidence + self.bar
 
     def _beside_laws(
-        self, names: list[Name], at: Fitted, written: Fitted
+        self, search: Search, names: list[Name], at: Fitted, written: Fitted
     ) -> tuple[list[Name], Fitted]:
-        """Names that the flights do not need next to the laws that won are none, and the structure
-        without them: a name that was near what is not in the catalogue bent into it before there
-        was a law. What was supported alone must not be refuted there. The model without laws keeps
-        them: there they say what the laws say."""
-        asked = [n.name for n in names if n.name in written.structure]
+        """Names that fade next to the laws that won, and that the flights do not need there, are
+        none, and the structure without them: a name that was near what is not in the catalogue bent
+        into it before there was a law. What was supported alone must not be refuted there. The
+        model without laws keeps them: there they say what the laws say."""
+        there = [n.name for n in names if n.name in written.structure]
+        asked = [n for n in there if search.doubted(written, n)]
         judges = splits(self.flights, self.test)
         beside = certificates_beside(self.flights, written, asked, judges, self.bar)
         alone = {n.name for n in names if n.status == "supported"}

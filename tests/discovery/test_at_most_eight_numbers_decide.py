@@ -37,7 +37,7 @@ COMPARED = {
     "result._closing: 0.1": SAYS,
     "result._closing: 0.5": SAYS,
     "propose.instead: 0.5": PROPOSES,
-    "search._doubted: 3": PROPOSES,
+    "search.doubted: 3": PROPOSES,
     "worth.seconds: 6": COMPUTES,
 }
 """module.function: number in a comparison -> what it does. Zero, one and two need no reason."""
