@@ -207,16 +207,21 @@ def uses(found: Any) -> dict[str, Any]:
 
 def effects(found: Any, vehicle: Any) -> dict[str, Any]:
     """Effects of the catalogue that the log allows, and what the others lack. Facts of a vehicle
-    file count if given."""
+    file count if given. Where rotor speeds drive the model, what shapes a command lacks it."""
+    from greybox.model.composition import acts_on_speeds
     from greybox.model.effects import CATALOGUE
 
     sensors = _sensors(found)
+    groups = {g.group for g in found.groups}
+    of_speeds = "rotor_speed" in groups and "command" not in groups
     columns = [c for g in found.groups for c in g.channels]
     possible, lacking = [], {}
     for effect in CATALOGUE:
         lacks = effect.missing(vehicle, sensors, columns)
         if vehicle is None:
             lacks = tuple(part for part in lacks if not part.endswith("in the vehicle file"))
+        if of_speeds and not acts_on_speeds(effect):
+            lacks = ("commands", *lacks)
         if lacks:
             lacking[effect.name] = list(lacks)
         else:

@@ -75,6 +75,20 @@ def test_what_a_log_lacks_takes_its_effects_away(
     assert "battery_sag" in with_facts["effects"]["possible"]
 
 
+def test_rotor_speeds_without_commands_take_what_shapes_a_command_away(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    t = np.arange(200) / 100
+    names = ["t", *(f"omega{i}" for i in range(1, 5)), *"pqr", "ax", "ay", "az"]
+    rows = np.column_stack([t, *([np.full_like(t, 1500.0)] * 4), *([np.sin(t)] * 6)])
+    log = tmp_path / "speeds.csv"
+    np.savetxt(log, rows, delimiter=",", header=",".join(names), comments="")
+    found = inspected(capsys, str(log))["effects"]
+    for name in ("command_saturation", "thrust_curve", "motor_lag"):
+        assert found["lacking"][name][0] == "commands"
+    assert {"command_delay", "rotor_asymmetry"} <= set(found["possible"])
+
+
 def test_a_table_of_unknown_columns_is_shown_and_asks_for_a_mapping(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
