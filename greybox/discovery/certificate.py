@@ -15,11 +15,11 @@ denominator alone. The e-value of a name is therefore the mean of this one and o
 in which both sides integrate what they share over what D1 taught, as group invariance allows
 (Perez-Ortiz, Lardy, de Heide and Gruenwald 2024, Annals of Statistics 52(4)), and only what R has
 in the place of c is taken at its worst: `regret` is the supremum over D2 against the integral.
-Where the sharper one decides the first is not worked out, and counts as nothing: where numbers
-differ from flight to flight it hardly ever decides. Evidence is Laplace's approximation and the
-invariance that of a linear model, so that for a vehicle the bound holds as well as these do, and
-not in finite samples. The e-value of a name is that against its strongest rival. Without D2 flights
-are halved, and the mean of both ways is an e-value, too.
+Where the sharper one decides, or the first cannot (it is at most the sharper one without its
+regret), the first is not worked out, and counts as nothing. Evidence is Laplace's approximation and
+the invariance that of a linear model, so that for a vehicle the bound holds as well as these do,
+and not in finite samples. The e-value of a name is that against its strongest rival. Without D2
+flights are halved, and the mean of both ways is an e-value, too.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from greybox.data import Dataset
 from greybox.data.halves import halves, renamed
 from greybox.discovery.evidence import Fitted, Flights, Key
 from greybox.discovery.search import Rival
-from greybox.estimation.status import Code
+from greybox.estimation.solvers.levenberg_marquardt import BEYOND
 from greybox.statistics import regret as of_arrays
 from greybox.symbolic import FloatArray
 
@@ -85,20 +85,17 @@ def splits(train: Flights, test: Dataset | None) -> list[Split]:
 def certificates(
     at: Fitted, rivals: Mapping[str, Sequence[Rival]], judges: Sequence[Split], bar: float
 ) -> dict[str, Certificate]:
-    """Name -> certificate, of every name of `rivals` in the structure `at`. Every rival is fitted
-    to the flights that judge until it cannot be the strongest: its e-value is then the least it
-    has."""
-    behind = judges[0].both.effort.behind
+    """Name -> certificate, of every name of `rivals` in the structure `at`: by rough fits where
+    these decide, each of the four behind an e-value as near as its tolerance says."""
+    near = 4 * BEYOND * judges[0].both.effort.rough
     out = {}
     for name, rows in rivals.items():
         found: dict[tuple[str, ...], float] = {}
         for rival in rows:
-            enough = max(bar, min(found.values(), default=np.inf))
-            log_e = _log_e(at, rival, judges, bar, enough)
-            far = np.isfinite([bar, log_e]).all() and abs(log_e - bar) >= behind
-            if log_e < enough and not far:
-                log_e = _log_e(at, rival, judges, bar)
-            found[rival.instead] = log_e
+            least, most = _log_e(at, rival, judges, bar, rough=True)
+            if least < bar + near and most >= bar - near:
+                least, _ = _log_e(at, rival, judges, bar, rough=False)
+            found[rival.instead] = least
         strongest = min(found, key=lambda r: found[r], default=())
         log_e = found[strongest] if found else -np.inf
         evidence = {r.instead: r.fitted.log_evidence - at.log_evidence for r in rows}
@@ -121,34 +118,31 @@ def certificates_beside(
 
 
 def _log_e(
-    at: Fitted, rival: Rival, judges: Sequence[Split], bar: float, enough: float | None = None
-) -> float:
-    """Log e-value against one rival; below it where the sharper one alone decides. With `enough` of
-    rough fits, which end a tenth before their optima or where the e-value is beyond that."""
-    rough, goal = enough is not None, np.inf if enough is None else enough + np.log(2)
-    own = [_predictive(at, at, split, rough) for split in judges]
-    gained = [_less(both.log_evidence - first.log_evidence, first, both) for first, both in own]
-    told = []
-    for g, split in zip(gained, judges, strict=True):
-        first, both = _predictive(rival.fitted, at, split, rough)
+    at: Fitted, rival: Rival, judges: Sequence[Split], bar: float, rough: bool
+) -> tuple[float, float]:
+    """(least, most) that the log e-value against one rival is. A supremum is at least the mean over
+    what was taught, so that the first e-value is at most the sharper one without its regret: where
+    that is below the bar the supremum is not sought, nor where the sharper one decides."""
+    told, most, gained = [], [], []
+    for split in judges:
+        mine = _predictive(at, at, split, rough)
+        other = first, both = _predictive(rival.fitted, at, split, rough)
+        lead = mine[1].log_evidence - mine[0].log_evidence
         lost = both.log_evidence - first.log_evidence
         keys = _keys(both, split, rival.instead)
         paid = regret(first, both, keys) if keys and first.value.valid and both.value.valid else 0.0
-        told.append(_less(g - lost - paid, first, both))
-    sharp = _mean(told)
-    if sharp >= bar + np.log(2):
-        return sharp - float(np.log(2))
+        told.append(_less(lead - lost - paid, *mine, *other))
+        most.append(lead - lost + sum(f.may_gain for f in (*mine, *other)))
+        gained.append(_less(lead, *mine))
+    sharp, highest = _mean(told), _mean(most)
+    if sharp >= bar + np.log(2) or -np.inf < highest < bar:
+        return sharp - float(np.log(2)), highest
     known, structure = rival.fitted.known, rival.fitted.structure
     logs = []
-    for split, g in zip(judges, gained, strict=True):
-        start = [known, {**at.known, **known}]
-        worst = split.judge.fit(structure, start, rough=rough, target=goal - g)
-        log_e = _less(g + worst.value.likelihood, worst)
-        if log_e < goal and worst.status.code is Code.BEHIND:  # given up before that was certain
-            worst = split.judge.fit(structure, rough=rough)
-            log_e = _less(g + worst.value.likelihood, worst)
-        logs.append(log_e)
-    return _mean([_mean(logs), sharp])
+    for split, lead in zip(judges, gained, strict=True):
+        worst = split.judge.fit(structure, [known, {**at.known, **known}], rough=rough)
+        logs.append(_less(lead + worst.value.likelihood, worst))
+    return _mean([_mean(logs), sharp]), highest
 
 
 def _less(log_e: float, *fits: Fitted) -> float:

@@ -161,11 +161,9 @@ class Flights:
         starts: Sequence[Start] = (),
         *,
         rough: bool = False,
-        target: float = np.inf,
     ) -> Fitted:
         """The structure at its maximum a posteriori, from the likeliest of `starts` (what they do
-        not say is as declared); `rough`: as near as fits are that are only compared; above the
-        `target`, a negative log likelihood, it is of no interest."""
+        not say is as declared); `rough`: as near as fits are that are only compared."""
         known = self._known.get(frozenset(structure))
         if known is not None and (known.exact or (rough and known.comparable)):
             return known
@@ -174,7 +172,6 @@ class Flights:
             starts=tuple(starts) if known is None else (known.known,),
             tolerance=self.effort.rough if rough else self.effort.exact,
             iterations=self.effort.iterations,
-            target=target,
         )
         return self._carried_out([again], exact=not rough)[0]
 

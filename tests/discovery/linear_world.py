@@ -70,7 +70,6 @@ class World:
         starts: Sequence[Any] = (),
         *,
         rough: bool = False,
-        target: float = np.inf,
     ) -> Fitted:
         """The optimum in closed form."""
         chosen = frozenset(structure)

@@ -32,11 +32,23 @@ def certified(
 
 
 def parts(one: World, other: World, name: str) -> tuple[float, float]:
-    """Log of the strict and of the sharper e-value against the model without the name, of which the
-    certificate is the mean, or half of the sharper one where that decides."""
-    mean, half = (certified(one, other, name, ((),), bar).log_e for bar in (np.inf, -np.inf))
-    sharp = half + float(np.log(2))
-    return sharp + float(np.log(2 * np.exp(mean - sharp) - 1)), sharp
+    """Log of the strict and of the sharper e-value against the model without the name."""
+    judges = split(one, other)
+    gained = judges.both.fit({name}).log_evidence - judges.first.fit({name}).log_evidence
+    lost = judges.both.fit(()).log_evidence - judges.first.fit(()).log_evidence
+    return gained + judges.judge.fit(()).value.likelihood, gained - lost
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_supremum_is_sought_only_where_it_could_decide(seed: int):
+    """The strict e-value is at most the sharper one against what is dropped; the certificate is
+    their mean where the bar is between the sharper one and its half, else that half."""
+    worlds = drawn(seed, {"a": np.array([0.9])})
+    strict, sharp = parts(*worlds, "a")
+    assert strict < sharp
+    mean, half = np.logaddexp(strict, sharp) - np.log(2), sharp - np.log(2)
+    for bar, expected in ((sharp - 0.3, mean), (sharp + 0.1, half), (sharp - 1.0, half)):
+        assert certified(*worlds, "a", ((),), bar).log_e == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -48,7 +60,7 @@ def parts(one: World, other: World, name: str) -> tuple[float, float]:
     ],
     ids=["nothing", "look-alike", "another"],
 )
-@pytest.mark.parametrize("bar", [np.log(1 / ALPHA), np.inf], ids=["sharp", "mean"])
+@pytest.mark.parametrize("bar", [np.log(1 / ALPHA), 0.0], ids=["one name", "any"])
 def test_false_certificates_are_rare(truth: Truth, rivals: tuple[tuple[str, ...], ...], bar: float):
     beyond = sum(
         certified(*drawn(seed, truth), "a", rivals, bar).log_e >= np.log(1 / ALPHA)
@@ -104,7 +116,7 @@ def test_what_a_fit_may_still_gain_counts_against_the_name(promised: float, code
 
     assert sharp - found("both", -np.inf) == pytest.approx(lost + np.log(2))
     mean = np.logaddexp(strict - lost, sharp) - np.log(2)
-    assert found("judge", np.inf) == pytest.approx(mean)
+    assert found("judge", sharp - 0.3) == pytest.approx(mean)
     judges = split(one, other)
     whole = judges.both.fit({"a"})
     cast(World, judges.both).fits[whole.structure] = replace(
@@ -124,13 +136,15 @@ def test_a_rival_that_was_hopeless_where_the_name_was_learned_still_counts():
     assert found.against == ("b",)
 
 
-@pytest.mark.parametrize(("size", "exact"), [(0.3, True), (5.0, False)])
-def test_only_near_the_bar_are_optima_needed_to_the_last_digit(size: float, exact: bool):
-    one, other = drawn(3, {"a": np.array([size])})
-    at, judges = one.fit({"a"}), split(one, other)
+@pytest.mark.parametrize(
+    ("away", "exact"), [(1.0, True), (-1.0, True), (9.0, False), (-9.0, False)]
+)
+def test_only_near_the_bar_are_optima_needed_to_the_last_digit(away: float, exact: bool):
+    one, other = drawn(3, {"a": np.array([1.0])})
+    judges = split(one, other)
     rival = Rival(instead=(), share=1.0, fitted=one.fit(()))
-    found = certificates(at, {"a": [rival]}, [judges], 6.0)["a"]
-    assert (abs(found.log_e - 6.0) < judges.both.effort.behind) is exact
+    bar = parts(one, other, "a")[1] + away
+    certificates(one.fit({"a"}), {"a": [rival]}, [judges], bar)
     assert (False in judges.both.asked) is exact  # type: ignore[attr-defined]
 
 

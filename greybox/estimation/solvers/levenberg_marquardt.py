@@ -36,7 +36,7 @@ FALL = -0.375
 """Most negative step of a noise level: its variance falls to a quarter."""
 
 PACE = 5
-"""Iterations over which the pace is measured of a search that must reach a target."""
+"""Iterations over which the pace of a search is measured."""
 
 BEYOND = 10.0
 """Depth of an optimum, in units of what the full step to it promises, that is not expected once
@@ -54,8 +54,8 @@ class LevenbergMarquardt:
 
     The cost is a negative log likelihood, so that 1e-6 means: every estimate is within about a
     thousandth of its standard error of the optimum; after the last iteration, or where rounding
-    stops it, a thousand times that is enough. `damped=False` starts as pure Gauss-Newton with step
-    halving. Above the `target`, a negative log likelihood, the result is of no interest: the search
+    stops it, or where it creeps, a thousand times that is enough. `damped=False` starts as pure
+    Gauss-Newton with step halving. Above the `target`, a negative log likelihood, the result is of no interest: the search
     ends where even twice its pace would not lead there in the iterations that are left.
     """
 
@@ -84,6 +84,8 @@ class LevenbergMarquardt:
         code = Code.MAX_ITERATIONS
         iteration = 0
         trail: list[float] = []
+        costs: list[float] = []
+        arrived = max(self.tolerance, min(NEAR, 1e3 * self.tolerance))
         curvature = Curvature(x.size)
         try:
             for iteration in range(1, self.max_iterations + 1):
@@ -101,8 +103,12 @@ class LevenbergMarquardt:
                     code = Code.CONVERGED
                     break
                 trail.append(value.likelihood)
+                costs.append(value.cost)
                 if hopeless(trail, decrement, self.target, self.max_iterations - iteration):
                     code = Code.BEHIND
+                    break
+                if creeps(costs, self.tolerance):
+                    code = Code.CONVERGED if decrement < arrived else Code.NO_PROGRESS
                     break
                 moved = False
                 for _ in range(30):
@@ -150,7 +156,6 @@ class LevenbergMarquardt:
                 if not moved and h is not value.hessian:
                     curvature = Curvature(x.size)
                 elif not moved:
-                    arrived = max(self.tolerance, min(NEAR, 1e3 * self.tolerance))
                     code = Code.CONVERGED if decrement < arrived else Code.NO_PROGRESS
                     break
         except KeyboardInterrupt:
@@ -173,6 +178,12 @@ def hopeless(trail: Sequence[float], promise: float, target: float, left: int) -
         return False
     pace = (trail[-1 - PACE] - trail[-1]) / PACE
     return trail[-1] - target > min(2 * max(pace, 0.0) * left, BEYOND * promise)
+
+
+def creeps(costs: Sequence[float], tolerance: float) -> bool:
+    """Whether the last `PACE` steps together gained less than the tolerance. Where hardly anything
+    tells of a direction, full steps promise what is not there, and a search goes on for long."""
+    return len(costs) > PACE and costs[-1 - PACE] - costs[-1] < tolerance
 
 
 def promised(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray) -> float:
