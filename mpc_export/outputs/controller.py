@@ -237,16 +237,15 @@ class OutputController:
         low, high = (v[:, limited].ravel() for v in (o.lower + back - y, o.upper - back - y))
         part = slope.reshape(n, self._n_y, -1)[:, limited].reshape(slacks, -1)
         rows = np.vstack([np.hstack([part, -np.eye(slacks)]), np.hstack([-part, -np.eye(slacks)])])
-        arguments = {
-            "h": hessian,
-            "g": gradient,
-            "a": rows,
-            "lba": -np.inf,
-            "uba": np.concatenate([high, -low]),
-            "lbx": np.concatenate([np.tile(o.u_min, n) - flat, np.zeros(slacks)]),
-            "ubx": np.concatenate([np.tile(o.u_max, n) - flat, np.full(slacks, np.inf)]),
-        }
-        found = self._solve(**arguments)
+        found = self._solve(
+            h=hessian,
+            g=gradient,
+            a=rows,
+            lba=-np.inf,
+            uba=np.concatenate([high, -low]),
+            lbx=np.concatenate([np.tile(o.u_min, n) - flat, np.zeros(slacks)]),
+            ubx=np.concatenate([np.tile(o.u_max, n) - flat, np.full(slacks, np.inf)]),
+        )
         change = found["x"].full().ravel()[:wide]
         solved = bool(self._solve.stats()["success"]) and bool(np.isfinite(change).all())
         return (change if solved else np.zeros(wide)), solved
