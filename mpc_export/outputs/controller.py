@@ -235,7 +235,7 @@ class OutputController:
         gradient[:wide] += self._drawn.T @ (self._drawn @ flat - np.tile(drawn, n))
         back = np.minimum(self.kappa * sigma, 0.5 * (1 - TIGHTEST) * (o.upper - o.lower))
         low, high = (v[:, limited].ravel() for v in (o.lower + back - y, o.upper - back - y))
-        part = slope.reshape(n, self._n_y, -1)[:, limited].reshape(slacks, -1)
+        part = slope.reshape(n, self._n_y, wide)[:, limited].reshape(slacks, wide)
         rows = np.vstack([np.hstack([part, -np.eye(slacks)]), np.hstack([-part, -np.eye(slacks)])])
         found = self._solve(
             h=hessian,

@@ -96,6 +96,14 @@ def test_a_tightened_plan_stays_that_many_deviations_inside(controller):
     assert (tight.y[1:, 1] + 2.0 * tight.sigma[1:, 1]).max() == pytest.approx(1.0, abs=0.01)
 
 
+def test_without_limits_it_holds_what_it_is_asked(controller):
+    o, free = controller.outputs, np.full(2, np.inf)
+    loose = OutputController(controller.functions, replace(o, lower=-free, upper=free))
+    plan = settled(loose, 3.0, 2.0)
+    assert plan.solved and plan.y[-1, 1] == pytest.approx(2.0, abs=0.05)
+    assert np.isposinf(loose.margins()).all()
+
+
 def test_its_tube_is_the_spread_of_the_closed_loop(controller):
     """An ensemble that draws parameters and noise, filters, and adds the tube's feedback to the
     plan, about the speed that the plan keeps, so that errors of drag and gauge count."""
