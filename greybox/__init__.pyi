@@ -11,11 +11,11 @@ from greybox.data import dataset_from_arrays as dataset_from_arrays
 from greybox.data.checks import check as check
 from greybox.data.logs import read_logs as read_logs
 from greybox.discovery.workflow import discover as discover
-from greybox.errors import GreyboxError as GreyboxError
 from greybox.linear.fit import fit_linear as fit_linear
 from greybox.model.model import build_model as build_model
 from greybox.model.vehicle import read_vehicle as read_vehicle
 from greybox.planning.plan import plan as plan
+from greybox.residual.from_gpytorch import from_gpytorch as from_gpytorch
 from greybox.residual.learn import learn as learn
 from greybox.simulators.make import twin as twin
 from greybox.validation.validate import validate as validate

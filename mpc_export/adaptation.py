@@ -39,8 +39,11 @@ import numpy as np
 import scipy.linalg
 
 from greybox.errors import ModelError
+from greybox.estimation.gain import linearisation_anywhere
+from greybox.estimation.settling import kept_up
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
+from greybox.model.noise import lasting_errors
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr, FloatArray, Layout
@@ -143,8 +146,8 @@ def adapted(
 
 
 def start_excess(model: IdentifiedModel, filtered: FloatArray) -> FloatArray:
-    """Variance (n_own,) of a start that is read off its first measurements beyond that of the
-    settled filter (n_d,)."""
+    """Variance (n_own,) of a start that is read off its first measurements, lasting noise in its
+    stationary state, beyond that of the settled filter (n_d,)."""
     d = model.dynamics
     u = np.repeat(model.reference_inputs[:, None], sum(d.window) + 1, axis=1)
     p, w = ca.DM(model.parameter_vector()), ca.DM.zeros(len(d.noises))
@@ -157,8 +160,13 @@ def start_excess(model: IdentifiedModel, filtered: FloatArray) -> FloatArray:
     samples = {n: np.full(STEADY, v) for n, v in columns.items()} | {
         "t": model.sample_time * np.arange(STEADY)
     }
-    sigma = d.initial_state(samples)[1]
-    return np.asarray(np.maximum(sigma**2 - filtered[: len(sigma)], 0.0))
+    square = d.initial_state(samples)[1] ** 2
+    lasting = np.flatnonzero(lasting_errors(d))
+    values = linearisation_anywhere(d).values(
+        model.reference_state, u, model.parameter_vector(), model.sample_time
+    )
+    square[lasting] = kept_up(values, model.process_noise**2, lasting)
+    return np.asarray(np.maximum(square - filtered[: len(square)], 0.0))
 
 
 def weight_covariance(posterior: GPPosterior | FeaturePosterior, output: int) -> FloatArray:

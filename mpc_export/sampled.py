@@ -24,7 +24,7 @@ from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.engine import chart_jacobians
 from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import innermost, physics_of, with_physics
+from greybox.model.layer import innermost, with_core
 from greybox.model.linear import LinearModel
 from greybox.model.model import PhysicsModel
 from greybox.residual.features import features
@@ -48,31 +48,43 @@ def is_discrete(dynamics: Dynamics) -> bool:
 def at_sample_time(model: IdentifiedModel | LinearModel, dynamics: Dynamics, dt: float) -> Dynamics:
     """The same model for another sample time: its command window holds as many samples as its delay
     then needs. What decays goes on decaying: a sample takes the fewest Runge-Kutta steps that leave
-    of every mode about the model's reference what the samples leave that it was identified at
-    (`AS_WELL`), at most as many as these."""
-    physics = physics_of(dynamics)
-    if physics is None or not isinstance(model, IdentifiedModel):
+    of every mode about the model's reference what the steps leave that it was identified with
+    (`AS_WELL`), none of them shorter than these."""
+    core = innermost(dynamics)
+    if not isinstance(model, IdentifiedModel):
         return dynamics
-    modes, own = _decaying(physics, model), model.sample_time
+    if isinstance(core, PhysicsModel):
+        # Rotors are stepped exactly.
+        body = [i for i, n in enumerate(core.states.names) if not n.startswith("rotor.")]
+        parts = _steps(_decaying(core, model, body), model.sample_time, dt)
+        return with_core(dynamics, replace(core, sample_time=dt, parts=parts))
+    if isinstance(core, StateSpaceModel) and not core.discrete:
+        modes = _decaying(core, model, list(range(len(core.states))))
+        parts = _steps(modes, model.sample_time / core.substeps, dt)
+        return with_core(dynamics, replace(core, substeps=parts))
+    return dynamics
+
+
+def _steps(modes: npt.NDArray[np.complex128], own: float, dt: float) -> int:
+    """How many steps a sample of `dt` [s] takes, where steps of `own` [s] were identified with."""
     most = max(1, math.ceil(dt / own - 1e-9))
     left = _runge_kutta(modes * own) ** (dt / own)
 
     def as_well(n: int) -> bool:
         return bool((np.abs(_runge_kutta(modes * dt / n) ** n - left) < AS_WELL).all())
 
-    parts = next((n for n in range(1, most) if as_well(n)), most)
-    return with_physics(dynamics, lambda physics: replace(physics, sample_time=dt, parts=parts))
+    return next((n for n in range(1, most) if as_well(n)), most)
 
 
-def _decaying(physics: PhysicsModel, model: IdentifiedModel) -> npt.NDArray[np.complex128]:
-    """Eigenvalues [1/s] of the rigid body about the model's reference that decay within minutes;
-    rotors are stepped exactly."""
-    body = [i for i, n in enumerate(physics.states.names) if not n.startswith("rotor.")]
-    x, u = ca.SX.sym("x", len(physics.states)), model.reference_inputs[: len(physics.inputs)]
-    p = ca.DM([model.values[d.name] for d in physics.parameters])
-    slope = ca.Function("slope", [x], [ca.jacobian(physics.f(0, x, ca.DM(u), p), x)])
+def _decaying(
+    core: PhysicsModel | StateSpaceModel, model: IdentifiedModel, rows: list[int]
+) -> npt.NDArray[np.complex128]:
+    """Eigenvalues [1/s] of these states about the model's reference that decay within minutes."""
+    x, u = ca.SX.sym("x", len(core.states)), model.reference_inputs[: len(core.inputs)]
+    p = ca.DM([model.values[d.name] for d in core.parameters])
+    slope = ca.Function("slope", [x], [ca.jacobian(core.f(0, x, ca.DM(u), p), x)])
     found = np.linalg.eigvals(
-        slope(model.reference_state[: len(physics.states)]).full()[np.ix_(body, body)]
+        slope(model.reference_state[: len(core.states)]).full()[np.ix_(rows, rows)]
     )
     return np.asarray(found[found.real < -MINUTES])
 

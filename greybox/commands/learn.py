@@ -63,9 +63,8 @@ def add(subparsers: Any) -> None:
         default="gp",
         metavar="NAME",
         help="gp (default), random-features, neural (a network with "
-        "a Bayesian last layer), ensemble (of networks), sparse (a law of few terms), tcn (a "
-        "convolution "
-        "over earlier commands), or own.py:Name, Python that is run",
+        "a Bayesian last layer), ensemble (of networks), sparse (a law of few terms), tcn and "
+        "lstm (a convolution, a long short-term memory over earlier commands), or own.py:Name, Python that is run",
     )
     p.add_argument("--kernel", default="se", help="se, matern32, matern52, or linear+ one of these")
     p.add_argument(

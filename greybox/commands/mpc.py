@@ -10,6 +10,8 @@ from typing import Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console, json_option
+from greybox.commands.mpc_own import OWN_ONLY, add_options, is_own, refuse
+from greybox.commands.mpc_own import run as run_own
 
 
 def add(subparsers: Any) -> None:
@@ -21,9 +23,9 @@ def add(subparsers: Any) -> None:
         "many seeded flights "
         "each: the model alone, with limits tightened by a tube, with one constant back-off, and a "
         "cascade of "
-        "PID loops. `rates` flies a rate controller on a linear model with a Gaussian process "
-        "instead. Writes "
-        "flights.jsonl (kept and resumed), mpc.json and report.html. Exit code 0: done, 1: "
+        "PID loops. A model of your own holds outputs inside limits instead (--hold, --limit), and "
+        "`rates` flies a rate controller on a linear model with a Gaussian process. Writes "
+        "flights.jsonl (kept and resumed), mpc.json (mpc_own.json, mpc_rates.json) and report.html. Exit code 0: done, 1: "
         "refused, "
         "as the model is not usable, 2: bad input, 130: interrupted (the report shows what was "
         "flown until then).",
@@ -101,6 +103,7 @@ def add(subparsers: Any) -> None:
         default=None,
         help="also write the watched flights with their plans, for Foxglove, Rerun or PlotJuggler",
     )
+    add_options(p)
     json_option(p, "mpc.json")
     p.set_defaults(run=run)
 
@@ -138,19 +141,13 @@ def run(arguments: argparse.Namespace) -> int:
         return rates(arguments)
     from greybox.commands.judgement import gate
     from greybox.commands.mcap_option import need_mcap
-    from greybox.errors import GreyboxError
     from greybox.files import read_json
 
     need_mcap(arguments.mcap)
     file = {} if arguments.subject == "demo" else read_json(arguments.subject)
-    base = file.get("base")
-    if "own" in (file.get("kind"), base.get("kind") if isinstance(base, dict) else None):
-        raise GreyboxError(
-            "the courses are flown by vehicles",
-            where=arguments.subject,
-            got=f"the model {file.get('name')} of your own",
-            fix="greybox export --target acados,do-mpc, or CasADi alone as in docs/own_model.md",
-        )
+    if is_own(file):
+        return run_own(arguments, file)
+    refuse(arguments, OWN_ONLY, "a model of your own", arguments.subject)
     judged = gate(file, arguments.subject, even_so=arguments.even_so)
     if not judged.open:
         judged.say("mpc")

@@ -9,44 +9,21 @@ from typing import Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console
+from greybox.commands.mpc_own import COURSE_ONLY, OWN_ONLY, refuse
 
-OTHERS: dict[str, Any] = {
-    "plant": None,
-    "log": [],
-    "course": "mpc_export.mission:OBSTACLE_COURSE",
-    "pace": None,
-    "jobs": 1,
-    "risk": "rehearsal",
-    "even_so": False,
-    "mcap": None,
-}
-"""Options of a model that flies a course, with the values that they have where nobody gave them."""
+OTHERS: dict[str, Any] = {**COURSE_ONLY, "plant": None, "even_so": False}
+"""Options of a model that flies a course."""
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Identify, fly, report; what was flown is reported even when interrupted. Returns 0."""
-    from greybox.errors import GreyboxError
-
-    for name, default in OTHERS.items():
-        if getattr(arguments, name) != default:
-            raise GreyboxError(
-                f"--{name.replace('_', '-')} belongs to a model that flies a course",
-                got="rates",
-                fix="leave it out, or name a model.json",
-            )
+    refuse(arguments, OWN_ONLY, "a model of your own", "rates")
+    refuse(arguments, OTHERS, "a model that flies a course", "rates")
     from greybox.files import write_atomic, write_json
     from greybox.report.rates_report import rates_report
+    from mpc_export.kept_flights import flights, kept, read_traces
     from mpc_export.mission import judging
-    from mpc_export.rates.campaign import (
-        TEXTS,
-        WATCHED,
-        flights,
-        format_table,
-        kept,
-        prepare,
-        read_traces,
-        summary,
-    )
+    from mpc_export.rates.campaign import TEXTS, WATCHED, format_table, prepare, summary
     from mpc_export.rates.craft import DT
 
     console, out = Console.of(arguments), Path(arguments.out)
@@ -60,7 +37,8 @@ def run(arguments: argparse.Namespace) -> int:
         )
         write_json(out / "mpc_rates.json", content)
         write_atomic(
-            out / "report.html", rates_report(content, read_traces(flown, watched), stage=DT)
+            out / "report.html",
+            rates_report(content, read_traces(flown, list(TEXTS), watched), stage=DT),
         )
         return content
 

@@ -238,8 +238,14 @@ def learned_push_of(dynamics: Dynamics) -> LearnedPush | None:
 def with_physics(dynamics: D, change: Callable[[PhysicsModel], PhysicsModel]) -> D:
     """The same layers on a changed physics model. Raises `ModelError` where there is no physics
     model under them."""
+    core = innermost(dynamics)
+    if not isinstance(core, PhysicsModel):
+        raise ModelError(f"{core.name} is not a physics model: it has no effects and no vehicle")
+    return with_core(dynamics, change(core))
+
+
+def with_core(dynamics: D, core: Dynamics) -> D:
+    """The same layers on another model."""
     if isinstance(dynamics, Layer):
-        return dynamics.on(with_physics(dynamics.base, change))
-    if isinstance(dynamics, PhysicsModel):
-        return change(dynamics)  # type: ignore[return-value]  # a PhysicsModel for a PhysicsModel
-    raise ModelError(f"{dynamics.name} is not a physics model: it has no effects and no vehicle")
+        return dynamics.on(with_core(dynamics.base, core))
+    return core  # type: ignore[return-value]  # a model for a model

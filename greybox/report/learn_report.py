@@ -28,6 +28,7 @@ LEARNED = {
     "ensemble": "The mean of an ensemble of small networks",
     "sparse": "A law of few terms",
     "tcn": "The Bayesian last layer of a convolution over earlier commands",
+    "lstm": "The Bayesian last layer of a long short-term memory of earlier commands",
 }
 FAR = "Far from the training flights it fades to nothing and the physics remains."
 BEYOND = (

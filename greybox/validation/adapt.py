@@ -9,7 +9,7 @@ levels fixed, the training flights' mean and spread as prior of each per-flight 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
@@ -23,8 +23,12 @@ from greybox.estimation.predictors.innovation import StationaryGain
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.settling import RecordGains, held
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.unknown import Unknown
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
+
+KNOWN = 1e-3
+"""Share of a start's spread that is left where the filter itself knows no more than that."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,6 +131,7 @@ def adapt_to_flight(
         estimate_noise=False,
         use_compiler=use_compiler,
     )
+    problem = _beyond_the_filter(problem, gain)
     theta, status = LevenbergMarquardt(max_iterations=max_iterations).solve(problem, problem.start)
     value = problem.evaluate(theta)
     warnings = []
@@ -146,6 +151,20 @@ def adapt_to_flight(
         x0_sigma=_spread(problem, std),
         warnings=tuple(warnings),
     )
+
+
+def _beyond_the_filter(problem: Problem, gain: Riccati) -> Problem:
+    """The priors of the start without what innovations of the settled filter have in them already:
+    its covariance."""
+    names = problem.dynamics.error_states.names
+    settled = dict(zip(names, np.diag(gain.P).tolist(), strict=True))
+
+    def beyond(u: Unknown) -> Unknown:
+        rest = max(u.sigma**2 - settled[u.name], (KNOWN * u.sigma) ** 2)
+        return replace(u, sigma=float(np.sqrt(rest)))
+
+    unknowns = [beyond(u) if u.kind == "initial" else u for u in problem.unknowns]
+    return replace(problem, unknowns=tuple(unknowns))
 
 
 def _spread(problem: Problem, std: FloatArray) -> FloatArray:

@@ -69,21 +69,16 @@ def real_disturbances(model: IdentifiedModel, data: Dataset) -> list[FloatArray]
     return [smooth(runner, runner.run(segment)).states[edge:-edge, rows] for segment in long]
 
 
-class ModelPlant:
-    """The model of a file, flown: `reset`, `step`, `measure`, `states`, `truth`, as any other
-    plant.
+class DrawnModel:
+    """What plants made of a fitted model share: its parameters are drawn from their covariance and
+    its noise from the identified levels, flight by flight. The learned function is mean(z) + sd(z)
+    `_error`; zero where nobody draws it. `groups` are functions that are wanted besides."""
 
-    disturbances: segments (n, k) of what `real_disturbances` found; None: the identified process.
-    Raises `ModelError` for a model without a steady hover.
-    """
-
-    def __init__(
-        self, model: IdentifiedModel, disturbances: Sequence[FloatArray] | None = None
-    ) -> None:
+    def __init__(self, model: IdentifiedModel, groups: Sequence[str] = ()) -> None:
         names, covariance = parameter_covariance(model)
-        self.model, self.disturbances = model, disturbances
+        self.model = model
         self.sample_time = model.sample_time
-        self.functions = f = model_functions(model, with_=("target",), runtime_parameters=names)
+        self.functions = f = model_functions(model, with_=groups, runtime_parameters=names)
         x, u, p, w = f.sampled.symbols()
         self._step = native(
             ca.Function("plant_step", [x, u, p, w], [ca.densify(f.sampled.step(x, u, p, w))])
@@ -97,13 +92,8 @@ class ModelPlant:
         self._spread = vectors * np.sqrt(np.maximum(values, 0.0))
         bounds = {d.name: (d.lower, d.upper) for d in model.dynamics.parameters}
         self._bounds = np.array([bounds[n] for n in names], dtype=float).reshape(-1, 2)
-        self._slow = [i for i, n in enumerate(f.states.names) if n.startswith("disturbance.")]
         # As the tube allows for: what it tunes against must push as hard.
         self._levels = np.array(model.noise_ahead, dtype=float)
-        if disturbances is not None:
-            self._levels[[n.startswith("disturbance.") for n in model.dynamics.noises.names]] = 0.0
-        self._hover = self._steady()
-        self.reset(0)
 
     def _learned_push(self) -> Any:
         """(x, u, p) -> mean and standard deviation (n_g) of the learned part in its noise channels,
@@ -122,13 +112,72 @@ class ModelPlant:
             )
         )
 
-    def _pushes(self, u: FloatArray) -> FloatArray:
-        """Noise of the present sample and what the learned part adds to it."""
-        w = np.array(self._w)
+    def _pushes(self, u: FloatArray, noise: FloatArray) -> FloatArray:
+        """`noise` (n_w,) and what the learned part adds to it."""
+        w = np.array(noise)
         if self._learned is not None:
             mean, deviation = (v.full().ravel() for v in self._learned(self._x, u, self._p))
             w[self._channels] += mean + deviation * self._error
         return w
+
+    def begin(self, seed: int, x: FloatArray, u: FloatArray) -> None:
+        """At the state x (n_x,) under the command u (n_u,), with the parameters of this seed."""
+        self._rng = np.random.default_rng([seed, 7])
+        self._x, self._u, self.time = np.array(x, float), np.array(u, float), 0.0
+        self._p = self.functions.parameter_values.copy()
+        if self._at:
+            drawn = self._p[self._at] + self._spread @ np.clip(
+                self._rng.standard_normal(len(self._at)), -FAR, FAR
+            )
+            self._p[self._at] = np.clip(drawn, *self._bounds.T)
+
+    def _draw(self) -> None:
+        self._w = self._rng.standard_normal(len(self._levels)) * self._levels
+        self._noise = (
+            self._rng.standard_normal(len(self.model.sensor_noise)) * self.model.sensor_noise
+        )
+
+    def moved(self, u: Any, dt: float | None) -> None:
+        """Hold the command u (n,) for one sample. Raises `ModelError` for another length than the
+        model's sample."""
+        if dt is not None and abs(dt - self.sample_time) > 1e-9:
+            raise ModelError("an identified model steps at its own sample time", got=f"{dt:g} s")
+        self._u = np.asarray(u, dtype=float)
+        push = self._pushes(self._u, self._w)
+        self._x = self._step(self._x, self._u, self._p, push).full().ravel()
+        self.time += self.sample_time
+
+    def seen(self, u: FloatArray, noise: FloatArray) -> dict[str, float]:
+        """Outputs by name under the command u and the process noise (n_w,), without that of the
+        sensors."""
+        y = self._output(self._x, u, self._p, self._pushes(u, noise)).full().ravel()
+        return dict(zip(self.functions.outputs.names, y.tolist(), strict=True))
+
+    def values(self) -> dict[str, float]:
+        """The parameters of this flight."""
+        return dict(zip(self.functions.parameters.names, self._p.tolist(), strict=True))
+
+
+class ModelPlant(DrawnModel):
+    """The model of a file, flown: `reset`, `step`, `measure`, `states`, `truth`, as any other
+    plant.
+
+    disturbances: segments (n, k) of what `real_disturbances` found; None: the identified process.
+    Raises `ModelError` for a model without a steady hover.
+    """
+
+    def __init__(
+        self, model: IdentifiedModel, disturbances: Sequence[FloatArray] | None = None
+    ) -> None:
+        super().__init__(model, ("target",))
+        self.disturbances = disturbances
+        self._slow = [
+            i for i, n in enumerate(self.functions.states.names) if n.startswith("disturbance.")
+        ]
+        if disturbances is not None:
+            self._levels[[n.startswith("disturbance.") for n in model.dynamics.noises.names]] = 0.0
+        self._hover = self._steady()
+        self.reset(0)
 
     def _steady(self) -> tuple[FloatArray, FloatArray]:
         f = self.functions
@@ -147,17 +196,9 @@ class ModelPlant:
 
     def reset(self, seed: int = 0, *, position: Sequence[float] = (0.0, 0.0, 1.0)) -> None:
         """Hover at `position` [m], with parameters and disturbances of this seed."""
-        f = self.functions
-        self._rng = np.random.default_rng([seed, 7])
-        x, self._u = (v.copy() for v in self._hover)
-        x[[f.states[f"position.{a}"] for a in "xyz"]] = position
-        self._x, self.time = x, 0.0
-        self._p = f.parameter_values.copy()
-        if self._at:
-            drawn = self._p[self._at] + self._spread @ np.clip(
-                self._rng.standard_normal(len(self._at)), -FAR, FAR
-            )
-            self._p[self._at] = np.clip(drawn, *self._bounds.T)
+        x, u = (v.copy() for v in self._hover)
+        x[[self.functions.states[f"position.{a}"] for a in "xyz"]] = position
+        self.begin(seed, x, u)
         self._queue = np.zeros((0, len(self._slow)))
         self._next_disturbance()
         self._draw()
@@ -182,20 +223,10 @@ class ModelPlant:
         self._x[self._slow] = self._queue[0]
         self._queue = self._queue[1:]
 
-    def _draw(self) -> None:
-        self._w = self._rng.standard_normal(len(self._levels)) * self._levels
-        self._noise = (
-            self._rng.standard_normal(len(self.model.sensor_noise)) * self.model.sensor_noise
-        )
-
     def step(self, u: Any, dt: float | None = None) -> None:
         """Hold the command u (n,) for one sample. Raises `ModelError` for another length than the
         model's sample."""
-        if dt is not None and abs(dt - self.sample_time) > 1e-9:
-            raise ModelError("an identified model steps at its own sample time", got=f"{dt:g} s")
-        self._u = np.asarray(u, dtype=float)
-        self._x = self._step(self._x, self._u, self._p, self._pushes(self._u)).full().ravel()
-        self.time += self.sample_time
+        self.moved(u, dt)
         self._next_disturbance()
         self._draw()
 
@@ -203,8 +234,7 @@ class ModelPlant:
         """Measurements now by column, with noise; u: the command that begins now (default: the one
         before)."""
         command = self._u if u is None else np.asarray(u, dtype=float)
-        y = self._output(self._x, command, self._p, self._pushes(command)).full().ravel()
-        out = self._noisy(dict(zip(self.functions.outputs.names, y.tolist(), strict=True)))
+        out = self._noisy(self.seen(command, self._w))
         names = self.functions.parameters.names
         return {
             "t": self.time,
@@ -243,11 +273,11 @@ class ModelPlant:
 
     def truth(self) -> dict[str, Any]:
         """What a log does not say: `parameters` of this flight, `effects`, `states`."""
-        values = {
-            n: float(self._p[i])
-            for n, i in zip(self.functions.parameters.names, range(len(self._p)), strict=True)
+        return {
+            "parameters": self.values(),
+            "effects": list(self.model.effects),
+            "states": self.states(),
         }
-        return {"parameters": values, "effects": list(self.model.effects), "states": self.states()}
 
 
 class RehearsedPlant(ModelPlant):

@@ -13,7 +13,7 @@ Weights are one set for all, set by hand on training seeds. The vehicle file is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,16 +22,9 @@ import numpy as np
 from scipy.stats import binomtest
 
 from greybox.baselines.output_residual import OutputHybrid
-from greybox.files import (
-    append_json_line,
-    checksum,
-    file_sha256,
-    read_json,
-    read_json_lines,
-    write_json,
-)
+from greybox.files import checksum, file_sha256
 from greybox.model.identified import library_versions
-from greybox.progress import TimeLeft
+from mpc_export.kept_flights import Row, flights
 from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.mission.summary import exact
 from mpc_export.predictors import predictor_model
@@ -54,7 +47,6 @@ TUNING = 4
 """Training flights on which they are."""
 WATCHED = 2
 """So many flights are kept for the animation."""
-Row = dict[str, Any]
 
 
 @dataclass(kw_only=True)
@@ -122,75 +114,6 @@ def prepare(out: Path, level: float, say: Callable[[str], None], task: Task | No
         found.touched[tightened] = pairs
         found.kappa[tightened] = kappa(level, max(pairs, 1.0))
     return found
-
-
-def kept(
-    rates: Rates, names: Sequence[str], seeds: Sequence[int], log: str = "flights.jsonl"
-) -> list[Row]:
-    """Rows of an earlier run that still count."""
-    path = rates.out / log
-    keys = {n: rates.key(n) for n in names}
-    rows = read_json_lines(path.read_text(encoding="utf-8")) if path.exists() else []
-    good = {
-        (r["controller"], r["seed"]): r
-        for r in rows
-        if keys.get(str(r.get("controller"))) == r.get("key")
-    }
-    return [good[n, s] for s in seeds for n in names if (n, s) in good]
-
-
-def trace_file(rates: Rates, name: str, seed: int) -> Path:
-    """Where the animation's part of a flight is kept."""
-    return rates.out / "traces" / f"{name}_{seed}_{rates.key(name)}.json"
-
-
-def flights(
-    rates: Rates,
-    names: Sequence[str],
-    seeds: Sequence[int],
-    *,
-    say: Callable[[str], None],
-    log: str = "flights.jsonl",
-    watched: Sequence[int] = (),
-) -> list[Row]:
-    """Rows of all controllers and seeds, seed by seed; each is on the disk before the next flight
-    begins."""
-    rows = {(r["controller"], r["seed"]): r for r in kept(rates, names, seeds, log)}
-    todo = [
-        (n, s)
-        for s in seeds
-        for n in names
-        if (n, s) not in rows or (s in watched and not trace_file(rates, n, s).exists())
-    ]
-    total = len(names) * len(seeds)
-    done = before = total - len(todo)
-    left = TimeLeft()
-    for row in _flown(rates, todo, watched):
-        trace = row.pop("trace", None)
-        name, seed = row["controller"], row["seed"]
-        if trace is not None:
-            write_json(trace_file(rates, name, seed), trace)
-        append_json_line(rates.out / log, row)
-        rows[name, seed] = row
-        done += 1
-        if done % 10 == 0 or done == total:
-            say(f"{done} of {total} flights{left.after((done - before) / len(todo))}")
-    return [rows[n, s] for s in seeds for n in names]
-
-
-def _flown(rates: Rates, todo: Sequence[tuple[str, int]], watched: Sequence[int]) -> Iterator[Row]:
-    for name, seed in todo:
-        yield rates.fly(name, seed, watch=seed in watched)
-
-
-def read_traces(rates: Rates, seeds: Sequence[int]) -> dict[int, dict[str, Any]]:
-    """{seed: {controller: trace}} of the watched flights that were flown."""
-    return {
-        s: {
-            n: read_json(trace_file(rates, n, s)) for n in TEXTS if trace_file(rates, n, s).exists()
-        }
-        for s in seeds
-    }
 
 
 def summary(

@@ -39,8 +39,8 @@ def innovations(filter_: ModelFunctions, steps: int, size: int) -> FloatArray:
 
     Innovations L e of covariance L S L' are white, and go on with the model: W = sum_i A_1^i (L S L'
     + U) A_1^i', i < steps. U is the noise that the model knows of several steps ahead and its filter
-    does not (`Noise.unfiltered`): with it, estimate and error move as the state does, A P A' + Q =
-    W + P, whichever Q the model states ahead.
+    does not (`Noise.unfiltered`): with it, estimate and error move at least as the state does, W + P is
+    at least A P A' + Q, and equal to it where Q is nowhere below the filter's.
     """
     x, u = filter_.reference
     _, a, _, _ = (v.full() for v in filter_["f_d_jac"](x, u, filter_.parameter_values))

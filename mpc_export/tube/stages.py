@@ -19,10 +19,10 @@ estimate x_hat = x - e_hat, e_hat of covariance P_f (the filter's, stationary), 
 
 W is what the filter's innovations (covariance S, gain L, transition A_1) move the estimate by in
 the samples of one stage (separation of estimation and control; Anderson and Moore 1979, chapter 5),
-U the noise that the model states ahead beyond its filter's: at one sample time for all W is
-A P_f A' + Q - P_f. D_k is what this linear loop leaves out
-(second_order.py). Errors of the learned function (standard deviation sd_g) and of the parameters
-theta stay the same over a horizon and are consider states (Schmidt 1966), not noise that is fresh
+U the noise that the model states ahead beyond its filter's: at one sample time for all W is at least
+A P_f A' + Q - P_f. D_k is what this linear loop leaves out (second_order.py). Errors of the learned
+function (standard deviation sd_g) and of the parameters theta stay the same over a horizon and are
+consider states (Schmidt 1966), not noise that is fresh
 at every step. In the worst case the sums are outer ellipsoids with the least trace: E(X) + E(Y)
 inside E((1 + 1/a) X + (1 + a) Y), a = sqrt(tr X / tr Y) (Kurzhanski and Valyi 1997, section 2.7).
 """

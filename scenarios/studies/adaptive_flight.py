@@ -6,8 +6,10 @@ that flight finds?
 
 MODEL is a file of `greybox fit` with per-flight parameters, LOG flights that it was not fitted to.
 Each is exported as `greybox export MODEL.json --with adapt` does it; the C is compiled and flown
-once over the first seconds of each flight, beside the batch estimate (maximum a posteriori,
-`greybox validate --adapt`) from the same seconds and the same prior.
+once over the first seconds of each flight, beside the batch estimate (maximum a posteriori, as
+`greybox validate --adapt`) from the same seconds, the same filter and the same prior. A log may have
+lost rows with their commands, for which `validate` doubts the samples after them; in flight no
+command is lost, and neither estimate here doubts them.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import ctypes
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     model = IdentifiedModel.load(options.model)
     data = read_logs(options.logs, read_vehicle(options.vehicle))
     own = Filter(model)
+    settled = replace(own.riccati, lost=None)
     with tempfile.TemporaryDirectory() as name:
         bundle = write_bundle(model, Path(name) / "craft", targets=("c",), with_=("adapt",))
         step = InFlight(bundle, Path(name))
@@ -130,7 +134,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         )
         for flight in data.flights:
             part = first(flight, options.seconds)
-            batch = adapt_to_flight(model, flight, options.seconds, riccati=own.riccati)
+            batch = adapt_to_flight(model, flight, options.seconds, riccati=settled)
             value, std = flown(
                 step, bundle, make_record(own.engine, part.segments[0]), options.memory
             )

@@ -4,8 +4,11 @@ and exit code 2."""
 from __future__ import annotations
 
 import json
+import xml.etree.ElementTree as ET
+from importlib import resources
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -127,6 +130,29 @@ def test_a_spinning_body_without_numbered_commands_has_rates_and_no_motors(tmp_p
     assert topics == {"vehicle_angular_velocity", "vehicle_angular_velocity_groundtruth"}
 
 
+def test_a_level_is_held_inside_its_limits(
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The limit is what is asked for: half of all plans would pass it."""
+    words = ["mpc", f"{bench}/fit/model.json", "--model-file", f"{bench}/tank.py:build"]
+    words += ["--hold", "level=0.4,0.6", "--limit", "level=0,0.6", "--range", "pump=0,2"]
+    words += ["--flights", "3", "--horizon", "8", "--seconds", "12", "--out", str(tmp_path)]
+    assert main(words) == 0
+    content = json.loads((tmp_path / "mpc_own.json").read_text())
+    schema = (resources.files("greybox.schemas") / "mpc_own.json").read_text()
+    jsonschema.validate(content, json.loads(schema))
+    found = content["controllers"]
+    assert found["mean"]["beyond"]["count"] == 3 and found["tube"]["beyond"]["count"] == 0
+    assert found["tube"]["settled"]["level"] < 0.05 and not found["tube"]["failures"]
+    assert content["verdict"] in capsys.readouterr().out
+    page = (tmp_path / "report.html").read_text()
+    assert ET.fromstring(page[len("<!DOCTYPE html>") :]) is not None and page.count("<svg") == 2
+    rows = (tmp_path / "flights.jsonl").read_text()
+    assert main(words) == 0
+    assert (tmp_path / "flights.jsonl").read_text() == rows
+    assert json.loads((tmp_path / "mpc_own.json").read_text()) == content
+
+
 def test_profiles_give_intervals_with_the_truth_inside(
     bench: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -180,6 +206,7 @@ def test_planned_inputs_keep_ranges_and_limits(bench: Path) -> None:
     )
 
 
+HOLD = ("--hold", "level=0.4")
 WRONG = {
     "fit without a model": (["fit", "--train", "{b}/a.csv"], "one of --vehicle and --model-file"),
     "effects on an own model": (
@@ -236,7 +263,24 @@ WRONG = {
         ],
         "one of --vehicle, --model-file and --from",
     ),
-    "a course": (["mpc", "{b}/fit/model.json"], "flown by vehicles"),
+    "nothing to hold": (["mpc", "{b}/fit/model.json"], "needs something to hold"),
+    "a course": (
+        ["mpc", "{b}/fit/model.json", *HOLD, "--pace", "2"],
+        "--pace belongs to a vehicle",
+    ),
+    "an output that is none": (["mpc", "{b}/fit/model.json", "--hold", "lebel=1"], "level"),
+    "a value beyond its limit": (
+        ["mpc", "{b}/fit/model.json", *HOLD, "--limit", "level=0,0.3"],
+        "--hold level asks for what --limit forbids",
+    ),
+    "a range that is none": (
+        ["mpc", "{b}/fit/model.json", *HOLD, "--range", "pump=2,1"],
+        "--range pump",
+    ),
+    "control by another program": (
+        ["mpc", "{b}/fit/model.json", *HOLD, "--model-file", "{b}/other.py:build"],
+        "is not the model of this file",
+    ),
     "a place": (
         ["learn", "{b}/fit/model.json", "--train", "{b}/a.csv", "--place"],
         "feature of vehicles",
@@ -249,6 +293,7 @@ def test_what_cannot_be_done_is_one_line(
     case: str, bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (bench / "c.csv").write_text("t,pump\n0,1\n0.1,1\n0.2,1\n0.3,1\n")
+    (bench / "other.py").write_text(PROGRAM.replace("nominal=0.1", "nominal=0.2"))
     (bench / "other.py").write_text(PROGRAM.replace("0.1, lower", "0.15, lower"))
     words, said = WRONG[case]
     out = [] if words[0] == "validate" else ["--out", str(tmp_path / "out")]

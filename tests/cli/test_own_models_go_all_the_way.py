@@ -5,14 +5,11 @@ fixed pitch pushes, with a drag that its model does not have. Both are simulated
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 
@@ -147,40 +144,33 @@ def record(own: Own, path: Path, seed: int, n: int = 1000) -> None:
     np.savetxt(path, rows, delimiter=",", header=header, comments="")
 
 
-def exported(folder: Path) -> Any:
-    """f_d of a bundle, rebuilt from its numbers."""
-    spec = importlib.util.spec_from_file_location("rebuild", folder / "python" / "rebuild.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.load()["f_d"]
+class Machine:
+    """The machine itself as a plant."""
 
+    def __init__(self, name: str) -> None:
+        self.own = MACHINES[name]
 
-def controlled(own: Own, f_d: Any, steps: int = 20, samples: int = 60) -> float:
-    """The first output after `samples` of the machine itself under a predictive controller."""
-    low, high = np.array(own.ranges).T
-    opti = ca.Opti()
-    u, x0 = opti.variable(len(low), steps), opti.parameter(f_d.size1_in(0))
-    after, cost = x0, 0.0
-    for k in range(steps):
-        after = f_d(after, u[:, k], [])
-        cost += (after[0] - own.target) ** 2
-    opti.minimize(cost)
-    opti.subject_to(
-        opti.bounded(ca.repmat(ca.DM(low), 1, steps), u, ca.repmat(ca.DM(high), 1, steps))
-    )
-    quiet: Any = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
-    opti.solver("ipopt", quiet)
-    opti.set_initial(u, ca.repmat(ca.DM((low + high) / 2), 1, steps))
-    x = np.array(own.start)
-    for _ in range(samples):
-        opti.set_value(x0, [*x, *np.zeros(f_d.size1_in(0) - len(x))])
-        solved = opti.solve()
-        opti.set_initial(u, solved.value(u))
-        first = np.asarray(solved.value(u), float).reshape(len(low), steps)[:, 0]
+    def reset(self, seed: int) -> None:
+        self.rng, self.x = np.random.default_rng(seed), np.array(self.own.start)
+
+    def step(self, u: FloatArray, dt: float) -> None:
         for _ in range(20):
-            x = x + own.dt / 20 * own.truth(x, first)
-    return float(x[0])
+            self.x = self.x + dt / 20 * self.own.truth(self.x, u)
+
+    def truth(self, u: FloatArray) -> dict[str, float]:
+        return dict(zip(self.own.names[-2:], self.x.tolist(), strict=True))
+
+    def measure(self, u: FloatArray) -> dict[str, float]:
+        noise = np.array(self.own.noise) * self.rng.standard_normal(2)
+        return dict(zip(self.own.names[-2:], (self.x + noise).tolist(), strict=True))
+
+
+def two_tanks() -> Machine:
+    return Machine("two tanks")
+
+
+def rover() -> Machine:
+    return Machine("rover")
 
 
 @pytest.mark.slow
@@ -211,5 +201,16 @@ def test_it_is_fitted_judged_searched_learned_exported_and_controlled(
     assert after < before
     assert main(["export", "hybrid/hybrid.json", "--out", "bundle"]) == 0
     assert main(["export", "found/model_with_laws.json", "--out", "lawful"]) == 0
-    for folder in ("bundle", "lawful"):
-        assert abs(controlled(own, exported(Path(folder))) - own.target) < 0.1 * own.target
+    hold = ["--hold", f"{own.names[-2]}={own.target},{0.8 * own.target}"]
+    limits = ["--limit", f"{own.names[-2]}=-inf,{1.1 * own.target}", "--flights", "2"]
+    plant = ["--plant", f"{__name__}:{name.replace(' ', '_')}"]
+    ranges = ["--range", *(f"{n}={a},{b}" for n, (a, b) in zip(own.names, own.ranges))]
+    for file in ("hybrid/hybrid.json", "found/model_with_laws.json"):
+        for of, extra in (("model", []), ("machine", plant)):
+            out = f"{of}_{Path(file).stem}"
+            assert main(["mpc", file, *hold, *limits, *ranges, *extra, "--out", out]) == 0
+            content = json.loads(Path(out, "mpc_own.json").read_text())
+            assert content["plant"] == (plant[1] if extra else "model")
+            tube = content["controllers"]["tube"]
+            assert tube["settled"][own.names[-2]] < 0.05 * own.target, (out, tube)
+            assert tube["beyond"]["count"] == 0 == tube["failures"], (out, tube)

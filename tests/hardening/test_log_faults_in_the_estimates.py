@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.examples import vehicle_path
@@ -79,7 +80,7 @@ def outcome(name: str) -> str:
     """A cell of the table."""
     try:
         found = fitted(FAULTS[name][1](flight()), sound()[1])
-    except gb.GreyboxError as error:
+    except GreyboxError as error:
         return f"refused: {type(error).__name__}"
     by, parameter = shift(found)
     return f"{by:.2g} ({parameter})" + ("" if found.converged else ", not converged")

@@ -9,6 +9,7 @@ import pytest
 
 import greybox as gb
 from greybox.data import Dataset
+from greybox.errors import GreyboxError
 from greybox.linear.frf_channels import mixers
 from greybox.model.example import example_vehicle
 from greybox.model.linear import LinearModel
@@ -139,12 +140,12 @@ REFUSED = {
 def test_what_cannot_be_told_is_one_line(case: str) -> None:
     changes, said = REFUSED[case]
     arguments = {"inputs": ["roll"], "outputs": ["p"], "vehicle": example_vehicle(), **changes}
-    with pytest.raises(gb.GreyboxError, match=said):
+    with pytest.raises(GreyboxError, match=said):
         gb.frf(flights(count=1), **arguments)
 
 
 def test_too_short_a_flight_is_refused_and_noise_is_not_called_a_response():
-    with pytest.raises(gb.GreyboxError, match="too short: 8 s"):
+    with pytest.raises(GreyboxError, match="too short: 8 s"):
         gb.frf(flights(count=1, seconds=8.0), ["roll"], ["p"], vehicle=example_vehicle())
     rng = np.random.default_rng(0)
     noise = gb.dataset_from_arrays(
@@ -156,5 +157,5 @@ def test_too_short_a_flight_is_refused_and_noise_is_not_called_a_response():
 
 @pytest.mark.parametrize("window", [float("nan"), float("inf"), 0.0, -2.0])
 def test_a_window_that_is_no_length_is_refused(window):
-    with pytest.raises(gb.GreyboxError, match="a positive number of seconds"):
+    with pytest.raises(GreyboxError, match="a positive number of seconds"):
         gb.frf(flights(count=1), ["roll"], ["p"], vehicle=example_vehicle(), window=window)

@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from greybox.model.dynamics import StateSpaceModel
+from greybox.model.identified import IdentifiedModel
+from greybox.model.parameter import Parameter, ParameterValues
+from greybox.symbolic import Layout, Signal
 from mpc_export.functions import model_functions
 from tests.mpc_export import cases
 from tests.residual import hybrid_cases
@@ -47,3 +51,43 @@ def test_two_parts_are_two_steps():
     u, p = own.reference[1] + [0.02, -0.03, 0.05, 0.0], own.parameter_values
     twice = own["f_d"](own["f_d"](x, u, p), u, p)
     np.testing.assert_allclose(longer["f_d"](x, u, p), twice, rtol=1e-12, atol=1e-12)
+
+
+def own_model(decay: float, substeps: int) -> IdentifiedModel:
+    """A model of the user's own with one mode, at 10 ms a sample."""
+    names = Layout([Signal(name="v", unit="m/s")])
+    dynamics = StateSpaceModel(
+        name="own",
+        states=names,
+        inputs=Layout([Signal(name="u", unit="m/s")]),
+        outputs=names,
+        parameters=(Parameter(name="decay", unit="1/s", nominal=decay, scale=decay),),
+        dynamics=lambda t, x, u, p: [p["decay"] * (u[0] - x[0])],
+        measurement=lambda t, x, u, p: [x[0]],
+        substeps=substeps,
+    )
+    return IdentifiedModel(
+        dynamics=dynamics,
+        values=ParameterValues({"decay": decay}),
+        process_noise=np.array([1.0]),
+        sensor_noise=np.array([0.1]),
+        weak=np.full(1, 1e4),
+        reference_state=np.zeros(1),
+        reference_inputs=np.zeros(1),
+        sample_time=0.01,
+    )
+
+
+@pytest.mark.parametrize(
+    ("decay", "substeps", "times", "steps"),
+    [(20.0, 1, 3, 1), (240.0, 1, 3, 3), (240.0, 2, 3, 4), (600.0, 4, 3, 8), (20.0, 4, 0.5, 1)],
+)
+def test_a_model_of_the_users_own_does_too(decay, substeps, times, steps):
+    model = own_model(decay, substeps)
+    own, longer = model_functions(model), model_functions(model, dt=times * 0.01)
+    assert longer.sampled.dynamics.substeps == steps
+    x, p = np.array([1.0]), own.parameter_values
+    for _ in range(max(1, round(times))):
+        x = own["f_d"](x, [0.0], p).full().ravel()
+    left = longer["f_d"]([1.0], [0.0], p).full().item()
+    assert left == pytest.approx(x.item() ** min(times, 1.0), abs=0.02)

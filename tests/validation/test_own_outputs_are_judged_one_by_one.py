@@ -13,6 +13,7 @@ import pytest
 
 import greybox as gb
 from greybox.data import Dataset
+from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.model.dynamics import StateSpaceModel
 from greybox.symbolic import Layout, Signal
@@ -107,5 +108,5 @@ def test_the_standard_counts_samples() -> None:
 
 def test_long_horizons_are_allowed_where_the_clock_is_slow(fitted: Fit) -> None:
     assert horizons_of([60.0, 600.0], sample_time=60.0, longest=np.inf).steps == (1, 10)
-    with pytest.raises(gb.GreyboxError, match="at most 10"):
+    with pytest.raises(GreyboxError, match="at most 10"):
         horizons_of([60.0], sample_time=0.01)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from greybox.errors import ModelError, UnknownNameError
 from greybox.residual.learners.deep_ensemble import DeepEnsemble
 from greybox.residual.learners.learner import Features, Learner, LooksBack
+from greybox.residual.learners.long_short_term_memory import LongShortTermMemory
 from greybox.residual.learners.neural import NeuralLastLayer
 from greybox.residual.learners.random_features import RandomFeatures
 from greybox.residual.learners.sparse_law import SparseLaw
@@ -22,6 +23,7 @@ LEARNERS: Mapping[str, Callable[[], Learner]] = {
     DeepEnsemble.name: DeepEnsemble,
     SparseLaw.name: SparseLaw,
     TemporalConvolution.name: TemporalConvolution,
+    LongShortTermMemory.name: LongShortTermMemory,
 }
 
 

@@ -150,7 +150,7 @@ def test_a_process_that_looks_at_more_than_the_craft_measures_is_refused():
     ],
 )
 def test_a_problem_that_makes_no_sense_is_refused(wrong):
-    with pytest.raises(ModelError, match="rate controller"):
+    with pytest.raises(ModelError, match="controller: "):
         RateProblem(**wrong)
 
 

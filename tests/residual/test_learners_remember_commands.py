@@ -1,5 +1,5 @@
-"""A temporal convolution is that of PyTorch, and learns on the physics what earlier commands still
-do.
+"""A temporal convolution and a long short-term memory are those of PyTorch, and learn on the physics
+what earlier commands still do.
 
 In a hybrid it looks back through the command window; in an export the earlier commands are its
 state.
@@ -26,12 +26,9 @@ from greybox.residual.features import feature_layout, lag_of, reach, with_lags
 from greybox.residual.files import load_model, save_model
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.learn import Learned, learn
-from greybox.residual.learners.temporal_convolution import (
-    CHANNELS,
-    MOST_LAGS,
-    Network,
-    TemporalConvolution,
-)
+from greybox.residual.learners.long_short_term_memory import Recurrence
+from greybox.residual.learners.sequence import CHANNELS, MOST_LAGS, SequenceNetwork
+from greybox.residual.learners.temporal_convolution import Convolution, TemporalConvolution
 from greybox.residual.posterior import Domain
 from greybox.symbolic import FloatArray, Layout
 from mpc_export.functions import model_functions
@@ -79,13 +76,13 @@ def squared(model: IdentifiedModel, ahead: int = 10) -> float:
     return float(np.mean((found - segment.channels["w"][origins + ahead]) ** 2))
 
 
-def weights(net: Network, seed: int = 0) -> FloatArray:
+def weights(net: SequenceNetwork, seed: int = 0) -> FloatArray:
     return 0.3 * np.random.default_rng(seed).standard_normal(sum(a * b for a, b in net.shapes))
 
 
 def test_its_features_are_those_of_pytorchs_convolutions() -> None:
     torch = pytest.importorskip("torch")
-    net = Network.of(NAMES, 5, 2)
+    net = Convolution.of(NAMES, 5, 2)
     v, rows = weights(net), np.random.default_rng(1).standard_normal((6, len(NAMES)))
     w = [torch.from_numpy(m.copy()) for m in net.views(v)]
     oldest_first = torch.from_numpy(np.stack([rows[:, list(t)] for t in net.taps[::-1]], axis=2))
@@ -105,6 +102,31 @@ def test_its_features_are_those_of_pytorchs_convolutions() -> None:
         assert np.allclose(phi(row).full().ravel()[:5], expected, rtol=1e-12, atol=1e-14)
 
 
+def test_a_recurrence_has_the_features_of_pytorchs_lstm() -> None:
+    torch = pytest.importorskip("torch")
+    net = Recurrence.of(NAMES, 5, 2)
+    v, rows = weights(net), np.random.default_rng(1).standard_normal((6, len(NAMES)))
+    w = [torch.from_numpy(m.copy()) for m in net.views(v)]
+    lstm = torch.nn.LSTM(2, CHANNELS, batch_first=True, dtype=torch.float64)
+    lstm.load_state_dict(
+        {
+            "weight_ih_l0": w[0],
+            "weight_hh_l0": w[1],
+            "bias_ih_l0": w[2].ravel(),
+            "bias_hh_l0": torch.zeros_like(w[2].ravel()),
+        }
+    )
+    oldest_first = torch.from_numpy(np.stack([rows[:, list(t)] for t in net.taps[::-1]], axis=1))
+    with torch.no_grad():
+        h = lstm(oldest_first)[0][:, -1]
+    joined = torch.cat([h, torch.from_numpy(rows[:, list(net.now)])], dim=1)
+    hidden = torch.tanh(joined @ w[-3].T + w[-2].T).numpy() / np.sqrt(5)
+    s = ca.SX.sym("s", len(NAMES))
+    phi = ca.Function("phi", [s], [net.features(v)(s)])
+    for row, expected in zip(rows, hidden, strict=True):
+        assert np.allclose(phi(row).full().ravel()[:5], expected, rtol=1e-12, atol=1e-14)
+
+
 def test_it_looks_back_for_a_time_not_for_a_number_of_samples() -> None:
     """140 ms: of motors and wakes, whatever the log's rate; from 222 Hz on the number of samples is
     bounded."""
@@ -113,19 +135,23 @@ def test_it_looks_back_for_a_time_not_for_a_number_of_samples() -> None:
     assert lags(1e-3) == MOST_LAGS and lags(1.0) == 1
 
 
-def test_its_gradient_is_that_of_differences() -> None:
+@pytest.mark.parametrize("kind", [Convolution, Recurrence])
+def test_its_gradient_is_that_of_differences(kind: type[SequenceNetwork]) -> None:
     """Two sequences of different length, one shorter than a power of two."""
-    net = Network.of((*NAMES[:-4], "q[t-1]", "q[t-2]", "q[t-3]"), 3, 1)
+    net = kind.of((*NAMES[:-4], "q[t-1]", "q[t-2]", "q[t-3]"), 3, 1)
     rng = np.random.default_rng(2)
     x, y = rng.standard_normal((len(NAMES) - 1, 7)), rng.standard_normal((1, 7))
-    assert len(net.taps) == LAGS - 1 and net.shapes[0] == (CHANNELS, 3)
+    assert len(net.taps) == LAGS - 1 and net.shapes[0][1] == 3
     slope = scipy.optimize.approx_fprime(weights(net), lambda v: net.loss(v, x, y)[0], 1e-6)
     assert np.allclose(net.loss(weights(net), x, y)[1], slope, atol=1e-5)
 
 
 @pytest.mark.slow
-def test_it_learns_what_an_earlier_command_still_does_and_what_has_no_memory_cannot() -> None:
-    found, blind = learned("tcn"), learned("neural")
+@pytest.mark.parametrize("learner", ["tcn", "lstm"])
+def test_it_learns_what_an_earlier_command_still_does_and_what_has_no_memory_cannot(
+    learner: str,
+) -> None:
+    found, blind = learned(learner), learned("neural")
     assert not found.null and found.fit.held_out_gain > 0.2
     assert squared(found.model) < 0.5 * squared(found.base)
     assert squared(found.model) < 0.7 * squared(blind.model)
@@ -133,11 +159,11 @@ def test_it_learns_what_an_earlier_command_still_does_and_what_has_no_memory_can
     assert posterior.inputs.names == ("rate", "u", *(f"u[t-{k}]" for k in range(1, LAGS + 1)))
 
 
-def drawn() -> IdentifiedModel:
-    """The pendulum with a convolution of random weights on top."""
+def drawn(kind: type[SequenceNetwork]) -> IdentifiedModel:
+    """The pendulum with a memory of random weights on top."""
     base, rng = pendulum_model(), np.random.default_rng(3)
     names = with_lags(base.dynamics, ("rate",), LAGS)
-    net, x = Network.of(names, 5, 1), ca.SX.sym("x", len(names))
+    net, x = kind.of(names, 5, 1), ca.SX.sym("x", len(names))
     phi = ca.Function("phi", [x], [net.features(weights(net))(x)])
     inputs, one, m = feature_layout(base.dynamics, names), np.ones(len(names)), phi.numel_out(0)
     noises = base.dynamics.noises
@@ -157,9 +183,12 @@ def drawn() -> IdentifiedModel:
     return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
 
 
-def test_its_file_and_its_export_are_the_same_model(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", [Convolution, Recurrence])
+def test_its_file_and_its_export_are_the_same_model(
+    kind: type[SequenceNetwork], tmp_path: Path
+) -> None:
     """The exported step, fed its own history, walks as the model with its command window does."""
-    model = load_model(save_model(drawn(), tmp_path / "hybrid.json"))
+    model = load_model(save_model(drawn(kind), tmp_path / "hybrid.json"))
     dynamics = model.dynamics
     assert (
         isinstance(dynamics, HybridModel)

@@ -1,0 +1,179 @@
+"""`greybox mpc` on a model of the user's own: hold outputs at values, inside limits, and show how
+often they were passed."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from greybox.commands.command_line import typed
+from greybox.commands.console import Console
+from greybox.commands.plan import numbers, range_of
+
+COURSE_ONLY: dict[str, Any] = {
+    "log": [],
+    "course": "mpc_export.mission:OBSTACLE_COURSE",
+    "pace": None,
+    "jobs": 1,
+    "risk": "rehearsal",
+    "mcap": None,
+}
+"""Options of a model that flies a course, with the values that they have where nobody gave them."""
+OWN_ONLY: dict[str, Any] = {
+    "hold": [],
+    "limits": [],
+    "ranges": [],
+    "seconds": None,
+    "horizon": 20,
+    "model_file": None,
+}
+"""Options of a model of the user's own."""
+
+
+def held_of(text: str) -> tuple[str, tuple[float, ...]]:
+    """name=value,..."""
+    name, mark, values = text.partition("=")
+    if not mark or not values:
+        raise argparse.ArgumentTypeError(f"expected OUTPUT=VALUE,..., got '{text}'")
+    return name, numbers(values)
+
+
+def add_options(p: Any) -> None:
+    """Declare what a model of the user's own is asked."""
+    g = p.add_argument_group("a model of your own (docs/own_model.md)")
+    g.add_argument(
+        "--model-file",
+        metavar="OWN.py:BUILD",
+        help="the program, which is run, to check that the model file is its; the file holds the equations",
+    )
+    g.add_argument(
+        "--hold",
+        nargs="+",
+        type=held_of,
+        default=[],
+        metavar="y=V,...",
+        help="values that outputs are held at, one after the other",
+    )
+    g.add_argument(
+        "--limit",
+        dest="limits",
+        nargs="+",
+        type=range_of,
+        default=[],
+        metavar="y=LO,HI",
+        help="what outputs must not leave (-inf and inf: no limit on that side)",
+    )
+    g.add_argument(
+        "--range",
+        dest="ranges",
+        nargs="+",
+        type=range_of,
+        default=[],
+        metavar="u=LO,HI",
+        help="the range of an input (default: that of the training data)",
+    )
+    g.add_argument(
+        "--seconds",
+        type=float,
+        default=None,
+        metavar="S",
+        help="length of a run (default: five horizons for every value)",
+    )
+    g.add_argument(
+        "--horizon", type=int, default=20, metavar="N", help="the horizon in samples (default 20)"
+    )
+
+
+def refuse(arguments: argparse.Namespace, options: Mapping[str, Any], of: str, got: str) -> None:
+    """Raise `GreyboxError` for an option that was given and belongs to another kind of model."""
+    from greybox.errors import GreyboxError
+
+    for name, default in options.items():
+        if getattr(arguments, name) != default:
+            option = {"limits": "limit", "ranges": "range"}.get(name, name).replace("_", "-")
+            raise GreyboxError(f"--{option} belongs to {of}", got=got, fix="leave it out")
+
+
+def is_own(content: Mapping[str, Any]) -> bool:
+    """Whether a model file holds a model of the user's own, or a hybrid on one."""
+    base = content.get("base")
+    return "own" in (content.get("kind"), base.get("kind") if isinstance(base, dict) else None)
+
+
+def run(arguments: argparse.Namespace, content: Mapping[str, Any]) -> int:
+    """Prepare, run, report; what ran is reported even when interrupted. Returns 0, or 1 where it
+    refuses."""
+    from greybox.commands.judgement import gate
+    from greybox.errors import GreyboxError
+    from greybox.files import write_atomic, write_json
+    from greybox.report.mpc_own_report import mpc_own_report
+    from mpc_export.kept_flights import flights, kept, read_traces
+    from mpc_export.mission import judging
+    from mpc_export.outputs.campaign import WATCHED, OwnCampaign, format_table, summary
+    from mpc_export.outputs.machine import Asked
+
+    refuse(arguments, COURSE_ONLY, "a vehicle that flies a course", "a model of your own")
+    if not 2 <= arguments.horizon <= 200:
+        raise GreyboxError(
+            "--horizon takes 2 to 200 samples", got=str(arguments.horizon), fix="--horizon 20"
+        )
+    judged = gate(content, arguments.subject, even_so=arguments.even_so)
+    if not judged.open:
+        judged.say("mpc")
+        return 1
+    if arguments.model_file:
+        _same_program(arguments)
+    asked = Asked(
+        held=dict(arguments.hold),
+        limits=dict(arguments.limits),
+        ranges=dict(arguments.ranges),
+        seconds=arguments.seconds,
+    )
+    console, out = Console.of(arguments), Path(arguments.out)
+    own = OwnCampaign(
+        out=out,
+        file=Path(arguments.subject),
+        asked=asked,
+        level=arguments.level,
+        horizon=arguments.horizon,
+        plant=arguments.plant,
+    )
+    judged.say("mpc")
+    out.mkdir(parents=True, exist_ok=True)
+    own.tune(console.say_when)
+    seeds = judging(arguments.flights, arguments.seed)
+    watched = seeds[:WATCHED]
+    command = typed("mpc", f"greybox mpc {shlex.quote(arguments.subject)}")
+
+    def report() -> dict[str, Any]:
+        found = summary(own, kept(own, own.names, seeds), seeds, command)
+        write_json(out / "mpc_own.json", found)
+        traces = read_traces(own, own.names, watched)[watched[0]]
+        write_atomic(out / "report.html", mpc_own_report(found, traces))
+        return found
+
+    arguments.kept = f"what ran is in {out}; the same command goes on"
+    try:
+        flights(own, own.names, seeds, say=console.say_when, watched=watched)
+    except KeyboardInterrupt:
+        report()
+        raise
+    found = report()
+    written = (
+        f"wrote flights.jsonl, mpc_own.json and report.html in {out} ({console.seconds:.0f} s)"
+    )
+    console.result(found, format_table(found), found["verdict"], written)
+    return 0
+
+
+def _same_program(arguments: argparse.Namespace) -> None:
+    from greybox.commands.own_model import loaded
+
+    loaded(
+        argparse.Namespace(
+            model=arguments.subject, model_file=arguments.model_file, effects_file=[]
+        )
+    )
