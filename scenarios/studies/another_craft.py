@@ -130,7 +130,8 @@ def of_pair(
             write(draw(seed, simulator), places[-1])
     files = [[sorted(p.glob(f"{kind}*.csv")) for kind in ("train", "test")] for p in places]
     vehicles = [p / "vehicle.toml" for p in places]
-    fitted(vehicles[0], *files[0], places[0])
+    train, test = files[0]
+    fitted(vehicles[0], train, test, places[0])
     source = places[0] / "fit" / "model.json"
     train, test = files[1]
     found = {
