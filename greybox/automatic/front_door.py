@@ -49,8 +49,8 @@ def fit(
     A `Vehicle`: everything that no keyword says is decided from the flights (as plain `greybox fit`
     does), and the result is judged on `test`, or on pieces of `data` that were left out. `say` gets
     a line per decision; `source` is a model of a craft like this one, whose effects are where these
-    begin (`greybox fit --from`). A model (`build_model`, `StateSpaceModel`): exactly the fit that `options`
-    and the keywords describe, nothing is decided.
+    begin (`greybox fit --from`). A model (`build_model`, `StateSpaceModel`): exactly the fit that
+    `options` and the keywords describe, nothing is decided.
 
     The choices are keywords, fields of `FitOptions` with its defaults: predictor, criterion,
     solver, initialisation, disturbance, noise_parts, free, fixed, considered, per_flight, shared,

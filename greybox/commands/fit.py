@@ -55,8 +55,8 @@ def add(subparsers: Any) -> None:
         "--from",
         dest="source",
         metavar="MODEL.json",
-        help="a model of a craft like this one: what its effects are worth is where these begin, "
-        "within 50 %%; few seconds of flight correct it",
+        help="a model of a craft like this one: effects begin where its own are, believed within "
+        "half their size; few seconds of flight correct them",
     )
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
     p.add_argument(
