@@ -7,6 +7,7 @@ import json
 import shlex
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import greybox as gb
@@ -14,9 +15,9 @@ from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import prepare
 from greybox.automatic.like import grown, lasting, like
 from greybox.cli import main
-from greybox.data import Dataset
-from greybox.data.conditioning import condition
 from greybox.model.identified import IdentifiedModel
+from greybox.model.noise import with_disturbance
+from greybox.model.parameter import nominal_values
 from greybox.model.vehicle import Quantity, Vehicle
 from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
@@ -29,12 +30,26 @@ DAMPING = 6e-5
 
 @pytest.fixture(scope="module")
 def source() -> IdentifiedModel:
-    """A model of the nano quadrotor with damping."""
-    logs = flown((1, 2), damping=DAMPING)
-    own = vehicle()
-    data = Dataset(flights=tuple(condition(raw(c, f"f{i}"), own) for i, c in enumerate(logs)))
-    model = gb.build_model(own, data.channels, EFFECTS, sample_time=0.01)
-    return gb.fit(model, data, disturbance=("torque",)).model
+    """A model of the nano quadrotor with lag, delay and damping as they are, biases per flight."""
+    physics = gb.build_model(vehicle(), COLUMNS, EFFECTS, sample_time=0.01)
+    dynamics = with_disturbance(physics, ("torque",), time=0.5)
+    known = {"motor_lag.tau": 0.05, "command_delay.d": 0.012} | {
+        f"rotational_damping.d_{axis}": size * DAMPING
+        for axis, size in (("p", 1.0), ("q", 1.0), ("r", 0.5))
+    }
+    return IdentifiedModel(
+        dynamics=dynamics,
+        values=nominal_values(dynamics.parameters).replace(known),
+        covariance_names=("rotational_damping.d_p",),
+        covariance=np.array([[(0.1 * DAMPING) ** 2]]),
+        flight_spread={f"gyro_bias.b_{axis}": (0.0, 0.001) for axis in "xyz"},
+        process_noise=dynamics.noise_scale(0.01),
+        sensor_noise=dynamics.sensor_scale(),
+        weak=np.ones(len(dynamics.error_states)),
+        reference_state=dynamics.reference({}),
+        reference_inputs=np.full(len(dynamics.inputs), 0.5),
+        sample_time=0.01,
+    )
 
 
 def larger(mass: float, length: float) -> Vehicle:
@@ -67,24 +82,22 @@ def test_sizes_with_a_mass_grow_as_those_of_a_craft_that_flies_alike(unit, facto
 def test_effects_are_believed_within_half_their_size_and_the_file_goes_first(source):
     own = larger(2.0, 1.0)
     said = replace(own, effects={"motor_lag": {"tau": Quantity(value=0.03, sigma=0.01)}})
-    prepared = prepare(said, [raw(flown((3,))[0], "c")])
+    prepared = prepare(said, [raw(flown((3,), 2.0)[0], "c")])
     facts = facts_of(prepared.data, said, prepared.report)
     found = like(said, source, facts)
     assert found.effects["motor_lag"] == said.effects["motor_lag"]
     assert set(found.effects) == {"motor_lag", "command_delay", "rotational_damping"}
     damping = found.effects["rotational_damping"]["d_p"]
-    assert damping.value == pytest.approx(2.0 * source.values["rotational_damping.d_p"])
-    assert 0.5 * damping.value <= damping.sigma < 0.6 * damping.value
-    value, sigma = lasting(source, ("force", "torque"))["disturbance.torque.T"]
-    assert value == source.values["disturbance.torque.T"]
-    assert sigma >= 0.5 * value
+    assert damping.value == pytest.approx(2.0 * DAMPING)
+    assert damping.sigma == pytest.approx(np.hypot(0.5, 0.1) * damping.value)
+    assert lasting(source, ("force", "torque")) == {"disturbance.torque.T": (0.5, 0.25)}
 
 
 @pytest.mark.slow
 def test_a_few_seconds_correct_it_and_the_explicit_command_repeats(source, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     source.save("source.json")
-    short = {k: v[:300] for k, v in flown((3,), damping=DAMPING)[0].items() if k in COLUMNS}
+    short = {k: v for k, v in flown((3,), 3.0, DAMPING)[0].items() if k in COLUMNS}
     write_log(tmp_path / "c.csv", short)
     write_vehicle(tmp_path / "v.toml", plant(), sigma={"inertia": 0.2, "thrust.c2": 0.2})
     plain = ["fit", "--vehicle", "v.toml", "--train", "c.csv"]
