@@ -30,6 +30,7 @@ from greybox.automatic.filters import (
     without_noise_of,
 )
 from greybox.automatic.foretell import Score, foretell
+from greybox.automatic.like import lasting
 from greybox.automatic.pieces import SHORTEST, first_parts
 from greybox.automatic.sets import (
     LATE_POSE,
@@ -50,6 +51,7 @@ from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.core_parameters import core_parameters
 from greybox.model.effect import Effect
 from greybox.model.effective_lag import PARTS as IN_A_ROW
+from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel, build_model, input_of
 from greybox.model.noise import Coloured, LowPass, part_named
 from greybox.model.sensors import SENSORS
@@ -86,12 +88,14 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Given:
-    """What the user decided; None or absent: open. `choices` are fields of `FitOptions`."""
+    """What the user decided; None or absent: open. `choices` are fields of `FitOptions`, `source`
+    is a model of a craft like this one."""
 
     effects: tuple[str | Effect, ...] | None = None
     input: Literal["command", "speed"] | None = None
     kinematic_noise: bool | None = None
     adapt: float | None = None
+    source: IdentifiedModel | None = None
     choices: FitChoices = field(default_factory=lambda: FitChoices())
 
 
@@ -174,7 +178,7 @@ class _Decider:
             member()  # a name that there is not is said before anything takes time
         self._input()
         self._kinematics()
-        options = self._held(self._noise(self._disturbance(said)))
+        options = self._held(self._noise(self._lasting(self._disturbance(said))))
         self.considered = options.considered
         parts = first_parts(self.data)
         if self.given.effects is not None:
@@ -275,6 +279,13 @@ class _Decider:
             "--disturbance",
         )
         return options.but(disturbance=groups)
+
+    def _lasting(self, options: FitOptions) -> FitOptions:
+        if self.given.source is None:
+            return options
+        return options.but(
+            priors={**lasting(self.given.source, options.disturbance), **options.priors}
+        )
 
     def _noise(self, options: FitOptions) -> FitOptions:
         if "noise" in self.given.choices:

@@ -8,6 +8,7 @@ from typing import Unpack
 from greybox.automatic.decide import Given, Say, decide
 from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import adaptation, fit_decided, on_pieces, prepare
+from greybox.automatic.like import like
 from greybox.data import Dataset
 from greybox.errors import DataError, GreyboxError
 from greybox.estimation.fit import fit as explicit_fit
@@ -16,6 +17,7 @@ from greybox.estimation.record import sample_time
 from greybox.estimation.result import Fit
 from greybox.estimation.solver import Progress
 from greybox.model.dynamics import Dynamics
+from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
 from greybox.validation.advice import Hint, hints_of_checks, hints_of_fit, hints_of_sanity
@@ -37,6 +39,7 @@ def fit(
     options: FitOptions | None = None,
     *,
     test: Dataset | None = None,
+    source: IdentifiedModel | None = None,
     progress: Progress | None = None,
     say: Callable[[str], None] = _quiet,
     **choices: Unpack[FitChoices],
@@ -45,8 +48,9 @@ def fit(
 
     A `Vehicle`: everything that no keyword says is decided from the flights (as plain `greybox fit`
     does), and the result is judged on `test`, or on pieces of `data` that were left out. `say` gets
-    a line per decision. A model (`build_model`, `StateSpaceModel`): exactly the fit that `options`
-    and the keywords describe, nothing is decided.
+    a line per decision; `source` is a model of a craft like this one, whose effects are where these
+    begin (`greybox fit --from`). A model (`build_model`, `StateSpaceModel`): exactly the fit that
+    `options` and the keywords describe, nothing is decided.
 
     The choices are keywords, fields of `FitOptions` with its defaults: predictor, criterion,
     solver, initialisation, disturbance, noise_parts, free, fixed, considered, per_flight, shared,
@@ -55,7 +59,7 @@ def fit(
     """
     if isinstance(subject, Vehicle):
         said: FitChoices = choices if options is None else {**_said(options), **choices}
-        return _automatic(subject, data, test, said, say, progress)
+        return _automatic(subject, data, test, source, said, say, progress)
     return explicit_fit(subject, data, FitOptions.of(options, choices), progress=progress)
 
 
@@ -68,6 +72,7 @@ def _automatic(
     vehicle: Vehicle,
     data: Dataset,
     test: Dataset | None,
+    source: IdentifiedModel | None,
     choices: FitChoices,
     say: Say,
     progress: Progress | None,
@@ -77,7 +82,9 @@ def _automatic(
         raise DataError(f"flight {', '.join(both)} is both train and test")
     prepared = prepare(vehicle, data)
     facts = facts_of(prepared.data, vehicle, prepared.report)
-    decided = decide(vehicle, prepared.data, facts, Given(choices=choices), say=say)
+    vehicle = vehicle if source is None else like(vehicle, source, facts)
+    given = Given(choices=choices, source=source)
+    decided = decide(vehicle, prepared.data, facts, given, say=say)
     found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
     found = calibrated(found, prepared.data)
     recipe = found.provenance.recipe

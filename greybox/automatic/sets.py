@@ -81,7 +81,7 @@ def nested_sets(
         usable = tuple(
             n
             for n in names_of(step)
-            if not _there(n, vehicle, input) and _felt(n, vehicle, facts) and _acts_on(n, input)
+            if not _there(n, vehicle, input) and is_felt(n, vehicle, facts) and _acts_on(n, input)
         )
         if usable or step is BASE:
             steps.append(Step(name=step.name, effects=usable, per_flight=step.per_flight))
@@ -99,7 +99,8 @@ def _acts_on(name: str, input: str) -> bool:
     return input == "command" or acts_on_speeds(effect_by_name(name))
 
 
-def _felt(name: str, vehicle: Vehicle, facts: Facts) -> bool:
+def is_felt(name: str, vehicle: Vehicle, facts: Facts) -> bool:
+    """Whether the sensors of these flights can show an effect of the catalogue."""
     effect = effect_by_name(name)
     if effect.missing(vehicle, facts.sensors):
         return False

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from greybox.data.checks import CheckReport
     from greybox.data.raw import RawLog
     from greybox.estimation.result import Fit
+    from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import Vehicle
     from greybox.model.verdict import Verdict
     from greybox.validation.result import Validation
@@ -50,6 +51,13 @@ def add(subparsers: Any) -> None:
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
     model_file_option(p, read=False)
+    p.add_argument(
+        "--from",
+        dest="source",
+        metavar="MODEL.json",
+        help="a model of a craft like this one: effects begin where its own are, believed within "
+        "half their size; few seconds of flight correct them",
+    )
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
     p.add_argument(
         "--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees"
@@ -92,6 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.errors import GreyboxError
     from greybox.estimation.status import Interrupted
     from greybox.files import withdraw, write_json
+    from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import read_vehicle
     from greybox.validation.calibration import calibrated
 
@@ -101,7 +110,10 @@ def run(arguments: argparse.Namespace) -> int:
     console, out = Console.of(arguments), Path(arguments.out)
     horizons = given_horizons(arguments)
     vehicle = read_vehicle(arguments.vehicle)
+    source = None if arguments.source is None else IdentifiedModel.load(arguments.source)
     prepared, test = _flights(arguments, vehicle)
+    if source is not None:
+        vehicle = _like(source, vehicle, prepared, console)
     faults = check(test, vehicle) if test.flights else None
     blocking = (*prepared.report.blocking, *(faults.blocking if faults is not None else ()))
     warnings = [f"data fault in {f.flight}: {f.message}" for f in blocking]
@@ -117,15 +129,21 @@ def run(arguments: argparse.Namespace) -> int:
         content["command"] = typed("fit")
         if "explicit" in content:
             content["explicit"]["command"] = _explicit(arguments, prepared, test, result)
+            if source is not None:  # the recipe speaks of the vehicle with the effects of another
+                load = f"IdentifiedModel.load({str(out / 'model.json')!r}).physics.vehicle"
+                content["explicit"]["python"] = (
+                    "from greybox.model.identified import IdentifiedModel\n"
+                    f"vehicle = {load}\n{content['explicit']['python']}"
+                )
         write_json(out / "fit.json", content)
         result.model.save(out / "model.json")
         return content
 
     try:
         if arguments.manual:
-            result = fit_with(arguments, vehicle, prepared.data, console.solver)
+            result = fit_with(arguments, vehicle, prepared.data, console.solver, source)
         else:
-            result = _decided(arguments, vehicle, prepared, console)
+            result = _decided(arguments, vehicle, prepared, console, source)
     except Interrupted as stop:
         withdraw(out, *RESULTS)
         save(stop.kept)
@@ -173,8 +191,26 @@ def _check(arguments: argparse.Namespace) -> None:
             fix=f"--vehicle V.toml; greybox vehicle new --from {shlex.quote(arguments.train[0])} "
             "--out V.toml begins one",
         )
+    if arguments.source is not None and arguments.vehicle is None:
+        raise GreyboxError(
+            "--from takes the effects of another craft",
+            expected="--vehicle V.toml, the file of this one",
+        )
     need_mcap(arguments.mcap)
     demand_adapt(arguments)
+
+
+def _like(
+    source: IdentifiedModel, vehicle: Vehicle, prepared: Prepared, console: Console
+) -> Vehicle:
+    """The vehicle with the effects of the model that --from names."""
+    from greybox.automatic.facts import facts_of
+    from greybox.automatic.like import like
+
+    found = like(vehicle, source, facts_of(prepared.data, vehicle, prepared.report))
+    new = [n for n in found.effects if n not in vehicle.effects]
+    console.say(f"taken from {source.name}: {', '.join(new) or 'nothing new'}")
+    return found
 
 
 def _report(
@@ -303,7 +339,11 @@ def _unfit(arguments: argparse.Namespace, vehicle: Vehicle) -> list[str]:
 
 
 def _decided(
-    arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, console: Console
+    arguments: argparse.Namespace,
+    vehicle: Vehicle,
+    prepared: Prepared,
+    console: Console,
+    source: IdentifiedModel | None,
 ) -> Fit:
     """The automatic fit."""
     from greybox.automatic.decide import decide
@@ -316,7 +356,8 @@ def _decided(
         console.say(f"  {done.about}: {done.choice} ({done.reason})")
     facts = facts_of(prepared.data, vehicle, prepared.report)
     try:
-        decided = decide(vehicle, prepared.data, facts, given(arguments), say=console.say)
+        said = replace(given(arguments), source=source)
+        decided = decide(vehicle, prepared.data, facts, said, say=console.say)
     except Interrupted:  # a trial on pieces of the flights is no result
         raise KeyboardInterrupt from None
     console.say("fitting all flights:")
@@ -407,6 +448,7 @@ def _explicit(arguments: argparse.Namespace, prepared: Prepared, test: Dataset, 
     train = [p for p, name in zip(arguments.train, prepared.names, strict=True) if name not in out]
     words = recipe.command_line(arguments.vehicle, train, arguments.test)
     more = ["--mapping", arguments.mapping] if arguments.mapping else []
+    more += ["--from", arguments.source] if arguments.source else []
     more += (
         []
         if arguments.max_iterations is None

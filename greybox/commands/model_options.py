@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from greybox.estimation.result import Fit
     from greybox.estimation.solver import Progress, Solver
     from greybox.model.effect import Effect
+    from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import Vehicle
 
 
@@ -164,8 +165,11 @@ def fit_with(
     vehicle: Vehicle,
     train: Dataset,
     progress: Progress | None = None,
+    source: IdentifiedModel | None = None,
 ) -> Fit:
-    """The explicit fit: what is open has its default."""
+    """The explicit fit: what is open has its default. `source`: a model of a craft like this one,
+    whose effects `vehicle` has already."""
+    from greybox.automatic.like import lasting
     from greybox.estimation.fit import fit
     from greybox.estimation.record import sample_time
     from greybox.model.model import build_model
@@ -179,7 +183,10 @@ def fit_with(
         noncausal=train.noncausal,
         kinematic_noise=bool(arguments.kinematic_noise),
     )
-    return fit(model, train, fit_options(arguments), progress=progress)
+    options = fit_options(arguments)
+    if source is not None:
+        options = options.but(priors=lasting(source, options.disturbance))
+    return fit(model, train, options, progress=progress)
 
 
 def explicit_recipe(arguments: argparse.Namespace, fitted: Fit) -> Recipe:
