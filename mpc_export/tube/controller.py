@@ -45,9 +45,9 @@ from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.tube.calibrated import Calibrated
 from mpc_export.tube.correlation import innovations
-from mpc_export.tube.descent import AWAY, HELD, SLOW, Descent, Watch, carried
+from mpc_export.tube.descent import AWAY, HELD, SLOW, Descent, Watch, Way, carried
 from mpc_export.tube.gate import Gate, plausible
-from mpc_export.tube.heading import TURN, turning, within
+from mpc_export.tube.heading import TURN, room, turning, within
 from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.rival import DENIED, Rival
@@ -567,7 +567,7 @@ class TubeController:
             }
             why = self._watch(self.problem.dt, reasons)
             if why is None:
-                return path
+                return self._slowly_turning(path)
             weak = ", ".join(
                 n for n, w in zip(self.functions.inputs.names, self._weak, strict=True) if w
             )
@@ -577,6 +577,20 @@ class TubeController:
                 time=begin, position=place.copy(), velocity=velocity, yaw=self._heading()
             )
         return self.descent.sample(times)
+
+    def _slowly_turning(self, path: Any) -> Way:
+        """The path with headings no farther from the estimated one than half of the command that the
+        steady one leaves turns the vehicle within HELD; the rest is for the place."""
+        low, high = self.problem.command_min, self.problem.command_max
+        ends = [self._turned * v for v in room(self.steady[1], self._turning, low, high)]
+        yaw, least, most = self._heading(), min(*ends, 0.0), max(*ends, 0.0)
+        away = np.arctan2(np.sin(path.yaw - yaw), np.cos(path.yaw - yaw))
+        return Way(
+            position=path.position,
+            velocity=path.velocity,
+            acceleration=path.acceleration,
+            yaw=yaw + np.clip(away, 0.5 * least, 0.5 * most),
+        )
 
     def _give_up_yaw(self) -> None:
         """The heading that the plan has anyway becomes its reference, and so does its rate at the
@@ -596,8 +610,7 @@ class TubeController:
         after a disturbance that nothing holds against, Newton's method would not find back by
         itself.
         """
-        yaw = self._heading() if self._adrift else path.yaw[0]
-        goal = np.array([*path.position[0], yaw])
+        goal = np.array([*path.position[0], path.yaw[0]])
         x, u, missed = self._steadier(*self.steady, goal)
         if not missed < NEAR_STEADY:
             again = self._steadier(*self.solver.stages.steady, goal)
@@ -612,7 +625,8 @@ class TubeController:
             needed = self._needed(u if held is None else held[0])
             most = within(needed, self._turning, low, high)
             given = math.inf if held is None or most is None else abs(held[1]) + abs(most[1])
-            self._weak = (needed > high) & (not given * self._turned <= TURN)
+            turn = given * abs(self._turned) + HELD * abs(self.estimate[self._rows("rate")[2]])
+            self._weak = ((u > high) | (needed > high)) & (not turn <= TURN)
 
     def _steadier(
         self, x: FloatArray, u: FloatArray, goal: FloatArray
@@ -634,7 +648,7 @@ class TubeController:
         for _ in range(math.ceil(HELD / self.problem.dt)):
             x = self.functions["f_d"](x, more, self.functions.parameter_values).full().ravel()
         turned = float(numeric("euler", x[self._rows("attitude")])[0][2])
-        return abs(turned) / size if math.isfinite(turned) else math.inf
+        return turned / size if math.isfinite(turned) else 0.0
 
     def _needed(self, u: FloatArray) -> FloatArray:
         """Steady command (n_u,) if rotors are weak by a factor, where u (n_u,) holds against what

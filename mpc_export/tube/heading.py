@@ -14,7 +14,8 @@ import numpy as np
 from greybox.symbolic import FloatArray
 
 TURN = 1.0
-"""A craft that turns by more than this while it waits to come down holds no place by tilting [rad]."""
+"""A craft that would turn by more than this while it waits to come down, at its rate of now and with
+the torque that it lacks, holds no place by tilting [rad]."""
 
 
 def turning(places: FloatArray, spins: FloatArray) -> FloatArray:
@@ -27,22 +28,28 @@ def turning(places: FloatArray, spins: FloatArray) -> FloatArray:
     return np.asarray(left / length if length > 1e-6 else 0.0 * left)
 
 
+def room(u: FloatArray, way: FloatArray, low: float, high: float) -> tuple[float, float]:
+    """The least and the most by which u (n,) can be moved along `way` of squared commands within low
+    and high; the least is larger than the most where it cannot."""
+    size, sense = np.abs(way), np.sign(way)
+    on = size > 0
+    if ((u[~on] < low) | (u[~on] > high)).any():
+        return np.inf, -np.inf
+    ends = np.array([low * abs(low), high * abs(high)])
+    far = np.sort((ends[:, None] - (u * np.abs(u))[on]) * sense[on], axis=0) / size[on]
+    return float(far[0].max(initial=-np.inf)), float(far[1].min(initial=np.inf))
+
+
 def within(
     u: FloatArray, way: FloatArray, low: float, high: float
 ) -> tuple[FloatArray, float] | None:
-    """The nearest command (n,) to u within low and high along `way` of squared commands, and by
-    how much it is moved along it; None where there is none."""
-    size, sense = np.abs(way), np.sign(way)
-    squares, ends = u * np.abs(u), np.array([low * abs(low), high * abs(high)])
-    on = size > 0
-    if ((u[~on] < low) | (u[~on] > high)).any():
-        return None
-    room = np.sort((ends[:, None] - squares[on]) * sense[on], axis=0) / size[on]
-    least, most = float(room[0].max(initial=-np.inf)), float(room[1].min(initial=np.inf))
+    """The nearest command (n,) to u within low and high along `way` of squared commands, and by how
+    much it is moved along it; None where there is none."""
+    least, most = room(u, way, low, high)
     if least > most:
         return None
     moved = min(max(0.0, least), most)
     if moved == 0.0:
         return u, 0.0
-    squares = np.clip(squares + moved * way, *ends)
-    return np.sign(squares) * np.sqrt(np.abs(squares)), moved
+    squares = u * np.abs(u) + moved * way
+    return np.clip(np.sign(squares) * np.sqrt(np.abs(squares)), low, high), moved
