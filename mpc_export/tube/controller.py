@@ -45,7 +45,7 @@ from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.tube.calibrated import Calibrated
 from mpc_export.tube.correlation import innovations
-from mpc_export.tube.descent import AWAY, HELD, SLOW, Descent, Watch, Way, carried
+from mpc_export.tube.descent import AWAY, HELD, SLOW, UNSURE, Descent, Watch, Way, carried
 from mpc_export.tube.gate import Gate, plausible
 from mpc_export.tube.heading import TURN, room, turning, within
 from mpc_export.tube.native import native
@@ -580,16 +580,18 @@ class TubeController:
 
     def _slowly_turning(self, path: Any) -> Way:
         """The path with headings no farther from the estimated one than half of the command that the
-        steady one leaves turns the vehicle within HELD; the rest is for the place."""
-        low, high = self.problem.command_min, self.problem.command_max
-        ends = [self._turned * v for v in room(self.steady[1], self._turning, low, high)]
-        yaw, least, most = self._heading(), min(*ends, 0.0), max(*ends, 0.0)
+        steady one leaves turns the vehicle within HELD, or than weighs as much as UNSURE in the
+        place: the rest of the command is for the place."""
+        low, high, w = self.problem.command_min, self.problem.command_max, self.problem.weights
+        ends = [0.5 * self._turned * v for v in room(self.steady[1], self._turning, low, high)]
+        near = UNSURE * w.position / max(w.yaw, ROUNDING)
+        yaw, least, most = self._heading(), min(*ends, -near), max(*ends, near)
         away = np.arctan2(np.sin(path.yaw - yaw), np.cos(path.yaw - yaw))
         return Way(
             position=path.position,
             velocity=path.velocity,
             acceleration=path.acceleration,
-            yaw=yaw + np.clip(away, 0.5 * least, 0.5 * most),
+            yaw=yaw + np.clip(away, least, most),
         )
 
     def _give_up_yaw(self) -> None:

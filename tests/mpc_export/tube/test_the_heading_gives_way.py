@@ -17,7 +17,7 @@ CROSS = np.array([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [1.0, -1
 
 @pytest.mark.parametrize("moved", [0.0, 0.3])
 def test_a_turn_neither_lifts_nor_tilts_wherever_the_centre_of_mass_is(moved):
-    way = turning(CROSS + [moved, 0.0, 0.0], np.array([1.0, -1.0, 1.0, -1.0]))
+    way = turning(CROSS + np.array([moved, 0.0, 0.0]), np.array([1.0, -1.0, 1.0, -1.0]))
     np.testing.assert_allclose(way, [0.5, -0.5, 0.5, -0.5], atol=1e-12)
 
 
