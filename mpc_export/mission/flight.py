@@ -26,6 +26,7 @@ from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray
+from mpc_export.adaptation import flight_parameters
 from mpc_export.feedback import Weights
 from mpc_export.mission.cascade import CascadeController
 from mpc_export.mission.course import Course, SampledPath
@@ -210,13 +211,16 @@ class CoursePlanes:
 
 
 def controller(model: IdentifiedModel, task: Mission) -> TubeController:
-    """The tube controller on the course, not tightened yet."""
+    """The tube controller on the course, not tightened yet. In flight it calibrates, and learns what
+    differed between the training flights."""
     return TubeController(
         model=model,
         problem=task.problem,
         reference=task.course,
         planes=CoursePlanes(task.course),
         integrate=False,
+        calibrate=True,
+        adapt={} if flight_parameters(model) else None,
         lost=0.5 * task.course.lost,
     )
 

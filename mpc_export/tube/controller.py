@@ -45,8 +45,9 @@ from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.tube.calibrated import Calibrated
 from mpc_export.tube.correlation import innovations
-from mpc_export.tube.descent import AWAY, HELD, SLOW, Descent, Watch, carried
+from mpc_export.tube.descent import AWAY, HELD, SLOW, UNSURE, Descent, Watch, Way, carried
 from mpc_export.tube.gate import Gate, plausible
+from mpc_export.tube.heading import TURN, room, turning, within
 from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.rival import DENIED, Rival
@@ -195,7 +196,10 @@ class TubeController:
         self._present = [[self.columns.index(c) for c in names] for names in groups]
         self.gate = Gate(groups, self.filter.noise.innovation)
         self.blind = carried(self.filter, groups)
-        self._spin = np.array([float(r.spin) for r in self.model.physics.vehicle.rotors])
+        rotors = self.model.physics.vehicle.rotors
+        self._spin = np.array([float(r.spin) for r in rotors])
+        self._turning = turning(np.array([r.position for r in rotors], dtype=float), self._spin)
+        self._turned = self._turned_by()
         pose = ("x, y, z", "qw, qx, qy, qz")
         self._pose = [(k, rows) for k, (name, rows) in enumerate(self.gate.sensors) if name in pose]
         self.start()
@@ -251,6 +255,7 @@ class TubeController:
         self._first: float | None = None
         self._failures = 0
         self._mean, self._weak = self.u.copy(), np.zeros(len(self.u), dtype=bool)
+        self._adrift = False
         self._seen = [math.inf] * len(
             self._pose
         )  # when a pose was last believed; infinity before the first sample
@@ -499,6 +504,7 @@ class TubeController:
         data["p"][: len(self.p)] = self.p
         data["ref"][:, :3], data["ref"][:, 3:6] = path.position[:n], path.velocity[:n]
         data["ref"][:, 6], data["ref"][:, 7:] = path.yaw[:n], self.steady[1]
+        data["kappa_u"][()] = self._affordable()
         if self.planes is not None:
             data["plane"][:] = self.planes(
                 times if self.descent is None else np.full(n + 1, self.descent.time)
@@ -515,7 +521,7 @@ class TubeController:
             for _ in range(on):
                 self._shift()
         data["x_end"][:] = self._along(path, -1)
-        if self.descent is not None:
+        if self.descent is not None or self._adrift:
             self._give_up_yaw()
         outcome = self.solver.solve()
         if outcome.status != 0:
@@ -533,6 +539,18 @@ class TubeController:
         self.plan = Plan(time=begin, outcome=outcome, x=data["x"].copy(), u=data["u"].copy())
         return np.asarray(data["u"][0].copy())
 
+    def _affordable(self) -> float:
+        """Standard deviations by which the commands are tightened: as many as asked for, but of the
+        way from the steady command to its limits half is left to the plan. A craft that hovers near
+        a limit would sink else: tightened limits must hold the steady state (Mayne, Seron and
+        Rakovic 2005, Automatica 41(2))."""
+        problem, data, u = self.problem, self.solver.data, self.steady[1]
+        room = 0.5 * np.minimum(problem.command_max - u, u - problem.command_min)
+        taken = data["backoff_u"].max(axis=0)  # by the plan before, with its standard deviations
+        share = np.min(room[taken > 0] / taken[taken > 0], initial=math.inf)
+        found = float(data["kappa_u"][()]) * max(float(share), ROUNDING)
+        return min(self.kappa_u, found) if math.isfinite(found) else self.kappa_u
+
     def _path(self, begin: float, times: FloatArray) -> Any:
         """The reference, or a descent, which is declared here."""
         if self.descent is None:
@@ -549,17 +567,32 @@ class TubeController:
             }
             why = self._watch(self.problem.dt, reasons)
             if why is None:
-                return path
+                return self._slowly_turning(path)
             weak = ", ".join(
                 n for n, w in zip(self.functions.inputs.names, self._weak, strict=True) if w
             )
             self._note(begin, f"descent declared: {why}{f' ({weak})' if weak else ''}")
-            velocity, attitude = (
-                self.estimate[self._rows(n)].copy() for n in ("velocity", "attitude")
+            velocity = self.estimate[self._rows("velocity")].copy()
+            self.descent = Descent(
+                time=begin, position=place.copy(), velocity=velocity, yaw=self._heading()
             )
-            yaw = float(numeric("euler", attitude)[0][2])
-            self.descent = Descent(time=begin, position=place.copy(), velocity=velocity, yaw=yaw)
         return self.descent.sample(times)
+
+    def _slowly_turning(self, path: Any) -> Way:
+        """The path with headings no farther from the estimated one than half of the command that the
+        steady one leaves turns the vehicle within HELD, or than weighs as much as UNSURE in the
+        place: the rest of the command is for the place."""
+        low, high, w = self.problem.command_min, self.problem.command_max, self.problem.weights
+        ends = [0.5 * self._turned * v for v in room(self.steady[1], self._turning, low, high)]
+        near = UNSURE * w.position / max(w.yaw, ROUNDING)
+        yaw, least, most = self._heading(), min(*ends, -near), max(*ends, near)
+        away = np.arctan2(np.sin(path.yaw - yaw), np.cos(path.yaw - yaw))
+        return Way(
+            position=path.position,
+            velocity=path.velocity,
+            acceleration=path.acceleration,
+            yaw=yaw + np.clip(away, least, most),
+        )
 
     def _give_up_yaw(self) -> None:
         """The heading that the plan has anyway becomes its reference, and so does its rate at the
@@ -587,8 +620,15 @@ class TubeController:
                 x, u, _ = again
         if np.isfinite(x).all() and np.isfinite(u).all():
             low, high = self.problem.command_min, self.problem.command_max
-            self.steady = x, np.clip(u, low, high)
-            self._weak = self._needed(u) > high
+            held = within(u, self._turning, low, high)
+            self.steady = x, np.clip(u, low, high) if held is None else held[0]
+            self._adrift = held is not None and held[1] != 0.0
+            # what is missing in a turn is no sign of weak rotors
+            needed = self._needed(u if held is None else held[0])
+            most = within(needed, self._turning, low, high)
+            given = math.inf if held is None or most is None else abs(held[1]) + abs(most[1])
+            turn = given * abs(self._turned) + HELD * abs(self.estimate[self._rows("rate")[2]])
+            self._weak = ((u > high) | (needed > high)) & (not turn <= TURN)
 
     def _steadier(
         self, x: FloatArray, u: FloatArray, goal: FloatArray
@@ -598,6 +638,19 @@ class TubeController:
         x[kept] = self.estimate[kept]
         new_x, new_u, missed = self.functions["target_step"](x, u, self.p, goal)
         return new_x.full().ravel(), new_u.full().ravel(), float(np.abs(missed.full()).max())
+
+    def _heading(self) -> float:
+        """As estimated [rad]."""
+        return float(numeric("euler", self.estimate[self._rows("attitude")])[0][2])
+
+    def _turned_by(self) -> float:
+        """By how much the vehicle turns from hover within HELD per unit of `_turning` [rad]."""
+        size, (hover, u) = 1e-3, self.solver.stages.steady
+        x, more = np.array(hover), np.sqrt(np.maximum(u**2 + size * self._turning, 0.0))
+        for _ in range(math.ceil(HELD / self.problem.dt)):
+            x = self.functions["f_d"](x, more, self.functions.parameter_values).full().ravel()
+        turned = float(numeric("euler", x[self._rows("attitude")])[0][2])
+        return turned / size if math.isfinite(turned) else 0.0
 
     def _needed(self, u: FloatArray) -> FloatArray:
         """Steady command (n_u,) if rotors are weak by a factor, where u (n_u,) holds against what

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 
 from greybox.estimation.build import build
-from mpc_export.c_code import FAST_FLAGS, CKernel, write_c
+from mpc_export.c_code import GENERATED_FLAGS, CKernel, write_c
 
 
 def native(function: Any, kernels: Sequence[CKernel] = ()) -> Any:
@@ -20,5 +20,5 @@ def native(function: Any, kernels: Sequence[CKernel] = ()) -> Any:
         made = write_c([function], Path(folder), prefix="native", kernels=kernels)
         header = made.header.read_text(encoding="utf-8")
         text = made.source.read_text(encoding="utf-8").replace('#include "native.h"\n', header)
-    library = build([("native.c", text, (*FAST_FLAGS, "-fPIC"))])
+    library = build([("native.c", text, (*GENERATED_FLAGS, "-fPIC"))])
     return ca.external(made.functions[0].symbol, str(library))

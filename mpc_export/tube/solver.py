@@ -25,7 +25,15 @@ from greybox.estimation.build import BuildError, build
 from greybox.estimation.cache import cache_dir
 from greybox.files import write_atomic
 from greybox.symbolic import FloatArray
-from mpc_export.c_code import FAST_FLAGS, CKernel, CSource, Real, single_precision, write_c
+from mpc_export.c_code import (
+    FAST_FLAGS,
+    GENERATED_FLAGS,
+    CKernel,
+    CSource,
+    Real,
+    single_precision,
+    write_c,
+)
 from mpc_export.functions import ModelFunctions
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.stages import Stages, stages
@@ -298,7 +306,7 @@ def _compiled(texts: dict[str, str], qp: QP = "hpipm") -> Path:
     own = qp == "hpipm"
     return build(
         [
-            ("tube_model.c", texts["tube_model.c"], (*FAST_FLAGS, "-fPIC")),
+            ("tube_model.c", texts["tube_model.c"], (*GENERATED_FLAGS, "-fPIC")),
             (
                 "controller.c",
                 texts["controller.c"],
