@@ -307,6 +307,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.model.dynamics import StateSpaceModel
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
+    from greybox.workers import Workers
 
     out, console = Path(arguments.out or "greybox-discover"), Console.of(arguments)
     _check(arguments, out)
@@ -335,26 +336,28 @@ def run(arguments: argparse.Namespace) -> int:
         if not isinstance(subject, StateSpaceModel):
             say_vehicle(subject, console.say)
         try:
-            found = discover(
-                subject,
-                train,
-                test,
-                own=own,
-                alpha=arguments.alpha,
-                max_effects=arguments.max_effects,
-                adapt=arguments.adapt,
-                kinematic_noise=arguments.kinematic_noise,
-                per_flight=arguments.per_flight,
-                fixed=arguments.fixed,
-                hold_sensor_noise=arguments.hold_noise == "sensor",
-                attainable=arguments.attainable,
-                trace=arguments.trace,
-                since=since,
-                seed=arguments.seed,
-                faults=faults,
-                progress=console.share,
-                save=search.write,
-            )
+            with Workers() as workers:
+                found = discover(
+                    subject,
+                    train,
+                    test,
+                    own=own,
+                    alpha=arguments.alpha,
+                    max_effects=arguments.max_effects,
+                    adapt=arguments.adapt,
+                    kinematic_noise=arguments.kinematic_noise,
+                    per_flight=arguments.per_flight,
+                    fixed=arguments.fixed,
+                    hold_sensor_noise=arguments.hold_noise == "sensor",
+                    attainable=arguments.attainable,
+                    trace=arguments.trace,
+                    since=since,
+                    seed=arguments.seed,
+                    faults=faults,
+                    progress=console.share,
+                    save=search.write,
+                    executor=None if isinstance(subject, StateSpaceModel) else workers,
+                )
         except KeyboardInterrupt:
             if search.content:
                 search.page()

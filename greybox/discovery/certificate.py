@@ -88,6 +88,8 @@ def certificates(
     """Name -> certificate, of every name of `rivals` in the structure `at`: by rough fits where
     these decide, each of the four behind an e-value as near as its tolerance says."""
     near = 4 * BEYOND * judges[0].both.effort.rough
+    for split in judges:
+        _predictives([at, *(r.fitted for rows in rivals.values() for r in rows)], at, split, True)
     out = {}
     for name, rows in rivals.items():
         found: dict[tuple[str, ...], float] = {}
@@ -125,8 +127,8 @@ def _log_e(
     that is below the bar the supremum is not sought, nor where the sharper one decides."""
     told, most, gained = [], [], []
     for split in judges:
-        mine = _predictive(at, at, split, rough)
-        other = first, both = _predictive(rival.fitted, at, split, rough)
+        mine, other = _predictives([at, rival.fitted], at, split, rough)
+        first, both = other
         lead = mine[1].log_evidence - mine[0].log_evidence
         lost = both.log_evidence - first.log_evidence
         keys = _keys(both, split, rival.instead)
@@ -157,12 +159,15 @@ def _mean(logs: Sequence[float]) -> float:
     return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
 
 
-def _predictive(fitted: Fitted, at: Fitted, split: Split, rough: bool) -> tuple[Fitted, Fitted]:
-    """A structure on the flights that taught, and on all."""
-    known = fitted.known
-    starts = [known] if fitted is at else [known, {**at.known, **known}]
-    first = split.first.fit(fitted.structure, starts, rough=rough)
-    return first, split.both.fit(fitted.structure, [known, first.known], rough=rough)
+def _predictives(
+    every: Sequence[Fitted], at: Fitted, split: Split, rough: bool
+) -> list[tuple[Fitted, Fitted]]:
+    """Structures on the flights that taught, and on all, side by side."""
+    starts = [[f.known] if f is at else [f.known, {**at.known, **f.known}] for f in every]
+    asked = [(f.structure, s) for f, s in zip(every, starts, strict=True)]
+    first = split.first.fits(asked, rough=rough)
+    whole = [(f.structure, [f.known, g.known]) for f, g in zip(every, first, strict=True)]
+    return list(zip(first, split.both.fits(whole, rough=rough), strict=True))
 
 
 def _keys(both: Fitted, split: Split, causes: Sequence[str]) -> list[Key]:

@@ -156,24 +156,29 @@ class Flights:
         return replace(self, causes=replace(self.causes, flat=flat), data=data, _known={})
 
     def fit(
-        self,
-        structure: Iterable[str],
-        starts: Sequence[Start] = (),
-        *,
-        rough: bool = False,
+        self, structure: Iterable[str], starts: Sequence[Start] = (), *, rough: bool = False
     ) -> Fitted:
         """The structure at its maximum a posteriori, from the likeliest of `starts` (what they do
         not say is as declared); `rough`: as near as fits are that are only compared."""
-        known = self._known.get(frozenset(structure))
-        if known is not None and (known.exact or (rough and known.comparable)):
-            return known
-        again = Task(
-            structure=frozenset(structure),
-            starts=tuple(starts) if known is None else (known.known,),
-            tolerance=self.effort.rough if rough else self.effort.exact,
-            iterations=self.effort.iterations,
-        )
-        return self._carried_out([again], exact=not rough)[0]
+        return self.fits([(frozenset(structure), starts)], rough=rough)[0]
+
+    def fits(
+        self, asked: Sequence[tuple[Structure, Sequence[Start]]], *, rough: bool = False
+    ) -> list[Fitted]:
+        """`fit` of several structures, side by side."""
+        tolerance = self.effort.rough if rough else self.effort.exact
+        tasks = {}
+        for structure, starts in asked:
+            known = self._known.get(structure)
+            if known is None or not (known.exact or (rough and known.comparable)):
+                tasks[structure] = Task(
+                    structure=structure,
+                    starts=tuple(starts) if known is None else (known.known,),
+                    tolerance=tolerance,
+                    iterations=self.effort.iterations,
+                )
+        self._carried_out(list(tasks.values()), exact=not rough)
+        return [self._known[structure] for structure, _ in asked]
 
     def contest(
         self, asked: Sequence[tuple[Structure, Sequence[Start]]], than: Fitted

@@ -37,7 +37,7 @@ class World:
     y: Array
     flat: bool = False
     lower: float = -np.inf
-    fits: dict[Structure, Fitted] = field(default_factory=dict)
+    kept: dict[Structure, Fitted] = field(default_factory=dict)
     effort: Any = EFFORT
     asked: list[bool] = field(default_factory=list)
     """Of every fit whether a rough one would do."""
@@ -64,6 +64,12 @@ class World:
         """Every structure at its optimum."""
         return [self.fit(s) for s, _ in asked]
 
+    def fits(
+        self, asked: Sequence[tuple[Iterable[str], Sequence[Any]]], *, rough: bool = False
+    ) -> list[Fitted]:
+        """Every structure at its optimum."""
+        return [self.fit(s, t, rough=rough) for s, t in asked]
+
     def fit(
         self,
         structure: Iterable[str],
@@ -74,8 +80,8 @@ class World:
         """The optimum in closed form."""
         chosen = frozenset(structure)
         self.asked.append(rough)
-        if chosen in self.fits:
-            return self.fits[chosen]
+        if chosen in self.kept:
+            return self.kept[chosen]
         x, unknowns = self.shared, [unknown(f"b_{i}", np.inf) for i in range(self.shared.shape[1])]
         for n in sorted(chosen):
             x = np.column_stack([x, self.columns[n]])
@@ -108,7 +114,7 @@ class World:
             ),
         )
         done = Status(code=Code.CONVERGED, iterations=1, evaluations=1, decrement=0.0)
-        self.fits[chosen] = Fitted(
+        self.kept[chosen] = Fitted(
             structure=chosen,
             problem=problem,
             theta=theta,
@@ -116,7 +122,7 @@ class World:
             status=done,
             log_evidence=log_evidence(problem, theta, value),
         )
-        return self.fits[chosen]
+        return self.kept[chosen]
 
 
 def cause(name: str, size: int) -> Cause:

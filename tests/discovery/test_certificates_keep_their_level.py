@@ -111,7 +111,7 @@ def test_what_a_fit_may_still_gain_counts_against_the_name(promised: float, code
     def found(world: str, bar: float) -> float:
         judges = split(one, other)
         some = cast(World, getattr(judges, world))
-        some.fits[frozenset()] = replace(some.fit(()), status=early)
+        some.kept[frozenset()] = replace(some.fit(()), status=early)
         return certificates(one.fit({"a"}), {"a": [rival]}, [judges], bar)["a"].log_e
 
     assert sharp - found("both", -np.inf) == pytest.approx(lost + np.log(2))
@@ -119,7 +119,7 @@ def test_what_a_fit_may_still_gain_counts_against_the_name(promised: float, code
     assert found("judge", sharp - 0.3) == pytest.approx(mean)
     judges = split(one, other)
     whole = judges.both.fit({"a"})
-    cast(World, judges.both).fits[whole.structure] = replace(
+    cast(World, judges.both).kept[whole.structure] = replace(
         whole, value=replace(whole.value, valid=False)
     )
     assert certificates(one.fit({"a"}), {"a": [rival]}, [judges], 6.0)["a"].log_e == -np.inf

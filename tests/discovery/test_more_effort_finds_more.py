@@ -117,7 +117,7 @@ def test_colour_waits_for_what_gains_more_than_it_promises(
     search = Search(flights=one, most=8, say=lambda _text, _share: None)  # type: ignore[arg-type]
     better = search._add(one.fit(()))
     assert better is not None and "a" in better.structure
-    assert (frozenset({"colour"}) in one.fits) is tried
+    assert (frozenset({"colour"}) in one.kept) is tried
 
 
 def test_the_rivals_that_are_asked_decide_as_all_would(monkeypatch: pytest.MonkeyPatch):

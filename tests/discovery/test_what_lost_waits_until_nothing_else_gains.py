@@ -57,7 +57,7 @@ def test_what_only_a_fit_can_judge_is_asked_first_and_last_when_it_lost():
     for seed in range(10):
         one, _, at = searched(seed)
         assert at.structure == set(HIDDEN)
-        asked = sorted(len(s) for s in one.fits if "nothing" in s)
+        asked = sorted(len(s) for s in one.kept if "nothing" in s)
         assert asked == [1, 4], "next to nothing, and where nothing else gained"
 
 
@@ -70,4 +70,4 @@ def test_no_move_from_where_a_search_ends_gains():
 
 def test_what_only_a_fit_can_judge_is_not_asked_beyond_the_most_that_there_may_be():
     one, _, _ = searched(0, most=1)
-    assert max(len(s) for s in one.fits if s & set(UNSCORED)) == 1
+    assert max(len(s) for s in one.kept if s & set(UNSCORED)) == 1

@@ -1,0 +1,87 @@
+"""Workers: processes beside this one, for what a command can do side by side."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import contextlib
+import multiprocessing
+import signal
+import time
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import Any, ParamSpec, TypeVar
+
+from greybox.cores import cores
+
+LONG = 1.0
+"""Seconds that a task must take before processes are started: each takes as long to begin."""
+MOST = 4
+"""Processes at most: each may need a gigabyte."""
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Workers(concurrent.futures.Executor):
+    """Carries tasks out here until one has taken `LONG`; from then on in processes, one for every
+    core. Only the main process is interrupted: Ctrl-C ends the workers with it, and no task of
+    theirs prints anything."""
+
+    def __init__(self) -> None:
+        self._count = min(cores(), MOST)
+        self._longest = 0.0
+        self._pool: concurrent.futures.ProcessPoolExecutor | None = None
+
+    def submit(
+        self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs
+    ) -> concurrent.futures.Future[T]:
+        """As of any executor; what it raises here is kept for `result`, too."""
+        if self._count < 2 or self._longest < LONG:
+            return self._here(fn, *args, **kwargs)
+        with _uninterrupted():  # until they have started: processes inherit what is blocked
+            if self._pool is None:
+                spawn = multiprocessing.get_context("spawn")
+                self._pool = concurrent.futures.ProcessPoolExecutor(self._count, mp_context=spawn)
+            return self._pool.submit(fn, *args, **kwargs)
+
+    def _here(
+        self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs
+    ) -> concurrent.futures.Future[T]:
+        done: concurrent.futures.Future[T] = concurrent.futures.Future()
+        began = time.perf_counter()
+        try:
+            done.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            done.set_exception(error)
+        self._longest = max(self._longest, time.perf_counter() - began)
+        return done
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the processes once they have done what they were given."""
+        if self._pool is not None:
+            self._pool.shutdown(wait, cancel_futures=cancel_futures)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool | None:
+        if kind is not None and self._pool is not None:  # nobody waits for their results
+            for process in multiprocessing.active_children():
+                process.kill()
+        self.shutdown(wait=True, cancel_futures=True)
+        return None
+
+
+@contextlib.contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ctrl-C waits; where the system cannot block it, it may come."""
+    block: Any = getattr(signal, "pthread_sigmask", None)
+    if block is None:
+        yield
+        return
+    before = block(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        block(signal.SIG_SETMASK, before)
