@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 import scipy.stats
 
-from greybox.automatic.facts import WANDER, Facts
+from greybox.automatic.facts import Facts
 from greybox.automatic.filters import (
     described,
     is_felt,
@@ -41,6 +41,7 @@ from greybox.automatic.sets import (
     per_flight_parameters,
 )
 from greybox.data import Dataset
+from greybox.data.checks.finding import WANDER
 from greybox.errors import GreyboxError, ModelError
 from greybox.estimation.fit import fit, noise_of
 from greybox.estimation.options import FitChoices, FitOptions

@@ -18,8 +18,6 @@ THIRD_DIFFERENCE = np.sqrt(20.0)
 """Standard deviation of the third difference of white noise of unit level: sqrt(1 + 9 + 9 + 1)."""
 NORMAL = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
-WANDER = 1.0
-"""Samples by which gyro and attitude must drift apart before their clocks count as wandering."""
 PLENTY = 5.0
 """Times the width of the middle half of the frequency response that the sample rate must be."""
 
@@ -76,13 +74,12 @@ def facts_of(data: Dataset, vehicle: Vehicle, report: CheckReport) -> Facts:
             if np.isfinite(level) and level > 0:
                 noise[sensor.name, component] = level
     seen = [f.evidence for f in report.of("alignment") if "high_samples" in f.evidence]
-    wander = float(np.median([e["high_samples"] - e["low_samples"] for e in seen])) if seen else 0.0
     middle = float(np.median([abs(e["offset_samples"]) for e in seen])) if seen else 0.0
     return Facts(
         sensors=frozenset(s.name for s in sensors),
         noise=noise,
-        wander=wander,
-        apart=max(wander, middle),
+        wander=report.wander,
+        apart=max(report.wander, middle),
         seconds=sum(f.duration for f in data),
         flights=len(data),
         rate=1.0 / data.flights[0].dt,

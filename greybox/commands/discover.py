@@ -99,8 +99,9 @@ def add(subparsers: Any) -> None:
     )
     p.add_argument(
         "--kinematic-noise",
-        action="store_true",
-        help="noise between attitude and gyro (clocks that drift)",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="noise between attitude and gyro (default: where their clocks drift apart)",
     )
     p.add_argument(
         "--per-flight",

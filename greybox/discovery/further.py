@@ -61,6 +61,7 @@ def further(
         sample_time=sample_time(data),
         noncausal=data.noncausal,
         known=Known(effects=(), prior=known.prior, input=known.input),
+        kinematic_noise=model.physics.kinematic_noise,
     )
     parts = [sensor_cause(p, causes.model) for p in sensor_parts(model.dynamics)]
     causes = causes.with_cause(*parts)

@@ -19,7 +19,7 @@ class DiscoverChoices(TypedDict, total=False):
     alpha: float
     max_effects: int
     adapt: float | None
-    kinematic_noise: bool
+    kinematic_noise: bool | None
     per_flight: Iterable[str]
     fixed: Iterable[str]
     hold_sensor_noise: bool
@@ -42,8 +42,8 @@ class DiscoverOptions:
     """Causes besides those of the base after which the search stops."""
     adapt: float | None = None
     """Seconds at the beginning of a test flight that its per-flight parameters are fitted on."""
-    kinematic_noise: bool = False
-    """Noise between attitude and gyro (clocks that drift)."""
+    kinematic_noise: bool | None = None
+    """Noise between attitude and gyro (None: where their clocks drift apart)."""
     per_flight: tuple[str, ...] = ()
     """Parameters with one value per flight."""
     fixed: tuple[str, ...] = ()

@@ -248,7 +248,8 @@ class Discovery(Shown):
         for n in self.said("not certified"):
             lines.append(f"  not certified{', in the model' * n.kept}: {n.name} ({n.reason})")
         if self.base:
-            lines.append(f"  in every model: {', '.join(self.base)}")
+            drift = ", noise between attitude and gyro" * bool(self.settings.get("kinematic_noise"))
+            lines.append(f"  in every model: {', '.join(self.base)}{drift}")
         for kind in dict.fromkeys(s["kind"] for s in self.sensors if s["kind"] != "white"):
             channels = [s["channel"] for s in self.sensors if s["kind"] == kind]
             lines.append(f"  sensors: {kind} in {', '.join(channels)}")

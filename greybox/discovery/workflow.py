@@ -6,6 +6,7 @@ faults -> search by evidence -> certificates and worth -> what is left -> gap be
 from __future__ import annotations
 
 import concurrent.futures
+import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
+from greybox.data.checks.finding import WANDER
 from greybox.data.lead import without_lead_in
 from greybox.discovery.alike import separating
 from greybox.discovery.cause import Causes, offer
@@ -38,7 +40,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.known import known_numbers, since
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
-from greybox.validation.gap import HeldOutErrors, answered, gap, outgrown, predict_ahead
+from greybox.validation.gap import HeldOutErrors, gap, outgrown, predict_ahead, worsened
 
 SHORTEST_FLIGHT = 0.6
 """Seconds without an interruption: the first tenth tells only its commands."""
@@ -93,6 +95,9 @@ def discover(
             seconds = time.perf_counter() - began
             return refused(faults, vehicle, settings=settings, seconds=seconds)
         _long_enough(train)
+        if options.kinematic_noise is None:
+            options = options.but(kinematic_noise=_drifting(faults, options.since))
+            settings = _settings(options)
     causes = _offered(subject, train, options)
     settings["sample_time"] = sample_time(train)
     run = _Run(
@@ -115,12 +120,18 @@ def discover(
 
 
 def _settings(options: DiscoverOptions) -> dict[str, Any]:
-    said = ("alpha", "seed", "max_effects", "adapt", "hold_sensor_noise", "trace")
+    said = "alpha", "seed", "max_effects", "adapt", "kinematic_noise", "hold_sensor_noise", "trace"
     return {n: getattr(options, n) for n in said} | {
         "per_flight": list(options.per_flight),
         "fixed": sorted(options.fixed),
         "since": None if options.since is None else options.since.data_hash,
     }
+
+
+def _drifting(faults: CheckReport, since: IdentifiedModel | None) -> bool:
+    """Whether attitude and gyro have noise between them: as the automatic fit decides it, and as a
+    model had it that was identified before."""
+    return faults.wander > WANDER if since is None else since.physics.kinematic_noise
 
 
 def _offered(
@@ -135,7 +146,7 @@ def _offered(
             own=options.own,
             sample_time=sample_time(train),
             noncausal=train.noncausal,
-            kinematic_noise=options.kinematic_noise,
+            kinematic_noise=bool(options.kinematic_noise),
             fixed=options.fixed,
             per_flight=options.per_flight,
             known=known,
@@ -305,12 +316,13 @@ class _Run:
         """Errors of a structure on the flights that judge; None where it predicts nothing there."""
         if at.structure not in self._held_out:
             try:
-                model = self.settled(at).model
-                ahead = predict_ahead(model, self.judges, adapt=self.options.adapt)
-                self._held_out[at.structure] = ahead
+                self._held_out[at.structure] = self._ahead(self.settled(at).model)
             except GreyboxError:
                 self._held_out[at.structure] = None
         return self._held_out[at.structure]
+
+    def _ahead(self, model: IdentifiedModel, unnamed: bool = False) -> HeldOutErrors:
+        return predict_ahead(model, self.judges, adapt=self.options.adapt, unnamed=unnamed)
 
     # ---------------------------------------------------------------- judging
 
@@ -394,12 +406,14 @@ class _Run:
         if before is None or after is None:
             self.warnings.append("no gap table: the models predict nothing on the judged flights")
             return []
-        proposals = attainable = None
+        proposals = attainable = filtered = None
         if lawful is not None:
             try:
-                proposals = predict_ahead(lawful, self.judges, adapt=self.options.adapt).own
+                proposals = self._ahead(lawful).own
             except GreyboxError as error:
                 self.warnings.append(f"the proposed laws could not be judged: {error}")
+        with contextlib.suppress(GreyboxError):
+            filtered = self._ahead(self.settled(at).model, unnamed=True).own
         if self.options.attainable:
             self.say("attainable line", 0.95)
             attainable = self._learned(null)
@@ -409,13 +423,10 @@ class _Run:
             units=after.units,
             proposals=proposals,
             attainable=attainable,
+            filtered=filtered,
             seed=self.options.seed,
         )
-        if grown := answered(rows):
-            self.warnings.append(
-                f"{', '.join(grown)}: foretold worse, and sooner better: commands of a feedback "
-                "answer what comes in between, and a model that follows them adds the answers up"
-            )
+        self.warnings += worsened(rows)
         if self.test is not None and (grown := outgrown(rows)):
             self.warnings.append(
                 f"the proposed laws do not hold on the test flights ({', '.join(grown)} grow with "
@@ -429,7 +440,7 @@ class _Run:
 
         try:
             learned = learn(self.settled(null).model, self.flights.data, seed=self.options.seed)
-            return predict_ahead(learned.model, self.judges, adapt=self.options.adapt).own
+            return self._ahead(learned.model).own
         except GreyboxError as error:
             self.warnings.append(f"no attainable line: {error}")
             return None

@@ -54,7 +54,8 @@ class GapRow:
     """One group and horizon: RMSE before and after, the floor (None without an IMU or attitude),
     share closed (None where there was no gap) and its 95 % interval; the share that the proposed
     laws close together with the names, and the share that a learned part closes without a name (the
-    attainable line)."""
+    attainable line). `filtered`: RMSE after, where force and torque without a name fade from what
+    the filter sees."""
 
     group: str
     unit: str
@@ -66,6 +67,7 @@ class GapRow:
     ci95: tuple[float, float] | None
     with_proposals: float | None = None
     attainable: float | None = None
+    filtered: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """As in discovery.json."""
@@ -80,6 +82,7 @@ class GapRow:
             "ci95": None if self.ci95 is None else list(self.ci95),
             "with_proposals": self.with_proposals,
             "attainable": self.attainable,
+            "filtered": self.filtered,
         }
 
 
@@ -102,18 +105,26 @@ def outgrown(rows: Iterable[GapRow]) -> list[str]:
     ]
 
 
-def answered(rows: Iterable[GapRow]) -> list[str]:
-    """Groups and horizons that clearly got worse, where a shorter horizon of the group clearly got
-    better: under feedback the commands answer what comes in between, which nobody foretells, and a
-    model that follows them adds these answers up (`scenarios.studies.feedback_tells`)."""
-    better: set[str] = set()
+def worsened(rows: Iterable[GapRow]) -> list[str]:
+    """Why groups and horizons clearly got worse, in words. What lasts and has no name may stand
+    against a name: with what the filter sees of it errors fall. Else the commands of a feedback
+    answer what comes in between, which nobody foretells, and a model that follows them adds the
+    answers up (`scenarios.studies.feedback_tells`)."""
     out = []
-    for r in sorted(rows, key=lambda r: r.horizon_s):
-        low, high = r.ci95 or (0.0, 0.0)
-        if low > 0:
-            better.add(r.group)
-        elif high < 0 and r.group in better:
-            out.append(f"{r.group} {r.horizon_s:g} s ahead")
+    for r in rows:
+        if r.ci95 is None or r.ci95[1] >= 0:
+            continue
+        said = f"{r.group} {f'{r.horizon_s:g} s' if r.horizon_s else 'one sample'} ahead: "
+        if r.filtered is not None and r.filtered < r.before:
+            out.append(
+                f"{said}worse by physics alone, {r.filtered:.4g} {r.unit} with the force and "
+                "torque without a name that the filter sees: a name stands against these"
+            )
+        else:
+            out.append(
+                f"{said}worse: commands of a feedback answer what comes in between, and a model "
+                "that follows them adds the answers up"
+            )
     return out
 
 
@@ -169,12 +180,13 @@ def unknown_start(model: IdentifiedModel) -> bool:
 
 
 def predict_ahead(
-    model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
+    model: IdentifiedModel, data: Dataset, *, adapt: float | None = None, unnamed: bool = False
 ) -> HeldOutErrors:
     """Open-loop errors of `model` at all origins of `data`; per-flight parameters are adapted on
     the first `adapt` s.
 
-    Physics alone foretells: force and torque that nobody named are zero from every origin on. Where
+    Physics alone foretells: force and torque that nobody named are zero from every origin on, or
+    (`unnamed`) fade from what the filter sees there. Where
     readings do not tell with which velocity or rates a segment begins, its first `START` s do. A
     model of the user's own is asked at `SAMPLES`.
     Raises `DataError` where no flight is long enough, `FitError` where a prediction is not finite.
@@ -187,7 +199,8 @@ def predict_ahead(
     blind = unknown_start(model)
     own: Squares = {(g, s): [] for g in groups for s in steps}
     floor: Squares = {(g, s): [] for g in groups for s in steps}
-    unnamed = [i for i, n in enumerate(model.dynamics.states.names) if n.startswith("disturbance.")]
+    states = model.dynamics.states.names
+    silent = [i for i, n in enumerate(states) if n.startswith("disturbance.") and not unnamed]
     for flight in data:
         p = model.flight_vector(flight.name)
         begin = float(flight.segments[0].t[0])
@@ -210,9 +223,9 @@ def predict_ahead(
                 continue
             x0, sigma = _begun(model, flight, segment, runner) if blind else (None, None)
             filtered = runner.run(segment.without(flight.noncausal), p=p, x0=x0, x0_sigma=sigma)
-            states = filtered.states.copy()
-            states[:, unnamed] = 0.0
-            filtered = replace(filtered, states=states)
+            begun = filtered.states.copy()
+            begun[:, silent] = 0.0
+            filtered = replace(filtered, states=begun)
             predicted = predict_from(runner.engine, reader, filtered, origins, steps=longest)
             references = {
                 g: segment.matrix(reader.table[g].columns, missing_ok=True) for g in groups
@@ -337,12 +350,13 @@ def gap(
     units: Mapping[str, str] = UNITS,
     proposals: Squares | None = None,
     attainable: Squares | None = None,
+    filtered: Squares | None = None,
     draws: int = 500,
     seed: int = 0,
 ) -> list[GapRow]:
     """Rows for every group and horizon that both models predict, own and floor of `predict_ahead`;
     `proposals` and `attainable` are squared errors of the model with the proposed laws and of the
-    one with a learned part."""
+    one with a learned part, `filtered` those of the model that keeps what has no name."""
     rng = np.random.default_rng(seed)
     out = []
     for key, blocks in before[0].items():
@@ -381,9 +395,16 @@ def gap(
                 ci95=interval,
                 with_proposals=others[0],
                 attainable=others[1],
+                filtered=_rmse(filtered, key),
             )
         )
     return out
+
+
+def _rmse(squares: Squares | None, key: tuple[str, float]) -> float | None:
+    blocks = [] if squares is None else squares.get(key, [])
+    values = np.concatenate(blocks) if blocks else np.zeros(0)
+    return float(np.sqrt(values.mean())) if values.size else None
 
 
 def _mean(sums: FloatArray) -> float:

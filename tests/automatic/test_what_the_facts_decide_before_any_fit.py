@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from greybox.automatic.decide import Given, decide
-from greybox.automatic.facts import WANDER, facts_of
+from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import prepare
 from greybox.data import Dataset
+from greybox.data.checks.finding import WANDER
 from greybox.model.vehicle import Vehicle
 from tests.automatic.craft import IMU, POSE, RATES, flight, flights, flown, vehicle
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.validation.gap import GapRow, Squares, answered, gap, groups_of, outgrown
+from greybox.validation.gap import GapRow, Squares, gap, groups_of, outgrown, worsened
 
 KEY = ("rate", 0.5)
 
@@ -101,15 +101,14 @@ def test_laws_that_make_the_test_flights_worse_are_said():
     assert outgrown([row("rate", 0.5, None)]) == []
 
 
-def test_what_grows_later_than_it_fell_is_told_apart_from_what_only_grows():
-    def rows(*squares: tuple[float, float, float]) -> list[GapRow]:
-        """(horizon [s], before, after) of the rates."""
-        ends = [
-            {("rate", h): blocks(x, spread=0.1)[KEY] for h, *both in squares for x in [both[k]]}
-            for k in (0, 1)
-        ]
-        return gap((ends[0], {}), (ends[1], {}))
-
-    assert answered(rows((0.0, 9.0, 4.0), (0.5, 4.0, 9.0))) == ["rate 0.5 s ahead"]
-    assert answered(rows((0.0, 4.0, 9.0), (0.5, 4.0, 9.0))) == []
-    assert answered(rows((0.0, 9.0, 4.0), (0.5, 9.0, 4.0))) == []
+@pytest.mark.parametrize(("seen", "why"), [(0.5, "stands against"), (3.0, "of a feedback")])
+def test_what_got_worse_has_a_reason(seen: float, why: str):
+    """Errors that fall with what the filter sees stand against it; others are a feedback's."""
+    worse, better = (
+        gap((blocks(a, spread=0.1), {}), (blocks(b, spread=0.1), {}), filtered=blocks(seen**2))
+        for a, b in ((4.0, 9.0), (9.0, 4.0))
+    )
+    assert worse[0].filtered == pytest.approx(seen)
+    (said,) = worsened(worse)
+    assert said.startswith("rate 0.5 s ahead: worse") and why in said
+    assert worsened(better) == []

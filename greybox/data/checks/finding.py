@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -13,6 +14,8 @@ Severity = Literal["info", "warning", "blocking"]
 SEVERITIES: tuple[Severity, ...] = ("blocking", "warning", "info")
 
 SCHEMA = "greybox.check/1"
+WANDER = 1.0
+"""Samples by which gyro and attitude must drift apart before their clocks count as wandering."""
 MOST_NAMED = 4
 """Flights that are named where a finding holds for many."""
 
@@ -116,6 +119,14 @@ class CheckReport(Shown):
     def of(self, check: str, flight: str | None = None) -> tuple[Finding, ...]:
         """The findings of one check (on one flight)."""
         return tuple(f for f in self.findings if f.check == check and flight in (None, f.flight))
+
+    @property
+    def wander(self) -> float:
+        """How far gyro and attitude drift apart within a flight [samples], the median over the
+        flights; 0 where no log shows both."""
+        seen = [f.evidence for f in self.of("alignment") if "high_samples" in f.evidence]
+        drift = [float(e["high_samples"] - e["low_samples"]) for e in seen]
+        return statistics.median(drift) if drift else 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for the result file, schema "greybox.check/1"."""
