@@ -8,7 +8,8 @@ A pair are two drawn craft (`scenarios.foreign.draw`), source and target; --sour
 who flies them. By plain commands the target's first training flight, cut to so many seconds, is
 fitted alone and with `--from` the source's model; its three training flights of 20 s are fitted,
 too. In one row the source's model flies in the target's place, adapted to so many seconds of each
-flight (`greybox validate --adapt`). All are judged on the target's two test flights.
+flight, half of it at most (`greybox validate --adapt`). All are judged on the target's two test
+flights.
 
 --arpl: MODEL.json, of NanoBench flights, is the source, the Crazyflie of the ARPL logs the target.
 It has no pose: rates are judged, on log10; the seconds are those from 20 s on of log15.
@@ -35,6 +36,7 @@ import numpy as np
 from greybox.examples import flight_path, vehicle_path
 from scenarios.foreign.campaign import fit_plainly, seconds_of_children
 from scenarios.foreign.draw import SIMULATORS, draw, write
+from scenarios.foreign.flights import DURATION
 from scenarios.studies.rows import read_rows
 
 AHEAD = (0.1, 0.5, 1.0)
@@ -137,6 +139,7 @@ def of_pair(
     found = {
         f"source as it is {s:g}": as_it_is(source, test, s, folder / f"as_it_is_{s:g}.json")
         for s in lengths
+        if s <= DURATION / 2
     }
     found |= transfer(source, vehicles[1], (train[0], 0.0), test, lengths, folder)
     found["all own flights"] = fitted(vehicles[1], train, test, places[1])
