@@ -136,13 +136,13 @@ def test_a_level_is_held_inside_its_limits(
     """The limit is what is asked for: half of all plans would pass it."""
     words = ["mpc", f"{bench}/fit/model.json", "--model-file", f"{bench}/tank.py:build"]
     words += ["--hold", "level=0.4,0.6", "--limit", "level=0,0.6", "--range", "pump=0,2"]
-    words += ["--flights", "3", "--horizon", "8", "--seconds", "12", "--out", str(tmp_path)]
+    words += ["--flights", "2", "--horizon", "8", "--seconds", "10", "--out", str(tmp_path)]
     assert main(words) == 0
     content = json.loads((tmp_path / "mpc_own.json").read_text())
     schema = (resources.files("greybox.schemas") / "mpc_own.json").read_text()
     jsonschema.validate(content, json.loads(schema))
     found = content["controllers"]
-    assert found["mean"]["beyond"]["count"] == 3 and found["tube"]["beyond"]["count"] == 0
+    assert found["mean"]["beyond"]["count"] == 2 and found["tube"]["beyond"]["count"] == 0
     assert found["tube"]["settled"]["level"] < 0.05 and not found["tube"]["failures"]
     assert content["verdict"] in capsys.readouterr().out
     page = (tmp_path / "report.html").read_text()

@@ -32,6 +32,7 @@ from greybox.residual.hybrid import HybridModel
 from greybox.residual.learn import Learned, learn
 from greybox.residual.learners import LEARNERS, learner_of
 from greybox.residual.learners.deep_ensemble import MEMBERS
+from greybox.residual.learners.long_short_term_memory import LongShortTermMemory
 from greybox.residual.learners.random_features import RandomFeatures
 from greybox.residual.open_loop_fit import fit_open_loop
 from greybox.residual.strengths import Halves
@@ -262,6 +263,14 @@ def learned(name: str) -> Learned:
     return learn(base, train, features=("rate",), points=6, learner=name, seed=0)
 
 
+FITTED = [
+    pytest.param(n, marks=pytest.mark.slow if n == LongShortTermMemory.name else ())
+    for n in LEARNERS
+]
+"""A recurrence unrolls to many operations: seconds of compiling, and its sequences are those of the
+convolution."""
+
+
 def squared(model: IdentifiedModel) -> float:
     """Mean squared error of the rate, half a second ahead, on a flight that nobody has seen."""
     runner = Filter(model)
@@ -271,7 +280,7 @@ def squared(model: IdentifiedModel) -> float:
     return float(np.mean((found - segment.channels["w"][origins + 25]) ** 2))
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize("name", FITTED)
 def test_it_is_fitted_through_the_physics_and_helps_on_an_unseen_flight(name: str) -> None:
     result = learned(name)
     assert not result.null and result.fit.held_out_gain > 0.1
@@ -282,7 +291,7 @@ def test_it_is_fitted_through_the_physics_and_helps_on_an_unseen_flight(name: st
     assert "A Gaussian process" not in learn_report(json.loads(dump_json(told)))
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize("name", FITTED)
 def test_its_file_is_the_same_model(name: str, tmp_path: Path) -> None:
     model = learned(name).model
     back = load_model(save_model(model, tmp_path / "hybrid.json"))
@@ -292,7 +301,7 @@ def test_its_file_is_the_same_model(name: str, tmp_path: Path) -> None:
     assert squared(back) == squared(model)
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize("name", FITTED)
 def test_its_c_is_the_model(name: str, tmp_path: Path) -> None:
     """C and CasADi of the bundle agree to 1e-10 of each output's scale, and CasADi with the learned
     part itself."""
