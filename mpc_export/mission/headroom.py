@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.errors import ModelError
+from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from mpc_export.feedback import hover
 from mpc_export.functions import ModelFunctions
@@ -51,13 +52,13 @@ def headroom(
     """Of a model with target_step under `pushes` (n, k) [N, N m], in the order of its disturbance
     states; None: draws of what was identified. Raises `ModelError` where it cannot even hover."""
     f = functions
-    assert f.model is not None
+    assert isinstance(f.model, IdentifiedModel)
     rotors = f.model.physics.vehicle.rotors
     way = turning(
         np.array([r.position for r in rotors], dtype=float),
         np.array([float(r.spin) for r in rotors]),
     )
-    x, u = hover(f, f.states, f.reference, f.parameter_values, len(f.targets))
+    x, u = hover(f.functions, f.states, f.reference, f.parameter_values, len(f.targets))
     if within(u, way, low, high) is None:
         raise ModelError(
             "the vehicle cannot hover within the commands of the course",
