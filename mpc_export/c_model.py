@@ -254,7 +254,10 @@ class CModel:
                 "n_d x n_d, covariance of the filter's predicted state: a start for S",
                 f.noise.covariance,
             ),
-            "process_noise": ("n_d x n_d, Q per sample", f.noise.process),
+            "process_noise": (
+                "n_d x n_d, Q per sample of predictions ahead, at least that of the filter",
+                f.noise.process,
+            ),
             "gain": ("n_d x n_e, stationary gain K of the identified filter", f.noise.gain),
             "theta_covariance": ("n_theta x n_theta, of the uncertain parameters", f.covariance),
             "adapted_covariance": (

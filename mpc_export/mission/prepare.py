@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from greybox.errors import ModelError
 from greybox.files import file_sha256, read_json
 from greybox.model.identified import IdentifiedModel
@@ -23,6 +25,7 @@ from greybox.model.linear import SCHEMA as LINEAR
 from greybox.residual.files import load_model
 from greybox.residual.hybrid import HybridModel
 from mpc_export.feedback import NEEDED
+from mpc_export.functions import model_functions
 from mpc_export.mission import TRAINING_SEEDS, judging
 from mpc_export.mission.campaign import (
     NEAR,
@@ -36,7 +39,8 @@ from mpc_export.mission.campaign import (
     write_segments,
 )
 from mpc_export.mission.flight import load_course, load_plant, natural_pace
-from mpc_export.mission.model_plant import real_disturbances
+from mpc_export.mission.headroom import headroom
+from mpc_export.mission.model_plant import ModelPlant, real_disturbances
 
 Say = Callable[[str], None]
 TEXTS = {
@@ -129,6 +133,9 @@ def prepare(
         out=out, plant=used, model=str(main), pace=pace, course=course, disturbances=kept
     )
     hangar = Hangar(campaign)
+    warnings = [w for w in (_room(model, hangar),) if w]
+    for text in warnings:
+        say(text)
     plain = Entry(
         name=main.stem if demo is not None else "mean",
         text=TEXTS[main.stem] if demo is not None else "the model, no tightening",
@@ -146,7 +153,6 @@ def prepare(
     )
     tuning: dict[str, Any] = {**tuned(rows, level), "flights": TUNING, "rehearsed": []}
     tuning |= {"kappa": tuning["boole"], "risk": "boole"}
-    warnings = []
     if risk == "rehearsal":
         say(
             f"rehearsing {REHEARSALS} flights at each of {len(REHEARSED)} back-offs against the "
@@ -202,6 +208,16 @@ def prepare(
         seeds=tuple(judging(flights_, seed)),
         warnings=tuple(warnings),
     )
+
+
+def _room(model: IdentifiedModel, hangar: Hangar) -> str:
+    """What the model cannot hold within the commands of the course, in words."""
+    own, limits = hangar.plant, hangar.task.problem
+    flown = own if isinstance(own, ModelPlant) else None
+    functions = flown.functions if flown else model_functions(model, with_=("target",))
+    seen = flown.disturbances if flown else None
+    pushes = None if seen is None else np.concatenate(seen)
+    return headroom(functions, pushes, limits.command_min, limits.command_max).words
 
 
 def _learned(model: IdentifiedModel) -> tuple[str, ...]:

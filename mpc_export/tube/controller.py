@@ -582,9 +582,12 @@ class TubeController:
         """The path with headings no farther from the estimated one than half of the command that the
         steady one leaves turns the vehicle within HELD, or than weighs as much as UNSURE in the
         place: the rest of the command is for the place."""
-        low, high, w = self.problem.command_min, self.problem.command_max, self.problem.weights
+        low, high, near = (
+            self.problem.command_min,
+            self.problem.command_max,
+            near_heading(self.problem),
+        )
         ends = [0.5 * self._turned * v for v in room(self.steady[1], self._turning, low, high)]
-        near = UNSURE * w.position / max(w.yaw, ROUNDING)
         yaw, least, most = self._heading(), min(*ends, -near), max(*ends, near)
         away = np.arctan2(np.sin(path.yaw - yaw), np.cos(path.yaw - yaw))
         return Way(
@@ -722,6 +725,11 @@ class TubeController:
             rows = self._rows(name, error=True)
             away[rows] *= min(1.0, most / max(float(np.linalg.norm(away[rows])), 1e-9))
         return self._allowed(u + self.solver.stages.gain @ away, before)
+
+
+def near_heading(problem: TubeProblem) -> float:
+    """Error of the heading that weighs as much as UNSURE in the place [rad]."""
+    return min(UNSURE * problem.weights.position / max(problem.weights.yaw, ROUNDING), math.pi)
 
 
 def _integrating(model: IdentifiedModel) -> IdentifiedModel:

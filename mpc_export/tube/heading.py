@@ -35,9 +35,11 @@ def room(u: FloatArray, way: FloatArray, low: float, high: float) -> tuple[float
     on = size > 0
     if ((u[~on] < low) | (u[~on] > high)).any():
         return np.inf, -np.inf
+    if not on.any():
+        return 0.0, 0.0
     ends = np.array([low * abs(low), high * abs(high)])
     far = np.sort((ends[:, None] - (u * np.abs(u))[on]) * sense[on], axis=0) / size[on]
-    return float(far[0].max(initial=-np.inf)), float(far[1].min(initial=np.inf))
+    return float(far[0].max()), float(far[1].min())
 
 
 def within(

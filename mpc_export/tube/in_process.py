@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.estimation.build import build
 from greybox.symbolic import FloatArray
-from mpc_export.c_code import FAST_FLAGS, Real
+from mpc_export.c_code import GENERATED_FLAGS, Real
 from mpc_export.tube.controller import Planes, Reference, TubeController
 from mpc_export.tube.library import along, write_tube
 
@@ -21,7 +21,7 @@ from mpc_export.tube.library import along, write_tube
 class TubeInC:
     """`pilot` as its C library, flying the same reference and planes.
 
-    flags: of the compiler, default for speed. said: the bits of every call. Raises `BuildError`
+    flags: of the compiler. said: the bits of every call. Raises `BuildError`
     without a C compiler and what `write_tube` raises.
     """
 
@@ -31,7 +31,7 @@ class TubeInC:
         folder: Path,
         *,
         real: Real = "float",
-        flags: Sequence[str] = FAST_FLAGS,
+        flags: Sequence[str] = GENERATED_FLAGS,
     ) -> None:
         name = "flown"
         files = write_tube(pilot, folder, name=name, real=real)

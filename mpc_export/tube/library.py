@@ -31,7 +31,10 @@ from mpc_export.tube.controller import (
     ROUNDING,
     Reference,
     TubeController,
+    near_heading,
 )
+from mpc_export.tube.descent import HELD
+from mpc_export.tube.heading import TURN
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.solver import COARSE, PRIMAL, QP_TOLERANCE, driver, settled
 from mpc_export.tube.stages import block
@@ -233,6 +236,11 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         "rounding": ROUNDING,
         "failures": FAILURES,
         "blind": pilot.blind,
+        "turning": _list(pilot._turning),
+        "turned": pilot._turned,
+        "near_heading": near_heading(problem),
+        "held": HELD,
+        "most_turn": TURN,
     }
     return {k: v if isinstance(v, str) else repr(v) for k, v in words.items()}
 

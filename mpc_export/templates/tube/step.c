@@ -23,6 +23,7 @@ static const int attitude_columns[4] = @attitude_columns@; /* -1: not measured *
 static const short start_from[STARTS + 1][2] = @start_from@; /* column, state */
 static const short lag_of[NX - OWN + 1] = @lag_of@, command_of[NX - OWN + 1] = @command_of@;
 static const int pushes[NFREE1] = TUBE_FREE;
+static const tube_real turning[NU] = @turning@, turned = @turned@; /* heading.py */
 
 enum { POSITION = @at_position@, VELOCITY = @at_velocity@, ATTITUDE = @at_attitude@, RATE = @at_rate@ };
 enum { D_POSITION = @d_position@, D_VELOCITY = @d_velocity@ };
@@ -37,8 +38,8 @@ static struct {
   tube_real steady_x[NX], steady_u[NU];
   tube_real plan_x[N + 1][NX], plan_u[N][NU]; /* that of the last solution */
   tube_real wide[SENSORS], calm[SENSORS], missing[SENSORS], unseen[SENSORS];
-  tube_real rival[NF], evidence, phase;
-  int has_rival, has_plan, plan_age, failures, count, begun;
+  tube_real rival[NF], evidence, phase, kappa_u;
+  int adrift, has_rival, has_plan, plan_age, failures, count, begun;
 } c;
 
 static int all_finite(const tube_real *v, int n) {
@@ -55,7 +56,7 @@ static tube_real norm(const tube_real *v, int n) {
 
 void @NAME@_tube_kappa(const tube_real kappa[NL], tube_real commands) {
   memcpy(c.data.kappa, kappa, sizeof c.data.kappa);
-  c.data.kappa_u = commands;
+  c.data.kappa_u = c.kappa_u = commands;
 }
 
 int @NAME@_tube_start(const tube_real place[4]) {
@@ -290,6 +291,56 @@ static tube_real steadier(const tube_real *x, const tube_real *u, const tube_rea
   return all_finite(&residual, 1) ? residual : (tube_real)INFINITY;
 }
 
+static tube_real heading(const tube_real *x) {
+  const tube_real *q = x + ATTITUDE;
+  return atan2(2 * (q[0] * q[3] + q[1] * q[2]), 1 - 2 * (q[2] * q[2] + q[3] * q[3]));
+}
+
+/* The least and the most by which u can be moved within its limits so that it turns and does nothing else; the least is
+   larger where it cannot. */
+static void room(const tube_real *u, tube_real *least, tube_real *most) {
+  int turns = 0;
+  *least = -INFINITY;
+  *most = INFINITY;
+  for (int j = 0; j < NU; j++) {
+    tube_real low = command_min * fabs(command_min) - u[j] * fabs(u[j]), high = command_max * fabs(command_max) - u[j] * fabs(u[j]);
+    if (turning[j] == 0) {
+      if (u[j] >= command_min && u[j] <= command_max) continue;
+      *least = INFINITY;
+      *most = -INFINITY;
+      return;
+    }
+    turns = 1;
+    *least = fmax(*least, fmin(low / turning[j], high / turning[j]));
+    *most = fmin(*most, fmax(low / turning[j], high / turning[j]));
+  }
+  if (!turns) *least = *most = 0;
+}
+
+/* The path with headings that the command to spare can turn to. */
+static void slowly_turning(const @NAME@_tube_path *path, @NAME@_tube_path *out) {
+  tube_real least, most, now = heading(c.known.estimate);
+  room(c.steady_u, &least, &most);
+  tube_real one = 0.5 * turned * least, other = 0.5 * turned * most;
+  for (int k = 0; k <= N; k++) {
+    tube_real away = path[k].yaw - now;
+    away = atan2(sin(away), cos(away));
+    out[k] = path[k];
+    out[k].yaw = now + clip(away, fmin(fmin(one, other), -@near_heading@), fmax(fmax(one, other), @near_heading@));
+  }
+}
+
+/* Standard deviations by which the commands are tightened: half of the way from the steady command to its limits is the
+   plan's. */
+static tube_real affordable(void) {
+  tube_real share = INFINITY;
+  for (int k = 0; k < N; k++)
+    for (int j = 0; j < NU; j++)
+      if (c.data.backoff_u[k][j] > 0)
+        share = fmin(share, 0.5 * fmin(command_max - c.steady_u[j], c.steady_u[j] - command_min) / c.data.backoff_u[k][j]);
+  return share < INFINITY ? fmin(c.kappa_u, c.data.kappa_u * fmax(share, @rounding@)) : c.kappa_u;
+}
+
 /* One Newton step of the steady state that holds the path's place under the estimated disturbance. */
 static unsigned aimed(const @NAME@_tube_path *path) {
   tube_real goal[4], x[NX], u[NU], other_x[NX], other_u[NU], most = 0;
@@ -302,25 +353,22 @@ static unsigned aimed(const @NAME@_tube_path *path) {
   }
   if (!all_finite(x, NX) || !all_finite(u, NU)) return 0;
   memcpy(c.steady_x, x, sizeof x);
+  tube_real low, high, by;
+  room(u, &low, &high);
+  by = clip(0, low, high);
+  c.adrift = low <= high && by != 0;
   for (int j = 0; j < NU; j++) {
+    tube_real square = u[j] * fabs(u[j]) + by * turning[j];
     most = fmax(most, u[j]);
-    c.steady_u[j] = clip(u[j], command_min, command_max);
+    c.steady_u[j] = clip(c.adrift ? copysign(sqrt(fabs(square)), square) : u[j], command_min, command_max);
   }
-  return most > command_max ? @UPPER@_TUBE_WEAK : 0;
+  int held = low <= high && fabs(by * turned) + @held@ * fabs(c.known.estimate[RATE + 2]) <= @most_turn@;
+  return most > command_max && !held ? @UPPER@_TUBE_WEAK : 0;
 }
 
-/* State on the path: thrust along its acceleration and what the steady state holds against; rotors and rates at rest. */
-static void along(const @NAME@_tube_path *path, tube_real *x) {
-  tube_real up[3], side[3], front[3], toward[2] = {cos(path->yaw), sin(path->yaw)}, length, w;
-  memcpy(x, c.steady_x, NX * sizeof *x);
-  const tube_real *q = c.steady_x + ATTITUDE;
-  up[0] = 2 * (q[1] * q[3] + q[0] * q[2]);
-  up[1] = 2 * (q[2] * q[3] - q[0] * q[1]);
-  up[2] = 1 - 2 * (q[1] * q[1] + q[2] * q[2]);
-  w = 9.80665 / (up[2] > 0.1 ? up[2] : 0.1);
-  for (int i = 0; i < 3; i++) up[i] = path->acceleration[i] + w * up[i];
-  length = fmax(norm(up, 3), 1e-9);
-  for (int i = 0; i < 3; i++) up[i] /= length;
+/* Attitude with thrust along `up`, of length 1, and the body's x axis toward yaw. */
+static void tilted(const tube_real *up, tube_real yaw, tube_real *q) {
+  tube_real side[3], front[3], toward[2] = {cos(yaw), sin(yaw)}, length, w;
   side[0] = -up[2] * toward[1];
   side[1] = up[2] * toward[0];
   side[2] = up[0] * toward[1] - up[1] * toward[0];
@@ -330,13 +378,41 @@ static void along(const @NAME@_tube_path *path, tube_real *x) {
   front[1] = side[2] * up[0] - side[0] * up[2];
   front[2] = side[0] * up[1] - side[1] * up[0];
   w = 0.5 * sqrt(fmax(1 + front[0] + side[1] + up[2], 1e-12));
-  x[ATTITUDE] = w;
-  x[ATTITUDE + 1] = (side[2] - up[1]) / (4 * w);
-  x[ATTITUDE + 2] = (up[0] - front[2]) / (4 * w);
-  x[ATTITUDE + 3] = (front[1] - side[0]) / (4 * w);
+  q[0] = w;
+  q[1] = (side[2] - up[1]) / (4 * w);
+  q[2] = (up[0] - front[2]) / (4 * w);
+  q[3] = (front[1] - side[0]) / (4 * w);
+}
+
+static void thrust_axis(const tube_real *q, tube_real *up) {
+  up[0] = 2 * (q[1] * q[3] + q[0] * q[2]);
+  up[1] = 2 * (q[2] * q[3] - q[0] * q[1]);
+  up[2] = 1 - 2 * (q[1] * q[1] + q[2] * q[2]);
+}
+
+/* State on the path: thrust along its acceleration and what the steady state holds against; rotors and rates at rest. */
+static void along(const @NAME@_tube_path *path, tube_real *x) {
+  tube_real up[3], length, w;
+  memcpy(x, c.steady_x, NX * sizeof *x);
+  thrust_axis(c.steady_x + ATTITUDE, up);
+  w = 9.80665 / (up[2] > 0.1 ? up[2] : 0.1);
+  for (int i = 0; i < 3; i++) up[i] = path->acceleration[i] + w * up[i];
+  length = fmax(norm(up, 3), 1e-9);
+  for (int i = 0; i < 3; i++) up[i] /= length;
+  tilted(up, path->yaw, x + ATTITUDE);
   memcpy(x + POSITION, path->position, sizeof path->position);
   memcpy(x + VELOCITY, path->velocity, sizeof path->velocity);
   for (int i = 0; i < 3; i++) x[RATE + i] = 0;
+}
+
+/* The heading that the plan has anyway becomes its reference, and so does its rate at the end. */
+static void give_up_heading(void) {
+  tube_real up[3];
+  tube_data *d = &c.data;
+  for (int k = 0; k < N; k++) d->ref[k][6] = heading(d->x[k]);
+  thrust_axis(d->x_end + ATTITUDE, up);
+  tilted(up, heading(d->x[N]), d->x_end + ATTITUDE);
+  d->x_end[RATE + 2] = d->x[N][RATE + 2];
 }
 
 /* v within the limits of a command and, which comes first, its rate */
@@ -397,9 +473,12 @@ static void fallen_back(const @NAME@_tube_path *path, tube_real *u) {
   corrected(state, c.u, x, command, u);
 }
 
-static unsigned decided(const @NAME@_tube_path *path, const tube_real *planes, int stages, tube_real *u) {
+static unsigned decided(const @NAME@_tube_path *asked, const tube_real *planes, int stages, tube_real *u) {
+  @NAME@_tube_path path[N + 1];
+  slowly_turning(asked, path);
   unsigned said = aimed(path);
   tube_data *d = &c.data;
+  d->kappa_u = affordable();
   planned_from(d->x0);
   memcpy(d->u_before, c.u, sizeof c.u);
   memcpy(d->p, c.p, sizeof c.p);
@@ -420,6 +499,7 @@ static unsigned decided(const @NAME@_tube_path *path, const tube_real *planes, i
   else
     for (int k = 0; k < c.plan_age; k++) shifted();
   along(path + N, d->x_end);
+  if (c.adrift) give_up_heading();
   c.known.plan_status = tube_solve(&c.solver, d);
   c.known.qp_iterations = (int)d->qp_iterations;
   if (c.known.plan_status) {

@@ -119,10 +119,27 @@ def hard():
     )
 
 
+@functools.cache
+def short_of_command():
+    """It hovers at 0.731 of 0.735: tightening gives way."""
+    return TubeController(
+        model=cases.disturbed(),
+        problem=TubeProblem(dt=0.02, horizon=10, planes=2, command_max=0.735),
+        reference=Still((0.1, -0.2, 1.0, 2.0)),
+        kappa=(2.0, 2.0, 2.0),
+        kappa_u=3.0,
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("of", "samples", "double", "single"),
-    [(pilot, 120, 1e-6, 1e-5), (tilted, 120, 1e-6, 1e-5), (hard, 240, 1e-4, 1e-3)],
+    [
+        (pilot, 120, 1e-6, 1e-5),
+        (tilted, 120, 1e-6, 1e-5),
+        (hard, 240, 1e-4, 1e-3),
+        (short_of_command, 120, 1e-4, 1e-3),
+    ],
 )
 def test_commands_are_those_of_the_controller_in_python(tmp_path, of, samples, double, single):
     """From the first plan on, whatever the pilot flew before it was written."""
@@ -134,6 +151,24 @@ def test_commands_are_those_of_the_controller_in_python(tmp_path, of, samples, d
         off = np.abs(followed(flown, recorded["measured"]) - recorded["commands"]).max()
         assert off < most
     assert np.ptp(recorded["commands"], axis=0).min() > 1e-3  # there was something to do
+
+
+@pytest.mark.slow
+def test_its_heading_gives_way_as_that_of_the_controller_in_python_does(tmp_path):
+    own = short_of_command()
+    f, names = own.filter, own.filter.states.names
+    own.start()
+    x, u, rows, commands, adrift = own.estimate.copy(), own.u.copy(), [], [], 0
+    for k in range(80):
+        x[names.index("disturbance.torque.z")] = 8e-5 * (k > 10)
+        y = f["h"](x, u, f.parameter_values).full().ravel().astype(np.float32).astype(float)
+        rows.append(y)
+        commands.append(own.sample(k * own.model.sample_time, dict(zip(own.columns, y))).copy())
+        adrift += own._adrift
+        x, u = f["f_d"](x, u, f.parameter_values).full().ravel(), commands[-1]
+    assert 20 < adrift < 80
+    flown = TubeInC(own, tmp_path, real="double")
+    assert np.abs(followed(flown, np.array(rows)) - commands).max() < 1e-4
 
 
 @pytest.mark.slow
