@@ -22,6 +22,7 @@ BASE = (
     "files",
     "runs",
     "cores",
+    "workers",
     "interrupts",
     "progress",
     "shown",
