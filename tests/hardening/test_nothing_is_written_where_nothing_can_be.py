@@ -30,6 +30,7 @@ WRITERS = {
     "greybox/plants/flight_log.py": "logs of a simulated craft, which nothing reads before they "
     "are whole",
     "greybox/plants/vehicle_file.py": "the vehicle file of a simulated craft, likewise",
+    "greybox/commands/mpc_own.py": "the folder of --out, which is checked before",
     "mpc_export/acados.py": "inside the temporary folder of a bundle, which is moved when it is "
     "whole",
     "mpc_export/bundle.py": "the same",
