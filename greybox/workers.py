@@ -5,7 +5,9 @@ from __future__ import annotations
 import concurrent.futures
 import contextlib
 import multiprocessing
+import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 from types import TracebackType
@@ -40,7 +42,9 @@ class Workers(concurrent.futures.Executor):
         with _uninterrupted():  # until they have started: processes inherit what is blocked
             if self._pool is None:
                 spawn = multiprocessing.get_context("spawn")
-                self._pool = concurrent.futures.ProcessPoolExecutor(self._count, mp_context=spawn)
+                self._pool = concurrent.futures.ProcessPoolExecutor(
+                    self._count, mp_context=spawn, initializer=_follow
+                )
             return self._pool.submit(fn, *args, **kwargs)
 
     def _here(
@@ -71,6 +75,20 @@ class Workers(concurrent.futures.Executor):
                 process.kill()
         self.shutdown(wait=True, cancel_futures=True)
         return None
+
+
+def _follow() -> None:
+    """In a worker: Ctrl-C is the main process's, and where that is gone there is nobody to work
+    for."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextlib.contextmanager

@@ -5,7 +5,11 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -39,6 +43,57 @@ def test_one_core_has_no_processes(monkeypatch: pytest.MonkeyPatch):
         assert workers.submit(waited, 0.0).result() == os.getpid()
         with pytest.raises(ZeroDivisionError):
             workers.submit(divmod, 1, 0).result()
+
+
+def ignored() -> bool:
+    """Whether Ctrl-C says nothing to this process."""
+    return signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_only_the_main_process_is_interrupted(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(greybox.workers, "LONG", 0.0)
+    monkeypatch.setattr(greybox.workers, "cores", lambda: 2)
+    with Workers() as workers:
+        assert workers.submit(ignored).result()
+
+
+PARENT = """
+import os, time
+import greybox.workers
+from tests.test_workers_carry_out_what_is_long import waited
+greybox.workers.LONG, greybox.workers.cores = 0.0, lambda: 2
+if __name__ == "__main__":
+    workers = greybox.workers.Workers()
+    print(workers.submit(waited, 0.0).result(), flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are asked by signals")
+def test_a_killed_parent_leaves_no_worker(tmp_path: Path):
+    (tmp_path / "parent.py").write_text(PARENT)
+    root = Path(__file__).parents[1]
+    with subprocess.Popen(
+        [sys.executable, str(tmp_path / "parent.py")],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(root)},
+    ) as parent:
+        assert parent.stdout is not None
+        worker = int(parent.stdout.readline())
+        parent.kill()
+    for _ in range(200):
+        try:
+            os.kill(worker, 0)
+        except ProcessLookupError:
+            return
+        if (
+            Path(f"/proc/{worker}/stat").exists()
+            and ") Z " in Path(f"/proc/{worker}/stat").read_text()
+        ):
+            return
+        time.sleep(0.05)
+    raise AssertionError("the worker lives on")
 
 
 def test_an_interrupt_ends_them_at_once(monkeypatch: pytest.MonkeyPatch):

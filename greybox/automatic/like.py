@@ -42,13 +42,14 @@ def like(vehicle: Vehicle, source: IdentifiedModel, facts: Facts) -> Vehicle:
             effect.name in vehicle.effects
             or effect not in CATALOGUE
             or not is_felt(effect.name, vehicle, facts)
-            or any(n in source.flight_spread for n in declared)
+            or any(n in source.flight_spread or n not in source.values for n in declared)
         ):
             continue
         added[effect.name] = {}
         for name, d in declared.items():
             factor = grown(d.unit, vehicle, physics.vehicle)
-            value, sigma = (factor * number for number in _believed(source, name))
+            value, own = (factor * number for number in _identified(source, name))
+            sigma = float(np.hypot(own, DEFAULT_SIGMAS["effects"].share * max(abs(value), d.scale)))
             if sigma > 0.0:
                 value = float(np.clip(value, d.lower, d.upper))
                 added[effect.name][d.name] = Quantity(value=value, sigma=sigma)
@@ -59,16 +60,18 @@ def lasting(source: IdentifiedModel, groups: Iterable[str]) -> dict[str, tuple[f
     """Priors (mean, sigma) of the correlation times of disturbances ("force", "torque") that
     `source` has."""
     names = (f"disturbance.{group}.T" for group in groups)
-    return {n: _believed(source, n) for n in names if n in source.values}
+    share = DEFAULT_SIGMAS["effects"].share
+    found = {n: _identified(source, n) for n in names if n in source.values}
+    return {n: (v, float(np.hypot(own, share * v))) for n, (v, own) in found.items()}
 
 
-def _believed(source: IdentifiedModel, name: str) -> tuple[float, float]:
-    """(value, standard deviation) of a number of another craft."""
+def _identified(source: IdentifiedModel, name: str) -> tuple[float, float]:
+    """(value, standard error) of a number of another craft."""
     value, own = source.values[name], 0.0
     if name in source.covariance_names:
         at = source.covariance_names.index(name)
         own = float(source.covariance[at, at]) ** 0.5
-    return value, float(np.hypot(own, DEFAULT_SIGMAS["effects"].share * value))
+    return value, own
 
 
 def grown(unit: str, vehicle: Vehicle, source: Vehicle) -> float:
@@ -84,5 +87,5 @@ def grown(unit: str, vehicle: Vehicle, source: Vehicle) -> float:
     mass = vehicle.mass.value / source.mass.value
     length = vehicle.arm_length / source.arm_length
     scales = {"kg": mass, "N": mass, "m": length, "s": length**0.5}
-    scales["rad"] = vehicle.omega_scale / source.omega_scale
+    scales["rad"] = length**0.5 * vehicle.omega_scale / source.omega_scale  # rad/s as rotors turn
     return float(np.prod([scales.get(symbol, 1.0) ** power for symbol, power in powers.items()]))

@@ -301,6 +301,7 @@ def _subject(
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, search, report."""
     from greybox.commands.vehicle_lines import say_vehicle
+    from greybox.cores import cores
     from greybox.data.checks import CheckReport, check_logs
     from greybox.discovery.workflow import discover, refused
     from greybox.errors import GreyboxError
@@ -334,6 +335,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
         rate = arguments.rate or 1 / sample_time(train)
         test = read_flights_of(arguments, subject, arguments.test, rate=rate)
+        side_by_side = not isinstance(subject, StateSpaceModel) and cores() > 1
         if not isinstance(subject, StateSpaceModel):
             say_vehicle(subject, console.say)
         try:
@@ -357,7 +359,7 @@ def run(arguments: argparse.Namespace) -> int:
                     faults=faults,
                     progress=console.share,
                     save=search.write,
-                    executor=None if isinstance(subject, StateSpaceModel) else workers,
+                    executor=workers if side_by_side else None,
                 )
         except KeyboardInterrupt:
             if search.content:

@@ -95,7 +95,7 @@ def certificates(
         found: dict[tuple[str, ...], float] = {}
         for rival in rows:
             least, most = _log_e(at, rival, judges, bar, rough=True)
-            if least < bar + near and most >= bar - near:
+            if any(least < b + near and most >= b - near for b in (0.0, bar)):
                 least, _ = _log_e(at, rival, judges, bar, rough=False)
             found[rival.instead] = least
         strongest = min(found, key=lambda r: found[r], default=())
@@ -137,7 +137,8 @@ def _log_e(
         most.append(lead - lost + sum(f.may_gain for f in (*mine, *other)))
         gained.append(_less(lead, *mine))
     sharp, highest = _mean(told), _mean(most)
-    if sharp >= bar + np.log(2) or -np.inf < highest < bar:
+    highest = highest if np.isfinite(highest) else np.inf  # else a fit says nothing
+    if sharp >= bar + np.log(2) or highest < 0 or (highest < bar and sharp >= np.log(2)):
         return sharp - float(np.log(2)), highest
     known, structure = rival.fitted.known, rival.fitted.structure
     logs = []

@@ -221,10 +221,14 @@ class Flights:
         common = self.causes, self.data, self.options
         problems = [self._problem(t.structure) for t in tasks]
         if self.executor is not None and len(tasks) > 1 and _sendable((common, tasks)):
-            sent = [self.executor.submit(solved, *common, t) for t in tasks]
-            answers = [f.result() for f in sent]
+            try:
+                sent = [self.executor.submit(solved, *common, t) for t in tasks]
+                answers = [f.result() for f in sent]
+            except concurrent.futures.BrokenExecutor:  # a process was killed, or cannot read these
+                self.executor, answers = None, []
         else:
-            answers = [solution(p, t) for p, t in zip(problems, tasks, strict=True)]
+            answers = []
+        answers = answers or [solution(p, t) for p, t in zip(problems, tasks, strict=True)]
         out = []
         for task, problem, (theta, status, value) in zip(tasks, problems, answers, strict=True):
             evidence = -np.inf

@@ -219,6 +219,8 @@ class Discovery(Shown):
             "one of " + " / ".join(c["name"] for c in a["candidates"]) for a in self.ambiguous()
         ]
         held = [f"{u['channel']} {_size(u)}" for u in self.unnamed()]
+        kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
+        found += [f"in the model, not certified: {kept}"] if kept else []
         what = "MISSING: " + "; ".join(found) if found else "nothing is missing that has a name"
         if held:
             return f"{what}; without a name: {', '.join(held)}"

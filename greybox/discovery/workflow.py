@@ -6,7 +6,6 @@ faults -> search by evidence -> certificates and worth -> what is left -> gap be
 from __future__ import annotations
 
 import concurrent.futures
-import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -38,6 +37,7 @@ from greybox.estimation.record import sample_time
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
 from greybox.model.known import known_numbers, since
+from greybox.model.layer import physics_of
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
 from greybox.validation.gap import HeldOutErrors, gap, outgrown, predict_ahead, worsened
@@ -129,8 +129,7 @@ def _settings(options: DiscoverOptions) -> dict[str, Any]:
 
 
 def _drifting(faults: CheckReport, since: IdentifiedModel | None) -> bool:
-    """Whether attitude and gyro have noise between them: as the automatic fit decides it, and as a
-    model had it that was identified before."""
+    """Whether attitude and gyro have noise between them: as in the automatic fit, or in `since`."""
     return faults.wander > WANDER if since is None else since.physics.kinematic_noise
 
 
@@ -341,29 +340,26 @@ class _Run:
             if found.status == "not certified":
                 found = replace(found, kept=self._asked(at, name, judges[0].both))
             names.append(found)
-        keep = {"certified", "supported", "one of these"} | (
-            {"trace"} if self.options.trace else set()
-        )
+        keep = {"certified", "supported", "one of these", *["trace"] * self.options.trace}
         doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
         self.warnings += [doubt for doubt in doubts if doubt]
         gone = {n.name for n in names if n.status not in keep and not n.kept}
         return names, self.flights.fit(at.structure - gone, [at.known]) if gone else at
 
     def _asked(self, at: Fitted, name: str, both: Flights) -> bool:
-        """Whether all flights together, `both`, clearly ask for a cause: the model keeps it then,
-        or what it explains would bend the others. Evidence chooses models, e-values names."""
+        """Whether all flights, `both`, clearly ask for a cause: without it others would bend."""
         there, without = both.known(at.structure), both.known(at.structure - {name})
         if there is None or without is None or impossible(at, self.flights, name):
             return False
-        return there.log_evidence >= without.log_evidence + self.bar
+        least = without.log_evidence + without.may_gain + self.bar
+        return bool(np.isfinite(there.log_evidence)) and there.log_evidence >= least
 
     def _beside_laws(
         self, search: Search, names: list[Name], at: Fitted, written: Fitted
     ) -> tuple[list[Name], Fitted]:
-        """Names that fade next to the laws that won, and that the flights do not need there, are
-        none, and the structure without them: a name that was near what is not in the catalogue bent
-        into it before there was a law. What was supported alone must not be refuted there. The
-        model without laws keeps them: there they say what the laws say."""
+        """Names that fade next to the laws that won and are not needed there are none, and the
+        structure without them: they had bent into what is not in the catalogue. What was supported
+        alone must not be refuted. The model without laws keeps them for what the laws say."""
         there = [n.name for n in names if n.name in written.structure]
         asked = [n for n in there if search.doubted(written, n)]
         judges = splits(self.flights, self.test)
@@ -412,7 +408,7 @@ class _Run:
                 proposals = self._ahead(lawful).own
             except GreyboxError as error:
                 self.warnings.append(f"the proposed laws could not be judged: {error}")
-        with contextlib.suppress(GreyboxError):
+        if physics_of(self.flights.causes.model) is not None:
             filtered = self._ahead(self.settled(at).model, unnamed=True).own
         if self.options.attainable:
             self.say("attainable line", 0.95)

@@ -218,7 +218,12 @@ def _manoeuvre(report: Report, fly: Mapping[str, Any]) -> None:
 
 def _no_name(report: Report, content: Mapping[str, Any]) -> None:
     rows: list[list[Cell]] = [
-        [r["name"], r["status"], number(r["log10_e"], 3), r["reason"]]
+        [
+            r["name"],
+            r["status"] + ", in the model" * r.get("in_model", False),
+            number(r["log10_e"], 3),
+            r["reason"],
+        ]
         for r in (*content["traces"], *content["not_certified"])
     ]
     if rows:

@@ -148,7 +148,7 @@ def adapt_to_flight(
         std={n: float(std[i]) for n, i in places.items() if i is not None},
         units={n: declared[n].unit for n in free},
         x0=problem.initial_state(theta, 0),
-        x0_sigma=_spread(problem, std),
+        x0_sigma=_spread(problem, std, gain),
         warnings=tuple(warnings),
     )
 
@@ -167,8 +167,9 @@ def _beyond_the_filter(problem: Problem, gain: Riccati) -> Problem:
     return replace(problem, unknowns=tuple(unknowns))
 
 
-def _spread(problem: Problem, std: FloatArray) -> FloatArray:
-    """Standard errors (n_d,) of the start, those before the flight where the fit has none."""
+def _spread(problem: Problem, std: FloatArray, gain: Riccati) -> FloatArray:
+    """Standard errors (n_d,) of the start, those before the flight where the fit has none: what was
+    found beyond the settled filter, and the filter's own."""
     before = problem.start_sigma(0)
-    found = std[problem.initial_columns(0)]
+    found = np.sqrt(std[problem.initial_columns(0)] ** 2 + np.diag(gain.P))
     return np.where(np.isfinite(found), np.minimum(found, before), before)

@@ -112,7 +112,7 @@ def worsened(rows: Iterable[GapRow]) -> list[str]:
     answers up (`scenarios.studies.feedback_tells`)."""
     out = []
     for r in rows:
-        if r.ci95 is None or r.ci95[1] >= 0:
+        if r.ci95 is None or r.ci95[1] >= 0 or r.filtered is None:
             continue
         said = f"{r.group} {f'{r.horizon_s:g} s' if r.horizon_s else 'one sample'} ahead: "
         if r.filtered is not None and r.filtered < r.before:
@@ -122,8 +122,8 @@ def worsened(rows: Iterable[GapRow]) -> list[str]:
             )
         else:
             out.append(
-                f"{said}worse: commands of a feedback answer what comes in between, and a model "
-                "that follows them adds the answers up"
+                f"{said}worse: commands of a feedback may answer what comes in between, and a "
+                "model that follows them adds the answers up"
             )
     return out
 

@@ -104,6 +104,7 @@ def test_what_a_short_judge_cannot_certify_and_all_flights_ask_for_stays_without
     (row,) = found.to_dict()["not_certified"]
     assert row["in_model"] is True
     assert "not certified, in the model: dry" in found.summary()
+    assert "in the model, not certified: dry" in found.line and "NOTHING" not in found.line
 
 
 def test_what_has_no_name_is_a_law_in_a_program_that_builds_the_model(tmp_path: Path) -> None:

@@ -107,7 +107,9 @@ class LevenbergMarquardt:
                 if hopeless(trail, decrement, self.target, self.max_iterations - iteration):
                     code = Code.BEHIND
                     break
-                if creeps(costs, self.tolerance):
+                if creeps(costs, self.tolerance) and h is not value.hessian:
+                    curvature, costs = Curvature(x.size), []
+                elif creeps(costs, self.tolerance):
                     code = Code.CONVERGED if decrement < arrived else Code.NO_PROGRESS
                     break
                 moved = False

@@ -47,7 +47,7 @@ class LowPass(SensorPart):
                 unit="s",
                 nominal=self.time,
                 lower=0.001,
-                upper=SLOWEST,
+                upper=max(SLOWEST, self.time),  # a file of before may hold a slower one
                 scale=self.time,
                 meaning=f"time constant, {self.kind} {self.sensor}",
             ),
