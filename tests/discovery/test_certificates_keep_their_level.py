@@ -60,11 +60,10 @@ def test_the_supremum_is_sought_only_where_it_could_decide(seed: int):
     ],
     ids=["nothing", "look-alike", "another"],
 )
-@pytest.mark.parametrize("bar", [np.log(1 / ALPHA), 0.0], ids=["one name", "any"])
-def test_false_certificates_are_rare(truth: Truth, rivals: tuple[tuple[str, ...], ...], bar: float):
+def test_false_certificates_are_rare(truth: Truth, rivals: tuple[tuple[str, ...], ...]):
+    bar = np.log(1 / ALPHA)
     beyond = sum(
-        certified(*drawn(seed, truth), "a", rivals, bar).log_e >= np.log(1 / ALPHA)
-        for seed in range(LOGS)
+        certified(*drawn(seed, truth), "a", rivals, bar).log_e >= bar for seed in range(LOGS)
     )
     # 95 % of binomial draws at alpha lie below this; e-values are far below alpha in practice.
     assert beyond <= ALPHA * LOGS + 2 * np.sqrt(ALPHA * (1 - ALPHA) * LOGS)
