@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -207,9 +208,9 @@ def _controller(name: str, rows: Sequence[Row], own: OwnCampaign) -> dict[str, A
         "beyond": {"count": hits, "share": hits / n if n else None, "interval": exact(hits, n)},
         "p_value": binomtest(hits, n, own.level, alternative="greater").pvalue if n else None,
         "samples_beyond": sum(r["beyond"] for r in rows) / max(1, sum(r["samples"] for r in rows)),
-        "excess": {o: max((r["excess"][o] for r in rows), default=None) for o in own.asked.limits},
+        "excess": {o: max(_numbers(rows, "excess", o), default=None) for o in own.asked.limits},
         **{
-            what: {o: float(np.mean([r[what][o] for r in rows])) if n else None for o in held}
+            what: {o: fmean(v) if (v := _numbers(rows, what, o)) else None for o in held}
             for what in ("rmse", "settled")
         },
         "failures": sum(r["failures"] for r in rows),
@@ -220,6 +221,11 @@ def _controller(name: str, rows: Sequence[Row], own: OwnCampaign) -> dict[str, A
     }
 
 
+def _numbers(rows: Sequence[Row], what: str, output: str) -> list[float]:
+    """Of the rows in which it is one: an output that was not finite has no error."""
+    return [r[what][output] for r in rows if r[what][output] is not None]
+
+
 def verdict(content: Mapping[str, Any]) -> str:
     """One or two sentences: how well outputs were held, and whether the promise was kept."""
     found, units = content["controllers"], content["units"]
@@ -227,7 +233,7 @@ def verdict(content: Mapping[str, Any]) -> str:
     c = found[name]
     if not c["runs"]:
         return "Nothing has run yet."
-    errors = ", ".join(f"{o} to {v:.3g} {units[o]}" for o, v in c["settled"].items())
+    errors = ", ".join(f"{o} to {_text(v, '.3g')} {units[o]}" for o, v in c["settled"].items())
     held = f"Once settled, {name} held {errors} (rms)."
     if name == "mean":
         return held
@@ -241,6 +247,10 @@ def verdict(content: Mapping[str, Any]) -> str:
         f"{c['beyond']['count']} of {c['runs']} did (95 % interval {low:.0f} to {high:.0f} %), "
         f"{plain} of {found['mean']['runs']} without tightening."
     )
+
+
+def _text(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
 
 
 def advice(content: Mapping[str, Any]) -> list[str]:
@@ -279,7 +289,7 @@ def format_table(content: Mapping[str, Any]) -> str:
         lines.append(
             f"{name:10s} {c['runs']:5d} {c['beyond']['count']:6d} {low:5.0f} ..{high:4.0f} % "
             f"{100 * c['samples_beyond']:9.1f} % "
-            + " ".join(f"{c['settled'][o]:24.4g}" for o in held)
+            + " ".join(f"{_text(c['settled'][o], '.4g'):>24s}" for o in held)
             + f" {t['median']:8.1f}/{t['p99']:.1f}"
         )
     return "\n".join(lines)
