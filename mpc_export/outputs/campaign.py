@@ -6,7 +6,9 @@ tube   the same, limits tightened by what the model is unsure of
 
 from __future__ import annotations
 
+import inspect
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -39,6 +41,8 @@ WATCHED = 1
 """So many runs are kept for the page."""
 LONGEST = 100_000
 """Most samples of a run."""
+FORM = "no number is beyond, the first command in its range"
+"""Of controller and judgement: runs of another form do not count with those of this one."""
 
 
 @dataclass(kw_only=True)
@@ -76,7 +80,14 @@ class OwnCampaign:
         self.machine = machine_of(self.plant, model)
         self.kappa = {"mean": 0.0, "tube": 0.0}
         self._key = checksum(
-            [repr(self.asked), self.horizon, self.plant or "model", file_sha256(self.file)]
+            [
+                repr(self.asked),
+                self.horizon,
+                self.plant or "model",
+                file_sha256(self.file),
+                FORM,
+                *(sources(self.plant, self.machine) if self.plant else ()),
+            ]
         )
 
     @staticmethod
@@ -108,6 +119,20 @@ class OwnCampaign:
     def names(self) -> list[str]:
         """The controllers that run: without limits there is nothing to tighten."""
         return list(TEXTS) if self.asked.limits else ["mean"]
+
+
+def sources(plant: str, machine: Any) -> list[str]:
+    """SHA-256 of the files of the module that `plant` names, and of the machine's class, where they
+    are Python."""
+    found = set()
+    for of in (sys.modules.get(plant.partition(":")[0]), type(machine)):
+        try:
+            path = inspect.getsourcefile(of)  # type: ignore[arg-type]
+        except (TypeError, OSError):
+            continue
+        if path and Path(path).is_file():
+            found.add(path)
+    return [file_sha256(p) for p in sorted(found)]
 
 
 def checked(asked: Asked, model: IdentifiedModel, bounds: tuple[Any, Any], horizon: int) -> Asked:

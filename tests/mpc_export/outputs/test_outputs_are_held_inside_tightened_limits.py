@@ -1,6 +1,8 @@
 """OutputController on a fitted model of the user's own: it plans with the exported model, its tube
 is the spread of the closed loop, and tightened plans stay that far inside."""
 
+import importlib
+from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,7 +17,7 @@ from greybox.model.parameter import Parameter, ParameterValues
 from greybox.symbolic import Layout, Signal
 from mpc_export.functions import model_functions
 from mpc_export.noise import parameter_covariance
-from mpc_export.outputs.campaign import _controller, format_table, verdict
+from mpc_export.outputs.campaign import _controller, format_table, sources, verdict
 from mpc_export.outputs.controller import OutputController, OutputProblem, typical_problem
 from mpc_export.outputs.machine import Asked, ModelMachine, run
 
@@ -198,6 +200,17 @@ def test_an_output_that_is_no_number_is_beyond_its_limits(controller):
     content["controllers"] = {"tube": lost, "mean": lost}
     assert "speed to - m/s" in verdict(content)
     assert format_table(content).splitlines()[1].split()[-2] == "-"
+
+
+def test_runs_of_a_plant_count_by_the_text_of_its_file(tmp_path, monkeypatch):
+    """A factory whose class is elsewhere counts by both files; what is not Python by none."""
+    (tmp_path / "my_own_rig.py").write_text("from collections import Counter\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    importlib.import_module("my_own_rig")
+    first = sources("my_own_rig:Counter", Counter())
+    assert len(first) == 2 and sources("sys:flags", 1) == []
+    (tmp_path / "my_own_rig.py").write_text("from collections import Counter\nGAIN = 2\n")
+    assert len(set(first) & set(sources("my_own_rig:Counter", Counter()))) == 1
 
 
 def test_a_state_that_is_no_number_is_neither_solved_with_nor_kept(controller):
