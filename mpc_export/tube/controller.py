@@ -551,7 +551,8 @@ class TubeController:
         room = 0.5 * np.minimum(problem.command_max - u, u - problem.command_min)
         taken = data["backoff_u"].max(axis=0)  # by the plan before, with its standard deviations
         share = np.min(room[taken > 0] / taken[taken > 0], initial=math.inf)
-        found = float(data["kappa_u"][()]) * max(float(share), ROUNDING)
+        # never so few that none are left: those come back in full once there is room again
+        found = max(float(data["kappa_u"][()]) * float(share), ROUNDING * self.kappa_u)
         return min(self.kappa_u, found) if math.isfinite(found) else self.kappa_u
 
     def _path(self, begin: float, times: FloatArray) -> Any:
