@@ -260,6 +260,9 @@ def verdict(content: Mapping[str, Any]) -> str:
         return "Nothing has run yet."
     errors = ", ".join(f"{o} to {_text(v, '.3g')} {units[o]}" for o, v in c["settled"].items())
     held = f"Once settled, {name} held {errors} (rms)."
+    if c["failures"]:
+        plans = "1 plan was" if c["failures"] == 1 else f"{c['failures']} plans were"
+        held += f" {plans} not solved: there the commands of the plan before went on."
     if name == "mean":
         return held
     low, high = (100 * v for v in c["beyond"]["interval"])

@@ -198,7 +198,10 @@ def test_an_output_that_is_no_number_is_beyond_its_limits(controller):
     assert lost["settled"] == lost["rmse"] == lost["excess"] == {"speed": None}
     content = {"held": {"speed": [0.5]}, "units": {"speed": "m/s"}, "level": 0.05}
     content["controllers"] = {"tube": lost, "mean": lost}
-    assert "speed to - m/s" in verdict(content)
+    content["controllers"]["tube"]["failures"] = 0
+    assert "speed to - m/s" in verdict(content) and "solved" not in verdict(content)
+    content["controllers"]["tube"] = {**lost, "failures": 3}
+    assert "3 plans were not solved" in verdict(content)
     assert format_table(content).splitlines()[1].split()[-2] == "-"
 
 
