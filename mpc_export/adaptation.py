@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -143,6 +143,15 @@ def adapted(
         upper=np.array([*high, *[UNBOUNDED] * extra]),
         limits=authority(model),
     )
+
+
+def starting_as(own: Adapted, model: IdentifiedModel, filtered: FloatArray) -> Adapted:
+    """`own` with the start of `model`, whose disturbances may decay where those of the filter of
+    covariance `filtered` (n_d, n_d) do not: a walk has no stationary state to start in."""
+    excess, covariance = start_excess(model, np.diag(filtered)), own.covariance.copy()
+    at = len(own.rows) + np.arange(len(excess))
+    covariance[at, at] = excess
+    return replace(own, covariance=covariance)
 
 
 def start_excess(model: IdentifiedModel, filtered: FloatArray) -> FloatArray:

@@ -126,6 +126,15 @@ def run(arguments: argparse.Namespace, content: Mapping[str, Any]) -> int:
         return 1
     if arguments.model_file:
         _same_program(arguments)
+    for option, given in (
+        ("hold", arguments.hold),
+        ("limit", arguments.limits),
+        ("range", arguments.ranges),
+    ):
+        names = [pair[0] for pair in given]
+        for name in names:
+            if names.count(name) > 1:
+                raise GreyboxError(f"--{option} names {name} more than once", fix="name it once")
     asked = Asked(
         held=dict(arguments.hold),
         limits=dict(arguments.limits),

@@ -82,7 +82,7 @@ def _panels(content: Mapping[str, Any], traces: Traces) -> list[tuple[Figure, st
                 asked = np.array(any_trace["asked"])[:, i]
                 lines.append(figures.Line(values=asked, colour=MUTED, style=":", width=1.2))
             for who in sorted(traces, key=lambda n: n == "tube"):
-                values = np.array(traces[who][what])[:, i]
+                values = np.array(traces[who][what], dtype=float)[:, i]
                 lines.append(figures.Line(values=values, colour=LOOKS[who][1], width=1.3))
             label = f"{name} [{content['units'][name]}]"
             panels.append((figures.time_series(times, {label: lines}), f"{name} over time"))

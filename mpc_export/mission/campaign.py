@@ -51,6 +51,8 @@ NEAR = 2e-3
 """A limit that a plan comes closer to than this is touched [m]."""
 WATCHED = 3
 """So many flights are kept for the animation."""
+FORM = "tightening of commands keeps a share of what is asked"
+"""Of the controllers: flights of another form do not count with those of this one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +99,7 @@ class Campaign:
 
     def key(self, entry: Entry) -> str:
         """What a row must have been flown with to count."""
-        parts = [entry.kind, entry.kappa, entry.moved, self.plant, _set_up(self)]
+        parts = [entry.kind, entry.kappa, entry.moved, self.plant, _set_up(self), FORM]
         parts += [file_sha256(f) for f in (entry.model, self.model, self.disturbances) if f]
         return checksum(parts)[:16]
 

@@ -6,10 +6,13 @@ tube   the same, limits tightened by what the model is unsure of
 
 from __future__ import annotations
 
+import inspect
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -38,6 +41,8 @@ WATCHED = 1
 """So many runs are kept for the page."""
 LONGEST = 100_000
 """Most samples of a run."""
+FORM = "no number is beyond, the first command in its range"
+"""Of controller and judgement: runs of another form do not count with those of this one."""
 
 
 @dataclass(kw_only=True)
@@ -75,7 +80,14 @@ class OwnCampaign:
         self.machine = machine_of(self.plant, model)
         self.kappa = {"mean": 0.0, "tube": 0.0}
         self._key = checksum(
-            [repr(self.asked), self.horizon, self.plant or "model", file_sha256(self.file)]
+            [
+                repr(self.asked),
+                self.horizon,
+                self.plant or "model",
+                file_sha256(self.file),
+                FORM,
+                *(sources(self.plant, self.machine) if self.plant else ()),
+            ]
         )
 
     @staticmethod
@@ -107,6 +119,20 @@ class OwnCampaign:
     def names(self) -> list[str]:
         """The controllers that run: without limits there is nothing to tighten."""
         return list(TEXTS) if self.asked.limits else ["mean"]
+
+
+def sources(plant: str, machine: Any) -> list[str]:
+    """SHA-256 of the files of the module that `plant` names, and of the machine's class, where they
+    are Python."""
+    found = set()
+    for of in (sys.modules.get(plant.partition(":")[0]), type(machine)):
+        try:
+            path = inspect.getsourcefile(of)  # type: ignore[arg-type]
+        except (TypeError, OSError):
+            continue
+        if path and Path(path).is_file():
+            found.add(path)
+    return [file_sha256(p) for p in sorted(found)]
 
 
 def checked(asked: Asked, model: IdentifiedModel, bounds: tuple[Any, Any], horizon: int) -> Asked:
@@ -207,9 +233,9 @@ def _controller(name: str, rows: Sequence[Row], own: OwnCampaign) -> dict[str, A
         "beyond": {"count": hits, "share": hits / n if n else None, "interval": exact(hits, n)},
         "p_value": binomtest(hits, n, own.level, alternative="greater").pvalue if n else None,
         "samples_beyond": sum(r["beyond"] for r in rows) / max(1, sum(r["samples"] for r in rows)),
-        "excess": {o: max((r["excess"][o] for r in rows), default=None) for o in own.asked.limits},
+        "excess": {o: max(_numbers(rows, "excess", o), default=None) for o in own.asked.limits},
         **{
-            what: {o: float(np.mean([r[what][o] for r in rows])) if n else None for o in held}
+            what: {o: fmean(v) if (v := _numbers(rows, what, o)) else None for o in held}
             for what in ("rmse", "settled")
         },
         "failures": sum(r["failures"] for r in rows),
@@ -220,6 +246,11 @@ def _controller(name: str, rows: Sequence[Row], own: OwnCampaign) -> dict[str, A
     }
 
 
+def _numbers(rows: Sequence[Row], what: str, output: str) -> list[float]:
+    """Of the rows in which it is one: an output that was not finite has no error."""
+    return [r[what][output] for r in rows if r[what][output] is not None]
+
+
 def verdict(content: Mapping[str, Any]) -> str:
     """One or two sentences: how well outputs were held, and whether the promise was kept."""
     found, units = content["controllers"], content["units"]
@@ -227,8 +258,11 @@ def verdict(content: Mapping[str, Any]) -> str:
     c = found[name]
     if not c["runs"]:
         return "Nothing has run yet."
-    errors = ", ".join(f"{o} to {v:.3g} {units[o]}" for o, v in c["settled"].items())
+    errors = ", ".join(f"{o} to {_text(v, '.3g')} {units[o]}" for o, v in c["settled"].items())
     held = f"Once settled, {name} held {errors} (rms)."
+    if c["failures"]:
+        plans = "1 plan was" if c["failures"] == 1 else f"{c['failures']} plans were"
+        held += f" {plans} not solved: there the commands of the plan before went on."
     if name == "mean":
         return held
     low, high = (100 * v for v in c["beyond"]["interval"])
@@ -241,6 +275,10 @@ def verdict(content: Mapping[str, Any]) -> str:
         f"{c['beyond']['count']} of {c['runs']} did (95 % interval {low:.0f} to {high:.0f} %), "
         f"{plain} of {found['mean']['runs']} without tightening."
     )
+
+
+def _text(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
 
 
 def advice(content: Mapping[str, Any]) -> list[str]:
@@ -279,7 +317,7 @@ def format_table(content: Mapping[str, Any]) -> str:
         lines.append(
             f"{name:10s} {c['runs']:5d} {c['beyond']['count']:6d} {low:5.0f} ..{high:4.0f} % "
             f"{100 * c['samples_beyond']:9.1f} % "
-            + " ".join(f"{c['settled'][o]:24.4g}" for o in held)
+            + " ".join(f"{_text(c['settled'][o], '.4g'):>24s}" for o in held)
             + f" {t['median']:8.1f}/{t['p99']:.1f}"
         )
     return "\n".join(lines)

@@ -126,11 +126,12 @@ class OutputController:
 
     def start(self, u: FloatArray | None = None) -> None:
         """Forget everything; `u` (n_u,) is the command that acts now, default the model's typical
-        one."""
+        one, within the limits."""
         x, typical = self.reference
         self.x = np.array(x, dtype=float)
         self._first = True
-        self.u = np.array(typical if u is None else u, dtype=float)
+        within = np.clip(typical, self.outputs.u_min, self.outputs.u_max)
+        self.u = np.array(within if u is None else u, dtype=float)
         self.p = self.functions.parameter_values.copy()
         self.nominal = np.tile(self.u, (self.outputs.horizon, 1))
         self.plan: OutputPlan | None = None
@@ -171,17 +172,23 @@ class OutputController:
         return self.u
 
     def _filtered(self, y: FloatArray) -> None:
-        """The state (n_x,) after y (n_y,) was measured, and one sample on."""
+        """The state (n_x,) after y (n_y,) was measured, and one sample on; what does not come out
+        finite is foretold without y, or stays."""
         there = np.isfinite(y).astype(float)
         if self._first:
             self._first, self.x = False, self._begun.start(self.x, y)
         after, e, _ = self._filter(self.x, self.u, self.p, np.where(there != 0, y, 0.0), there)
-        self.x = after.full().ravel()
+        found, x = after.full().ravel(), self.x
+        if not np.isfinite(found).all():
+            blind = self.functions["f_d"](x, self.u, self.p).full().ravel()
+            found = np.where(np.isfinite(found), found, np.where(np.isfinite(blind), blind, x))
+        self.x = found
         if not self._begun.settled:
             settled = self.functions["innovation_gain"](there)[0].full()
             more = self._begun.gain(there) - settled
             moved = more @ np.where(there != 0, e.full().ravel(), 0.0)
-            self.x = self.functions["boxplus"](self.x, moved).full().ravel()
+            if np.isfinite(moved).all():
+                self.x = self.functions["boxplus"](self.x, moved).full().ravel()
 
     def margins(self) -> FloatArray:
         """(n_y,) How far the planned outputs of the next sample stay inside the tightened
@@ -237,12 +244,16 @@ class OutputController:
         low, high = (v[:, limited].ravel() for v in (o.lower + back - y, o.upper - back - y))
         part = slope.reshape(n, self._n_y, wide)[:, limited].reshape(slacks, wide)
         rows = np.vstack([np.hstack([part, -np.eye(slacks)]), np.hstack([-part, -np.eye(slacks)])])
+        most = np.concatenate([high, -low])
+        whole = all(np.isfinite(v).all() for v in (hessian, gradient, rows, flat))
+        if not whole or not (most > -np.inf).all():  # the solver raises or does not end
+            return np.zeros(wide), False
         found = self._solve(
             h=hessian,
             g=gradient,
             a=rows,
             lba=-np.inf,
-            uba=np.concatenate([high, -low]),
+            uba=most,
             lbx=np.concatenate([np.tile(o.u_min, n) - flat, np.zeros(slacks)]),
             ubx=np.concatenate([np.tile(o.u_max, n) - flat, np.full(slacks, np.inf)]),
         )

@@ -84,8 +84,8 @@ def machine_of(plant: str | None, model: IdentifiedModel) -> Any:
 def run(
     controller: OutputController, machine: Any, asked: Asked, seed: int, *, watch: bool = False
 ) -> dict[str, Any]:
-    """One run. Keys: seed, beyond (samples with a true output beyond its limit, after they were all
-    inside), samples, excess
+    """One run. Keys: seed, beyond (samples with a true output beyond its limit or not finite, after
+    they were all inside), samples, excess
     (largest, in units of the output), rmse and settled (of held outputs against what was asked, all
     the time and in the later half of the time that a value is held), touched
     (limits that plans touch), solve_ms, failures, and with `watch` a trace. Raises `PlantError` for
@@ -115,12 +115,14 @@ def run(
         u = after
     y = np.array(true)
     over = np.maximum(np.maximum(y - upper, lower - y), 0.0)
+    inside = ((over == 0) & np.isfinite(y)).all(axis=1)
     # A run that begins beyond a limit counts from when it is inside.
-    over[: int((over == 0).all(axis=1).argmax())] = 0.0
+    begun = int(inside.argmax())
+    over[:begun], inside[:begun] = 0.0, True
     error = dict(zip(names, (y - goals).T, strict=True))
     row: dict[str, Any] = {
         "seed": seed,
-        "beyond": int((over > 0).any(axis=1).sum()),
+        "beyond": int((~inside).sum()),
         "samples": samples,
         "excess": dict(zip(asked.limits, over.max(axis=0)[[names.index(n) for n in asked.limits]])),
         "rmse": {n: float(np.sqrt(np.mean(error[n] ** 2))) for n in asked.held},

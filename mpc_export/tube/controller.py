@@ -39,7 +39,7 @@ from greybox.errors import ModelError
 from greybox.frames import GRAVITY, numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
-from mpc_export.adaptation import flight_parameters
+from mpc_export.adaptation import flight_parameters, starting_as
 from mpc_export.c_code import CKernel
 from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions, model_functions
@@ -172,6 +172,9 @@ class TubeController:
             runtime_parameters=() if self.adapt is None else flight_parameters(model),
         )
         self.filter: ModelFunctions = model_functions(model, with_=wanted)
+        if self.adapt is not None:
+            start = starting_as(self.filter.adapted, self.model, self.filter.noise.covariance)
+            self.filter = replace(self.filter, adapted=start)
         noise = dict(
             zip(self.filter.error_states.names, np.diag(self.filter.noise.filtered), strict=True)
         )
@@ -548,7 +551,8 @@ class TubeController:
         room = 0.5 * np.minimum(problem.command_max - u, u - problem.command_min)
         taken = data["backoff_u"].max(axis=0)  # by the plan before, with its standard deviations
         share = np.min(room[taken > 0] / taken[taken > 0], initial=math.inf)
-        found = float(data["kappa_u"][()]) * max(float(share), ROUNDING)
+        # never so few that none are left: those come back in full once there is room again
+        found = max(float(data["kappa_u"][()]) * float(share), ROUNDING * self.kappa_u)
         return min(self.kappa_u, found) if math.isfinite(found) else self.kappa_u
 
     def _path(self, begin: float, times: FloatArray) -> Any:

@@ -277,6 +277,14 @@ WRONG = {
         ["mpc", "{b}/fit/model.json", *HOLD, "--range", "pump=2,1"],
         "--range pump",
     ),
+    "one output held twice": (
+        ["mpc", "{b}/fit/model.json", *HOLD, "level=0.5"],
+        "--hold names level more than once",
+    ),
+    "one range twice": (
+        ["mpc", "{b}/fit/model.json", *HOLD, "--range", "pump=0,2", "pump=0,1"],
+        "--range names pump more than once",
+    ),
     "control by another program": (
         ["mpc", "{b}/fit/model.json", *HOLD, "--model-file", "{b}/other.py:build"],
         "is not the model of this file",

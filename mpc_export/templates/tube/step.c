@@ -338,7 +338,7 @@ static tube_real affordable(void) {
     for (int j = 0; j < NU; j++)
       if (c.data.backoff_u[k][j] > 0)
         share = fmin(share, 0.5 * fmin(command_max - c.steady_u[j], c.steady_u[j] - command_min) / c.data.backoff_u[k][j]);
-  return share < INFINITY ? fmin(c.kappa_u, c.data.kappa_u * fmax(share, @rounding@)) : c.kappa_u;
+  return share < INFINITY ? fmin(c.kappa_u, fmax(c.data.kappa_u * share, @rounding@ * c.kappa_u)) : c.kappa_u;
 }
 
 /* One Newton step of the steady state that holds the path's place under the estimated disturbance. */

@@ -1,8 +1,12 @@
 """OutputController on a fitted model of the user's own: it plans with the exported model, its tube
 is the spread of the closed loop, and tightened plans stay that far inside."""
 
+import importlib
+from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -13,8 +17,9 @@ from greybox.model.parameter import Parameter, ParameterValues
 from greybox.symbolic import Layout, Signal
 from mpc_export.functions import model_functions
 from mpc_export.noise import parameter_covariance
+from mpc_export.outputs.campaign import _controller, format_table, sources, verdict
 from mpc_export.outputs.controller import OutputController, OutputProblem, typical_problem
-from mpc_export.outputs.machine import ModelMachine
+from mpc_export.outputs.machine import Asked, ModelMachine, run
 
 DT, HORIZON = 0.05, 10
 SPREAD = {"drag": 0.15, "gauge": 0.05}
@@ -157,6 +162,89 @@ def test_the_machine_without_noise_is_the_exported_step(controller):
         x = f["f_d"](x, u, f.parameter_values).full().ravel()
     first = [(machine.reset(s), machine.measure(u)["speed"])[1] for s in (1, 1, 2)]
     assert first[0] == first[1] != first[2]
+
+
+class Broken(ModelMachine):
+    """Its gauge shows nothing any more from the sixth sample on."""
+
+    def reset(self, seed: int = 0) -> None:
+        super().reset(seed)
+        self.left = 6
+
+    def step(self, u, dt=None) -> None:
+        super().step(u, dt)
+        self.left -= 1
+
+    def truth(self, u):
+        return {n: v if self.left > 0 else np.nan for n, v in super().truth(u).items()}
+
+
+ASKED = Asked(
+    held={"speed": (0.5,)},
+    limits={"speed": (-1.0, 1.0)},
+    ranges={"u": (-4.0, 4.0)},
+    seconds=20 * DT,
+)
+
+
+def test_an_output_that_is_no_number_is_beyond_its_limits(controller):
+    machine = Broken(cart())
+    row = run(controller, machine, ASKED, 1)
+    assert row["beyond"] == 14 and row["excess"] == {"speed": None}
+    good = run(controller, ModelMachine(cart()), ASKED, 1)
+    own = SimpleNamespace(asked=ASKED, kappa={"tube": 0.0, "mean": 0.0}, level=0.05)
+    both, lost = (_controller("tube", rows, own) for rows in ([row, good], [row]))
+    assert both["settled"] == good["settled"] and both["excess"] == good["excess"]
+    assert lost["settled"] == lost["rmse"] == lost["excess"] == {"speed": None}
+    content = {"held": {"speed": [0.5]}, "units": {"speed": "m/s"}, "level": 0.05}
+    content["controllers"] = {"tube": lost, "mean": lost}
+    content["controllers"]["tube"]["failures"] = 0
+    assert "speed to - m/s" in verdict(content) and "solved" not in verdict(content)
+    content["controllers"]["tube"] = {**lost, "failures": 3}
+    assert "3 plans were not solved" in verdict(content)
+    assert format_table(content).splitlines()[1].split()[-2] == "-"
+
+
+def test_runs_of_a_plant_count_by_the_text_of_its_file(tmp_path, monkeypatch):
+    """A factory whose class is elsewhere counts by both files; what is not Python by none."""
+    (tmp_path / "my_own_rig.py").write_text("from collections import Counter\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    importlib.import_module("my_own_rig")
+    first = sources("my_own_rig:Counter", Counter())
+    assert len(first) == 2 and sources("sys:flags", 1) == []
+    (tmp_path / "my_own_rig.py").write_text("from collections import Counter\nGAIN = 2\n")
+    assert len(set(first) & set(sources("my_own_rig:Counter", Counter()))) == 1
+
+
+def test_a_state_that_is_no_number_is_neither_solved_with_nor_kept(controller):
+    """A gauge of the square root of the speed, and a cart that rolls backwards."""
+    rooted = cart()
+    dynamics = replace(
+        rooted.dynamics, measurement=lambda t, x, u, p: [x[0], p["gauge"] * ca.sqrt(x[1])]
+    )
+    model = replace(rooted, dynamics=dynamics, reference_state=np.array([0.0, 1.0]))
+    f = model_functions(
+        model, with_=("covariance", "filter"), runtime_parameters=parameter_covariance(model)[0]
+    )
+    rooting = OutputController(f, controller.outputs)
+    rooting.kappa = 2.0
+    rooting.start(np.ones(1))
+    rooting.x = np.array([0.0, -0.2])
+    solved = []
+    for _ in range(20):
+        u = rooting.answer(np.array([0.0, np.nan]), np.array([0.0, 0.8]))
+        assert np.isfinite(u).all() and np.isfinite(rooting.x).all()
+        solved.append(rooting.plan.solved)
+    assert not solved[0] and solved[-1]
+    assert rooting.failures == solved.count(False)
+
+
+def test_no_command_leaves_its_range_not_even_the_first(controller):
+    o = replace(controller.outputs, u_min=np.array([0.5]), u_max=np.array([2.0]))
+    ranged = OutputController(controller.functions, o)  # the typical command is 0
+    row = run(ranged, ModelMachine(cart()), ASKED, 2, watch=True)
+    commands = np.array(row["trace"]["commands"])
+    assert commands.min() >= 0.5 and commands.max() <= 2.0
 
 
 @pytest.mark.parametrize(

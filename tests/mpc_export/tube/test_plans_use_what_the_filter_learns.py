@@ -60,6 +60,18 @@ def test_a_fifth_more_mass_in_a_steady_wind_leaves_no_offset():
     assert np.abs(np.diff(commands, axis=0)).max() <= PROBLEM.rate_max + 1e-6
 
 
+def test_disturbances_that_do_not_decay_start_as_those_identified_do():
+    """The filter's own walk has no stationary state: as good as 2 N instead of 3 mN."""
+    f, model = pilot().filter, cases.disturbed()
+    at = f.adapted.names.index("error.disturbance.force.x")
+    kept = math.exp(-model.sample_time / model.values["disturbance.force.T"])
+    levels = dict(zip((w.name for w in model.dynamics.noises), model.process_noise, strict=True))
+    start = levels["disturbance.force.x"] ** 2 / (1.0 - kept**2)
+    settled = f.noise.covariance.diagonal()[at - len(f.adapted.rows)]
+    assert f.adapted.covariance[at, at] == pytest.approx(start - settled, rel=1e-6)
+    assert math.sqrt(start) == pytest.approx(2.827e-3, rel=1e-3)
+
+
 @pytest.mark.slow
 def test_errors_ten_times_as_large_as_stated_make_the_filter_follow_a_force_sooner(monkeypatch):
     """A force of a tenth of the weight comes at once."""

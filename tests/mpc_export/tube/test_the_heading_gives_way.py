@@ -88,6 +88,20 @@ def test_limits_are_tightened_no_further_than_the_craft_can_hover():
     assert float(controller.solver.data["kappa_u"]) < 50.0
 
 
+def test_tightening_that_no_room_is_left_for_does_not_come_back_in_full():
+    controller = pilot(room=0.02, kappa_u=2.0)
+    data, (x, u) = controller.solver.data, controller.steady
+    controller.steady = (x, np.full_like(u, controller.problem.command_max))
+    for _ in range(120):
+        data["backoff_u"][:] = 0.01 * data["kappa_u"][()]
+        data["kappa_u"][()] = controller._affordable()
+        assert 0.0 < data["kappa_u"][()] <= 2e-6 * (1.0 + 1e-12)
+    controller.steady = (x, u)
+    data["backoff_u"][:] = 0.01 * data["kappa_u"][()]
+    room = controller.problem.command_max - u.max()
+    assert controller._affordable() == pytest.approx(0.5 * room / 0.01)
+
+
 def lacking(controller, times):
     """`times` the torque about z that the rotors can spare at hover [N m]."""
     spare = controller.problem.command_max**2 - _hover().max() ** 2
