@@ -10,6 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from multiprocessing import resource_tracker
 from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
@@ -98,6 +99,7 @@ def _uninterrupted() -> Iterator[None]:
     if block is None:
         yield
         return
+    resource_tracker.ensure_running()  # which lets it in again where it starts
     before = block(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -220,14 +220,13 @@ class Flights:
         """Tasks, side by side where there is an executor; what cannot be sent runs here."""
         common = self.causes, self.data, self.options
         problems = [self._problem(t.structure) for t in tasks]
+        answers: list[Solution] = []
         if self.executor is not None and len(tasks) > 1 and _sendable((common, tasks)):
             try:
                 sent = [self.executor.submit(solved, *common, t) for t in tasks]
                 answers = [f.result() for f in sent]
             except concurrent.futures.BrokenExecutor:  # a process was killed, or cannot read these
                 self.executor, answers = None, []
-        else:
-            answers = []
         answers = answers or [solution(p, t) for p, t in zip(problems, tasks, strict=True)]
         out = []
         for task, problem, (theta, status, value) in zip(tasks, problems, answers, strict=True):

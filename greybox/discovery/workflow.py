@@ -351,15 +351,13 @@ class _Run:
         there, without = both.known(at.structure), both.known(at.structure - {name})
         if there is None or without is None or impossible(at, self.flights, name):
             return False
-        least = without.log_evidence + without.may_gain + self.bar
-        return bool(np.isfinite(there.log_evidence)) and there.log_evidence >= least
+        return -np.inf < there.log_evidence >= without.log_evidence + without.may_gain + self.bar
 
     def _beside_laws(
         self, search: Search, names: list[Name], at: Fitted, written: Fitted
     ) -> tuple[list[Name], Fitted]:
-        """Names that fade next to the laws that won and are not needed there are none, and the
-        structure without them: they had bent into what is not in the catalogue. What was supported
-        alone must not be refuted. The model without laws keeps them for what the laws say."""
+        """Names that fade next to the laws that won and are not needed there are none (they had
+        bent), and the structure without them. What was supported alone must not be refuted."""
         there = [n.name for n in names if n.name in written.structure]
         asked = [n for n in there if search.doubted(written, n)]
         judges = splits(self.flights, self.test)
@@ -404,12 +402,9 @@ class _Run:
             return []
         proposals = attainable = filtered = None
         if lawful is not None:
-            try:
-                proposals = self._ahead(lawful).own
-            except GreyboxError as error:
-                self.warnings.append(f"the proposed laws could not be judged: {error}")
+            proposals = self._judged("the proposed laws", lawful)
         if physics_of(self.flights.causes.model) is not None:
-            filtered = self._ahead(self.settled(at).model, unnamed=True).own
+            filtered = self._judged("what the filter sees", self.settled(at).model, unnamed=True)
         if self.options.attainable:
             self.say("attainable line", 0.95)
             attainable = self._learned(null)
@@ -429,6 +424,13 @@ class _Run:
                 "them): they describe the training flights alone"
             )
         return rows
+
+    def _judged(self, what: str, model: IdentifiedModel, unnamed: bool = False) -> Any:
+        try:
+            return self._ahead(model, unnamed).own
+        except GreyboxError as error:
+            self.warnings.append(f"{what} could not be judged: {error}")
+            return None
 
     def _learned(self, null: Fitted) -> Any:
         """Errors of the bare model with a Gaussian process that learned what it misses."""

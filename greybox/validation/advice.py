@@ -222,13 +222,9 @@ def hints_of_checks(
                 detail=f"roll and pitch follow the commands by {1e3 * max(lags):.0f} ms",
             )
         )
-    wander = [
-        float(f.evidence["high_samples"] - f.evidence["low_samples"])
-        for f in report.of("alignment")
-        if "high_samples" in f.evidence
-    ]
-    if wander and max(wander) > WANDER and not kinematic_noise:
-        out.append(Hint(symptom=Symptom.CLOCKS, detail=f"by {max(wander):.1f} samples"))
+    most = max(report.drifts, default=0.0)
+    if most > WANDER and not kinematic_noise:
+        out.append(Hint(symptom=Symptom.CLOCKS, detail=f"by {most:.1f} samples"))
     if report.of("saturation"):
         out.append(Hint(symptom=Symptom.SATURATED, detail=report.of("saturation")[0].message))
     return tuple(out)

@@ -115,7 +115,7 @@ def worsened(rows: Iterable[GapRow]) -> list[str]:
         if r.ci95 is None or r.ci95[1] >= 0 or r.filtered is None:
             continue
         said = f"{r.group} {f'{r.horizon_s:g} s' if r.horizon_s else 'one sample'} ahead: "
-        if r.filtered is not None and r.filtered < r.before:
+        if r.filtered < r.before:
             out.append(
                 f"{said}worse by physics alone, {r.filtered:.4g} {r.unit} with the force and "
                 "torque without a name that the filter sees: a name stands against these"

@@ -121,12 +121,15 @@ class CheckReport(Shown):
         return tuple(f for f in self.findings if f.check == check and flight in (None, f.flight))
 
     @property
-    def wander(self) -> float:
-        """How far gyro and attitude drift apart within a flight [samples], the median over the
-        flights; 0 where no log shows both."""
+    def drifts(self) -> tuple[float, ...]:
+        """How far gyro and attitude drift apart [samples], of every flight that shows both."""
         seen = [f.evidence for f in self.of("alignment") if "high_samples" in f.evidence]
-        drift = [float(e["high_samples"] - e["low_samples"]) for e in seen]
-        return statistics.median(drift) if drift else 0.0
+        return tuple(float(e["high_samples"] - e["low_samples"]) for e in seen)
+
+    @property
+    def wander(self) -> float:
+        """The median of the `drifts` [samples]; 0 without any."""
+        return statistics.median(self.drifts) if self.drifts else 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for the result file, schema "greybox.check/1"."""

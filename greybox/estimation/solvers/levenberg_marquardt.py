@@ -55,8 +55,9 @@ class LevenbergMarquardt:
     The cost is a negative log likelihood, so that 1e-6 means: every estimate is within about a
     thousandth of its standard error of the optimum; after the last iteration, or where rounding
     stops it, or where it creeps, a thousand times that is enough. `damped=False` starts as pure
-    Gauss-Newton with step halving. Above the `target`, a negative log likelihood, the result is of no interest: the search
-    ends where even twice its pace would not lead there in the iterations that are left.
+    Gauss-Newton with step halving. Above the `target`, a negative log likelihood, the result is of
+    no interest: the search ends where even twice its pace would not lead there in the iterations
+    that are left.
     """
 
     name: str = "levenberg-marquardt"
@@ -107,11 +108,11 @@ class LevenbergMarquardt:
                 if hopeless(trail, decrement, self.target, self.max_iterations - iteration):
                     code = Code.BEHIND
                     break
-                if creeps(costs, self.tolerance) and h is not value.hessian:
+                if creeps(costs, self.tolerance):
+                    if h is value.hessian:
+                        code = Code.CONVERGED if decrement < arrived else Code.NO_PROGRESS
+                        break
                     curvature, costs = Curvature(x.size), []
-                elif creeps(costs, self.tolerance):
-                    code = Code.CONVERGED if decrement < arrived else Code.NO_PROGRESS
-                    break
                 moved = False
                 for _ in range(30):
                     taken = boxed_step(g, h, np.maximum(lower - x, fall), upper - x, damping)
