@@ -38,6 +38,16 @@ def noise_levels(text: str) -> dict[str, float]:
     return {n if n.startswith("noise.") else f"noise.{n}": v for n, v in values(text).items()}
 
 
+def numbers(text: str) -> tuple[float, ...]:
+    """Numbers separated by commas."""
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"expected numbers separated by commas, got '{text}'"
+        ) from None
+
+
 def values(text: str) -> dict[str, float]:
     """name=value,name=value: parameter values in SI units."""
     out = {}

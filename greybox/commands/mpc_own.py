@@ -11,7 +11,9 @@ from typing import Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console
-from greybox.commands.plan import numbers, range_of
+from greybox.commands.kept_runs import carried_out
+from greybox.commands.model_options import numbers
+from greybox.commands.own_model import model_file_option, range_options
 
 COURSE_ONLY: dict[str, Any] = {
     "log": [],
@@ -44,11 +46,7 @@ def held_of(text: str) -> tuple[str, tuple[float, ...]]:
 def add_options(p: Any) -> None:
     """Declare what a model of the user's own is asked."""
     g = p.add_argument_group("a model of your own (docs/own_model.md)")
-    g.add_argument(
-        "--model-file",
-        metavar="OWN.py:BUILD",
-        help="the program, which is run, to check that the model file is its; the file holds the equations",
-    )
+    model_file_option(g)
     g.add_argument(
         "--hold",
         nargs="+",
@@ -57,23 +55,10 @@ def add_options(p: Any) -> None:
         metavar="y=V,...",
         help="values that outputs are held at, one after the other",
     )
-    g.add_argument(
-        "--limit",
-        dest="limits",
-        nargs="+",
-        type=range_of,
-        default=[],
-        metavar="y=LO,HI",
-        help="what outputs must not leave (-inf and inf: no limit on that side)",
-    )
-    g.add_argument(
-        "--range",
-        dest="ranges",
-        nargs="+",
-        type=range_of,
-        default=[],
-        metavar="u=LO,HI",
-        help="the range of an input (default: that of the training data)",
+    range_options(
+        g,
+        inputs="the range of an input (default: that of the training data)",
+        outputs="what outputs must not leave (-inf and inf: no limit on that side)",
     )
     g.add_argument(
         "--seconds",
@@ -164,18 +149,14 @@ def run(arguments: argparse.Namespace, content: Mapping[str, Any]) -> int:
         write_atomic(out / "report.html", mpc_own_report(found, traces))
         return found
 
-    arguments.kept = f"what ran is in {out}; the same command goes on"
-    try:
-        flights(own, own.names, seeds, say=console.say_when, watched=watched)
-    except KeyboardInterrupt:
-        report()
-        raise
-    found = report()
-    written = (
-        f"wrote flights.jsonl, mpc_own.json and report.html in {out} ({console.seconds:.0f} s)"
+    return carried_out(
+        arguments,
+        console,
+        lambda: flights(own, own.names, seeds, say=console.say_when, watched=watched),
+        report,
+        format_table,
+        file="mpc_own.json",
     )
-    console.result(found, format_table(found), found["verdict"], written)
-    return 0
 
 
 def _same_program(arguments: argparse.Namespace) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console
+from greybox.commands.kept_runs import carried_out
 from greybox.commands.mpc_own import COURSE_ONLY, OWN_ONLY, refuse
 
 OTHERS: dict[str, Any] = {**COURSE_ONLY, "plant": None, "even_so": False}
@@ -42,15 +43,11 @@ def run(arguments: argparse.Namespace) -> int:
         )
         return content
 
-    arguments.kept = f"what was flown is in {out}; the same command goes on"
-    try:
-        flights(flown, list(TEXTS), seeds, say=console.say_when, watched=watched)
-    except KeyboardInterrupt:
-        report()
-        raise
-    content = report()
-    written = (
-        f"wrote flights.jsonl, mpc_rates.json and report.html in {out} ({console.seconds:.0f} s)"
+    return carried_out(
+        arguments,
+        console,
+        lambda: flights(flown, list(TEXTS), seeds, say=console.say_when, watched=watched),
+        report,
+        format_table,
+        file="mpc_rates.json",
     )
-    console.result(content, format_table(content), content["verdict"], written)
-    return 0

@@ -7,6 +7,8 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
+from greybox.commands.model_options import numbers
+
 if TYPE_CHECKING:
     from greybox.data import Dataset
     from greybox.model.dynamics import Dynamics
@@ -23,6 +25,26 @@ def model_file_option(p: Any, *, read: bool = True) -> None:
         help="a Python program, which is run, and its function that returns a StateSpaceModel of "
         f"your own (docs/own_model.md){more}",
     )
+
+
+def range_of(text: str) -> tuple[str, tuple[float, float]]:
+    """name=low,high."""
+    name, _, both = text.partition("=")
+    ends = numbers(both) if both else ()
+    if len(ends) != 2:
+        raise argparse.ArgumentTypeError(f"expected NAME=LOW,HIGH, got '{text}'")
+    return name, (ends[0], ends[1])
+
+
+def range_options(p: Any, *, inputs: str, outputs: str) -> None:
+    """Declare --range and --limit, whose help is `inputs` and `outputs`."""
+    for name, what, metavar, text in (
+        ("range", "ranges", "u=LO,HI", inputs),
+        ("limit", "limits", "y=LO,HI", outputs),
+    ):
+        p.add_argument(
+            f"--{name}", dest=what, nargs="+", type=range_of, default=[], metavar=metavar, help=text
+        )
 
 
 def loaded(arguments: argparse.Namespace) -> IdentifiedModel:

@@ -10,27 +10,8 @@ from typing import Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console, json_option
-from greybox.commands.model_options import names, noise_levels, values
-from greybox.commands.own_model import loaded, model_file_option
-
-
-def numbers(text: str) -> tuple[float, ...]:
-    """Numbers separated by commas."""
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"expected numbers separated by commas, got '{text}'"
-        ) from None
-
-
-def range_of(text: str) -> tuple[str, tuple[float, float]]:
-    """name=low,high."""
-    name, _, both = text.partition("=")
-    ends = numbers(both) if both else ()
-    if len(ends) != 2:
-        raise argparse.ArgumentTypeError(f"expected NAME=LOW,HIGH, got '{text}'")
-    return name, (ends[0], ends[1])
+from greybox.commands.model_options import names, noise_levels, numbers, values
+from greybox.commands.own_model import loaded, model_file_option, range_options
 
 
 def add(subparsers: Any) -> None:
@@ -48,23 +29,10 @@ def add(subparsers: Any) -> None:
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
     model_file_option(p)
-    p.add_argument(
-        "--range",
-        dest="ranges",
-        nargs="+",
-        type=range_of,
-        default=[],
-        metavar="u=LO,HI",
-        help="of a model of your own: the range of every input",
-    )
-    p.add_argument(
-        "--limit",
-        dest="limits",
-        nargs="+",
-        type=range_of,
-        default=[],
-        metavar="y=LO,HI",
-        help="of a model of your own: what outputs must not leave",
+    range_options(
+        p,
+        inputs="of a model of your own: the range of every input",
+        outputs="of a model of your own: what outputs must not leave",
     )
     p.add_argument(
         "--model",

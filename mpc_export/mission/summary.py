@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
 
 from greybox.model.identified import library_versions
 from mpc_export.mission.campaign import Entry
 from mpc_export.mission.flight import Mission
+from mpc_export.promise import counted, p_value
 
 Row = dict[str, Any]
 
@@ -19,14 +19,6 @@ Row = dict[str, Any]
 def crossed(row: Row) -> bool:
     """Whether the flight was beyond a limit of its position, or crashed."""
     return bool(row["crashed"] or row["crossings"])
-
-
-def exact(hits: int, total: int) -> tuple[float, float]:
-    """95 % interval of a share (Clopper and Pearson 1934, Biometrika 26(4)); (0, 1) of none."""
-    if not total:
-        return 0.0, 1.0
-    found = binomtest(hits, total).proportion_ci(method="exact")
-    return float(found.low), float(found.high)
 
 
 def summary(
@@ -112,8 +104,8 @@ def _controller(entry: Entry, rows: Sequence[Row], task: Mission, level: float) 
         "kappa": entry.kappa,
         "moved": entry.moved,
         "flights": n,
-        "crossed": {"count": hits, "share": hits / n if n else None, "interval": exact(hits, n)},
-        "p_value": binomtest(hits, n, level, alternative="greater").pvalue if n else None,
+        "crossed": counted(hits, n),
+        "p_value": p_value(hits, n, level),
         "crashed": sum(bool(r["crashed"]) for r in rows),
         "tilted": tilted,
         "margins": {
@@ -175,24 +167,23 @@ def verdict(content: dict[str, Any]) -> str:
     if not tube or not tube["flights"]:
         return "The tube has not flown yet."
     low, high = tube["crossed"]["interval"]
-    counted = f"{tube['crossed']['count']} of {tube['flights']}"
+    did = f"{tube['crossed']['count']} of {tube['flights']} did"
     span = f"{100 * low:.0f} to {100 * high:.0f} %"
     if tube["p_value"] < 0.05:
         first = (
             f"The tube broke its promise: at most {level} of flights were to go beyond a "
-            f"limit, {counted} did "
+            f"limit, {did} "
         )
         first += f"(95 % interval {span})."
     elif high <= content["level"]:
         first = (
-            f"The tube kept its promise: at most {level} of flights may go beyond a limit, "
-            f"{counted} did "
+            f"The tube kept its promise: at most {level} of flights may go beyond a limit, {did} "
         )
         first += f"(95 % interval {span})."
     else:
         first = (
             f"The tube kept its promise so far: at most {level} of flights may go beyond a "
-            f"limit, {counted} did; "
+            f"limit, {did}; "
         )
         first += f"so few flights leave {span} open."
     if not plain or not plain["flights"]:

@@ -16,7 +16,6 @@ from statistics import fmean
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.files import checksum, file_sha256
@@ -25,10 +24,10 @@ from greybox.residual.files import load_model
 from mpc_export.functions import model_functions
 from mpc_export.kept_flights import Row, flights
 from mpc_export.mission import TRAINING_SEEDS
-from mpc_export.mission.summary import exact
 from mpc_export.noise import parameter_covariance
 from mpc_export.outputs.controller import OutputController, typical_problem
 from mpc_export.outputs.machine import Asked, machine_of, run
+from mpc_export.promise import answer_times, counted, kept, left_open, p_value
 from mpc_export.tube.risk import kappa
 
 TEXTS = {
@@ -224,14 +223,13 @@ def summary(
 
 def _controller(name: str, rows: Sequence[Row], own: OwnCampaign) -> dict[str, Any]:
     n, hits = len(rows), sum(r["beyond"] > 0 for r in rows)
-    solve = np.concatenate([r["solve_ms"] for r in rows]) if rows else np.zeros(0)
     held = list(own.asked.held)
     return {
         "text": TEXTS[name],
         "kappa": own.kappa[name],
         "runs": n,
-        "beyond": {"count": hits, "share": hits / n if n else None, "interval": exact(hits, n)},
-        "p_value": binomtest(hits, n, own.level, alternative="greater").pvalue if n else None,
+        "beyond": counted(hits, n),
+        "p_value": p_value(hits, n, own.level),
         "samples_beyond": sum(r["beyond"] for r in rows) / max(1, sum(r["samples"] for r in rows)),
         "excess": {o: max(_numbers(rows, "excess", o), default=None) for o in own.asked.limits},
         **{
@@ -239,10 +237,7 @@ def _controller(name: str, rows: Sequence[Row], own: OwnCampaign) -> dict[str, A
             for what in ("rmse", "settled")
         },
         "failures": sum(r["failures"] for r in rows),
-        "solve_ms": {
-            "median": float(np.median(solve)) if n else None,
-            "p99": float(np.quantile(solve, 0.99)) if n else None,
-        },
+        "solve_ms": answer_times(rows),
     }
 
 
@@ -265,16 +260,9 @@ def verdict(content: Mapping[str, Any]) -> str:
         held += f" {plans} not solved: there the commands of the plan before went on."
     if name == "mean":
         return held
-    low, high = (100 * v for v in c["beyond"]["interval"])
-    broke = c["p_value"] < 0.05
-    begin = "It broke its promise" if broke else "It kept its promise"
-    begin += "" if broke or high <= 100 * content["level"] else " so far"
-    plain = found["mean"]["beyond"]["count"]
-    return (
-        f"{held} {begin}: at most {100 * content['level']:g} % of runs may pass a limit, "
-        f"{c['beyond']['count']} of {c['runs']} did (95 % interval {low:.0f} to {high:.0f} %), "
-        f"{plain} of {found['mean']['runs']} without tightening."
-    )
+    promise = kept("It", c, c["runs"], content["level"], "runs may pass a limit")
+    plain = found["mean"]
+    return f"{held} {promise}, {plain['beyond']['count']} of {plain['runs']} without tightening."
 
 
 def _text(value: float | None, form: str) -> str:
@@ -287,7 +275,7 @@ def advice(content: Mapping[str, Any]) -> list[str]:
     tube = content["controllers"].get("tube")
     if tube is None:
         out.append("State what outputs must not leave: --limit OUTPUT=LOW,HIGH.")
-    elif tube["beyond"]["interval"][0] <= content["level"] < tube["beyond"]["interval"][1]:
+    elif left_open(tube, content["level"]):
         out.append(
             "So few runs leave the share open: more with --flights; the ones that are there are kept."
         )

@@ -19,15 +19,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
 
 from greybox.baselines.output_residual import OutputHybrid
 from greybox.files import checksum, file_sha256
 from greybox.model.identified import library_versions
 from mpc_export.kept_flights import Row, flights
 from mpc_export.mission import TRAINING_SEEDS
-from mpc_export.mission.summary import exact
 from mpc_export.predictors import predictor_model
+from mpc_export.promise import answer_times, counted, kept, left_open, p_value
 from mpc_export.rates.controller import FORM, RateController, RateProblem
 from mpc_export.rates.craft import FLIGHTS, OUTPUTS, PLANT, Task, vehicle
 from mpc_export.rates.flight import Pilot, fly, outer_loops
@@ -156,7 +155,6 @@ def beyond(row: Mapping[str, Any]) -> bool:
 
 def _controller(name: str, rows: Sequence[Row], rates: Rates) -> dict[str, Any]:
     n, hits = len(rows), sum(map(beyond, rows))
-    solve = np.concatenate([r["solve_ms"] for r in rows]) if rows else np.zeros(0)
 
     def mean(what: str) -> float | None:
         return float(np.mean([r[what] for r in rows])) if rows else None
@@ -165,18 +163,15 @@ def _controller(name: str, rows: Sequence[Row], rates: Rates) -> dict[str, Any]:
         "text": TEXTS[name],
         "kappa": rates.kappa.get(name, 0.0),
         "flights": n,
-        "beyond": {"count": hits, "share": hits / n if n else None, "interval": exact(hits, n)},
-        "p_value": binomtest(hits, n, rates.level, alternative="greater").pvalue if n else None,
+        "beyond": counted(hits, n),
+        "p_value": p_value(hits, n, rates.level),
         "crashed": sum(bool(r["crashed"]) for r in rows),
         "samples_beyond": sum(r["beyond"] for r in rows) / max(1, sum(r["samples"] for r in rows)),
         "worst": max((max(r["worst"]) for r in rows), default=None),
         "rmse": mean("rmse"),
         "away": mean("away"),
         "failures": sum(r["failures"] for r in rows),
-        "solve_ms": {
-            "median": float(np.median(solve)) if len(solve) else None,
-            "p99": float(np.quantile(solve, 0.99)) if len(solve) else None,
-        },
+        "solve_ms": answer_times(rows),
     }
 
 
@@ -186,32 +181,21 @@ def verdict(content: Mapping[str, Any]) -> str:
     tube = found["tube"]
     if not tube["flights"]:
         return "The tube has not flown yet."
-    low, high = (100 * v for v in tube["beyond"]["interval"])
-    broke = tube["p_value"] < 0.05
-    begin = "The tube broke its promise" if broke else "The tube kept its promise"
-    begin += "" if broke or high <= 100 * content["level"] else " so far"
     others = ", ".join(
         f"{n} in {c['beyond']['count']} of {c['flights']}"
         for n, c in found.items()
         if n != "tube" and c["flights"]
     )
-    return (
-        f"{begin}: at most {100 * content['level']:g} % of flights may go beyond a body rate of "
-        f"{content['limit']:g} rad/s, "
-        f"{tube['beyond']['count']} of {tube['flights']} did (95 % interval {low:.0f} to "
-        f"{high:.0f} %). "
-        f"Beyond it went {others}."
-    )
+    may = f"flights may go beyond a body rate of {content['limit']:g} rad/s"
+    promise = kept("The tube", tube, tube["flights"], content["level"], may)
+    return f"{promise}. Beyond it went {others}."
 
 
 def advice(content: Mapping[str, Any], file: Path) -> list[str]:
     """What to do next."""
     tube = content["controllers"]["tube"]
     out = []
-    if (
-        tube["flights"]
-        and tube["beyond"]["interval"][0] <= content["level"] < tube["beyond"]["interval"][1]
-    ):
+    if tube["flights"] and left_open(tube, content["level"]):
         out.append(
             "So few flights leave the share open: fly more with --flights; the ones that are there "
             "are kept."

@@ -45,7 +45,7 @@ from greybox.symbolic import FloatArray
 from mpc_export.acados import session
 from mpc_export.feedback import Weights
 from mpc_export.mission.course import SampledPath
-from mpc_export.mission.summary import exact
+from mpc_export.promise import exact
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.on_acados import ZeroOrder
 from mpc_export.tube.problem import TubeProblem

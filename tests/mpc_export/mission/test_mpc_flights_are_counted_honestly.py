@@ -13,7 +13,8 @@ from greybox.report.mpc_report import format_table, mpc_report
 from mpc_export.mission import OBSTACLE_COURSE
 from mpc_export.mission.campaign import Entry, read_segments, tuned, write_segments
 from mpc_export.mission.flight import Mission, PlantError, load_plant, paced, top_speed
-from mpc_export.mission.summary import exact, summary
+from mpc_export.mission.summary import summary
+from mpc_export.promise import exact
 from mpc_export.tube.problem import TubeProblem
 
 TASK = Mission(course=OBSTACLE_COURSE, problem=TubeProblem(), dt=0.01, pace=1.0)
