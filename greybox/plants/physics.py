@@ -36,19 +36,20 @@ class Physics:
         self.mass: Number = airframe.mass
         moments, products = airframe.inertia, airframe.products
         center = airframe.center_of_mass
-        imu = airframe.imu_position
+        imu, tracked = airframe.imu_position, ZERO
         for effect in effects:
             self.mass = self.mass * effect.mass_factor()
             change = effect.inertia_change()
             moments, products = add(moments, change[0]), add(products, change[1])
             center = add(center, effect.center_of_mass_shift())
             imu = add(imu, effect.imu_shift())
+            tracked = add(tracked, effect.pose_shift())
         xx, yy, zz = moments
         xy, xz, yz = products
         self.inertia = (xx, xy, xz, xy, yy, yz, xz, yz, zz)
         self.inverse_inertia = inverse_symmetric(xx, yy, zz, xy, xz, yz)
-        self.origin = subtract(ZERO, center)
-        """Body origin seen from the centre of mass [m]."""
+        self.tracked = subtract(tracked, center)
+        """Tracked point (the body origin) seen from the centre of mass [m]."""
         self.imu = subtract(imu, center)
         """IMU seen from the centre of mass [m]."""
         self.arms = [subtract(rotor.position, center) for rotor in airframe.rotors]

@@ -284,8 +284,8 @@ class Quadrotor:
             specific,
             add(cross(turning, physics.imu), cross(body.rates, cross(body.rates, physics.imu))),
         )
-        position = add(body.position, apply(body.rotation, physics.origin))
-        velocity = add(body.velocity, apply(body.rotation, cross(body.rates, physics.origin)))
+        position = add(body.position, apply(body.rotation, physics.tracked))
+        velocity = add(body.velocity, apply(body.rotation, cross(body.rates, physics.tracked)))
         return [*body.rates, *felt, *body.attitude, *position, *velocity]
 
     def measure(self, u: Any | None = None, *, noise: bool = True) -> dict[str, Number]:

@@ -85,6 +85,9 @@ class Loads:
         """Whether anything acts by force or moment."""
         self.imu_delay = float(sum(e.imu_delay() for e in self.effects))
         self.pose_delay = float(sum(e.pose_delay() for e in self.effects))
+        self.pose_shift = ZERO
+        for e in self.effects:
+            self.pose_shift = add(self.pose_shift, e.pose_shift())
         self.reset()
 
     def reset(self) -> None:

@@ -338,7 +338,7 @@ class ForeignPlant(ABC):
         """Sensors without noise at this motion."""
         frame = self.airframe
         turn = rotation(motion.attitude)
-        origin = subtract(ZERO, frame.center_of_mass)
+        tracked = subtract(self._loads.pose_shift, frame.center_of_mass)
         imu = subtract(frame.imu_position, frame.center_of_mass)
         ax, ay, az = motion.acceleration
         felt = apply_transposed(turn, (ax, ay, az + frame.gravity))
@@ -349,8 +349,8 @@ class ForeignPlant(ABC):
             gyro=gyro,
             felt=felt,
             attitude=attitude,
-            position=add(motion.position, apply(turn, origin)),
-            velocity=add(motion.velocity, apply(turn, cross(motion.rates, origin))),
+            position=add(motion.position, apply(turn, tracked)),
+            velocity=add(motion.velocity, apply(turn, cross(motion.rates, tracked))),
         )
 
     def _seen(self, delay: float) -> Reading:

@@ -48,6 +48,7 @@ VALUES = {
     "steady_wind": {"w_x": 3.0, "w_y": -2.0, "w_z": 0.5},
     "rotor_gyroscopic": {"J_r": 5e-5},
     "accelerometer_lever_arm": {"r_x": 0.02, "r_y": -0.03, "r_z": 0.01},
+    "pose_lever_arm": {"r_x": -0.02, "r_y": 0.01, "r_z": 0.04},
     "accelerometer_scale": {"s_x": 0.03, "s_y": -0.02, "s_z": 0.05},
     "gyro_scale": {"s_x": -0.03, "s_y": 0.02, "s_z": 0.05},
 }

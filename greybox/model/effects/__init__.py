@@ -25,6 +25,7 @@ from greybox.model.effects.motor_lag_asymmetry import MotorLagAsymmetry
 from greybox.model.effects.parasitic_drag import ParasiticDrag
 from greybox.model.effects.payload_mass import PayloadMass
 from greybox.model.effects.pose_delay import PoseDelay
+from greybox.model.effects.pose_lever_arm import PoseLeverArm
 from greybox.model.effects.products_of_inertia import ProductsOfInertia
 from greybox.model.effects.rotational_damping import RotationalDamping
 from greybox.model.effects.rotor_asymmetry import RotorAsymmetry
@@ -60,6 +61,7 @@ CATALOGUE: tuple[Effect, ...] = (
     ImuMisalignment(),
     PoseDelay(),
     MocapMisalignment(),
+    PoseLeverArm(),
     AccelerometerScale(),
     GyroScale(),
     AccelerometerBias(),

@@ -23,6 +23,7 @@ from greybox.plants.effects.motor_lag_asymmetry import MotorLagAsymmetry
 from greybox.plants.effects.parasitic_drag import ParasiticDrag
 from greybox.plants.effects.payload_mass import PayloadMass
 from greybox.plants.effects.pose_delay import PoseDelay
+from greybox.plants.effects.pose_lever_arm import PoseLeverArm
 from greybox.plants.effects.products_of_inertia import ProductsOfInertia
 from greybox.plants.effects.rotational_damping import RotationalDamping
 from greybox.plants.effects.rotor_asymmetry import RotorAsymmetry
@@ -54,6 +55,7 @@ CATALOGUE: tuple[type[PlantEffect], ...] = (
     ParasiticDrag,
     PayloadMass,
     PoseDelay,
+    PoseLeverArm,
     ProductsOfInertia,
     RotationalDamping,
     RotorAsymmetry,

@@ -191,6 +191,10 @@ class PlantEffect:
         """Shift of the IMU from where the airframe says it is, body [m]."""
         return ZERO
 
+    def pose_shift(self) -> Vector:
+        """Shift of the tracked point from the body origin, body [m]."""
+        return ZERO
+
     def gyro(self, rates: Vector) -> Vector:
         """Gyro reading after this effect [rad/s]."""
         return rates
