@@ -20,7 +20,7 @@ from greybox.plots import bars
 from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import file_name
 from greybox.shown import Cell, Shown
-from greybox.validation.gap import GapRow, closed_in_words
+from greybox.validation.gap import GapRow, closed_in_words, opposed
 from greybox.validation.groups import GROUPS
 
 if TYPE_CHECKING:
@@ -222,16 +222,14 @@ class Discovery(Shown):
         kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
         found += [f"in the model, not certified: {kept}"] if kept else []
         what = "MISSING: " + "; ".join(found) if found else "nothing is missing that has a name"
+        what = opposed(self.gap) + what
         if held:
             return f"{what}; without a name: {', '.join(held)}"
         if found:
             return f"{what}; nothing clear is left"
-        seen = [
-            f"{n} {next(iter(v.values())):.2g}" for n, v in list(self.minimum_detectable.items())
-        ]
-        return "NOTHING MISSING" + (
-            f" (would have been certified from {', '.join(seen[:3])} on, ...)" if seen else ""
-        )
+        least = list(self.minimum_detectable.items())[:3]
+        seen = ", ".join(f"{n} {next(iter(v.values())):.2g}" for n, v in least)
+        return "NOTHING MISSING" + f" (would have been certified from {seen} on, ...)" * bool(seen)
 
     def summary(self) -> str:
         """The verdict in words, most important first."""

@@ -69,6 +69,16 @@ class GapRow:
     attainable: float | None = None
     filtered: float | None = None
 
+    @property
+    def worse(self) -> bool:
+        """Whether it clearly got worse."""
+        return self.ci95 is not None and self.ci95[1] < 0 and self.filtered is not None
+
+    @property
+    def opposed(self) -> bool:
+        """Whether that is mended by force and torque without a name: a name stands against them."""
+        return self.worse and self.filtered is not None and self.filtered < self.before
+
     def to_dict(self) -> dict[str, Any]:
         """As in discovery.json."""
         return {
@@ -105,6 +115,14 @@ def outgrown(rows: Iterable[GapRow]) -> list[str]:
     ]
 
 
+def opposed(rows: Iterable[GapRow]) -> str:
+    """The beginning of a sentence that says what the names leave worse than it was without them and
+    the filter mends; empty where there is nothing of the kind."""
+    groups = ", ".join(dict.fromkeys(r.group for r in rows if r.opposed))
+    said = f"USE WITH ITS FILTER ONLY (alone it foretells {groups} worse than before). "
+    return said if groups else ""
+
+
 def worsened(rows: Iterable[GapRow]) -> list[str]:
     """Why groups and horizons clearly got worse, in words. What lasts and has no name may stand
     against a name: with what the filter sees of it errors fall. Else the commands of a feedback
@@ -112,10 +130,10 @@ def worsened(rows: Iterable[GapRow]) -> list[str]:
     answers up (`scenarios.studies.feedback_tells`)."""
     out = []
     for r in rows:
-        if r.ci95 is None or r.ci95[1] >= 0 or r.filtered is None:
+        if not r.worse:
             continue
         said = f"{r.group} {f'{r.horizon_s:g} s' if r.horizon_s else 'one sample'} ahead: "
-        if r.filtered < r.before:
+        if r.opposed:
             out.append(
                 f"{said}worse by physics alone, {r.filtered:.4g} {r.unit} with the force and "
                 "torque without a name that the filter sees: a name stands against these"

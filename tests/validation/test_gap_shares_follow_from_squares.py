@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.validation.gap import GapRow, Squares, gap, groups_of, outgrown, worsened
+from greybox.validation.gap import GapRow, Squares, gap, groups_of, opposed, outgrown, worsened
 
 KEY = ("rate", 0.5)
 
@@ -112,3 +112,5 @@ def test_what_got_worse_has_a_reason(seen: float, why: str):
     (said,) = worsened(worse)
     assert said.startswith("rate 0.5 s ahead: worse") and why in said
     assert worsened(better) == []
+    assert opposed(better) == ""
+    assert ("alone it foretells rate worse" in opposed(worse)) is (why == "stands against")
