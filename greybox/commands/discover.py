@@ -87,7 +87,11 @@ def add(subparsers: Any) -> None:
         help="probability of a false name on flights that miss nothing",
     )
     p.add_argument(
-        "--max-effects", type=int, default=8, metavar="N", help="no more than N effects (default 8)"
+        "--max-effects",
+        type=int,
+        default=24,
+        metavar="N",
+        help="add no more than N effects (default 24)",
     )
     adapt_option(p)
     p.add_argument(
@@ -240,7 +244,7 @@ def _check(arguments: argparse.Namespace, out: Path) -> None:
         )
     if arguments.max_effects < 0:
         raise GreyboxError(
-            "--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 8"
+            "--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 24"
         )
     demand_adapt(arguments)
     need_mcap(arguments.mcap)

@@ -85,18 +85,23 @@ def splits(train: Flights, test: Dataset | None) -> list[Split]:
 def certificates(
     at: Fitted, rivals: Mapping[str, Sequence[Rival]], judges: Sequence[Split], bar: float
 ) -> dict[str, Certificate]:
-    """Name -> certificate, of every name of `rivals` in the structure `at`: by rough fits where
-    these decide, each of the four behind an e-value as near as its tolerance says."""
-    near = 4 * BEYOND * judges[0].both.effort.rough
+    """Name -> certificate, of every name of `rivals` in the structure `at`: each of the four fits
+    behind an e-value no nearer than what decides, and the e-value less what they may still gain."""
+    effort = judges[0].both.effort
+    near, share = 4 * BEYOND * effort.rough, effort.stake / BEYOND
+    every = [r.fitted for rows in rivals.values() for r in rows]
+    behind = {f.structure: at.log_evidence - f.log_evidence for f in every}
+    stakes = {s: max(share * v, effort.rough) for s, v in behind.items()}
     for split in judges:
-        _predictives([at, *(r.fitted for rows in rivals.values() for r in rows)], at, split, True)
+        _predictives([at, *every], at, split, [effort.rough, *(stakes[f.structure] for f in every)])
     out = {}
     for name, rows in rivals.items():
         found: dict[tuple[str, ...], float] = {}
         for rival in rows:
-            least, most = _log_e(at, rival, judges, bar, rough=True)
-            if any(least < b + near and most >= b - near for b in (0.0, bar)):
-                least, _ = _log_e(at, rival, judges, bar, rough=False)
+            for within in (stakes[rival.fitted.structure], effort.rough, 0.0):
+                least, most = _log_e(at, rival, judges, bar, within)
+                if not any(least < b + near and most >= b - near for b in (0.0, bar)):
+                    break
             found[rival.instead] = least
         strongest = min(found, key=lambda r: found[r], default=())
         log_e = found[strongest] if found else -np.inf
@@ -114,20 +119,23 @@ def certificates_beside(
     its rivals are those without a name."""
     rivals = {}
     for name in names:
-        without = flights.fit(written.structure - {name}, [written.known], rough=True)
+        without = flights.fit(
+            written.structure - {name}, [written.known], within=flights.effort.rough
+        )
         rivals[name] = [Rival(instead=(), share=0.0, fitted=without)]
     return certificates(written, rivals, judges, bar)
 
 
 def _log_e(
-    at: Fitted, rival: Rival, judges: Sequence[Split], bar: float, rough: bool
+    at: Fitted, rival: Rival, judges: Sequence[Split], bar: float, within: float
 ) -> tuple[float, float]:
     """(least, most) that the log e-value against one rival is. A supremum is at least the mean over
     what was taught, so that the first e-value is at most the sharper one without its regret: where
     that is below the bar the supremum is not sought, nor where the sharper one decides."""
     told, most, gained = [], [], []
+    rough = judges[0].both.effort.rough
     for split in judges:
-        mine, other = _predictives([at, rival.fitted], at, split, rough)
+        mine, other = _predictives([at, rival.fitted], at, split, [min(within, rough), within])
         first, both = other
         lead = mine[1].log_evidence - mine[0].log_evidence
         lost = both.log_evidence - first.log_evidence
@@ -143,7 +151,9 @@ def _log_e(
     known, structure = rival.fitted.known, rival.fitted.structure
     logs = []
     for split, lead in zip(judges, gained, strict=True):
-        worst = split.judge.fit(structure, [known, {**at.known, **known}], rough=rough)
+        worst = split.judge.fit(
+            structure, [known, {**at.known, **known}], within=min(within, rough)
+        )
         logs.append(_less(lead + worst.value.likelihood, worst))
     return _mean([_mean(logs), sharp]), highest
 
@@ -161,14 +171,14 @@ def _mean(logs: Sequence[float]) -> float:
 
 
 def _predictives(
-    every: Sequence[Fitted], at: Fitted, split: Split, rough: bool
+    every: Sequence[Fitted], at: Fitted, split: Split, within: Sequence[float]
 ) -> list[tuple[Fitted, Fitted]]:
     """Structures on the flights that taught, and on all, side by side."""
     starts = [[f.known] if f is at else [f.known, {**at.known, **f.known}] for f in every]
     asked = [(f.structure, s) for f, s in zip(every, starts, strict=True)]
-    first = split.first.fits(asked, rough=rough)
+    first = split.first.fits(asked, within)
     whole = [(f.structure, [f.known, g.known]) for f, g in zip(every, first, strict=True)]
-    return list(zip(first, split.both.fits(whole, rough=rough), strict=True))
+    return list(zip(first, split.both.fits(whole, within), strict=True))
 
 
 def _keys(both: Fitted, split: Split, causes: Sequence[str]) -> list[Key]:

@@ -41,6 +41,7 @@ def sensor_proposals(at: Fitted, causes: Causes) -> tuple[list[Cause], float]:
         if max(clear, default=0.0) > RULES.colour:
             gain -= sum(0.5 * c.n * np.log1p(-c.predictable) for c in told)
             parts.append(Coloured(sensor=sensor.name))
-            if sensor.name in FILTERED:
+            # Where the clocks of gyro and attitude wander nothing tells how late a filter is.
+            if sensor.name in FILTERED and not physics.kinematic_noise:
                 parts.append(LowPass(sensor=sensor.name))
     return [sensor_cause(p, causes.model) for p in parts if p.name not in at.structure], gain

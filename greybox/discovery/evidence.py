@@ -156,28 +156,31 @@ class Flights:
         return replace(self, causes=replace(self.causes, flat=flat), data=data, _known={})
 
     def fit(
-        self, structure: Iterable[str], starts: Sequence[Start] = (), *, rough: bool = False
+        self, structure: Iterable[str], starts: Sequence[Start] = (), *, within: float = 0.0
     ) -> Fitted:
         """The structure at its maximum a posteriori, from the likeliest of `starts` (what they do
-        not say is as declared); `rough`: as near as fits are that are only compared."""
-        return self.fits([(frozenset(structure), starts)], rough=rough)[0]
+        not say is as declared); `within`: the promise of a step that is small enough."""
+        return self.fits([(frozenset(structure), starts)], [within])[0]
 
     def fits(
-        self, asked: Sequence[tuple[Structure, Sequence[Start]]], *, rough: bool = False
+        self, asked: Sequence[tuple[Structure, Sequence[Start]]], within: Sequence[float]
     ) -> list[Fitted]:
         """`fit` of several structures, side by side."""
-        tolerance = self.effort.rough if rough else self.effort.exact
-        tasks = {}
-        for structure, starts in asked:
+        tasks, e = {}, self.effort
+        for (structure, starts), near in zip(asked, within, strict=True):
             known = self._known.get(structure)
-            if known is None or not (known.exact or (rough and known.comparable)):
+            if known is None or not (
+                known.exact
+                or known.status.decrement <= near
+                or (near >= e.rough and known.comparable)
+            ):
                 tasks[structure] = Task(
                     structure=structure,
                     starts=tuple(starts) if known is None else (known.known,),
-                    tolerance=tolerance,
-                    iterations=self.effort.iterations,
+                    tolerance=max(near, e.exact),
+                    iterations=e.iterations,
                 )
-        self._carried_out(list(tasks.values()), exact=not rough)
+        self._carried_out(list(tasks.values()))
         return [self._known[structure] for structure, _ in asked]
 
     def contest(
@@ -194,7 +197,7 @@ class Flights:
         if len(opened) == 1:  # a start again loses what the solver learned
             reach = than.value.likelihood + e.behind
             whole = replace(opened[0], tolerance=e.exact, iterations=e.iterations, target=reach)
-            self._carried_out([whole], exact=True)
+            self._carried_out([whole])
         else:
             self._carried_out(opened)
 
@@ -216,7 +219,7 @@ class Flights:
             self.fit(f.structure)
         return found()
 
-    def _carried_out(self, tasks: Sequence[Task], exact: bool = False) -> list[Fitted]:
+    def _carried_out(self, tasks: Sequence[Task]) -> list[Fitted]:
         """Tasks, side by side where there is an executor; what cannot be sent runs here."""
         common = self.causes, self.data, self.options
         problems = [self._problem(t.structure) for t in tasks]
@@ -231,6 +234,8 @@ class Flights:
         out = []
         for task, problem, (theta, status, value) in zip(tasks, problems, answers, strict=True):
             evidence = -np.inf
+            if status.converged and status.decrement > self.effort.rough:  # all that was asked for
+                status = replace(status, code=Code.BEHIND)
             if value.valid and value.hessian is not None:
                 evidence = log_evidence(problem, theta, value)
             self._known[task.structure] = Fitted(
@@ -240,7 +245,7 @@ class Flights:
                 value=value,
                 status=status,
                 log_evidence=evidence,
-                exact=exact and status.code is not Code.BEHIND,
+                exact=task.tolerance <= self.effort.exact and status.code is not Code.BEHIND,
             )
             out.append(self._known[task.structure])
         return out

@@ -19,7 +19,6 @@ import numpy as np
 import scipy.linalg
 from threadpoolctl import threadpool_limits
 
-from greybox.discovery.cause import Cause
 from greybox.discovery.evidence import Fitted, Flights, Key
 from greybox.discovery.rules import RULES
 from greybox.estimation.differences import with_candidate_sensitivities
@@ -92,11 +91,8 @@ class Scores:
             ]
             if not out:
                 _, logdet = np.linalg.slogdet(m)
-                return (
-                    np.asarray(estimate, dtype=float),
-                    rows,
-                    float(-0.5 * s @ estimate - 0.5 * logdet),
-                )
+                gain = float(-0.5 * s @ estimate - 0.5 * logdet)
+                return np.asarray(estimate, dtype=float), rows, gain
             rows = [i for i in rows if i not in out]
         return np.zeros(0), [], 0.0
 
@@ -186,9 +182,9 @@ def scored(flights: Flights, at: Fitted) -> Scores:
         value = problem.evaluate(theta)
     assert value.gradient is not None and value.data_hessian is not None
     unknowns = problem.unknowns
-    owner = {p: c for n, c in causes.offered.items() for p in c.parameters}
+    owner = {p: n for n, c in causes.offered.items() for p in c.parameters}
     mine = {
-        n: tuple(i for i, u in enumerate(unknowns) if owner.get(u.name, _NONE).name == n)
+        n: tuple(i for i, u in enumerate(unknowns) if owner.get(u.name) == n)
         for n in (*absent, *sorted(at.structure & set(causes.effects)))
     }
     chosen = [i for rows in mine.values() for i in rows]
@@ -197,7 +193,8 @@ def scored(flights: Flights, at: Fitted) -> Scores:
     held = np.zeros(problem.n, dtype=bool)
     held[: at.problem.n] = at.held
     rest = rest[~held[rest]]
-    prior = np.array([_prior(flights, u.name, u.sigma) for u in unknowns])
+    own = [causes.prior_of(u.name) for u in unknowns]
+    prior = np.array([u.sigma if o is None else o[1] for u, o in zip(unknowns, own, strict=True)])
     h = value.data_hessian + np.diag(np.where(np.isfinite(prior), prior, np.inf) ** -2.0)
     scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
     unit = h / np.outer(scale, scale)
@@ -211,22 +208,18 @@ def scored(flights: Flights, at: Fitted) -> Scores:
     out = np.asarray(
         v * np.outer(scale[chosen] * sigma, scale[chosen] * sigma) - np.eye(len(chosen))
     )
-    at_places, k = {}, 0
-    for n, rows in mine.items():
-        at_places[n] = tuple(range(k, k + len(rows)))
-        k += len(rows)
-    null_of = [_prior_of(flights, unknowns[i].name)[0] for i in chosen]
+    place = {i: k for k, i in enumerate(chosen)}
     return Scores(
         at=at,
         keys=tuple((unknowns[i].name, unknowns[i].flight) for i in chosen),
         score=np.asarray(s * scale[chosen] * sigma),
         information=out,
         sigma=sigma,
-        null=np.array(null_of),
+        null=np.array([o[0] for i in chosen if (o := own[i]) is not None]),
         value=theta[chosen],
         lower=np.array([unknowns[i].lower for i in chosen]),
         upper=np.array([unknowns[i].upper for i in chosen]),
-        places=at_places,
+        places={n: tuple(place[i] for i in rows) for n, rows in mine.items()},
         absent=tuple(absent),
         unscored=tuple(unscored),
     )
@@ -248,20 +241,6 @@ def typical(flights: Flights, *names: str) -> Proposal:
         for p, (null, sigma) in flights.causes.offered[n].prior.items():
             start[p, None] = null + sigma / RULES.typical
     return Proposal(causes=names, gain=0.0, start=start)
-
-
-def _prior_of(flights: Flights, name: str) -> tuple[float, float]:
-    own = flights.causes.prior_of(name)
-    assert own is not None, "it is of a cause"
-    return own
-
-
-_NONE = Cause(name="", kind="effect", parameters=(), prior={})
-
-
-def _prior(flights: Flights, name: str, sigma: float) -> float:
-    own = flights.causes.prior_of(name)
-    return sigma if own is None else own[1]
 
 
 def proposals(scores: Scores, price: float) -> list[Proposal]:
@@ -290,9 +269,8 @@ def unfelt(scores: Scores, flights: Flights) -> list[Proposal]:
             continue
         best = max(partners, key=lambda n: scores.gain(n), default=None)
         names = (name,) if best is None else (best, name)
-        start: dict[Key, float] = {}
-        for n in names:
-            for p, (null, sigma) in flights.causes.offered[n].prior.items():
-                start[p, None] = null if n == name and best is not None else null + sigma / 3
-        out.append(Proposal(causes=names, gain=0.0, start=start))
+        begins = typical(flights, *names)
+        if best is not None:
+            begins.start.update({(p, None): null for p, (null, _) in cause.prior.items()})
+        out.append(begins)
     return out

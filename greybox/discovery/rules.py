@@ -44,11 +44,15 @@ class Effort:
 
     tried: int = 3
     """Causes, and pairs, that are refitted at every step."""
+    together: int = 6
+    """Causes that one step adds at most: the later ones rest on the earlier ones."""
     iterations: int = 60
     opening: int = 6
     """Iterations after which a fit is first held against the best."""
     rough: float = 0.1
     """Where a fit stops that is only compared: a tenth in log evidence."""
+    stake: float = 0.05
+    """What a rival that is far behind may still gain, as a share of that, where its fit stops."""
     exact: float = 1e-2
     """Where the fit of a structure stops."""
     shares: tuple[float, ...] = (1.0, 0.3, 0.1)

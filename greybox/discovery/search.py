@@ -58,8 +58,11 @@ class Search:
 
     def score(self, found: Fitted) -> float:
         """Log posterior of a structure, up to a constant."""
-        added = [n for n in self.named(found.structure) if n not in self.flights.causes.base]
-        return found.log_evidence - self.price * len(added)
+        return found.log_evidence - self.price * len(self.added(found))
+
+    def added(self, at: Fitted) -> list[str]:
+        """Effects of a structure beyond those of the base."""
+        return self.named(at.structure - self.flights.causes.base)
 
     def named(self, structure: Iterable[str]) -> list[str]:
         """Effects of a structure, in the order of the catalogue."""
@@ -93,9 +96,9 @@ class Search:
         # What is not felt alone can only explain what is there and has no name. What acts with
         # another only (a wind with a drag) is offered before others bend into its place.
         silent = unfelt(scores, self.flights) if self._holds_something(at) else []
-        bare = not set(self.named(at.structure)) - self.flights.causes.base
-        pairs = [p for p in silent if bare and len(p.causes) > 1]
-        room = len(self.named(at.structure)) < self.most
+        many = len(self.added(at))
+        pairs = [p for p in silent if not many and len(p.causes) > 1]
+        room = many < self.most
         unscored = [typical(self.flights, n) for n in scores.unscored if room]
         fits = self._tried(at, scores, unscored, pairs)
         for last in (unscored, silent):
@@ -115,7 +118,7 @@ class Search:
         `pairs` that nothing can be said of, before colour, whose fits take longest."""
         chosen = self._sensors(at)
         fits: list[Fitted] = []
-        if len(self.named(at.structure)) < self.most:
+        if len(self.added(at)) < self.most:
             together = self._together(scores)
             promising = [p for p in proposals(scores, self.price) if self._net(p) > 0]
             chosen += ([together] if together else []) + promising[: self.flights.effort.tried]
@@ -143,7 +146,7 @@ class Search:
         """All causes that still gain next to those before them, most first."""
         names: list[str] = []
         gained = 0.0
-        room = self.most - len(self.named(scores.at.structure))
+        room = min(self.most - len(self.added(scores.at)), self.flights.effort.together)
         while len(names) < room:
             more = {n: scores.gain(*names, n) for n in scores.absent if n not in names}
             best = max(more, key=lambda n: more[n], default=None)
@@ -213,7 +216,7 @@ class Search:
         if scores is None or scores.at is not at:
             scores = self.scores = scored(self.flights, at)
         self.rivals = {}
-        for name in self.named(at.structure - self.flights.causes.base):
+        for name in self.added(at):
             left = at.structure - {name}
             known = _without(at, self.flights, name)
             rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]

@@ -39,8 +39,8 @@ class World:
     lower: float = -np.inf
     kept: dict[Structure, Fitted] = field(default_factory=dict)
     effort: Any = EFFORT
-    asked: list[bool] = field(default_factory=list)
-    """Of every fit whether a rough one would do."""
+    asked: list[float] = field(default_factory=list)
+    """Of every fit within what it would do."""
 
     @property
     def causes(self) -> Any:
@@ -65,21 +65,21 @@ class World:
         return [self.fit(s) for s, _ in asked]
 
     def fits(
-        self, asked: Sequence[tuple[Iterable[str], Sequence[Any]]], *, rough: bool = False
+        self, asked: Sequence[tuple[Iterable[str], Sequence[Any]]], within: Sequence[float]
     ) -> list[Fitted]:
         """Every structure at its optimum."""
-        return [self.fit(s, t, rough=rough) for s, t in asked]
+        return [self.fit(s, t, within=w) for (s, t), w in zip(asked, within, strict=True)]
 
     def fit(
         self,
         structure: Iterable[str],
         starts: Sequence[Any] = (),
         *,
-        rough: bool = False,
+        within: float = 0.0,
     ) -> Fitted:
         """The optimum in closed form."""
         chosen = frozenset(structure)
-        self.asked.append(rough)
+        self.asked.append(within)
         if chosen in self.kept:
             return self.kept[chosen]
         x, unknowns = self.shared, [unknown(f"b_{i}", np.inf) for i in range(self.shared.shape[1])]

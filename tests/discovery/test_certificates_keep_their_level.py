@@ -144,7 +144,7 @@ def test_only_near_the_bar_are_optima_needed_to_the_last_digit(away: float, exac
     rival = Rival(instead=(), share=1.0, fitted=one.fit(()))
     bar = parts(one, other, "a")[1] + away
     certificates(one.fit({"a"}), {"a": [rival]}, [judges], bar)
-    assert (False in judges.both.asked) is exact  # type: ignore[attr-defined]
+    assert (0.0 in judges.both.asked) is exact  # type: ignore[attr-defined]
 
 
 def test_look_alikes_stay_a_set_where_the_flights_cannot_tell():
