@@ -89,9 +89,9 @@ def add(subparsers: Any) -> None:
     p.add_argument(
         "--max-effects",
         type=int,
-        default=24,
+        default=12,
         metavar="N",
-        help="add no more than N effects (default 24)",
+        help="add no more than N effects (default 12)",
     )
     adapt_option(p)
     p.add_argument(
@@ -244,7 +244,7 @@ def _check(arguments: argparse.Namespace, out: Path) -> None:
         )
     if arguments.max_effects < 0:
         raise GreyboxError(
-            "--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 24"
+            "--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 12"
         )
     demand_adapt(arguments)
     need_mcap(arguments.mcap)

@@ -38,7 +38,7 @@ class DiscoverOptions:
     """Effects besides the catalogue."""
     alpha: float = 0.05
     """Family-wise level of a name: the probability of a false one on flights that miss nothing."""
-    max_effects: int = 24
+    max_effects: int = 12
     """Causes besides those of the base after which the search stops."""
     adapt: float | None = None
     """Seconds at the beginning of a test flight that its per-flight parameters are fitted on."""

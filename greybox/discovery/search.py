@@ -50,6 +50,8 @@ class Search:
     tried: set[tuple[Structure, Structure]] = field(default_factory=set)
     waiting: set[tuple[Structure, Structure]] = field(default_factory=set)
     """What was (added, dropped) and lost: asked again where nothing else gains."""
+    gained: set[Structure] = field(default_factory=set)
+    """What gained where it was added, if less than another move: asked again at the next step."""
 
     @property
     def price(self) -> float:
@@ -74,9 +76,8 @@ class Search:
         at = start or self.flights.fit(self.flights.causes.base)
         self.interim(at)
         for turn in range(ROUNDS):
-            self.say(
-                f"step {turn + 1}: {_named(self.named(at.structure))}", min(0.05 + 0.05 * turn, 0.5)
-            )
+            there = ", ".join(self.named(at.structure)) or "nothing added"
+            self.say(f"step {turn + 1}: {there}", min(0.05 + 0.05 * turn, 0.5))
             better = self._add(at)
             if better is not None:
                 better = self._leaner(better) or better
@@ -96,8 +97,8 @@ class Search:
         # What is not felt alone can only explain what is there and has no name. What acts with
         # another only (a wind with a drag) is offered before others bend into its place.
         silent = unfelt(scores, self.flights) if self._holds_something(at) else []
-        many = len(self.added(at))
-        pairs = [p for p in silent if not many and len(p.causes) > 1]
+        many, first = len(self.added(at)), [p for p in silent if len(p.causes) > 1]
+        pairs = [p for p in first if not many or frozenset(p.causes) in self.gained]
         room = many < self.most
         unscored = [typical(self.flights, n) for n in scores.unscored if room]
         fits = self._tried(at, scores, unscored, pairs)
@@ -210,8 +211,7 @@ class Search:
         return self._best(at, found)
 
     def contest(self, at: Fitted) -> dict[str, list[Rival]]:
-        """Every cause of `at` beyond those of the base against what could stand in its place, and
-        against nothing."""
+        """Every cause of `at` beyond the base against what could stand in its place, and nothing."""
         scores = self.scores
         if scores is None or scores.at is not at:
             scores = self.scores = scored(self.flights, at)
@@ -221,8 +221,10 @@ class Search:
             known = _without(at, self.flights, name)
             rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]
             asked: list[Move] = [(left, [known])]
-            for share, names, p in scores.instead(name)[: RULES.rivals]:
-                if share < RULES.stand_in:
+            nearest = scores.instead(name)[: RULES.rivals]
+            least = max((p.gain for *_, p in nearest), default=0.0) - self.flights.effort.behind
+            for share, names, p in nearest:
+                if share < RULES.stand_in or p.gain < least:
                     break
                 rows.append((names, share))
                 asked.append((left | set(names), [{**known, **p.start}, known]))
@@ -244,6 +246,7 @@ class Search:
             move = _change(at, f.structure)
             lost = self.score(f) <= self.score(at) - (self.flights.effort.behind if move[1] else 0)
             (self.waiting.add if lost else self.waiting.discard)(move)
+            (self.gained.add if not lost else self.gained.discard)(move[0])
         return fits
 
     def _best(
@@ -306,7 +309,3 @@ def _without(at: Fitted, flights: Flights, name: str) -> dict[Key, float]:
     """What a fit found, a cause left out."""
     gone = set(flights.causes.offered[name].parameters)
     return {k: v for k, v in at.known.items() if k[0] not in gone}
-
-
-def _named(names: list[str]) -> str:
-    return ", ".join(names) if names else "nothing added"

@@ -129,7 +129,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--every", type=int, default=1, metavar="N", help="only every N-th training flight"
     )
-    parser.add_argument("--max-effects", type=int, default=24)
+    parser.add_argument("--max-effects", type=int, default=12)
     parser.add_argument("--out", metavar="DIR")
     options = parser.parse_args(arguments)
 
