@@ -19,8 +19,11 @@ from greybox.estimation.solvers.curvature import Curvature
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import BoolArray, FloatArray
 
-SHARES = (0.3, 0.1)
-"""Parts of a failed step that are tried before the damping grows."""
+PARTS = 3
+"""Parts of a step whose cost is asked for where the whole is not worth taking."""
+
+SHORT = 0.3
+"""Part of a step below which its direction was no good."""
 
 NEAR = 1e-3
 """Predicted decrease below which a search that ran out of iterations has arrived: a twentieth of a
@@ -116,46 +119,32 @@ class LevenbergMarquardt:
                 moved = False
                 for _ in range(30):
                     taken = boxed_step(g, h, np.maximum(lower - x, fall), upper - x, damping)
-                    new = moved_by(x, taken, problem)
-                    predicted = -(g @ taken + 0.5 * taken @ h @ taken)
-                    trial = problem.evaluate(new)
-                    evaluations += 1
-                    ratio = (
-                        (value.cost - trial.cost) / predicted
-                        if trial.valid and predicted > 0
-                        else -1.0
-                    )
-                    kept = shares_kept(g, h, taken, trial, level, float(ratio))
-                    if ratio > 1e-4:
-                        moved = True
-                        if ratio < POOR:
-                            damping = np.where(kept < POOR, np.maximum(4 * damping, 1e-6), damping)
-                            new, trial, more = stepped_back(problem, x, g, new, trial)
-                            evaluations += more
+                    share, cost, tried = worth_taking(problem, x, value, h, taken)
+                    evaluations += tried
+                    if share > 0:
+                        part = share * taken
+                        new = moved_by(x, part, problem)
+                        trial = problem.evaluate(new)
+                        evaluations += 1
+                        moved = trial.valid and trial.cost < value.cost
+                    if moved and share < 1.0:  # what a part keeps says nothing of the whole
+                        damping = np.maximum(4 * damping, 1e-6) if share < SHORT else damping
+                    elif moved:
+                        ratio = (value.cost - trial.cost) / promise_of(g, h, part)
+                        kept = shares_kept(g, h, part, trial, level, float(ratio))
                         damping = np.where(
                             kept > GOOD, np.where(damping > 1e-12, damping / 10, 0.0), damping
                         )
+                    if moved:
                         x, value = new, trial
                         break
-                    if predicted < self.tolerance and abs(value.cost - trial.cost) < 1e-9 * max(
-                        abs(value.cost), 1.0
+                    nothing = 1e-9 * max(abs(value.cost), 1.0)
+                    if (
+                        promise_of(g, h, taken) < self.tolerance
+                        and abs(value.cost - cost) < nothing
                     ):
                         break
-                    # In a curved valley damping stalls; a part of the same step often gains most of
-                    # it.
-                    for share in SHARES:
-                        part = moved_by(x, share * taken, problem)
-                        gain = value.cost - problem.evaluate(part, 0).cost
-                        evaluations += 1
-                        if gain > 0.1 * share * float(-(g @ taken)) > 0:
-                            trial = problem.evaluate(part)
-                            moved = trial.valid and trial.cost < value.cost
-                            break
-                    if moved:
-                        damping = np.where(kept > GOOD, damping / 10, damping)
-                        x, value = part, trial
-                        break
-                    damping = np.where(kept < POOR, np.maximum(10 * damping, 1e-6), damping)
+                    damping = np.maximum(10 * damping, 1e-6)
                 if not moved and h is not value.hessian:
                     curvature = Curvature(x.size)
                 elif not moved:
@@ -195,20 +184,38 @@ def promised(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray) ->
     return max(-float(g @ full + 0.5 * full @ h @ full), 0.0)
 
 
-def stepped_back(
-    problem: Objective, x: FloatArray, gradient: FloatArray, new: FloatArray, there: Value
-) -> tuple[FloatArray, Value, int]:
-    """(point, its value, evaluations): on the way from x (n,), where the cost has this gradient
-    (n,), to `new`, which has the value `there`, the point at which the slope vanishes by the
-    secant, if that is better; `new` where the step did not pass the floor of the valley. The next
-    step would come back."""
-    assert there.gradient is not None
-    before, after = float(gradient @ (new - x)), float(there.gradient @ (new - x))
-    if not before < 0 < after:
-        return new, there, 0
-    back = x + before / (before - after) * (new - x)
-    nearer = problem.evaluate(back)
-    return (back, nearer, 1) if nearer.valid and nearer.cost < there.cost else (new, there, 1)
+def promise_of(g: FloatArray, h: FloatArray, step: FloatArray) -> float:
+    """The decrease that a step (n,) promises."""
+    return -float(g @ step + 0.5 * step @ h @ step)
+
+
+def worth_taking(
+    problem: Objective, x: FloatArray, value: Value, h: FloatArray, step: FloatArray
+) -> tuple[float, float, int]:
+    """(share of a step that is worth taking, 0 for none; cost of the whole step; evaluations), by
+    costs alone, which are far cheaper than slopes.
+
+    The whole step where most of its promise is kept, else the floor of the parabola through the
+    slope here and the cost there: where the Hessian is too small in a few directions, whole steps
+    cross their valley to and fro.
+    """
+    assert value.gradient is not None
+    slope, promise = float(value.gradient @ step), promise_of(value.gradient, h, step)
+
+    def cost_at(share: float) -> float:
+        return problem.evaluate(moved_by(x, share * step, problem), 0).cost
+
+    share, costs = 1.0, {1.0: cost_at(1.0)}
+    while len(costs) <= PARTS and promise > 0 and value.cost - costs[share] < GOOD * promise:
+        rise = costs[share] - value.cost - share * slope
+        floor = -0.5 * share**2 * slope / rise if rise > 0 else np.inf
+        floor = min(max(floor, 0.1 * share), 3.0 * share, 0.9) if np.isfinite(rise) else 0.3 * share
+        if costs[share] < value.cost and abs(floor - share) < 0.3 * share:
+            break
+        share = floor
+        costs[share] = cost_at(share)
+    best = min(costs, key=lambda part: costs[part])
+    return best if costs[best] < value.cost else 0.0, costs[1.0], len(costs)
 
 
 def shares_kept(
