@@ -121,7 +121,7 @@ def summary(rows: Sequence[tuple[float, float, float]]) -> str:
         return text
     better = sum(known > max(far) for _, _, known in rows)
     return (
-        f"{text}; beyond {SHARE:.0%} no value is more than {max(far):.1f} standard errors from zero, "
+        f"{text}; beyond {SHARE:.0%} no value is more than {max(far):.2f} standard errors from zero, "
         f"and {better} values are"
     )
 
