@@ -3,9 +3,10 @@
     python -m benchmarks.export_every [--only physics] [--out F.json]
 
 Microseconds of CPU time of the output h, the step f_d, both with their Jacobians, one step of the
-covariance and one of the filter; compiled as in `export_speed`, called from one C loop, median of
-the turns. The numbers of the models are random, their sizes those of a quadrotor: 10 features, six
-learned outputs, 50 support points or features, four commands. It needs the checkout's `tests`.
+covariance and one of the filter; compiled as in `export_speed`, sources beyond `LARGE` with
+`GENERATED_FLAGS`, called from one C loop, median of the turns. The numbers of the models are
+random, their sizes those of a quadrotor: 10 features, six learned outputs, 50 support points or
+features, four commands. It needs the checkout's `tests`.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ from greybox.residual.from_gpytorch import from_gpytorch  # noqa: E402
 from greybox.residual.hybrid import HybridModel  # noqa: E402
 from greybox.residual.learners import LEARNERS, LooksBack, learner_of  # noqa: E402
 from greybox.symbolic import Layout, Signal  # noqa: E402
-from mpc_export.c_code import FAST_FLAGS, write_c  # noqa: E402
+from mpc_export.c_code import FAST_FLAGS, GENERATED_FLAGS, write_c  # noqa: E402
 from mpc_export.c_kernels import kernels_of  # noqa: E402
 from mpc_export.functions import model_functions  # noqa: E402
 from tests.mpc_export import cases  # noqa: E402
@@ -61,6 +62,8 @@ COLUMNS = {
     "filter": ("filter_step",),
 }
 """Column -> functions of an export, the first that there is; of a process alone its own."""
+LARGE = 4_000_000
+"""Bytes of C of which -O3 takes more than a quarter of an hour (the lstm's 6.4 million)."""
 POINTS = 50
 RATES, FORCES = ("p", "q", "r"), ("ax", "ay", "az")
 UNITS = dict.fromkeys(RATES, "rad/s") | dict.fromkeys(FORCES, "m/s^2")
@@ -203,7 +206,8 @@ def microseconds(thing: Any, folder: Path) -> dict[str, float | None]:
         chosen |= {"h": "gp_mean", "h, Jacobian": "gp_mean_jac", "covariance": "gp_all"}
     made = [there[n] for n in dict.fromkeys(chosen.values()) if n is not None]
     source = write_c(made, folder, prefix="every", kernels=kernels_of(functions))
-    library = shared_library(folder, "every", source.source, *FAST_FLAGS)
+    flags = FAST_FLAGS if source.source.stat().st_size < LARGE else GENERATED_FLAGS
+    library = shared_library(folder, "every", source.source, *flags)
     sizes = {f.name: f for f in source.functions}
     rng = np.random.default_rng(1)
     if functions.states:
@@ -266,6 +270,7 @@ def main() -> None:
         "unit": f"us of CPU time, median of {TURNS} turns",
         "machine": platform.machine(),
         "flags": " ".join(FAST_FLAGS),
+        "flags of large sources": " ".join(GENERATED_FLAGS),
         "microseconds": rows,
     }
     if options.out or not options.only:

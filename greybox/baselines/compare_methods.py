@@ -170,7 +170,7 @@ def _linear_hybrid(
     learner: str = GP,
 ) -> Outcome:
     base, _ = model(bench)
-    plain = output_features(base, bench.train_segments[0].names)
+    plain = output_features(base, bench.train_segments[0].names, learner_of(learner))
     return _output_hybrid(bench, base, _choices(bench, plain), label, learner)
 
 

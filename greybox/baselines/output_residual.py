@@ -41,7 +41,7 @@ from greybox.model.linear import LinearModel
 from greybox.residual.discrepancy import Discrepancy
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import default_features
-from greybox.residual.learners import GP, Learner, learner_for
+from greybox.residual.learners import GP, Learner, LooksBack, learner_for
 from greybox.residual.left_out import judged_on_left_out
 from greybox.residual.options import GPChoices, GPOptions
 from greybox.residual.posterior import GPPosterior
@@ -222,23 +222,29 @@ class OutputHybrid(Shown):
             ) from None
 
 
-def output_features(base: BasePredictor, channels: Iterable[str]) -> tuple[str, ...]:
+def output_features(
+    base: BasePredictor, channels: Iterable[str], learner: Learner | None = None
+) -> tuple[str, ...]:
     """The default features: the predicted outputs of a linear model, or the motion and rotors of a
-    physical one; roll and pitch; commands. Attitude and commands are one sample old. `channels` are
-    those of the log."""
+    physical one; roll and pitch; commands. Attitude and commands are one sample old; a `learner`
+    that looks back has the commands before that, too. `channels` are those of the log."""
     there = set(channels)
     angles = tuple(
         f"{a}[t-1]" for a in ("phi", "theta") if {"qw", "qx", "qy", "qz"} <= there or a in there
     )
     commands = tuple(f"{c}[t-1]" for c in base.commands)
+    earlier: tuple[str, ...] = ()
+    if isinstance(learner, LooksBack):
+        lags = range(2, learner.lags(base.dt) + 2)
+        earlier = tuple(f"{c}[t-{k}]" for k in lags for c in base.commands)
     if isinstance(base.model, LinearModel):
-        return (*base.outputs, *angles, *commands)
+        return (*base.outputs, *angles, *commands, *earlier)
     own = [n for n in default_features(base.dynamics) if n not in base.dynamics.inputs.names]
     attitude = (
         ("phi", "theta") if "rate" in {n.split(".")[0] for n in base.dynamics.states.names} else ()
     )
-    rotors = any(n.startswith("nu") for n in own)
-    return (*attitude, *own, *(() if rotors else commands))
+    rotors = any(n.startswith("nu") for n in own) and not earlier
+    return (*attitude, *own, *(() if rotors else commands), *earlier)
 
 
 def residual_rows(
@@ -319,7 +325,7 @@ def fit_output_residual(
     common = (
         [n for n in segments[0].names if all(n in s.channels for s in segments)] if segments else []
     )
-    names = tuple(features) if features is not None else output_features(base, common)
+    names = tuple(features) if features is not None else output_features(base, common, other)
     inputs = base.feature_layout(names)
     z, r, flights = residual_rows(base, segments, names)
     units = {s.name: s.unit for s in base.dynamics.outputs}

@@ -38,6 +38,8 @@ from mpc_export.bundle import ExportBundle, write_bundle
 from mpc_export.verify import CLibrary, build
 
 Array = npt.NDArray[np.float64]
+SHARE = 0.02
+"""Of the batch's value: how near the one in flight shall be."""
 
 
 class InFlight:
@@ -106,6 +108,24 @@ def first(flight: Flight, seconds: float) -> Flight:
     return part
 
 
+def summary(rows: Sequence[tuple[float, float, float]]) -> str:
+    """Rows of (difference over the batch's value, over its standard error, value over standard
+    error) in a sentence."""
+    far = [known for share, _, known in rows if share > SHARE]
+    text = (
+        f"{len(rows) - len(far)} of {len(rows)} within {SHARE:.0%} of the batch's value, "
+        f"{sum(error <= 0.1 for _, error, _ in rows)} within 0.1 standard errors of it, all within "
+        f"{max(error for _, error, _ in rows):.2f}"
+    )
+    if not far:
+        return text
+    better = sum(known > max(far) for _, _, known in rows)
+    return (
+        f"{text}; beyond {SHARE:.0%} no value is more than {max(far):.2f} standard errors from zero, "
+        f"and {better} values are"
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Export, compile, fly, compare, print."""
     parser = argparse.ArgumentParser(
@@ -132,6 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"{'flight':28s}{'parameter':26s}"
             + "".join(f"{h:>{w}s}" for h, w in zip(head, (11, 10, 11, 10, 9, 7)))
         )
+        rows: list[tuple[float, float, float]] = []
         for flight in data.flights:
             part = first(flight, options.seconds)
             batch = adapt_to_flight(model, flight, options.seconds, riccati=settled)
@@ -140,10 +161,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             )
             for n, a, s in zip(names, value, std, strict=True):
                 there, spread = batch.values[n], batch.std[n]
-                apart = f"{100 * abs(a / there - 1):9.2f}{abs(a - there) / spread:7.2f}"
+                rows.append((abs(a / there - 1), abs(a - there) / spread, abs(there) / spread))
+                apart = f"{100 * rows[-1][0]:9.2f}{rows[-1][1]:7.2f}"
                 print(
                     f"{flight.name[:27]:28s}{n:26s}{there:11.4g}{spread:10.2g}{a:11.4g}{s:10.2g}{apart}"
                 )
+        print(f"\n{summary(rows)}")
         sizes = bundle.functions.sizes
         print(
             f"\n{step.microseconds():.1f} us of CPU a step (cc -O1): {sizes['n_d']} error states, "

@@ -123,6 +123,56 @@ def test_the_covariance_goes_with_the_slopes_of_the_filter_however_large_the_inn
     assert np.abs(after - want).max() < 1e-5 * np.abs(want).max()
 
 
+def test_where_the_prior_is_narrow_one_pass_is_the_least_squares_step_of_the_whole_flight(
+    functions,
+):
+    """Every slope is then taken where the flight ends: what is left to the batch fit of a wide prior
+    is that a filter takes them at what it believes by then."""
+    n, narrow = 100, 1e-4
+    segment = fly(functions.model, n, noise=1.0, changes=TRUE)
+    x, p, v = start(functions, segment)
+    u = segment.matrix(functions.inputs.names)
+    y = segment.matrix(functions.outputs.names)
+    there = np.ones(functions.sizes["n_e"])
+    n_t, n_d, rows = (
+        len(functions.adapted.rows),
+        len(functions.error_states),
+        functions.adapted.rows,
+    )
+    white = np.linalg.inv(np.linalg.cholesky(functions["innovation_gain"](there)[1].full()))
+
+    def innovations(moved):
+        q, at = p.copy(), np.array(functions["boxplus"](x, moved[n_t:])).ravel()
+        q[list(rows)] += moved[:n_t]
+        out = []
+        for k in range(n):
+            at, e = functions["filter_step"](at, u[k], q, y[k], there)[:2]
+            out.append(white @ e.full().ravel())
+        return np.concatenate(out)
+
+    sigma = narrow * np.sqrt(np.diag(v))
+    steps = np.maximum(sigma, 1e-9)
+    slopes = np.column_stack(
+        [
+            (innovations(h * unit) - innovations(-h * unit)) / (2 * h)
+            for h, unit in zip(steps, np.eye(n_t + n_d), strict=True)
+        ]
+    )
+    scaled = slopes * sigma
+    information = scaled.T @ scaled + np.eye(n_t + n_d)
+    best = -sigma * np.linalg.solve(information, scaled.T @ innovations(np.zeros(n_t + n_d)))
+    std = sigma * np.sqrt(np.diag(np.linalg.inv(information)))
+    before = p[list(rows)].copy()
+    v = narrow**2 * v
+    for k in range(n):
+        x, p, v = (
+            np.array(r) for r in functions["adapt_step"](x, u[k], p, y[k], there, v, 0.0)[:3]
+        )
+        x, p = x.ravel(), p.ravel()
+    assert np.abs(p[list(rows)] - before - best[:n_t]) / std[:n_t] == pytest.approx(0, abs=1e-3)
+    assert np.sqrt(np.diag(v))[:n_t] == pytest.approx(std[:n_t], rel=1e-3)
+
+
 def test_learned_weights_get_the_numbers_of_their_batch_fit():
     """Of a pendulum with a learned torque: weights by Gauss-Newton on the filter's innovations,
     with the prior."""

@@ -1,14 +1,15 @@
 """Inside: any learner, believed where its training inputs lie.
 
 Left-out flights of one kind say nothing about flights of another. Beyond the ellipsoid that holds
-95 % of a Gaussian with the mean and covariance of the training inputs, features therefore fade as
-that density does, and what they lose in variance before the data one more feature gains, which no
+99 % of the training inputs, of their mean and covariance, features therefore fade as the density of
+a Gaussian does, and what they lose in variance before the data one more feature gains, which no
 data inform:
 
-    m = (x - middle)' cov(x)^-1 (x - middle),   q = 95 % quantile of chi-square with n_in degrees,
+    m = (x - middle)' cov(x)^-1 (x - middle),   q = 99 % quantile of m over the training inputs,
     s = exp(-max(m - q, 0)/2),   phi -> (s phi, size (1 - s^2)),   size = rms of |phi| over the rows
 
-Far away the mean is that of the model alone and the variance that of the prior which the left-out
+The tails of real inputs are longer than those of a Gaussian, and a stray sample is not where a
+flight was. Far away the mean is that of the model alone and the variance that of the prior which the left-out
 flights chose, as a stationary Gaussian process has it by itself.
 """
 
@@ -21,13 +22,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-import scipy.stats
 
 from greybox.residual.learners.learner import Features, Learner, LooksBack
 from greybox.symbolic import Expr, FloatArray, evaluate
 
-SHARE = 0.95
-"""Of a Gaussian, inside of which features are whole: that of the intervals that are told."""
+SHARE = 0.99
+"""Of the training inputs, for which features are whole."""
 FAR = 1e9
 """An input at which nothing is left, in standard deviations."""
 FLAT = 1e-6
@@ -77,7 +77,7 @@ def faded(made: Features, x: FloatArray) -> Features:
     middle, n = x.mean(axis=0), x.shape[1]
     values, vectors = np.linalg.eigh(np.cov(x.T).reshape(n, n))
     whitening = (vectors / np.sqrt(np.maximum(values, FLAT * max(float(values.max()), FLAT)))).T
-    edge = float(scipy.stats.chi2.ppf(SHARE, n))
+    edge = float(np.quantile(np.sum(((x - middle) @ whitening.T) ** 2, axis=1), SHARE))
     s = ca.SX.sym("x", n)
     own = ca.densify(ca.SX(made(s)))
     if own.size2() != 1 or not own.numel():

@@ -42,8 +42,7 @@ class LooksBack(Learner, Protocol):
     """A learner that looks at earlier commands too; it is told what its inputs are called."""
 
     def lags(self, sample_time: float) -> int:
-        """Earlier samples, sample_time [s] apart, of every command that it asks for on physics; on
-        linear models the inputs are the user's."""
+        """Earlier samples, sample_time [s] apart, of every command that it asks for."""
 
     def of(self, names: Sequence[str]) -> Learner:
         """The same for inputs of these names (n_in); u1[t-3] is that of three samples ago."""
