@@ -144,9 +144,7 @@ _KNOWN: dict[str, Callable[[Sizes], PlantEffect]] = {
     "parasitic_drag": _body_drag,
     "payload_mass": lambda s: known.PayloadMass(mu=s.size(0.08, 0.25)),
     "pose_delay": lambda s: known.PoseDelay(d=s.size(0.01, 0.03)),
-    "pose_lever_arm": lambda s: known.PoseLeverArm(
-        **_xyz("r", s.three(0.1 * s.arm, 0.4 * s.arm))
-    ),
+    "pose_lever_arm": lambda s: known.PoseLeverArm(**_xyz("r", s.three(0.1 * s.arm, 0.4 * s.arm))),
     "products_of_inertia": _products,
     "rotational_damping": _damping,
     "rotor_asymmetry": lambda s: known.RotorAsymmetry(delta=s.uneven()),

@@ -97,13 +97,13 @@ def test_a_search_follows_the_valley_while_a_level_overshoots() -> None:
     assert thrust == pytest.approx(rows[int(prior.argmin()) % rows.size], abs=2e-3)
 
 
-def test_without_the_logarithm_of_factors_it_creeps() -> None:
+def test_without_the_logarithm_of_factors_it_takes_twice_as_long() -> None:
     blind = Ratio(unknowns=tuple(replace(u, origin=np.nan) for u in UNKNOWNS))
     start = np.array([1.0, 0.0, 1.0, 0.3])
     _, creeping = LevenbergMarquardt(tolerance=1e-6).solve(blind, start)
     _, straight = LevenbergMarquardt(tolerance=1e-6).solve(Ratio(), start)
     assert straight.converged
-    assert not creeping.converged
+    assert creeping.iterations > 2 * straight.iterations
 
 
 def test_a_load_is_a_factor_of_the_mass() -> None:

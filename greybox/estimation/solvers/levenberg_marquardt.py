@@ -127,15 +127,16 @@ class LevenbergMarquardt:
                         trial = problem.evaluate(new)
                         evaluations += 1
                         moved = trial.valid and trial.cost < value.cost
-                    if moved and share < 1.0:  # what a part keeps says nothing of the whole
-                        damping = np.maximum(4 * damping, 1e-6) if share < SHORT else damping
-                    elif moved:
+                    if moved:
                         ratio = (value.cost - trial.cost) / promise_of(g, h, part)
                         kept = shares_kept(g, h, part, trial, level, float(ratio))
+                        if not np.isfinite(cost):  # what a part keeps says nothing of the whole
+                            kept = np.minimum(kept, share)
+                        if share < SHORT:
+                            damping = np.where(kept < GOOD, np.maximum(4 * damping, 1e-6), damping)
                         damping = np.where(
                             kept > GOOD, np.where(damping > 1e-12, damping / 10, 0.0), damping
                         )
-                    if moved:
                         x, value = new, trial
                         break
                     nothing = 1e-9 * max(abs(value.cost), 1.0)
@@ -195,7 +196,7 @@ def worth_taking(
     """(share of a step that is worth taking, 0 for none; cost of the whole step; evaluations), by
     costs alone, which are far cheaper than slopes.
 
-    The whole step where most of its promise is kept, else the floor of the parabola through the
+    The whole step where a quarter of its promise is kept, else the floor of the parabola through the
     slope here and the cost there: where the Hessian is too small in a few directions, whole steps
     cross their valley to and fro.
     """
@@ -206,7 +207,7 @@ def worth_taking(
         return problem.evaluate(moved_by(x, share * step, problem), 0).cost
 
     share, costs = 1.0, {1.0: cost_at(1.0)}
-    while len(costs) <= PARTS and promise > 0 and value.cost - costs[share] < GOOD * promise:
+    while len(costs) <= PARTS and promise > 0 and value.cost - costs[share] < POOR * promise:
         rise = costs[share] - value.cost - share * slope
         floor = -0.5 * share**2 * slope / rise if rise > 0 else np.inf
         floor = min(max(floor, 0.1 * share), 3.0 * share, 0.9) if np.isfinite(rise) else 0.3 * share
