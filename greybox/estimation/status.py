@@ -19,10 +19,9 @@ class Code(enum.Enum):
         "parameters that the data cannot identify."
     )
     NO_PROGRESS = (
-        "NOT converged: no step lowers the cost although the gradient does not vanish. The model "
-        "may be discontinuous "
-        "here or the data contain outliers: look at the innovations, try the robust criterion or "
-        "other start values."
+        "NOT converged: no step lowers the cost by what matters, yet the gradient is not zero. The "
+        "model may be discontinuous here or the data contain outliers: look at the innovations, "
+        "try the robust criterion or other start values."
     )
     BEHIND = (
         "NOT converged: ended early, as it could not catch up with the fit that it was held "
