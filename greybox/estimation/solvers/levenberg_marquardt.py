@@ -128,7 +128,7 @@ class LevenbergMarquardt:
                         evaluations += 1
                         moved = trial.valid and trial.cost < value.cost
                     if moved:
-                        ratio = (value.cost - trial.cost) / promise_of(g, h, part)
+                        ratio = (value.cost - trial.cost) / max(promise_of(g, h, part), 1e-300)
                         kept = shares_kept(g, h, part, trial, level, float(ratio))
                         if not np.isfinite(cost):  # what a part keeps says nothing of the whole
                             kept = np.minimum(kept, share)
