@@ -90,8 +90,10 @@ def certificates(
     effort = judges[0].both.effort
     near, share = 4 * BEYOND * effort.rough, effort.stake / BEYOND
     every = [r.fitted for rows in rivals.values() for r in rows]
-    behind = {f.structure: at.log_evidence - f.log_evidence for f in every}
-    stakes = {s: max(share * v, effort.rough) for s, v in behind.items()}
+    stakes = {f.structure: effort.rough for f in every}
+    for f in (r.fitted for rows in rivals.values() for r in rows if not r.instead):
+        behind = at.log_evidence - f.log_evidence  # of others a regret rests on where they are
+        stakes[f.structure] = max(share * behind, effort.rough) if behind < np.inf else effort.rough
     for split in judges:
         _predictives([at, *every], at, split, [effort.rough, *(stakes[f.structure] for f in every)])
     out = {}

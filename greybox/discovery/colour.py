@@ -39,9 +39,11 @@ def sensor_proposals(at: Fitted, causes: Causes) -> tuple[list[Cause], float]:
         told = [tested[n] for n in own if n in tested]
         clear = [c.predictable for c in told if c.test.p_value < CLEARLY / len(tested)]
         if max(clear, default=0.0) > RULES.colour:
-            gain -= sum(0.5 * c.n * np.log1p(-c.predictable) for c in told)
-            parts.append(Coloured(sensor=sensor.name))
+            more: list[SensorPart] = [Coloured(sensor=sensor.name)]
             # Where the clocks of gyro and attitude wander nothing tells how late a filter is.
             if sensor.name in FILTERED and not physics.kinematic_noise:
-                parts.append(LowPass(sensor=sensor.name))
-    return [sensor_cause(p, causes.model) for p in parts if p.name not in at.structure], gain
+                more.append(LowPass(sensor=sensor.name))
+            if new := [p for p in more if p.name not in at.structure]:
+                parts += new
+                gain -= sum(0.5 * c.n * np.log1p(-c.predictable) for c in told)
+    return [sensor_cause(p, causes.model) for p in parts], gain

@@ -66,9 +66,10 @@ class Fitted:
 
     @property
     def may_gain(self) -> float:
-        """Log likelihood that the optimum may lie above a fit that did not converge, however it
-        ended: `BEYOND` times what the full step from there promises."""
-        return 0.0 if self.status.converged else BEYOND * self.status.decrement
+        """Log likelihood that the optimum may lie above a fit that is not exact, however it ended:
+        `BEYOND` times what the full step from there promises."""
+        done = self.exact and self.status.converged
+        return 0.0 if done else BEYOND * self.status.decrement
 
     @property
     def known(self) -> dict[Key, float]:
@@ -234,7 +235,8 @@ class Flights:
         out = []
         for task, problem, (theta, status, value) in zip(tasks, problems, answers, strict=True):
             evidence = -np.inf
-            if status.converged and status.decrement > self.effort.rough:  # all that was asked for
+            loose = min(status.decrement, task.tolerance) > self.effort.rough
+            if loose and status.code in (Code.CONVERGED, Code.NO_PROGRESS):  # all that was asked
                 status = replace(status, code=Code.BEHIND)
             if value.valid and value.hessian is not None:
                 evidence = log_evidence(problem, theta, value)
@@ -245,7 +247,9 @@ class Flights:
                 value=value,
                 status=status,
                 log_evidence=evidence,
-                exact=task.tolerance <= self.effort.exact and status.code is not Code.BEHIND,
+                exact=task.tolerance <= self.effort.exact
+                and task.iterations >= self.effort.iterations
+                and status.code is not Code.BEHIND,
             )
             out.append(self._known[task.structure])
         return out

@@ -125,13 +125,10 @@ class Discovery(Shown):
 
     def _parameters(self, name: str) -> dict[str, Any]:
         assert self.fit is not None
-        own = {
-            n.split(".", 1)[-1]: e
-            for n, e in self.fit.parameters.items()
-            if n.split(".")[0] == name
-        }
+        own = {n: e for n, e in self.fit.parameters.items() if n.split(".")[0] == name}
+        std = {n: e.std if np.isfinite(e.std) else None for n, e in own.items()}
         return {
-            n: {"value": e.value, "std": e.std if np.isfinite(e.std) else None, "unit": e.unit}
+            n.split(".", 1)[-1]: {"value": e.value, "std": std[n], "unit": e.unit}
             for n, e in own.items()
         }
 
@@ -286,11 +283,8 @@ def _closing(rows: Sequence[GapRow]) -> list[str]:
         own = r.group not in GROUPS
         if r.closed is None or (r.horizon_s == 0 if own else r.horizon_s not in (0.1, 0.5)):
             continue
-        more = (
-            ""
-            if r.with_proposals is None
-            else f"; with the laws: {closed_in_words(r.with_proposals, floor=not own)}"
-        )
+        laws = r.with_proposals
+        more = "" if laws is None else f"; with the laws: {closed_in_words(laws, floor=not own)}"
         out.append(
             f"  {r.group} {r.horizon_s:g} s ahead: {r.before:.4g} -> {r.after:.4g} {r.unit} "
             f"(of the gap closed: {closed_in_words(r.closed, floor=not own)}{more})"

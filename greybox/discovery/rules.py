@@ -40,7 +40,7 @@ RULES = Rules()
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """How much is tried. Raising any of these finds more or the same, and costs time."""
+    """How much is tried: more, or less of `rough`, `stake` and `exact`, finds more or the same."""
 
     tried: int = 3
     """Causes, and pairs, that are refitted at every step."""

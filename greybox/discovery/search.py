@@ -97,11 +97,12 @@ class Search:
         # What is not felt alone can only explain what is there and has no name. What acts with
         # another only (a wind with a drag) is offered before others bend into its place.
         silent = unfelt(scores, self.flights) if self._holds_something(at) else []
-        many, first = len(self.added(at)), [p for p in silent if len(p.causes) > 1]
-        pairs = [p for p in first if not many or frozenset(p.causes) in self.gained]
-        room = many < self.most
-        unscored = [typical(self.flights, n) for n in scores.unscored if room]
-        fits = self._tried(at, scores, unscored, pairs)
+        many, room = len(self.added(at)), self.most - len(self.added(at))
+        silent = [p for p in silent if len(p.causes) <= room]
+        bare = [p for p in silent if not many or frozenset(p.causes) in self.gained]
+        pairs = [p for p in bare if len(p.causes) > 1]
+        unscored = [typical(self.flights, n) for n in scores.unscored if room > 0]
+        fits = self._tried(at, scores, unscored, pairs, room)
         for last in (unscored, silent):
             if not any(self.score(f) > self.score(at) for f in fits):
                 fits += self._fits(at, self._moves(at, last), fits)
@@ -112,16 +113,17 @@ class Search:
         return any(needed for _, needed in axis_gains(at, self.price).values())
 
     def _tried(
-        self, at: Fitted, scores: Scores, unscored: list[Proposal], pairs: list[Proposal]
+        self, at: Fitted, scores: Scores, unscored: list[Proposal], pairs: list[Proposal], room: int
     ) -> list[Fitted]:
         """Fits of what promises most: all that still gain next to each other, single causes and
         pairs, colour of the sensors, until what one gained is more than the next promises; and of
         `pairs` that nothing can be said of, before colour, whose fits take longest."""
         chosen = self._sensors(at)
         fits: list[Fitted] = []
-        if len(self.added(at)) < self.most:
+        if room > 0:
             together = self._together(scores)
-            promising = [p for p in proposals(scores, self.price) if self._net(p) > 0]
+            some = [p for p in proposals(scores, self.price) if len(p.causes) <= room]
+            promising = [p for p in some if self._net(p) > 0]
             chosen += ([together] if together else []) + promising[: self.flights.effort.tried]
             fits += self._fits(at, self._moves(at, unscored, last=False))
         for p in sorted(chosen, key=self._net, reverse=True):
@@ -208,7 +210,7 @@ class Search:
         """The structure with another cause in the place of one, where that is likelier."""
         self.contest(at)
         found = [r.fitted for rows in self.rivals.values() for r in rows]
-        return self._best(at, found)
+        return self._best(at, [f for f in found if len(self.added(f)) <= self.most])
 
     def contest(self, at: Fitted) -> dict[str, list[Rival]]:
         """Every cause of `at` beyond the base against what could stand in its place, and nothing."""
@@ -221,10 +223,8 @@ class Search:
             known = _without(at, self.flights, name)
             rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]
             asked: list[Move] = [(left, [known])]
-            nearest = scores.instead(name)[: RULES.rivals]
-            least = max((p.gain for *_, p in nearest), default=0.0) - self.flights.effort.behind
-            for share, names, p in nearest:
-                if share < RULES.stand_in or p.gain < least:
+            for share, names, p in scores.instead(name)[: RULES.rivals]:
+                if share < RULES.stand_in:
                     break
                 rows.append((names, share))
                 asked.append((left | set(names), [{**known, **p.start}, known]))

@@ -375,10 +375,7 @@ def make_problem(
         return problem
     told = predictor.told(problem)
     initial = _initial_unknowns(dynamics, records, [~t for t in told], base, process)
-    # The widest start of all: records that start alike share their gains, which are most of the work
-    # on short flights.
-    widest = np.max([r.spread for r in records], axis=0)
-    spreads = tuple(np.where(t, widest, 0.0) for t in told)
+    spreads = tuple(np.where(t, r.spread, 0.0) for t, r in zip(told, records, strict=True))
     return replace(
         problem, unknowns=(*unknowns, *initial), estimate_initial=bool(initial), spreads=spreads
     )

@@ -33,7 +33,11 @@ from greybox.validation.open_loop import GroupReader, predict_from
 SECONDS = (0.0, 0.1, 0.5, 1.0)
 """Horizons [s]; 0 stands for one sample."""
 TENTH = 0.1
-"""Share of the gap by which written laws must make it worse to be called that."""
+"""Share of the gap by which written laws must make it worse to be called that, and of the error by
+which names must for a word before all others."""
+SOON = 0.1
+"""Horizon [s] at which a right model under feedback still beats any other
+(`scenarios.studies.feedback_tells`)."""
 NOTHING = 1.2
 """Below this ratio of before^2 to floor^2 there is no gap to close."""
 START = 2.0
@@ -72,12 +76,18 @@ class GapRow:
     @property
     def worse(self) -> bool:
         """Whether it clearly got worse."""
-        return self.ci95 is not None and self.ci95[1] < 0 and self.filtered is not None
+        return self.ci95 is not None and self.ci95[1] < 0
 
     @property
     def opposed(self) -> bool:
         """Whether that is mended by force and torque without a name: a name stands against them."""
         return self.worse and self.filtered is not None and self.filtered < self.before
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether that is so, and much, before the commands of a feedback have answered."""
+        much = self.after > (1 + TENTH) * self.before
+        return self.opposed and much and self.horizon_s <= SOON
 
     def to_dict(self) -> dict[str, Any]:
         """As in discovery.json."""
@@ -118,7 +128,7 @@ def outgrown(rows: Iterable[GapRow]) -> list[str]:
 def opposed(rows: Iterable[GapRow]) -> str:
     """The beginning of a sentence that says what the names leave worse than it was without them and
     the filter mends; empty where there is nothing of the kind."""
-    groups = ", ".join(dict.fromkeys(r.group for r in rows if r.opposed))
+    groups = ", ".join(dict.fromkeys(r.group for r in rows if r.doubtful))
     said = f"USE WITH ITS FILTER ONLY (alone it foretells {groups} worse than before). "
     return said if groups else ""
 
@@ -138,6 +148,8 @@ def worsened(rows: Iterable[GapRow]) -> list[str]:
                 f"{said}worse by physics alone, {r.filtered:.4g} {r.unit} with the force and "
                 "torque without a name that the filter sees: a name stands against these"
             )
+        elif r.filtered is None:
+            out.append(f"{said}worse than without the names")
         else:
             out.append(
                 f"{said}worse: commands of a feedback may answer what comes in between, and a "

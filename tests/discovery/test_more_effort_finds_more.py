@@ -126,3 +126,11 @@ def test_the_rivals_that_are_asked_decide_as_all_would(monkeypatch: pytest.Monke
     monkeypatch.setattr(greybox.discovery.search, "RULES", replace(RULES, rivals=400))
     every = [{n: v.status for n, v in found(seed, EFFORT).items()} for seed in range(1000, 1040)]
     assert asked == every
+
+
+@pytest.mark.parametrize("most", [0, 1, 2])
+def test_a_search_adds_no_more_than_it_may(most: int):
+    for seed in range(20):
+        one, _ = world(seed)
+        search = Search(flights=one, most=most, say=lambda _text, _share: None)  # type: ignore[arg-type]
+        assert len(search.added(search.run())) <= most

@@ -9,24 +9,30 @@ import numpy as np
 import pytest
 
 from greybox.data import Dataset, Flight
-from greybox.discovery.cause import sensor_cause
+from greybox.discovery.cause import offer, sensor_cause
+from greybox.discovery.colour import sensor_proposals
 from greybox.discovery.evidence import Flights
 from greybox.discovery.rules import EFFORT
 from greybox.discovery.search import Search
 from greybox.model.noise import Coloured, LowPass
-from tests.discovery.small_world import damped
+from tests.discovery.small_world import damped, shorten, vehicle
 
 
-def coloured(flight: Flight, rng: np.random.Generator) -> Flight:
-    """Errors of the gyro that last 80 ms, behind no filter."""
+def coloured(
+    flight: Flight,
+    rng: np.random.Generator,
+    channels_of: tuple[str, ...] = ("p", "q", "r"),
+    size: float = 0.02,
+) -> Flight:
+    """Errors of a sensor, the gyro [rad/s], of some `size` that last 80 ms, behind no filter."""
     kept = np.exp(-flight.dt / 0.08)
     segments = []
     for s in flight.segments:
         channels = {}
-        for name in ("p", "q", "r"):
+        for name in channels_of:
             error = np.zeros(s.n)
             for k in range(1, s.n):
-                error[k] = kept * error[k - 1] + 0.02 * np.sqrt(1 - kept**2) * rng.standard_normal()
+                error[k] = kept * error[k - 1] + size * np.sqrt(1 - kept**2) * rng.standard_normal()
             channels[name] = s.channels[name] + error
         segments.append(s.replace(channels))
     return replace(flight, segments=tuple(segments))
@@ -60,3 +66,34 @@ def test_a_fit_that_was_given_up_is_carried_on_when_it_is_asked_for():
     assert not given_up.exact and not given_up.comparable
     whole = world.fit(structure)
     assert whole.comparable and whole.value.cost < given_up.value.cost
+
+
+def test_a_promise_as_small_as_the_last_one_leaves_no_fit_unfinished():
+    """What an opening left counts as done only where its iterations were not cut short."""
+    gains = []
+    for rough in (EFFORT.rough, EFFORT.exact):
+        world = damped()
+        world.effort = replace(EFFORT, opening=2, rough=rough)
+        base = world.fit(world.causes.base)
+        moves = [
+            (world.causes.base | {n}, [base.known])
+            for n in ("rotational_damping", "parasitic_drag")
+        ]
+        gains.append(world.contest(moves, base)[0].log_evidence - base.log_evidence)
+    assert gains[1] == pytest.approx(gains[0], abs=0.1)
+
+
+def test_no_filter_is_sought_where_clocks_wander():
+    offered, rng = {}, np.random.default_rng(4)
+    data = Dataset(flights=tuple(coloured(f, rng, ("ax", "ay", "az"), 3.0) for f in damped().data))
+    for wander in (False, True):
+        with pytest.MonkeyPatch.context() as patch:
+            shorten(patch)
+            causes = offer(vehicle(), data.channels, sample_time=0.01, kinematic_noise=wander)
+        some = Flights(causes=causes, data=data)
+        parts, gain = sensor_proposals(some.fit(causes.base), causes)
+        offered[wander] = {p.name for p in parts}
+        assert gain > 0
+    assert {"coloured.accelerometer", "low_pass.accelerometer"} <= offered[False]
+    assert "coloured.accelerometer" in offered[True]
+    assert not any(n.startswith("low_pass") for n in offered[True])

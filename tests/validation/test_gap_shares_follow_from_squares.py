@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -112,5 +114,12 @@ def test_what_got_worse_has_a_reason(seen: float, why: str):
     (said,) = worsened(worse)
     assert said.startswith("rate 0.5 s ahead: worse") and why in said
     assert worsened(better) == []
-    assert opposed(better) == ""
-    assert ("alone it foretells rate worse" in opposed(worse)) is (why == "stands against")
+    assert opposed(better) == opposed(worse) == "", "half a second ahead a feedback has answered"
+    soon = [replace(r, horizon_s=0.1) for r in worse]
+    assert ("alone it foretells rate worse" in opposed(soon)) is (why == "stands against")
+    assert opposed([replace(r, after=1.05 * r.before) for r in soon]) == ""
+
+
+def test_what_got_worse_is_said_where_no_filter_could_be_asked():
+    (row,) = gap((blocks(4.0, spread=0.1), {}), (blocks(9.0, spread=0.1), {}))
+    assert worsened([row]) == ["rate 0.5 s ahead: worse than without the names"]

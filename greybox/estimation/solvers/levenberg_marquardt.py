@@ -58,9 +58,8 @@ class LevenbergMarquardt:
     The cost is a negative log likelihood, so that 1e-6 means: every estimate is within about a
     thousandth of its standard error of the optimum; after the last iteration, or where rounding
     stops it, or where it creeps, a thousand times that is enough. `damped=False` starts as pure
-    Gauss-Newton with step halving. Above the `target`, a negative log likelihood, the result is of
-    no interest: the search ends where even twice its pace would not lead there in the iterations
-    that are left.
+    Gauss-Newton. Above the `target`, a negative log likelihood, the result is of no interest: the
+    search ends where even twice its pace would not lead there in the iterations that are left.
     """
 
     name: str = "levenberg-marquardt"
@@ -155,6 +154,10 @@ class LevenbergMarquardt:
             code = Code.INTERRUPTED
         if code is Code.MAX_ITERATIONS and decrement < min(NEAR, 1e3 * self.tolerance):
             code = Code.CONVERGED
+        if code in (Code.MAX_ITERATIONS, Code.BEHIND) and value.gradient is not None:
+            assert value.hessian is not None  # secants do not say alone what is left
+            plainly = promised(value.gradient, value.hessian, lower - x, upper - x)
+            decrement = max(decrement, plainly)
         status = Status(
             code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement)
         )

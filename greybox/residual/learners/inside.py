@@ -9,8 +9,8 @@ data inform:
     s = exp(-max(m - q, 0)/2),   phi -> (s phi, size (1 - s^2)),   size = rms of |phi| over the rows
 
 The tails of real inputs are longer than those of a Gaussian, and a stray sample is not where a
-flight was. Far away the mean is that of the model alone and the variance that of the prior which the left-out
-flights chose, as a stationary Gaussian process has it by itself.
+flight was. Far away the mean is that of the model alone and the variance that of the prior which
+the left-out flights chose, as a stationary Gaussian process has it by itself.
 """
 
 from __future__ import annotations
