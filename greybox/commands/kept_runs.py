@@ -1,5 +1,5 @@
-"""What commands do with runs that are kept one by one: run, report, print; what ran is reported even
-when interrupted."""
+"""What commands do with runs that are kept one by one: run, report, print; what ran is reported
+even when interrupted."""
 
 from __future__ import annotations
 

@@ -119,11 +119,9 @@ def certificates_beside(
 ) -> dict[str, Certificate]:
     """Certificates of names next to laws: `written` is the structure on `flights` with both, and
     its rivals are those without a name."""
-    rivals = {}
+    rivals, rough = {}, flights.effort.rough
     for name in names:
-        without = flights.fit(
-            written.structure - {name}, [written.known], within=flights.effort.rough
-        )
+        without = flights.fit(written.structure - {name}, [written.known], within=rough)
         rivals[name] = [Rival(instead=(), share=0.0, fitted=without)]
     return certificates(written, rivals, judges, bar)
 

@@ -20,7 +20,7 @@ from greybox.plots import bars
 from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import file_name
 from greybox.shown import Cell, Shown
-from greybox.validation.gap import GapRow, closed_in_words, opposed
+from greybox.validation.gap import GapRow, closed_in_words, doubt
 from greybox.validation.groups import GROUPS
 
 if TYPE_CHECKING:
@@ -218,8 +218,8 @@ class Discovery(Shown):
         held = [f"{u['channel']} {_size(u)}" for u in self.unnamed()]
         kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
         found += [f"in the model, not certified: {kept}"] if kept else []
-        what = "MISSING: " + "; ".join(found) if found else "nothing is missing that has a name"
-        what = opposed(self.gap) + what
+        what = "nothing is missing that has a name"
+        what = f"{doubt(self.gap)}MISSING: {'; '.join(found)}" if found else what
         if held:
             return f"{what}; without a name: {', '.join(held)}"
         if found:

@@ -48,10 +48,9 @@ class Search:
     rivals: dict[str, list[Rival]] = field(default_factory=dict)
     scores: Scores | None = None
     tried: set[tuple[Structure, Structure]] = field(default_factory=set)
-    waiting: set[tuple[Structure, Structure]] = field(default_factory=set)
-    """What was (added, dropped) and lost: asked again where nothing else gains."""
-    gained: set[Structure] = field(default_factory=set)
-    """What gained where it was added, if less than another move: asked again at the next step."""
+    lost: dict[tuple[Structure, Structure], bool] = field(default_factory=dict)
+    """Whether what was (added, dropped) lost when last asked: what did waits until nothing else
+    gains, what did not, if it gained less than another move, is asked again at the next step."""
 
     @property
     def price(self) -> float:
@@ -97,10 +96,10 @@ class Search:
         # What is not felt alone can only explain what is there and has no name. What acts with
         # another only (a wind with a drag) is offered before others bend into its place.
         silent = unfelt(scores, self.flights) if self._holds_something(at) else []
-        many, room = len(self.added(at)), self.most - len(self.added(at))
+        there = self.added(at)
+        room = self.most - len(there)
         silent = [p for p in silent if len(p.causes) <= room]
-        bare = [p for p in silent if not many or frozenset(p.causes) in self.gained]
-        pairs = [p for p in bare if len(p.causes) > 1]
+        pairs = [p for p in silent if len(p.causes) > 1 and (not there or self._gained(p))]
         unscored = [typical(self.flights, n) for n in scores.unscored if room > 0]
         fits = self._tried(at, scores, unscored, pairs, room)
         for last in (unscored, silent):
@@ -121,7 +120,7 @@ class Search:
         chosen = self._sensors(at)
         fits: list[Fitted] = []
         if room > 0:
-            together = self._together(scores)
+            together = self._together(scores, room)
             some = [p for p in proposals(scores, self.price) if len(p.causes) <= room]
             promising = [p for p in some if self._net(p) > 0]
             chosen += ([together] if together else []) + promising[: self.flights.effort.tried]
@@ -135,6 +134,10 @@ class Search:
             fits += self._fits(at, self._moves(at, [p]), fits)
         return fits + self._fits(at, self._moves(at, pairs), fits)
 
+    def _gained(self, p: Proposal) -> bool:
+        """Whether a proposal was fitted before and did not lose."""
+        return self.lost.get((frozenset(p.causes), frozenset())) is False
+
     def _net(self, p: Proposal) -> float:
         """What a proposal promises, less the price of its causes."""
         return p.gain - self.price * len(self.named(p.causes))
@@ -145,12 +148,11 @@ class Search:
         self.flights.causes = self.flights.causes.with_cause(*parts)
         return [Proposal(causes=tuple(p.name for p in parts), gain=gain, start={})] if parts else []
 
-    def _together(self, scores: Scores) -> Proposal | None:
+    def _together(self, scores: Scores, room: int) -> Proposal | None:
         """All causes that still gain next to those before them, most first."""
         names: list[str] = []
         gained = 0.0
-        room = min(self.most - len(self.added(scores.at)), self.flights.effort.together)
-        while len(names) < room:
+        while len(names) < min(room, self.flights.effort.together):
             more = {n: scores.gain(*names, n) for n in scores.absent if n not in names}
             best = max(more, key=lambda n: more[n], default=None)
             if best is None or more[best] - gained <= self.price:
@@ -166,7 +168,7 @@ class Search:
     def _new(self, at: Fitted, structure: Structure, last: bool) -> bool:
         """Whether a move was not tried yet; one that waits is new at the `last`."""
         move = (at.structure, structure)
-        waits = _change(at, structure) in self.waiting and not last
+        waits = self.lost.get(_change(at, structure), False) and not last
         if structure == at.structure or move in self.tried or waits:
             return False
         self.tried.add(move)
@@ -213,7 +215,7 @@ class Search:
         return self._best(at, [f for f in found if len(self.added(f)) <= self.most])
 
     def contest(self, at: Fitted) -> dict[str, list[Rival]]:
-        """Every cause of `at` beyond the base against what could stand in its place, and nothing."""
+        """Every cause of `at` beyond the base against what could take its place, and nothing."""
         scores = self.scores
         if scores is None or scores.at is not at:
             scores = self.scores = scored(self.flights, at)
@@ -244,9 +246,8 @@ class Search:
         fits = self.flights.contest(moves, _likeliest(at, others))
         for f in fits:
             move = _change(at, f.structure)
-            lost = self.score(f) <= self.score(at) - (self.flights.effort.behind if move[1] else 0)
-            (self.waiting.add if lost else self.waiting.discard)(move)
-            (self.gained.add if not lost else self.gained.discard)(move[0])
+            spare = self.flights.effort.behind if move[1] else 0.0
+            self.lost[move] = self.score(f) <= self.score(at) - spare
         return fits
 
     def _best(

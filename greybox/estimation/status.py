@@ -24,8 +24,8 @@ class Code(enum.Enum):
         "try the robust criterion or other start values."
     )
     BEHIND = (
-        "NOT converged: ended early, as no more was needed: it could not catch up with the fit that "
-        "it was held against."
+        "NOT converged: ended early, as no more was needed: it could not catch up with the fit "
+        "that it was held against."
     )
     INVALID_START = (
         "NOT converged: the model gives no finite prediction at the start values. "

@@ -49,7 +49,7 @@ class Physics:
         self.inertia = (xx, xy, xz, xy, yy, yz, xz, yz, zz)
         self.inverse_inertia = inverse_symmetric(xx, yy, zz, xy, xz, yz)
         self.tracked = subtract(tracked, center)
-        """Tracked point (the body origin) seen from the centre of mass [m]."""
+        """Point whose position is measured, seen from the centre of mass [m]."""
         self.imu = subtract(imu, center)
         """IMU seen from the centre of mass [m]."""
         self.arms = [subtract(rotor.position, center) for rotor in airframe.rotors]

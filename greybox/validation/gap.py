@@ -125,7 +125,7 @@ def outgrown(rows: Iterable[GapRow]) -> list[str]:
     ]
 
 
-def opposed(rows: Iterable[GapRow]) -> str:
+def doubt(rows: Iterable[GapRow]) -> str:
     """The beginning of a sentence that says what the names leave worse than it was without them and
     the filter mends; empty where there is nothing of the kind."""
     groups = ", ".join(dict.fromkeys(r.group for r in rows if r.doubtful))

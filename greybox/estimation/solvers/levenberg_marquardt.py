@@ -185,7 +185,7 @@ def creeps(costs: Sequence[float], tolerance: float) -> bool:
 def promised(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray) -> float:
     """The decrease that a full step within low <= step <= high promises."""
     full = boxed_step(g, h, low, high, 0.0)
-    return max(-float(g @ full + 0.5 * full @ h @ full), 0.0)
+    return max(promise_of(g, h, full), 0.0)
 
 
 def promise_of(g: FloatArray, h: FloatArray, step: FloatArray) -> float:
@@ -199,9 +199,9 @@ def worth_taking(
     """(share of a step that is worth taking, 0 for none; cost of the whole step; evaluations), by
     costs alone, which are far cheaper than slopes.
 
-    The whole step where a quarter of its promise is kept, else the floor of the parabola through the
-    slope here and the cost there: where the Hessian is too small in a few directions, whole steps
-    cross their valley to and fro.
+    The whole step where a quarter of its promise is kept, else the floor of the parabola through
+    the slope here and the cost there: where the Hessian is too small in a few directions, whole
+    steps cross their valley to and fro.
     """
     assert value.gradient is not None
     slope, promise = float(value.gradient @ step), promise_of(value.gradient, h, step)
