@@ -57,7 +57,7 @@ STEADY = 50
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Adapted:
     """What adapt_step adapts: `names` (n_a), first those of theta with their places `rows` (n_t) in
-    p, then error.* of the states (n_d); the `mean` (n_t) of theta over the training flights, the
+    p, then error.* of the model's own states; the `mean` (n_t) of theta over the training flights, the
     `covariance` (n_a, n_a) before the flight (between flights; of learned weights their
     posterior's; of the start beyond that of the filter), and bounds (n_t,).
 
@@ -104,8 +104,9 @@ def adapted(
     """All of p that is adapted: per-flight parameters, and the `weights` of the learned outputs
     where they are in p.
 
-    `values` (n_p,) are the identified ones, `filtered` (n_d, n_d) is the covariance of the settled
-    filter, `error_states` (n_d) are its rows. Raises `ModelError` where nothing is adapted.
+    `values` (n_p,) are the identified ones, `error_states` (n_own) the model's own: the history of
+    commands is known. `filtered` (n_d, n_d) is the covariance of the settled filter, theirs first.
+    Raises `ModelError` where nothing is adapted.
     """
     names = list(flight_parameters(model))
     declared = {d.name: d for d in model.dynamics.parameters}
@@ -131,9 +132,7 @@ def adapted(
     extra = len(names) - len(low)
     rows = tuple(p[n] for n in names)
     names += [f"error.{n.removeprefix('d_')}" for n in error_states.names]
-    unknown = np.zeros(len(error_states))
-    own = start_excess(model, np.diag(filtered))
-    unknown[: len(own)] = own
+    unknown = start_excess(model, np.diag(filtered))
     return Adapted(
         names=tuple(names),
         rows=rows,
@@ -228,6 +227,7 @@ def adapt_function(
     `innovation` maps (y, y_hat, x) to e. `p_next` differs from p in what is adapted.
     """
     n_a, n_t = len(own.names), len(own.rows)
+    n_own, n_d = n_a - n_t, functions["boxplus"].numel_in(1)
     n_y, n_e = innovation.numel_in(0), innovation.numel_out(0)
     x, u, p = (ca.MX.sym(n, functions["f_d"].numel_in(n)) for n in ("x", "u", "p"))
     y, there, memory = ca.MX.sym("y", n_y), ca.MX.sym("there", n_e), ca.MX.sym("memory")
@@ -235,9 +235,12 @@ def adapt_function(
     rows = list(own.rows)
     seen, by_x, _, by_p = functions["h_jac_raw"](x, u, p)
     gain, spread = functions["innovation_gain"](there)
+    gain = gain[:n_own, :]
     found = innovation(y, seen, x)
     e = ca.if_else(there != 0, found, 0.0)
-    slopes = _slopes(innovation, functions["boxplus"], n_t)(y, seen, x, by_x, by_p[:, rows])
+    slopes = _slopes(innovation, functions["boxplus"], n_t)(y, seen, x, by_x, by_p[:, rows])[
+        :, :n_a
+    ]
     psi = ca.if_else(ca.repmat(there != 0, 1, n_a), slopes, 0.0)
     through = psi @ v
     scaled = _whitened(n_e, n_a)(spread + through @ psi.T, ca.horzcat(through, e))
@@ -252,18 +255,19 @@ def adapt_function(
     theta = _between(p[rows] + said[:n_t], own.lower, own.upper)
     moved = ca.vertcat(theta - p[rows], said[n_t:])
     # After the measurement, before time goes on.
-    at = functions["boxplus"](x, said[n_t:])
+    known = ca.DM.zeros(n_d - n_own)
+    at = functions["boxplus"](x, ca.vertcat(said[n_t:], known))
     q = ca.MX(p)
     q[rows] = theta
     after, a, _, by = functions["f_d_jac"](at, u, q)
-    pushed = gain @ (e - psi @ moved)
-    turned, by_push = _carried(functions)(after, pushed)
+    pushed = ca.vertcat(gain @ (e - psi @ moved), known)
+    turned, by_push = (m[:n_own, :n_own] for m in _carried(functions)(after, pushed))
     after = functions["boxplus"](after, pushed)
     keep = ca.if_else(memory > 0, ca.exp(-dt / ca.fmax(memory, 1e-12)), 1.0)
     q[rows] = own.mean + keep * (theta - own.mean)
     on_step = ca.vertcat(
         keep * ca.MX(ca.DM(np.eye(n_t, n_a))),
-        turned @ ca.horzcat(by[:, rows], a) - by_push @ gain @ psi,
+        turned @ ca.horzcat(by[:n_own, rows], a[:n_own, :n_own]) - by_push @ gain @ psi,
     )
     v_next = on_step @ left_over @ on_step.T
     v_next[:n_t, :n_t] += (1 - keep**2) * ca.DM(own.covariance[:n_t, :n_t])

@@ -41,12 +41,12 @@ one of adaptation.py, calibration.py, target.py and pilot.py.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
-from greybox.errors import UnknownNameError
+from greybox.errors import ModelError, UnknownNameError
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
 from greybox.residual.feature_posterior import FeaturePosterior
@@ -77,6 +77,8 @@ from mpc_export.scales import command_limits, typical_sizes
 from mpc_export.target import target_function, tracked
 
 GROUPS = ("covariance", "filter", "target", "hessian", "nominal", "adapt", "calibrate", "pilot")
+PLANNED = frozenset({"covariance", "target", "hessian", "nominal"})
+"""Groups that measure nothing."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,14 +157,17 @@ def model_functions(
     dt: float | None = None,
     with_: Iterable[str] = (),
     runtime_parameters: Iterable[str] = (),
+    measured: bool = True,
 ) -> ModelFunctions:
     """The functions of anything fitted (mpc_export/predictors.py says of what kinds).
 
     `dt` [s] is the sample time (None: the one that it was identified at).
 
     `with_` adds groups of `GROUPS`. `runtime_parameters` are model parameters that stay in p, by
-    name, and "gp.weights". Raises `UnknownNameError`, and `ModelError` for a discrete model at
-    another sample time, a learned part inside another one, or one that looks at Euler angles.
+    name, and "gp.weights". measured=False: functions of a plan, which measures nothing. Those of h
+    are left out, and with them earlier commands that only a late sensor sees. Raises
+    `UnknownNameError`, and `ModelError` for a discrete model at another sample time, a learned part
+    inside another one, or one that looks at Euler angles.
     """
     groups = set(with_)
     for name in sorted(groups - set(GROUPS)):
@@ -177,7 +182,18 @@ def model_functions(
     if "adapt" in groups:
         groups |= {"filter"}
         runtime += flight_parameters(model)
-    return _assembled(ModelParts(model, dt, tuple(dict.fromkeys(runtime))), groups)
+    seen = sorted(groups - PLANNED)
+    if seen and not measured:
+        raise ModelError(
+            "measured=False leaves out what measurements need",
+            expected=f"groups out of {', '.join(sorted(PLANNED))}",
+            got=", ".join(seen),
+        )
+    made = _assembled(ModelParts(model, dt, tuple(dict.fromkeys(runtime)), measured), groups)
+    if measured:
+        return made
+    kept = {n: f for n, f in made.functions.items() if n.split("_")[0] not in ("h", "output")}
+    return replace(made, functions=kept)
 
 
 def _assembled(parts: ModelParts, groups: set[str]) -> ModelFunctions:
@@ -305,9 +321,8 @@ def _add_adaptation(parts: ModelParts, noise: Noise, values: FloatArray) -> Adap
         parts.posterior if isinstance(parts.posterior, (GPPosterior, FeaturePosterior)) else None
     )
     weights = learned if parts.weights else None
-    own = adapted(
-        parts.model, parts.parameters, values, weights, parts.sampled.error_states, noise.covariance
-    )
+    states = parts.sampled.dynamics.error_states
+    own = adapted(parts.model, parts.parameters, values, weights, states, noise.covariance)
     parts.functions["adapt_step"] = adapt_function(
         parts.functions, parts.innovation, own, parts.sampled.states, parts.dt
     )

@@ -124,8 +124,9 @@ def _point(
     felt = np.eye(n["n_a"])
     if n["n_a"]:
         between = np.sqrt(np.diag(own.covariance))[: len(own.rows)]
-        slopes = rng.standard_normal((n["n_d"], len(own.rows))) / np.maximum(between, 1e-30)
-        felt[len(own.rows) :, : len(own.rows)] = deviation[:, None] * slopes
+        states = n["n_a"] - len(own.rows)
+        slopes = rng.standard_normal((states, len(own.rows))) / np.maximum(between, 1e-30)
+        felt[len(own.rows) :, : len(own.rows)] = deviation[:states, None] * slopes
     return {
         "x": x,
         "u": u,

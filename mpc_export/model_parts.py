@@ -47,7 +47,13 @@ class ModelParts:
     outputs into w.
     """
 
-    def __init__(self, model: Exportable, dt: float | None, runtime: tuple[str, ...]) -> None:
+    def __init__(
+        self,
+        model: Exportable,
+        dt: float | None,
+        runtime: tuple[str, ...],
+        measured: bool = True,
+    ) -> None:
         self.model = model
         dynamics = _dynamics(model)
         self.discrete = isinstance(model, PredictorModel) or is_discrete(dynamics)
@@ -79,6 +85,7 @@ class ModelParts:
                 runtime=tuple(n for n in runtime if n != WEIGHTS),
                 sensitive=self.theta_names,
                 looks_back=looks_back,
+                measured=measured,
             )
         self.x, self.u, self.p, self.w = self.sampled.symbols()
         self.chart_in, _ = self.sampled.chart(self.x, self.x)

@@ -110,6 +110,8 @@ class Sampled:
     sensitive: tuple[str, ...] = ()
     looks_back: Mapping[str, int] = field(default_factory=dict)
     """How many samples back a learned part looks at an input."""
+    measured: bool = True
+    """Whether outputs must come out right; else the history has only commands that the step feels."""
 
     def __post_init__(self) -> None:
         known = [d.name for d in self.dynamics.parameters]
@@ -154,7 +156,7 @@ class Sampled:
         felt = ca.vertcat(
             *(
                 getattr(self.dynamics, which)(0, x, window, full, w, self.dt)
-                for which in ("step", "output")
+                for which in (("step", "output") if self.measured else ("step",))
             )
         )
         everything = ca.vertcat(

@@ -170,6 +170,7 @@ class TubeController:
             dt=self.problem.dt,
             with_=("covariance", "target"),
             runtime_parameters=() if self.adapt is None else flight_parameters(model),
+            measured=False,
         )
         self.filter: ModelFunctions = model_functions(model, with_=wanted)
         if self.adapt is not None:

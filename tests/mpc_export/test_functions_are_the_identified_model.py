@@ -18,6 +18,7 @@ from greybox.residual.hybrid import HybridModel
 from mpc_export.functions import model_functions
 from tests.mpc_export import cases
 from tests.residual import hybrid_cases
+from tests.residual.hybrid_cases import craft, craft_model
 
 KINDS = {
     "physics": cases.physics,
@@ -376,6 +377,26 @@ def test_a_delay_at_run_time_needs_the_longest_history():
     short = np.concatenate([point["x"][:own], point["x"][own : own + 8]])
     a, b = free["f_d"](point["x"], u, [0.013]).full(), fixed["f_d"](short, u, []).full()
     np.testing.assert_allclose(a[:own], b[:own], atol=1e-14)
+
+
+def test_a_plan_keeps_no_commands_that_only_a_late_pose_sees():
+    late = craft_model(craft(("motor_lag", "pose_delay")))
+    options = {"with_": ("covariance", "target"), "runtime_parameters": ("pose_delay.d",)}
+    whole = model_functions(late, **options)
+    plan = model_functions(late, measured=False, **options)
+    assert whole.delay["u1"] == 6 and not plan.delay  # .05 s, and one for the share
+    assert plan.parameters.names == whole.parameters.names
+    assert set(whole.functions) - set(plan.functions) == {"h", "h_jac", "h_jac_raw"}
+    point, own = cases.point(whole, np.random.default_rng(14)), plan.own_states
+    x, u, p = point["x"], point["u"], point["p"]
+    a, b = whole["f_d"](x, u, p).full(), plan["f_d"](x[:own], u, p).full()
+    np.testing.assert_allclose(a[:own], b, atol=1e-14)
+    np.testing.assert_allclose(plan.noise.process, whole.noise.process[: own - 1, : own - 1])
+
+
+def test_functions_that_measure_nothing_have_no_filter():
+    with pytest.raises(ModelError, match="measured=False leaves out what measurements need"):
+        model_functions(cases.physics(), with_=("filter",), measured=False)
 
 
 def test_out_of_domain_is_zero_inside_and_grows_outside():

@@ -86,32 +86,43 @@ def test_one_pass_gives_the_numbers_of_the_batch_fit(functions):
     assert abs(last[still] - batch.values[still]) < 0.5 * batch.std[still]
 
 
-def test_the_covariance_goes_with_the_slopes_of_the_filter_however_large_the_innovation(functions):
+def late():
+    """A craft whose commands come late: their history is part of the state, and known."""
+    own = cases.physics()
+    return replace(own, flight_spread={"mass": (own.values["mass"], 0.1 * own.values["mass"])})
+
+
+@pytest.mark.parametrize("model", [craft, late])
+def test_the_covariance_goes_with_the_slopes_of_the_filter_however_large_the_innovation(model):
     """Errors so small that the update moves nothing: V_next is F V F' with F by differences of
     filter_step, .3 rad off in attitude, where the slopes of a rotation's innovation are not those
     at zero."""
+    functions = model_functions(model(), with_=("adapt",))
     rng = np.random.default_rng(3)
-    n_t, n_d = len(functions.adapted.rows), len(functions.error_states)
+    n_t, n_d = len(functions.adapted.rows), functions.own_error_states
+    history = np.zeros(len(functions.error_states) - n_d)
+    assert len(functions.adapted.names) == n_t + n_d and (len(history) > 0) == (model is late)
     x, u, p = (
         functions.reference[0].copy(),
         functions.reference[1],
         functions.parameter_values.copy(),
     )
-    off = 0.3 * rng.standard_normal(n_d)
+    off = np.concatenate([0.3 * rng.standard_normal(n_d), history])
     away = np.array(functions["boxplus"](x, off)).ravel()
     y, there = np.array(functions["h"](away, u, p)).ravel(), np.ones(functions.sizes["n_e"])
 
     def following(moved):
         q = p.copy()
         q[list(functions.adapted.rows)] += moved[:n_t]
-        start = np.array(functions["boxplus"](x, moved[n_t:])).ravel()
+        start = np.array(functions["boxplus"](x, np.concatenate([moved[n_t:], history]))).ravel()
         return np.array(functions["filter_step"](start, u, q, y, there)[0]).ravel()
 
     still, h = following(np.zeros(n_t + n_d)), 1e-6
     slope = np.eye(n_t + n_d)
     for j, unit in enumerate(np.eye(n_t + n_d)):
         ends = [
-            np.array(functions["boxminus"](following(s * h * unit), still)).ravel() for s in (1, -1)
+            np.array(functions["boxminus"](following(s * h * unit), still)).ravel()[:n_d]
+            for s in (1, -1)
         ]
         slope[n_t:, j] = (ends[0] - ends[1]) / (2 * h)
     small = 1e-14
