@@ -45,7 +45,6 @@ class Search:
     say: Say
     interim: Callable[[Fitted], None] = lambda _fit: None
     steps: list[dict[str, object]] = field(default_factory=list)
-    rivals: dict[str, list[Rival]] = field(default_factory=dict)
     scores: Scores | None = None
     tried: set[tuple[Structure, Structure]] = field(default_factory=set)
     lost: dict[tuple[Structure, Structure], bool] = field(default_factory=dict)
@@ -92,10 +91,11 @@ class Search:
 
     def _add(self, at: Fitted) -> Fitted | None:
         """The structure with one cause or several more, noise of sensors among them."""
-        scores = self.scores = scored(self.flights, at)
+        scores = self._scored(at)
         # What is not felt alone can only explain what is there and has no name. What acts with
         # another only (a wind with a drag) is offered before others bend into its place.
-        silent = unfelt(scores, self.flights) if self._holds_something(at) else []
+        holds = any(needed for _, needed in axis_gains(at, self.price).values())
+        silent = unfelt(scores, self.flights) if holds else []
         there = self.added(at)
         room = self.most - len(there)
         silent = [p for p in silent if len(p.causes) <= room]
@@ -106,10 +106,6 @@ class Search:
             if not any(self.score(f) > self.score(at) for f in fits):
                 fits += self._fits(at, self._moves(at, last), fits)
         return self._best(at, fits, scores)
-
-    def _holds_something(self, at: Fitted) -> bool:
-        """Whether the unnamed force or torque clearly holds something."""
-        return any(needed for _, needed in axis_gains(at, self.price).values())
 
     def _tried(
         self, at: Fitted, scores: Scores, unscored: list[Proposal], pairs: list[Proposal], room: int
@@ -209,33 +205,42 @@ class Search:
         return drop_gain(at, self.flights, name) > -3 * self.price
 
     def _swap(self, at: Fitted) -> Fitted | None:
-        """The structure with another cause in the place of one, where that is likelier."""
-        self.contest(at)
-        found = [r.fitted for rows in self.rivals.values() for r in rows]
-        return self._best(at, [f for f in found if len(self.added(f)) <= self.most])
+        """The structure with another cause in the place of one, where that is likelier: what is
+        predicted to lose least is asked first, and the first that gains is taken."""
+        scores = self._scored(at)
+        cost = {n: -drop_gain(at, self.flights, n) for n in self.added(at)}
+        left = {n: 1.0 - max((s for s, _, _ in scores.instead(n)), default=0.0) for n in cost}
+        for name in sorted(cost, key=lambda n: min(cost[n], left[n] * max(cost[n], 0.0))):
+            found = [r.fitted for r in self._rivals(at, name)]
+            better = self._best(at, [f for f in found if len(self.added(f)) <= self.most])
+            if better is not None:
+                return better
+        return None
 
     def contest(self, at: Fitted) -> dict[str, list[Rival]]:
         """Every cause of `at` beyond the base against what could take its place, and nothing."""
-        scores = self.scores
-        if scores is None or scores.at is not at:
-            scores = self.scores = scored(self.flights, at)
-        self.rivals = {}
-        for name in self.added(at):
-            left = at.structure - {name}
-            known = _without(at, self.flights, name)
-            rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]
-            asked: list[Move] = [(left, [known])]
-            for share, names, p in scores.instead(name)[: RULES.rivals]:
-                if share < RULES.stand_in:
-                    break
-                rows.append((names, share))
-                asked.append((left | set(names), [{**known, **p.start}, known]))
-            fits = self.flights.contest(asked, at)
-            self.rivals[name] = [
-                Rival(instead=names, share=share, fitted=f)
-                for (names, share), f in zip(rows, fits, strict=True)
-            ]
-        return self.rivals
+        return {name: self._rivals(at, name) for name in self.added(at)}
+
+    def _rivals(self, at: Fitted, name: str) -> list[Rival]:
+        left, known = at.structure - {name}, _without(at, self.flights, name)
+        rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]
+        asked: list[Move] = [(left, [known])]
+        for share, names, p in self._scored(at).instead(name)[: RULES.rivals]:
+            if share < RULES.stand_in:
+                break
+            rows.append((names, share))
+            asked.append((left | set(names), [{**known, **p.start}, known]))
+        fits = self.flights.contest(asked, at)
+        return [
+            Rival(instead=names, share=share, fitted=f)
+            for (names, share), f in zip(rows, fits, strict=True)
+        ]
+
+    def _scored(self, at: Fitted) -> Scores:
+        """Scores of all absent effects at a fit."""
+        if self.scores is None or self.scores.at is not at:
+            self.scores = scored(self.flights, at)
+        return self.scores
 
     # ---------------------------------------------------------------- fits
 
@@ -243,7 +248,7 @@ class Search:
         """Fits of moves from `at`, held against the likeliest of `others`. What adds and gains
         nothing, and what drops and falls far behind, waits from then on: it rarely gains while
         something else does, and the search still ends only where no move gains."""
-        fits = self.flights.contest(moves, _likeliest(at, others))
+        fits = self.flights.contest(moves, max((at, *others), key=lambda f: f.log_evidence))
         for f in fits:
             move = _change(at, f.structure)
             spare = self.flights.effort.behind if move[1] else 0.0
@@ -272,11 +277,6 @@ class Search:
 def _change(at: Fitted, structure: Structure) -> tuple[Structure, Structure]:
     """What is (added, dropped) from a fit to a structure."""
     return structure - at.structure, at.structure - structure
-
-
-def _likeliest(at: Fitted, fits: Iterable[Fitted]) -> Fitted:
-    """What the next fit of a step is held against."""
-    return max((at, *fits), key=lambda f: f.log_evidence)
 
 
 def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
