@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -29,37 +29,37 @@ import numpy.typing as npt
 from greybox.errors import FitError
 from greybox.estimation.lost_commands import Pushes
 from greybox.estimation.record import lost_bits
-from greybox.estimation.reference_point import Fixed, once_per_model, reference_step, unchanging
+from greybox.estimation.reference_point import (
+    FEW,
+    Fixed,
+    Reference,
+    once_per_model,
+    reference_step,
+    unchanging,
+)
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, FloatArray
 
 
 class Linearisation:
     """A, G, C, D of a Dynamics at one state and command, and their derivatives in the active
-    parameters.
+    parameters. They are derived when they are asked for.
 
     `fixed` as in `ReferenceStep`.
     """
 
     def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed = ()) -> None:
-        with CASADI:
-            self._build(dynamics, active, fixed)
-
-    def _build(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed) -> None:
-        at = reference_step(dynamics, fixed)
-        a = at.out @ ca.jacobian(at.after, at.x) @ at.into
-        g = at.out @ ca.jacobian(at.after, at.w)
-        c, d = -(ca.jacobian(at.e, at.x) @ at.into), -ca.jacobian(at.e, at.w)
-        parts = at.at_rest([a, g, c, d])
-        self._shapes = [v.shape for v in parts]
-        stacked = ca.vertcat(*(ca.densify(ca.vec(v)) for v in parts))
-        self._function, self._value_only = at.functions("linearisation", stacked, active)
+        self._reference = Reference(dynamics, tuple(active), fixed)
+        nd, ne, nw = (
+            len(v) for v in (dynamics.error_states, dynamics.innovations, dynamics.noises)
+        )
+        self._shapes = [(nd, nd), (nd, nw), (ne, nd), (ne, nw)]
         self._columns: npt.NDArray[np.int_] | None = None
 
     def select(self, columns: npt.NDArray[np.int_]) -> Linearisation:
         """The same linearisation with the derivatives in some of its active parameters only, at
         `columns` among them."""
-        if len(columns) == self._function.size2_out(1):
+        if len(columns) == len(self._reference.active):
             return self
         some = copy.copy(self)
         some._columns = columns
@@ -69,17 +69,21 @@ class Linearisation:
         self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
     ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
         """((A, G, C, D), (dA, dG, dC, dD)); derivatives have the active parameter as first axis."""
+        made = _derived(self._reference)
         with CASADI:
-            value, slope = (v.full() for v in self._function(x, window, p, dt))
-        slopes = slope if self._columns is None else slope[:, self._columns]
-        return self._unpack(value[:, 0][:, None], False), self._unpack(slopes, True)
+            value, slope = made.slopes(x, window, p, dt)
+            slopes = np.zeros(slope.shape)
+            slopes[made.places] = slope.nonzeros()
+        some = slopes if self._columns is None else slopes[:, self._columns]
+        return self._unpack(value.full(), False), self._unpack(some, True)
 
     def values(
         self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
     ) -> tuple[FloatArray, ...]:
         """(A, G, C, D)."""
+        made = _derived(self._reference)
         with CASADI:
-            value = self._value_only(x, window, p, dt).full()
+            value = made.values(x, window, p, dt).full()
         return self._unpack(value, False)
 
     def _unpack(self, columns: Any, many: bool) -> tuple[FloatArray, ...]:
@@ -90,6 +94,30 @@ class Linearisation:
             stack = np.ascontiguousarray(block.T.reshape(-1, cols, rows).transpose(0, 2, 1))
             out.append(stack if many else stack[0])
         return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class _Derived:
+    """(A, G, C, D) column by column, alone and with their slopes, which stand at `places`."""
+
+    values: Any
+    slopes: Any
+    places: tuple[npt.NDArray[np.intp], ...]
+
+
+@lru_cache(maxsize=FEW)
+def _derived(reference: Reference) -> _Derived:
+    with CASADI:
+        at = reference_step(reference.dynamics, reference.fixed)
+        a = at.out @ ca.jacobian(at.after, at.x) @ at.into
+        g = at.out @ ca.jacobian(at.after, at.w)
+        c, d = -(ca.jacobian(at.e, at.x) @ at.into), -ca.jacobian(at.e, at.w)
+        stacked = ca.vertcat(*(ca.densify(ca.vec(v)) for v in at.at_rest([a, g, c, d])))
+        slopes, values = at.functions("linearisation", stacked, reference.active)
+        places = slopes.sparsity_out(1).get_triplet()
+    return _Derived(
+        values=values, slopes=slopes, places=tuple(np.array(v, dtype=np.intp) for v in places)
+    )
 
 
 _built = once_per_model(Linearisation)

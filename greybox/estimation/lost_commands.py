@@ -24,13 +24,21 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from greybox.estimation.record import REACH, Record
-from greybox.estimation.reference_point import Fixed, once_per_model, reference_step, unchanging
+from greybox.estimation.reference_point import (
+    FEW,
+    Fixed,
+    Reference,
+    once_per_model,
+    reference_step,
+    unchanging,
+)
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, FloatArray
 
@@ -84,26 +92,13 @@ class Pushes:
 
 class LostCommands:
     """Derivatives of step and sample in every command that they look at, at one state, as functions
-    of the parameters.
+    of the parameters. They are derived when they are asked for.
 
     `fixed` as in `ReferenceStep`.
     """
 
     def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed = ()) -> None:
-        with CASADI:
-            self._build(dynamics, active, fixed)
-
-    def _build(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed) -> None:
-        at = reference_step(dynamics, fixed)
-        commands = ca.vec(at.window)
-        parts = at.at_rest([at.out @ ca.jacobian(at.after, commands), -ca.jacobian(at.e, commands)])
-        parts = [ca.sparsify(v) for v in parts]
-        self._shapes = [v.shape for v in parts]
-        self._places = [
-            tuple(np.array(i, dtype=np.intp) for i in v.sparsity().get_triplet()) for v in parts
-        ]
-        stacked = ca.vertcat(*(v.nz[:] for v in parts))
-        self._function, self._value_only = at.functions("pushes", stacked, active)
+        self._reference = Reference(dynamics, tuple(active), fixed)
         self._now = dynamics.window[0]
         self._slow = [n == "vbat" for n in dynamics.inputs.names]
 
@@ -120,24 +115,25 @@ class LostCommands:
         with `columns` also slopes in those of the active parameters, each times `scale`."""
         sigma = LOST * np.abs(window[:, self._now])
         sigma[self._slow] = 0.0  # the voltage is slow: the row before has it
+        derived = _derived(self._reference)
         with CASADI:
             if columns is None:
-                value, slope = self._value_only(x, window, p, dt).full(), None
+                value, slope = derived.values(x, window, p, dt).full(), None
             else:
-                value, slope = (v.full() for v in self._function(x, window, p, dt))
-        (b, early), (h, _) = self._unpack(value, sigma)
+                value, slope = (v.full() for v in derived.slopes(x, window, p, dt))
+        (b, early), (h, _) = self._unpack(derived, value, sigma)
         if slope is None or columns is None:
             return Pushes(B=b[0], H=h[0], early=early[0])
-        (db, dearly), (dh, _) = self._unpack(slope[:, columns] * scale, sigma)
+        (db, dearly), (dh, _) = self._unpack(derived, slope[:, columns] * scale, sigma)
         return Pushes(B=b[0], H=h[0], early=early[0], dB=db, dH=dh, dearly=dearly)
 
     def _unpack(
-        self, columns: FloatArray, sigma: FloatArray
+        self, derived: _Derived, columns: FloatArray, sigma: FloatArray
     ) -> list[tuple[FloatArray, FloatArray]]:
         """[(B, early), (H, unused)] of every column: (columns, past + 2, n, n_u), the latest
         command first, and (columns, n, n_u) for the command that comes."""
         made, at = [], 0
-        for (rows, width), (row, column) in zip(self._shapes, self._places, strict=True):
+        for (rows, width), (row, column) in zip(derived.shapes, derived.places, strict=True):
             dense = np.zeros((columns.shape[1], rows, width))
             dense[:, row, column] = columns[at : at + row.size].T
             at += row.size
@@ -148,6 +144,35 @@ class LostCommands:
                 (np.concatenate([late, none], axis=1), by_row[:, :, self._now + 1 :].sum(axis=2))
             )
         return made
+
+
+@dataclass(frozen=True, eq=False)
+class _Derived:
+    """What is not zero of both derivatives, alone and with slopes; their shapes, and where it
+    stands in each."""
+
+    values: Any
+    slopes: Any
+    shapes: list[tuple[int, int]]
+    places: list[tuple[npt.NDArray[np.intp], ...]]
+
+
+@functools.lru_cache(maxsize=FEW)
+def _derived(reference: Reference) -> _Derived:
+    with CASADI:
+        at = reference_step(reference.dynamics, reference.fixed)
+        commands = ca.vec(at.window)
+        parts = at.at_rest([at.out @ ca.jacobian(at.after, commands), -ca.jacobian(at.e, commands)])
+        parts = [ca.sparsify(v) for v in parts]
+        stacked = ca.vertcat(*(v.nz[:] for v in parts))
+        slopes, values = at.functions("pushes", stacked, reference.active)
+        places = [v.sparsity().get_triplet() for v in parts]
+    return _Derived(
+        values=values,
+        slopes=slopes,
+        shapes=[v.shape for v in parts],
+        places=[tuple(np.array(i, dtype=np.intp) for i in rows) for rows in places],
+    )
 
 
 _built = once_per_model(LostCommands)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import TypeVar
 
 import casadi as ca
@@ -15,6 +16,22 @@ from greybox.symbolic import Expr
 
 Fixed = tuple[float | None, ...]
 Built = TypeVar("Built")
+
+
+FEW = 8
+"""Functions that are derived from the step of a model and kept: those of the latest models. Of a
+large one they take a hundred megabytes and most of a second."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A model, the parameters that derivatives are asked for, and what never changes at a state
+    (`fixed` as in `ReferenceStep`): what functions are derived from, again where they were
+    forgotten."""
+
+    dynamics: Dynamics
+    active: tuple[str, ...]
+    fixed: Fixed = ()
 
 
 class ReferenceStep:
@@ -67,11 +84,11 @@ def unchanging(x: Iterable[float], other: Iterable[float]) -> Fixed:
 
 
 def once_per_model(
-    build: Callable[[Dynamics, tuple[str, ...], Fixed], Built],
+    build: Callable[[Dynamics, tuple[str, ...], Fixed], Built], most: int = 64
 ) -> Callable[[Dynamics, tuple[str, ...], Fixed], Built]:
-    """`build` with a memory of its last results in this process; models that cannot be hashed are
-    built anew."""
-    remembered = functools.lru_cache(maxsize=64)(build)
+    """`build` with a memory of its last results, `most` of them, in this process; models that
+    cannot be hashed are built anew."""
+    remembered = functools.lru_cache(maxsize=most)(build)
 
     def built(dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed) -> Built:
         try:
@@ -82,7 +99,7 @@ def once_per_model(
     return built
 
 
-_steps = once_per_model(lambda dynamics, _, fixed: ReferenceStep(dynamics, fixed))
+_steps = once_per_model(lambda dynamics, _, fixed: ReferenceStep(dynamics, fixed), FEW)
 
 
 def reference_step(dynamics: Dynamics, fixed: Fixed) -> ReferenceStep:
