@@ -134,3 +134,19 @@ def test_a_search_adds_no_more_than_it_may(most: int):
         one, _ = world(seed)
         search = Search(flights=one, most=most, say=lambda _text, _share: None)  # type: ignore[arg-type]
         assert len(search.added(search.run())) <= most
+
+
+def test_a_swap_is_taken_before_every_name_was_asked():
+    """`b` is there and `a`, which is like it, stands for it: no rival of the other names is fitted
+    on the way to `b`."""
+    rng = np.random.default_rng(2)
+    columns = {n: rng.standard_normal((SAMPLES, 1)) for n in ("b", "c", "f")}
+    columns["a"] = 0.8 * columns["b"] + 0.3 * rng.standard_normal((SAMPLES, 1))
+    y = rng.standard_normal(SAMPLES) + 3.0 * sum(columns[n][:, 0] for n in ("b", "c", "f"))
+    one = World(columns=columns, shared=rng.standard_normal((SAMPLES, 2)), y=y)
+    search = Search(flights=one, most=8, say=lambda _text, _share: None)  # type: ignore[arg-type]
+    better = search._swap(one.fit({"a", "c", "f"}))
+    assert better is not None and better.structure == {"b", "c", "f"}
+    assert all({"c", "f"} <= s for s in one.kept)
+    assert search._swap(better) is None, "from where nothing gains all are asked"
+    assert all(frozenset(s) in one.kept for s in ("bc", "bf", "cf"))

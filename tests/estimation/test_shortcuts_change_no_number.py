@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from greybox.estimation import gain
 from greybox.estimation.gain import Linearisation, linearisation_at
 from greybox.estimation.problem import make_problem
+from greybox.estimation.reference_point import FEW
 from greybox.model.model import PhysicsModel
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import read_vehicle
@@ -19,12 +21,33 @@ from greybox.plants.vehicle_file import write_vehicle
 from tests import gusty
 
 
-def test_a_fixed_point_gives_the_same_linearisation():
+def craft(*effects: str) -> PhysicsModel:
+    """With the first five sensors."""
     with tempfile.TemporaryDirectory() as folder:
         vehicle = read_vehicle(write_vehicle(Path(folder) / "v.toml", Quadrotor(X250)))
-    model = PhysicsModel(vehicle=vehicle, sensors=SENSORS[:5]).with_effect(
-        "motor_lag", "rotor_drag"
+    return PhysicsModel(vehicle=vehicle, sensors=SENSORS[:5]).with_effect(*effects)
+
+
+def test_what_was_derived_for_earlier_models_is_forgotten_and_made_again():
+    """A search looks at a hundred structures, whose expressions do not all fit into memory."""
+    model = craft()
+    x = model.reference({f"u{i}": 0.5 for i in range(1, 5)})
+    window, p = (
+        np.full((len(model.inputs), 1), 0.5),
+        np.array([q.nominal for q in model.parameters]),
     )
+    every = [Linearisation(model, (q.name,)) for q in model.parameters[: FEW + 2]]
+    before = gain._derived.cache_info().misses
+    first = every[0].values(x, window, p, 0.01)
+    for lin in (*every, every[-1], every[0]):
+        for a, b in zip(lin.values(x, window, p, 0.01), first):
+            np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+    assert gain._derived.cache_info().currsize <= FEW
+    assert gain._derived.cache_info().misses == before + len(every) + 1
+
+
+def test_a_fixed_point_gives_the_same_linearisation():
+    model = craft("motor_lag", "rotor_drag")
     active = ("inertia.xx", "thrust.c2", "motor_lag.tau", "rotor_drag.k_x")
     x = model.reference({f"u{i}": 0.5 + 0.01 * i for i in range(1, 5)})
     special = linearisation_at(
