@@ -173,12 +173,15 @@ def _mean(logs: Sequence[float]) -> float:
 def _predictives(
     every: Sequence[Fitted], at: Fitted, split: Split, within: Sequence[float]
 ) -> list[tuple[Fitted, Fitted]]:
-    """Structures on the flights that taught, and on all, side by side."""
+    """Structures, `at` first, on the flights that taught, and on all from where `at` ended there,
+    side by side."""
     starts = [[f.known] if f is at else [f.known, {**at.known, **f.known}] for f in every]
     asked = [(f.structure, s) for f, s in zip(every, starts, strict=True)]
     first = split.first.fits(asked, within)
-    whole = [(f.structure, [f.known, g.known]) for f, g in zip(every, first, strict=True)]
-    return list(zip(first, split.both.fits(whole, within), strict=True))
+    new = split.both.fit(at.structure, [at.known, first[0].known], within=within[0]).known
+    both = [[f.known, g.known, {**new, **f.known}] for f, g in zip(every, first, strict=True)]
+    whole = split.both.fits([(f.structure, s) for f, s in zip(every, both, strict=True)], within)
+    return list(zip(first, whole, strict=True))
 
 
 def _keys(both: Fitted, split: Split, causes: Sequence[str]) -> list[Key]:

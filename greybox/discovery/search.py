@@ -231,10 +231,7 @@ class Search:
             rows.append((names, share))
             asked.append((left | set(names), [{**known, **p.start}, known]))
         fits = self.flights.contest(asked, at)
-        return [
-            Rival(instead=names, share=share, fitted=f)
-            for (names, share), f in zip(rows, fits, strict=True)
-        ]
+        return [Rival(instead=n, share=s, fitted=f) for (n, s), f in zip(rows, fits, strict=True)]
 
     def _scored(self, at: Fitted) -> Scores:
         """Scores of all absent effects at a fit."""

@@ -33,6 +33,7 @@ from greybox.estimation.reference_point import (
     FEW,
     Fixed,
     Reference,
+    ReferenceStep,
     once_per_model,
     reference_step,
     unchanging,
@@ -69,11 +70,11 @@ class Linearisation:
         self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
     ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
         """((A, G, C, D), (dA, dG, dC, dD)); derivatives have the active parameter as first axis."""
-        made = _derived(self._reference)
+        function, places = _slopes(self._reference)
         with CASADI:
-            value, slope = made.slopes(x, window, p, dt)
+            value, slope = function(x, window, p, dt)
             slopes = np.zeros(slope.shape)
-            slopes[made.places] = slope.nonzeros()
+            slopes[places] = slope.nonzeros()
         some = slopes if self._columns is None else slopes[:, self._columns]
         return self._unpack(value.full(), False), self._unpack(some, True)
 
@@ -81,9 +82,9 @@ class Linearisation:
         self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
     ) -> tuple[FloatArray, ...]:
         """(A, G, C, D)."""
-        made = _derived(self._reference)
+        function = _values(self._reference)
         with CASADI:
-            value = made.values(x, window, p, dt).full()
+            value = function(x, window, p, dt).full()
         return self._unpack(value, False)
 
     def _unpack(self, columns: Any, many: bool) -> tuple[FloatArray, ...]:
@@ -96,28 +97,31 @@ class Linearisation:
         return tuple(out)
 
 
-@dataclass(frozen=True, eq=False)
-class _Derived:
-    """(A, G, C, D) column by column, alone and with their slopes, which stand at `places`."""
-
-    values: Any
-    slopes: Any
-    places: tuple[npt.NDArray[np.intp], ...]
-
-
 @lru_cache(maxsize=FEW)
-def _derived(reference: Reference) -> _Derived:
+def _stacked(reference: Reference) -> tuple[ReferenceStep, Any]:
+    """A model's step, and (A, G, C, D) of it column by column."""
     with CASADI:
         at = reference_step(reference.dynamics, reference.fixed)
         a = at.out @ ca.jacobian(at.after, at.x) @ at.into
         g = at.out @ ca.jacobian(at.after, at.w)
         c, d = -(ca.jacobian(at.e, at.x) @ at.into), -ca.jacobian(at.e, at.w)
-        stacked = ca.vertcat(*(ca.densify(ca.vec(v)) for v in at.at_rest([a, g, c, d])))
-        slopes, values = at.functions("linearisation", stacked, reference.active)
-        places = slopes.sparsity_out(1).get_triplet()
-    return _Derived(
-        values=values, slopes=slopes, places=tuple(np.array(v, dtype=np.intp) for v in places)
-    )
+        return at, ca.vertcat(*(ca.densify(ca.vec(v)) for v in at.at_rest([a, g, c, d])))
+
+
+@lru_cache(maxsize=FEW)
+def _values(reference: Reference) -> Any:
+    with CASADI:
+        at, stacked = _stacked(reference)
+        return at.function("linearisation_value", stacked)
+
+
+@lru_cache(maxsize=FEW)
+def _slopes(reference: Reference) -> tuple[Any, tuple[npt.NDArray[np.intp], ...]]:
+    """The values with their slopes, and where what is not zero of these stands."""
+    with CASADI:
+        at, stacked = _stacked(reference)
+        made = at.with_slopes("linearisation", stacked, reference.active)
+        return made, tuple(np.array(v, dtype=np.intp) for v in made.sparsity_out(1).get_triplet())
 
 
 _built = once_per_model(Linearisation)

@@ -165,7 +165,8 @@ def _derived(reference: Reference) -> _Derived:
         parts = at.at_rest([at.out @ ca.jacobian(at.after, commands), -ca.jacobian(at.e, commands)])
         parts = [ca.sparsify(v) for v in parts]
         stacked = ca.vertcat(*(v.nz[:] for v in parts))
-        slopes, values = at.functions("pushes", stacked, reference.active)
+        values = at.function("pushes_value", stacked)
+        slopes = at.with_slopes("pushes", stacked, reference.active)
         places = [v.sparsity().get_triplet() for v in parts]
     return _Derived(
         values=values,

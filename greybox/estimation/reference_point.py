@@ -65,17 +65,15 @@ class ReferenceStep:
             ca.substitute(seen, [self.x, self.w], [self._point, ca.DM.zeros(self.w.numel())])
         )
 
-    def functions(
-        self, name: str, values: Expr, active: Iterable[str]
-    ) -> tuple[ca.Function, ca.Function]:
-        """(x, window, p, dt) to `values` and their slopes in the active parameters, and to `values`
-        alone."""
-        given = [self.x, self.window, self.p, self.dt]
+    def function(self, name: str, values: Expr) -> ca.Function:
+        """(x, window, p, dt) to `values`."""
+        return ca.Function(name, [self.x, self.window, self.p, self.dt], [values])
+
+    def with_slopes(self, name: str, values: Expr, active: Iterable[str]) -> ca.Function:
+        """(x, window, p, dt) to `values` and their slopes in the active parameters."""
         chosen = [self._names.index(a) for a in active]
         slopes = ca.jacobian(values, self.p)[:, chosen] if chosen else ca.SX(values.numel(), 0)
-        return ca.Function(name, given, [values, slopes]), ca.Function(
-            f"{name}_value", given, [values]
-        )
+        return ca.Function(name, [self.x, self.window, self.p, self.dt], [values, slopes])
 
 
 def unchanging(x: Iterable[float], other: Iterable[float]) -> Fixed:

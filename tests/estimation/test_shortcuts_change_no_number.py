@@ -37,13 +37,13 @@ def test_what_was_derived_for_earlier_models_is_forgotten_and_made_again():
         np.array([q.nominal for q in model.parameters]),
     )
     every = [Linearisation(model, (q.name,)) for q in model.parameters[: FEW + 2]]
-    before = gain._derived.cache_info().misses
+    before = gain._values.cache_info().misses
     first = every[0].values(x, window, p, 0.01)
     for lin in (*every, every[-1], every[0]):
         for a, b in zip(lin.values(x, window, p, 0.01), first):
             np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
-    assert gain._derived.cache_info().currsize <= FEW
-    assert gain._derived.cache_info().misses == before + len(every) + 1
+    assert gain._values.cache_info().currsize <= FEW
+    assert gain._values.cache_info().misses == before + len(every) + 1
 
 
 def test_a_fixed_point_gives_the_same_linearisation():
