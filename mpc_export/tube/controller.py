@@ -39,7 +39,7 @@ from greybox.errors import ModelError
 from greybox.frames import GRAVITY, numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
-from mpc_export.adaptation import flight_parameters, starting_as
+from mpc_export.adaptation import UNBOUNDED, authority, flight_parameters, starting_as
 from mpc_export.c_code import CKernel
 from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions, model_functions
@@ -50,7 +50,7 @@ from mpc_export.tube.gate import Gate, plausible
 from mpc_export.tube.heading import TURN, room, turning, within
 from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
-from mpc_export.tube.rival import DENIED, Rival
+from mpc_export.tube.rival import DENIED, Rival, likelier
 from mpc_export.tube.solver import Outcome, TubeSolver
 from mpc_export.tube.stages import block
 
@@ -194,6 +194,8 @@ class TubeController:
             estimate=self._filter_covariance(),
             fresh=innovations(self.filter, self.every, len(self.functions.error_states)),
         )
+        most, names = authority(model), self.filter.states.names
+        self.most = np.array([most.get(names[i], UNBOUNDED) for i in self.solver.stages.free])
         self._step = native(self.filter["filter_step"])
         self.columns = self.filter.outputs.names
         groups = self.model.dynamics.innovation_columns
@@ -252,7 +254,7 @@ class TubeController:
         self.gate.start()
         if self.calibrated is not None:
             self.calibrated.start()
-        self._rival = Rival()
+        self._rivals = Rival(), Rival()
         self._watch = Watch()
         self._told: float | None = None
         self._ahead = self._phase = 0.0
@@ -438,34 +440,42 @@ class TubeController:
         """Let an estimate that is begun at what is measured take over where it explains the
         measurements far better."""
         denied = self.gate.surprise(innovation.full().ravel(), there)
-        rival = self._rival
-        if rival.estimate is not None:
-            after, off, _ = self._step(rival.estimate, self.u, self.p, y, there)
-            rival.goes_on(
-                after.full().ravel(), denied - self.gate.surprise(off.full().ravel(), there)
-            )
-        if (
-            rival.estimate is None
-            and denied >= DENIED
-            and all(there[rows].all() for _, rows in self._pose)
-        ):
-            begun = self._step(self._measured(y, there), self.u, self.p, y, there)[0]
-            rival.begins(begun.full().ravel())
+        for rival in self._rivals:
+            if rival.estimate is not None:
+                after, off, _ = self._step(rival.estimate, self.u, self.p, y, there)
+                rival.goes_on(
+                    after.full().ravel(), denied - self.gate.surprise(off.full().ravel(), there)
+                )
+        posed = all(there[rows].all() for _, rows in self._pose)
+        if denied >= DENIED and posed and all(r.estimate is None for r in self._rivals):
+            for rival, pushed in zip(self._rivals, (True, False), strict=True):
+                begin = self._measured(y, there, pushed)
+                rival.begins(self._step(begin, self.u, self.p, y, there)[0].full().ravel())
+        rival = likelier(*self._rivals)
         if rival.believed:
             self._note(time, "the filter starts anew")
-            self.estimate, self._rival = np.asarray(rival.estimate), Rival()
-            # what is known of the parameters is kept, that of a state that is given up is not
-            own, known = self.filter.adapted.covariance.copy(), len(self.filter.adapted.rows)
-            own[:known, :known] = self._unsure[:known, :known]
-            self._unsure = own
+            # what is known of what goes on is kept, that of a state that is given up is not
+            own, kept = (
+                self.filter.adapted.covariance.copy(),
+                [*range(len(self.filter.adapted.rows))],
+            )
+            if rival is self._rivals[0]:
+                kept += [at for at, *_ in self._pushes]
+            own[np.ix_(kept, kept)] = self._unsure[np.ix_(kept, kept)]
+            self.estimate, self._unsure = np.asarray(rival.estimate), own
+            self._rivals = Rival(), Rival()
             self.gate.start()
             if self.calibrated is not None:
                 self.calibrated.anew()
             self._seen = [time] * len(self._pose)
 
-    def _measured(self, y: FloatArray, there: FloatArray) -> FloatArray:
-        """The state that the measurements of one sample say; at rest where they say nothing."""
+    def _measured(self, y: FloatArray, there: FloatArray, pushed: bool) -> FloatArray:
+        """The state that the measurements of one sample say, `pushed` as the estimate is if rotors
+        could hold against it; at rest where they say nothing."""
         state = np.array(self.solver.stages.steady[0][: self.filter.own_states])
+        free = list(self.solver.stages.free)
+        if pushed and (np.abs(self.estimate[free]) <= self.most).all():
+            state[free] = self.estimate[free]
         for name, columns in MEASURED.items():
             at = [self.columns.index(c) for c in columns if c in self.columns]
             given = [there[i] > 0.0 for i, rows in enumerate(self._present) if set(rows) & set(at)]

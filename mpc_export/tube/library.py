@@ -224,6 +224,7 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         "filter_w": max(1, step.sz_w),
         "filter_arg": max(5, step.sz_arg),
         "filter_res": max(3, step.sz_res),
+        "most": _list([*pilot.most, 0.0]),
         "filter_past": _list([*extended[f.own_states :], 0.0]),
         "tolerance": 1e-6 * (COARSE if single else 1.0),
         "qp_tolerance": QP_TOLERANCE[real],

@@ -1,5 +1,5 @@
-"""Rival: an estimate that owes nothing to the one in use. It takes over where it explains the
-measurements far better.
+"""Rival: an estimate of the motion that owes nothing to the one in use. It takes over where it
+explains the measurements far better.
 
 A filter of constant gain comes back from an error only as fast as its gain, and a nonlinear one
 from a large error not at all. So where a sensor denies the estimate, another begins at what is
@@ -7,6 +7,11 @@ measured at that sample, at rest, and is carried on beside it. Its evidence is t
 log-likelihood ratios (Wald 1945, Annals of Mathematical Statistics 16(2)). At a sample that it
 explains no better it is given up, and the next that denies the estimate begins another. So wrong
 measurements, which deny every estimate alike, change nothing.
+
+Of force and torque one sample says nothing. Two rivals begin: one with those of the estimate, if
+rotors could hold against them, which takes over only where it explains clearly more, and one with
+none. Where a wind or a weak rotor denies the estimate sample by sample, a rival without them would
+take over again and again, and they would never be learned.
 """
 
 from __future__ import annotations
@@ -48,3 +53,11 @@ class Rival:
     def believed(self) -> bool:
         """Whether it is to take over."""
         return self.estimate is not None and self.evidence >= BELIEVED
+
+
+def likelier(pushed: Rival, bare: Rival) -> Rival:
+    """The rival that speaks for both, see above."""
+    if bare.estimate is None:
+        return pushed
+    more = pushed.estimate is not None and pushed.evidence >= bare.evidence + DENIED
+    return pushed if more else bare

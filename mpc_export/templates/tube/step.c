@@ -23,9 +23,11 @@ static const int attitude_columns[4] = @attitude_columns@; /* -1: not measured *
 static const short start_from[STARTS + 1][2] = @start_from@; /* column, state */
 static const short lag_of[NX - OWN + 1] = @lag_of@, command_of[NX - OWN + 1] = @command_of@;
 static const int pushes[NFREE1] = TUBE_FREE;
+static const tube_real most_push[NFREE + 1] = @most@; /* that rotors hold against */
 static const tube_real turning[NU] = @turning@, turned = @turned@; /* heading.py */
 
 enum { POSITION = @at_position@, VELOCITY = @at_velocity@, ATTITUDE = @at_attitude@, RATE = @at_rate@ };
+enum { PUSHED, BARE, RIVALS };
 enum { D_POSITION = @d_position@, D_VELOCITY = @d_velocity@ };
 
 static struct {
@@ -38,8 +40,8 @@ static struct {
   tube_real steady_x[NX], steady_u[NU];
   tube_real plan_x[N + 1][NX], plan_u[N][NU]; /* that of the last solution */
   tube_real wide[SENSORS], calm[SENSORS], missing[SENSORS], unseen[SENSORS];
-  tube_real rival[NF], evidence, phase, kappa_u;
-  int adrift, has_rival, has_plan, plan_age, failures, count, begun;
+  tube_real rival[RIVALS][NF], evidence[RIVALS], phase, kappa_u;
+  int adrift, has_rival[RIVALS], has_plan, plan_age, failures, count, begun;
 } c;
 
 static int all_finite(const tube_real *v, int n) {
@@ -203,9 +205,12 @@ static unsigned believed(const tube_real *share, const tube_real *y_hat, tube_re
   return said;
 }
 
-/* The state that the measurements of one sample say; at rest where they say nothing. */
-static void measured(const tube_real *y, const tube_real *there, tube_real *x) {
+/* The state that the measurements of one sample say, pushed as the estimate is if rotors could hold against it; at rest
+   where they say nothing. */
+static void measured(const tube_real *y, const tube_real *there, int pushed, tube_real *x) {
   memcpy(x, hover_x, OWN * sizeof *x);
+  for (int i = 0; i < NFREE; i++) pushed &= fabs(c.known.estimate[pushes[i]]) <= most_push[i];
+  for (int i = 0; pushed && i < NFREE; i++) x[pushes[i]] = c.known.estimate[pushes[i]];
   for (int i = OWN; i < NF; i++) x[i] = c.known.estimate[i];
   for (int k = 0; k < STARTS; k++)
     for (int i = 0; i < NE; i++)
@@ -217,24 +222,28 @@ static void measured(const tube_real *y, const tube_real *there, tube_real *x) {
 /* Lets an estimate that is begun at what is measured take over where it explains the measurements far better; see rival.py. */
 static unsigned challenged(const tube_real *y, const tube_real *there, const tube_real *e) {
   tube_real denied = surprise(e, there), next[NF], off[NE], y_hat[NY], start[NF];
-  if (c.has_rival) {
-    int failed = filtered(c.rival, y, there, next, off, y_hat);
+  for (int r = 0; r < RIVALS; r++) {
+    if (!c.has_rival[r]) continue;
+    int failed = filtered(c.rival[r], y, there, next, off, y_hat);
     tube_real gained = denied - surprise(off, there);
-    c.evidence += gained;
-    c.has_rival = gained > 0 && !failed;
-    memcpy(c.rival, next, sizeof next);
+    c.evidence[r] += gained;
+    c.has_rival[r] = gained > 0 && !failed;
+    memcpy(c.rival[r], next, sizeof next);
   }
   int posed = 1;
   for (int i = 0; i < NE; i++)
     if (of_pose[sensor_of[i]] && there[i] == 0) posed = 0;
-  if (!c.has_rival && denied >= 0.6931472 && posed) {
-    measured(y, there, start);
-    c.has_rival = !filtered(start, y, there, c.rival, off, y_hat);
-    c.evidence = 0;
-  }
-  if (!c.has_rival || c.evidence < 13.815511) return 0;
-  memcpy(c.known.estimate, c.rival, sizeof c.rival);
-  c.has_rival = 0;
+  if (!c.has_rival[PUSHED] && !c.has_rival[BARE] && denied >= 0.6931472 && posed)
+    for (int r = 0; r < RIVALS; r++) {
+      measured(y, there, r == PUSHED, start);
+      c.has_rival[r] = !filtered(start, y, there, c.rival[r], off, y_hat);
+      c.evidence[r] = 0;
+    }
+  int more = c.has_rival[PUSHED] && c.evidence[PUSHED] >= c.evidence[BARE] + (tube_real)0.6931472;
+  int r = c.has_rival[BARE] && !more ? BARE : PUSHED;
+  if (!c.has_rival[r] || c.evidence[r] < 13.815511) return 0;
+  memcpy(c.known.estimate, c.rival[r], sizeof c.rival[r]);
+  c.has_rival[PUSHED] = c.has_rival[BARE] = 0;
   for (int k = 0; k < SENSORS; k++) c.wide[k] = c.calm[k] = c.missing[k] = c.unseen[k] = 0;
   return @UPPER@_TUBE_FILTER_ANEW;
 }

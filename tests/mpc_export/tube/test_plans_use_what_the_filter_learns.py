@@ -94,12 +94,15 @@ def test_errors_ten_times_as_large_as_stated_make_the_filter_follow_a_force_soon
     assert left[10.0] < 0.7 * left[1.0]
 
 
-def test_disturbances_are_as_restless_as_the_largest_scale_beyond_one_sample():
-    own = Calibrated(model_functions(cases.disturbed(), with_=("calibrate",)))
+def test_disturbances_are_as_restless_as_the_largest_scale_of_what_they_move():
+    functions = model_functions(cases.disturbed(), with_=("calibrate",))
+    own = Calibrated(functions)
     assert own.unrest("force") == own.unrest("torque") == 1.0
     own.scale[1] = [9.0, 1.0, 3.0, 2.0, 0.5]
     own.scale[4] = 0.5
     assert (own.unrest("force"), own.unrest("torque")) == (3.0, 1.0)
+    own.scale[functions.innovations.names.index("p"), 0] = 4.0
+    assert (own.unrest("force"), own.unrest("torque")) == (3.0, 4.0), "a torque shows at once"
 
 
 @pytest.mark.slow
