@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -116,6 +116,26 @@ TELLING = {
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class _Grid:
+    """The horizons (H,) that a group is judged at [s], the place of that where skill is stated, and
+    the rule."""
+
+    seconds: FloatArray
+    at: int
+    rule: Standard
+
+    @property
+    def ahead(self) -> float:
+        """The horizon where skill is stated [s]."""
+        return float(self.seconds[self.at])
+
+    @property
+    def first(self) -> int:
+        """The place of the horizon up to which no group may be worse."""
+        return _index(self.seconds, self.rule.minimum)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Comparison:
     """One group on the grid of horizons: errors (H,), and where the last value is better."""
 
@@ -127,6 +147,42 @@ class _Comparison:
     worse: BoolArray
     calm: bool
     excused: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Weighed:
+    """The groups by what speaks for and against them, and how many horizons are useful."""
+
+    compared: Sequence[_Comparison]
+    counted: Sequence[_Comparison]
+    """All but the excused ones."""
+    excused: Sequence[_Comparison]
+    """Worse than the last value, in flights that are too calm to tell."""
+    idle: Sequence[_Comparison]
+    """Nowhere better than the last value."""
+    wrecked: Sequence[_Comparison]
+    """So bad that whoever plans ahead is misled."""
+    ends: int
+    """Horizons before the first one at which a counted group is worse."""
+
+    def lost(self, grid: _Grid) -> bool:
+        """Whether a group is worse too early, or wrecked."""
+        return self.ends <= grid.first or bool(self.wrecked)
+
+    def useful(self, grid: _Grid) -> float:
+        """How far ahead the model is useful [s]."""
+        return float(grid.seconds[self.ends - 1]) if self.ends else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Finding:
+    """What is concluded, in words; `reason`, `action` and `anchor` as in `Verdict`."""
+
+    outcome: Outcome
+    line: str
+    reason: str = ""
+    action: str = ""
+    anchor: str = ""
 
 
 def judge(
@@ -166,14 +222,25 @@ def judge(
     imu_only = set(groups) <= {"rate", "specific_force"}
     at = _index(seconds, rule.look_ahead_imu if imu_only else rule.look_ahead)
     floors = {} if measured_imu is None else measured_imu.groups
+    grid = _Grid(seconds=seconds, at=at, rule=rule)
     compared = [
-        _compare(
-            model.kinds[g], model.groups[g], last_value.groups[g], floors.get(g), seconds, at, rule
-        )
+        _compare(model.kinds[g], model.groups[g], last_value.groups[g], floors.get(g), grid)
         for g in groups
     ]
-    return _conclude(
-        compared, model.unjudged, seconds, at, rule, judged_on, tuple(model.flights), list(hints)
+    weighed = _weigh(compared, grid)
+    found = _partly_judged(_conclude(weighed, grid, list(hints)), model.unjudged)
+    on = "" if judged_on == TEST_FLIGHTS else f" [judged on {judged_on}]"
+    return Verdict(
+        outcome=found.outcome,
+        line=found.line + on,
+        useful_seconds=weighed.useful(grid),
+        judged_seconds=float(seconds[-1]),
+        judged_on=judged_on,
+        flights=tuple(model.flights),
+        groups=tuple(_skill(c, grid) for c in compared),
+        reason=found.reason,
+        action=found.action,
+        anchor=found.anchor,
     )
 
 
@@ -182,10 +249,9 @@ def _compare(
     model: GroupErrors,
     last: GroupErrors,
     floor: GroupErrors | None,
-    seconds: FloatArray,
-    at: int,
-    rule: Standard,
+    grid: _Grid,
 ) -> _Comparison:
+    seconds, at, rule = grid.seconds, grid.at, grid.rule
     steps = len(seconds)
     own, held = model.mae[:steps], last.mae[:steps]
     best = None if floor is None or len(floor.mae) < steps else floor.mae[:steps]
@@ -243,102 +309,107 @@ def _index(seconds: FloatArray, wanted: float) -> int:
     return int(np.argmin(np.abs(seconds - wanted)))
 
 
-def _conclude(
-    compared: Sequence[_Comparison],
-    unjudged: Sequence[str],
-    seconds: FloatArray,
-    at: int,
-    rule: Standard,
-    judged_on: str,
-    flights: tuple[str, ...],
-    hints: list[Hint],
-) -> Verdict:
-    first = _index(seconds, rule.minimum)
+def _weigh(compared: Sequence[_Comparison], grid: _Grid) -> _Weighed:
+    at, rule = grid.at, grid.rule
     excused = [c for c in compared if c.excused and c.worse[: at + 1].any()]
     counted = [c for c in compared if c not in excused]
     bad = (
         np.any([c.worse for c in counted], axis=0)
         if counted
-        else np.zeros(len(seconds), dtype=bool)
+        else np.zeros(len(grid.seconds), dtype=bool)
     )
-    ends = int(np.argmax(bad)) if bad.any() else len(seconds)
-    useful = float(seconds[ends - 1]) if ends else 0.0
-    groups = tuple(_skill(c, seconds, at) for c in compared)
     usual = [[c for c in counted if c.name in kind and not c.kind.own] for kind in KINDS]
     together = [*usual, *([c] for c in counted if c.kind.own)]
-    idle = [c for kind in together for c in _no_better(kind, slice(first, at + 1), rule)]
-    wrecked = [
-        c for c in counted if c.model[at] > rule.wrecked * c.last[at]
-    ]  # NaN: nothing to compare
-    reason = action = anchor = ""
-    if ends <= first or wrecked or any(not c.calm for c in idle):
-        outcome = Outcome.NOT_USABLE
-        if ends <= first:
-            worst = min(
-                (c for c in counted if c.worse.any()), key=lambda c: int(np.argmax(c.worse))
-            )
-        elif wrecked:
-            worst = max(wrecked, key=lambda c: float(c.model[at] / c.last[at]))
-        else:
-            worst = next(c for c in idle if not c.calm)
-        if np.isinf(worst.model[: at + 1]).any():
-            hints.append(Hint(symptom=Symptom.DIVERGED))
-        lost = ends <= first or bool(wrecked)
-        reason, action, anchor = likely(hints, _symptom(worst.kind, lost))
-        line = (
-            f"NOT USABLE: {_failure(worst, lost, seconds, at)}. Likely: {reason}; next: "
-            f"{action} ({anchor})"
+    return _Weighed(
+        compared=compared,
+        counted=counted,
+        excused=excused,
+        idle=[c for kind in together for c in _no_better(kind, slice(grid.first, at + 1), rule)],
+        # NaN: nothing to compare
+        wrecked=[c for c in counted if c.model[at] > rule.wrecked * c.last[at]],
+        ends=int(np.argmax(bad)) if bad.any() else len(grid.seconds),
+    )
+
+
+def _conclude(weighed: _Weighed, grid: _Grid, hints: list[Hint]) -> _Finding:
+    if weighed.lost(grid) or any(not c.calm for c in weighed.idle):
+        return _not_usable(weighed, grid, hints)
+    if weighed.excused or weighed.idle:
+        return _too_calm(weighed, grid)
+    kept = weighed.counted
+    claim = _claim(kept, (grid.seconds > grid.rule.short)[: weighed.ends])
+    skill = ", ".join(_compared(_skill(c, grid)) for c in weighed.compared)
+    return _Finding(
+        outcome=Outcome.USABLE,
+        line=f"{_useful(weighed, grid)}: {claim}; {grid.ahead:.2g} s ahead {skill}",
+    )
+
+
+def _not_usable(weighed: _Weighed, grid: _Grid, hints: list[Hint]) -> _Finding:
+    """What the worst group points to, among what else was seen."""
+    at = grid.at
+    if weighed.ends <= grid.first:
+        worst = min(
+            (c for c in weighed.counted if c.worse.any()), key=lambda c: int(np.argmax(c.worse))
         )
-    elif excused or idle:
-        outcome = Outcome.TOO_CALM
-        which = [c for c in compared if c in excused or c in idle]
-        names = " and ".join(_word(c.name) for c in which)
-        reason = f"the flights hardly move in {names}"
-        action = f"judge on a flight with {TELLING[which[0].name]}"
-        anchor = Symptom.CALM.anchor
-        moved = ", ".join(f"{_word(c.name)} {_value(c.last[at], c.kind)}" for c in which)
-        line = (
-            f"too calm to judge {names}: within {seconds[at]:.2g} s the flights change by {moved}, "
-            "where holding the "
-            f"last value is nearly right; {action} ({anchor})"
-        )
-        if len(which) < len(compared):
-            line += f". The rest is {_useful(useful, len(seconds) == ends)}"
+    elif weighed.wrecked:
+        worst = max(weighed.wrecked, key=lambda c: float(c.model[at] / c.last[at]))
     else:
-        outcome = Outcome.USABLE
-        line = (
-            f"{_useful(useful, len(seconds) == ends)}: "
-            f"{_claim(counted, (seconds > rule.short)[:ends])}; "
-            f"{seconds[at]:.2g} s ahead {', '.join(_compared(g) for g in groups)}"
-        )
-    if unjudged:
-        lost_groups = (
-            f"{' and '.join(map(_word, unjudged))} could not be judged: too many samples missing"
-        )
-        if outcome is Outcome.USABLE:
-            outcome = Outcome.PARTLY_JUDGED
-            action, anchor = "greybox check names the gaps", Symptom.LOG_FAULT.anchor
-            reason = lost_groups
-            line = f"{lost_groups}; {action} ({anchor}). The rest is {line}"
-        else:
-            line += f". {lost_groups[0].upper()}{lost_groups[1:]}"
-    if judged_on != TEST_FLIGHTS:
-        line += f" [judged on {judged_on}]"
-    return Verdict(
-        outcome=outcome,
+        worst = next(c for c in weighed.idle if not c.calm)
+    if np.isinf(worst.model[: at + 1]).any():
+        hints = [*hints, Hint(symptom=Symptom.DIVERGED)]
+    lost = weighed.lost(grid)
+    reason, action, anchor = likely(hints, _symptom(worst.kind, lost))
+    line = (
+        f"NOT USABLE: {_failure(worst, lost, grid.seconds, at)}. Likely: {reason}; next: "
+        f"{action} ({anchor})"
+    )
+    return _Finding(
+        outcome=Outcome.NOT_USABLE, line=line, reason=reason, action=action, anchor=anchor
+    )
+
+
+def _too_calm(weighed: _Weighed, grid: _Grid) -> _Finding:
+    """Groups that hardly move in these flights, and the flight that would tell."""
+    which = [c for c in weighed.compared if c in weighed.excused or c in weighed.idle]
+    names = " and ".join(_word(c.name) for c in which)
+    action = f"judge on a flight with {TELLING[which[0].name]}"
+    anchor = Symptom.CALM.anchor
+    moved = ", ".join(f"{_word(c.name)} {_value(c.last[grid.at], c.kind)}" for c in which)
+    line = (
+        f"too calm to judge {names}: within {grid.ahead:.2g} s the flights change by {moved}, "
+        f"where holding the last value is nearly right; {action} ({anchor})"
+    )
+    if len(which) < len(weighed.compared):
+        line += f". The rest is {_useful(weighed, grid)}"
+    return _Finding(
+        outcome=Outcome.TOO_CALM,
         line=line,
-        useful_seconds=useful,
-        judged_seconds=float(seconds[-1]),
-        judged_on=judged_on,
-        flights=flights,
-        groups=groups,
-        reason=reason,
+        reason=f"the flights hardly move in {names}",
         action=action,
         anchor=anchor,
     )
 
 
-def _skill(c: _Comparison, seconds: FloatArray, at: int) -> GroupSkill:
+def _partly_judged(found: _Finding, unjudged: Sequence[str]) -> _Finding:
+    """The finding, with the groups that were measured and have no errors."""
+    if not unjudged:
+        return found
+    said = f"{' and '.join(map(_word, unjudged))} could not be judged: too many samples missing"
+    if found.outcome is not Outcome.USABLE:
+        return replace(found, line=f"{found.line}. {said[0].upper()}{said[1:]}")
+    action, anchor = "greybox check names the gaps", Symptom.LOG_FAULT.anchor
+    return _Finding(
+        outcome=Outcome.PARTLY_JUDGED,
+        line=f"{said}; {action} ({anchor}). The rest is {found.line}",
+        reason=said,
+        action=action,
+        anchor=anchor,
+    )
+
+
+def _skill(c: _Comparison, grid: _Grid) -> GroupSkill:
+    seconds, at = grid.seconds, grid.at
     floor = None if c.floor is None or not np.isfinite(c.floor[at]) else float(c.floor[at])
     distance = float(c.last[at]) - (floor or 0.0)
     gained = float(c.last[at] - c.model[at])
@@ -356,8 +427,9 @@ def _skill(c: _Comparison, seconds: FloatArray, at: int) -> GroupSkill:
     )
 
 
-def _useful(useful: float, whole: bool) -> str:
-    return f"useful for {useful:.2g} s{' and more' if whole else ''}"
+def _useful(weighed: _Weighed, grid: _Grid) -> str:
+    more = " and more" if weighed.ends == len(grid.seconds) else ""
+    return f"useful for {weighed.useful(grid):.2g} s{more}"
 
 
 def _claim(counted: Sequence[_Comparison], late: BoolArray) -> str:

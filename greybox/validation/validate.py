@@ -10,20 +10,22 @@ rows beside each table are persistence (ceiling) and dead reckoning (floor).
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Unpack
 
 import numpy as np
 
 from greybox.data import Dataset, Flight, Segment, group_names
-from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError, FitError, ModelError
 from greybox.estimation.engine import unfelt_place
 from greybox.estimation.filtering import Filter, Filtered
+from greybox.estimation.options import says_choices
 from greybox.estimation.propagation import Propagator
 from greybox.frames import GRAVITY
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
+from greybox.model.verdict import Verdict
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import Adaptation, adapt_to_flight
 from greybox.validation.advice import Hint, Symptom
@@ -40,6 +42,7 @@ from greybox.validation.horizon_table import HorizonTable
 from greybox.validation.horizons import HORIZONS, LONGEST, SAMPLES, horizons_of
 from greybox.validation.one_step import OneStep
 from greybox.validation.open_loop import GroupReader, IntArray, predict_from
+from greybox.validation.options import ValidateChoices, ValidateOptions
 from greybox.validation.result import Validation
 from greybox.validation.samples import BoolArray, complete_rows
 from greybox.validation.stated import stated_covariances
@@ -67,23 +70,19 @@ reference drop out instead of origins: lost samples that lie here and there empt
 leave a third of the origins of 51 samples, 10 % none)."""
 
 
+@says_choices(ValidateOptions)
 def validate(
     model: IdentifiedModel,
     dataset: Dataset,
+    options: ValidateOptions | None = None,
     *,
-    horizons: Sequence[float] | None = None,
-    horizon_samples: Sequence[int] | None = None,
-    adapt: float | None = None,
-    measured_start: bool = False,
-    every: int | None = None,
-    skip: float = START_SECONDS,
-    judged_on: str | None = None,
-    hints: Iterable[Hint] = (),
     progress: Progress | None = None,
-    use_compiler: bool = True,
+    **choices: Unpack[ValidateChoices],
 ) -> Validation:
     """Multi-step and one-step errors of `model` on all flights of `dataset`, with residual tests,
     baselines and a verdict.
+
+    The choices are keywords, fields of `ValidateOptions` with its defaults, or `options` as a whole.
 
     `horizons` [s] are listed (`horizon_samples` instead: numbers of samples; default: `HORIZONS`,
     of a model that is not a vehicle's `SAMPLES`). `adapt` [s]: per flight, the parameters with a
@@ -95,15 +94,18 @@ def validate(
     segment at the earliest. `judged_on` says in words what the flights are to the model (default:
     from the names of its training flights) and `hints` what else was seen; the verdict uses both.
     `progress` gets a line per flight. Raises `DataError` (no usable flight, another sample time),
-    `ModelError` (a smoothed channel is a measurement of the filter), `FitError`.
+    `ModelError` (a smoothed channel is a measurement of the filter), `FitError`,
+    `UnknownNameError` (a choice that there is not).
     """
+    o = ValidateOptions.of(options, choices)
     dt = model.sample_time
     own = physics_of(model.dynamics) is None
-    if own and horizons is None and horizon_samples is None:
-        horizon_samples = SAMPLES
+    samples = o.horizon_samples
+    if own and o.horizons is None and samples is None:
+        samples = SAMPLES
     wanted = horizons_of(
-        HORIZONS if horizons is None else horizons,
-        samples=horizon_samples,
+        HORIZONS if o.horizons is None else o.horizons,
+        samples=samples,
         sample_time=dt,
         longest=np.inf if own else LONGEST,
     )
@@ -113,15 +115,11 @@ def validate(
     work = _Work(
         model=model,
         dataset=dataset,
+        options=o,
         wanted=wanted.steps,
-        adapt=adapt,
-        measured=measured_start,
-        every=max(1, round(SPACING / dt)) if every is None else every,
-        skip=skip,
-        use_compiler=use_compiler,
+        every=max(1, round(SPACING / dt)) if o.every is None else o.every,
+        judged_on=o.judged_on,
         warnings=list(wanted.notes),
-        judged_on=judged_on,
-        hints=tuple(hints),
     )
     for flight in dataset:
         if progress:
@@ -145,20 +143,16 @@ class _Work:
 
     model: IdentifiedModel
     dataset: Dataset
+    options: ValidateOptions
     wanted: tuple[int, ...]
-    adapt: float | None
-    measured: bool
     every: int
-    skip: float
-    use_compiler: bool
     judged_on: str | None
-    hints: tuple[Hint, ...]
     warnings: list[str] = field(default_factory=list)
     flights: list[dict[str, object]] = field(default_factory=list)
     adaptation: dict[str, Adaptation] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.filter = Filter(self.model, use_compiler=self.use_compiler)
+        self.filter = Filter(self.model, use_compiler=self.options.use_compiler)
         self.reader = GroupReader(self.model)
         self.groups = self.reader.judged(self.dataset.any_channels)
         dt = self.model.sample_time
@@ -236,8 +230,10 @@ class _Work:
 
     def _late(self, flight: Flight, segment: Segment) -> BoolArray:
         """Samples after the seconds of adaptation and the start of the segment, (N,)."""
-        late: BoolArray = segment.t >= float(flight.segments[0].t[0]) + (self.adapt or 0.0) - 1e-9
-        late[: max(3, round(self.skip / segment.dt)) - 1] = False
+        late: BoolArray = (
+            segment.t >= float(flight.segments[0].t[0]) + (self.options.adapt or 0.0) - 1e-9
+        )
+        late[: max(3, round(self.options.skip / segment.dt)) - 1] = False
         return late
 
     def _matrix(self, segment: Segment, group: str) -> FloatArray:
@@ -263,14 +259,14 @@ class _Work:
         return complete / count if count else 1.0
 
     def _adapted(self, flight: Flight) -> Adaptation | None:
-        if self.adapt is None:
+        if self.options.adapt is None:
             return None
         found = adapt_to_flight(
             self.model,
             flight,
-            self.adapt,
+            self.options.adapt,
             riccati=self.filter.riccati,
-            use_compiler=self.use_compiler,
+            use_compiler=self.options.use_compiler,
         )
         self.adaptation[flight.name] = found
         self.warnings += found.warnings
@@ -278,10 +274,12 @@ class _Work:
 
     def _imu_bias(self, flight: Flight) -> ImuBias:
         """Biases of dead reckoning from the adaptation seconds; none without them."""
-        if self.adapt is None or not _has(flight.channels, "rate", "specific_force", "rotation"):
+        if self.options.adapt is None or not _has(
+            flight.channels, "rate", "specific_force", "rotation"
+        ):
             return ImuBias.zero()
         begin = float(flight.segments[0].t[0])
-        window = flight.segments[0].between(begin, begin + self.adapt - 1e-9)
+        window = flight.segments[0].between(begin, begin + self.options.adapt - 1e-9)
         velocity = _matrix(window, "velocity") if _has(flight.channels, "velocity") else None
         try:
             return estimate_imu_bias(
@@ -314,7 +312,7 @@ class _Work:
         if not references:
             return
         engine = self.filter.engine
-        propagator = Propagator(self.filter, extra=spread, use_compiler=self.use_compiler)
+        propagator = Propagator(self.filter, extra=spread, use_compiler=self.options.use_compiler)
         chunk = max(1, CHUNK // self.steps)
         for at in range(0, len(origins), chunk):
             part = origins[at : at + chunk]
@@ -327,7 +325,7 @@ class _Work:
                 part,
                 self._stated(propagator, filtered, part, predicted),
             )
-            if self.measured:
+            if self.options.measured_start:
                 predicted = predict_from(
                     engine,
                     self.reader,
@@ -450,45 +448,17 @@ class _Work:
 
     def result(self) -> Validation:
         """Everything that was added up."""
-        tables: dict[str, HorizonTable | None] = {}
-        for label, row in self.rows.items():
-            try:
-                tables[label] = row.table()
-            except DataError as error:
-                if label == "model" and self.groups:
-                    raise
-                tables[label] = None
-                if label == "model":
-                    self.warnings.append(f"no multi-step table: {error}")
-        own = tables["model"]
+        tables = {label: self._table(label) for label in self.rows}
+        own, held, floor = (tables[k] for k in ("model", "persistence", "dead reckoning"))
         if own is not None:
-            measured = [
-                g
-                for g in self.groups
-                if any(complete_rows(self._matrix(s, g)).any() for s in self.dataset.segments)
-            ]
-            own = replace(own, unjudged=tuple(g for g in measured if g not in own.groups))
-        if own is not None and own.diverged:
-            self.warnings.append(
-                f"{own.diverged} open-loop predictions were not finite: their error is infinite"
-            )
+            own = replace(own, unjudged=tuple(g for g in self._measured() if g not in own.groups))
+            if own.diverged:
+                self.warnings.append(
+                    f"{own.diverged} open-loop predictions were not finite: their error is infinite"
+                )
         verdict = None
-        held, floor = tables["persistence"], tables["dead reckoning"]
         if own is not None and held is not None:
-            assert self.judged_on is not None
-            hints = list(self.hints)
-            # Offsets of sensors differ from flight to flight too, but spoil no model by much.
-            own_values = [n for n in self.model.flight_spread if "_bias." not in n]
-            if self.adapt is None and own_values and self.judged_on == TEST_FLIGHTS:
-                hints.append(
-                    Hint(symptom=Symptom.FLIGHT_DIFFERS, detail="its own values were not adapted")
-                )
-            try:
-                verdict = judge(
-                    own, held, floor, judged_on=self.judged_on, hints=hints, standard=self.standard
-                )
-            except DataError as error:
-                self.warnings.append(str(error))
+            verdict = self._verdict(own, held, floor)
         whiteness, cross, said = self.one_step.tests()
         self.warnings += said
         return Validation(
@@ -505,11 +475,52 @@ class _Work:
             whiteness=whiteness,
             cross_correlation=cross,
             coverage=self.one_step.coverage(),
-            adapted_seconds=self.adapt,
+            adapted_seconds=self.options.adapt,
             adaptation=self.adaptation,
             warnings=tuple(self.warnings),
             verdict=verdict,
         )
+
+    def _table(self, label: str) -> HorizonTable | None:
+        """One row's errors by horizon, None without an origin. Raises `DataError` where the model's
+        own table is empty though there is something to judge."""
+        try:
+            return self.rows[label].table()
+        except DataError as error:
+            if label == "model":
+                if self.groups:
+                    raise
+                self.warnings.append(f"no multi-step table: {error}")
+            return None
+
+    def _measured(self) -> list[str]:
+        """The groups that some sample has whole."""
+        return [
+            g
+            for g in self.groups
+            if any(complete_rows(self._matrix(s, g)).any() for s in self.dataset.segments)
+        ]
+
+    def _verdict(
+        self, own: HorizonTable, held: HorizonTable, floor: HorizonTable | None
+    ) -> Verdict | None:
+        """What the errors `own` say beside those of persistence (`held`) and dead reckoning
+        (`floor`); None where the tables do not allow one."""
+        assert self.judged_on is not None
+        hints = list(self.options.hints)
+        # Offsets of sensors differ from flight to flight too, but spoil no model by much.
+        own_values = [n for n in self.model.flight_spread if "_bias." not in n]
+        if self.options.adapt is None and own_values and self.judged_on == TEST_FLIGHTS:
+            hints.append(
+                Hint(symptom=Symptom.FLIGHT_DIFFERS, detail="its own values were not adapted")
+            )
+        try:
+            return judge(
+                own, held, floor, judged_on=self.judged_on, hints=hints, standard=self.standard
+            )
+        except DataError as error:
+            self.warnings.append(str(error))
+            return None
 
 
 def _has(channels: Sequence[str], *groups: str) -> bool:

@@ -1,0 +1,59 @@
+"""ValidateOptions: all choices of a validation in one frozen record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypedDict
+
+from greybox.data.segment import START_SECONDS
+from greybox.estimation.options import chosen
+from greybox.validation.advice import Hint
+
+
+class ValidateChoices(TypedDict, total=False):
+    """The keywords of `validate`: the fields of `ValidateOptions`, which says what they mean."""
+
+    horizons: Sequence[float] | None
+    horizon_samples: Sequence[int] | None
+    adapt: float | None
+    measured_start: bool
+    every: int | None
+    skip: float
+    judged_on: str | None
+    hints: Iterable[Hint]
+    use_compiler: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidateOptions:
+    """All choices of a validation."""
+
+    horizons: Sequence[float] | None = None
+    """Horizons that are listed [s]; None: `HORIZONS`, of a model that is no vehicle's `SAMPLES`."""
+    horizon_samples: Sequence[int] | None = None
+    """The same in numbers of samples, instead."""
+    adapt: float | None = None
+    """Seconds at the beginning of a flight that its per-flight parameters and its initial state are
+    fitted on; None: not at all."""
+    measured_start: bool = False
+    """Whether a row starts from the measured state, smoothed velocities included."""
+    every: int | None = None
+    """Origins are every so many samples; None: every `SPACING` seconds."""
+    skip: float = START_SECONDS
+    """Seconds after the start of a segment before its first origin."""
+    judged_on: str | None = None
+    """What the flights are to the model, in words; None: from the names of its training flights."""
+    hints: tuple[Hint, ...] = ()
+    """What else was seen, for the verdict."""
+    use_compiler: bool = True
+    """Whether the model runs as compiled C where there is a compiler; False: in CasADi's VM."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hints", tuple(self.hints))
+
+    @classmethod
+    def of(cls, options: ValidateOptions | None, choices: ValidateChoices) -> ValidateOptions:
+        """`options` (None: the defaults) with the `choices` in place of its own. Raises
+        `UnknownNameError`."""
+        return chosen("option of a validation", options or cls(), choices)
