@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 MAX_ITERATIONS = 2
 """acados' status for iterations that were used up."""
+SETTLED = 1e-6
+"""Back-offs that move by less, in the unit of their limit, have settled."""
 LIBRARIES = ("blasfeo", "hpipm", "qpOASES_e", "acados")
 """In the order of their dependencies; those that a build does not have are left out."""
 
@@ -185,7 +187,6 @@ def robust_solve(
     covariance: npt.ArrayLike,
     gain: npt.ArrayLike,
     rounds: int = 20,
-    tolerance: float = 1e-6,
     off: npt.ArrayLike | None = None,
     slopes: Any = None,
 ) -> tuple[int, npt.NDArray[np.float64]]:
@@ -194,8 +195,8 @@ def robust_solve(
     The solver's `con_h_expr` and `con_h_expr_e` are `limits`, a function of x (n_x,) with m values
     that must stay below `upper` (m,). In turn it solves, propagates `covariance` (n_d, n_d) of the
     first state along the plan under the feedback `gain` (n_u, n_d), and takes kappa standard
-    deviations of every limit off `upper`, stage by stage, until nothing moves by more than
-    `tolerance`. A status other than 0 ends it, with the limits as they were solved with; that of
+    deviations of every limit off `upper`, stage by stage, until nothing moves by more than `SETTLED`.
+    A status other than 0 ends it, with the limits as they were solved with; that of
     `rounds` that were not enough is 2 (acados' "maximum number of iterations"). The covariance is
     fixed while it solves (Feng, Di Cairano and Quirynen 2020;
     Zanelli, Frey, Messerer and Diehl 2021). What is added at a stage is what the model says there,
@@ -222,7 +223,7 @@ def robust_solve(
             off[k] = kappa * np.sqrt(np.maximum(np.diag(c @ spread @ c.T), 0.0))
             if k < steps:
                 spread = step(solver.get(k, "x"), solver.get(k, "u"), p, spread, gain).full()
-        if np.abs(off - before).max() <= tolerance:
+        if np.abs(off - before).max() <= SETTLED:
             return 0, before
     return MAX_ITERATIONS, before
 

@@ -25,16 +25,17 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Any, Unpack
 
 import numpy as np
 
-from greybox.errors import FileFormatError, ModelError, UnknownNameError
+from greybox.errors import FileFormatError, ModelError
 from greybox.estimation.cache import cache_root
+from greybox.estimation.options import says_choices
 from greybox.files import (
     OutputError,
     checksum,
@@ -60,16 +61,14 @@ from mpc_export.c_kernels import kernels_of
 from mpc_export.c_model import CModel, check_name
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.golden import Golden, golden_vectors
-from mpc_export.manifest import SCHEMA, manifest_of
+from mpc_export.manifest import SCHEMA, Written, manifest_of
+from mpc_export.options import ExportChoices, ExportOptions
 from mpc_export.points import with_points
 from mpc_export.predictors import Fitted, PredictorModel, predictor_model
 from mpc_export.readme import licences, readme
 from mpc_export.tape import write_tape
-from mpc_export.targets import HORIZON, NAMES, NEEDS, ONBOARD, write_target
+from mpc_export.targets import NAMES, write_target
 
-TARGETS = ("c", "casadi", *NAMES)
-"""Those that `mpc_export.targets` adds come after the two that are written here."""
-DEFAULT_TARGETS = ("c", "casadi")
 GOLDEN_POINTS = 12
 KEPT = 16
 """Bundles that the cache keeps."""
@@ -201,23 +200,17 @@ def _check_manifest(manifest: Mapping[str, Any], where: str) -> None:
         ) from None
 
 
+@says_choices(ExportOptions)
 def write_bundle(
     model: Fitted | PredictorModel,
     folder: str | os.PathLike[str],
-    *,
-    name: str | None = None,
-    dt: float | None = None,
-    targets: Iterable[str] = DEFAULT_TARGETS,
-    real: Literal["double", "float"] = "double",
-    with_: Iterable[str] = (),
-    runtime_parameters: Iterable[str] = (),
-    points: int | None = None,
-    horizon: int = HORIZON,
-    use_cache: bool = True,
+    options: ExportOptions | None = None,
+    **choices: Unpack[ExportChoices],
 ) -> ExportBundle:
     """Export anything fitted to `folder` (mpc_export/predictors.py says of what kinds).
 
-    The arguments are those of `model_functions` and of the command line.
+    The choices are keywords, fields of `ExportOptions` with its defaults, or `options` as a whole.
+    They are those of `model_functions` and of the command line.
 
     `name` is the prefix in C (default: the folder's name), `points` projects the learned part on
     that many support points first, `horizon` are the stages of
@@ -225,44 +218,27 @@ def write_bundle(
     `model_functions`), `UnknownNameError` (a target), `OutputError` (a folder that is not a bundle,
     or cannot be written).
     """
-    place = Path(folder)
-    name = check_name(place.resolve().name if name is None else name)
-    chosen, groups, runtime = (
-        tuple(dict.fromkeys(targets)),
-        tuple(sorted(set(with_))),
-        tuple(runtime_parameters),
-    )
-    for target in chosen:
-        if target not in TARGETS:
-            raise UnknownNameError("export target", target, TARGETS)
-    groups = tuple(
-        sorted({*groups, *(group for target in chosen for group in NEEDS.get(target, ()))})
-    )
-    if "c" not in chosen and any(target in ONBOARD for target in chosen):
-        chosen = ("c", *chosen)
+    place, o = Path(folder), ExportOptions.of(options, choices)
+    name = check_name(place.resolve().name if o.name is None else o.name)
+    o = o.completed()
     check_place(place)
-    options = [name, dt, sorted(chosen), real, groups, runtime, points, horizon]
+    shaping: list[object] = [name, *o.shaping]
     if not isinstance(model, (IdentifiedModel, LinearModel)):
-        model, dt = predictor_model(model, dt=dt, name=name), None
-    key = None if not use_cache or isinstance(model, PredictorModel) else _cache_key(model, options)
+        model, o = predictor_model(model, dt=o.dt, name=name), replace(o, dt=None)
+    key = None
+    if o.use_cache and not isinstance(model, PredictorModel):
+        key = _cache_key(model, shaping)
     if key is not None and (found := _from_cache(key, place)) is not None:
-        again = model if points is None else with_points(model, points)[0]
-        return replace(
-            found,
-            source=lambda: model_functions(again, dt=dt, with_=groups, runtime_parameters=runtime),
-        )
+        again = model if o.points is None else with_points(model, o.points)[0]
+        return replace(found, source=lambda: _functions(again, o))
     reduction: dict[str, Any] | None = None
-    if points is not None:
-        model, reduction = with_points(model, points)
-    functions = model_functions(model, dt=dt, with_=groups, runtime_parameters=runtime)
+    if o.points is not None:
+        model, reduction = with_points(model, o.points)
+    functions = _functions(model, o)
     golden = golden_vectors(functions, GOLDEN_POINTS)
     with _beside(place) as part:
-        entry = _write_parts(
-            functions, golden, part, name=name, targets=chosen, real=real, horizon=horizon
-        )
-        manifest = manifest_of(
-            functions, name=name, real=real, groups=groups, golden=golden, **entry
-        )
+        written = _write_parts(functions, golden, part, name, o)
+        manifest = manifest_of(functions, golden, written, name=name, real=o.real, groups=o.with_)
         manifest["reduction"] = reduction
         write_atomic(part / "README.md", readme(manifest))
         manifest["files"] = {
@@ -280,18 +256,14 @@ def write_bundle(
     )
 
 
+def _functions(model: Fitted | PredictorModel, o: ExportOptions) -> ModelFunctions:
+    return model_functions(model, dt=o.dt, with_=o.with_, runtime_parameters=o.runtime_parameters)
+
+
 def _write_parts(
-    functions: ModelFunctions,
-    golden: list[Golden],
-    part: Path,
-    *,
-    name: str,
-    targets: tuple[str, ...],
-    real: Literal["double", "float"],
-    horizon: int,
-) -> dict[str, Any]:
-    """Writes everything but the manifest and the README. Returns what the manifest says of it."""
-    entry: dict[str, Any] = {"c": None, "targets": {}, "abi": None}
+    functions: ModelFunctions, golden: list[Golden], part: Path, name: str, o: ExportOptions
+) -> Written:
+    """Writes everything but the manifest and the README."""
     tape, arrays = write_tape(functions.functions.values())
     write_atomic(part / "python" / "functions.json", json.dumps(tape, separators=(",", ":")) + "\n")
     buffer = io.BytesIO()
@@ -303,24 +275,31 @@ def _write_parts(
     write_atomic(part / "python" / "rebuild.py", interpreter)
     for g in golden:
         write_atomic(part / "golden" / f"{g.name}.csv", g.csv())
-    for file, text in licences("c" in targets or "fmu" in targets).items():
+    for file, text in licences("c" in o.targets or "fmu" in o.targets).items():
         write_atomic(part / "LICENSES" / file, text)
-    if "c" in targets:
+    c, abi = None, None
+    if "c" in o.targets:
         kernels = kernels_of(functions)
         source = write_c(
-            list(functions.functions.values()), part / "c", prefix=name, real=real, kernels=kernels
+            list(functions.functions.values()),
+            part / "c",
+            prefix=name,
+            real=o.real,
+            kernels=kernels,
         )
         wrapper = CModel(functions, source, library_versions()["greybox"], golden)
         wrapper.write(part / "c")
-        entry |= {"c": (source, wrapper.work), "abi": wrapper.abi}
-    if "casadi" in targets:
+        c, abi = (source, wrapper.work), wrapper.abi
+    if "casadi" in o.targets:
         (part / "casadi").mkdir()
         for n, f in functions.functions.items():
             f.save(str(part / "casadi" / f"{n}.casadi"))
-    for target in targets:
-        if target in NAMES:
-            entry["targets"][target] = write_target(target, functions, part, name, real, horizon)
-    return entry
+    targets = {
+        target: write_target(target, functions, part, name, o.real, o.horizon)
+        for target in o.targets
+        if target in NAMES
+    }
+    return Written(c=c, targets=targets, abi=abi)
 
 
 # ----------------------------------------------------------------------------------------- places
@@ -352,7 +331,7 @@ def check_place(place: Path) -> None:
 
 
 @contextlib.contextmanager
-def _beside(place: Path) -> Any:
+def _beside(place: Path) -> Iterator[Path]:
     """A temporary folder on the same file system, gone afterwards."""
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -401,7 +380,7 @@ def _code_digest() -> str:
     return digest.hexdigest()
 
 
-def _cache_key(model: IdentifiedModel | LinearModel, options: list[Any]) -> str | None:
+def _cache_key(model: IdentifiedModel | LinearModel, options: list[object]) -> str | None:
     """None for a model that a key cannot tell from others: no file form, or code of the user's own
     in no known file."""
     if _has_unknown_code(model):

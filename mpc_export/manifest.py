@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from greybox.model.identified import IdentifiedModel, library_versions
@@ -35,16 +36,24 @@ TOLERANCE = {"double": 1e-10, "float": 1e-4}
 """Largest allowed difference between C and CasADi, in units of an output's scale."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Written:
+    """What else was written: the C source and its work space by function, what each target says of
+    itself, the number of the C interface."""
+
+    c: tuple[CSource, Mapping[str, int]] | None
+    targets: Mapping[str, Any]
+    abi: int | None
+
+
 def manifest_of(
     functions: ModelFunctions,
+    golden: Sequence[Golden],
+    written: Written,
     *,
     name: str,
     real: str,
     groups: Sequence[str],
-    golden: Sequence[Golden],
-    c: tuple[CSource, Mapping[str, int]] | None,
-    targets: Mapping[str, Any],
-    abi: int | None,
 ) -> dict[str, Any]:
     """Plain values of the manifest, without file checksums."""
     f, model = functions, functions.model
@@ -82,22 +91,8 @@ def manifest_of(
         if isinstance(model, IdentifiedModel)
         else {},
         "covariance": {"names": list(f.covariance_names), "matrix": f.covariance},
-        "adapted": {
-            "names": list(f.adapted.names),
-            "covariance": f.adapted.covariance,
-            "lower": f.adapted.lower,
-            "upper": f.adapted.upper,
-            "state_limits": dict(f.adapted.limits),
-        },
-        "calibration": {
-            "names": list(f.calibration.horizons.names),
-            "samples": list(f.calibration.samples),
-            "seconds": [n * f.dt for n in f.calibration.samples],
-            "every": f.calibration.every,
-            "sigma": f.calibration.sigma,
-            "level": LEVEL,
-            "gain": GAIN,
-        },
+        "adapted": _adapted(f),
+        "calibration": _calibration(f),
         "noise": {
             "process": f.noise.process,
             "gain": f.noise.gain,
@@ -105,18 +100,42 @@ def manifest_of(
             "predicted": f.noise.covariance,
         },
         "domain": _domain(f),
-        "c": None if c is None else _c(c[0], c[1], real),
-        "abi": abi,
+        "c": None if written.c is None else _c(*written.c, real),
+        "abi": written.abi,
         "return_codes": [
             {"code": i, "name": n, "meaning": why} for i, (n, why) in enumerate(CODES)
         ],
         "thread_safety": "functions have no state: call them from any number of threads, each with "
         "work space of its own",
         "tolerance": TOLERANCE[real],
-        "targets_written": dict(targets),
+        "targets_written": dict(written.targets),
         "notes": _notes(f),
         "data_hash": model.data_hash if isinstance(model, IdentifiedModel) else "",
         "versions": library_versions(),
+    }
+
+
+def _adapted(f: ModelFunctions) -> dict[str, Any]:
+    """The parameters that the filter adapts in flight."""
+    return {
+        "names": list(f.adapted.names),
+        "covariance": f.adapted.covariance,
+        "lower": f.adapted.lower,
+        "upper": f.adapted.upper,
+        "state_limits": dict(f.adapted.limits),
+    }
+
+
+def _calibration(f: ModelFunctions) -> dict[str, Any]:
+    """How the stated errors ahead are calibrated in flight."""
+    return {
+        "names": list(f.calibration.horizons.names),
+        "samples": list(f.calibration.samples),
+        "seconds": [n * f.dt for n in f.calibration.samples],
+        "every": f.calibration.every,
+        "sigma": f.calibration.sigma,
+        "level": LEVEL,
+        "gain": GAIN,
     }
 
 

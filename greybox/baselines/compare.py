@@ -103,7 +103,7 @@ def _row(bench: Bench, name: str, found: Outcome) -> dict[str, Any]:
         "method": name,
         "status": "done",
         **scored,
-        "multi_step": None if table is None else table.to_dict(bench.horizons),
+        "multi_step": None if table is None else table.to_dict(bench.options.horizons),
         "curve": None if table is None else table.curve(),
         "parameters": found.parameters,
         "train_seconds": found.seconds,
@@ -137,15 +137,15 @@ def _content(
         "channels": list(bench.outputs),
         "units": {n: channel(n).unit for n in bench.outputs},
         "train_std": dict(zip(bench.outputs, bench.spread.tolist(), strict=True)),
-        "adapt": bench.adapt,
-        "budget": bench.budget,
-        "seed": bench.seed,
-        "horizons": list(bench.horizons),
+        "adapt": bench.options.adapt,
+        "budget": bench.options.budget,
+        "seed": bench.options.seed,
+        "horizons": list(bench.options.horizons),
         "origin_spacing": bench.every * bench.dt,
         "held_back": sorted({s.flight for s in bench.split[1]}),
         "black_box_inputs": list(bench.inputs),
         "methods": list(rows),
-        "dead_reckoning": bench.extra_tables["dead reckoning"].to_dict(bench.horizons)
+        "dead_reckoning": bench.extra_tables["dead reckoning"].to_dict(bench.options.horizons)
         if "dead reckoning" in bench.extra_tables
         else None,
         "dead_reckoning_curve": bench.extra_tables["dead reckoning"].curve()

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.baselines.base_predictor import RUN_IN, BasePredictor
+from greybox.baselines.compare_options import CompareOptions
 from greybox.baselines.compare_scores import SPACING
 from greybox.baselines.decoupled import Terms, combined
 from greybox.baselines.kinematics import IMU, black_box_view, motion
@@ -94,19 +95,14 @@ class Outcome:
 class Bench:
     """The flights, and the fits that several methods share.
 
-    `fit` gives the nonlinear model of the training flights. `adapt` [s]: what belongs to a flight
-    is fitted on its first seconds. `budget` is the number of candidates of a method with choices.
+    `fit` gives the nonlinear model of the training flights.
     """
 
     vehicle: Vehicle
     train: Dataset
     test: Dataset
     fit: Callable[[], IdentifiedModel]
-    adapt: float | None = None
-    budget: int = 4
-    seed: int = 0
-    points: int = 50
-    horizons: tuple[int, ...] = (1, 10, 50)
+    options: CompareOptions = field(default_factory=CompareOptions)
     say: Callable[[str], None] = lambda _text: None
 
     def __post_init__(self) -> None:
@@ -117,7 +113,7 @@ class Bench:
         if not self.outputs:
             raise DataError("no IMU channel in all flights", expected=", ".join(IMU))
         self.dt = self.train.flights[0].dt
-        self.steps = max(REQUIRED, *self.horizons)
+        self.steps = max(REQUIRED, *self.options.horizons)
         self.every = max(1, round(SPACING / self.dt))
         self.train_segments = tuple(s.without(self.train.noncausal) for s in self.train.segments)
         self.segments = tuple(s.without(self.test.noncausal) for s in self.test.segments)
@@ -131,7 +127,7 @@ class Bench:
     @property
     def skip(self) -> float:
         """Seconds at the start of every segment without judged samples."""
-        return max(START_SECONDS, LONGEST * self.dt) if self.adapt is not None else RUN_IN
+        return max(START_SECONDS, LONGEST * self.dt) if self.options.adapt is not None else RUN_IN
 
     @cached_property
     def late(self) -> tuple[BoolArray, ...]:
@@ -139,7 +135,7 @@ class Bench:
         takes them."""
         out = []
         for flight in self.test:
-            begin = float(flight.segments[0].t[0]) + (self.adapt or 0.0)
+            begin = float(flight.segments[0].t[0]) + (self.options.adapt or 0.0)
             for s in flight.segments:
                 rows = np.asarray(s.t >= begin - 1e-9)
                 rows[: max(3, round(self.skip / s.dt)) - 1] = False
@@ -162,7 +158,7 @@ class Bench:
         if len(self.train) == 1:
             return self.train.split_by_time(0.75)
         count = max(1, round(0.25 * len(self.train)))
-        chosen = np.random.default_rng(self.seed).permutation(len(self.train))[:count]
+        chosen = np.random.default_rng(self.options.seed).permutation(len(self.train))[:count]
         return self.train.split_by_flight([self.train.names[i] for i in sorted(chosen)])
 
     # --------------------------------------------------------------------------------- shared fits
@@ -227,7 +223,7 @@ class Bench:
         model, channels = combined([f.model for f in fits], self.mixes)
         seconds = time.perf_counter() - began
         return BasePredictor(
-            model=model, channels=channels, adapt=self.adapt, train_seconds=seconds
+            model=model, channels=channels, adapt=self.options.adapt, train_seconds=seconds
         ), fits
 
     @cached_property
@@ -237,7 +233,7 @@ class Bench:
         found = self.linear({c: ((1.0, c),) for c in self.commands}, self.outputs, 8)
         seconds = time.perf_counter() - began
         return BasePredictor(
-            model=found.model, adapt=self.adapt, train_seconds=seconds
+            model=found.model, adapt=self.options.adapt, train_seconds=seconds
         ), found.order
 
     @cached_property
@@ -332,14 +328,14 @@ class Bench:
 
     def physical(self, model: IdentifiedModel, seconds: float, **more: Any) -> Outcome:
         """Everything of a model of motion: its filter one step ahead, `validate` further on."""
-        base = BasePredictor(model=model, outputs=self.outputs, adapt=self.adapt)
+        base = BasePredictor(model=model, outputs=self.outputs, adapt=self.options.adapt)
         mean, variance, microseconds = self.channels_of(base, self.segments)
         level = self.level(base)
         checked = validate(
             model,
             self.test,
-            horizon_samples=self.horizons,
-            adapt=self.adapt,
+            horizon_samples=self.options.horizons,
+            adapt=self.options.adapt,
             every=self.every,
             skip=self.skip,
         )

@@ -101,16 +101,16 @@ def _hybrid(bench: Bench, learner: str = GP) -> Outcome:
     learned = learn(
         model,
         bench.train,
-        points=bench.points,
+        points=bench.options.points,
         learner=learner,
-        seed=bench.seed,
+        seed=bench.options.seed,
         progress=lambda text, _s: bench.say(f"learn: {text}"),
     )
     found = bench.physical(
         learned.model,
         seconds + learned.seconds,
         search=[{"candidate": n, "held_out_gain": g} for n, g in learned.candidates.items()],
-        settings={"chosen": learned.chosen, "null": learned.null, "points": bench.points},
+        settings={"chosen": learned.chosen, "null": learned.null, "points": bench.options.points},
     )
     added = 0 if learned.null else learned_numbers(learned.fit.posterior)
     return replace(found, parameters=found.parameters + added)
@@ -139,7 +139,7 @@ def _output_hybrid(
             own,
             features=choices[point["features"]],
             learner=learner,
-            seed=bench.seed,
+            seed=bench.options.seed,
             hold_out=0.0,
             **rest,
         )
@@ -152,7 +152,7 @@ def _output_hybrid(
         bench.train_segments,
         features=choices[best["features"]],
         learner=learner,
-        seed=bench.seed,
+        seed=bench.options.seed,
         **{k: v for k, v in best.items() if k not in ("features", "validation")},
     )
     seconds = base.train_seconds + time.perf_counter() - began
@@ -186,7 +186,7 @@ def _choices(bench: Bench, plain: Sequence[str]) -> dict[str, Sequence[str]]:
 def _nonlinear_output(bench: Bench) -> Outcome:
     model, seconds = bench.physics
     base = BasePredictor(
-        model=model, outputs=bench.outputs, adapt=bench.adapt, train_seconds=seconds
+        model=model, outputs=bench.outputs, adapt=bench.options.adapt, train_seconds=seconds
     )
     state = output_features(base, bench.train_segments[0].names)
     return _output_hybrid(bench, base, _choices(bench, state), "nonlinear PEM + output GP")
@@ -195,13 +195,13 @@ def _nonlinear_output(bench: Bench) -> Outcome:
 def candidates(
     bench: Bench, space: Mapping[str, Sequence[Any]], first: str
 ) -> list[dict[str, Any]]:
-    """`bench.budget` points of the grid `space`, drawn without repetition; all values of `first`
+    """`bench.options.budget` points of the grid `space`, drawn without repetition; all values of `first`
     take turns."""
     grid = [dict(zip(space, values)) for values in itertools.product(*space.values())]
-    drawn = [grid[i] for i in np.random.default_rng(bench.seed).permutation(len(grid))]
+    drawn = [grid[i] for i in np.random.default_rng(bench.options.seed).permutation(len(grid))]
     turns = [[p for p in drawn if p[first] == v] for v in space[first]]
     return [p for together in itertools.zip_longest(*turns) for p in together if p is not None][
-        : bench.budget
+        : bench.options.budget
     ]
 
 
@@ -228,13 +228,19 @@ def _gp(bench: Bench) -> Outcome:
         rest = {k: v for k, v in point.items() if k != "lags"}
         lags = point["lags"]
         return fit_narx(
-            views, outputs=outputs, inputs=bench.inputs, n_a=lags, n_b=lags, seed=bench.seed, **rest
+            views,
+            outputs=outputs,
+            inputs=bench.inputs,
+            n_a=lags,
+            n_b=lags,
+            seed=bench.options.seed,
+            **rest,
         )
 
     for point in candidates(bench, space, "increments"):
         error = validation_error(trained(own, point), judge, bench.outputs, bench.spread)
         tried.append({**point, "validation": error})
-        bench.say(f"GP alone: candidate {len(tried)} of {bench.budget}: {tried[-1]}")
+        bench.say(f"GP alone: candidate {len(tried)} of {bench.options.budget}: {tried[-1]}")
     best = dict(min(tried, key=lambda t: t["validation"]))
     best.pop("validation")
     final = trained((*own, *judge), best)
@@ -279,7 +285,7 @@ def _on_physics(bench: Bench, *, label: str, space: str) -> Outcome:
 
     model, seconds = bench.physics
     began = time.perf_counter()
-    base = BasePredictor(model=model, outputs=bench.outputs, adapt=bench.adapt)
+    base = BasePredictor(model=model, outputs=bench.outputs, adapt=bench.options.adapt)
     physics = rn.PhysicsAlone(base)
     own, judge = (rn.known(base, part) for part in bench.parts)
     tried: list[dict[str, Any]] = []
@@ -290,12 +296,12 @@ def _on_physics(bench: Bench, *, label: str, space: str) -> Outcome:
             own,
             judge,
             settings=rn.ResidualSettings(**_schedule(bench.split[0]), **point),
-            seed=bench.seed + number,
+            seed=bench.options.seed + number,
             progress=lambda text: bench.say(f"{label}: {text}"),
         )
         ended = {k: found.report[k] for k in ("epochs", "ended")}
         tried.append({**point, "validation": found.error, **ended})
-        bench.say(f"{label}: candidate {number + 1} of {bench.budget}: {tried[-1]}")
+        bench.say(f"{label}: candidate {number + 1} of {bench.options.budget}: {tried[-1]}")
         if best is None or found.error < best.error:
             best = found
     seconds += time.perf_counter() - began
@@ -337,7 +343,7 @@ def _network(
     space: Mapping[str, Sequence[Any]],
     trained: Callable[[Mapping[str, Any], Mapping[str, Any]], tuple[Any, float]],
 ) -> Outcome:
-    """The best of `bench.budget` networks; `trained(point of the space, keywords of every
+    """The best of `bench.options.budget` networks; `trained(point of the space, keywords of every
     training)` gives one and its error on the held-back flights, which also stop the training."""
     began = time.perf_counter()
     own, judge, outputs = _black_box(bench)
@@ -349,13 +355,13 @@ def _network(
             "validation": judge,
             "outputs": outputs,
             "inputs": bench.inputs,
-            "seed": bench.seed + number,
+            "seed": bench.options.seed + number,
             "progress": lambda text: bench.say(f"{label}: {text}"),
         }
         model, error = trained(point, given)
         ended = {k: model.report[k] for k in ("epochs", "ended")}
         tried.append({**point, "validation": error, **ended})
-        bench.say(f"{label}: candidate {number + 1} of {bench.budget}: {tried[-1]}")
+        bench.say(f"{label}: candidate {number + 1} of {bench.options.budget}: {tried[-1]}")
         if error <= min(t["validation"] for t in tried):
             best = model
     seconds = time.perf_counter() - began

@@ -92,6 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.baselines.compare import compare
     from greybox.baselines.compare_bench import Bench
     from greybox.baselines.compare_methods import pairs
+    from greybox.baselines.compare_options import CompareOptions
     from greybox.commands.judgement import given_horizons, horizon_steps
     from greybox.commands.model_options import fit_with
     from greybox.commands.own_model import demand_disjoint
@@ -123,11 +124,13 @@ def run(arguments: argparse.Namespace) -> int:
         train=train,
         test=test,
         fit=lambda: fitted or fit_with(arguments, vehicle, train, console.solver).model,
-        adapt=arguments.adapt,
-        budget=arguments.budget,
-        seed=arguments.seed,
-        points=arguments.points,
-        horizons=horizon_steps(arguments, sample_time(train)),
+        options=CompareOptions(
+            adapt=arguments.adapt,
+            budget=arguments.budget,
+            seed=arguments.seed,
+            points=arguments.points,
+            horizons=horizon_steps(arguments, sample_time(train)),
+        ),
         say=lambda text: console.say(f"  {text}"),
     )
     out = Path(arguments.out)

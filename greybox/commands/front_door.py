@@ -6,8 +6,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
+from greybox.baselines.compare_options import CompareChoices, CompareOptions
+from greybox.estimation.options import says_choices
 from greybox.progress import in_notebooks
 
 if TYPE_CHECKING:
@@ -66,23 +68,22 @@ def export(
 
 
 @in_notebooks(say="say")
+@says_choices(CompareOptions)
 def compare(
     vehicle: Vehicle,
     train: Dataset,
     test: Dataset,
+    options: CompareOptions | None = None,
     *,
     methods: Sequence[str] | None = None,
     fit: Callable[[], Fit] | None = None,
-    adapt: float | None = None,
-    budget: int = 4,
-    points: int = 50,
-    seed: int = 0,
-    horizons: Sequence[int] = (1, 10, 50, 100),
     say: Callable[[str], None] = lambda text: None,
+    **choices: Unpack[CompareChoices],
 ) -> dict[str, Any]:
     """Run methods on the same flights and judge them on the same samples, as `greybox compare`
     does.
 
+    The choices are keywords, fields of `CompareOptions` with its defaults, or `options` as a whole.
     `fit` makes the nonlinear model (default: `gb.fit(vehicle, train)`), `adapt` are seconds at the
     start of a test flight, `budget` the candidates of every method that is tuned, `horizons`
     samples. Returns the content of compare.json; a method that fails has its error in its row.
@@ -97,11 +98,7 @@ def compare(
         train=train,
         test=test,
         fit=lambda: (fit() if fit else automatic(vehicle, train)).model,
-        adapt=adapt,
-        budget=budget,
-        seed=seed,
-        points=points,
-        horizons=tuple(horizons),
+        options=CompareOptions.of(options, choices),
         say=say,
     )
     return list(run(bench, methods))[-1]

@@ -154,7 +154,7 @@ def run(arguments: argparse.Namespace) -> int:
         return 1
     from greybox.report.mpc_report import format_table, mpc_report
     from mpc_export.mission.campaign import WATCHED, flights, kept, read_traces
-    from mpc_export.mission.prepare import Demo, prepare
+    from mpc_export.mission.prepare import Demo, MissionOptions, prepare
     from mpc_export.mission.summary import summary
 
     console, out = Console.of(arguments), Path(arguments.out)
@@ -167,15 +167,17 @@ def run(arguments: argparse.Namespace) -> int:
     flown = prepare(
         arguments.subject,
         out,
+        MissionOptions(
+            plant=arguments.plant,
+            logs=tuple(arguments.log),
+            course=arguments.course,
+            pace=arguments.pace,
+            risk=arguments.risk,
+            flights=arguments.flights,
+            level=arguments.level,
+            seed=arguments.seed,
+        ),
         demo=demo,
-        plant=arguments.plant,
-        logs=arguments.log,
-        course=arguments.course,
-        pace=arguments.pace,
-        risk=arguments.risk,
-        flights_=arguments.flights,
-        level=arguments.level,
-        seed=arguments.seed,
         jobs=arguments.jobs,
         say=console.say_when,
     )

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from greybox.plants.airframe import Airframe
 from greybox.plants.vectors import (
     ZERO,
+    Matrix,
     Number,
     Vector,
     add,
@@ -24,6 +24,10 @@ from greybox.plants.vectors import (
     rotation,
     subtract,
 )
+
+Mixer = tuple[Number, Number, Number, Number]
+"""Added at the mixer's inputs: specific thrust [m/s^2], angular accelerations about x, y, z
+[rad/s^2]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,15 +107,14 @@ class CascadeController:
 
     def __call__(
         self,
-        seen: dict[str, Any],
+        seen: dict[str, Number],
         goal: Setpoint,
         dt: float,
-        inject: tuple[Number, Number, Number, Number],
+        inject: Mixer,
     ) -> list[Number]:
         """Rotor commands in [u_min, u_max] from measurements by column name.
 
-        inject: excitation added at the mixer's inputs: specific thrust [m/s^2] and angular
-        accelerations about x, y, z [rad/s^2].
+        inject: excitation added at the mixer's inputs.
         """
         frame = self.airframe
         turn = rotation((seen["qw"], seen["qx"], seen["qy"], seen["qz"]))
@@ -127,7 +130,7 @@ class CascadeController:
             commands.append(clip(frame.command_for_thrust(force), frame.u_min, frame.u_max))
         return commands
 
-    def _acceleration(self, seen: dict[str, Any], goal: Setpoint, dt: float) -> Vector:
+    def _acceleration(self, seen: dict[str, Number], goal: Setpoint, dt: float) -> Vector:
         """Wanted acceleration plus gravity, world [m/s^2]."""
         g = self.gains
         away = subtract(goal.position, (seen["x"], seen["y"], seen["z"]))
@@ -151,7 +154,7 @@ class CascadeController:
         return (ax * shrink, ay * shrink, up)
 
     @staticmethod
-    def _attitude(turn: Any, wanted: Vector, yaw: Number) -> tuple[Number, Vector]:
+    def _attitude(turn: Matrix, wanted: Vector, yaw: Number) -> tuple[Number, Vector]:
         """Specific thrust along the present body z, and the attitude error that remains (body axes,
         about [rad])."""
         specific = wanted[0] * turn[2] + wanted[1] * turn[5] + wanted[2] * turn[8]
@@ -178,7 +181,7 @@ class CascadeController:
         return specific, (0.5 * ex, 0.5 * ey, 0.5 * ez)
 
     def _angular(
-        self, seen: dict[str, Any], turn: Any, error: Vector, yaw_rate: Number, dt: float
+        self, seen: dict[str, Number], turn: Matrix, error: Vector, yaw_rate: Number, dt: float
     ) -> Vector:
         """Wanted angular acceleration, body [rad/s^2]."""
         g = self.gains

@@ -3,22 +3,25 @@ file contract."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.plants.controller import Setpoint
-from greybox.plants.vectors import Vector
+from greybox.plants.controller import Mixer, Setpoint
+from greybox.plants.vectors import Number, Quaternion, Vector
 
-Log = dict[str, NDArray[np.float64]]
+Array = NDArray[np.float64]
+Log = dict[str, Array]
 """Columns by name; t has shape (N,), every other column (N,), or (N, B) for a batch."""
 TRUTH = "true."
 """Prefix of the columns that a real log would not have: the true states."""
 CLEAN = "clean."
 """Prefix of what the sensors would have said without noise, bias, scale and delay included."""
+EXTRAS = ("truth", "clean")
+"""What a log can hold beside the measurements: see `fly`."""
 
 
 class Plant(Protocol):
@@ -32,12 +35,12 @@ class Plant(Protocol):
 
     def reset(
         self,
-        seed: Any,
+        seed: int | Sequence[int],
         *,
         position: Vector,
         velocity: Vector,
-        attitude: tuple[Any, Any, Any, Any],
-        charge_used: Any,
+        attitude: Quaternion,
+        charge_used: Number,
     ) -> None:
         """Start anew at t = 0."""
         ...
@@ -46,27 +49,57 @@ class Plant(Protocol):
         """Hold command u for dt [s]."""
         ...
 
-    def measure(self, u: Any | None = None, *, noise: bool = True) -> dict[str, Any]:
+    def measure(self, u: Any | None = None, *, noise: bool = True) -> dict[str, Number]:
         """Measurements by flight-log column; u is the command that begins now."""
         ...
 
-    def states(self) -> dict[str, Any]:
+    def states(self) -> dict[str, Number]:
         """True state by name."""
+        ...
+
+
+class SampledPath(Protocol):
+    """position, velocity, acceleration (N, 3), yaw, yaw_rate (N,); `Trajectory` of
+    greybox.excitation."""
+
+    @property
+    def position(self) -> Array:
+        """World [m]."""
+        ...
+
+    @property
+    def velocity(self) -> Array:
+        """World [m/s]."""
+        ...
+
+    @property
+    def acceleration(self) -> Array:
+        """World [m/s^2]."""
+        ...
+
+    @property
+    def yaw(self) -> Array:
+        """[rad]."""
+        ...
+
+    @property
+    def yaw_rate(self) -> Array:
+        """[rad/s]."""
         ...
 
 
 class Reference(Protocol):
     """A path to fly; see greybox.excitation."""
 
-    def sample(self, time: NDArray[np.float64], rng: np.random.Generator) -> Any:
-        """position, velocity, acceleration (N, 3), yaw, yaw_rate (N,) at the times (N,)."""
+    def sample(self, time: Array, rng: np.random.Generator) -> SampledPath:
+        """The path at the times (N,)."""
         ...
 
 
 class Excitation(Protocol):
     """Signals added to the loop; see greybox.excitation."""
 
-    def sample(self, time: NDArray[np.float64], rng: np.random.Generator) -> tuple[Any, Any]:
+    def sample(self, time: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Mixer inputs (N, 4) and setpoint offsets (N, 4) at the times (N,)."""
         ...
 
@@ -80,7 +113,9 @@ class Controller(Protocol):
         """Forget everything."""
         ...
 
-    def __call__(self, seen: dict[str, Any], goal: Setpoint, dt: float, inject: Any) -> list[Any]:
+    def __call__(
+        self, seen: dict[str, Number], goal: Setpoint, dt: float, inject: Mixer
+    ) -> list[Number]:
         """Rotor commands from measurements by column name."""
         ...
 
@@ -95,19 +130,21 @@ def fly(
     seed: int | Sequence[int] = 0,
     *,
     warm_up: float = 0.0,
-    charge_used: Any = 0.0,
-    record_truth: bool = False,
-    record_clean: bool = False,
+    charge_used: Number = 0.0,
+    record: Collection[str] = (),
 ) -> Log:
     """Fly `duration` s from the start of the reference and return the log.
 
     dt [s]: sample time of controller and log. seed: an integer, or a sequence of B integers, which
     flies B vehicles at once, each with its own noise, reference and excitation. warm_up [s]: flown
     before the log begins (its time starts at zero all the same). charge_used [A s]: what the
-    battery has given before. record_truth: add the true states as columns `true.<state>`;
-    record_clean: add `clean.<column>`, what the sensors would have said without noise. Row k holds
-    the measurement at t_k and the command held from t_k to t_k+1.
+    battery has given before. record: columns to add, "truth" (the true states, as `true.<state>`) and
+    "clean" (`clean.<column>`, what the sensors would have said without noise). Row k holds the
+    measurement at t_k and the command held from t_k to t_k+1. Raises `ValueError` for another word
+    in `record`.
     """
+    if unknown := sorted(set(record) - set(EXTRAS)):
+        raise ValueError(f"record takes {' and '.join(EXTRAS)}, not {', '.join(unknown)}")
     single = isinstance(seed, int | np.integer)
     lead, rows = round(warm_up / dt), round(duration / dt)
     time = dt * np.arange(lead + rows)
@@ -122,7 +159,7 @@ def fly(
     )
     controller.reset()
     use_truth = controller.feedback == "truth"
-    kept: list[list[Any]] = []
+    kept: list[list[Number]] = []
     names: list[str] = []
     for k in range(lead + rows):
         seen = plant.states() if use_truth else plant.measure()
@@ -134,13 +171,13 @@ def fly(
         )
         if k >= lead:
             row = plant.measure(u)
-            if record_clean:
+            if "clean" in record:
                 row |= {
                     CLEAN + name: value
                     for name, value in plant.measure(u, noise=False).items()
                     if name != "t"
                 }
-            if record_truth:
+            if "truth" in record:
                 row |= {TRUTH + name: value for name, value in plant.states().items()}
             if not names:
                 names = list(row)
@@ -151,14 +188,14 @@ def fly(
     return log
 
 
-def member(log: Mapping[str, NDArray[np.float64]], index: int) -> Log:
+def member(log: Mapping[str, Array], index: int) -> Log:
     """The log of one vehicle of a batch: every column (N,)."""
     return {name: values if values.ndim == 1 else values[:, index] for name, values in log.items()}
 
 
 def write_log(
     path: str | Path,
-    log: Mapping[str, NDArray[np.float64]],
+    log: Mapping[str, Array],
     *,
     drop: Iterable[str] = (),
     truth: bool = False,
@@ -191,7 +228,7 @@ def write_log(
     return path
 
 
-def _facing(yaw: Any) -> tuple[Any, Any, Any, Any]:
+def _facing(yaw: Number) -> Quaternion:
     """Attitude quaternion of a level vehicle at this yaw [rad]."""
     zero = 0.0 * np.asarray(yaw)
     return (np.cos(0.5 * yaw), zero, zero, np.sin(0.5 * yaw))
@@ -205,7 +242,7 @@ class _Plan:
         self,
         reference: Reference,
         excitation: Excitation | None,
-        time: Any,
+        time: Array,
         seeds: list[int],
         single: bool,
     ) -> None:
@@ -227,7 +264,9 @@ class _Plan:
                     ]
                 )
             )
-        self._rows: list[Any] = tables[0].tolist() if single else list(np.stack(tables, axis=-1))
+        self._rows: list[list[Number]] | list[Array] = (
+            tables[0].tolist() if single else list(np.stack(tables, axis=-1))
+        )
 
     def setpoint(self, k: int) -> Setpoint:
         """What sample k asks for."""
@@ -240,6 +279,7 @@ class _Plan:
             yaw_rate=r[10],
         )
 
-    def injection(self, k: int) -> tuple[Any, Any, Any, Any]:
+    def injection(self, k: int) -> Mixer:
         """Mixer excitation of sample k."""
-        return tuple(self._rows[k][11:15])
+        r = self._rows[k]
+        return (r[11], r[12], r[13], r[14])

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -69,7 +68,7 @@ class Draws:
     def __init__(self, seeds: int | Sequence[int]) -> None:
         self._single = isinstance(seeds, int | np.integer)
         self._generators = [np.random.default_rng([int(s), 0]) for s in np.atleast_1d(seeds)]
-        self._rows: list[Any] = []
+        self._rows: list[list[Number]] = []
         self._next = 0
 
     def row(self) -> list[Number]:

@@ -33,6 +33,7 @@ from greybox.plants.noise import (
 from greybox.plants.physics import CORE, Physics
 from greybox.plants.vectors import (
     ZERO,
+    Command,
     Number,
     Quaternion,
     Vector,
@@ -119,11 +120,11 @@ class Quadrotor:
         *,
         position: Vector = (0.0, 0.0, 1.0),
         velocity: Vector = ZERO,
-        attitude: tuple[Number, Number, Number, Number] = (1.0, 0.0, 0.0, 0.0),
+        attitude: Quaternion = (1.0, 0.0, 0.0, 0.0),
         rates: Vector = ZERO,
         charge_used: Number = 0.0,
         nu: Sequence[Number] | None = None,
-        sent: Sequence[tuple[float, Any]] = (),
+        sent: Sequence[tuple[float, Command]] = (),
     ) -> None:
         """Start anew at t = 0 with the rotors turning at hover speed, or at nu.
 
@@ -186,7 +187,7 @@ class Quadrotor:
             )
         return self.battery.voltage(self._charge, self.battery.current(self._actuators.nu))
 
-    def _columns(self, u: Any) -> list[Number]:
+    def _columns(self, u: Command) -> list[Number]:
         if self._batch is None:
             command = [float(v) for v in u]
         else:
@@ -203,7 +204,7 @@ class Quadrotor:
             )
         return command
 
-    def step(self, u: Any, dt: float | None = None) -> None:
+    def step(self, u: Command, dt: float | None = None) -> None:
         """Hold command u, shape (n,) or (B, n), for dt [s] (default: sample_time)."""
         length = self.sample_time if dt is None else dt
         actuators = self._actuators
@@ -263,7 +264,7 @@ class Quadrotor:
         if self._memory is not None:
             self._memory.keep(time, time + h, first, self._reading(time + h, *at_end))
 
-    def _speeds_now(self, u: Any | None = None) -> tuple[list[Number], list[Number]]:
+    def _speeds_now(self, u: Command | None = None) -> tuple[list[Number], list[Number]]:
         """Rotor speeds and their rates of change just after the present instant, if the command u
         begins now."""
         act = self._actuators
@@ -288,7 +289,7 @@ class Quadrotor:
         velocity = add(body.velocity, apply(body.rotation, cross(body.rates, physics.tracked)))
         return [*body.rates, *felt, *body.attitude, *position, *velocity]
 
-    def measure(self, u: Any | None = None, *, noise: bool = True) -> dict[str, Number]:
+    def measure(self, u: Command | None = None, *, noise: bool = True) -> dict[str, Number]:
         """Measurements at the present time by flight-log column; floats, or arrays (B,) for a
         batch.
 

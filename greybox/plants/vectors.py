@@ -10,17 +10,21 @@ hundreds.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 Number = Any
 """A float, or an array of shape (B,) for a batch of B plants."""
-Vector = tuple[Any, Any, Any]
+Command = Sequence[Number] | NDArray[np.float64]
+"""Rotor commands: n of one plant, or shape (B, n) for a batch."""
+Vector = tuple[Number, Number, Number]
 """Three components."""
-Quaternion = tuple[Any, Any, Any, Any]
+Quaternion = tuple[Number, Number, Number, Number]
 """w, x, y, z; body to world."""
-Matrix = tuple[Any, Any, Any, Any, Any, Any, Any, Any, Any]
+Matrix = tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number]
 """Nine elements of a 3 x 3 matrix, row by row."""
 
 ZERO: Vector = (0.0, 0.0, 0.0)
@@ -124,7 +128,7 @@ def clip(x: Number, low: Number, high: Number) -> Number:
     return np.minimum(np.maximum(x, low), high)
 
 
-def where(condition: Any, a: Number, b: Number) -> Number:
+def where(condition: bool | NDArray[np.bool_], a: Number, b: Number) -> Number:
     """A where the condition holds, else b."""
     if isinstance(condition, bool):
         return a if condition else b

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 
@@ -43,6 +43,7 @@ from mpc_export.mission.headroom import headroom
 from mpc_export.mission.model_plant import ModelPlant, real_disturbances
 
 Say = Callable[[str], None]
+Risk = Literal["rehearsal", "boole"]
 TEXTS = {
     "nominal": "the data sheet's model",
     "pem": "fitted physics, no tightening",
@@ -70,50 +71,129 @@ class Flown:
 
     hangar: Hangar
     entries: tuple[Entry, ...]
-    tuning: dict[str, Any]
+    tuning: Tuning
     what: dict[str, Any]
     seeds: tuple[int, ...]
     warnings: tuple[str, ...]
 
 
+@dataclass(frozen=True, kw_only=True)
+class MissionOptions:
+    """What is flown, how often, and what may go wrong."""
+
+    plant: str | None = None
+    """`module:attribute`; None flies the demo's plant, or the model itself under disturbances that
+    are resampled from `logs` or else as identified."""
+    logs: tuple[str, ...] = ()
+    """Logs that tell what disturbs an identified model."""
+    course: str = OBSTACLES
+    """`module:attribute` too."""
+    pace: float | None = None
+    """How much slower the course is flown; None: 1 for the demo, and for a model what its training
+    speeds ask for."""
+    risk: Risk = "rehearsal"
+    """How the level becomes standard deviations (see mpc_export/tube/risk.py)."""
+    flights: int = 20
+    """Flights that judge."""
+    level: float = 0.1
+    """Share of the flights that may go beyond a limit."""
+    seed: int = 0
+    """Seed of the flights that judge."""
+
+
+class Tuning(TypedDict):
+    """How the back-offs were chosen: limits touched in a training flight (`pairs`), standard
+    deviations that Boole's inequality asks for, and that are flown with (`kappa`), the constant
+    back-off `moved` [m], and every rehearsal."""
+
+    pairs: float
+    boole: float
+    moved: float
+    flights: int
+    rehearsed: list[dict[str, Any]]
+    kappa: float
+    risk: Risk
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Models:
+    """The model files by name; `main` is the one that is flown under tightened limits, `model` its
+    content."""
+
+    files: Mapping[str, Path]
+    main: Path
+    model: IdentifiedModel
+    demo: Demo | None
+
+    @property
+    def plain(self) -> Entry:
+        """The main model without tightening."""
+        name = self.main.stem if self.demo else "mean"
+        text = TEXTS[name] if self.demo else "the model, no tightening"
+        return Entry(name=name, text=text, model=str(self.main))
+
+    @property
+    def others(self) -> list[Entry]:
+        """Of a demo: what the other models fly."""
+        return [
+            Entry(name=name, text=TEXTS[name], model=str(file))
+            for name, file in self.files.items()
+            if self.demo is not None and file != self.main
+        ]
+
+
 def prepare(
     subject: str,
     out: Path,
+    options: MissionOptions,
     *,
     demo: Demo | None = None,
-    plant: str | None = None,
-    logs: Sequence[str] = (),
-    course: str = OBSTACLES,
-    pace: float | None = None,
-    risk: str = "rehearsal",
-    flights_: int = 20,
-    level: float = 0.1,
-    seed: int = 0,
     jobs: int = 1,
     say: Say = print,
 ) -> Flown:
     """Models, plant, controllers and tuned back-offs of `subject`: a model file, or what a `demo`
     is called.
 
-    plant: `module:attribute`; None flies the demo's plant, or the model itself under disturbances
-    that are resampled from `logs` or else as identified. pace: how much slower the course is flown;
-    None: 1 for the demo, and for a model what its training speeds ask for. risk: how the level
-    becomes standard deviations, "rehearsal" or "boole" (see mpc_export/tube/risk.py). Raises
-    `ModelError`, `PlantError`, `BuildError`, `FileFormatError`.
+    Raises `ModelError`, `PlantError`, `BuildError`, `FileFormatError`.
     """
-    if demo is not None and logs:
+    o = options
+    _check(o, demo)
+    models = _models(subject, demo, out, say)
+    hangar = Hangar(_campaign(models, out, o))
+    warnings = [w for w in (_room(models.model, hangar),) if w]
+    for text in warnings:
+        say(text)
+    plain = models.plain
+    tuning, unbounded = _tuning(hangar, plain, o, jobs, say)
+    return Flown(
+        hangar=hangar,
+        entries=(*models.others, plain, *_tightened(plain, tuning, o.level)),
+        tuning=tuning,
+        what=_what(subject, models, hangar.campaign.plant, o),
+        seeds=tuple(judging(o.flights, o.seed)),
+        warnings=(*warnings, *unbounded),
+    )
+
+
+def _check(o: MissionOptions, demo: Demo | None) -> None:
+    """Raises `ModelError` for options that exclude each other, and where course or plant are not
+    there."""
+    if demo is not None and o.logs:
         raise ModelError(
             "--log belongs to a model file", got="demo", fix="leave --log out, or name a model.json"
         )
-    if plant is not None and logs:
+    if o.plant is not None and o.logs:
         raise ModelError(
             "--log says what disturbs an identified model",
-            got=f"--plant {plant}",
+            got=f"--plant {o.plant}",
             fix="leave one of them out",
         )
-    load_course(course)
-    if plant is not None:
-        load_plant(plant)
+    load_course(o.course)
+    if o.plant is not None:
+        load_plant(o.plant)
+
+
+def _models(subject: str, demo: Demo | None, out: Path, say: Say) -> _Models:
     files: Mapping[str, Path]
     if demo is not None:
         files = demo.identify(out / "models", say)
@@ -121,26 +201,33 @@ def prepare(
     else:
         main = Path(subject)
         files = {"model": main}
-    model = _readable(main)
+    return _Models(files=files, main=main, model=_readable(main), demo=demo)
+
+
+def _campaign(models: _Models, out: Path, o: MissionOptions) -> Campaign:
+    """Where and against what is flown; disturbances of `logs` are written into `out`."""
     kept = ""
-    if logs:
+    if o.logs:
         kept = str(out / "disturbances.npy")
-        write_segments(Path(kept), _disturbances(model, logs))
+        write_segments(Path(kept), _disturbances(models.model, o.logs))
+    pace = o.pace
     if pace is None:
-        pace = 1.0 if demo is not None else natural_pace(model, load_course(course))
-    used = plant or ("model" if demo is None else demo.plant)
-    campaign = Campaign(
-        out=out, plant=used, model=str(main), pace=pace, course=course, disturbances=kept
+        pace = 1.0 if models.demo else natural_pace(models.model, load_course(o.course))
+    return Campaign(
+        out=out,
+        plant=o.plant or (models.demo.plant if models.demo else "model"),
+        model=str(models.main),
+        pace=pace,
+        course=o.course,
+        disturbances=kept,
     )
-    hangar = Hangar(campaign)
-    warnings = [w for w in (_room(model, hangar),) if w]
-    for text in warnings:
-        say(text)
-    plain = Entry(
-        name=main.stem if demo is not None else "mean",
-        text=TEXTS[main.stem] if demo is not None else "the model, no tightening",
-        model=str(main),
-    )
+
+
+def _tuning(
+    hangar: Hangar, plain: Entry, o: MissionOptions, jobs: int, say: Say
+) -> tuple[Tuning, list[str]]:
+    """What training flights and rehearsals ask for, and a warning where rehearsals do not bound the
+    risk."""
     say(f"counting touched limits on {TUNING} training flights")
     rows = flights(
         hangar,
@@ -151,63 +238,68 @@ def prepare(
         near=NEAR,
         say=lambda text: say(f"training flights: {text}"),
     )
-    tuning: dict[str, Any] = {**tuned(rows, level), "flights": TUNING, "rehearsed": []}
-    tuning |= {"kappa": tuning["boole"], "risk": "boole"}
-    if risk == "rehearsal":
-        say(
-            f"rehearsing {REHEARSALS} flights at each of {len(REHEARSED)} back-offs against the "
-            "model itself"
+    asked = tuned(rows, o.level)
+    tuning = Tuning(
+        pairs=asked["pairs"],
+        boole=asked["boole"],
+        moved=asked["moved"],
+        flights=TUNING,
+        rehearsed=[],
+        kappa=asked["boole"],
+        risk="boole",
+    )
+    if o.risk != "rehearsal":
+        return tuning, []
+    say(
+        f"rehearsing {REHEARSALS} flights at each of {len(REHEARSED)} back-offs against the "
+        "model itself"
+    )
+    try:
+        found, rehearsals = rehearsed(
+            hangar, plain, o.level, tried=REHEARSED, count=REHEARSALS, jobs=jobs, say=say
         )
-        try:
-            found, tuning["rehearsed"] = rehearsed(
-                hangar, plain, level, tried=REHEARSED, count=REHEARSALS, jobs=jobs, say=say
-            )
-            tuning |= {"kappa": found, "risk": "rehearsal"}
-        except ModelError as error:
-            warnings.append(
-                f"Rehearsals do not bound the risk, so that Boole's inequality does: {error}"
-            )
-    entries = [
+    except ModelError as error:
+        return tuning, [
+            f"Rehearsals do not bound the risk, so that Boole's inequality does: {error}"
+        ]
+    return {**tuning, "rehearsed": rehearsals, "kappa": found, "risk": "rehearsal"}, []
+
+
+def _tightened(plain: Entry, tuning: Tuning, level: float) -> list[Entry]:
+    """The controllers that keep away from limits, and the one that knows none."""
+    return [
         Entry(
             name="tube",
             text=f"{plain.name}, limits tightened by its tube, {100 * level:g} % a flight",
-            model=str(main),
+            model=plain.model,
             kappa=tuning["kappa"],
         ),
         Entry(
             name="constant",
             text=f"{plain.name}, limits moved by {1e3 * tuning['moved']:.1f} mm",
-            model=str(main),
+            model=plain.model,
             moved=tuning["moved"],
         ),
         Entry(name="cascade", text="cascade of PID loops", kind="cascade"),
     ]
-    before = [
-        Entry(name=n, text=TEXTS[n], model=str(f))
-        for n, f in files.items()
-        if demo is not None and f != main
-    ]
-    what = {
-        "mode": "demo" if demo is not None else "plant" if plant else "model",
+
+
+def _what(subject: str, models: _Models, plant: str, o: MissionOptions) -> dict[str, Any]:
+    """What was flown, for the report."""
+    model = models.model
+    return {
+        "mode": "demo" if models.demo else "plant" if o.plant else "model",
         "subject": subject,
-        "plant": used,
-        "plain": plain.name,
+        "plant": plant,
+        "plain": models.plain.name,
         "model": model.name,
-        "model_sha256": file_sha256(main),
+        "model_sha256": file_sha256(models.main),
         "learned": list(_learned(model)),
         "trained_on": list(model.trained_on),
-        "logs": [Path(p).name for p in logs],
+        "logs": [Path(p).name for p in o.logs],
         "mass": float(model.values["mass"]) if "mass" in model.values else None,
-        "disturbed_by": _disturbed(used, logs),
+        "disturbed_by": _disturbed(plant, o.logs),
     }
-    return Flown(
-        hangar=hangar,
-        entries=(*before, plain, *entries),
-        tuning=tuning,
-        what=what,
-        seeds=tuple(judging(flights_, seed)),
-        warnings=tuple(warnings),
-    )
 
 
 def _room(model: IdentifiedModel, hangar: Hangar) -> str:

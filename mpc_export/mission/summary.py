@@ -3,7 +3,7 @@ included."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ def summary(
     entries: Sequence[Entry],
     rows: Sequence[Row],
     level: float,
-    tuning: dict[str, Any],
+    tuning: Mapping[str, object],
     seeds: Sequence[int],
     jobs: int,
     command: str,

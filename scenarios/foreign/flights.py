@@ -130,5 +130,5 @@ def fly_plan(
         SAMPLE_TIME,
         seed,
         warm_up=WARM_UP,
-        record_truth=True,
+        record=("truth",),
     )

@@ -283,7 +283,7 @@ def _flight(plant: ForeignPlant, plan: Plan, seed: int, seconds: float, *, steep
         SAMPLE_TIME,
         seed,
         warm_up=SETTLING if steep else WARM_UP,
-        record_truth=True,
+        record=("truth",),
     )
 
 

@@ -138,7 +138,7 @@ def study(seed: int, network: TCNModel | None) -> str:
         SECONDS,
         DT,
         [1000 * seed + 500 + i for i in range(JUDGED)],
-        record_truth=True,
+        record=("truth",),
     )
     errors: dict[tuple[str, str, str], list[FloatArray]] = {}
     origins = np.array(sorted(judged.at))

@@ -171,8 +171,7 @@ def paper_data(seed: int, *, noise: bool = True) -> PaperData:
         DT,
         seed,
         warm_up=WARM_UP,
-        record_truth=True,
-        record_clean=True,
+        record=("truth", "clean"),
     )
     angles = np.unwrap(
         numeric("euler", np.stack([log[name] for name in ATTITUDE], axis=-1)), axis=0

@@ -15,6 +15,7 @@ from greybox.baselines import compare_methods
 from greybox.baselines.compare import compare
 from greybox.baselines.compare_bench import Bench
 from greybox.baselines.compare_methods import METHODS, Outcome, candidates, pairs
+from greybox.baselines.compare_options import CompareOptions
 from greybox.baselines.compare_scores import one_step_scores
 from greybox.cli import main
 from greybox.errors import DataError, UnknownNameError
@@ -28,7 +29,13 @@ SCHEMA = json.loads(files("greybox").joinpath("schemas/compare.json").read_text(
 
 def bench(**options):
     train, test = flights(3, 6.0).split_by_flight(["run2"])
-    return Bench(vehicle=vehicle(), train=train, test=test, fit=lambda: 1 / 0, **options)
+    return Bench(
+        vehicle=vehicle(),
+        train=train,
+        test=test,
+        fit=lambda: 1 / 0,
+        options=CompareOptions(**options),
+    )
 
 
 @pytest.fixture(scope="module")

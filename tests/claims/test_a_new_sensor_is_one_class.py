@@ -58,7 +58,7 @@ def flight() -> tuple[Dataset, dict[str, np.ndarray]]:
             DT,
             seed=5,
             warm_up=1.0,
-            record_truth=True,
+            record=("truth",),
         )
     )
     t, rng = log.pop("t"), np.random.default_rng(1)

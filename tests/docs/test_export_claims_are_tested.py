@@ -73,8 +73,8 @@ def test_readme_claims_nothing_of_export_that_the_table_does_not_hold():
 
 
 def test_the_command_offers_what_the_writers_can_do():
-    from mpc_export.bundle import TARGETS
     from mpc_export.functions import GROUPS
+    from mpc_export.options import TARGETS
 
     assert set(command.TARGETS) == set(TARGETS)
     assert set(command.GROUPS) == set(GROUPS)

@@ -28,7 +28,7 @@ def plant():
 
 @pytest.fixture(scope="module")
 def log(plant):
-    return fly(plant, controller_for(plant), Hover(), None, 0.5, seed=1, record_truth=True)
+    return fly(plant, controller_for(plant), Hover(), None, 0.5, seed=1, record=("truth",))
 
 
 def test_a_log_survives_the_file_bit_by_bit(log, tmp_path):

@@ -65,7 +65,7 @@ def test_the_command_of_the_same_instant_carries_the_noise_of_the_measurement():
     members = 2000
     batch = plant()
     log = fly(
-        batch, controller_for(batch), Hover(), None, 2 * DT, DT, range(members), record_clean=True
+        batch, controller_for(batch), Hover(), None, 2 * DT, DT, range(members), record=("clean",)
     )
     noise, roll = log["p"] - log["clean.p"], log["u2"] - log["u4"]
     assert abs(np.corrcoef(roll[0], noise[0])[0, 1]) > 0.12

@@ -61,7 +61,7 @@ def test_gusts_push_a_cascade_controller_mostly_across_a_plane_but_not_out_of_th
         None,
         OBSTACLE_COURSE.duration,
         seed=list(TRAINING_SEEDS[:8]),
-        record_truth=True,
+        record=("truth",),
     )
     position = np.stack([log["true.x"], log["true.y"], log["true.z"]], axis=-1)
     away = np.linalg.norm(position - REFERENCE.position[:, None], axis=-1)

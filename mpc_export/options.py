@@ -1,0 +1,89 @@
+"""ExportOptions: all choices of an export in one frozen record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal, TypedDict
+
+from greybox.errors import UnknownNameError
+from greybox.estimation.options import chosen
+from mpc_export.targets import HORIZON, NAMES, NEEDS, ONBOARD
+
+TARGETS = ("c", "casadi", *NAMES)
+"""Those that `mpc_export.targets` adds come after the two that the bundle itself writes."""
+Real = Literal["double", "float"]
+
+
+class ExportChoices(TypedDict, total=False):
+    """The keywords of `write_bundle`: the fields of `ExportOptions`, which says what they mean."""
+
+    name: str | None
+    dt: float | None
+    targets: Iterable[str]
+    real: Real
+    with_: Iterable[str]
+    runtime_parameters: Iterable[str]
+    points: int | None
+    horizon: int
+    use_cache: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """All choices of an export; those of `model_functions` and of the command line."""
+
+    name: str | None = None
+    """Prefix of everything in C; None: the folder's name."""
+    dt: float | None = None
+    """Sample time [s]; None: the one that the model was identified at."""
+    targets: tuple[str, ...] = ("c", "casadi")
+    """What is written, of `TARGETS`."""
+    real: Real = "double"
+    """Numbers in C."""
+    with_: tuple[str, ...] = ()
+    """Groups of functions besides the usual ones."""
+    runtime_parameters: tuple[str, ...] = ()
+    """Model parameters that stay arguments, by name, and "gp.weights"."""
+    points: int | None = None
+    """Support points that the learned part is projected on first; None: as it is."""
+    horizon: int = HORIZON
+    """Stages of the plan of the target tube."""
+    use_cache: bool = True
+    """Whether the same bundle may come from the cache."""
+
+    def __post_init__(self) -> None:
+        for name in ("targets", "with_", "runtime_parameters"):
+            given: Iterable[str] = getattr(self, name)
+            object.__setattr__(self, name, tuple(given))
+
+    @classmethod
+    def of(cls, options: ExportOptions | None, choices: ExportChoices) -> ExportOptions:
+        """`options` (None: the defaults) with the `choices` in place of its own. Raises
+        `UnknownNameError`."""
+        return chosen("option of an export", options or cls(), choices)
+
+    def completed(self) -> ExportOptions:
+        """The same with what the targets need besides. Raises `UnknownNameError` (a target)."""
+        targets = tuple(dict.fromkeys(self.targets))
+        for target in targets:
+            if target not in TARGETS:
+                raise UnknownNameError("export target", target, TARGETS)
+        groups = {*self.with_, *(g for target in targets for g in NEEDS.get(target, ()))}
+        if "c" not in targets and any(target in ONBOARD for target in targets):
+            targets = ("c", *targets)
+        return replace(self, targets=targets, with_=tuple(sorted(groups)))
+
+    @property
+    def shaping(self) -> list[object]:
+        """What shapes the files of a bundle beside its name, for the key of the cache."""
+        groups, runtime = self.with_, self.runtime_parameters
+        return [
+            self.dt,
+            sorted(self.targets),
+            self.real,
+            groups,
+            runtime,
+            self.points,
+            self.horizon,
+        ]
