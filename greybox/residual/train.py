@@ -374,7 +374,7 @@ def _output(
             per_group = groups_differ(e, rows.group, tau)
         if per_group:
             by_group = group_variances(e, rows.group)
-            level = np.array([by_group[g] for g in range(int(rows.group.max()) + 1)])[rows.group]
+            level = np.array([by_group[g] for g in rows.group.tolist()])
         elif abs(tau - before) <= 0.02 * before:
             break
         numbers = _closed(kernel, support, x, y, level, tau, s.method)

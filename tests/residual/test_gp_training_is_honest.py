@@ -157,6 +157,13 @@ def test_noise_per_flight_is_found_where_it_is():
     assert not even.report.outputs[0].noise_per_group and not even.posterior.group_noise
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_noise_per_flight_needs_no_flight_that_is_held_out(seed):
+    z, y, _, group = flights(n=60)
+    trained = train(z, y[:, :1], groups=group, noise="per-group", hold_out=0.3, seed=seed)
+    assert set(trained.posterior.group_noise) == {"f0", "f1", "f2", "f3"}
+
+
 def test_an_unfinished_search_does_not_look_converged():
     rng = np.random.default_rng(0)
     x = rng.standard_normal((80, 3))
