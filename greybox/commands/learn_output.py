@@ -6,10 +6,16 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console
+
+if TYPE_CHECKING:
+    from greybox.baselines.output_residual import OutputHybrid
+    from greybox.data import Dataset
+    from greybox.linear.logs import ChannelSpec
+    from greybox.model.vehicle import Vehicle
 
 RESULTS = ("report.html", "learn.json", "hybrid.json")
 """Files of the command."""
@@ -36,39 +42,29 @@ def run_output(arguments: argparse.Namespace) -> int:
     from greybox.data import Dataset
     from greybox.errors import GreyboxError
     from greybox.files import withdraw, write_atomic, write_json
-    from greybox.model.identified import library_versions
     from greybox.model.vehicle import read_vehicle
     from greybox.report.output_report import output_report
-    from greybox.residual.learners import GP
 
     console = Console.of(arguments)
     given_horizons(arguments)  # what is wrong with them is said before logs are read
     models, inputs, outputs, trained_on = read_linear(arguments.model, channels=arguments.channels)
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
-    rate = 1.0 / models[0].dt
     horizons = horizon_steps(arguments, models[0].dt)
-    train = _flights(arguments.train, inputs, outputs, vehicle, rate, arguments.mapping)
-    test = (
-        _flights(arguments.test, inputs, outputs, vehicle, rate, arguments.mapping)
-        if arguments.test
-        else Dataset(flights=())
-    )
+
+    def flights(paths: Sequence[str]) -> Dataset:
+        return _flights(paths, inputs, outputs, vehicle, 1.0 / models[0].dt, arguments.mapping)
+
+    train = flights(arguments.train)
+    test = flights(arguments.test) if arguments.test else Dataset(flights=())
     demand_disjoint(train, test)
-    names = (
-        tuple(n.strip() for n in arguments.inputs.split(",") if n.strip())
-        if arguments.inputs
-        else None
-    )
-    points: Any = arguments.points if arguments.points == "auto" else int(arguments.points)
-    terms = {s.name: s.terms for s in inputs}
-    base, channels = combined(models, terms)
+    base, channels = combined(models, {s.name: s.terms for s in inputs})
     hybrid = fit_output_residual(
         base,
         train,
         channels=channels,
-        features=names,
+        features=_names(arguments.inputs),
         kernel=arguments.kernel,
-        points=points,
+        points=arguments.points if arguments.points == "auto" else int(arguments.points),
         adapt=arguments.adapt,
         learner=arguments.learner,
         seed=arguments.seed,
@@ -79,18 +75,55 @@ def run_output(arguments: argparse.Namespace) -> int:
     withdraw(out, *RESULTS)
     hybrid.save(out / "hybrid.json")
     spread = np.nanstd(np.concatenate([s.matrix(hybrid.outputs) for s in train.segments]), axis=0)
+    warnings = _warnings(hybrid, trained_on, train, test)
+    judged = test if test.flights else train
+    content = {**_content(arguments, hybrid, train, judged), "warnings": warnings}
+    write_json(out / "learn.json", content)
+    console.share("validate", 1.0)
+    try:
+        content["validation"] = judge(hybrid, judged, spread=spread, horizons=horizons)
+    except GreyboxError as error:
+        warnings.append(f"no validation: {error}")
+    write_json(out / "learn.json", content)
+    report = write_atomic(out / "report.html", output_report(content))
+    console.result(
+        content,
+        *(f"warning: {w}" for w in warnings),
+        _summary(content),
+        f"wrote hybrid.json, learn.json and {report.name} in {out}",
+    )
+    return 0
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+    """The features of --inputs; None: the usual ones."""
+    return tuple(n.strip() for n in text.split(",") if n.strip()) if text else None
+
+
+def _warnings(
+    hybrid: OutputHybrid, trained_on: Sequence[str], train: Dataset, test: Dataset
+) -> list[str]:
+    """What training said, and which flights were not given."""
     warnings = list(hybrid.report["training"].get("warnings", []))
     unseen = sorted(set(trained_on) - set(train.names))
     if unseen:
         warnings.append(f"the model was also fitted to {', '.join(unseen)}, which were not given")
-    judged = test if test.flights else train
     if not test.flights:
         warnings.append("validated on the flights that were learned from: give --test flights")
-    command = typed("learn")
-    content: dict[str, Any] = {
+    return warnings
+
+
+def _content(
+    arguments: argparse.Namespace, hybrid: OutputHybrid, train: Dataset, judged: Dataset
+) -> dict[str, Any]:
+    """learn.json without its validation and warnings, schema "greybox.output_residual/1"."""
+    from greybox.model.identified import library_versions
+    from greybox.residual.learners import GP
+
+    return {
         "schema": "greybox.output_residual/1",
         "kind": "output",
-        "command": command,
+        "command": typed("learn"),
         "model": hybrid.name,
         "features": list(hybrid.features),
         "outputs": [
@@ -113,29 +146,19 @@ def run_output(arguments: argparse.Namespace) -> int:
         "judged_on": list(judged.names),
         "data_hash": train.hash,
         "validation": None,
-        "warnings": warnings,
+        "warnings": [],
         "versions": library_versions(),
     }
-    write_json(out / "learn.json", content)
-    console.share("validate", 1.0)
-    try:
-        content["validation"] = judge(hybrid, judged, spread=spread, horizons=horizons)
-    except GreyboxError as error:
-        warnings.append(f"no validation: {error}")
-    write_json(out / "learn.json", content)
-    report = write_atomic(out / "report.html", output_report(content))
-    console.result(
-        content,
-        *(f"warning: {w}" for w in warnings),
-        _summary(content),
-        f"wrote hybrid.json, learn.json and {report.name} in {out}",
-    )
-    return 0
 
 
 def _flights(
-    paths: Sequence[str], inputs: Any, outputs: Any, vehicle: Any, rate: float, mapping: Any
-) -> Any:
+    paths: Sequence[str],
+    inputs: Sequence[ChannelSpec],
+    outputs: Sequence[ChannelSpec],
+    vehicle: Vehicle | None,
+    rate: float,
+    mapping: str | None,
+) -> Dataset:
     """The logs as flights that hold every output under its name."""
     from greybox.data import Dataset
     from greybox.errors import DataError, UnknownNameError

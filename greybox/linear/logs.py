@@ -10,7 +10,6 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,8 +19,10 @@ from greybox.data.dataset import Flight
 from greybox.data.logs import read_possible
 from greybox.data.raw import RawLog
 from greybox.data.readers import LogMapping
+from greybox.data.segment import Segment
 from greybox.errors import DataError, UnknownNameError
 from greybox.linear.records import Record, split_at_missing
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray, Signal
 
 _TERM = re.compile(
@@ -92,7 +93,7 @@ def read_records(
     paths: Sequence[str | os.PathLike[str]],
     inputs: Sequence[ChannelSpec],
     outputs: Sequence[ChannelSpec],
-    vehicle: Any = None,
+    vehicle: Vehicle | None = None,
     *,
     rate: float | None = None,
     trim: bool | None = None,
@@ -128,37 +129,53 @@ def read_records(
             )
         notes += [f"{flight.name}: {n}" for n in flight.notes]
         flights.append(flight)
-        total_held = 0
-        for i, segment in enumerate(flight.segments):
-            u = (
-                np.column_stack([_mixed(segment, s) for s in inputs])
-                if inputs
-                else np.zeros((segment.n, 0))
-            )
-            y = np.column_stack([_mixed(segment, s) for s in outputs])
-            u, held = _held(u, hold)
-            total_held += held
-            name = flight.name if len(flight.segments) == 1 else f"{flight.name}#{i + 1}"
-            pieces = split_at_missing(u, y, name=name, longest=bridge)
-            if len(pieces) > 1:
-                kept = [q for q in pieces if len(q) >= 50]
-                lost = sum(len(q) for q in pieces) - sum(len(q) for q in kept)
-                notes.append(
-                    f"{name}: cut at missing rows into {len(kept)} records; {lost} samples in "
-                    "short pieces dropped"
-                )
-                pieces = kept
-            records += pieces
-        if total_held:
-            notes.append(
-                f"{flight.name}: {total_held} missing input samples held at the value before them"
-            )
+        pieces, said = _records(flight, inputs, outputs, hold, bridge)
+        records += pieces
+        notes += said
     if not records or dt is None:
         raise DataError(
             "no usable samples in the logs",
             fix="check that inputs and outputs were logged at one time",
         )
     return Logs(records=tuple(records), dt=dt, flights=tuple(flights), notes=tuple(notes))
+
+
+def _records(
+    flight: Flight,
+    inputs: Sequence[ChannelSpec],
+    outputs: Sequence[ChannelSpec],
+    hold: int,
+    bridge: int,
+) -> tuple[list[Record], list[str]]:
+    """(records of a flight, what was held or dropped in words); see `read_records`."""
+    records: list[Record] = []
+    notes: list[str] = []
+    total_held = 0
+    for i, segment in enumerate(flight.segments):
+        u = (
+            np.column_stack([_mixed(segment, s) for s in inputs])
+            if inputs
+            else np.zeros((segment.n, 0))
+        )
+        y = np.column_stack([_mixed(segment, s) for s in outputs])
+        u, held = _held(u, hold)
+        total_held += held
+        name = flight.name if len(flight.segments) == 1 else f"{flight.name}#{i + 1}"
+        pieces = split_at_missing(u, y, name=name, longest=bridge)
+        if len(pieces) > 1:
+            kept = [q for q in pieces if len(q) >= 50]
+            lost = sum(len(q) for q in pieces) - sum(len(q) for q in kept)
+            notes.append(
+                f"{name}: cut at missing rows into {len(kept)} records; {lost} samples in "
+                "short pieces dropped"
+            )
+            pieces = kept
+        records += pieces
+    if total_held:
+        notes.append(
+            f"{flight.name}: {total_held} missing input samples held at the value before them"
+        )
+    return records, notes
 
 
 def with_columns(raw: RawLog, specs: Sequence[ChannelSpec], where: str) -> RawLog:
@@ -204,7 +221,7 @@ def with_columns(raw: RawLog, specs: Sequence[ChannelSpec], where: str) -> RawLo
     return replace(raw, channels={**kept, **channels}, extra={}, notes=notes)
 
 
-def _mixed(segment: Any, spec: ChannelSpec) -> FloatArray:
+def _mixed(segment: Segment, spec: ChannelSpec) -> FloatArray:
     return np.asarray(
         sum(weight * segment.column(column) for weight, column in spec.terms), dtype=np.float64
     )

@@ -28,7 +28,7 @@ from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import LongerWindow, physics_of
 from greybox.progress import in_notebooks
 from greybox.residual.candidates import FeatureMaker, gp_candidates
-from greybox.residual.discrepancy import discrepancy, disturbed_model
+from greybox.residual.discrepancy import Discrepancy, discrepancy, disturbed_model
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import available, default_features, feature_layout, reach, with_lags
 from greybox.residual.hybrid import HybridModel
@@ -201,12 +201,44 @@ def learn(
     """
     began = time.perf_counter()
     say = progress or (lambda _text, _share: None)
+    other = _learner(model, learner, points, kernel)
+    _check_features(model, features, place)
+    say("disturbance states", 0.0)
+    # What is learned changes what was judged.
+    base = replace(disturbed_model(model, train), verdict=None)
+    seen = _seen(base, train, features, place, other)
+    offered = _offered(seen.sets, other, kernel, points, seed, _within(say, 0.1, 0.3))
+    result, chosen, gains = fit_open_loop(
+        seen.model, offered.found, train, maker=offered.maker, progress=_within(say, 0.4, 0.4)
+    )
+    final, calibration = _calibrated(base, result, seen.whole, train, say)
+    return Learned(
+        model=final,
+        base=base,
+        null=result.status == "null",
+        fit=result,
+        candidates=gains,
+        chosen=chosen,
+        calibration=calibration,
+        seconds=time.perf_counter() - began,
+        training=offered.reports,
+    )
+
+
+def _learner(
+    model: IdentifiedModel, learner: str | Learner, points: int | str, kernel: str
+) -> Learner | None:
+    """The learner itself, None for a Gaussian process. Raises `ModelError`, `UnknownNameError`."""
     if isinstance(model.dynamics, HybridModel):
         raise ModelError(
             "the model has a learned part already", fix="learn from the model file of the fit"
         )
     split_name(kernel)
-    other = learner_for(learner, points, kernel)
+    return learner_for(learner, points, kernel)
+
+
+def _check_features(model: IdentifiedModel, features: Sequence[str] | None, place: bool) -> None:
+    """Raises `ModelError` or `UnknownNameError` for features that the model does not have."""
     if place:
         if features is not None:
             raise ModelError(
@@ -215,16 +247,36 @@ def learn(
         feature_sets(model, place=True)
     if features is not None:
         feature_layout(model.dynamics, features)
-    say("disturbance states", 0.0)
-    base = replace(
-        disturbed_model(model, train), verdict=None
-    )  # what is learned changes what was judged
+
+
+def _within(say: Progress, begin: float, width: float) -> Progress:
+    """Progress of a part of the work that begins at the share `begin` of all."""
+    return lambda text, share: say(text, begin + width * share)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Seen:
+    """The discrepancy of every set of features (`sets`) and of all (`whole`), and the model that
+    sees as many earlier commands as the features do."""
+
+    model: IdentifiedModel
+    whole: Discrepancy
+    sets: dict[str, Discrepancy]
+
+
+def _seen(
+    base: IdentifiedModel,
+    train: Dataset,
+    features: Sequence[str] | None,
+    place: bool,
+    learner: Learner | None,
+) -> _Seen:
     names = (
         {"the given features": tuple(features)}
         if features is not None
         else feature_sets(base, place=place)
     )
-    if isinstance(other, LooksBack) and (lags := other.lags(base.sample_time)):
+    if isinstance(learner, LooksBack) and (lags := learner.lags(base.sample_time)):
         names = {label: with_lags(base.dynamics, own, lags) for label, own in names.items()}
     every = tuple(dict.fromkeys(n for own in names.values() for n in own))
     # Who looks back sees more commands than the physics does.
@@ -235,49 +287,51 @@ def learn(
     )
     whole = discrepancy(seeing, train, every)
     sets = {label: whole.select(own) for label, own in names.items()}
+    return _Seen(model=seeing, whole=whole, sets=sets)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Offered:
+    """The candidates by name, how they were trained, and what makes them again from some rows."""
+
     found: Mapping[str, Candidate]
-    reports: list[Mapping[str, Any]] = []
+    reports: tuple[Mapping[str, Any], ...] = ()
     maker: FeatureMaker | None = None
-    if other is None:
-        found, reports = gp_candidates(
-            sets,
-            kernel=kernel,
-            points=points,
-            seed=seed,
-            say=lambda text, share: say(text, 0.1 + 0.3 * share),
-        )
-    else:
-        maker = FeatureMaker(learner=other, sets=sets, points=int(points), seed=seed)
-        found = maker.candidates(lambda text, share: say(text, 0.1 + 0.3 * share))
-    result, chosen, gains = fit_open_loop(
-        seeing, found, train, maker=maker, progress=lambda text, share: say(text, 0.4 + 0.4 * share)
-    )
-    null = result.status == "null"
-    posterior = result.posterior
+
+
+def _offered(
+    sets: Mapping[str, Discrepancy],
+    learner: Learner | None,
+    kernel: str,
+    points: int | str,
+    seed: int,
+    say: Progress,
+) -> _Offered:
+    if learner is None:
+        found, reports = gp_candidates(sets, kernel=kernel, points=points, seed=seed, say=say)
+        return _Offered(found=found, reports=tuple(reports))
+    maker = FeatureMaker(learner=learner, sets=sets, points=int(points), seed=seed)
+    return _Offered(found=maker.candidates(say), maker=maker)
+
+
+def _calibrated(
+    base: IdentifiedModel, fit: OpenLoopFit, whole: Discrepancy, train: Dataset, say: Progress
+) -> tuple[IdentifiedModel, Calibration]:
+    """The model with what was learned, if anything: noise levels refitted with it in place, and its
+    uncertainty ahead calibrated."""
+    if fit.status == "null":
+        say("calibration", 0.9)
+        calibration = calibrate_horizons(base, train, left_out=fit.left_out)
+        return calibration.model, calibration
+    posterior = fit.posterior
     if isinstance(posterior, FeaturePosterior):
         posterior = posterior.at_home(whole.select(posterior.inputs.names).z)
-    hybrid = base
-    if not null:
-        say("noise levels", 0.85)
-        hybrid = refit_noise(
-            replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior)), train
-        )
-    say("calibration", 0.9)
-    calibration = calibrate_horizons(hybrid, train, left_out=result.left_out)
-    final = calibration.model
-    if not null:
-        posterior = posterior.with_spread(calibration.learned)
-        final = replace(
-            calibration.model, dynamics=HybridModel(inner=base.dynamics, posterior=posterior)
-        )
-    return Learned(
-        model=final,
-        base=base,
-        null=null,
-        fit=result,
-        candidates=gains,
-        chosen=chosen,
-        calibration=calibration,
-        seconds=time.perf_counter() - began,
-        training=tuple(reports),
+    say("noise levels", 0.85)
+    hybrid = refit_noise(
+        replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior)), train
     )
+    say("calibration", 0.9)
+    calibration = calibrate_horizons(hybrid, train, left_out=fit.left_out)
+    posterior = posterior.with_spread(calibration.learned)
+    dynamics = HybridModel(inner=base.dynamics, posterior=posterior)
+    return replace(calibration.model, dynamics=dynamics), calibration
