@@ -29,6 +29,10 @@ from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, Expr, FloatArray
 
 IntArray = npt.NDArray[np.int32]
+Whole = npt.NDArray[np.integer[Any]]
+"""Whole numbers of any size."""
+Pointer = Any
+"""Memory as ctypes hands it to C."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +112,25 @@ class _Pass:
     def ns(self) -> int:
         """Number of columns of the sensitivities, 0 without them."""
         return 0 if self.s is None else self.s.shape[1]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _OpenRuns:
+    """Many short open-loop runs as the recursion takes them: contiguous arrays, of which x (m, n_x),
+    s (m, n_d, n_s), e (r, n_e) and de (r, n_e, n_s) are written."""
+
+    first: IntArray
+    length: IntArray
+    tail: IntArray
+    x: FloatArray
+    s: FloatArray | None
+    u: FloatArray
+    y: FloatArray
+    mask: FloatArray
+    p: FloatArray
+    dt: float
+    e: FloatArray
+    de: FloatArray | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,7 +256,7 @@ class Engine:
         self.turn = ca.Function("gb_turn", [z, k], [j1, j2])
 
     @functools.cached_property
-    def slope(self) -> Any:
+    def slope(self) -> ca.Function:
         """x, U, y, p, dt -> dxF/dx, dxF/dp, de/dx, de/dp in the error state; p are those that
         sensitivities were built for."""
         with CASADI:
@@ -364,7 +387,9 @@ class Engine:
         bad = self._run_c(one) if self.compiled else self._run_vm(one)
         return Run(**out, end=one.x, end_sensitivity=one.s, failed_at=None if bad == 0 else bad - 1)
 
-    def _scratch(self, ns: int, nk: int = 0) -> tuple[Any, Any, Any, Any, Any]:
+    def _scratch(
+        self, ns: int, nk: int = 0
+    ) -> tuple[Pointer, Pointer, Pointer, Pointer, FloatArray]:
         a, r, i, w = self._work
         sizes = self.nx, self.nd, self.ne, self.ny, max(ns, 1), nk
         length = int(self._library.gb_buffer(*sizes, *self._tapes))
@@ -377,7 +402,7 @@ class Engine:
         )
 
     @property
-    def _tapes(self) -> tuple[Any, Any]:
+    def _tapes(self) -> tuple[Pointer, Pointer]:
         return ctypes.byref(self._slope.carrier), ctypes.byref(self._turn.carrier)
 
     def _run_c(self, one: _Pass) -> int:
@@ -472,9 +497,9 @@ class Engine:
         self,
         *,
         starts: FloatArray,
-        rows: npt.NDArray[Any],
-        lengths: npt.NDArray[Any],
-        tails: npt.NDArray[Any],
+        rows: Whole,
+        lengths: Whole,
+        tails: Whole,
         p: FloatArray,
         s0: FloatArray | None = None,
         **samples: Unpack[WindowSamples],
@@ -485,90 +510,95 @@ class Engine:
         The innovations of the last `tails` (m,) samples of each window are kept, in order. With
         `s0` (m, n_d, n_s) the sensitivities run along as in `run`.
         """
-        outputs, dt = samples["outputs"], samples["dt"]
-        m, kept, longest = len(rows), int(np.sum(tails)), int(np.max(lengths))
-        ns = 0 if s0 is None else s0.shape[2]
-        x = np.array(starts, dtype=np.float64)
-        s = None if s0 is None else np.array(s0, dtype=np.float64, order="C")
-        y = np.ascontiguousarray(np.where(np.isfinite(outputs), outputs, 0.0))
-        mask, u = (
-            np.ascontiguousarray(samples["mask"], dtype=np.float64),
-            np.ascontiguousarray(samples["inputs"]),
+        outputs = samples["outputs"]
+        kept, ns = int(np.sum(tails)), 0 if s0 is None else s0.shape[2]
+        first, length, tail = (
+            np.ascontiguousarray(v, dtype=np.int32) for v in (rows, lengths, tails)
         )
-        p = np.ascontiguousarray(p, dtype=np.float64)
-        e = np.zeros((kept, self.ne))
-        de = None if s is None else np.zeros((kept, self.ne, ns))
-        bad = 0
-        if self.compiled:
-            arg, res, iw, w, buffer = self._scratch(ns)
-            first, length, tail = (
-                np.ascontiguousarray(v, dtype=np.int32) for v in (rows, lengths, tails)
-            )
-            bad = int(
-                self._library.gb_windows(
-                    m,
-                    _ptr(first),
-                    _ptr(length),
-                    _ptr(tail),
-                    self.nx,
-                    self.nd,
-                    self.ne,
-                    self.ny,
-                    self.nu,
-                    ns,
-                    *self._tapes,
-                    _ptr(x),
-                    _ptr(s),
-                    _ptr(u),
-                    _ptr(y),
-                    _ptr(mask),
-                    _ptr(p),
-                    ctypes.c_double(dt),
-                    _ptr(e),
-                    _ptr(de),
-                    _ptr(self._place),
-                    arg,
-                    res,
-                    iw,
-                    w,
-                    _ptr(buffer),
-                )
-            )
-        else:
-            pattern, one = np.zeros(longest, dtype=np.int32), np.ones(1, dtype=np.int32)
-            none = GainTable(gain=np.zeros((1, self.nd, self.ne)), zero=one)
-            width, at = self.past + self.future, 0
-            for i in range(m):
-                k, n, keep = int(rows[i]), int(lengths[i]), int(tails[i])
-                run = self.run(
-                    x0=x[i],
-                    inputs=u[k : k + n + width],
-                    outputs=y[k : k + n],
-                    mask=mask[k : k + n],
-                    pattern=pattern[:n],
-                    gains=none,
-                    p=p,
-                    dt=dt,
-                    s0=None if s is None else s[i],
-                    want=frozenset({"innovations", "sensitivity"}),
-                )
-                if run.failed_at is not None:
-                    bad = 1 + i
-                    break
-                x[i] = run.end
-                assert run.innovations is not None
-                e[at : at + keep] = run.innovations[n - keep :]
-                if s is not None and de is not None and run.sensitivity is not None:
-                    s[i] = run.end_sensitivity
-                    de[at : at + keep] = run.sensitivity[n - keep :]
-                at += keep
+        runs = _OpenRuns(
+            first=first,
+            length=length,
+            tail=tail,
+            x=np.array(starts, dtype=np.float64),
+            s=None if s0 is None else np.array(s0, dtype=np.float64, order="C"),
+            u=np.ascontiguousarray(samples["inputs"]),
+            y=np.ascontiguousarray(np.where(np.isfinite(outputs), outputs, 0.0)),
+            mask=np.ascontiguousarray(samples["mask"], dtype=np.float64),
+            p=np.ascontiguousarray(p, dtype=np.float64),
+            dt=samples["dt"],
+            e=np.zeros((kept, self.ne)),
+            de=None if s0 is None else np.zeros((kept, self.ne, ns)),
+        )
+        bad = self._windows_c(runs) if self.compiled else self._windows_vm(runs)
         return Windows(
-            innovations=e,
-            sensitivity=de,
-            ends=x,
-            end_sensitivity=s,
+            innovations=runs.e,
+            sensitivity=runs.de,
+            ends=runs.x,
+            end_sensitivity=runs.s,
             failed_in=None if bad == 0 else bad - 1,
         )
+
+    def _windows_c(self, runs: _OpenRuns) -> int:
+        ns = 0 if runs.s is None else runs.s.shape[2]
+        arg, res, iw, w, buffer = self._scratch(ns)
+        return int(
+            self._library.gb_windows(
+                len(runs.first),
+                _ptr(runs.first),
+                _ptr(runs.length),
+                _ptr(runs.tail),
+                self.nx,
+                self.nd,
+                self.ne,
+                self.ny,
+                self.nu,
+                ns,
+                *self._tapes,
+                _ptr(runs.x),
+                _ptr(runs.s),
+                _ptr(runs.u),
+                _ptr(runs.y),
+                _ptr(runs.mask),
+                _ptr(runs.p),
+                ctypes.c_double(runs.dt),
+                _ptr(runs.e),
+                _ptr(runs.de),
+                _ptr(self._place),
+                arg,
+                res,
+                iw,
+                w,
+                _ptr(buffer),
+            )
+        )
+
+    def _windows_vm(self, runs: _OpenRuns) -> int:
+        pattern, one = np.zeros(max(runs.length), dtype=np.int32), np.ones(1, dtype=np.int32)
+        none = GainTable(gain=np.zeros((1, self.nd, self.ne)), zero=one)
+        width, at = self.past + self.future, 0
+        for i, (k, n, keep) in enumerate(zip(runs.first, runs.length, runs.tail, strict=True)):
+            run = self.run(
+                x0=runs.x[i],
+                inputs=runs.u[k : k + n + width],
+                outputs=runs.y[k : k + n],
+                mask=runs.mask[k : k + n],
+                pattern=pattern[:n],
+                gains=none,
+                p=runs.p,
+                dt=runs.dt,
+                s0=None if runs.s is None else runs.s[i],
+                want=frozenset({"innovations", "sensitivity"}),
+            )
+            if run.failed_at is not None:
+                return 1 + i
+            runs.x[i] = run.end
+            assert run.innovations is not None
+            runs.e[at : at + keep] = run.innovations[n - keep :]
+            if runs.s is not None and runs.de is not None and run.sensitivity is not None:
+                runs.s[i] = run.end_sensitivity
+                runs.de[at : at + keep] = run.sensitivity[n - keep :]
+            at += keep
+        return 0
 
     def rollout(
         self,
@@ -624,7 +654,7 @@ class Engine:
         return y, states
 
 
-def _ptr(array: Any) -> Any:
+def _ptr(array: npt.NDArray[np.generic] | None) -> Pointer:
     return None if array is None else array.ctypes.data_as(ctypes.c_void_p)
 
 

@@ -187,53 +187,19 @@ def fit_linear(
     if not records:
         raise DataError("no records", fix="pass at least one log to train on")
     options, setup = options or Options(), chosen("option of a linear fit", LinearSetup(), choices)
-    delays, center, solver = setup.delays, setup.center, setup.solver
-    if solver not in SOLVERS:
-        raise UnknownNameError("solver", solver, SOLVERS)
-    m, p = records[0].u.shape[1], records[0].y.shape[1]
-    layout_u, layout_y = _layout(setup.inputs, m, "u"), _layout(setup.outputs, p, "y")
-    if isinstance(delays, str):
-        if delays != "auto":
-            raise DataError(f"delays '{delays}'", expected="'auto' or one whole number per input")
-        unit, _ = prepare(
-            records, center=center, input_names=layout_u.names, output_names=layout_y.names
-        )
-        delays = estimate_delays(unit) if m else ()
+    if setup.solver not in SOLVERS:
+        raise UnknownNameError("solver", setup.solver, SOLVERS)
+    columns = _columns(records, setup)
     scaled, scaling = prepare(
         records,
-        delays=delays,
-        center=center,
-        input_names=layout_u.names,
-        output_names=layout_y.names,
+        delays=columns.delays,
+        center=setup.center,
+        input_names=columns.inputs.names,
+        output_names=columns.outputs.names,
     )
-    choice: OrderChoice | None = None
-    if isinstance(order, str):
-        if order != "auto":
-            raise DataError(f"order '{order}'", expected="'auto' or a whole number")
-        choice = choose_order(
-            scaled,
-            setup.largest,
-            options,
-            criterion=setup.criterion,
-            cross_validate=setup.cross_validate,
-            names=layout_y.names,
-            input_names=layout_u.names,
-        )
-        found = refine(choice.found[choice.order], scaled, options)
-    else:
-        if order < 1:
-            raise DataError(f"order {order}", expected="at least 1")
-        found = find(
-            scaled, order, replace(options, polish=options.polish and solver == "gauss-newton")
-        )
-    if solver == "ipopt" and options.polish:
-        from greybox.linear.ipopt import minimise_ipopt
-
-        found = replace(found, solution=minimise_ipopt(found.solution, scaled, options.settings))
-    late = tuple(delays or (0,) * m)
-    fit = _assemble(
-        found, scaled, scaling, options, choice, setup.dt, layout_u, layout_y, late, setup.name
-    )
+    found, choice = _found(scaled, order, columns, options, setup)
+    fit = _assemble(found, scaled, scaling, options, columns)
+    fit = replace(fit, order_choice=choice)
     if isinstance(order, str) or fit.order == order:
         return fit
     spare = (
@@ -244,17 +210,74 @@ def fit_linear(
     return replace(fit, warnings=(spare, *fit.warnings))
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Columns:
+    """What the columns of the records are, and what the model is called."""
+
+    inputs: Layout
+    outputs: Layout
+    delays: tuple[int, ...]
+    dt: float
+    name: str
+
+
+def _columns(records: Sequence[Record], setup: LinearSetup) -> _Columns:
+    """With delays that are estimated where they are "auto". Raises `DataError`."""
+    m, p = records[0].u.shape[1], records[0].y.shape[1]
+    inputs, outputs = _layout(setup.inputs, m, "u"), _layout(setup.outputs, p, "y")
+    delays = setup.delays
+    if isinstance(delays, str):
+        if delays != "auto":
+            raise DataError(f"delays '{delays}'", expected="'auto' or one whole number per input")
+        unit, _ = prepare(
+            records, center=setup.center, input_names=inputs.names, output_names=outputs.names
+        )
+        delays = estimate_delays(unit) if m else ()
+    late = tuple(delays or (0,) * m)
+    return _Columns(inputs=inputs, outputs=outputs, delays=late, dt=setup.dt, name=setup.name)
+
+
+def _found(
+    scaled: Sequence[Record],
+    order: int | str,
+    columns: _Columns,
+    options: Options,
+    setup: LinearSetup,
+) -> tuple[Found, OrderChoice | None]:
+    """The minimum of the criterion at the order, and how the order was chosen. Raises
+    `DataError`."""
+    choice: OrderChoice | None = None
+    if isinstance(order, str):
+        if order != "auto":
+            raise DataError(f"order '{order}'", expected="'auto' or a whole number")
+        choice = choose_order(
+            scaled,
+            setup.largest,
+            options,
+            criterion=setup.criterion,
+            cross_validate=setup.cross_validate,
+            names=columns.outputs.names,
+            input_names=columns.inputs.names,
+        )
+        found = refine(choice.found[choice.order], scaled, options)
+    else:
+        if order < 1:
+            raise DataError(f"order {order}", expected="at least 1")
+        polish = options.polish and setup.solver == "gauss-newton"
+        found = find(scaled, order, replace(options, polish=polish))
+    if setup.solver == "ipopt" and options.polish:
+        from greybox.linear.ipopt import minimise_ipopt
+
+        found = replace(found, solution=minimise_ipopt(found.solution, scaled, options.settings))
+    return found, choice
+
+
 def _assemble(
     found: Found,
     scaled: Sequence[Record],
     scaling: Scaling,
     options: Options,
-    choice: OrderChoice | None,
-    dt: float,
-    inputs: Layout,
-    outputs: Layout,
-    delays: tuple[int, ...],
-    name: str,
+    columns: _Columns,
 ) -> LinearFit:
     s: Solution = found.solution
     sy, su = scaling.output_scale, scaling.input_scale
@@ -283,13 +306,13 @@ def _assemble(
     jumps = 2 * float(sum(np.isfinite(r.y).sum(axis=0) @ np.log(sy) for r in scaled))
     status = s.status if options.polish else Status.NOT_RUN
     model = LinearModel(
-        name=name,
+        name=columns.name,
         matrices=fisher.system,
         noise=(noise + noise.T) / 2,
-        dt=dt,
-        inputs=inputs,
-        outputs=outputs,
-        delays=delays,
+        dt=columns.dt,
+        inputs=columns.inputs,
+        outputs=columns.outputs,
+        delays=columns.delays,
         input_offset=scaling.input_offset,
         output_offset=weights @ offsets / weights.sum(),
         comment=f"{samples} samples, {len(scaled)} records",
@@ -313,7 +336,6 @@ def _assemble(
         x0=tuple(v.x0 for v in s.nuisances),
         offsets=tuple(offsets),
         records=tuple(r.name for r in scaled),
-        order_choice=choice,
         warnings=tuple(_warnings(s, rank, free, scaled, model, coloured and robust is None)),
     )
 

@@ -299,36 +299,17 @@ def minimise(
     """Minimise the criterion from `point`; records scaled by `prepare`. Raises `FitError` for a
     useless start."""
     settings = settings or Settings()
-    radius = _forgetful(settings, point, records)
-    if not _allowed(point.system, settings, radius):
-        raise FitError("the start has an unstable predictor", fix="start from a subspace method")
-    current = (
-        tuple(nuisances)
-        if nuisances is not None
-        else start_nuisances(point.system, records, settings)
-    )
-    noise = np.eye(len(point.system.c))
-    here = evaluate(point.system, current, records, noise)
-    if not np.isfinite(here.criterion):
-        raise FitError(
-            "the criterion is not finite at the start: an output is predicted without error",
-            fix="lower the order, or drop outputs that are combinations of others",
-        )
+    descent = _Descent(records, settings, _forgetful(settings, point, records))
+    here = descent.begin(point, nuisances)
     # With holes the sensitivities are those of a frozen gain: the last digits of the descent are
     # not to be had.
     holes = any(r.missing for r in records)
     tries, near = (12, 0.1) if holes else (25, max(1e-3, 1e3 * settings.tolerance))
     tolerance = max(settings.tolerance, 1e-2) if holes else settings.tolerance
     damping, status, iteration, decrement = FIRST_DAMPING, Status.MAX_ITERATIONS, 0, np.inf
-    normal = normal_equations(point, records, here, settings)
-    if not _finite(normal):
-        raise FitError(
-            "the sensitivities are not finite at the start",
-            fix="start from another method or a lower order",
-        )
     gains: list[float] = []
     while True:
-        model = _Quadratic.of(normal)
+        model = _Quadratic.of(here.normal)
         decrement = model.decrement
         if decrement < tolerance and model.convex:
             status = Status.CONVERGED
@@ -339,23 +320,12 @@ def minimise(
         if iteration >= settings.max_iterations:
             break
         iteration += 1
-        following = None
-        for _ in range(tries):
-            step, promised = model.step(damping)
-            trial = point.moved(step)
-            if _allowed(trial.system, settings, radius):
-                moved = _moved(current, normal.back, step)
-                there = evaluate(trial.system, moved, records, here.noise)
-                if there.criterion < here.criterion:
-                    following = normal_equations(trial, records, there, settings)
-                    if _finite(following):
-                        break
-                    following = None
-            damping = max(damping, 1e-6) * 8.0
-        if following is None:
+        below = descent.below(here, model, damping, tries)
+        if below is None:
             status = Status.CONVERGED if decrement < near else Status.STALLED
             break
-        gain = here.criterion - there.criterion
+        there, damping, promised = below
+        gain = here.evaluation.criterion - there.evaluation.criterion
         damping = (
             damping / 10.0
             if gain > 0.5 * promised
@@ -365,17 +335,79 @@ def minimise(
         )
         damping = damping if damping > 1e-8 else 0.0
         gains.append(gain)
-        point, current, here, normal = trial, moved, there, following
+        here = there
     return Solution(
-        point=point,
-        nuisances=current,
-        evaluation=here,
-        information=normal.information,
-        tangent=point.tangent(),
+        point=here.point,
+        nuisances=here.nuisances,
+        evaluation=here.evaluation,
+        information=here.normal.information,
+        tangent=here.point.tangent(),
         status=status,
         iterations=iteration,
         decrement=float(decrement),
     )
+
+
+class _Place(NamedTuple):
+    """Where a descent stands: the matrices with their nuisances, the criterion and its slopes."""
+
+    point: Parametrisation
+    nuisances: tuple[Nuisance, ...]
+    evaluation: Evaluation
+    normal: Normal
+
+
+class _Descent(NamedTuple):
+    """What stays the same while the criterion of `records` falls; `radius` is that of the predictor
+    at most."""
+
+    records: Sequence[Record]
+    settings: Settings
+    radius: float
+
+    def begin(self, point: Parametrisation, nuisances: Sequence[Nuisance] | None) -> _Place:
+        """The start. Raises `FitError` where it is useless."""
+        records, settings = self.records, self.settings
+        if not _allowed(point.system, settings, self.radius):
+            raise FitError(
+                "the start has an unstable predictor", fix="start from a subspace method"
+            )
+        current = (
+            tuple(nuisances)
+            if nuisances is not None
+            else start_nuisances(point.system, records, settings)
+        )
+        here = evaluate(point.system, current, records, np.eye(len(point.system.c)))
+        if not np.isfinite(here.criterion):
+            raise FitError(
+                "the criterion is not finite at the start: an output is predicted without error",
+                fix="lower the order, or drop outputs that are combinations of others",
+            )
+        normal = normal_equations(point, records, here, settings)
+        if not _finite(normal):
+            raise FitError(
+                "the sensitivities are not finite at the start",
+                fix="start from another method or a lower order",
+            )
+        return _Place(point, current, here, normal)
+
+    def below(
+        self, here: _Place, model: _Quadratic, damping: float, tries: int
+    ) -> tuple[_Place, float, float] | None:
+        """(a lower place, the damping that it took, the decrease that its step promised); None
+        where `tries` steps, damped ever more, find none."""
+        for _ in range(tries):
+            step, promised = model.step(damping)
+            trial = here.point.moved(step)
+            if _allowed(trial.system, self.settings, self.radius):
+                moved = _moved(here.nuisances, here.normal.back, step)
+                there = evaluate(trial.system, moved, self.records, here.evaluation.noise)
+                if there.criterion < here.evaluation.criterion:
+                    normal = normal_equations(trial, self.records, there, self.settings)
+                    if _finite(normal):
+                        return _Place(trial, moved, there, normal), damping, promised
+            damping = max(damping, 1e-6) * 8.0
+        return None
 
 
 def _forgetful(settings: Settings, point: Parametrisation, records: Sequence[Record]) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from greybox.errors import DataError, FitError, UnknownNameError
 from greybox.linear.pem import Settings, Status, minimise
-from greybox.linear.records import Record, prepare
+from greybox.linear.records import Record, Scaling, prepare
 from greybox.model.linear import LinearModel
 from greybox.model.linearise import StructuredLinear
 from greybox.model.matrices import Matrices, spectral_radius, steady_gain
@@ -111,6 +111,30 @@ def fit_structured(
     and `FitError` where the data do not determine the parameters (the message names the
     combination).
     """
+    _check_start(model, start)
+    scaled, scaling = prepare(records, center=offsets)
+    point = _start(model, np.array([start[n] for n in model.names]), scaled, scaling, noise_model)
+    settings = replace(settings or Settings(), offsets=offsets)
+    solution = minimise(point, scaled, settings)
+    _demand_determined(model.names, solution.information)
+    end, count = solution.point, len(model.names)
+    assert isinstance(end, StructuredPoint)
+    covariance = np.linalg.pinv(solution.information, rcond=1e-14, hermitian=True)
+    covariance = covariance[:count, :count] * np.outer(end.unit, end.unit)
+    sy = scaling.output_scale
+    return StructuredFit(
+        values=dict(zip(model.names, map(float, end.theta * end.unit))),
+        std=dict(zip(model.names, map(float, np.sqrt(np.maximum(np.diag(covariance), 0.0))))),
+        covariance=covariance,
+        model=_linear(model, end, solution.evaluation.noise, scaling),
+        status=solution.status,
+        criterion=solution.evaluation.criterion
+        + 2 * float(sum(np.isfinite(r.y).sum(axis=0) @ np.log(sy) for r in scaled)),
+        innovations=tuple(q.e * sy for q in solution.evaluation.predictions),
+    )
+
+
+def _check_start(model: StructuredLinear, start: Mapping[str, float]) -> None:
     for name in start:
         if name not in model.names:
             raise UnknownNameError("parameter", name, model.names)
@@ -119,9 +143,17 @@ def fit_structured(
         raise DataError(
             f"no start for {', '.join(missing)}", fix="give every parameter a nominal value"
         )
-    scaled, scaling = prepare(records, center=offsets)
-    value = np.array([start[n] for n in model.names])
-    unit = np.where(value != 0, np.abs(value), 1.0)
+
+
+def _start(
+    model: StructuredLinear,
+    value: FloatArray,
+    scaled: Sequence[Record],
+    scaling: Scaling,
+    noise_model: bool,
+) -> StructuredPoint:
+    """The point at the parameters `value` (n_theta,); with a noise model its gain is that of white
+    noise on the inputs. Raises `DataError`, `FitError`."""
     a, b, c, _ = model.matrices(value)
     if b.shape[1] != scaled[0].u.shape[1] or c.shape[0] != scaled[0].y.shape[1]:
         raise DataError(
@@ -136,7 +168,8 @@ def fit_structured(
         gain = steady_gain(a, c / sy[:, None], np.diag(spread), np.eye(p))[0]
     elif spectral_radius(a) >= 1.0:
         raise FitError("without a noise model the start must be stable", fix="noise_model=True")
-    point = StructuredPoint(
+    unit = np.where(value != 0, np.abs(value), 1.0)
+    return StructuredPoint(
         model=model,
         theta=value / unit,
         unit=unit,
@@ -145,49 +178,39 @@ def fit_structured(
         input_scale=su,
         output_scale=sy,
     )
-    settings = replace(settings or Settings(), offsets=offsets)
-    solution = minimise(point, scaled, settings)
-    h = solution.information
+
+
+def _demand_determined(names: Sequence[str], h: FloatArray) -> None:
+    """Raise `FitError` where the information (n, n) has none of a combination of the named
+    parameters, which come first."""
     scale = np.sqrt(np.maximum(np.diag(h), 1e-14 * max(float(np.diag(h).max(initial=0.0)), 1e-300)))
     values, vectors = np.linalg.eigh(h / np.outer(scale, scale))
-    count = len(model.names)
     weak = [v / scale for v, s in zip(vectors.T, values) if s < 1e-9 * values[-1]]
     for direction in weak:
-        physical = np.abs(direction[:count])
+        physical = np.abs(direction[: len(names)])
         if physical.max() > 1e-3 * np.abs(direction).max():
-            involved = [m for m, w in zip(model.names, physical) if w > 1e-2 * physical.max()]
+            involved = [m for m, w in zip(names, physical) if w > 1e-2 * physical.max()]
             raise FitError(
                 f"the data determine only a combination of {', '.join(involved)}",
                 fix="fix one of them, or excite more",
             )
-    covariance = np.linalg.pinv(h, rcond=1e-14, hermitian=True)[:count, :count] * np.outer(
-        unit, unit
-    )
-    end = solution.point
-    assert isinstance(end, StructuredPoint)
-    theta = end.theta * unit
-    noise = solution.evaluation.noise * np.outer(sy, sy)
-    names_u = model.inputs if len(model.inputs) else _names("u", b.shape[1])
-    names_y = model.outputs if len(model.outputs) else _names("y", p)
-    linear = LinearModel(
+
+
+def _linear(
+    model: StructuredLinear, end: StructuredPoint, noise: FloatArray, scaling: Scaling
+) -> LinearModel:
+    """The linear model in channel units; `noise` (p, p) is the scaled innovations' covariance."""
+    su, sy = scaling.input_scale, scaling.output_scale
+    noise = noise * np.outer(sy, sy)
+    return LinearModel(
         name=model.name,
         matrices=end.system.scaled(1 / su, 1 / sy),
         noise=(noise + noise.T) / 2,
         dt=model.dt,
-        inputs=names_u,
-        outputs=names_y,
+        inputs=model.inputs if len(model.inputs) else _names("u", len(su)),
+        outputs=model.outputs if len(model.outputs) else _names("y", len(sy)),
         input_offset=scaling.input_offset,
         output_offset=scaling.output_offset,
-    )
-    return StructuredFit(
-        values=dict(zip(model.names, map(float, theta))),
-        std=dict(zip(model.names, map(float, np.sqrt(np.maximum(np.diag(covariance), 0.0))))),
-        covariance=covariance,
-        model=linear,
-        status=solution.status,
-        criterion=solution.evaluation.criterion
-        + 2 * float(sum(np.isfinite(r.y).sum(axis=0) @ np.log(sy) for r in scaled)),
-        innovations=tuple(q.e * sy for q in solution.evaluation.predictions),
     )
 
 

@@ -3,7 +3,7 @@ of that before."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -113,34 +113,9 @@ def planning_case(
     """
     asked = tuple(effect_by_name(e) if isinstance(e, str) else e for e in effects)
     if model is not None:
-        physics = model.core
-        if not isinstance(physics, PhysicsModel):
-            raise ModelError(
-                "only physics models can be planned for",
-                got=type(physics).__name__,
-                fix="pass the model.json of greybox fit",
-            )
-        dt, known = sample_time or model.sample_time, dict(model.values)
-        have = {e.name for e in physics.effects}
-        physics = replace(
-            physics,
-            effects=(*physics.effects, *(e for e in asked if e.name not in have)),
-            sample_time=dt,
-        )
+        physics = _fitted(model, asked, sensors, sample_time)
     elif vehicle is not None:
-        dt, known = sample_time or 0.01, {}
-        names = (
-            tuple(sensors or (s for s in (x.name for x in USUAL) if s in vehicle.noise))
-            or DEFAULT_SENSORS
-        )
-        own = [
-            e
-            for e in (effect_by_name(n) for n in vehicle.effects)
-            if e.name not in {a.name for a in asked}
-        ]
-        physics = PhysicsModel(
-            vehicle=vehicle, effects=(*own, *asked), sensors=_sensors(names), sample_time=dt
-        )
+        physics = _described(vehicle, asked, sensors, sample_time)
     else:
         raise GreyboxError(
             "nothing to plan for", expected="a vehicle or a model", fix="--vehicle V.toml"
@@ -150,13 +125,82 @@ def planning_case(
             "a model driven by measured rotor speeds cannot be flown",
             fix="log the commands, and fit them",
         )
-    if sensors and model is not None:
-        physics = replace(physics, sensors=_sensors(tuple(sensors)))
     declared = {d.name: d for d in physics.parameters}
+    known = {} if model is None else dict(model.values)
     numbers = {n: known.get(n, d.nominal) for n, d in declared.items()}
     for e in asked:
         _typical(e, physics.vehicle, declared, numbers, known, assumed)
-    for n, v in (values or {}).items():
+    numbers |= _inside(values or {}, declared)
+    groups = {
+        e.name: tuple(n for n in declared if n.startswith(f"{e.name}.")) for e in physics.effects
+    }
+    wanted = tuple(n for e in asked for n in groups[e.name])
+    names = _free(declared, free, wanted, model)
+    return PlanningCase(
+        dynamics=physics,
+        flying=_flying(physics, numbers, physics.sample_time),
+        free=names,
+        wanted=tuple(n for n in wanted if n in names) or names,
+        groups={
+            e: inside for e, ns in groups.items() if (inside := tuple(n for n in ns if n in names))
+        },
+        values=numbers,
+        noise=_noise(physics, model, noise),
+        precision=precision_of(declared, names, model),
+        sample_time=physics.sample_time,
+    )
+
+
+def _fitted(
+    model: IdentifiedModel,
+    asked: Sequence[Effect],
+    sensors: Iterable[str] | None,
+    sample_time: float | None,
+) -> PhysicsModel:
+    """The physics of a fitted model with the effects that it does not have yet."""
+    physics = model.core
+    if not isinstance(physics, PhysicsModel):
+        raise ModelError(
+            "only physics models can be planned for",
+            got=type(physics).__name__,
+            fix="pass the model.json of greybox fit",
+        )
+    have = {e.name for e in physics.effects}
+    return replace(
+        physics,
+        effects=(*physics.effects, *(e for e in asked if e.name not in have)),
+        sensors=_sensors(tuple(sensors)) if sensors else physics.sensors,
+        sample_time=sample_time or model.sample_time,
+    )
+
+
+def _described(
+    vehicle: Vehicle,
+    asked: Sequence[Effect],
+    sensors: Iterable[str] | None,
+    sample_time: float | None,
+) -> PhysicsModel:
+    """The physics of a vehicle file, with the sensors whose noise it states, or the usual four."""
+    names = (
+        tuple(sensors or (s for s in (x.name for x in USUAL) if s in vehicle.noise))
+        or DEFAULT_SENSORS
+    )
+    own = [
+        e
+        for e in (effect_by_name(n) for n in vehicle.effects)
+        if e.name not in {a.name for a in asked}
+    ]
+    return PhysicsModel(
+        vehicle=vehicle,
+        effects=(*own, *asked),
+        sensors=_sensors(names),
+        sample_time=sample_time or 0.01,
+    )
+
+
+def _inside(values: Mapping[str, float], declared: Mapping[str, Parameter]) -> Mapping[str, float]:
+    """The given values. Raises `UnknownNameError`, and `GreyboxError` beyond a bound."""
+    for n, v in values.items():
         if n not in declared:
             raise UnknownNameError("parameter", n, declared)
         if not declared[n].lower <= v <= declared[n].upper:
@@ -166,13 +210,19 @@ def planning_case(
                 got=f"{v:g}",
                 fix="check the unit",
             )
-        numbers[n] = v
-    groups = {
-        e.name: tuple(n for n in declared if n.startswith(f"{e.name}.")) for e in physics.effects
-    }
-    wanted = tuple(n for e in asked for n in groups[e.name])
-    if free is not None:
-        chosen = set(free)
+    return values
+
+
+def _free(
+    declared: Mapping[str, Parameter],
+    given: Iterable[str] | None,
+    wanted: Sequence[str],
+    model: IdentifiedModel | None,
+) -> tuple[str, ...]:
+    """The parameters to estimate: those given, or what is uncertain before and what is wanted.
+    Raises `UnknownNameError`, and `GreyboxError` for none."""
+    if given is not None:
+        chosen = set(given)
         for n in chosen - set(declared):
             raise UnknownNameError("parameter", n, declared)
     else:
@@ -188,19 +238,7 @@ def planning_case(
             "nothing to estimate: every number is exact",
             fix="name effects with --for, or give numbers of the vehicle file a sigma",
         )
-    return PlanningCase(
-        dynamics=physics,
-        flying=_flying(physics, numbers, dt),
-        free=names,
-        wanted=tuple(n for n in wanted if n in names) or names,
-        groups={
-            e: inside for e, ns in groups.items() if (inside := tuple(n for n in ns if n in names))
-        },
-        values=numbers,
-        noise=_noise(physics, model, noise),
-        precision=precision_of(declared, names, model),
-        sample_time=dt,
-    )
+    return names
 
 
 def _sensors(names: tuple[str, ...]) -> tuple[Sensor, ...]:

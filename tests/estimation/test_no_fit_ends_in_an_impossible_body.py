@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 import scipy.optimize
 
+from greybox.estimation.conclusion import concluded
 from greybox.estimation.criteria import CRITERIA
 from greybox.estimation.feasible import NEAR, Body, is_possible, margins, moved_inside, wall
-from greybox.estimation.fit import _finish
 from greybox.estimation.multistart import random_start
+from greybox.estimation.options import FitOptions
 from greybox.estimation.predictors import PREDICTORS
 from greybox.estimation.problem import Value, make_problem
 from greybox.estimation.solvers import SOLVERS
@@ -314,7 +315,7 @@ def test_files_of_schema_one_keep_their_bounds_and_know_no_wall(stranger):
 def test_an_error_bar_at_the_wall_is_that_of_the_flights_and_not_of_the_wall(stranger):
     problem = problem_of(stranger, ("motor_lag",))
     theta, status = LevenbergMarquardt().solve(problem, problem.start)
-    found = _finish(problem, short_flight(), theta, status, 0.0, {})
+    found = concluded(problem, short_flight(), FitOptions(), theta, status, 0.0)
     limit = wall(problem.bodies, theta).hessian
     place = problem.place("inertia.zz")
     assert limit[place, place] > 0, "the fit ends where the wall is felt"

@@ -74,96 +74,135 @@ class LevenbergMarquardt:
     ) -> tuple[FloatArray, Status]:
         """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds
         both."""
-        lower, upper = problem.lower, problem.upper
-        x = np.clip(start, lower, upper)
+        x = np.clip(start, problem.lower, problem.upper)
         value = problem.evaluate(x)
-        evaluations = 1
         if not value.valid:
             return x, Status(code=Code.INVALID_START, iterations=0, evaluations=1, decrement=np.inf)
-        level = is_level(problem)
-        fall = np.where(level, FALL, -np.inf)
-        damping = np.full(x.size, self.initial_damping if self.damped else 0.0)
-        decrement = np.inf
-        code = Code.MAX_ITERATIONS
-        iteration = 0
-        trail: list[float] = []
-        costs: list[float] = []
-        arrived = max(self.tolerance, min(NEAR, 1e3 * self.tolerance))
-        curvature = Curvature(x.size)
+        search = _Search(problem, self, x, value)
         try:
-            for iteration in range(1, self.max_iterations + 1):
-                assert value.gradient is not None and value.hessian is not None
-                g, h = value.gradient, curvature.at(x, value)
-                decrement = promised(g, h, lower - x, upper - x)
-                if decrement < self.tolerance and h is not value.hessian:
-                    # Secants do not say alone that the search has arrived.
-                    plainly = promised(g, value.hessian, lower - x, upper - x)
-                    if plainly > max(NEAR, self.tolerance):
-                        h, decrement = value.hessian, plainly
-                if progress:
-                    progress(iteration, value.cost, decrement)
-                if decrement < self.tolerance:
-                    code = Code.CONVERGED
-                    break
-                trail.append(value.likelihood)
-                costs.append(value.cost)
-                if hopeless(trail, decrement, self.target, self.max_iterations - iteration):
-                    code = Code.BEHIND
-                    break
-                if creeps(costs, self.tolerance):
-                    if h is value.hessian:
-                        code = Code.CONVERGED if decrement < arrived else Code.NO_PROGRESS
-                        break
-                    curvature, costs = Curvature(x.size), []
-                moved = False
-                for _ in range(30):
-                    taken = boxed_step(g, h, np.maximum(lower - x, fall), upper - x, damping)
-                    share, cost, tried = worth_taking(problem, x, value, h, taken)
-                    evaluations += tried
-                    if share > 0:
-                        part = share * taken
-                        new = moved_by(x, part, problem)
-                        trial = problem.evaluate(new)
-                        evaluations += 1
-                        moved = trial.valid and trial.cost < value.cost
-                    if moved:
-                        ratio = (value.cost - trial.cost) / max(promise_of(g, h, part), 1e-300)
-                        kept = shares_kept(g, h, part, trial, level, float(ratio))
-                        if not np.isfinite(cost):  # what a part keeps says nothing of the whole
-                            kept = np.minimum(kept, share)
-                        if share < SHORT:
-                            damping = np.where(kept < GOOD, np.maximum(4 * damping, 1e-6), damping)
-                        damping = np.where(
-                            kept > GOOD, np.where(damping > 1e-12, damping / 10, 0.0), damping
-                        )
-                        x, value = new, trial
-                        break
-                    nothing = 1e-9 * max(abs(value.cost), 1.0)
-                    if (
-                        promise_of(g, h, taken) < self.tolerance
-                        and abs(value.cost - cost) < nothing
-                    ):
-                        break
-                    damping = np.maximum(10 * damping, 1e-6)
-                if not moved and h is not value.hessian:
-                    curvature = Curvature(x.size)
-                elif not moved:
-                    code = Code.CONVERGED if decrement < arrived else Code.NO_PROGRESS
-                    break
+            code = search.run(progress)
         except KeyboardInterrupt:
             code = Code.INTERRUPTED
-        if code is Code.MAX_ITERATIONS and decrement < min(NEAR, 1e3 * self.tolerance):
+        if code is Code.MAX_ITERATIONS and search.decrement < min(NEAR, 1e3 * self.tolerance):
             code = Code.CONVERGED
-        if code in (Code.MAX_ITERATIONS, Code.BEHIND) and value.gradient is not None:
-            assert value.hessian is not None  # secants do not say alone what is left
-            plainly = promised(value.gradient, value.hessian, lower - x, upper - x)
-            decrement = max(decrement, plainly)
+        decrement = search.decrement
+        if code in (Code.MAX_ITERATIONS, Code.BEHIND) and search.value.gradient is not None:
+            decrement = max(decrement, search.plainly())  # secants do not say alone what is left
         status = Status(
-            code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement)
+            code=code,
+            iterations=search.iteration,
+            evaluations=search.evaluations,
+            decrement=float(decrement),
         )
         if code is Code.INTERRUPTED:
-            raise Interrupted((x, status))
-        return x, status
+            raise Interrupted((search.x, status))
+        return search.x, status
+
+
+class _Search:
+    """The best point `x` (n,) so far with its `value`, and what the search has learned on its way:
+    the damping (n,) and what Gauss-Newton leaves out of the Hessian."""
+
+    def __init__(
+        self, problem: Objective, rule: LevenbergMarquardt, x: FloatArray, value: Value
+    ) -> None:
+        self.problem, self.rule = problem, rule
+        self.x, self.value = x, value
+        self.iteration, self.evaluations, self.decrement = 0, 1, np.inf
+        self._level = is_level(problem)
+        self._fall = np.where(self._level, FALL, -np.inf)
+        self._damping = np.full(x.size, rule.initial_damping if rule.damped else 0.0)
+        self._curvature = Curvature(x.size)
+        self._likelihoods: list[float] = []
+        self._costs: list[float] = []
+
+    def run(self, progress: Progress | None) -> Code:
+        """Step until something ends the search; why it ended."""
+        tolerance, most = self.rule.tolerance, self.rule.max_iterations
+        for k in range(1, most + 1):
+            self.iteration = k
+            g, h = self._quadratic()
+            if progress:
+                progress(k, self.value.cost, self.decrement)
+            if self.decrement < tolerance:
+                return Code.CONVERGED
+            self._likelihoods.append(self.value.likelihood)
+            self._costs.append(self.value.cost)
+            if hopeless(self._likelihoods, self.decrement, self.rule.target, most - k):
+                return Code.BEHIND
+            plain = h is self.value.hessian
+            if creeps(self._costs, tolerance):
+                if plain:
+                    return self._stuck()
+                self._curvature, self._costs = Curvature(self.x.size), []
+            if self._moves(g, h):
+                continue
+            if plain:
+                return self._stuck()
+            self._curvature = Curvature(self.x.size)
+        return Code.MAX_ITERATIONS
+
+    def _stuck(self) -> Code:
+        arrived = max(self.rule.tolerance, min(NEAR, 1e3 * self.rule.tolerance))
+        return Code.CONVERGED if self.decrement < arrived else Code.NO_PROGRESS
+
+    def plainly(self) -> float:
+        """The decrease that a full step promises by the Gauss-Newton Hessian."""
+        assert self.value.gradient is not None and self.value.hessian is not None
+        low, high = self.problem.lower - self.x, self.problem.upper - self.x
+        return promised(self.value.gradient, self.value.hessian, low, high)
+
+    def _quadratic(self) -> tuple[FloatArray, FloatArray]:
+        """Gradient (n,) and Hessian (n, n) of the model of the cost here; its full step promises
+        `decrement`."""
+        assert self.value.gradient is not None and self.value.hessian is not None
+        g, h = self.value.gradient, self._curvature.at(self.x, self.value)
+        low, high = self.problem.lower - self.x, self.problem.upper - self.x
+        self.decrement = promised(g, h, low, high)
+        if self.decrement < self.rule.tolerance and h is not self.value.hessian:
+            # Secants do not say alone that the search has arrived.
+            plainly = self.plainly()
+            if plainly > max(NEAR, self.rule.tolerance):
+                h, self.decrement = self.value.hessian, plainly
+        return g, h
+
+    def _moves(self, g: FloatArray, h: FloatArray) -> bool:
+        """Take a step that lowers the cost, damped as much as it needs; whether there is one."""
+        low, high = self.problem.lower - self.x, self.problem.upper - self.x
+        for _ in range(30):
+            taken = boxed_step(g, h, np.maximum(low, self._fall), high, self._damping)
+            share, cost, tried = worth_taking(self.problem, self.x, self.value, h, taken)
+            self.evaluations += tried
+            if share > 0:
+                part = share * taken
+                new = moved_by(self.x, part, self.problem)
+                trial = self.problem.evaluate(new)
+                self.evaluations += 1
+                if trial.valid and trial.cost < self.value.cost:
+                    # What a part keeps says nothing of a whole whose cost is not finite.
+                    most = np.inf if np.isfinite(cost) else share
+                    self._damp(np.minimum(self._kept(g, h, part, trial), most), share)
+                    self.x, self.value = new, trial
+                    return True
+            nothing = 1e-9 * max(abs(self.value.cost), 1.0)
+            tiny = promise_of(g, h, taken) < self.rule.tolerance
+            if tiny and abs(self.value.cost - cost) < nothing:
+                return False
+            self._damping = np.maximum(10 * self._damping, 1e-6)
+        return False
+
+    def _kept(self, g: FloatArray, h: FloatArray, step: FloatArray, there: Value) -> FloatArray:
+        """What came of the promise of a step (n,), see `shares_kept`."""
+        ratio = (self.value.cost - there.cost) / max(promise_of(g, h, step), 1e-300)
+        return shares_kept(g, h, step, there, self._level, float(ratio))
+
+    def _damp(self, kept: FloatArray, share: float) -> None:
+        """More where a short part of a step was taken, less where the promise was kept (n,)."""
+        damping = self._damping
+        if share < SHORT:
+            damping = np.where(kept < GOOD, np.maximum(4 * damping, 1e-6), damping)
+        shrunk = np.where(damping > 1e-12, damping / 10, 0.0)
+        self._damping = np.where(kept > GOOD, shrunk, damping)
 
 
 def hopeless(trail: Sequence[float], promise: float, target: float, left: int) -> bool:
