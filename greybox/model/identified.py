@@ -285,24 +285,7 @@ class IdentifiedModel(Shown):
         sensors: Iterable[Sensor] = (),
     ) -> IdentifiedModel:
         """Rebuild a model from the values of its file."""
-        if data.get("kind") == "hybrid":
-            raise FileFormatError(
-                "a model with a learned part", where=where, fix="read it with greybox.load"
-            )
-        if data.get("kind") not in KINDS:
-            raise FileFormatError(
-                "unknown kind of model",
-                where=where,
-                expected=" or ".join(KINDS),
-                got=repr(data.get("kind")),
-            )
-        body = {k: v for k, v in data.items() if k not in ("checksum", "versions")}
-        if checksum(body) != data.get("checksum"):
-            raise FileFormatError(
-                "the checksum does not fit",
-                where=where,
-                fix="the file was edited or cut off; write it again",
-            )
+        _check_file(data, where)
         try:
             _demand_sample(data, "sample_time")
             dynamics: Dynamics
@@ -310,45 +293,7 @@ class IdentifiedModel(Shown):
                 dynamics = own_from_dict(data["own"], where=where)
             else:
                 dynamics = _physics_from_dict(data, effects, sensors, where)
-            dynamics = with_parts(dynamics, _noise_parts(data))
-            model = IdentifiedModel(
-                dynamics=dynamics,
-                values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(
-                    data["values"]
-                ),
-                covariance_names=tuple(data["covariance"]["names"]),
-                covariance=np.asarray(data["covariance"]["matrix"], dtype=float).reshape(
-                    (len(data["covariance"]["names"]),) * 2
-                ),
-                considered={
-                    n: (float(v["std"]), {k: float(x) for k, x in v["moves"].items()})
-                    for n, v in data.get("considered", {}).items()
-                },
-                per_flight={
-                    k: {n: float(x) for n, x in v.items()} for k, v in data["per_flight"].items()
-                },
-                flight_spread={
-                    k: (float(v[0]), float(v[1])) for k, v in data["flight_spread"].items()
-                },
-                process_noise=np.array(
-                    [float(data["process_noise"][n]) for n in dynamics.noises.names]
-                ),
-                sensor_noise=np.array(
-                    [float(data["sensor_noise"][n]) for n in dynamics.innovations.names]
-                ),
-                weak=np.asarray(data["weak"], dtype=float),
-                horizon_noise=None
-                if data.get("horizon_noise") is None
-                else np.array([float(data["horizon_noise"][n]) for n in dynamics.noises.names]),
-                reference_state=np.asarray(data["reference"]["state"], dtype=float),
-                reference_inputs=np.asarray(data["reference"]["inputs"], dtype=float),
-                sample_time=float(data["sample_time"]),
-                domain={k: (float(v[0]), float(v[1])) for k, v in data["domain"].items()},
-                data_hash=str(data["data_hash"]),
-                trained_on=tuple(data["trained_on"]),
-                source=where,
-                verdict=None if data.get("verdict") is None else Verdict.from_dict(data["verdict"]),
-            )
+            model = _identified_from_dict(data, with_parts(dynamics, _noise_parts(data)), where)
             _check(model)
         except (
             KeyError,
@@ -364,6 +309,64 @@ class IdentifiedModel(Shown):
                 f"incomplete or wrong ({error})", where=where, fix="write the file again"
             ) from None
         return model
+
+
+def _check_file(data: Mapping[str, Any], where: str) -> None:
+    """Raises `FileFormatError` for another kind of model, or a file that was changed."""
+    if data.get("kind") == "hybrid":
+        raise FileFormatError(
+            "a model with a learned part", where=where, fix="read it with greybox.load"
+        )
+    if data.get("kind") not in KINDS:
+        raise FileFormatError(
+            "unknown kind of model",
+            where=where,
+            expected=" or ".join(KINDS),
+            got=repr(data.get("kind")),
+        )
+    body = {k: v for k, v in data.items() if k not in ("checksum", "versions")}
+    if checksum(body) != data.get("checksum"):
+        raise FileFormatError(
+            "the checksum does not fit",
+            where=where,
+            fix="the file was edited or cut off; write it again",
+        )
+
+
+def _identified_from_dict(
+    data: Mapping[str, Any], dynamics: Dynamics, where: str
+) -> IdentifiedModel:
+    """The numbers of a file with their `dynamics`."""
+    return IdentifiedModel(
+        dynamics=dynamics,
+        values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(
+            data["values"]
+        ),
+        covariance_names=tuple(data["covariance"]["names"]),
+        covariance=np.asarray(data["covariance"]["matrix"], dtype=float).reshape(
+            (len(data["covariance"]["names"]),) * 2
+        ),
+        considered={
+            n: (float(v["std"]), {k: float(x) for k, x in v["moves"].items()})
+            for n, v in data.get("considered", {}).items()
+        },
+        per_flight={k: {n: float(x) for n, x in v.items()} for k, v in data["per_flight"].items()},
+        flight_spread={k: (float(v[0]), float(v[1])) for k, v in data["flight_spread"].items()},
+        process_noise=np.array([float(data["process_noise"][n]) for n in dynamics.noises.names]),
+        sensor_noise=np.array([float(data["sensor_noise"][n]) for n in dynamics.innovations.names]),
+        weak=np.asarray(data["weak"], dtype=float),
+        horizon_noise=None
+        if data.get("horizon_noise") is None
+        else np.array([float(data["horizon_noise"][n]) for n in dynamics.noises.names]),
+        reference_state=np.asarray(data["reference"]["state"], dtype=float),
+        reference_inputs=np.asarray(data["reference"]["inputs"], dtype=float),
+        sample_time=float(data["sample_time"]),
+        domain={k: (float(v[0]), float(v[1])) for k, v in data["domain"].items()},
+        data_hash=str(data["data_hash"]),
+        trained_on=tuple(data["trained_on"]),
+        source=where,
+        verdict=None if data.get("verdict") is None else Verdict.from_dict(data["verdict"]),
+    )
 
 
 def _demand_sample(data: Mapping[str, Any], key: str) -> None:

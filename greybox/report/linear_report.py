@@ -7,8 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from greybox.linear.fit import LinearFit
+from greybox.linear.order import OrderChoice
 from greybox.linear.prediction import adapt, simulate
 from greybox.linear.records import Record, delayed
+from greybox.linear.spectrum import SpectralError
 from greybox.linear.validation import Identified
 from greybox.model.matrices import spectral_radius
 from greybox.report import figures, linear_figures
@@ -76,49 +79,66 @@ def _model(report: Report, r: Identified) -> None:
     if any(fit.model.delays):
         pairs = ", ".join(f"{n} {d}" for n, d in zip(fit.model.inputs.names, fit.model.delays))
         report.paragraph(f"Input delays in samples: {pairs}.")
-    choice = fit.order_choice
-    if choice is not None:
-        report.heading("Why this order")
-        report.bullets(list(choice.reasons))
-        table = [vars(row) for row in choice.rows]
-        report.table(
-            [
-                "order",
-                "\N{MINUS SIGN}2 log L",
-                "parameters",
-                "AIC",
-                "AICc",
-                "BIC",
-                "whiteness p",
-                "held-out",
-            ],
-            [
-                [
-                    f"{row['order']}" + (" (chosen)" if row["order"] == choice.order else ""),
-                    row["criterion"],
-                    row["parameters"],
-                    row["aic"],
-                    row["aicc"],
-                    row["bic"],
-                    p_value(_none(row["whiteness"])),
-                    _none(row["held_out"]),
-                ]
-                for row in table
-            ],
-            caption="held-out: e' Lambda^-1 e + log det Lambda on data that the compared fit did "
-            "not see (trimmed mean)",
+    if fit.order_choice is not None:
+        _order(report, fit, fit.order_choice)
+    _poles(report, r)
+    if len(fit.model.inputs):
+        _bode(report, fit)
+    with report.details("matrices"):
+        parts = [
+            f"{w} =\n{np.array2string(v, precision=6)}" for w, v in zip("ABCDK", fit.model.matrices)
+        ]
+        report.code(
+            "\n".join([*parts, f"Lambda =\n{np.array2string(fit.model.noise, precision=6)}"])
         )
-        report.figures(
+
+
+def _order(report: Report, fit: LinearFit, choice: OrderChoice) -> None:
+    report.heading("Why this order")
+    report.bullets(list(choice.reasons))
+    table = [vars(row) for row in choice.rows]
+    report.table(
+        [
+            "order",
+            "\N{MINUS SIGN}2 log L",
+            "parameters",
+            "AIC",
+            "AICc",
+            "BIC",
+            "whiteness p",
+            "held-out",
+        ],
+        [
             [
-                (linear_figures.singular_values(fit.singular_values, fit.order), "singular values"),
-                (linear_figures.criteria(table, choice.order), "criteria against order"),
-            ],
-            key=[
-                Key(text="BIC", colour="c1"),
-                Key(text="AIC", colour="c2"),
-                Key(text="AICc", colour="c3"),
-            ],
-        )
+                f"{row['order']}" + (" (chosen)" if row["order"] == choice.order else ""),
+                row["criterion"],
+                row["parameters"],
+                row["aic"],
+                row["aicc"],
+                row["bic"],
+                p_value(_none(row["whiteness"])),
+                _none(row["held_out"]),
+            ]
+            for row in table
+        ],
+        caption="held-out: e' Lambda^-1 e + log det Lambda on data that the compared fit did "
+        "not see (trimmed mean)",
+    )
+    report.figures(
+        [
+            (linear_figures.singular_values(fit.singular_values, fit.order), "singular values"),
+            (linear_figures.criteria(table, choice.order), "criteria against order"),
+        ],
+        key=[
+            Key(text="BIC", colour="c1"),
+            Key(text="AIC", colour="c2"),
+            Key(text="AICc", colour="c3"),
+        ],
+    )
+
+
+def _poles(report: Report, r: Identified) -> None:
+    fit = r.fit
     report.heading("Poles and zeros")
     poles, zeros = fit.uncertainty.poles(), fit.uncertainty.zeros()
     rows: list[list[Any]] = []
@@ -168,34 +188,29 @@ def _model(report: Report, r: Identified) -> None:
         alt="poles and zeros in the complex plane",
         key=[Key(text="pole", colour="c1"), Key(text="zero (square systems)", colour="c2")],
     )
-    if len(fit.model.inputs):
-        nyquist = 0.5 / fit.model.dt
-        f = np.geomspace(nyquist / 500, 0.99 * nyquist, 120)
-        data = fit.uncertainty.bode(f, fit.model.dt)
-        panels: list[Any] = []
-        for i, output in enumerate(fit.model.outputs.names):
-            for j, name in enumerate(fit.model.inputs.names):
-                if len(panels) < 12:
-                    panels.append(
-                        (
-                            linear_figures.bode(f, data, i, j, title=f"{name} to {output}"),
-                            f"Bode {name} to {output}",
-                        )
+
+
+def _bode(report: Report, fit: LinearFit) -> None:
+    """Every pair of input and output, as far as a page holds them."""
+    nyquist = 0.5 / fit.model.dt
+    f = np.geomspace(nyquist / 500, 0.99 * nyquist, 120)
+    data = fit.uncertainty.bode(f, fit.model.dt)
+    panels: list[Any] = []
+    for i, output in enumerate(fit.model.outputs.names):
+        for j, name in enumerate(fit.model.inputs.names):
+            if len(panels) < 12:
+                panels.append(
+                    (
+                        linear_figures.bode(f, data, i, j, title=f"{name} to {output}"),
+                        f"Bode {name} to {output}",
                     )
-        with report.details("Bode diagrams with 95 % bands", open=len(panels) <= 4):
-            report.figures(panels)
-    with report.details("matrices"):
-        parts = [
-            f"{w} =\n{np.array2string(v, precision=6)}" for w, v in zip("ABCDK", fit.model.matrices)
-        ]
-        report.code(
-            "\n".join([*parts, f"Lambda =\n{np.array2string(fit.model.noise, precision=6)}"])
-        )
+                )
+    with report.details("Bode diagrams with 95 % bands", open=len(panels) <= 4):
+        report.figures(panels)
 
 
 def _residuals(report: Report, r: Identified) -> None:
     report.heading(f"Residual tests of {r.fit.model.name} (training data)")
-    names = r.fit.model.outputs.names
     if r.whiteness is not None:
         report.table(
             ["output", "lags outside the 99 % band", "predictable share", "Ljung-Box p"],
@@ -236,29 +251,32 @@ def _residuals(report: Report, r: Identified) -> None:
                 ]
             )
     if r.spectral is not None:
-        s = r.spectral
-        report.table(
-            ["output", f"spectral error {s.low:g}-{s.high:g} Hz [%]"],
-            [[n, 100 * float(v)] for n, v in zip(names, s.share)],
-            caption="integral of |S_ee| over integral of |S_yy| (Welch)",
-        )
-        report.figures(
-            [
-                (
-                    linear_figures.spectra(
-                        s.frequency,
-                        s.output_spectrum[:, i],
-                        s.error_spectrum[:, i],
-                        low=s.low,
-                        high=s.high,
-                        title=n,
-                    ),
-                    f"spectra {n}",
-                )
-                for i, n in enumerate(names)
-            ],
-            key=[Key(text="output", colour="muted"), Key(text="innovation", colour="c1")],
-        )
+        _spectra(report, r.spectral, r.fit.model.outputs.names)
+
+
+def _spectra(report: Report, s: SpectralError, names: Sequence[str]) -> None:
+    report.table(
+        ["output", f"spectral error {s.low:g}-{s.high:g} Hz [%]"],
+        [[n, 100 * float(v)] for n, v in zip(names, s.share)],
+        caption="integral of |S_ee| over integral of |S_yy| (Welch)",
+    )
+    report.figures(
+        [
+            (
+                linear_figures.spectra(
+                    s.frequency,
+                    s.output_spectrum[:, i],
+                    s.error_spectrum[:, i],
+                    low=s.low,
+                    high=s.high,
+                    title=n,
+                ),
+                f"spectra {n}",
+            )
+            for i, n in enumerate(names)
+        ],
+        key=[Key(text="output", colour="muted"), Key(text="innovation", colour="c1")],
+    )
 
 
 def _test(report: Report, r: Identified, test: Sequence[Record]) -> None:

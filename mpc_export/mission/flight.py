@@ -291,20 +291,51 @@ def fly(
     descended (whether the path was given up), nearest (least distance to any plane per cell [m]),
     crossings (plane, time and depth where it was deepest).
     """
-    course, dt = task.course, task.dt
-    plant.reset(seed, position=course.start[:3])
-    pilot.start()
-    u = np.array(pilot.u)
-    steps = round(course.duration / dt)
-    times = np.asarray(dt * np.arange(steps), dtype=float)
-    reference = course.sample(times)
-    rows, commands, spent, solve, pairs, last = [], [], [], [], 0, None
+    reference = task.course.sample(_times(task))
     trace = (
         Trace(pilot, task.problem.horizon) if watch and isinstance(pilot, TubeController) else None
     )
+    flown = _flown(pilot, plant, task, seed, near=near, trace=trace)
+    out = {"seed": seed, **_scores(flown, pilot, task, reference)}
+    if near is not None:
+        out["pairs"] = flown.pairs
+    if watch:
+        out["trace"] = {**_shown(flown, task), "plans": trace.plans if trace is not None else []}
+    found: dict[str, Any] = to_plain(out)
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Flown:
+    """What a flight left: true states (n, 13) and commands (n, n_u) up to its end, seconds of every
+    answer, milliseconds of every solution, limits that plans touched."""
+
+    path: FloatArray
+    commands: FloatArray
+    spent: FloatArray
+    solve: list[float]
+    pairs: int
+    crashed: bool
+
+
+def _times(task: Mission) -> FloatArray:
+    return np.asarray(task.dt * np.arange(round(task.course.duration / task.dt)), dtype=float)
+
+
+def _flown(
+    pilot: Any, plant: Any, task: Mission, seed: int, *, near: float | None, trace: Trace | None
+) -> _Flown:
+    """The loop itself: the command of a sample is held while the answer to it is computed."""
+    course = task.course
+    plant.reset(seed, position=course.start[:3])
+    pilot.start()
+    u = np.array(pilot.u)
+    times = _times(task)
+    reference = course.sample(times)
+    rows, commands, spent, solve, pairs, last = [], [], [], [], 0, None
     takes_command = _takes_argument(plant.measure)
     crashed = False
-    for k in range(steps):
+    for k in range(len(times)):
         seen = plant.measure(u) if takes_command else plant.measure()
         began = time.perf_counter()
         after = pilot.sample(float(times[k]), seen)
@@ -315,7 +346,7 @@ def fly(
         if not np.linalg.norm(np.array(rows[-1][:3]) - reference.position[k]) <= course.lost:
             crashed = True
             break
-        plant.step(u, dt)
+        plant.step(u, task.dt)
         u = np.array(after)
         if pilot.plan is not None and pilot.plan is not last:
             last = pilot.plan
@@ -323,48 +354,59 @@ def fly(
             pairs += int(touching(pilot.solver, near)[:-1].sum()) if near is not None else 0
             if trace is not None:
                 trace.look(pilot)
-    path, given = np.array(rows), np.array(commands)
-    away = course.margins(path[:, :3])
-    tilt = np.arccos(
-        np.clip(
-            numeric("rotate", path[:, 6:10], np.tile([0.0, 0.0, 1.0], (len(path), 1)))[:, 2], -1, 1
-        )
+    return _Flown(
+        path=np.array(rows),
+        commands=np.array(commands),
+        spent=np.array(spent),
+        solve=solve,
+        pairs=pairs,
+        crashed=crashed,
     )
+
+
+def _tilt(path: FloatArray) -> FloatArray:
+    """Angle (n,) between thrust and the vertical [rad]."""
+    up = np.tile([0.0, 0.0, 1.0], (len(path), 1))
+    return np.arccos(np.clip(numeric("rotate", path[:, 6:10], up)[:, 2], -1, 1))
+
+
+def _scores(flown: _Flown, pilot: Any, task: Mission, reference: SampledPath) -> dict[str, Any]:
+    """The keys of `fly` that every flight has."""
+    path, times = flown.path, _times(task)[: len(flown.path)]
+    away = task.course.margins(path[:, :3])
     error = np.linalg.norm(path[:, :3] - reference.position[: len(path)], axis=1)
-    nearest = np.min(list(away.values()), axis=0)
-    out: dict[str, Any] = {
-        "seed": seed,
-        "crashed": crashed,
+    weights = task.problem.weights
+    return {
+        "crashed": flown.crashed,
         "margins": {n: float(m.min()) for n, m in away.items()},
-        "tilt": float(np.nanmax(tilt)),
+        "tilt": float(np.nanmax(_tilt(path))),
         "rmse": float(np.sqrt(np.mean(error**2))),
-        "cost": CRASH if crashed else tracking_cost(path, given, reference, task.problem.weights),
-        "late": int(np.sum(np.array(spent) > dt)),
+        "cost": CRASH if flown.crashed else tracking_cost(path, flown.commands, reference, weights),
+        "late": int(np.sum(flown.spent > task.dt)),
         "samples": len(path),
-        "seconds": float(times[len(path) - 1]),
-        "solve_ms": np.round(solve, 2).tolist(),
+        "seconds": float(times[-1]),
+        "solve_ms": np.round(flown.solve, 2).tolist(),
         "events": [{"time": e.time, "what": e.what} for e in pilot.events[:20]],
         "event_count": len(pilot.events),
         "event_kinds": dict(Counter(e.what for e in pilot.events)),
         "descended": bool(getattr(pilot, "descending", False)),
-        "nearest": _cells(times[: len(path)], nearest),
+        "nearest": _cells(times, np.min(list(away.values()), axis=0)),
         "crossings": _crossings(times, path, away),
     }
-    if near is not None:
-        out["pairs"] = pairs
-    if watch:
-        every = max(1, round(STEP / dt))
-        out["trace"] = {
-            "time": np.round(times[: len(path) : every], 3),
-            "path": np.round(path[::every, :3], 4),
-            "attitude": np.round(path[::every, 6:10], 4),
-            "tilt": np.round(tilt[::every], 4),
-            "commands": np.round(given[::every], 4),
-            "nearest": np.round(nearest[::every], 4),
-            "plans": trace.plans if trace is not None else [],
-        }
-    found: dict[str, Any] = to_plain(out)
-    return found
+
+
+def _shown(flown: _Flown, task: Mission) -> dict[str, FloatArray]:
+    """What an animation needs beside the plans, every so many samples."""
+    path, every = flown.path, max(1, round(STEP / task.dt))
+    nearest = np.min(list(task.course.margins(path[:, :3]).values()), axis=0)
+    return {
+        "time": np.round(_times(task)[: len(path) : every], 3),
+        "path": np.round(path[::every, :3], 4),
+        "attitude": np.round(path[::every, 6:10], 4),
+        "tilt": np.round(_tilt(path)[::every], 4),
+        "commands": np.round(flown.commands[::every], 4),
+        "nearest": np.round(nearest[::every], 4),
+    }
 
 
 def tracking_cost(
