@@ -14,8 +14,10 @@ from greybox.commands.judgement import adapt_option, demand_adapt, horizon_optio
 from greybox.commands.model_options import model_options, names
 
 if TYPE_CHECKING:
+    from greybox.baselines.compare_bench import Bench
     from greybox.data import Dataset
     from greybox.model.identified import IdentifiedModel
+    from greybox.model.vehicle import Vehicle
 
 
 def add(subparsers: Any) -> None:
@@ -90,49 +92,19 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, run the methods one by one, report."""
     from greybox.baselines.compare import compare
-    from greybox.baselines.compare_bench import Bench
-    from greybox.baselines.compare_methods import pairs
-    from greybox.baselines.compare_options import CompareOptions
-    from greybox.commands.judgement import given_horizons, horizon_steps
-    from greybox.commands.model_options import fit_with
     from greybox.commands.own_model import demand_disjoint
-    from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
     from greybox.files import write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
     from greybox.report.compare_report import compare_report, format_table
-    from greybox.residual.learners import GP, LEARNERS
 
     console = Console.of(arguments)
-    learners = (
-        (GP, *LEARNERS) if tuple(arguments.learners) == ("all",) else tuple(arguments.learners)
-    )
-    pairs(learners)  # what is wrong with them is said before logs are read
-    given_horizons(arguments)  # what is wrong with them is said before logs are read
-    demand_adapt(arguments)
-    if arguments.budget < 1:
-        raise GreyboxError(
-            "--budget takes a number above zero", got=str(arguments.budget), fix="--budget 4"
-        )
+    learners = _checked(arguments)  # what is wrong is said before logs are read
     vehicle = read_vehicle(arguments.vehicle)
     train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
     test = read_flight_logs(arguments, arguments.test, vehicle, rate=1 / sample_time(train))
     demand_disjoint(train, test)
-    fitted = _fitted(arguments.fitted, train) if arguments.fitted else None
-    bench = Bench(
-        vehicle=vehicle,
-        train=train,
-        test=test,
-        fit=lambda: fitted or fit_with(arguments, vehicle, train, console.solver).model,
-        options=CompareOptions(
-            adapt=arguments.adapt,
-            budget=arguments.budget,
-            seed=arguments.seed,
-            points=arguments.points,
-            horizons=horizon_steps(arguments, sample_time(train)),
-        ),
-        say=lambda text: console.say(f"  {text}"),
-    )
+    bench = _bench(arguments, vehicle, train, test, console)
     out = Path(arguments.out)
     command = typed("compare")
     content: dict[str, Any] = {}
@@ -154,6 +126,58 @@ def run(arguments: argparse.Namespace) -> int:
         if m["status"] != "done":
             print(f"greybox compare: {m['method']}: {m['error']}", file=sys.stderr)
     return 1 if failed else 0
+
+
+def _checked(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """The learners of --learners. Raises `GreyboxError` for options that say nothing."""
+    from greybox.baselines.compare_methods import pairs
+    from greybox.commands.judgement import given_horizons
+    from greybox.errors import GreyboxError
+    from greybox.residual.learners import GP, LEARNERS
+
+    learners = (
+        (GP, *LEARNERS) if tuple(arguments.learners) == ("all",) else tuple(arguments.learners)
+    )
+    pairs(learners)
+    given_horizons(arguments)
+    demand_adapt(arguments)
+    if arguments.budget < 1:
+        raise GreyboxError(
+            "--budget takes a number above zero", got=str(arguments.budget), fix="--budget 4"
+        )
+    return learners
+
+
+def _bench(
+    arguments: argparse.Namespace,
+    vehicle: Vehicle,
+    train: Dataset,
+    test: Dataset,
+    console: Console,
+) -> Bench:
+    """The flights with the choices of the command line; the model of --fitted, or one that is
+    fitted when a method first asks for it."""
+    from greybox.baselines.compare_bench import Bench
+    from greybox.baselines.compare_options import CompareOptions
+    from greybox.commands.judgement import horizon_steps
+    from greybox.commands.model_options import fit_with
+    from greybox.estimation.record import sample_time
+
+    fitted = _fitted(arguments.fitted, train) if arguments.fitted else None
+    return Bench(
+        vehicle=vehicle,
+        train=train,
+        test=test,
+        fit=lambda: fitted or fit_with(arguments, vehicle, train, console.solver).model,
+        options=CompareOptions(
+            adapt=arguments.adapt,
+            budget=arguments.budget,
+            seed=arguments.seed,
+            points=arguments.points,
+            horizons=horizon_steps(arguments, sample_time(train)),
+        ),
+        say=lambda text: console.say(f"  {text}"),
+    )
 
 
 def _fitted(path: str, train: Dataset) -> IdentifiedModel:

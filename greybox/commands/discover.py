@@ -11,9 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from greybox.data import Dataset
     from greybox.data.checks import CheckReport
+    from greybox.discovery.options import DiscoverChoices
     from greybox.discovery.result import Discovery
     from greybox.model.dynamics import StateSpaceModel
+    from greybox.model.effect import Effect
     from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import Vehicle
 
@@ -163,7 +166,7 @@ class _Search:
         self, out: Path, title: str, offered: Mapping[str, Sequence[Any]], faults: CheckReport
     ) -> None:
         self.content: dict[str, Any] = {}
-        self._out, self._title, self._offered, self._faults = out, title, offered, faults
+        self._out, self._title, self._offered, self.faults = out, title, offered, faults
         self._began = False
 
     def write(self, found: Discovery) -> None:
@@ -174,7 +177,7 @@ class _Search:
 
         out, content = self._out, self.content
         content.update(found.to_dict())
-        accepted_faults = (f"accepted: {f.flight}: {f.message}" for f in self._faults.overruled)
+        accepted_faults = (f"accepted: {f.flight}: {f.message}" for f in self.faults.overruled)
         content["warnings"] = [*accepted_faults, *content["warnings"]]
         content["command"] = typed("discover")
         has = () if found.fit is None else found.model.effects
@@ -305,15 +308,13 @@ def _subject(
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, search, report."""
     from greybox.commands.vehicle_lines import say_vehicle
-    from greybox.cores import cores
     from greybox.data.checks import CheckReport, check_logs
-    from greybox.discovery.workflow import discover, refused
+    from greybox.discovery.workflow import refused
     from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
     from greybox.model.dynamics import StateSpaceModel
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
-    from greybox.workers import Workers
 
     out, console = Path(arguments.out or "greybox-discover"), Console.of(arguments)
     _check(arguments, out)
@@ -339,32 +340,11 @@ def run(arguments: argparse.Namespace) -> int:
         )
         rate = arguments.rate or 1 / sample_time(train)
         test = read_flights_of(arguments, subject, arguments.test, rate=rate)
-        side_by_side = not isinstance(subject, StateSpaceModel) and cores() > 1
         if not isinstance(subject, StateSpaceModel):
             say_vehicle(subject, console.say)
+        asked = _choices(arguments, own, since)
         try:
-            with Workers() as workers:
-                found = discover(
-                    subject,
-                    train,
-                    test,
-                    own=own,
-                    alpha=arguments.alpha,
-                    max_effects=arguments.max_effects,
-                    adapt=arguments.adapt,
-                    kinematic_noise=arguments.kinematic_noise,
-                    per_flight=arguments.per_flight,
-                    fixed=arguments.fixed,
-                    hold_sensor_noise=arguments.hold_noise == "sensor",
-                    attainable=arguments.attainable,
-                    trace=arguments.trace,
-                    since=since,
-                    seed=arguments.seed,
-                    faults=faults,
-                    progress=console.share,
-                    save=search.write,
-                    executor=workers if side_by_side else None,
-                )
+            found = _searched(subject, train, test, asked, search, console)
         except KeyboardInterrupt:
             if search.content:
                 search.page()
@@ -382,6 +362,53 @@ def run(arguments: argparse.Namespace) -> int:
         write_if_asked(arguments.mcap, found.model, train, test)
     console.result(search.content, *search.lines(found))
     return 0
+
+
+def _choices(
+    arguments: argparse.Namespace, own: Sequence[Effect], since: IdentifiedModel | None
+) -> DiscoverChoices:
+    return {
+        "own": own,
+        "since": since,
+        "alpha": arguments.alpha,
+        "max_effects": arguments.max_effects,
+        "adapt": arguments.adapt,
+        "kinematic_noise": arguments.kinematic_noise,
+        "per_flight": arguments.per_flight,
+        "fixed": arguments.fixed,
+        "hold_sensor_noise": arguments.hold_noise == "sensor",
+        "attainable": arguments.attainable,
+        "trace": arguments.trace,
+        "seed": arguments.seed,
+    }
+
+
+def _searched(
+    subject: Vehicle | StateSpaceModel,
+    train: Dataset,
+    test: Dataset,
+    asked: DiscoverChoices,
+    search: _Search,
+    console: Console,
+) -> Discovery:
+    """The search itself: fits side by side where there are cores, every state of it written."""
+    from greybox.cores import cores
+    from greybox.discovery.workflow import discover
+    from greybox.model.dynamics import StateSpaceModel
+    from greybox.workers import Workers
+
+    side_by_side = not isinstance(subject, StateSpaceModel) and cores() > 1
+    with Workers() as workers:
+        return discover(
+            subject,
+            train,
+            test,
+            faults=search.faults,
+            progress=console.share,
+            save=search.write,
+            executor=workers if side_by_side else None,
+            **asked,
+        )
 
 
 def _go_on(arguments: argparse.Namespace) -> int:

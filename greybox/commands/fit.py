@@ -93,7 +93,7 @@ def add(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
-    from greybox.commands.fit_own import RESULTS
+    from greybox.commands.fit_own import RESULTS, interrupted
     from greybox.commands.fit_own import run as run_own
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data.checks import check
@@ -115,28 +115,14 @@ def run(arguments: argparse.Namespace) -> int:
     if source is not None:
         vehicle = _like(source, vehicle, prepared, console)
     faults = check(test, vehicle) if test.flights else None
-    blocking = (*prepared.report.blocking, *(faults.blocking if faults is not None else ()))
-    warnings = [f"data fault in {f.flight}: {f.message}" for f in blocking]
-    warnings += _unfit(arguments, vehicle)
-    for warning in warnings:
-        print(f"greybox fit: {warning}", file=sys.stderr)
+    warnings = _warnings(arguments, vehicle, prepared, faults)
     say_vehicle(vehicle, console.say)
     console.say(f"{prepared.data}")
 
-    def save(result: Fit) -> dict[str, Any]:
-        content: dict[str, Any] = result.to_dict()
-        content["warnings"] = [*warnings, *content["warnings"]]
-        content["command"] = typed("fit")
-        if "explicit" in content:
-            content["explicit"]["command"] = _explicit(arguments, prepared, test, result)
-            if source is not None:  # the recipe speaks of the vehicle with the effects of another
-                load = f"IdentifiedModel.load({str(out / 'model.json')!r}).physics.vehicle"
-                content["explicit"]["python"] = (
-                    "from greybox.model.identified import IdentifiedModel\n"
-                    f"vehicle = {load}\n{content['explicit']['python']}"
-                )
+    def save(found: Fit) -> dict[str, Any]:
+        content = _content(arguments, found, prepared, test, warnings)
         write_json(out / "fit.json", content)
-        result.model.save(out / "model.json")
+        found.model.save(out / "model.json")
         return content
 
     try:
@@ -147,11 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
     except Interrupted as stop:
         withdraw(out, *RESULTS)
         save(stop.kept)
-        arguments.kept = (
-            f"the best values so far are in {out / 'fit.json'} and "
-            f"{out / 'model.json'}, marked as not "
-        )
-        arguments.kept += "converged; the same command starts again"
+        arguments.kept = interrupted(out)
         raise
     # The fit is safe before anything else can go wrong.
     withdraw(out, *RESULTS)
@@ -178,6 +160,44 @@ def run(arguments: argparse.Namespace) -> int:
     table = seen.table_text() if seen is not None and test.flights else ""
     console.result(content, *_lines(result, table, content), f"wrote {written} in {out}")
     return exit_code(result.verdict) if result.verdict is not None or result.converged else 1
+
+
+def _warnings(
+    arguments: argparse.Namespace,
+    vehicle: Vehicle,
+    prepared: Prepared,
+    faults: CheckReport | None,
+) -> list[str]:
+    """Faults of the flights, which are also said, and what no model can be fitted to."""
+    blocking = (*prepared.report.blocking, *(faults.blocking if faults is not None else ()))
+    warnings = [f"data fault in {f.flight}: {f.message}" for f in blocking]
+    warnings += _unfit(arguments, vehicle)
+    for warning in warnings:
+        print(f"greybox fit: {warning}", file=sys.stderr)
+    return warnings
+
+
+def _content(
+    arguments: argparse.Namespace,
+    result: Fit,
+    prepared: Prepared,
+    test: Dataset,
+    warnings: Sequence[str],
+) -> dict[str, Any]:
+    """fit.json, with the commands that do the same."""
+    content: dict[str, Any] = result.to_dict()
+    content["warnings"] = [*warnings, *content["warnings"]]
+    content["command"] = typed("fit")
+    if "explicit" in content:
+        content["explicit"]["command"] = _explicit(arguments, prepared, test, result)
+        if arguments.source is not None:  # the recipe speaks of the vehicle with another's effects
+            file = str(Path(arguments.out) / "model.json")
+            content["explicit"]["python"] = (
+                "from greybox.model.identified import IdentifiedModel\n"
+                f"vehicle = IdentifiedModel.load({file!r}).physics.vehicle\n"
+                f"{content['explicit']['python']}"
+            )
+    return content
 
 
 def _check(arguments: argparse.Namespace) -> None:

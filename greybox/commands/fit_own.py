@@ -28,27 +28,18 @@ OF_VEHICLES: dict[str, object] = {
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit, validate, report. Returns 1 where the model is not usable or did not converge."""
-    from greybox.commands.flight_series import series
     from greybox.commands.judgement import exit_code, given_horizons
     from greybox.commands.mcap_option import write_if_asked
     from greybox.commands.model_options import fit_options
     from greybox.commands.own_model import demand_disjoint, read_flights_of
-    from greybox.commands.responses import responses
     from greybox.errors import GreyboxError
     from greybox.estimation.fit import fit
     from greybox.estimation.record import sample_time
     from greybox.estimation.status import Interrupted
     from greybox.files import withdraw, write_atomic, write_json
     from greybox.model.own_model import load_own_model
-    from greybox.report.fit_report import fit_report
 
-    for name, silent in OF_VEHICLES.items():
-        if getattr(arguments, name) != silent:
-            raise GreyboxError(
-                f"--{name.replace('_', '-')} is for vehicles",
-                got="--model-file",
-                fix="leave it out",
-            )
+    _refuse_vehicles(arguments)
     console = Console.of(arguments)
     horizons = given_horizons(arguments, own=True)
     model = load_own_model(arguments.model_file)
@@ -57,29 +48,18 @@ def run(arguments: argparse.Namespace) -> int:
     demand_disjoint(train, test)
     out = Path(arguments.out)
 
-    def save(found: Fit, warnings: list[str]) -> dict[str, Any]:
-        content = {**found.to_dict(), "command": typed("fit")}
-        content["warnings"] = [*warnings, *content["warnings"]]
-        write_json(out / "fit.json", content)
-        found.model.save(out / "model.json")
-        return content
-
     try:
         found = fit(model, train, fit_options(arguments), progress=console.solver)
     except Interrupted as stop:
         withdraw(out, *RESULTS)
-        save(stop.kept, [])
-        arguments.kept = (
-            f"the best values so far are in {out / 'fit.json'} and "
-            f"{out / 'model.json'}, marked as not "
-        )
-        arguments.kept += "converged; the same command starts again"
+        _save(stop.kept, [], out)
+        arguments.kept = interrupted(out)
         raise
     warnings = (
         [] if test.flights else ["validated on the flights that were fitted: give --test flights"]
     )
     withdraw(out, *RESULTS)
-    save(found, warnings)  # the fit is safe before anything else can go wrong
+    _save(found, warnings, out)  # the fit is safe before anything else can go wrong
     seen: Validation | None = None
     try:
         seen = _judged(found, test if test.flights else train, arguments.adapt, horizons)
@@ -87,15 +67,9 @@ def run(arguments: argparse.Namespace) -> int:
         write_json(out / "validate.json", seen.to_dict())
     except GreyboxError as error:
         warnings.insert(0, f"no validation: {error}")
-    content = save(found, warnings)
-    page = fit_report(
-        content,
-        series(found.model, train, test),
-        None if seen is None else seen.to_dict(),
-        responses=responses(found.model, train, test),
-        title=f"Fit of {model.name}",
-    )
-    write_atomic(out / "report.html", page)
+    content = _save(found, warnings, out)
+    title = f"Fit of {model.name}"
+    write_atomic(out / "report.html", _page(found, content, seen, train, test, title))
     write_if_asked(arguments.mcap, found.model, train, test)
     table = [seen.table_text()] if seen is not None and seen.tables else []
     written = (
@@ -103,6 +77,58 @@ def run(arguments: argparse.Namespace) -> int:
     )
     console.result(content, found.summary(), *(f"warning: {w}" for w in warnings), *table, written)
     return exit_code(found.verdict) if found.verdict is not None or found.converged else 1
+
+
+def interrupted(out: Path) -> str:
+    """What an interrupted fit has left in `out`, in words."""
+    return (
+        f"the best values so far are in {out / 'fit.json'} and {out / 'model.json'}, marked as not "
+        "converged; the same command starts again"
+    )
+
+
+def _refuse_vehicles(arguments: argparse.Namespace) -> None:
+    from greybox.errors import GreyboxError
+
+    for name, silent in OF_VEHICLES.items():
+        if getattr(arguments, name) != silent:
+            raise GreyboxError(
+                f"--{name.replace('_', '-')} is for vehicles",
+                got="--model-file",
+                fix="leave it out",
+            )
+
+
+def _save(found: Fit, warnings: list[str], out: Path) -> dict[str, Any]:
+    """Write fit.json and model.json; the content of the first."""
+    from greybox.files import write_json
+
+    content = {**found.to_dict(), "command": typed("fit")}
+    content["warnings"] = [*warnings, *content["warnings"]]
+    write_json(out / "fit.json", content)
+    found.model.save(out / "model.json")
+    return content
+
+
+def _page(
+    found: Fit,
+    content: dict[str, Any],
+    seen: Validation | None,
+    train: Dataset,
+    test: Dataset,
+    title: str,
+) -> str:
+    from greybox.commands.flight_series import series
+    from greybox.commands.responses import responses
+    from greybox.report.fit_report import fit_report
+
+    return fit_report(
+        content,
+        series(found.model, train, test),
+        None if seen is None else seen.to_dict(),
+        responses=responses(found.model, train, test),
+        title=title,
+    )
 
 
 def _judged(found: Fit, data: Dataset, adapt: float | None, horizons: dict[str, Any]) -> Validation:

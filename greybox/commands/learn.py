@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from greybox.data import Dataset
     from greybox.model.identified import IdentifiedModel
     from greybox.model.verdict import Verdict
+    from greybox.residual.learn import Learned
 
 
 def add(subparsers: Any) -> None:
@@ -113,7 +114,7 @@ def add(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, learn, validate before and after, report."""
-    from greybox.commands.learn_output import RESULTS, is_linear, run_output
+    from greybox.commands.learn_output import RESULTS, feature_names, is_linear, run_output
     from greybox.files import withdraw, write_atomic, write_json
     from greybox.model.layer import physics_of
     from greybox.model.verdict import NOT_JUDGED
@@ -139,15 +140,10 @@ def run(arguments: argparse.Namespace) -> int:
     )
     demand_disjoint(train, test)
     console = Console.of(arguments)
-    names = (
-        tuple(n.strip() for n in arguments.inputs.split(",") if n.strip())
-        if arguments.inputs
-        else None
-    )
     learned = learn(
         model,
         train,
-        features=names,
+        features=feature_names(arguments.inputs),
         place=arguments.place,
         kernel=arguments.kernel,
         points=points,
@@ -155,13 +151,7 @@ def run(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         progress=console.share,
     )
-    content = learned.to_dict()
-    content["command"] = typed("learn")
-    unseen = sorted(set(model.trained_on) - set(train.names))
-    if unseen:
-        content["warnings"].append(
-            f"the model was also fitted to {', '.join(unseen)}, which were not given"
-        )
+    content = _content(learned, model, train)
     out = Path(arguments.out)
     # What was learned is safe before anything else can go wrong.
     withdraw(out, *RESULTS)
@@ -171,14 +161,8 @@ def run(arguments: argparse.Namespace) -> int:
         f"what was learned is in {out}, not judged: greybox validate "
         f"{out / 'hybrid.json'} --log LOGS judges it"
     )
-    verdict = _validated(
-        arguments,
-        console,
-        content,
-        (model, learned.model),
-        test if test.flights else train,
-        horizons,
-    )
+    judged, models = test if test.flights else train, (model, learned.model)
+    verdict = _validated(arguments, console, content, models, judged, horizons)
     hybrid = replace(learned.model, verdict=verdict)
     save_model(hybrid, out / "hybrid.json")
     if not test.flights:
@@ -191,16 +175,25 @@ def run(arguments: argparse.Namespace) -> int:
     )
     adapted = ((content["validation"].get("after") or {}).get("adapted_on") or {}).get("flights")
     write_if_asked(arguments.mcap, hybrid, train, test, adapted=adapted)
-    said = NOT_JUDGED if verdict is None else verdict.line
-    warnings = [f"warning: {w}" for w in content["warnings"]]
     console.result(
         content,
-        said,
-        *warnings,
+        NOT_JUDGED if verdict is None else verdict.line,
+        *(f"warning: {w}" for w in content["warnings"]),
         learned.summary(),
         f"wrote hybrid.json, learn.json and {report.name} in {out}",
     )
     return exit_code(verdict)
+
+
+def _content(learned: Learned, model: IdentifiedModel, train: Dataset) -> dict[str, Any]:
+    """learn.json before anything is judged."""
+    content = {**learned.to_dict(), "command": typed("learn")}
+    unseen = sorted(set(model.trained_on) - set(train.names))
+    if unseen:
+        content["warnings"].append(
+            f"the model was also fitted to {', '.join(unseen)}, which were not given"
+        )
+    return content
 
 
 def _points(text: str) -> int | str:

@@ -62,7 +62,7 @@ def run_output(arguments: argparse.Namespace) -> int:
         base,
         train,
         channels=channels,
-        features=_names(arguments.inputs),
+        features=feature_names(arguments.inputs),
         kernel=arguments.kernel,
         points=arguments.points if arguments.points == "auto" else int(arguments.points),
         adapt=arguments.adapt,
@@ -95,7 +95,7 @@ def run_output(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _names(text: str | None) -> tuple[str, ...] | None:
+def feature_names(text: str | None) -> tuple[str, ...] | None:
     """The features of --inputs; None: the usual ones."""
     return tuple(n.strip() for n in text.split(",") if n.strip()) if text else None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -132,8 +133,6 @@ def _check(arguments: argparse.Namespace) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Prepare, fly, report; what was flown is reported even when interrupted. Returns 0, or 1 where
     it refuses."""
-    from greybox.files import write_atomic, write_json
-
     _check(arguments)
     if arguments.subject == "rates":
         from greybox.commands.mpc_rates import run as rates
@@ -152,21 +151,47 @@ def run(arguments: argparse.Namespace) -> int:
     if not judged.open:
         judged.say("mpc")
         return 1
-    from greybox.report.mpc_report import format_table, mpc_report
-    from mpc_export.mission.campaign import WATCHED, flights, kept, read_traces
-    from mpc_export.mission.prepare import Demo, MissionOptions, prepare
-    from mpc_export.mission.summary import summary
+    from greybox.report.mpc_report import format_table
+    from mpc_export.mission.campaign import WATCHED, flights
 
     console, out = Console.of(arguments), Path(arguments.out)
     command = typed("mpc", f"greybox mpc {shlex.quote(arguments.subject)}")
+    flown = _prepared(arguments, console)
+    judged.say("mpc")
+    watched = flown.seeds[:WATCHED]
+    arguments.kept = f"what was flown is in {out}; the same command goes on"
+    try:
+        flights(
+            flown.hangar,
+            flown.entries,
+            flown.seeds,
+            jobs=arguments.jobs,
+            watched=watched,
+            say=console.say_when,
+        )
+    except KeyboardInterrupt:
+        stopped = "The run was interrupted: run the same command again to go on."
+        _report(arguments, flown, watched, command, [stopped])
+        raise
+    content = _report(arguments, flown, watched, command, [])
+    written = f"wrote flights.jsonl, mpc.json and report.html in {out} ({console.seconds:.0f} s)"
+    console.result(content, format_table(content), content["verdict"], written)
+    return 0
+
+
+def _prepared(arguments: argparse.Namespace, console: Console) -> Any:
+    """Models, plant and controllers, with the back-offs that training flights ask for: a `Flown` of
+    mpc_export.mission.prepare."""
+    from mpc_export.mission.prepare import Demo, MissionOptions, prepare
+
     demo = None
     if arguments.subject == "demo":
         from mpc_export.mission.demo import PLANT, identify
 
         demo = Demo(identify=identify, plant=PLANT)
-    flown = prepare(
+    return prepare(
         arguments.subject,
-        out,
+        Path(arguments.out),
         MissionOptions(
             plant=arguments.plant,
             logs=tuple(arguments.log),
@@ -181,46 +206,41 @@ def run(arguments: argparse.Namespace) -> int:
         jobs=arguments.jobs,
         say=console.say_when,
     )
-    judged.say("mpc")
-    campaign, watched = flown.hangar.campaign, flown.seeds[:WATCHED]
 
-    def report(warnings: list[str]) -> dict[str, Any]:
-        rows = kept(campaign, flown.entries, flown.seeds)
-        content = summary(
-            what=flown.what,
-            task=campaign.mission(),
-            entries=flown.entries,
-            rows=rows,
-            level=arguments.level,
-            tuning=flown.tuning,
-            seeds=flown.seeds,
-            jobs=arguments.jobs,
-            command=command,
-            warnings=[*warnings, *flown.warnings],
-        )
-        write_json(out / "mpc.json", content)
-        traces = read_traces(campaign, flown.entries, watched)
-        write_atomic(out / "report.html", mpc_report(content, rows, traces))
-        if arguments.mcap is not None:
-            from greybox.commands.mcap_mpc import write_mpc_mcap
 
-            write_mpc_mcap(arguments.mcap, rows, traces)
-        return content
+def _report(
+    arguments: argparse.Namespace,
+    flown: Any,
+    watched: Sequence[int],
+    command: str,
+    warnings: Sequence[str],
+) -> dict[str, Any]:
+    """Write mpc.json, report.html and the recording of what was flown so far; the content of the
+    first."""
+    from greybox.files import write_atomic, write_json
+    from greybox.report.mpc_report import mpc_report
+    from mpc_export.mission.campaign import kept, read_traces
+    from mpc_export.mission.summary import summary
 
-    arguments.kept = f"what was flown is in {out}; the same command goes on"
-    try:
-        flights(
-            flown.hangar,
-            flown.entries,
-            flown.seeds,
-            jobs=arguments.jobs,
-            watched=watched,
-            say=console.say_when,
-        )
-    except KeyboardInterrupt:
-        report(["The run was interrupted: run the same command again to go on."])
-        raise
-    content = report([])
-    written = f"wrote flights.jsonl, mpc.json and report.html in {out} ({console.seconds:.0f} s)"
-    console.result(content, format_table(content), content["verdict"], written)
-    return 0
+    campaign, out = flown.hangar.campaign, Path(arguments.out)
+    rows = kept(campaign, flown.entries, flown.seeds)
+    content = summary(
+        what=flown.what,
+        task=campaign.mission(),
+        entries=flown.entries,
+        rows=rows,
+        level=arguments.level,
+        tuning=flown.tuning,
+        seeds=flown.seeds,
+        jobs=arguments.jobs,
+        command=command,
+        warnings=[*warnings, *flown.warnings],
+    )
+    write_json(out / "mpc.json", content)
+    traces = read_traces(campaign, flown.entries, watched)
+    write_atomic(out / "report.html", mpc_report(content, rows, traces))
+    if arguments.mcap is not None:
+        from greybox.commands.mcap_mpc import write_mpc_mcap
+
+        write_mpc_mcap(arguments.mcap, rows, traces)
+    return content

@@ -5,8 +5,16 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from greybox.model.dynamics import StateSpaceModel
+    from greybox.model.effect import Effect
+    from greybox.model.identified import IdentifiedModel
+    from greybox.model.vehicle import Vehicle
+    from greybox.planning.result import Plan
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console, json_option
@@ -141,55 +149,15 @@ def run(arguments: argparse.Namespace) -> int:
     """Plan, write, report. Returns 0, or 1 where nothing will be known of a wanted parameter."""
     import numpy as np
 
-    from greybox.errors import GreyboxError, ModelError
-    from greybox.files import write_atomic, write_json
     from greybox.model.effects_file import load_effects
-    from greybox.model.layer import physics_of
-    from greybox.model.vehicle import read_vehicle
     from greybox.planning import plan
     from greybox.planning.limits import Limits, command_range
-    from greybox.planning.setpoints import csv, setpoints
-    from greybox.report.plan_report import plan_picture, plan_report
-    from greybox.residual.files import load_model
 
     if (own_model := _own_model(arguments)) is not None:
         return _run_own(arguments, own_model)
-    if arguments.vehicle is None and arguments.model is None:
-        raise GreyboxError(
-            "nothing to plan for",
-            expected="a vehicle file, a fitted model or a model of your own",
-            fix="--vehicle V.toml before the first flight, --model model.json after it; "
-            "--model-file own.py:build",
-        )
-    for option, given, length in (("--box", arguments.box, 3), ("--command", arguments.range, 2)):
-        if given is not None and len(given) != length:
-            raise GreyboxError(
-                f"{option} takes {length} numbers",
-                got=str(len(given)),
-                fix="--box 4,4,2.5 --command 0.1,0.9",
-            )
-    if arguments.rate is not None and not 10 <= arguments.rate <= 2000:
-        raise GreyboxError(
-            "--rate takes 10 to 2000 Hz", got=f"{arguments.rate:g}", fix="--rate 100"
-        )
+    _check(arguments)
     own = {e.name: e for path in arguments.effects_file for e in load_effects(path)}
-    model = load_model(arguments.model, effects=own.values()) if arguments.model else None
-    vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
-    if model is not None:
-        if physics_of(model.dynamics) is None:
-            raise ModelError(
-                "only physics models can be planned for",
-                got=model.name,
-                fix="pass the model.json of greybox fit",
-            )
-        if vehicle is not None and vehicle != model.physics.vehicle:
-            print(
-                "greybox plan: the model was fitted with another vehicle file; the model's own is "
-                "used",
-                file=sys.stderr,
-            )
-        vehicle = model.physics.vehicle
-    assert vehicle is not None
+    vehicle, model = _subject(arguments, own.values())
     limits = Limits(
         box=arguments.box,
         floor=arguments.floor,
@@ -217,27 +185,90 @@ def run(arguments: argparse.Namespace) -> int:
     )
     content = found.to_dict()
     content["command"] = typed("plan")
-    gravity = float(vehicle.gravity)
-    sent = [setpoints(steps, limits, found.subject.sample_time, gravity) for steps in found.flights]
+    out = Path(arguments.out)
+    count = _write(found, content, float(vehicle.gravity), out)
+    console.result(
+        content,
+        found.summary(),
+        f"wrote plan.json, {count} flight(s) as CSV, plan.png and report.html in {out}",
+    )
+    blind = [n for n in found.subject.wanted if not np.isfinite(found.errors[n][0])]
+    return 1 if blind else 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Raise `GreyboxError` for options that no vehicle can be planned with."""
+    from greybox.errors import GreyboxError
+
+    if arguments.vehicle is None and arguments.model is None:
+        raise GreyboxError(
+            "nothing to plan for",
+            expected="a vehicle file, a fitted model or a model of your own",
+            fix="--vehicle V.toml before the first flight, --model model.json after it; "
+            "--model-file own.py:build",
+        )
+    for option, given, length in (("--box", arguments.box, 3), ("--command", arguments.range, 2)):
+        if given is not None and len(given) != length:
+            raise GreyboxError(
+                f"{option} takes {length} numbers",
+                got=str(len(given)),
+                fix="--box 4,4,2.5 --command 0.1,0.9",
+            )
+    if arguments.rate is not None and not 10 <= arguments.rate <= 2000:
+        raise GreyboxError(
+            "--rate takes 10 to 2000 Hz", got=f"{arguments.rate:g}", fix="--rate 100"
+        )
+
+
+def _subject(
+    arguments: argparse.Namespace, own: Iterable[Effect]
+) -> tuple[Vehicle, IdentifiedModel | None]:
+    """The vehicle, and the fitted model of it where one is given, whose vehicle goes before."""
+    from greybox.errors import ModelError
+    from greybox.model.layer import physics_of
+    from greybox.model.vehicle import read_vehicle
+    from greybox.residual.files import load_model
+
+    model = load_model(arguments.model, effects=own) if arguments.model else None
+    vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
+    if model is not None:
+        if physics_of(model.dynamics) is None:
+            raise ModelError(
+                "only physics models can be planned for",
+                got=model.name,
+                fix="pass the model.json of greybox fit",
+            )
+        if vehicle is not None and vehicle != model.physics.vehicle:
+            print(
+                "greybox plan: the model was fitted with another vehicle file; the model's own is "
+                "used",
+                file=sys.stderr,
+            )
+        vehicle = model.physics.vehicle
+    assert vehicle is not None
+    return vehicle, model
+
+
+def _write(found: Plan, content: dict[str, Any], gravity: float, out: Path) -> int:
+    """Flights to fly and to expect, picture, page and plan.json. Returns the number of flights."""
+    from greybox.files import write_atomic, write_json
+    from greybox.planning.setpoints import csv, setpoints
+    from greybox.report.plan_report import plan_picture, plan_report
+
+    dt = found.subject.sample_time
+    sent = [setpoints(steps, found.limits, dt, gravity) for steps in found.flights]
     seen = [{"t": s.t, **s.channels} for f in found.log.flights for s in f.segments]
     both = list(zip(sent, seen, strict=True))
-    out = Path(arguments.out)
     for k, (to_fly, expected) in enumerate(both):
         write_atomic(out / f"flight_{k + 1}.csv", csv(to_fly))
         write_atomic(out / f"expected_{k + 1}.csv", csv(expected))
     write_atomic(out / "plan.png", plan_picture(content, both))
     write_atomic(out / "report.html", plan_report(content, both))
     write_json(out / "plan.json", content)
-    console.result(
-        content,
-        found.summary(),
-        f"wrote plan.json, {len(both)} flight(s) as CSV, plan.png and report.html in {out}",
-    )
-    blind = [n for n in found.subject.wanted if not np.isfinite(found.errors[n][0])]
-    return 1 if blind else 0
+    return len(both)
 
 
-def _own_model(arguments: argparse.Namespace) -> Any:
+def _own_model(arguments: argparse.Namespace) -> IdentifiedModel | StateSpaceModel | None:
     """The model of the user's own that is planned for: a fitted one, or that of a program; None for
     a vehicle."""
     from greybox.model.dynamics import StateSpaceModel
@@ -249,7 +280,7 @@ def _own_model(arguments: argparse.Namespace) -> Any:
     return load_own_model(arguments.model_file) if arguments.model_file else None
 
 
-def _run_own(arguments: argparse.Namespace, model: Any) -> int:
+def _run_own(arguments: argparse.Namespace, model: IdentifiedModel | StateSpaceModel) -> int:
     """Plan input signals for a model of the user's own. Returns as `run`."""
     import numpy as np
 
