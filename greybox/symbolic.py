@@ -9,6 +9,7 @@ import functools
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import casadi as ca
@@ -18,12 +19,16 @@ import numpy.typing as npt
 from greybox.errors import ModelError, UnknownNameError
 
 Expr = Any
+Namespace = ModuleType
+"""`numpy` or `casadi`: what both can compute is written once, for arrays and for expressions."""
 CHUNK = 1024
 """Samples that one call of a mapped function takes."""
 CASADI = threading.RLock()
 """Held by whoever builds or evaluates CasADi expressions where other threads may: CasADi lets go of
 Python's lock, and not every build of it counts references safely across threads."""
 FloatArray = npt.NDArray[np.float64]
+Numeric = Expr | FloatArray
+"""What a function computes with that takes a `Namespace`."""
 BoolArray = npt.NDArray[np.bool_]
 
 
@@ -129,7 +134,7 @@ def smooth_step(x: Expr, width: float) -> Expr:
     return 0.5 * (1.0 + ca.tanh(x / width))
 
 
-def evaluate(function: Any, *columns: npt.ArrayLike) -> FloatArray:
+def evaluate(function: ca.Function, *columns: npt.ArrayLike) -> FloatArray:
     """Evaluate a single-output CasADi function over many samples, time first.
 
     Each argument is an array (N, n_i) (or (n_i,) for a value that all samples share); the result is
@@ -165,5 +170,5 @@ def evaluate(function: Any, *columns: npt.ArrayLike) -> FloatArray:
 
 
 @functools.lru_cache(maxsize=64)
-def _mapped(function: Any, n: int) -> Any:
+def _mapped(function: ca.Function, n: int) -> Any:
     return function.map(n)

@@ -36,7 +36,7 @@ class AsFunction:
         *,
         noise: bool | str = False,
         symbol: Any = ca.MX,
-    ) -> Any:
+    ) -> ca.Function:
         """A CasADi function z -> the quantities in `which` (named in- and outputs); `symbol` is
         casadi.MX or casadi.SX."""
         names = list(which)
@@ -47,7 +47,7 @@ class AsFunction:
         )
 
     @cached_property
-    def _moments(self) -> Any:
+    def _moments(self) -> ca.Function:
         z = ca.MX.sym("z", len(self.inputs))
         values = self.expressions(z, ("mean", "variance"))
         return ca.Function(
@@ -55,5 +55,5 @@ class AsFunction:
         )
 
     @cached_property
-    def _distance(self) -> Any:
+    def _distance(self) -> ca.Function:
         return self.function("distance", ("distance",))

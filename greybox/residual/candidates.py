@@ -18,6 +18,7 @@ from greybox.residual.discrepancy import Discrepancy
 from greybox.residual.feature_posterior import FeaturePosterior, silent_features
 from greybox.residual.kernels import Kernel
 from greybox.residual.learners import Learner, LooksBack
+from greybox.residual.learners.learner import Features
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import place_points
 from greybox.residual.train import train_gp
@@ -168,13 +169,13 @@ def feature_candidates(
     return out
 
 
-def _column(made: Callable[[Any], Any], inputs: int) -> Any:
+def _column(made: Features, inputs: int) -> ca.Function:
     """The features as a CasADi function of standardised inputs."""
     s = ca.SX.sym("x", inputs)
     return ca.Function("phi", [s], [ca.densify(ca.SX(made(s)))])
 
 
-def _finite(phi: Any, x: FloatArray) -> bool:
+def _finite(phi: ca.Function, x: FloatArray) -> bool:
     """Whether features are finite at all rows x (N, n_in), and their slopes at some of them and in
     the middle."""
     s = ca.SX.sym("x", x.shape[1])
@@ -183,7 +184,7 @@ def _finite(phi: Any, x: FloatArray) -> bool:
     return bool(np.isfinite(evaluate(phi, x)).all() and np.isfinite(evaluate(slope, some)).all())
 
 
-def _side_by_side(learner: Learner, members: list[Any]) -> Any:
+def _side_by_side(learner: Learner, members: list[ca.Function]) -> ca.Function:
     """The features of all members of an ensemble as one column. Raises `ModelError` where they are
     not alike."""
     sizes = sorted({phi.numel_out(0) for phi in members})

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -54,7 +53,7 @@ class Discrepancy:
         return replace(self, z=self.z[rows], y=self.y[rows], flights=kept)
 
 
-def feature_function(dynamics: Dynamics, names: Sequence[str]) -> Any:
+def feature_function(dynamics: Dynamics, names: Sequence[str]) -> ca.Function:
     """CasADi function (x, command window) -> features, for many samples."""
     past, future = dynamics.window
     x = ca.SX.sym("x", len(dynamics.states))
@@ -105,7 +104,9 @@ def disturbed_model(model: IdentifiedModel, data: Dataset) -> IdentifiedModel:
     )
 
 
-def smoothed_features(runner: Filter, segment: Segment, look: Any) -> tuple[FloatArray, FloatArray]:
+def smoothed_features(
+    runner: Filter, segment: Segment, look: ca.Function
+) -> tuple[FloatArray, FloatArray]:
     """Smoothed states (n, n_x) of one segment, and there the features (n, m) of `look`, a
     `feature_function`."""
     found = smooth(runner, runner.run(segment))

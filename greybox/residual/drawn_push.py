@@ -12,9 +12,9 @@ process between its support points to a quarter, as waves are few.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -25,8 +25,9 @@ from greybox.model.parameter import Parameter
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.kernels import Kernel
+from greybox.residual.learners.learner import Features
 from greybox.residual.posterior import GPPosterior
-from greybox.symbolic import Expr, FloatArray
+from greybox.symbolic import Expr, FloatArray, Namespace, Numeric
 
 WAVES = 96
 """Random waves of a prior function; each is a cosine and a sine, so that the variance is exact
@@ -146,7 +147,7 @@ class _Output:
     (k, m): k normal numbers times it are a draw about the mean."""
 
     place: int
-    features: Any
+    features: Features
     mean: FloatArray
     root: FloatArray
 
@@ -191,7 +192,7 @@ def _noise_root(first: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(left, 0.0))[:, None] * (vectors.T @ first))
 
 
-def _waves(kernel: Kernel, random: np.random.Generator) -> Any:
+def _waves(kernel: Kernel, random: np.random.Generator) -> Callable[[Numeric, Namespace], Numeric]:
     """Features (k, N) of x (n_in, N) whose products are the kernel's values on average, and exact
     for equal points."""
     direction = random.standard_normal((WAVES, len(kernel.lengthscales))) / kernel.lengthscales
@@ -201,7 +202,7 @@ def _waves(kernel: Kernel, random: np.random.Generator) -> Any:
         direction *= np.sqrt(freedom / random.chisquare(freedom, (WAVES, 1)))
     size = np.sqrt(kernel.variance / WAVES)
 
-    def wave(x: Any, xp: Any) -> Any:
+    def wave(x: Numeric, xp: Namespace) -> Numeric:
         angle = direction @ x
         rows = [size * xp.cos(angle), size * xp.sin(angle)]
         if kernel.slopes is not None:

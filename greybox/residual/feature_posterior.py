@@ -44,7 +44,7 @@ class FeaturePosterior(AsFunction, Shown):
     inputs: Layout
     outputs: Layout
     method: str
-    phi: Any
+    phi: ca.Function
     input_mean: FloatArray
     input_scale: FloatArray
     output_scale: FloatArray
@@ -176,7 +176,7 @@ class FeaturePosterior(AsFunction, Shown):
         return {n: out[n] for n in wanted}
 
     @cached_property
-    def _phi_and_slope(self) -> Any:
+    def _phi_and_slope(self) -> ca.Function:
         x = ca.SX.sym("x", len(self.inputs))
         phi = ca.densify(self.phi(x))
         return ca.Function("phi", [x], [phi, ca.densify(ca.jacobian(phi, x))])
@@ -242,7 +242,7 @@ class FeaturePosterior(AsFunction, Shown):
 
 
 def silent_features(
-    phi: Any,
+    phi: ca.Function,
     *,
     method: str,
     inputs: Layout,

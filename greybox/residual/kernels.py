@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
-from greybox.symbolic import Expr, FloatArray
+from greybox.symbolic import Expr, FloatArray, Namespace, Numeric
 
 FAMILIES = ("se", "matern32", "matern52")
 """Stationary parts; "linear+<family>" adds a linear part."""
@@ -82,13 +82,15 @@ class Kernel:
         """The kernel's name as `split_name` takes it."""
         return self.family if self.slopes is None else f"linear+{self.family}"
 
-    def covariance(self, support: FloatArray, x: Any, xp: Any = np) -> Any:
+    def covariance(self, support: FloatArray, x: Numeric, xp: Namespace = np) -> Numeric:
         """k(support, x): (M, N) for support (n_in, M) and x (n_in, N); a column for a CasADi column
         with xp=casadi."""
         k, _ = self.covariance_and_slope(support, x, xp)
         return k
 
-    def covariance_and_slope(self, support: FloatArray, x: Any, xp: Any = np) -> tuple[Any, Any]:
+    def covariance_and_slope(
+        self, support: FloatArray, x: Numeric, xp: Namespace = np
+    ) -> tuple[Numeric, Numeric]:
         """(k, g): k(support, x) (M, N), and g = d(stationary part)/d(r^2) (M, N), which the
         Jacobian needs."""
         w = self.lengthscales**-2
@@ -100,14 +102,14 @@ class Kernel:
             k = k + (self.features(support).T * self.slopes) @ self.features(x)
         return k, g
 
-    def prior_variance(self, x: Any, xp: Any = np) -> Any:
+    def prior_variance(self, x: Numeric, xp: Namespace = np) -> Numeric:
         """k(x, x): (1, N)."""
         if self.slopes is None:
             return np.full((1, x.shape[1]), self.variance) if xp is np else self.variance
         features = self.features(x)
         return self.variance + self.slopes[None, :] @ (features * features)
 
-    def features(self, x: Any) -> Any:
+    def features(self, x: Numeric) -> Numeric:
         """phi(x) of the linear part: (n_in, N)."""
         assert self.reach is not None
         return x / (1.0 + (self.reach ** -float(FADE_POWER))[None, :] @ x**FADE_POWER)
@@ -157,7 +159,7 @@ class Kernel:
             raise FileFormatError(f"not a kernel: {error}") from None
 
 
-def correlation(family: str, square: Any, xp: Any) -> tuple[Any, Any]:
+def correlation(family: str, square: Numeric, xp: Namespace) -> tuple[Numeric, Numeric]:
     """(c(r), dc/d(r^2)) for square = r^2, elementwise; `xp` is numpy, torch or casadi. Smooth
     through r = 0."""
     if family == "se":

@@ -349,7 +349,7 @@ class GPPosterior(AsFunction, Shown):
         return replace(self, output_scale=self.output_scale * factor, weights=self.weights / factor)
 
     @cached_property
-    def _mean(self) -> Any:
+    def _mean(self) -> ca.Function:
         return self.function("mean", ("mean",))
 
     def evaluate(

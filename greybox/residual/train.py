@@ -12,10 +12,10 @@ from __future__ import annotations
 import importlib.util
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ from greybox.residual.options import GPChoices, GPOptions
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.selection import SIZES, Curve, held_out
 from greybox.residual.training_report import OutputReport, TrainedGP, TrainingReport
-from greybox.residual.training_rows import Rows, complete_rows
+from greybox.residual.training_rows import Groups, Rows, complete_rows
 from greybox.residual.training_run import Progress, Start, Task, Trained, TrainedOutput, train
 from greybox.symbolic import BoolArray, Layout
 
@@ -62,7 +62,7 @@ def train_gp(
     inputs: Layout,
     outputs: Layout,
     options: GPOptions | None = None,
-    groups: Sequence[Any] | npt.NDArray[Any] | None = None,
+    groups: Groups | None = None,
     progress: Progress | None = None,
     **choices: Unpack[GPChoices],
 ) -> TrainedGP:

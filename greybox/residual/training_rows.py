@@ -3,16 +3,19 @@ given."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import ModelError
 from greybox.residual.selection import IntArray
-from greybox.symbolic import FloatArray, Layout
+from greybox.symbolic import BoolArray, FloatArray, Layout
 
+Groups = Sequence[object] | npt.NDArray[np.generic]
+"""The flight of each row, named by anything that NumPy tells apart."""
+Which = slice | BoolArray | IntArray
 LEAST = 20
 """Complete rows without which nothing is trained."""
 
@@ -27,7 +30,7 @@ class Rows:
     place: IntArray
     group: IntArray
 
-    def take(self, which: Any) -> Rows:
+    def take(self, which: Which) -> Rows:
         """Some of the rows, by mask, index or slice."""
         return Rows(
             z=self.z[which], y=self.y[which], place=self.place[which], group=self.group[which]
@@ -35,7 +38,7 @@ class Rows:
 
 
 def complete_rows(
-    z: npt.ArrayLike, y: npt.ArrayLike, groups: Any, inputs: Layout, outputs: Layout
+    z: npt.ArrayLike, y: npt.ArrayLike, groups: Groups | None, inputs: Layout, outputs: Layout
 ) -> tuple[Rows, list[str], int]:
     """(rows without a NaN, names of their groups in order of appearance, number of dropped rows).
     Raises `ModelError`."""

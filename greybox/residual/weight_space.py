@@ -66,7 +66,9 @@ def whitened(post: Candidate, lower: list[FloatArray], x: FloatArray) -> list[Fl
     known: dict[int, FloatArray] = {}
     for j, kernel in enumerate(post.kernels):
         if id(kernel) not in known:
-            known[id(kernel)] = np.linalg.solve(lower[j], kernel.covariance(post.support.T, x)).T
+            covariance: FloatArray = kernel.covariance(post.support.T, x)
+            psi = np.linalg.solve(lower[j], covariance)
+            known[id(kernel)] = np.asarray(psi.T, dtype=np.float64)
     return [known[id(k)] for k in post.kernels]
 
 

@@ -5,7 +5,7 @@ A new one is a file here and a line in `COVARIANCES`.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from greybox.errors import ModelError
 from greybox.residual.covariances.algebra import OnDims, Product, Scaled, Sum
@@ -17,6 +17,9 @@ from greybox.residual.covariances.periodic import Periodic
 from greybox.residual.covariances.polynomial import Polynomial
 from greybox.residual.covariances.rational_quadratic import RationalQuadratic
 from greybox.residual.covariances.rbf import RBF
+
+if TYPE_CHECKING:
+    import torch
 
 COVARIANCES: tuple[type[Covariance], ...] = (
     RBF,
@@ -35,7 +38,9 @@ KINDS.update({c.kind: c for c in COVARIANCES})
 _BY_MODULE = {c.module: c for c in COVARIANCES if c.module}
 
 
-def read_module(module: Any, pick: Pick, where: str, *, whole: bool = False) -> Covariance:
+def read_module(
+    module: torch.nn.Module, pick: Pick, where: str, *, whole: bool = False
+) -> Covariance:
     """The covariance that a GPyTorch kernel module is; `where` is its place in the model.
 
     A subclass counts as what it is made from only where it changes nothing in `forward`. With

@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.errors import ModelError
 from greybox.residual.covariances.covariance import Covariance, Pullback, covariance_from_dict
-from greybox.symbolic import Expr, FloatArray
+from greybox.symbolic import Expr, FloatArray, Namespace, Numeric
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,7 +24,7 @@ class Sum(Covariance):
     module = "AdditiveKernel"
     parts: tuple[Covariance, ...]
 
-    def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+    def column(self, support: FloatArray, x: Numeric, xp: Namespace) -> tuple[Numeric, Pullback]:
         """k and its pullback."""
         both = [part.column(support, x, xp) for part in self.parts]
 
@@ -33,7 +33,7 @@ class Sum(Covariance):
 
         return sum((k for k, _ in both[1:]), both[0][0]), back
 
-    def variance(self, x: Any, xp: Any) -> Any:
+    def variance(self, x: Numeric, xp: Namespace) -> Numeric:
         """k(x, x)."""
         return sum(part.variance(x, xp) for part in self.parts)
 
@@ -59,7 +59,7 @@ class Product(Covariance):
     module = "ProductKernel"
     parts: tuple[Covariance, ...]
 
-    def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+    def column(self, support: FloatArray, x: Numeric, xp: Namespace) -> tuple[Numeric, Pullback]:
         """k and its pullback."""
         both = [part.column(support, x, xp) for part in self.parts]
         values = [k for k, _ in both]
@@ -72,7 +72,7 @@ class Product(Covariance):
 
         return reduce(mul, values), back
 
-    def variance(self, x: Any, xp: Any) -> Any:
+    def variance(self, x: Numeric, xp: Namespace) -> Numeric:
         """k(x, x)."""
         return reduce(mul, (part.variance(x, xp) for part in self.parts))
 
@@ -108,12 +108,12 @@ class Scaled(Covariance):
                 "a covariance cannot be scaled by a negative factor", got=f"{self.factor:g}"
             )
 
-    def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+    def column(self, support: FloatArray, x: Numeric, xp: Namespace) -> tuple[Numeric, Pullback]:
         """k and its pullback."""
         k, pull = self.inner.column(support, x, xp)
         return self.factor * k, lambda c: self.factor * pull(c)
 
-    def variance(self, x: Any, xp: Any) -> Any:
+    def variance(self, x: Numeric, xp: Namespace) -> Numeric:
         """k(x, x)."""
         return self.factor * self.inner.variance(x, xp)
 
@@ -142,7 +142,7 @@ class OnDims(Covariance):
     def __post_init__(self) -> None:
         object.__setattr__(self, "dims", tuple(int(d) for d in self.dims))
 
-    def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+    def column(self, support: FloatArray, x: Numeric, xp: Namespace) -> tuple[Numeric, Pullback]:
         """k and its pullback."""
         k, pull = self.inner.column(support[:, list(self.dims)], x[list(self.dims), :], xp)
         back_in = self._places(x.shape[0])
@@ -153,7 +153,7 @@ class OnDims(Covariance):
         matrix[range(len(self.dims)), self.dims] = 1.0
         return ca.sparsify(ca.DM(matrix))
 
-    def variance(self, x: Any, xp: Any) -> Any:
+    def variance(self, x: Numeric, xp: Namespace) -> Numeric:
         """k(x, x)."""
         return self.inner.variance(x[list(self.dims), :], xp)
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -22,7 +22,10 @@ import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from greybox.errors import FileFormatError, GreyboxError, ModelError
-from greybox.symbolic import Expr, FloatArray
+from greybox.symbolic import Expr, FloatArray, Namespace, Numeric
+
+if TYPE_CHECKING:
+    import torch
 
 Pullback = Callable[[Expr], Expr]
 """c (M, 1) -> sum_i c_i dk(b_i, x)/dx, a row (1, n): the derivative backwards, written out."""
@@ -36,11 +39,11 @@ class Covariance(ABC):
     module: ClassVar[str] = ""
 
     @abstractmethod
-    def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+    def column(self, support: FloatArray, x: Numeric, xp: Namespace) -> tuple[Numeric, Pullback]:
         """(k(support, x) (M, N), its pullback); `xp` is numpy or casadi, N = 1 with casadi."""
 
     @abstractmethod
-    def variance(self, x: Any, xp: Any) -> Any:
+    def variance(self, x: Numeric, xp: Namespace) -> Numeric:
         """k(x, x): (1, N)."""
 
     def variance_slope(self, x: Expr) -> Expr:
@@ -65,7 +68,7 @@ class Covariance(ABC):
         return cls(**value)
 
     @classmethod
-    def read(cls, module: Any, pick: Pick) -> Covariance:
+    def read(cls, module: torch.nn.Module, pick: Pick) -> Covariance:
         """From the GPyTorch module; `pick` takes the member of its batch out of a tensor."""
         raise NotImplementedError
 
@@ -76,7 +79,7 @@ class Pick:
 
     index: int = 0
 
-    def __call__(self, tensor: Any, trailing: int) -> FloatArray:
+    def __call__(self, tensor: torch.Tensor, trailing: int) -> FloatArray:
         """The last `trailing` dimensions of `tensor` at the batch index. Raises `ModelError` for a
         batch of more than one dimension."""
         array = numbers(tensor)
@@ -88,12 +91,12 @@ class Pick:
         flat = array.reshape((-1, *array.shape[array.ndim - trailing :]))
         return np.array(flat[self.index if len(flat) > 1 else 0])
 
-    def scalar(self, tensor: Any, trailing: int = 0) -> float:
+    def scalar(self, tensor: torch.Tensor, trailing: int = 0) -> float:
         """One number whose own dimensions, `trailing` of them, are all 1."""
         return float(self(tensor, trailing).reshape(()))
 
 
-def numbers(tensor: Any) -> FloatArray:
+def numbers(tensor: torch.Tensor) -> FloatArray:
     """A PyTorch tensor as float64 numbers, without importing PyTorch."""
     value = tensor.detach().cpu() if hasattr(tensor, "detach") else tensor
     return np.asarray(value.numpy() if hasattr(value, "numpy") else value, dtype=np.float64)
@@ -118,10 +121,10 @@ class Stationary(Covariance):
             raise ModelError(f"{self.kind}: length-scales must be positive")
 
     @abstractmethod
-    def of(self, square: Any, xp: Any) -> tuple[Any, Any]:
+    def of(self, square: Numeric, xp: Namespace) -> tuple[Numeric, Numeric]:
         """(c, dc/d(r^2)) elementwise."""
 
-    def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+    def column(self, support: FloatArray, x: Numeric, xp: Namespace) -> tuple[Numeric, Pullback]:
         """k and its pullback."""
         scale = np.broadcast_to(self.lengthscales, support.shape[1:])
         center = support.mean(axis=0) if len(support) else np.zeros(support.shape[1])
@@ -140,7 +143,7 @@ class Stationary(Covariance):
 
         return c, back
 
-    def variance(self, x: Any, xp: Any) -> Any:
+    def variance(self, x: Numeric, xp: Namespace) -> Numeric:
         """k(x, x)."""
         return np.ones((1, x.shape[1])) if xp is np else ca.DM(1.0)
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError
 from greybox.residual.covariances.covariance import Covariance, Pick, Pullback, frozen
-from greybox.symbolic import Expr, FloatArray
+from greybox.symbolic import Expr, FloatArray, Namespace, Numeric
+
+if TYPE_CHECKING:
+    import torch
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,7 +29,7 @@ class Linear(Covariance):
         if not (self.variances >= 0).all():
             raise ModelError("linear: variances must not be negative")
 
-    def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+    def column(self, support: FloatArray, x: Numeric, xp: Namespace) -> tuple[Numeric, Pullback]:
         """k and its pullback."""
         weighted = support * np.broadcast_to(self.variances, support.shape[1:])
         k = weighted @ x if xp is np else ca.DM(weighted) @ x
@@ -36,7 +39,7 @@ class Linear(Covariance):
 
         return k, back
 
-    def variance(self, x: Any, xp: Any) -> Any:
+    def variance(self, x: Numeric, xp: Namespace) -> Numeric:
         """k(x, x)."""
         row = np.broadcast_to(self.variances, (x.shape[0],))[None, :]
         return row @ (x * x) if xp is np else ca.DM(np.array(row)) @ (x * x)
@@ -46,6 +49,6 @@ class Linear(Covariance):
         return 2.0 * (ca.DM(np.array(np.broadcast_to(self.variances, (x.shape[0],)))) * x).T
 
     @classmethod
-    def read(cls, module: Any, pick: Pick) -> Covariance:
+    def read(cls, module: torch.nn.Module, pick: Pick) -> Covariance:
         """From the GPyTorch module of this kind."""
         return cls(variances=pick(module.variance, 2))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 from greybox.errors import ModelError
 from greybox.residual.covariances.covariance import Covariance, Pick, Stationary
-from greybox.symbolic import FloatArray
+from greybox.symbolic import FloatArray, Namespace, Numeric
+
+if TYPE_CHECKING:
+    import torch
 
 TINY = 1e-30
 """Added below the root: a square root has no slope at zero."""
@@ -29,7 +32,7 @@ class Matern(Stationary):
                 "Matern of another order", expected="nu 0.5, 1.5 or 2.5", got=f"{self.nu:g}"
             )
 
-    def of(self, square: Any, xp: Any) -> tuple[Any, Any]:
+    def of(self, square: Numeric, xp: Namespace) -> tuple[Numeric, Numeric]:
         """c and its slope in r^2."""
         a = xp.sqrt(2.0 * self.nu * xp.fmax(square, TINY + 0.0 * square))
         e = xp.exp(-a)
@@ -40,6 +43,6 @@ class Matern(Stationary):
         return (1.0 + a + a * a / 3.0) * e, -(5.0 / 6.0) * (1.0 + a) * e
 
     @classmethod
-    def read(cls, module: Any, pick: Pick) -> Covariance:
+    def read(cls, module: torch.nn.Module, pick: Pick) -> Covariance:
         """From the GPyTorch module of this kind."""
         return cls(lengthscales=pick(module.lengthscale, 2), nu=float(module.nu))

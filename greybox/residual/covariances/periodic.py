@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError
 from greybox.residual.covariances.covariance import Covariance, Pick, Pullback, frozen
-from greybox.symbolic import Expr, FloatArray
+from greybox.symbolic import Expr, FloatArray, Namespace, Numeric
+
+if TYPE_CHECKING:
+    import torch
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,7 +33,7 @@ class Periodic(Covariance):
             if not (value > 0).all():
                 raise ModelError(f"periodic: {name} must be positive")
 
-    def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+    def column(self, support: FloatArray, x: Numeric, xp: Namespace) -> tuple[Numeric, Pullback]:
         """k and its pullback."""
         n = support.shape[1]
         rate, size = (
@@ -50,11 +53,11 @@ class Periodic(Covariance):
 
         return k, back
 
-    def variance(self, x: Any, xp: Any) -> Any:
+    def variance(self, x: Numeric, xp: Namespace) -> Numeric:
         """k(x, x)."""
         return np.ones((1, x.shape[1])) if xp is np else ca.DM(1.0)
 
     @classmethod
-    def read(cls, module: Any, pick: Pick) -> Covariance:
+    def read(cls, module: torch.nn.Module, pick: Pick) -> Covariance:
         """From the GPyTorch module of this kind."""
         return cls(lengthscales=pick(module.lengthscale, 2), periods=pick(module.period_length, 2))

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError
 from greybox.residual.covariances.covariance import Covariance, Pick, Pullback
-from greybox.symbolic import Expr, FloatArray
+from greybox.symbolic import Expr, FloatArray, Namespace, Numeric
+
+if TYPE_CHECKING:
+    import torch
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,7 +29,7 @@ class Polynomial(Covariance):
         if self.power < 1 or self.power != int(self.power) or not self.offset >= 0:
             raise ModelError("polynomial: a whole power of at least 1 and an offset of at least 0")
 
-    def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+    def column(self, support: FloatArray, x: Numeric, xp: Namespace) -> tuple[Numeric, Pullback]:
         """k and its pullback."""
         base = (support @ x if xp is np else ca.DM(support) @ x) + self.offset
 
@@ -35,7 +38,7 @@ class Polynomial(Covariance):
 
         return base**self.power, back
 
-    def variance(self, x: Any, xp: Any) -> Any:
+    def variance(self, x: Numeric, xp: Namespace) -> Numeric:
         """k(x, x)."""
         square = np.sum(x * x, axis=0, keepdims=True) if xp is np else ca.sumsqr(x)
         return (square + self.offset) ** self.power
@@ -45,6 +48,6 @@ class Polynomial(Covariance):
         return 2.0 * self.power * (ca.sumsqr(x) + self.offset) ** (self.power - 1) * x.T
 
     @classmethod
-    def read(cls, module: Any, pick: Pick) -> Covariance:
+    def read(cls, module: torch.nn.Module, pick: Pick) -> Covariance:
         """From the GPyTorch module of this kind."""
         return cls(power=int(module.power), offset=pick.scalar(module.offset, 1))

@@ -4,11 +4,14 @@ length-scales."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 from greybox.errors import ModelError
 from greybox.residual.covariances.covariance import Covariance, Pick, Stationary
-from greybox.symbolic import FloatArray
+from greybox.symbolic import FloatArray, Namespace, Numeric
+
+if TYPE_CHECKING:
+    import torch
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,13 +28,13 @@ class RationalQuadratic(Stationary):
         if not self.alpha > 0:
             raise ModelError("rational quadratic: alpha must be positive", got=f"{self.alpha:g}")
 
-    def of(self, square: Any, xp: Any) -> tuple[Any, Any]:
+    def of(self, square: Numeric, xp: Namespace) -> tuple[Numeric, Numeric]:
         """c and its slope in r^2."""
         base = 1.0 + square / (2.0 * self.alpha)
         c = xp.exp(-self.alpha * xp.log(base))
         return c, -0.5 * c / base
 
     @classmethod
-    def read(cls, module: Any, pick: Pick) -> Covariance:
+    def read(cls, module: torch.nn.Module, pick: Pick) -> Covariance:
         """From the GPyTorch module of this kind."""
         return cls(lengthscales=pick(module.lengthscale, 2), alpha=pick.scalar(module.alpha, 1))

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -101,7 +100,7 @@ def faded(made: Features, x: FloatArray) -> Features:
 
 
 def seen_share(
-    columns: FloatArray, phi: Any, members: int
+    columns: FloatArray, phi: ca.Function, members: int
 ) -> tuple[FloatArray, npt.NDArray[np.intp]]:
     """(s (N,) of every row, places of the features that no data inform) of faded features phi,
     `columns` (N, M), which stand side by side for the `members` of an ensemble; s is that of the

@@ -20,8 +20,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from greybox.residual.learners.sequence import CHANNELS, SequenceLearner, SequenceNetwork
-from greybox.symbolic import FloatArray
+from greybox.residual.learners.sequence import CHANNELS, SequenceLearner, SequenceNetwork, Tanh
+from greybox.symbolic import FloatArray, Numeric
 
 GATES = ("enter", "forget", "fresh", "leave")
 """In the order of their rows."""
@@ -41,11 +41,13 @@ class Recurrence(SequenceNetwork):
         if self.taps:
             w[2][CHANNELS : 2 * CHANNELS] += 1.0
 
-    def remembered(self, taps: Sequence[Any], w: Sequence[Any], tanh: Any) -> tuple[Any, Any]:
+    def remembered(
+        self, taps: Sequence[Numeric], w: Sequence[Numeric], tanh: Tanh
+    ) -> tuple[Numeric, Any]:
         """Keeps input, earlier h, gates, earlier c and tanh(c) of every sample, the oldest
         first."""
-        h: Any = None
-        c: Any = None
+        h: Numeric | None = None
+        c: Numeric | None = None
         steps = []
         for u in reversed(taps):
             sums = w[0] @ u + w[2] + (0.0 if h is None else w[1] @ h)
@@ -58,7 +60,9 @@ class Recurrence(SequenceNetwork):
             h, c = leave * bent, after
         return h, steps
 
-    def back(self, kept: Any, into: FloatArray, w: Sequence[Any], g: Sequence[FloatArray]) -> None:
+    def back(
+        self, kept: Any, into: FloatArray, w: Sequence[FloatArray], g: Sequence[FloatArray]
+    ) -> None:
         """From the present sample to the oldest one."""
         of_h, of_c = into, np.zeros_like(into)
         for u, h, (enter, forget, fresh, leave), c, bent in reversed(kept):

@@ -9,9 +9,9 @@ with one hidden layer.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -20,7 +20,7 @@ import scipy.optimize
 from greybox.residual.features import lag_of
 from greybox.residual.learners.learner import Features
 from greybox.residual.learners.neural import DECAY, ITERATIONS, ROWS, STARTS
-from greybox.symbolic import Expr, FloatArray
+from greybox.symbolic import Expr, FloatArray, Numeric
 
 MEMORY, MOST_LAGS = 0.14, 31
 """How far back [s] commands are looked at on physics: after it a lag of 70 ms has settled to a
@@ -28,6 +28,7 @@ seventh, and a wake of 4 m/s is half a metre away. Most earlier samples: with th
 state per input in an export."""
 CHANNELS, MOST_UNITS = 8, 16
 """Channels of the memory, most units of the hidden layer."""
+Tanh = Callable[[Numeric], Numeric]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,7 @@ class SequenceNetwork:
     outputs: int
 
     @classmethod
-    def of(cls, names: Sequence[str], units: int, outputs: int) -> Any:
+    def of(cls, names: Sequence[str], units: int, outputs: int) -> Self:
         """The network of inputs of these names; a shorter sequence goes on with its oldest
         sample."""
         places: dict[str, dict[int, int]] = {}
@@ -70,12 +71,16 @@ class SequenceNetwork:
         """Of the memory's matrices; none without a sequence."""
         raise NotImplementedError
 
-    def remembered(self, taps: Sequence[Any], w: Sequence[Any], tanh: Any) -> tuple[Any, Any]:
+    def remembered(
+        self, taps: Sequence[Numeric], w: Sequence[Numeric], tanh: Tanh
+    ) -> tuple[Numeric, Any]:
         """(summary (CHANNELS, N), what `back` needs) of `taps`, newest first, NumPy columns or
         expressions alike."""
         raise NotImplementedError
 
-    def back(self, kept: Any, into: FloatArray, w: Sequence[Any], g: Sequence[FloatArray]) -> None:
+    def back(
+        self, kept: Any, into: FloatArray, w: Sequence[FloatArray], g: Sequence[FloatArray]
+    ) -> None:
         """Adds the slopes of the memory's matrices to `g`, for that of its summary `into`
         (CHANNELS, N)."""
         raise NotImplementedError
@@ -131,7 +136,9 @@ class SequenceNetwork:
             self.back(kept, (w[-3].T @ back)[:CHANNELS], w, g)
         return float(np.sum(error**2) / n + DECAY * v @ v), 2 * slope / n + 2 * DECAY * v
 
-    def _summary(self, taps: Sequence[Any], w: Sequence[Any], tanh: Any) -> tuple[list[Any], Any]:
+    def _summary(
+        self, taps: Sequence[Numeric], w: Sequence[Numeric], tanh: Tanh
+    ) -> tuple[list[Numeric], Any]:
         if not self.memory_shapes():
             return [], None
         summary, kept = self.remembered(taps, w, tanh)
@@ -167,7 +174,7 @@ class SequenceLearner:
         """The samples in `MEMORY`, at least one and at most `MOST_LAGS`."""
         return min(max(round(MEMORY / sample_time), 1), MOST_LAGS)
 
-    def of(self, names: Sequence[str]) -> Any:
+    def of(self, names: Sequence[str]) -> Self:
         """The same for inputs of these names."""
         return type(self)(tuple(names))
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,7 +21,7 @@ from greybox.symbolic import Expr, FloatArray
 THRESHOLDS = (0.05, 0.15, 0.4)
 """Least coefficients, in spreads of the output per spread of the term."""
 ROUNDS = 10
-Term = Callable[[Sequence[Any]], Any]
+Term = Callable[[Sequence[Expr]], Expr]
 """A term of a list of inputs, arrays or expressions alike."""
 
 
@@ -61,7 +60,7 @@ def _library(n: int) -> list[Term]:
     ]
 
 
-def _one(x: Sequence[Any]) -> Any:
+def _one(x: Sequence[Expr]) -> Expr:
     return 0 * x[0] + 1.0
 
 

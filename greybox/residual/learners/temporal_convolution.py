@@ -18,8 +18,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from greybox.residual.learners.sequence import CHANNELS, SequenceLearner, SequenceNetwork
-from greybox.symbolic import FloatArray
+from greybox.residual.learners.sequence import CHANNELS, SequenceLearner, SequenceNetwork, Tanh
+from greybox.symbolic import FloatArray, Numeric
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,9 @@ class Convolution(SequenceNetwork):
             out += [(CHANNELS, width), (CHANNELS, width), (CHANNELS, 1)]
         return out
 
-    def remembered(self, taps: Sequence[Any], w: Sequence[Any], tanh: Any) -> tuple[Any, Any]:
+    def remembered(
+        self, taps: Sequence[Numeric], w: Sequence[Numeric], tanh: Tanh
+    ) -> tuple[Numeric, Any]:
         """Keeps the sequence before and after every convolution, newest first."""
         layers = [list(taps)]
         while len(layers[-1]) > 1:
@@ -48,7 +50,9 @@ class Convolution(SequenceNetwork):
             )
         return layers[-1][0], layers
 
-    def back(self, kept: Any, into: FloatArray, w: Sequence[Any], g: Sequence[FloatArray]) -> None:
+    def back(
+        self, kept: Any, into: FloatArray, w: Sequence[FloatArray], g: Sequence[FloatArray]
+    ) -> None:
         """From the last convolution to the first."""
         slopes = [into]
         for k in range(len(kept) - 2, -1, -1):
