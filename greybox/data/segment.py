@@ -26,7 +26,7 @@ CLOCK_TOLERANCE = 1e-3
 """Largest deviation of a sample from the uniform grid, as a share of the sample time."""
 
 
-def _frozen_floats(values: Any, n: int, what: str, flight: str) -> FloatArray:
+def _frozen_floats(values: npt.ArrayLike, n: int, what: str, flight: str) -> FloatArray:
     array = np.array(values, dtype=np.float64)
     if array.shape != (n,):
         raise DataError(

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -161,7 +160,7 @@ def _parameter_covariance(
 class _Learned:
     """Standard deviation of a learned push along a path."""
 
-    function: Any
+    function: ca.Function
     rows: list[int]
 
     @property

@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -135,7 +136,7 @@ class Linear:
         )
 
     @classmethod
-    def of(cls, function: Any) -> Linear:
+    def of(cls, function: ca.Function) -> Linear:
         """Of a CasADi function of SX expressions. Raises `ModelError` like `tape_of`."""
         sparsities = [
             np.array(function.sparsity_out(i).compress(), dtype=np.int64)
@@ -143,7 +144,7 @@ class Linear:
         ]
         return cls(tape_of(function), sparsities)
 
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+    def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
         """All that it is made of, by name."""
         tape = self._tape
         sparsities = {f"sparsity{i}": v for i, v in enumerate(self._sparsities)}
@@ -168,7 +169,7 @@ class Linear:
         return cls(tape, [arrays[f"sparsity{i}"] for i in range(many)])
 
 
-def tape_of(function: Any) -> Tape:
+def tape_of(function: ca.Function) -> Tape:
     """The tape of a CasADi function of SX expressions. Raises `ModelError` for an operation that
     has none, and for a function that is too large."""
     return _Writer(function).tape()
@@ -177,7 +178,7 @@ def tape_of(function: Any) -> Tape:
 class _Writer:
     """Value k is what instruction k of the function makes. `operands` of every value are values."""
 
-    def __init__(self, function: Any) -> None:
+    def __init__(self, function: ca.Function) -> None:
         self.function = function
         n = function.n_instructions()
         names, place = operation_names(), dict[int, int]()  # which value a slot of CasADi holds

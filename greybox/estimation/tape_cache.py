@@ -32,7 +32,7 @@ def _made_by() -> str:
 
 
 def linears(
-    expressions: Any, derived_by: str, functions: Mapping[str, Callable[[], Any]]
+    expressions: ca.Function, derived_by: str, functions: Mapping[str, Callable[[], ca.Function]]
 ) -> dict[str, Linear]:
     """Name -> what a function gives that is only made where the cache does not know it.
 

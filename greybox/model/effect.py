@@ -18,6 +18,7 @@ from greybox.model.clock import DELAYS
 from greybox.model.flow import Flow, Remembered
 from greybox.model.parameter import Parameter
 from greybox.model.sensors import SENSORS
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 Stage = Literal["command", "rotor", "thrust", "body", "wrench", "sensor"]
@@ -94,7 +95,7 @@ class Effect(ABC):
     case: ClassVar[ReferenceCase]
 
     @abstractmethod
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """Declarations, named without the effect's prefix."""
 
     @abstractmethod
@@ -102,7 +103,7 @@ class Effect(ABC):
         """The formula: slots of the stage -> expressions. `p` holds the effect's own parameters by
         short name."""
 
-    def memory(self, vehicle: Any) -> tuple[Remembered, ...]:
+    def memory(self, vehicle: Vehicle) -> tuple[Remembered, ...]:
         """States of its own, for an effect that remembers (stages thrust, wrench); `flow.memory`
         has them in this order."""
         return ()
@@ -113,13 +114,13 @@ class Effect(ABC):
             f"effect {self.name} has a memory and does not say how it changes"
         )
 
-    def derived(self, p: Mapping[str, Expr], vehicle: Any) -> Mapping[str, Expr]:
+    def derived(self, p: Mapping[str, Expr], vehicle: Vehicle) -> Mapping[str, Expr]:
         """Further named numbers that follow from the parameters (reported with error bars, never
         fitted)."""
         return {}
 
     def missing(
-        self, vehicle: Any, sensors: Collection[str], columns: Collection[str] | None = None
+        self, vehicle: Vehicle, sensors: Collection[str], columns: Collection[str] | None = None
     ) -> tuple[str, ...]:
         """What the effect needs and is not there, in words; empty where it can be in a model.
 
@@ -142,11 +143,12 @@ class Effect(ABC):
         return f"<effect {self.name}>"
 
 
-def _fact(vehicle: Any, dotted: str) -> Any:
+def _fact(vehicle: Vehicle, dotted: str) -> Any:
     """A fact of the vehicle by its dotted name, None where it is not stated."""
+    fact: Any = vehicle
     for part in dotted.split("."):
-        vehicle = getattr(vehicle, part, None)
-    return vehicle
+        fact = getattr(fact, part, None)
+    return fact
 
 
 def vector_parameters(

@@ -17,6 +17,7 @@ from greybox.model.example import example_vehicle
 from greybox.model.model import PhysicsModel
 from greybox.model.parameter import Parameter
 from greybox.model.sensors import SENSORS
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, FloatArray
 
 RIGID = 13
@@ -134,7 +135,7 @@ class _Watched(Effect):
         for name in ("name", "stage", "order", "early", "needs", "tags"):
             setattr(self, name, getattr(inner, name))
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """As the effect."""
         return self.inner.parameters(vehicle)
 
@@ -144,11 +145,11 @@ class _Watched(Effect):
         self.returned |= set(slots)
         return slots
 
-    def derived(self, p: Mapping[str, Expr], vehicle: Any) -> Mapping[str, Expr]:
+    def derived(self, p: Mapping[str, Expr], vehicle: Vehicle) -> Mapping[str, Expr]:
         """As the effect."""
         return self.inner.derived(p, vehicle)
 
-    def memory(self, vehicle: Any) -> tuple[Remembered, ...]:
+    def memory(self, vehicle: Vehicle) -> tuple[Remembered, ...]:
         """As the effect."""
         return self.inner.memory(vehicle)
 

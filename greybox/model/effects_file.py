@@ -145,7 +145,7 @@ def _from_text(text: str, path: str) -> tuple[Effect, ...]:
     return found
 
 
-def _reduce(effect: Effect) -> tuple[Any, ...]:
+def _reduce(effect: Effect) -> tuple[object, ...]:
     """Pickled by its text, so that a worker process can make it too."""
     source = source_of(effect)
     assert source is not None

@@ -8,12 +8,13 @@ write whole families of functions, matrices included, with `mpc_export.tape`.)
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
 
 from greybox.errors import FileFormatError, ModelError
+from greybox.symbolic import Expr
 
 LONGEST = 1_000_000
 """Operations of one function: what is longer was not written here."""
@@ -27,7 +28,7 @@ def _codes() -> Mapping[str, int]:
     return {n.removeprefix("OP_"): int(getattr(ca, n)) for n in names}
 
 
-def write_function(function: Any) -> dict[str, Any]:
+def write_function(function: ca.Function) -> dict[str, Any]:
     """Plain values of an SX function: shapes of arguments and results, and one row per operation.
 
     A row is [name, result slot, arguments...]: slots, or argument number and entry (INPUT), result
@@ -63,12 +64,12 @@ def write_function(function: Any) -> dict[str, Any]:
     }
 
 
-def _triplet(sparsity: Any) -> tuple[Any, Any]:
+def _triplet(sparsity: ca.Sparsity) -> tuple[list[int], list[int]]:
     rows, columns = sparsity.get_triplet()
     return rows, columns
 
 
-def read_function(name: str, values: Mapping[str, Any]) -> Any:
+def read_function(name: str, values: Mapping[str, Any]) -> ca.Function:
     """The function that `write_function` wrote. Raises `FileFormatError` for anything else."""
     try:
         if len(values["operations"]) > LONGEST:
@@ -76,7 +77,7 @@ def read_function(name: str, values: Mapping[str, Any]) -> Any:
         given = [ca.SX.sym(f"a{i}", *map(int, s)) for i, s in enumerate(values["arguments"])]
         entries = [g.nonzeros() for g in given]
         results = [[ca.SX(0)] * len(part[0]) for part in values["nonzeros"]]
-        work: dict[int, Any] = {}
+        work: dict[int, Expr] = {}
         for row in values["operations"]:
             _apply(row, entries, results, work)
         outputs = []
@@ -94,7 +95,9 @@ def read_function(name: str, values: Mapping[str, Any]) -> Any:
         ) from None
 
 
-def _apply(row: Any, entries: Any, results: Any, work: dict[int, Any]) -> None:
+def _apply(
+    row: Any, entries: Sequence[Expr], results: Sequence[Expr], work: dict[int, Expr]
+) -> None:
     """One operation: slots in `work`, symbols in `entries`, what comes out in `results`."""
     name, *rest = row
     if name == "CONST":

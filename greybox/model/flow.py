@@ -4,10 +4,10 @@ remember."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -19,7 +19,7 @@ class Flow:
     Fields that the stage at hand does not know yet are None (a command effect sees no thrust).
     """
 
-    vehicle: Any
+    vehicle: Vehicle
     command: Expr = None  # u (n), after earlier members of the chain
     nu: Expr = None  # normalised rotor speed (n)
     nu_rate: Expr = None  # d nu / dt [1/s] (n)
@@ -41,7 +41,7 @@ class Flow:
     memory: Expr = None  # what this effect or sensor remembers (see its `memory`)
     arms: Expr = None  # r_i, hub positions from the centre of mass (3 x n) [m]
     mass: Expr = None  # [kg]
-    measured: Any = None  # sensor name -> value after earlier members of the chain
+    measured: Expr = None  # sensor name -> value after earlier members of the chain
 
     def airspeed(self, i: int) -> Expr:
         """v_a,i = R^T (v - w) + omega x r_i, airspeed of hub i in body axes [m/s]."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -165,11 +164,11 @@ class StructuredLinear:
 
     name: str
     names: tuple[str, ...]
-    theta: Any
-    a: Any
-    b: Any
-    c: Any
-    d: Any
+    theta: Expr
+    a: Expr
+    b: Expr
+    c: Expr
+    d: Expr
     dt: float
     continuous: bool = True
     inputs: Layout = field(default_factory=lambda: Layout([]))
@@ -263,14 +262,14 @@ def _vector(model: Dynamics, values: Mapping[str, float] | None) -> FloatArray:
     return np.array([chosen[p.name] for p in model.parameters])
 
 
-def _symbols(model: Dynamics) -> tuple[Any, Any, Any, Any]:
+def _symbols(model: Dynamics) -> tuple[Expr, Expr, Expr, Expr]:
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
     p = ca.SX.sym("p", len(model.parameters))
     past, future = model.window
     return x, u, p, ca.repmat(u, 1, past + 1 + future)
 
 
-def _jacobians(model: Dynamics, dt: float) -> Any:
+def _jacobians(model: Dynamics, dt: float) -> ca.Function:
     x, u, p, window = _symbols(model)
     delta, v = ca.SX.sym("delta", len(model.error_states)), ca.SX.sym("v", len(model.inputs))
     driven = ca.repmat(v, 1, window.shape[1])
@@ -296,14 +295,14 @@ def deviations(
     return after, seen
 
 
-def _output_function(model: Dynamics, dt: float) -> Any:
+def _output_function(model: Dynamics, dt: float) -> ca.Function:
     x, u, p, window = _symbols(model)
     return ca.Function(
         "y", [x, u, p], [model.output(0.0, x, window, p, ca.SX.zeros(len(model.noises)), dt)]
     )
 
 
-def _trim_function(model: Dynamics, dt: float, p: FloatArray) -> dict[str, Any]:
+def _trim_function(model: Dynamics, dt: float, p: FloatArray) -> dict[str, ca.Function]:
     x, u, _, window = _symbols(model)
     delta = ca.SX.sym("delta", len(model.error_states))
     w, values = ca.SX.zeros(len(model.noises)), ca.DM(p)
@@ -319,7 +318,7 @@ def _trim_function(model: Dynamics, dt: float, p: FloatArray) -> dict[str, Any]:
 
 
 def _evaluated(
-    function: Mapping[str, Any], x: FloatArray, u: FloatArray
+    function: Mapping[str, ca.Function], x: FloatArray, u: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     change, jacobian = function["change"](x, u)
     return np.asarray(change, dtype=float).ravel(), np.asarray(jacobian, dtype=float)

@@ -12,13 +12,14 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 
 from greybox.model.clock import STATE_CLOCK
 from greybox.model.flow import Flow, Remembered
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, FloatArray, Signal
 
 
@@ -66,15 +67,15 @@ class Sensor(ABC):
     witnesses: ClassVar[frozenset[str]] = frozenset()
 
     @abstractmethod
-    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """Columns of the log, with units."""
 
     @abstractmethod
-    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def innovation_signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """Components of the innovation, with units."""
 
     @abstractmethod
-    def typical_noise(self, vehicle: Any) -> float | Sequence[float]:
+    def typical_noise(self, vehicle: Vehicle) -> float | Sequence[float]:
         """One standard deviation [innovation unit], where a fit begins that knows no other: of all
         components, or each."""
 
@@ -95,7 +96,7 @@ class Sensor(ABC):
         times `t` [s]."""
         return ()
 
-    def memory(self, vehicle: Any) -> tuple[Remembered, ...]:
+    def memory(self, vehicle: Vehicle) -> tuple[Remembered, ...]:
         """States of its own, as a bias that drifts; `flow.memory` has them in this order."""
         return ()
 

@@ -8,10 +8,10 @@ from typing import Any
 
 from greybox.errors import UnknownNameError, VehicleError
 
-_ABSENT: Any = object()
+_ABSENT = object()
 
 
-def describe(value: Any) -> str:
+def describe(value: object) -> str:
     """A value as it is shown in an error: type and text, short."""
     kinds = {str: "the text", bool: "the boolean", list: "the array", dict: "the table"}
     try:
@@ -28,7 +28,7 @@ class TomlTable:
     message.
     """
 
-    def __init__(self, value: Any, *, file: str, path: str = "") -> None:
+    def __init__(self, value: object, *, file: str, path: str = "") -> None:
         self.file, self.path = file, path
         if not isinstance(value, Mapping):
             raise self.error("", "a table is needed here", got=describe(value))
@@ -54,7 +54,7 @@ class TomlTable:
             if key not in allowed:
                 raise UnknownNameError("key", key, allowed, where=self.place(""))
 
-    def get(self, key: str, default: Any = _ABSENT) -> Any:
+    def get(self, key: str, default: object = _ABSENT) -> Any:
         """The raw value; `VehicleError` where it is missing and there is no default."""
         if key in self.value:
             return self.value[key]
@@ -69,7 +69,7 @@ class TomlTable:
     def number(
         self,
         key: str,
-        default: Any = _ABSENT,
+        default: object = _ABSENT,
         *,
         positive: bool = False,
         minimum: float | None = None,
@@ -89,7 +89,7 @@ class TomlTable:
             )
         return value
 
-    def checked_number(self, key: str, value: Any) -> float:
+    def checked_number(self, key: str, value: object) -> float:
         """`value`, which stands at `key`, as a finite float."""
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(
@@ -109,7 +109,7 @@ class TomlTable:
             )
         return number
 
-    def text(self, key: str, default: Any = _ABSENT) -> str:
+    def text(self, key: str, default: object = _ABSENT) -> str:
         """A text."""
         value = self.get(key, default)
         if not isinstance(value, str):
@@ -141,7 +141,7 @@ class TomlTable:
             )
         return value
 
-    def array(self, key: str, length: int | None, default: Any = _ABSENT) -> list[Any]:
+    def array(self, key: str, length: int | None, default: object = _ABSENT) -> list[Any]:
         """An array, of `length` entries unless None."""
         value = self.get(key, default)
         wanted = "an array" if length is None else f"an array of {length}"
@@ -159,12 +159,12 @@ class TomlTable:
             )
         return list(value)
 
-    def numbers(self, key: str, length: int, default: Any = _ABSENT) -> tuple[float, ...]:
+    def numbers(self, key: str, length: int, default: object = _ABSENT) -> tuple[float, ...]:
         """An array of finite numbers."""
         values = self.array(key, length, default)
         return tuple(self.checked_number(f"{key}[{i}]", v) for i, v in enumerate(values))
 
-    def table(self, key: str, default: Any = _ABSENT) -> TomlTable:
+    def table(self, key: str, default: object = _ABSENT) -> TomlTable:
         """A sub-table."""
         return TomlTable(
             self.get(key, default), file=self.file, path=f"{self.path}.{key}" if self.path else key

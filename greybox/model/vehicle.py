@@ -315,7 +315,7 @@ class _Silent:
         return sigma
 
 
-def _quantity(table: TomlTable, key: str, value: Any, name: str, silent: _Silent) -> Quantity:
+def _quantity(table: TomlTable, key: str, value: object, name: str, silent: _Silent) -> Quantity:
     """The number at `key`, which is the quantity `name`."""
     if not isinstance(value, Mapping):
         number = table.checked_number(key, value)

@@ -80,7 +80,7 @@ def vehicle_text(name: str, changes: Mapping[str, Any]) -> str:
     return out
 
 
-def _positive(key: str, value: Any) -> float:
+def _positive(key: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
         raise VehicleError(
             "must be a number above zero",
@@ -157,7 +157,7 @@ def _scale(
         notes[prefix + k] = note
 
 
-def _assign(data: dict[str, Any], key: str, value: Any, notes: dict[str, str]) -> None:
+def _assign(data: dict[str, Any], key: str, value: object, notes: dict[str, str]) -> None:
     """Set one key that is no size. Parameter names first, then keys of the file."""
     wants_sigma = key.endswith(".sigma")
     base = key.removesuffix(".sigma")
@@ -221,7 +221,7 @@ def _assign(data: dict[str, Any], key: str, value: Any, notes: dict[str, str]) -
     notes[base] = "given"
 
 
-def _number(key: str, value: Any) -> float:
+def _number(key: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise VehicleError(
             "a number is needed here", where=f"--set {key}", got=repr(value), fix=f"--set {key}=0.1"
@@ -249,7 +249,7 @@ def _value_at(data: dict[str, Any], place: str) -> Any:
     return value
 
 
-def _toml(value: Any) -> str:
+def _toml(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -261,7 +261,7 @@ def _toml(value: Any) -> str:
     return repr(value)
 
 
-def written(text: str, place: str, value: Any, note: str) -> str:
+def written(text: str, place: str, value: object, note: str) -> str:
     """`text` with the value of one key replaced, or added at the end of its table. Every key of a
     template is one line."""
     path, _, key = place.rpartition(".")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from greybox.model.effect import Effect, vector_parameters
 from greybox.model.flow import Flow
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.simulators.change import Change
 from greybox.simulators.craft import Craft
 from greybox.simulators.words import GYROSCOPIC, Status, Word, Wording
@@ -32,7 +32,7 @@ class LinearBodyDrag(Effect):
     def __init__(self, *, wind: bool) -> None:
         self.wind = wind
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """d_x, d_y, d_z [N s/m]."""
         return vector_parameters("d_", "xyz", unit="N s/m", scale=1.0, meaning="drag")
 
@@ -71,7 +71,7 @@ class NotGyroscopic(Effect):
     summary = "no gyroscopic moment of the body"
     formula = "M = omega x J omega"
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """Jx, Jy, Jz [kg m^2]."""
         return tuple(
             Parameter(name=f"J{a}", unit="kg m^2", nominal=0.0, null=0.0, meaning="moment")

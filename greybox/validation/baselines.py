@@ -11,7 +11,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -112,7 +111,7 @@ class ImuRecord:
 
 
 @functools.cache
-def _strapdown() -> Any:
+def _strapdown() -> ca.Function:
     """One step of inertial navigation: state (q, v, p), samples (w0, w1, f0, f1), (dt, g) ->
     state."""
     x, samples, c = ca.SX.sym("x", 10), ca.SX.sym("samples", 12), ca.SX.sym("c", 2)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -41,13 +42,15 @@ class Group:
         return len(self.columns)
 
 
+_NO_MATTER: Any = None
+"""The vehicle, for the usual sensors: they have the same columns on every one."""
 GROUPS = {
     g.name: g
     for g in (
         Group(
             name=s.group,
-            unit=s.innovation_signals(None)[0].unit,
-            columns=tuple(x.name for x in s.signals(None)),
+            unit=s.innovation_signals(_NO_MATTER)[0].unit,
+            columns=tuple(x.name for x in s.signals(_NO_MATTER)),
         )
         for s in USUAL
     )

@@ -3,13 +3,12 @@ shows the heading."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 
 from greybox.model.flow import Flow, Remembered
 from greybox.model.sensor import Sensor, Start, axes, first_complete
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, FloatArray, Signal
 
 FIELD = (0.0, 0.5, -(0.75**0.5))
@@ -25,19 +24,19 @@ class Barometer(Sensor):
     summary = "height above the start"
     clock = "now"
 
-    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """baro."""
         return (Signal(name="baro", unit="m", meaning="height above the start"),)
 
-    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def innovation_signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """baro."""
         return self.signals(vehicle)
 
-    def typical_noise(self, vehicle: Any) -> float:
+    def typical_noise(self, vehicle: Vehicle) -> float:
         """[m]."""
         return 0.2
 
-    def memory(self, vehicle: Any) -> tuple[Remembered, ...]:
+    def memory(self, vehicle: Vehicle) -> tuple[Remembered, ...]:
         """The bias, which also takes up where the height is counted from."""
         return (Remembered(name="bias", unit="m", size=1.0, drift=0.02),)
 
@@ -58,17 +57,17 @@ class Magnetometer(Sensor):
     group = "field"
     summary = "direction of the earth's field"
 
-    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """mx, my, mz."""
         return axes("m", "xyz", "-", "direction of the earth's field, body axes")
 
-    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def innovation_signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """magnetometer.heading."""
         return (
             Signal(name="magnetometer.heading", unit="rad", meaning="innovation of the heading"),
         )
 
-    def typical_noise(self, vehicle: Any) -> tuple[float, ...]:
+    def typical_noise(self, vehicle: Vehicle) -> tuple[float, ...]:
         """[rad]."""
         return (0.05,)
 

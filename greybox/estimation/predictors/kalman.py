@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from greybox.errors import FitError
 from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, opened
@@ -280,7 +281,7 @@ class Filter:
         return 0
 
 
-def _ptr(array: Any) -> Any:
+def _ptr(array: npt.NDArray[np.generic]) -> Any:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 

@@ -9,6 +9,7 @@ and for problems with large misfit.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -157,10 +158,10 @@ class _Callback(ca.Callback):
         self.n = memory.problem.n
         self.construct(type(self).__name__.strip("_").lower(), {})
 
-    def _z(self, arg: Any) -> FloatArray:
+    def _z(self, arg: Sequence[ca.DM]) -> FloatArray:
         return np.asarray(arg[0].full()).ravel()
 
-    def eval(self, arg: Any) -> Any:
+    def eval(self, arg: Sequence[ca.DM]) -> list[Any]:
         """Compute; an interrupt from the keyboard ends the solver."""
         try:
             return self.compute(arg)
@@ -169,7 +170,7 @@ class _Callback(ca.Callback):
             raise
 
     @abstractmethod
-    def compute(self, arg: Any) -> Any:
+    def compute(self, arg: Sequence[ca.DM]) -> list[Any]:
         """The function itself."""
 
 
@@ -182,13 +183,13 @@ class _Cost(_Callback):
     def get_n_out(self) -> int:
         return 1
 
-    def get_sparsity_in(self, i: int) -> Any:
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
         return ca.Sparsity.dense(self.n, 1)
 
-    def get_sparsity_out(self, i: int) -> Any:
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
         return ca.Sparsity.dense(1, 1)
 
-    def compute(self, arg: Any) -> Any:
+    def compute(self, arg: Sequence[ca.DM]) -> list[Any]:
         value = self.memory.at(self._z(arg))
         return [value.cost if value.valid else np.nan]
 
@@ -208,13 +209,13 @@ class _Gradient(_Callback):
     def get_name_out(self, i: int) -> str:
         return ("f", "grad_f_x")[i]
 
-    def get_sparsity_in(self, i: int) -> Any:
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
         return ca.Sparsity.dense(self.n if i == 0 else 0, 1) if i == 0 else ca.Sparsity(0, 0)
 
-    def get_sparsity_out(self, i: int) -> Any:
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
         return ca.Sparsity.dense(1 if i == 0 else self.n, 1)
 
-    def compute(self, arg: Any) -> Any:
+    def compute(self, arg: Sequence[ca.DM]) -> list[Any]:
         z = self._z(arg)
         value = self.memory.at(z)
         return [value.cost if value.valid else np.nan, self.memory.gradient(z)]
@@ -239,7 +240,7 @@ class _Hessian(_Callback):
     def get_name_out(self, i: int) -> str:
         return "triu_hess_gamma_x_x"
 
-    def get_sparsity_in(self, i: int) -> Any:
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
         return (
             ca.Sparsity.dense(self.n, 1),
             ca.Sparsity(0, 0),
@@ -247,10 +248,10 @@ class _Hessian(_Callback):
             ca.Sparsity(0, 0),
         )[i]
 
-    def get_sparsity_out(self, i: int) -> Any:
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
         return ca.Sparsity.upper(self.n)
 
-    def compute(self, arg: Any) -> Any:
+    def compute(self, arg: Sequence[ca.DM]) -> list[Any]:
         z = self._z(arg)
         memory = self.memory
         value = memory.at(z)

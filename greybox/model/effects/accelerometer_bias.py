@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_parameters
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -33,7 +33,7 @@ class AccelerometerBias(Effect):
         working="0.5 + 0.01, 1.0 - 0.02, -2.0 + 0.03",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """b_x, b_y, b_z [m/s^2]; scope flight."""
         return vector_parameters(
             "b_", "xyz", unit="m/s^2", scale=0.1, meaning="accelerometer bias", scope="flight"

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_parameters
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -40,7 +40,7 @@ class AccelerometerLeverArm(Effect):
         "0)",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """r_x, r_y, r_z [m], body axes."""
         limit = vehicle.arm_length
         return vector_parameters(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_parameters
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 POSSIBLE = 0.25
@@ -38,7 +38,7 @@ class AccelerometerScale(Effect):
         working="1.01 * 0.5, 0.98 * 1.0, 1.5 * (-2.0)",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """s_x, s_y, s_z [-]."""
         return vector_parameters(
             "s_",

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -40,7 +40,7 @@ class AxialInflow(Effect):
         "motion does nothing",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """k_z [kg/rad]; 2.3e-4 is RotorPy's for a craft of 0.5 kg."""
         scale = 0.1 * vehicle.mass.value / vehicle.omega_scale
         return (

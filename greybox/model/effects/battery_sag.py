@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from greybox.model.effect import Effect, Flow, Needs, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -31,7 +31,7 @@ class BatterySag(Effect):
         working="V0 = 3.8 V: 1 + 0.8 * (3.4 - 3.8) / 3.8 = 1 - 0.0842105",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """The voltage coefficient c_V [-]."""
         return (
             Parameter(

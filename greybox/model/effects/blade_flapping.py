@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -42,7 +42,7 @@ class BladeFlapping(Effect):
         working="sum Omega = 5000; v x e_z = (v_y, -v_x, 0) = (1, -2, 0); 1e-7 * 5000 * (1, -2, 0)",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """k_flap [kg m/rad]."""
         scale = 0.05 * vehicle.mass.value * vehicle.arm_length / vehicle.omega_scale
         return (

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -42,7 +42,7 @@ class CommandSaturation(Effect):
         working="limits 0 + 0.1 and 1 - 0.25: 0 rises to 0.1, 0.3 stays, 0.8 and 1 fall to 0.75",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """a_lo, a_hi [-]: how far each limit retreats, at most half of the range."""
         half = 0.5 * (vehicle.actuator.u_max - vehicle.actuator.u_min)
         return tuple(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase, vector_parameters
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -34,7 +34,7 @@ class ConstantForce(Effect):
         "body -y",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """f_x, f_y, f_z [N] world; scope flight."""
         weight = vehicle.mass.value * vehicle.gravity
         return vector_parameters(

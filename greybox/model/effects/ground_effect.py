@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, Needs, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -58,7 +58,7 @@ class GroundEffect(Effect):
         "1 / (1 - 1.6/4) = 1/0.6",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """k [-]; the fuselage of a small multirotor collects several rotors' worth of it."""
         return (
             Parameter(
@@ -76,6 +76,7 @@ class GroundEffect(Effect):
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """One factor per rotor, from the height of its own hub."""
         radius = flow.vehicle.actuator.rotor_radius
+        assert radius is not None  # what it needs
         height = flow.position[2] + (flow.rotation[2, :] @ flow.arms).T
         ratio = radius / (4 * ca.fmax(height, 0.5 * radius))
         return {"thrust_factor": 1 / (1 - ca.fmin(p["k"] * ratio * ratio, 0.75))}

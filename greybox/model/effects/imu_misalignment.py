@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
@@ -11,6 +10,7 @@ from greybox.frames import quat_exp, rotation_matrix
 from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_parameters
 from greybox.model.parameter import Parameter
 from greybox.model.sensors import on_clock
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 POSSIBLE = 0.175
@@ -37,7 +37,7 @@ class ImuMisalignment(Effect):
         working="an IMU turned 90 deg to the left sees body y as its x and body -x as its y",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """theta_x, theta_y, theta_z [rad]."""
         return vector_parameters(
             "theta_",

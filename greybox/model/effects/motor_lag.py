@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from greybox.model.effect import Effect, Flow, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -32,7 +32,7 @@ class MotorLag(Effect):
         working="the lag is the parameter itself",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """The time constant tau [s]."""
         return (
             Parameter(

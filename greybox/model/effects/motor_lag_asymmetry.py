@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from greybox.model.effect import Effect, Flow, Needs, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -38,7 +38,7 @@ class MotorLagAsymmetry(Effect):
         working="the asymmetry is the parameter itself",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """The asymmetry a [-]."""
         return (
             Parameter(

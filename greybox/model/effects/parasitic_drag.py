@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase, vector_parameters
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, safe_norm
 
 
@@ -33,7 +33,7 @@ class ParasiticDrag(Effect):
         working="v_a = (2, -2, 1), |v_a| = 3: -0.01 * 2 * 3, -0.02 * (-2) * 3, -0.03 * 1 * 3",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """c_x, c_y, c_z [N s^2/m^2]; half the density of air times drag coefficient and area."""
         scale = 2e-3 * vehicle.mass.value / vehicle.arm_length
         return vector_parameters(

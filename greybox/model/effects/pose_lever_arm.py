@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_parameters
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -42,7 +42,7 @@ class PoseLeverArm(Effect):
         "(0, 0.1, -0.05)",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """r_x, r_y, r_z [m], body axes."""
         limit = 2 * vehicle.arm_length
         return vector_parameters(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.model.effect import Effect, Flow, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 SHARE = 0.25
@@ -43,7 +43,7 @@ class ProductsOfInertia(Effect):
         working="the matrix elements themselves, once on each side of the diagonal",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """Jxy, Jxz, Jyz [kg m^2]: matrix elements, not the integrals with the other sign."""
         inertia = np.asarray(vehicle.inertia)
         root = np.sqrt(np.diag(inertia))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase, vector_parameters
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -32,7 +32,7 @@ class RotationalDamping(Effect):
         working="-(1e-4 * 2, 2e-4 * (-1), 0.5e-4 * 4)",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """d_p, d_q, d_r [N m s]."""
         scale = vehicle.inertia[0][0]  # 1 rad/s decays at 1 1/s
         return vector_parameters(

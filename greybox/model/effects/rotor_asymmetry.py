@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -36,7 +36,7 @@ class RotorAsymmetry(Effect):
         working="delta_4 = -(0.1 - 0.02 + 0) = -0.08",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """delta_1 .. delta_(n-1) [-]."""
         return tuple(
             Parameter(
@@ -58,6 +58,6 @@ class RotorAsymmetry(Effect):
         factor = ca.vertcat(*(1 + d for d in delta), 1 - sum(delta))
         return {"thrust_factor": factor, "torque_factor": factor}
 
-    def derived(self, p: Mapping[str, Expr], vehicle: Any) -> Mapping[str, Expr]:
+    def derived(self, p: Mapping[str, Expr], vehicle: Vehicle) -> Mapping[str, Expr]:
         """The last rotor's share."""
         return {f"delta_{len(vehicle.rotors)}": -sum(p.values())}

@@ -4,12 +4,12 @@ the motors."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -45,7 +45,7 @@ class RotorGyroscopic(Effect):
         "= (-3e-3, 2e-3, 0)",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """J_r [kg m^2]: rotor and propeller about the spin axis."""
         # At full speed change within a motor's lag such a rotor turns the body by some rad/s^2.
         scale = 0.05 * float(vehicle.inertia[2][2]) / vehicle.omega_scale

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from greybox.model.effect import Effect, Flow, Needs, ReferenceCase
 from greybox.model.parameter import Parameter
 from greybox.model.sensors import on_clock
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -42,7 +42,7 @@ class SensorDelay(Effect):
         working="the delay is the parameter itself",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """The delay d [s]."""
         return (
             Parameter(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_parameters
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -45,7 +45,7 @@ class SteadyWind(Effect):
         working="the parameters are the wind itself, in world axes",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """w_x, w_y, w_z [m/s] world; scope flight."""
         return vector_parameters(
             "w_",

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from greybox.model.effect import Effect, Flow, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -28,7 +28,7 @@ class ThrustCurve(Effect):
         working="u = 0.4: 0.5 * 0.4 + 0.5 * 0.16 = 0.28; u = 0.8: 0.4 + 0.32 = 0.72",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """The curvature f [-]."""
         return (
             Parameter(

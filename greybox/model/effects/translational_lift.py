@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -39,7 +39,7 @@ class TranslationalLift(Effect):
         working="3^2 + 4^2 = 25 m^2/s^2, times 1e-3; the axial 2 m/s do nothing",
     )
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """k_h [N s^2/m^2]."""
         scale = 1e-3 * vehicle.mass.value / vehicle.arm_length
         return (

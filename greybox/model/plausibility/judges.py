@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -51,7 +50,7 @@ def extremes(vehicle: Vehicle) -> Iterator[Implausible]:
     """Numbers that nothing on a small craft has in any unit; with them there is nothing to
     calculate."""
 
-    def numbers(place: str, value: Any) -> Iterator[tuple[str, float]]:
+    def numbers(place: str, value: object) -> Iterator[tuple[str, float]]:
         if isinstance(value, dict):
             for k, v in value.items():
                 yield from numbers(f"{place}.{k}" if place else k, v)

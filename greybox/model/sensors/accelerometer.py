@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 
 from greybox.model.flow import Flow
 from greybox.model.sensor import Sensor, axes
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, Signal
 
 
@@ -26,15 +25,15 @@ class Accelerometer(Sensor):
     colour_time = 0.05
     witnesses = frozenset({"velocity", "position"})
 
-    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """ax, ay, az."""
         return axes("a", "xyz", "m/s^2", "specific force")
 
-    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def innovation_signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """ax, ay, az."""
         return self.signals(vehicle)
 
-    def typical_noise(self, vehicle: Any) -> float:
+    def typical_noise(self, vehicle: Vehicle) -> float:
         """[m/s^2]."""
         return 0.1
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 
 from greybox.frames import quat_conjugate, quat_multiply
 from greybox.model.flow import Flow
 from greybox.model.sensor import Sensor, Start, axes, first_complete
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, FloatArray, Signal
 
 
@@ -26,15 +25,15 @@ class Attitude(Sensor):
     shows = "attitude"
     colour_time = 0.2
 
-    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """qw, qx, qy, qz."""
         return axes("q", "wxyz", "-", "attitude quaternion, body to world")
 
-    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def innovation_signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """attitude.x, attitude.y, attitude.z."""
         return axes("attitude.", "xyz", "rad", "attitude innovation, body axes")
 
-    def typical_noise(self, vehicle: Any) -> float:
+    def typical_noise(self, vehicle: Vehicle) -> float:
         """[rad]."""
         return 0.003
 

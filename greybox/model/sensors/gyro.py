@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from greybox.model.flow import Flow
 from greybox.model.sensor import Sensor, Start, axes, first_complete
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, FloatArray, Signal
 
 
@@ -22,15 +21,15 @@ class Gyro(Sensor):
     colour_time = 0.05
     witnesses = frozenset({"attitude"})
 
-    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """p, q, r."""
         return axes("", "pqr", "rad/s", "body rate")
 
-    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def innovation_signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """p, q, r."""
         return self.signals(vehicle)
 
-    def typical_noise(self, vehicle: Any) -> float:
+    def typical_noise(self, vehicle: Vehicle) -> float:
         """[rad/s]."""
         return 0.02
 

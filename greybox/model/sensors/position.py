@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from greybox.model.flow import Flow
 from greybox.model.sensor import Sensor, Start, axes, first_complete
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, FloatArray, Signal
 
 
@@ -24,15 +23,15 @@ class Position(Sensor):
     shows = "position"
     colour_time = 0.2
 
-    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """x, y, z."""
         return axes("", "xyz", "m", "position, world")
 
-    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def innovation_signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """position.x, position.y, position.z."""
         return axes("position.", "xyz", "m", "position innovation, body axes")
 
-    def typical_noise(self, vehicle: Any) -> float:
+    def typical_noise(self, vehicle: Vehicle) -> float:
         """[m]."""
         return 0.001
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from greybox.model.flow import Flow
 from greybox.model.sensor import Sensor
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, Signal
 
 
@@ -18,18 +17,18 @@ class RotorSpeed(Sensor):
     clock = "now"
     usual = False
 
-    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """omega1 .. omegan."""
         return tuple(
             Signal(name=f"omega{i + 1}", unit="rad/s", meaning="rotor speed")
             for i in range(len(vehicle.rotors))
         )
 
-    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def innovation_signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """omega1 .. omegan."""
         return self.signals(vehicle)
 
-    def typical_noise(self, vehicle: Any) -> float:
+    def typical_noise(self, vehicle: Vehicle) -> float:
         """A hundredth of the largest speed [rad/s]."""
         return 0.01 * float(vehicle.omega_scale)
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 
 from greybox.model.flow import Flow
 from greybox.model.sensor import Sensor, Start, axes, first_complete
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, FloatArray, Signal
 
 
@@ -23,15 +22,15 @@ class Velocity(Sensor):
     shows = "velocity"
     colour_time = 0.2
 
-    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """vx, vy, vz."""
         return axes("v", "xyz", "m/s", "velocity, world")
 
-    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+    def innovation_signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """velocity.x, velocity.y, velocity.z."""
         return axes("velocity.", "xyz", "m/s", "velocity innovation, body axes")
 
-    def typical_noise(self, vehicle: Any) -> float:
+    def typical_noise(self, vehicle: Vehicle) -> float:
         """[m/s]."""
         return 0.02
 

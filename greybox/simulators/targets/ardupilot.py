@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,6 +23,7 @@ from greybox.model.effect import Effect
 from greybox.model.effects import effect_by_name
 from greybox.model.flow import Flow
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.simulators.change import Change
 from greybox.simulators.craft import Craft
 from greybox.simulators.laws import no_gyroscopic_moment
@@ -62,7 +62,7 @@ class AxisDrag(Effect):
     summary = "drag of SITL, axis by axis"
     formula = "F_j = -c v_a,j |v_a,j|"
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """c [N s^2/m^2]."""
         return (
             Parameter(

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,6 +19,7 @@ from greybox.errors import ModelError
 from greybox.model.effect import Effect
 from greybox.model.flow import Flow
 from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
 from greybox.simulators.change import Change
 from greybox.simulators.command_text import command_text, say_commands
 from greybox.simulators.craft import Craft
@@ -77,7 +77,7 @@ class WorldDrag(Effect):
     summary = "drag of gym-pybullet-drones"
     formula = "F = -sum_i(Omega_i) diag(k_xy, k_xy, k_z) v, world axes"
 
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """k_xy, k_z [kg/rad], in the vehicle's own rotor speeds."""
         return tuple(
             Parameter(name=n, unit="kg/rad", nominal=0.0, null=0.0, meaning="drag")
