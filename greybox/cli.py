@@ -41,6 +41,8 @@ COMMANDS = (
     "cite",
     "completion",
 )
+WRITTEN = ("out", "json", "draft", "mcap", "ulog")
+"""Options that name a file or a folder to write."""
 
 
 def _version() -> str:
@@ -65,6 +67,8 @@ def build_parser() -> argparse.ArgumentParser:
         action="store_true",
         help="no progress, no tables: only errors, --json - and the exit code",
     )
+    # What no command need declare: where it writes, and what an interrupt leaves.
+    parser.set_defaults(**dict.fromkeys(WRITTEN), default_out=None, one_file=False, kept=None)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name in COMMANDS:
         importlib.import_module(f"greybox.commands.{name}").add(commands)
@@ -85,7 +89,7 @@ def _hush(arguments: argparse.Namespace) -> Iterator[None]:
         contextlib.redirect_stderr(nowhere),
         contextlib.ExitStack() as stack,
     ):
-        if getattr(arguments, "json", None) != "-" and arguments.command != "completion":
+        if arguments.json != "-" and arguments.command != "completion":
             stack.enter_context(contextlib.redirect_stdout(nowhere))
         yield
 
@@ -170,13 +174,13 @@ def _main(argv: Sequence[str] | None, last_line: Callable[[str], None]) -> int:
         return 130
     try:
         with contextlib.ExitStack() as stack:
-            if getattr(arguments, "out", "") is None and hasattr(arguments, "default_out"):
+            if arguments.out is None and arguments.default_out is not None:
                 arguments.out = arguments.default_out(arguments)
-            for option in ("out", "json", "draft", "mcap", "ulog"):
-                if (path := getattr(arguments, option, None)) not in (None, "-"):
+            for option in WRITTEN:
+                if (path := getattr(arguments, option)) not in (None, "-"):
                     from greybox.files import check_writable, sole_writer
 
-                    folder = option == "out" and not getattr(arguments, "one_file", False)
+                    folder = option == "out" and not arguments.one_file
                     check_writable(path, folder=folder)
                     if folder:
                         stack.enter_context(sole_writer(path))
@@ -193,9 +197,7 @@ def _main(argv: Sequence[str] | None, last_line: Callable[[str], None]) -> int:
         last_line(f"greybox {arguments.command}: {error}")
         return 2
     except KeyboardInterrupt:
-        kept = (
-            getattr(arguments, "kept", None) or "nothing was written; the same command starts again"
-        )
+        kept = arguments.kept or "nothing was written; the same command starts again"
         last_line(f"greybox {arguments.command}: interrupted; {kept}")
         return 130
     except BrokenPipeError:

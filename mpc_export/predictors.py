@@ -309,7 +309,7 @@ def _hybrid(hybrid: OutputHybrid, dt: float | None) -> PredictorModel:
         dt=_time(base.dt, dt, hybrid.name),
         domain=domain | _ranges(learned),
         reference=_base_state(form, _typical(learned)),
-        trained_on=tuple(getattr(base.model, "trained_on", ())),
+        trained_on=base.model.trained_on if isinstance(base.model, IdentifiedModel) else (),
     )
 
 

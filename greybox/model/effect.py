@@ -74,6 +74,16 @@ class Needs:
     effects: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, kw_only=True)
+class EffectSource:
+    """Where an effect was read: the file's name without its folder, the SHA-256 of its text, and
+    the text."""
+
+    file: str
+    sha256: str
+    text: str
+
+
 class Effect(ABC):
     """Base of all effects: declarations as class attributes, the formula in `apply`.
 
@@ -93,6 +103,8 @@ class Effect(ABC):
     early: ClassVar[frozenset[str]] = frozenset()
     """Those of `EARLY` that `apply` returns. They depend on the effect's parameters alone."""
     case: ClassVar[ReferenceCase]
+    source: ClassVar[EffectSource | None] = None
+    """The file that it was loaded from; None of one of the catalogue or of the caller's own code."""
 
     @abstractmethod
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:

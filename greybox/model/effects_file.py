@@ -12,31 +12,14 @@ import hashlib
 import os
 import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from greybox.errors import FileFormatError, ModelError
-from greybox.model.effect import Effect
+from greybox.model.effect import Effect, EffectSource
 from greybox.model.effect_check import check_effect, failed
 from greybox.model.effects import CATALOGUE, effect_by_name
-
-
-@dataclass(frozen=True, kw_only=True)
-class EffectSource:
-    """Where an effect was read: the file's name without its folder, the SHA-256 of its text, and
-    the text."""
-
-    file: str
-    sha256: str
-    text: str
-
-
-def source_of(effect: Effect) -> EffectSource | None:
-    """The file that the effect was loaded from; None for one of the catalogue or of the caller's
-    own code."""
-    return getattr(effect, "source", None)
 
 
 def load_effects(path: str | os.PathLike[str]) -> tuple[Effect, ...]:
@@ -69,7 +52,7 @@ def own_effects(effects: Iterable[Effect]) -> dict[str, Any]:
     out = {}
     for effect in effects:
         if not any(type(effect) is type(known) for known in CATALOGUE):
-            source = source_of(effect)
+            source = effect.source
             out[effect.name] = {
                 "file": source.file if source else None,
                 "sha256": source.sha256 if source else None,
@@ -106,7 +89,7 @@ def effects_of(
                 where=where,
                 fix=f"IdentifiedModel.load(path, effects={load}){option}",
             )
-        source = source_of(have[name])
+        source = have[name].source
         if sha256 is not None and (source is None or source.sha256 != sha256):
             raise FileFormatError(
                 f"the effect {name} is not the one that the model was made with",
@@ -136,7 +119,7 @@ def _from_text(text: str, path: str) -> tuple[Effect, ...]:
         _run(text, path, module)
         module.__dict__["loaded_effects"] = found = _instances(module, path)
         for effect in found:
-            type(effect).source = source  # type: ignore[attr-defined]
+            type(effect).source = source
             type(effect).__reduce__ = _reduce  # type: ignore[method-assign, assignment]
             check_effect(effect, where=path)
     except BaseException:
@@ -147,7 +130,7 @@ def _from_text(text: str, path: str) -> tuple[Effect, ...]:
 
 def _reduce(effect: Effect) -> tuple[object, ...]:
     """Pickled by its text, so that a worker process can make it too."""
-    source = source_of(effect)
+    source = effect.source
     assert source is not None
     return _restored, (source.text, source.file, effect.name)
 

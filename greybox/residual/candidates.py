@@ -18,7 +18,7 @@ from greybox.residual.discrepancy import Discrepancy
 from greybox.residual.feature_posterior import FeaturePosterior, silent_features
 from greybox.residual.kernels import Kernel
 from greybox.residual.learners import Learner, LooksBack
-from greybox.residual.learners.learner import Features
+from greybox.residual.learners.learner import Features, is_centred, is_ensemble
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import place_points
 from greybox.residual.train import train_gp
@@ -122,8 +122,7 @@ def feature_candidates(
     that fails.
     """
     of = scaled_as or seen
-    centred = bool(getattr(learner, "centred", True))
-    middle = of.z.mean(axis=0) if centred else np.zeros(of.z.shape[1])
+    middle = of.z.mean(axis=0) if is_centred(learner) else np.zeros(of.z.shape[1])
     spread, size = _spread(of.z), _spread(of.y)
     x = (seen.z - middle) / spread
     told = learner.of(seen.inputs.names) if isinstance(learner, LooksBack) else learner
@@ -139,7 +138,7 @@ def feature_candidates(
             fix="see docs/own_learner.md",
         ) from None
     out: dict[str, FeaturePosterior] = {}
-    members = len(columns) if getattr(learner, "ensemble", False) else 1
+    members = len(columns) if is_ensemble(learner) else 1
     if members > 1:
         columns = {f"ensemble of {members}": _side_by_side(learner, list(columns.values()))}
     for label, phi in columns.items():

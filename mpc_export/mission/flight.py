@@ -3,7 +3,7 @@ needs.
 
 A plant has `reset(seed, position=)`, `step(u, dt)`, `measure(u)` by column of a log, `states()` or
 `truth()["states"]`. A controller is a `TubeController` or has its `start`, `sample`, `u`, `plan`,
-`events`.
+`events`, `descending`.
 """
 
 from __future__ import annotations
@@ -240,6 +240,8 @@ class Cascade:
     """The cascade of PID loops, with the vehicle file as its only knowledge, behind the tube's
     interface."""
 
+    descending = False
+
     def __init__(self, vehicle: Vehicle, task: Mission) -> None:
         self.inner = CascadeController(vehicle)
         self.task, self.plan = task, None
@@ -389,7 +391,7 @@ def _scores(flown: _Flown, pilot: Any, task: Mission, reference: SampledPath) ->
         "events": [{"time": e.time, "what": e.what} for e in pilot.events[:20]],
         "event_count": len(pilot.events),
         "event_kinds": dict(Counter(e.what for e in pilot.events)),
-        "descended": bool(getattr(pilot, "descending", False)),
+        "descended": bool(pilot.descending),
         "nearest": _cells(times, np.min(list(away.values()), axis=0)),
         "crossings": _crossings(times, path, away),
     }

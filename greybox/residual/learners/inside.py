@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from greybox.residual.learners.learner import Features, Learner, LooksBack
+from greybox.residual.learners.learner import Features, Learner, LooksBack, is_centred, is_ensemble
 from greybox.symbolic import Expr, FloatArray, evaluate
 
 SHARE = 0.99
@@ -52,12 +52,12 @@ class Inside:
     @property
     def centred(self) -> bool:
         """As the learner asks for it."""
-        return bool(getattr(self.learner, "centred", True))
+        return is_centred(self.learner)
 
     @property
     def ensemble(self) -> bool:
         """As the learner says."""
-        return bool(getattr(self.learner, "ensemble", False))
+        return is_ensemble(self.learner)
 
     def of(self, names: Sequence[str]) -> Inside:
         """That of the learner for inputs of these names."""

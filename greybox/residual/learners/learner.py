@@ -46,3 +46,13 @@ class LooksBack(Learner, Protocol):
 
     def of(self, names: Sequence[str]) -> Learner:
         """The same for inputs of these names (n_in); u1[t-3] is that of three samples ago."""
+
+
+def is_centred(learner: Learner) -> bool:
+    """Whether its inputs are moved to zero mean: yes, unless it says `centred = False`."""
+    return bool(getattr(learner, "centred", True))
+
+
+def is_ensemble(learner: Learner) -> bool:
+    """Whether its candidates are members of one ensemble: no, unless it says `ensemble = True`."""
+    return bool(getattr(learner, "ensemble", False))
