@@ -83,50 +83,79 @@ def readme(manifest: Mapping[str, Any]) -> str:
         f"{m['sample_time']:g} s a sample, "
         "as code. It needs nothing of greybox.",
         "",
+        *(_in_c(m) if m["c"] else ()),
+        *IN_PYTHON,
+        *_targets(m),
+        *_order(m),
     ]
-    if m["c"]:
+    if len(m["frames"]) > 1:
         lines += [
-            "Build and run the self-test (any C99 compiler):",
+            "## Frames",
             "",
-            "```sh",
-            f"cc -std=c99 -O2 -o selftest c/{n}.c c/{n}_model.c c/{n}_selftest.c -lm",
-            "./selftest",
-            "```",
-            "",
-            f"In C and C++ include `c/{n}_model.h`, in CMake `add_subdirectory(c)` and link `{n}`. "
-            f"`c/{n}_example.cpp` is a program to start from. For speed add `-O3 -march=native "
-            "-ffp-contract=fast`, never "
-            "`-ffast-math`.",
-            "",
-            f"Source {m['c']['source_bytes'] / 1e3:.0f} kB, numbers in {m['c']['real']}, work "
-            f"space {m['c']['work_bytes']} "
-            "bytes per thread (on a 64-bit machine). No malloc, no stdio, no variables that live "
-            "between calls.",
+            *(f"- {k.replace('_', ' ')}: {v}" for k, v in m["frames"].items()),
             "",
         ]
-    lines += [
-        "In Python (casadi 3.6.7 or later, numpy):",
+    lines += _functions(m)
+    if m["notes"]:
+        lines += [
+            "## Beware",
+            "",
+            *(f"- {plain(note[0].upper() + note[1:])}." for note in m["notes"]),
+            "",
+        ]
+    return "\n".join([*lines, "Licences: LICENSES/.", ""])
+
+
+def _in_c(m: Mapping[str, Any]) -> list[str]:
+    n = m["name"]
+    return [
+        "Build and run the self-test (any C99 compiler):",
         "",
-        "```python",
-        'import sys; sys.path.insert(0, "python")',
-        "import rebuild",
-        'f_d = rebuild.load()["f_d"]  # casadi.Function: x_next = f_d(x, u, p)',
+        "```sh",
+        f"cc -std=c99 -O2 -o selftest c/{n}.c c/{n}_model.c c/{n}_selftest.c -lm",
+        "./selftest",
         "```",
         "",
-        "`casadi/*.casadi`, if there, are the same functions for the CasADi version that wrote "
-        "them only. `golden/*.csv` "
-        "hold arguments and results of every function. `manifest.json` says all of this, and the "
-        "noise of the identified "
-        "filter, to programs.",
+        f"In C and C++ include `c/{n}_model.h`, in CMake `add_subdirectory(c)` and link `{n}`. "
+        f"`c/{n}_example.cpp` is a program to start from. For speed add `-O3 -march=native "
+        "-ffp-contract=fast`, never "
+        "`-ffast-math`.",
+        "",
+        f"Source {m['c']['source_bytes'] / 1e3:.0f} kB, numbers in {m['c']['real']}, work "
+        f"space {m['c']['work_bytes']} "
+        "bytes per thread (on a 64-bit machine). No malloc, no stdio, no variables that live "
+        "between calls.",
         "",
     ]
+
+
+IN_PYTHON = (
+    "In Python (casadi 3.6.7 or later, numpy):",
+    "",
+    "```python",
+    'import sys; sys.path.insert(0, "python")',
+    "import rebuild",
+    'f_d = rebuild.load()["f_d"]  # casadi.Function: x_next = f_d(x, u, p)',
+    "```",
+    "",
+    "`casadi/*.casadi`, if there, are the same functions for the CasADi version that wrote "
+    "them only. `golden/*.csv` "
+    "hold arguments and results of every function. `manifest.json` says all of this, and the "
+    "noise of the identified "
+    "filter, to programs.",
+    "",
+)
+
+
+def _targets(m: Mapping[str, Any]) -> list[str]:
+    lines: list[str] = []
     for target, said in m["targets_written"].items():
         if "selftest" in said:
             lines += [f"For {target}: `{said['folder']}/README.md`, `{said['selftest']}`.", ""]
             continue
         if "folder" in said:
             lines += [
-                f"For {target}: `{said['folder']}/README.md`; `c/{n}_bench.c` reads a recording.",
+                f"For {target}: `{said['folder']}/README.md`; `c/{m['name']}_bench.c` reads a recording.",
                 "",
             ]
             continue
@@ -139,7 +168,12 @@ def readme(manifest: Mapping[str, Any]) -> str:
                 "commands change by a tenth of their range: use discrete dynamics.",
                 "",
             ]
-    lines += ["## Order", ""]
+    return lines
+
+
+def _order(m: Mapping[str, Any]) -> list[str]:
+    """What stands where in every vector."""
+    lines = ["## Order", ""]
     for letter, title, columns in (
         ("states", "States x", ("scale", "reference")),
         ("error_states", "Error states (rows and columns of A, B, S, K, P)", ()),
@@ -162,18 +196,16 @@ def readme(manifest: Mapping[str, Any]) -> str:
             f"{m['delay']['form'][0].upper()}{m['delay']['form'][1:]}.",
             "",
         ]
-    if len(m["frames"]) > 1:
-        lines += [
-            "## Frames",
-            "",
-            *(f"- {k.replace('_', ' ')}: {v}" for k, v in m["frames"].items()),
-            "",
-        ]
-    lines += ["## Functions", "", "| function | arguments | results |", "|---|---|---|"]
+    return lines
+
+
+def _functions(m: Mapping[str, Any]) -> list[str]:
+    lines = ["## Functions", "", "| function | arguments | results |", "|---|---|---|"]
     for f in m["functions"]:
         given, got = (", ".join(_shape(p) for p in f[k]) for k in ("arguments", "results"))
         lines.append(f"| `{f['name']}` | {given} | {got} |")
-    lines += [
+    return [
+        *lines,
         "",
         f"Integrator: {m['integrator']}. Command: {m['hold']}.",
         "",
@@ -184,14 +216,6 @@ def readme(manifest: Mapping[str, Any]) -> str:
         f"{m['thread_safety'][0].upper()}{m['thread_safety'][1:]}.",
         "",
     ]
-    if m["notes"]:
-        lines += [
-            "## Beware",
-            "",
-            *(f"- {plain(note[0].upper() + note[1:])}." for note in m["notes"]),
-            "",
-        ]
-    return "\n".join([*lines, "Licences: LICENSES/.", ""])
 
 
 def plain(text: str) -> str:

@@ -307,47 +307,23 @@ def make_problem(
     """
     o = FitOptions.of(options, choices)
     predictor, criterion = o.chosen_predictor(), o.chosen_criterion()
-    declared = {d.name: d for d in dynamics.parameters}
-
-    def known(names: Iterable[str]) -> list[str]:
-        names = list(names)
-        for n in names:
-            if n not in declared:
-                raise UnknownNameError("parameter", n, declared)
-        return names
-
     values = ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(
         dict(o.values)
     )
-    held = set(known(o.fixed))
-    chosen = (
-        [d.name for d in dynamics.parameters if d.sigma > 0 and d.name not in held]
-        if o.free is None
-        else [d.name for d in dynamics.parameters if d.name in set(known(o.free)) - held]
-    )
-    own = {d.name for d in dynamics.parameters if d.scope == "flight"} | set(known(o.per_flight))
-    own -= set(known(o.shared))
+    choice = _choice(dynamics.parameters, o)
     dt = sample_time(dataset)
-    wanted = {*chosen, *known(o.build or ()), *known(o.considered)}
-    built = tuple(d.name for d in dynamics.parameters if d.name in wanted)
-    engine = engine_for(dynamics, built, use_compiler=o.use_compiler).select(tuple(chosen))
+    engine = engine_for(dynamics, choice.built, use_compiler=o.use_compiler).select(choice.free)
     records = make_records(engine, dataset)
     flights = tuple(f.name for f in dataset.flights)
-    unknowns = [
-        _declared(declared[n], values[n], None, o.priors.get(n)) for n in chosen if n not in own
-    ]
     process, sensor = _levels(dynamics, dt, o.noise, o.held_noise)
+    levels: list[Unknown] = []
     if o.estimate_noise and predictor.has_noise:
         levels = _noise_unknowns("noise.process.", dynamics.noises, process, 3.0)
         if o.estimate_noise != "process":
             levels += _noise_unknowns("noise.sensor.", dynamics.innovations, sensor, 2.0)
-        unknowns += [u for u in levels if not any(_within(u.name, n) for n in o.held_noise)]
-    for f in flights:
-        unknowns += [
-            _declared(declared[n], values[n], f, o.flight_priors.get(n, o.priors.get(n)))
-            for n in chosen
-            if n in own
-        ]
+        levels = [u for u in levels if not any(_within(u.name, n) for n in o.held_noise)]
+    shared, per_flight = _parameter_unknowns(dynamics.parameters, choice, o, values, flights)
+    unknowns = [*shared, *levels, *per_flight]
     starts = o.estimate_initial and predictor.has_initial
     base = np.array([values[d.name] for d in dynamics.parameters])
     every = [np.ones(engine.nd, dtype=bool)] * len(records)
@@ -379,6 +355,60 @@ def make_problem(
     return replace(
         problem, unknowns=(*unknowns, *initial), estimate_initial=bool(initial), spreads=spreads
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Choice:
+    """The free parameters in the model's order, those with a value per flight, and those that
+    sensitivities are built for."""
+
+    free: tuple[str, ...]
+    own: frozenset[str]
+    built: tuple[str, ...]
+
+
+def _choice(parameters: Sequence[Parameter], o: FitOptions) -> _Choice:
+    """Raises `UnknownNameError` for a name that is no parameter."""
+    declared = {d.name for d in parameters}
+
+    def known(names: Iterable[str]) -> set[str]:
+        names = list(names)
+        for n in names:
+            if n not in declared:
+                raise UnknownNameError("parameter", n, [d.name for d in parameters])
+        return set(names)
+
+    held = known(o.fixed)
+    wanted = {d.name for d in parameters if d.sigma > 0} if o.free is None else known(o.free)
+    free = tuple(d.name for d in parameters if d.name in wanted - held)
+    own = {d.name for d in parameters if d.scope == "flight"} | known(o.per_flight)
+    own -= known(o.shared)
+    sensitive = {*free, *known(o.build or ()), *known(o.considered)}
+    built = tuple(d.name for d in parameters if d.name in sensitive)
+    return _Choice(free=free, own=frozenset(own), built=built)
+
+
+def _parameter_unknowns(
+    parameters: Sequence[Parameter],
+    choice: _Choice,
+    o: FitOptions,
+    values: Mapping[str, float],
+    flights: Sequence[str],
+) -> tuple[list[Unknown], list[Unknown]]:
+    """(those of all flights together, those of every flight)."""
+    declared = {d.name: d for d in parameters}
+    shared = [
+        _declared(declared[n], values[n], None, o.priors.get(n))
+        for n in choice.free
+        if n not in choice.own
+    ]
+    per_flight = [
+        _declared(declared[n], values[n], f, o.flight_priors.get(n, o.priors.get(n)))
+        for f in flights
+        for n in choice.free
+        if n in choice.own
+    ]
+    return shared, per_flight
 
 
 def _initial_unknowns(

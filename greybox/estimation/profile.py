@@ -167,37 +167,15 @@ def profile(
     best = problem.evaluate(theta)
     threshold = 0.5 * float(scipy.stats.chi2.ppf(level, 1))
     centre = float(theta[place])
-    found: dict[float, tuple[float, bool]] = {centre: (best.cost, True)}
-
-    def solve(value: float, near: FloatArray) -> FloatArray:
-        part = Slice(problem=problem, place=place, value=value)
-        estimate, status = solver.solve(part, near)
-        found[value] = (part.evaluate(estimate, 0).cost, bool(status.converged))
-        return np.asarray(estimate)
-
+    walk = _Walk(problem, solver, place, {centre: (best.cost, True)})
     if grid is not None:
-        wanted = (
-            np.log(np.asarray(grid, dtype=np.float64))
-            if logarithmic
-            else np.asarray(grid, dtype=np.float64)
-        )
-        for side in (np.sort(wanted[wanted > centre]), np.sort(wanted[wanted < centre])[::-1]):
-            near = np.delete(theta, place)
-            for v in side:
-                near = solve(float(v), near)
+        given = np.asarray(grid, dtype=np.float64)
+        walk.over(theta, np.log(given) if logarithmic else given)
     else:
         step = width * _standard_error(best, place, u.scale) / points
         for sign, end in ((1.0, u.upper), (-1.0, u.lower)):
-            near, value, size = np.delete(theta, place), centre, step
-            for count in range(3 * points):
-                if (end - value) * sign <= 0:
-                    break
-                value = value + sign * size
-                value = end if (end - value) * sign < 0.1 * size else value
-                near = solve(value, near)
-                if found[value][0] - best.cost > threshold and count + 1 >= min(points, 3):
-                    break
-                size = size if count < points else 2 * size
+            walk.out(theta, sign * step, end, threshold, points)
+    found = walk.found
     values = np.array(sorted(found))
     cost = np.array([found[v][0] for v in values])
     lower, upper = (_crossing(values, cost, centre, best.cost + threshold, s, u) for s in (-1, 1))
@@ -214,6 +192,47 @@ def profile(
         lower=float(as_unit(lower)),
         upper=float(as_unit(upper)),
     )
+
+
+@dataclass(frozen=True)
+class _Walk:
+    """Along the unknown at `place`: what was `found` at every value, cost and whether the others
+    converged there. Each point starts from its neighbour."""
+
+    problem: Problem
+    solver: Solver
+    place: int
+    found: dict[float, tuple[float, bool]]
+
+    def _solve(self, value: float, near: FloatArray) -> FloatArray:
+        part = Slice(problem=self.problem, place=self.place, value=value)
+        estimate, status = self.solver.solve(part, near)
+        self.found[value] = (part.evaluate(estimate, 0).cost, bool(status.converged))
+        return np.asarray(estimate)
+
+    def over(self, theta: FloatArray, wanted: FloatArray) -> None:
+        """Over the `wanted` values, to either side of the optimum `theta` (n,)."""
+        centre = float(theta[self.place])
+        for side in (np.sort(wanted[wanted > centre]), np.sort(wanted[wanted < centre])[::-1]):
+            near = np.delete(theta, self.place)
+            for v in side:
+                near = self._solve(float(v), near)
+
+    def out(self, theta: FloatArray, step: float, end: float, enough: float, points: int) -> None:
+        """From the optimum to one side, `points` steps and further, longer ones, until the cost
+        has risen `enough` or `end` is reached."""
+        sign, size = float(np.sign(step)), abs(step)
+        near, value = np.delete(theta, self.place), float(theta[self.place])
+        least = self.found[value][0]
+        for count in range(3 * points):
+            if (end - value) * sign <= 0:
+                break
+            value = value + sign * size
+            value = end if (end - value) * sign < 0.1 * size else value
+            near = self._solve(value, near)
+            if self.found[value][0] - least > enough and count + 1 >= min(points, 3):
+                break
+            size = size if count < points else 2 * size
 
 
 def _standard_error(value: Value, place: int, scale: float) -> float:

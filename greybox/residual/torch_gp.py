@@ -397,66 +397,21 @@ def polish(
     that shared a kernel still do. The start comes back, with status "diverged", where the bound is
     not finite.
     """
-    inputs, targets = torch.tensor(x), torch.tensor(y)
-    n, m = len(x), len(support)
     unique = list({id(k): k for k in kernels}.values())
-    places = [next(i for i, u in enumerate(unique) if u is k) for k in kernels]
+    packing = _Packing(
+        kernels=unique,
+        places=[next(i for i, u in enumerate(unique) if u is k) for k in kernels],
+        points=len(support),
+        n_in=x.shape[1],
+    )
+    box = packing.bounds(np.abs(x).max(0))
     thetas = [_pack(k, np.empty(0)) for k in unique]
     start = np.concatenate([support.ravel(), *thetas, np.log(noise)])
-    low, high = (
-        np.log([BOUNDS[b][i] for b in ("lengthscale", "variance", "slope", "noise")])
-        for i in (0, 1)
-    )
-    n_in = x.shape[1]
-    span = np.abs(x).max(0)
-    bounds = [(-s, s) for _ in range(m) for s in 1.2 * span + 1e-9]
-    for k in unique:
-        bounds += [(low[0], high[0])] * n_in + [(low[1], high[1])]
-        bounds += [(low[2], high[2])] * (n_in if k.slopes is not None else 0)
-    bounds += [(low[3], high[3])] * len(noise)
-    box = np.array(bounds)
-    start = np.clip(start, box[:, 0], box[:, 1])
+    inputs, targets = torch.tensor(x), torch.tensor(y)
 
     def value(theta: FloatArray) -> tuple[float, FloatArray]:
         t = torch.tensor(theta, requires_grad=True)
-        z = t[: m * n_in].reshape(m, n_in)
-        at, raws = m * n_in, []
-        for k in unique:
-            raw = {"lengthscale": t[at : at + n_in], "variance": t[at + n_in]}
-            at += n_in + 1
-            if k.slopes is not None:
-                raw["slope"], raw["reach"] = t[at : at + n_in], torch.tensor(np.array(k.reach))
-                at += n_in
-            raws.append(raw)
-        loss = torch.zeros((), dtype=torch.float64)
-        for j, place in enumerate(places):
-            raw, level = raws[place], t[at + j].exp()
-            family = unique[place].family
-            prior = raw["variance"].exp()
-            diagonal = n * prior
-            if "slope" in raw:
-                diagonal = (
-                    diagonal + (_features(inputs, raw["reach"]) ** 2 @ raw["slope"].exp()).sum()
-                )
-            kmm = _covariance(family, raw, z, z) + 1e-8 * prior * torch.eye(m, dtype=torch.float64)
-            factor = torch.linalg.cholesky(kmm)
-            a = (
-                torch.linalg.solve_triangular(
-                    factor, _covariance(family, raw, z, inputs), upper=False
-                )
-                / level.sqrt()
-            )
-            inner = torch.linalg.cholesky(torch.eye(m, dtype=torch.float64) + a @ a.T)
-            target = targets[:, j] / level.sqrt()
-            c = torch.linalg.solve_triangular(inner, (a @ target)[:, None], upper=False)
-            loss = loss + 0.5 * (
-                n * torch.log(2.0 * math.pi * level)
-                + 2.0 * inner.diagonal().log().sum()
-                + target @ target
-                - (c * c).sum()
-                + diagonal / level
-                - (a * a).sum()
-            )
+        loss = _titsias(packing, t, inputs, targets)
         loss.backward()
         assert t.grad is not None
         gradient = t.grad.numpy()
@@ -467,7 +422,7 @@ def polish(
     try:
         done = minimize(
             value,
-            start,
+            np.clip(start, box[:, 0], box[:, 1]),
             jac=True,
             method="L-BFGS-B",
             bounds=box,
@@ -475,20 +430,95 @@ def polish(
         )
     except (TrainingAborted, torch.linalg.LinAlgError):
         return list(kernels), noise, support, "diverged"
-    theta = done.x
-    at = m * n_in
-    moved = []
-    for k in unique:
-        length = n_in + 1 + (n_in if k.slopes is not None else 0)
-        moved.append(_unpack(theta[at : at + length], k)[0])
-        at += length
-    status = "converged" if done.success else "iteration limit"
-    return (
-        [moved[i] for i in places],
-        np.exp(theta[at:]),
-        theta[: m * n_in].reshape(m, n_in),
-        status,
-    )
+    moved, level, placed = packing.unpacked(done.x)
+    return moved, level, placed, "converged" if done.success else "iteration limit"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Packing:
+    """How support points (points, n_in), the logarithms of `kernels`' numbers and of noise levels
+    follow each other in one vector; `places` are the kernel of every output."""
+
+    kernels: Sequence[Kernel]
+    places: Sequence[int]
+    points: int
+    n_in: int
+
+    def bounds(self, span: FloatArray) -> FloatArray:
+        """(n, 2); support points stay within 1.2 times the `span` (n_in,) of the inputs."""
+        low, high = (
+            np.log([BOUNDS[b][i] for b in ("lengthscale", "variance", "slope", "noise")])
+            for i in (0, 1)
+        )
+        bounds = [(-s, s) for _ in range(self.points) for s in 1.2 * span + 1e-9]
+        for k in self.kernels:
+            bounds += [(low[0], high[0])] * self.n_in + [(low[1], high[1])]
+            bounds += [(low[2], high[2])] * (self.n_in if k.slopes is not None else 0)
+        bounds += [(low[3], high[3])] * len(self.places)
+        return np.array(bounds)
+
+    def parts(
+        self, t: torch.Tensor
+    ) -> tuple[torch.Tensor, list[dict[str, torch.Tensor]], torch.Tensor]:
+        """Support points, the raw numbers of every kernel, logarithms of noise variances."""
+        at = self.points * self.n_in
+        z, raws = t[:at].reshape(self.points, self.n_in), []
+        for k in self.kernels:
+            raw = {"lengthscale": t[at : at + self.n_in], "variance": t[at + self.n_in]}
+            at += self.n_in + 1
+            if k.slopes is not None:
+                raw["slope"], raw["reach"] = (
+                    t[at : at + self.n_in],
+                    torch.tensor(np.array(k.reach)),
+                )
+                at += self.n_in
+            raws.append(raw)
+        return z, raws, t[at:]
+
+    def unpacked(self, theta: FloatArray) -> tuple[list[Kernel], FloatArray, FloatArray]:
+        """The kernel of every output, noise variances, support points."""
+        at = self.points * self.n_in
+        placed, moved = theta[:at].reshape(self.points, self.n_in), []
+        for k in self.kernels:
+            length = self.n_in + 1 + (self.n_in if k.slopes is not None else 0)
+            moved.append(_unpack(theta[at : at + length], k)[0])
+            at += length
+        return [moved[i] for i in self.places], np.exp(theta[at:]), placed
+
+
+def _titsias(
+    packing: _Packing, t: torch.Tensor, inputs: torch.Tensor, targets: torch.Tensor
+) -> torch.Tensor:
+    """The negative bound on the log marginal likelihood, summed over outputs (Titsias 2009,
+    AISTATS), at inputs (N, n_in) and targets (N, n_out)."""
+    n, m = len(inputs), packing.points
+    z, raws, levels = packing.parts(t)
+    loss = torch.zeros((), dtype=torch.float64)
+    for j, place in enumerate(packing.places):
+        raw, level = raws[place], levels[j].exp()
+        family = packing.kernels[place].family
+        prior = raw["variance"].exp()
+        diagonal = n * prior
+        if "slope" in raw:
+            diagonal = diagonal + (_features(inputs, raw["reach"]) ** 2 @ raw["slope"].exp()).sum()
+        kmm = _covariance(family, raw, z, z) + 1e-8 * prior * torch.eye(m, dtype=torch.float64)
+        factor = torch.linalg.cholesky(kmm)
+        a = (
+            torch.linalg.solve_triangular(factor, _covariance(family, raw, z, inputs), upper=False)
+            / level.sqrt()
+        )
+        inner = torch.linalg.cholesky(torch.eye(m, dtype=torch.float64) + a @ a.T)
+        target = targets[:, j] / level.sqrt()
+        c = torch.linalg.solve_triangular(inner, (a @ target)[:, None], upper=False)
+        loss = loss + 0.5 * (
+            n * torch.log(2.0 * math.pi * level)
+            + 2.0 * inner.diagonal().log().sum()
+            + target @ target
+            - (c * c).sum()
+            + diagonal / level
+            - (a * a).sum()
+        )
+    return loss
 
 
 def train_svgp(

@@ -18,6 +18,7 @@ from greybox.data import Dataset, Flight
 from greybox.errors import DataError
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.filtering import Filter
+from greybox.estimation.fit import noise_of
 from greybox.estimation.gain import Riccati
 from greybox.estimation.predictors.innovation import StationaryGain
 from greybox.estimation.problem import Problem, make_problem
@@ -103,20 +104,6 @@ def adapt_to_flight(
         if n in declared and s > 0 and np.isfinite(s)
     }
     free = [n for n in names if n in priors]
-    levels = dict(
-        zip(
-            (f"noise.process.{n}" for n in model.dynamics.noises.names),
-            model.process_noise,
-            strict=True,
-        )
-    )
-    levels |= dict(
-        zip(
-            (f"noise.sensor.{n}" for n in model.dynamics.innovations.names),
-            model.sensor_noise,
-            strict=True,
-        )
-    )
     gain = riccati or Filter(model, use_compiler=use_compiler).riccati
     problem = make_problem(
         model.dynamics,
@@ -127,7 +114,7 @@ def adapt_to_flight(
         per_flight=free,
         values=dict(model.values),
         flight_priors=priors,
-        noise=levels,
+        noise=noise_of(model),
         estimate_noise=False,
         use_compiler=use_compiler,
     )

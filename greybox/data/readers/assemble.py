@@ -273,85 +273,109 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
             where=recording.source,
             expected="at least 2",
         )
-    # The columns of a table that nobody named stand at its stamps.
-    early = 0.0 if base.name == TABLE else clock.delay
-    rows = base.t - early
-    zero = float(rows[np.isfinite(rows)][0]) if np.isfinite(rows).any() else 0.0
-    columns: dict[str, npt.NDArray[Any]] = {"t": rows - zero}
-    notes = [*recording.notes, *absent]
-    if abs(zero) > 1e-9:
-        notes.append(f"t = 0 is {zero:.6f} s on the clock of the log ({base.clock or base.name})")
-    attitude: tuple[FloatArray, FloatArray] | None = None
-    noncausal: set[str] = set()
-    ordered = sorted(chosen, key=lambda g: g != "attitude")
-    for group in ordered:
-        source = chosen[group]
-        stream = recording.streams[source.stream]
-        direct = source.stream == clock.stream and source.delay == early
+    grid = _Grid(recording, base, clock)
+    grid.notes += absent
+    if abs(grid.zero) > 1e-9:
+        grid.notes.append(
+            f"t = 0 is {grid.zero:.6f} s on the clock of the log ({base.clock or base.name})"
+        )
+    for group in sorted(chosen, key=lambda g: g != "attitude"):
+        grid.add(group, chosen[group])
+    return grid.table()
+
+
+class _Grid:
+    """The rows of a table that is being filled, at the stamps of the stream `base` less the delay
+    of what `clock` says."""
+
+    def __init__(self, recording: Recording, base: Stream, clock: Source) -> None:
+        self.recording, self.base, self.clock = recording, base, clock
+        # The columns of a table that nobody named stand at its stamps.
+        self.early = 0.0 if base.name == TABLE else clock.delay
+        self.rows = base.t - self.early
+        known = self.rows[np.isfinite(self.rows)]
+        self.zero = float(known[0]) if known.size else 0.0
+        self.columns: dict[str, npt.NDArray[Any]] = {"t": self.rows - self.zero}
+        self.notes = list(recording.notes)
+        self.noncausal: set[str] = set()
+        self.attitude: tuple[FloatArray, FloatArray] | None = None
+
+    def add(self, group: str, source: Source) -> None:
+        """Place one group; what cannot be placed is left out with a note. Raises `DataError` for
+        commands on another clock."""
+        base, stream = self.base, self.recording.streams[source.stream]
+        direct = source.stream == self.clock.stream and source.delay == self.early
         values = converted(stream, source)
         infinite = np.isinf(values)
-        t, values = (rows, values) if direct else _increasing(stream.t - source.delay, values)
-        apart = "" if direct else _apart(t, rows)
+        t, values = (self.rows, values) if direct else _increasing(stream.t - source.delay, values)
+        apart = "" if direct else _apart(t, self.rows)
         if apart:
             said = (
                 f"{describe(source, stream)}: another clock than the rows of {base.name}: {apart}"
             )
             if group == "command":
                 raise DataError(
-                    said, where=recording.source, fix=f"set [{group}] delay in a mapping file"
+                    said, where=self.recording.source, fix=f"set [{group}] delay in a mapping file"
                 )
-            notes.append(f"left out, {said}; set [{group}] delay in a mapping file")
-            continue
+            self.notes.append(f"left out, {said}; set [{group}] delay in a mapping file")
+            return
         if group == "attitude":
-            attitude = _increasing(t, values)
+            self.attitude = _increasing(t, values)
         if group == "velocity" and source.frame in ("FLU", "FRD"):
-            if attitude is None:
-                notes.append("velocity in body axes left out: there is no attitude to turn it")
-                continue
-            values = _rotations(
-                "rotate", _unit(at_rows(attitude[0], attitude[1], t, stream.step)), values
-            )
-        if direct:
-            placed = values
-        elif group in ("command", "setpoint"):
-            placed = commands_at(t, values, rows, base.step, stream.step)
-        else:
-            placed = at_rows(
-                t, values, rows, base.step, step=stream.step, sparse=group != "battery"
-            )
-            if group == "attitude":
-                turned = _unit(placed)
-                placed = (
-                    np.where(np.isnan(turned), placed, turned) if stream.name == TABLE else turned
-                )
+            if self.attitude is None:
+                self.notes.append("velocity in body axes left out: there is no attitude to turn it")
+                return
+            turn = _unit(at_rows(*self.attitude, t, stream.step))
+            values = _rotations("rotate", turn, values)
+        placed = values if direct else self._placed(group, stream, t, values)
         if infinite.any() and not direct and stream.name == TABLE:
             placed = np.where(infinite, np.inf, placed)  # refused later by the number of its row
         names = group_names(group, values.shape[1])
-        columns.update({n: np.ascontiguousarray(placed[:, j]) for j, n in enumerate(names)})
+        self.columns.update({n: np.ascontiguousarray(placed[:, j]) for j, n in enumerate(names)})
         if not source.causal:
-            noncausal.update(names)
-        notes.append(describe(source, stream))
+            self.noncausal.update(names)
+        self.notes.append(describe(source, stream))
         if group == "command" and stream.rate < 0.6 * base.rate and stream.rate < 90:
-            notes.append(
+            self.notes.append(
                 f"commands were logged at {stream.rate:.3g} Hz only: what was sent between two of "
                 "them is not known, "
                 "and the fit will be poor (`greybox inspect` says what to set)"
             )
-    if recording.excitation is not None and recording.excitation.size == rows.size:
-        columns[EXCITATION] = recording.excitation
-    for start, length in recording.dropouts[:5]:
-        notes.append(f"the logger lost data for {1e3 * length:.0f} ms at t = {start - zero:.3f} s")
-    if len(recording.dropouts) > 5:
-        notes.append(f"... and {len(recording.dropouts) - 5} more drop-outs")
-    return Table(
-        columns={n: columns[n] for n in columns if n in ("t", EXCITATION) or is_canonical(n)},
-        rows=np.arange(1, rows.size + 1, dtype=np.int64),
-        source=recording.source,
-        sha256=recording.sha256,
-        canonical=True,
-        noncausal=frozenset(noncausal),
-        notes=tuple(notes),
-    )
+
+    def _placed(self, group: str, stream: Stream, t: FloatArray, values: FloatArray) -> FloatArray:
+        """Values (n, k) at stamps t (n,) as they are at the rows: held, or between samples."""
+        rows, base = self.rows, self.base
+        if group in ("command", "setpoint"):
+            return commands_at(t, values, rows, base.step, stream.step)
+        placed = at_rows(t, values, rows, base.step, step=stream.step, sparse=group != "battery")
+        if group != "attitude":
+            return placed
+        turned = _unit(placed)
+        return np.where(np.isnan(turned), placed, turned) if stream.name == TABLE else turned
+
+    def table(self) -> Table:
+        """What was placed, with the drop-outs of the recording."""
+        recording, columns = self.recording, self.columns
+        if recording.excitation is not None and recording.excitation.size == self.rows.size:
+            columns[EXCITATION] = recording.excitation
+        notes = [
+            *self.notes,
+            *(
+                f"the logger lost data for {1e3 * length:.0f} ms at t = {start - self.zero:.3f} s"
+                for start, length in recording.dropouts[:5]
+            ),
+        ]
+        if len(recording.dropouts) > 5:
+            notes.append(f"... and {len(recording.dropouts) - 5} more drop-outs")
+        return Table(
+            columns={n: columns[n] for n in columns if n in ("t", EXCITATION) or is_canonical(n)},
+            rows=np.arange(1, self.rows.size + 1, dtype=np.int64),
+            source=recording.source,
+            sha256=recording.sha256,
+            canonical=True,
+            noncausal=frozenset(self.noncausal),
+            notes=tuple(notes),
+        )
 
 
 def _apart(t: FloatArray, rows: FloatArray) -> str:
