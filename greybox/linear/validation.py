@@ -150,63 +150,75 @@ def validate_linear(
     own = [_part(r, columns, outputs) for r in train]
     moved = [delayed(r, fit.model.delays) for r in own]
     e = list(fit.innovations)
-    white, cross, spectral = None, None, None
+    rows: list[TestRow] = []
+    one_step: list[FloatArray] = []
+    for r in test:
+        mine = _part(r, columns, outputs)
+        rows += _test_rows(fit, mine, horizons, adapt_seconds, one_step)
+    y = np.vstack([r.y for r in moved])
+    share = np.sqrt(np.nanmean(np.vstack(e) ** 2, axis=0) / np.nanvar(y, axis=0))
+    return Identified(
+        fit=fit,
+        whiteness=_whiteness(fit),
+        cross=_cross(fit, moved, feedback) if len(fit.model.inputs) else None,
+        spectral=_spectral(fit, moved),
+        feedback=feedback,
+        rows=tuple(rows),
+        train_fit=100 * (1 - share),
+        log_det_test=_log_det(one_step),
+        adapted_on=adapt_seconds,
+        columns=tuple(columns),
+        outputs=tuple(outputs),
+        intervals=tuple(intervals),
+    )
+
+
+def _whiteness(fit: LinearFit) -> Whiteness | None:
+    """None where the innovations do not suffice; so are the other tests."""
     try:
-        white = whiteness(
-            e,
+        return whiteness(
+            list(fit.innovations),
             names=fit.model.outputs.names,
             max_lag=MAX_LAG,
             fitted=min(2 * fit.order, 20),
             level=LEVEL,
         )
     except GreyboxError:
-        white = None
-    if len(fit.model.inputs):
-        try:
-            cross = cross_correlation(
-                e,
-                [r.u for r in moved],
-                names=fit.model.outputs.names,
-                input_names=fit.model.inputs.names,
-                max_lag=MAX_LAG,
-                level=LEVEL,
-            )
-            if not feedback:
-                cross = replace(
-                    cross, note="All lags count: the inputs were declared free of feedback."
-                )
-        except GreyboxError:
-            cross = None
+        return None
+
+
+def _cross(fit: LinearFit, moved: Sequence[Record], feedback: bool) -> CrossCorrelation | None:
+    """Innovations after inputs of the delayed records."""
     try:
-        spectral = spectral_error(e, [r.y for r in moved], fit.model.dt)
+        cross = cross_correlation(
+            list(fit.innovations),
+            [r.u for r in moved],
+            names=fit.model.outputs.names,
+            input_names=fit.model.inputs.names,
+            max_lag=MAX_LAG,
+            level=LEVEL,
+        )
     except GreyboxError:
-        spectral = None
-    rows: list[TestRow] = []
-    one_step: list[FloatArray] = []
-    for r in test:
-        mine = _part(r, columns, outputs)
-        rows += _test_rows(fit, mine, horizons, adapt_seconds, one_step)
-    log_det = float("nan")
-    if one_step:
-        total = np.vstack(one_step)
-        total = total[np.isfinite(total).all(axis=1)]
-        log_det = float(np.linalg.slogdet(total.T @ total / len(total))[1])
-    y = np.vstack([r.y for r in moved])
-    share = np.sqrt(np.nanmean(np.vstack(e) ** 2, axis=0) / np.nanvar(y, axis=0))
-    return Identified(
-        fit=fit,
-        whiteness=white,
-        cross=cross,
-        spectral=spectral,
-        feedback=feedback,
-        rows=tuple(rows),
-        train_fit=100 * (1 - share),
-        log_det_test=log_det,
-        adapted_on=adapt_seconds,
-        columns=tuple(columns),
-        outputs=tuple(outputs),
-        intervals=tuple(intervals),
-    )
+        return None
+    if feedback:
+        return cross
+    return replace(cross, note="All lags count: the inputs were declared free of feedback.")
+
+
+def _spectral(fit: LinearFit, moved: Sequence[Record]) -> SpectralError | None:
+    try:
+        return spectral_error(list(fit.innovations), [r.y for r in moved], fit.model.dt)
+    except GreyboxError:
+        return None
+
+
+def _log_det(errors: Sequence[FloatArray]) -> float:
+    """log det of the covariance of one-step errors; NaN without any."""
+    if not errors:
+        return float("nan")
+    total = np.vstack(errors)
+    total = total[np.isfinite(total).all(axis=1)]
+    return float(np.linalg.slogdet(total.T @ total / len(total))[1])
 
 
 def _interval(i: Interval) -> dict[str, Any]:

@@ -33,6 +33,28 @@ def plan_report(content: Mapping[str, Any], flights: Sequence[tuple[Columns, Col
     report.section("What it is expected to tell")
     text = content["efficiency"]["text"]
     report.verdict(f"{text[0].upper()}{text[1:]}.")
+    _parameters(report, content)
+    if content["unidentifiable"]:
+        report.paragraph("The flights alone do not tell apart (what is known before decides):")
+        report.bullets(content["unidentifiable"])
+    if content["pairs"]:
+        _pairs(report, content["pairs"])
+    report.section("What to fly")
+    _room(report, content)
+    for flight, (sent, seen) in zip(content["flights"], flights, strict=True):
+        _flight(report, flight, sent, seen)
+    if content["cannot_be_flown"]:
+        with report.details("manoeuvres that do not fit into the limits"):
+            report.bullets(content["cannot_be_flown"])
+    _next(report, content)
+    if "command" in content:
+        report.section("How to reproduce")
+        report.code(str(content["command"]))
+    return report.html()
+
+
+def _parameters(report: Report, content: Mapping[str, Any]) -> None:
+    """What is known of every parameter before and after."""
     rows: list[list[Cell]] = []
     for n, p in content["parameters"].items():
         alone: Cell = "" if finite(p["std_flights_alone"]) else Tag(text="not by itself")
@@ -48,29 +70,31 @@ def plan_report(content: Mapping[str, Any], flights: Sequence[tuple[Columns, Col
         "at the values that are "
         "taken for true.",
     )
-    if content["unidentifiable"]:
-        report.paragraph("The flights alone do not tell apart (what is known before decides):")
-        report.bullets(content["unidentifiable"])
-    if content["pairs"]:
-        report.heading("Which effects it separates")
-        table: list[list[Cell]] = []
-        for p in content["pairs"]:
-            verdict: Cell = p["verdict"] if p["separated"] else Tag(text=p["verdict"])
-            table.append(
-                [
-                    " and ".join(p["effects"]),
-                    verdict,
-                    p["expected_log_likelihood_ratio"],
-                    p["overlap"],
-                ]
-            )
-        report.table(
-            ["effects", "verdict", "log likelihood ratio", "overlap"],
-            table,
-            caption="Expected when one is true and the other is fitted in its place; "
-            f"above {CLEAR_LOG_RATIO:g}, BIC differs by more than {CLEAR:g}.",
+
+
+def _pairs(report: Report, pairs: Sequence[Mapping[str, Any]]) -> None:
+    report.heading("Which effects it separates")
+    table: list[list[Cell]] = []
+    for p in pairs:
+        verdict: Cell = p["verdict"] if p["separated"] else Tag(text=p["verdict"])
+        table.append(
+            [
+                " and ".join(p["effects"]),
+                verdict,
+                p["expected_log_likelihood_ratio"],
+                p["overlap"],
+            ]
         )
-    report.section("What to fly")
+    report.table(
+        ["effects", "verdict", "log likelihood ratio", "overlap"],
+        table,
+        caption="Expected when one is true and the other is fitted in its place; "
+        f"above {CLEAR_LOG_RATIO:g}, BIC differs by more than {CLEAR:g}.",
+    )
+
+
+def _room(report: Report, content: Mapping[str, Any]) -> None:
+    """What of the limits the flights use."""
     use, room = content["used"], content["limits"]
     box, tilts = room["box_m"], np.degrees([use["tilt"], room["tilt_rad"]])
     heights = (
@@ -94,11 +118,9 @@ def plan_report(content: Mapping[str, Any], flights: Sequence[tuple[Columns, Col
             ),
         ]
     )
-    for flight, (sent, seen) in zip(content["flights"], flights, strict=True):
-        _flight(report, flight, sent, seen)
-    if content["cannot_be_flown"]:
-        with report.details("manoeuvres that do not fit into the limits"):
-            report.bullets(content["cannot_be_flown"])
+
+
+def _next(report: Report, content: Mapping[str, Any]) -> None:
     report.section("What to do next")
     report.bullets(
         [
@@ -114,10 +136,6 @@ def plan_report(content: Mapping[str, Any], flights: Sequence[tuple[Columns, Col
             "pays.",
         ]
     )
-    if "command" in content:
-        report.section("How to reproduce")
-        report.code(str(content["command"]))
-    return report.html()
 
 
 def finite(value: float | None) -> bool:
