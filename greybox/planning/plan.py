@@ -53,6 +53,61 @@ def plan(
     nothing to estimate), `FitError` (nothing that can be flown), `UnknownNameError`, `ModelError`.
     """
     o = PlanOptions.of(options, choices)
+    count = _pieces(o)
+    with threadpool_limits(limits=1):
+        wish, limits, notes = _hovering(
+            lambda assumed: planning_case(
+                vehicle,
+                model,
+                effects=o.effects,
+                free=o.free,
+                values=o.values,
+                noise=o.noise,
+                sensors=o.sensors,
+                sample_time=o.sample_time,
+                assumed=assumed,
+            ),
+            o.limits,
+            o.piece,
+        )
+        candidates, left_out = _flyable(wish, limits, o.piece, o.seed, o.setpoints_only, say)
+        split = _chosen(wish, candidates, count, o.flights, say)
+        split, log = _kept(wish, limits, split)
+        found = information(wish, log)
+        naive = information(wish, _naive(wish, limits, candidates, count * o.piece))
+    places = [i for i, n in enumerate(found.names) if n in wish.free]
+    expected = errors(wish, found)
+    return Plan(
+        subject=wish,
+        limits=limits,
+        flights=split,
+        log=log,
+        information=found,
+        errors=expected,
+        naive=errors(wish, naive),
+        efficiency=efficiency(wish, found, naive),
+        pairs=tuple(pairs(wish, found)),
+        unidentified=unidentified(
+            marginal_information(found.matrix, places),
+            [found.names[i] for i in places],
+            [wish.values[found.names[i]] for i in places],
+        ),
+        left_out=tuple(left_out),
+        warnings=(
+            *(f"the whole flight breaks the limit of {b}" for b in limits.broken(log)),
+            *(
+                f"nothing will be known of {n}"
+                for n, (std, _) in expected.items()
+                if not np.isfinite(std)
+            ),
+            *notes,
+        ),
+        seed=o.seed,
+    )
+
+
+def _pieces(o: PlanOptions) -> int:
+    """The number of manoeuvres. Raises `GreyboxError` for too short a flight, or too many."""
     seconds, piece, flights = o.seconds, o.piece, o.flights
     if not (np.isfinite(seconds) and 2.0 <= piece <= seconds):
         raise GreyboxError(
@@ -69,61 +124,26 @@ def plan(
             got=str(flights),
             fix="--flights 1",
         )
-    with threadpool_limits(limits=1):
-        wish, limits, notes = _hovering(
-            lambda assumed: planning_case(
-                vehicle,
-                model,
-                effects=o.effects,
-                free=o.free,
-                values=o.values,
-                noise=o.noise,
-                sensors=o.sensors,
-                sample_time=o.sample_time,
-                assumed=assumed,
-            ),
-            o.limits,
-            piece,
-        )
-        candidates, left_out = _flyable(wish, limits, piece, o.seed, o.setpoints_only, say)
-        told = {}
-        for name, f in candidates.items():
-            told[name] = information(wish, f.log)
-            _say(say, f"weighed {f.piece.text}")
-        names = next(iter(told.values())).names
-        chosen = choose(told, count, Score(wish, names))
-        steps = [(candidates[n].piece, candidates[n].amplitude) for n in chosen]
-        split = tuple(
-            tuple(steps[i] for i in part) for part in np.array_split(np.arange(count), flights)
-        )
-        split, log = _kept(wish, limits, split)
-        found = information(wish, log)
-        naive = information(wish, _naive(wish, limits, candidates, count * piece))
-    places = [i for i, n in enumerate(names) if n in wish.free]
-    warnings = [f"the whole flight breaks the limit of {b}" for b in limits.broken(log)]
-    expected = errors(wish, found)
-    warnings += [
-        f"nothing will be known of {n}" for n, (std, _) in expected.items() if not np.isfinite(std)
-    ]
-    warnings += notes
-    return Plan(
-        subject=wish,
-        limits=limits,
-        flights=split,
-        log=log,
-        information=found,
-        errors=expected,
-        naive=errors(wish, naive),
-        efficiency=efficiency(wish, found, naive),
-        pairs=tuple(pairs(wish, found)),
-        unidentified=unidentified(
-            marginal_information(found.matrix, places),
-            [names[i] for i in places],
-            [wish.values[names[i]] for i in places],
-        ),
-        left_out=tuple(left_out),
-        warnings=tuple(warnings),
-        seed=o.seed,
+    return count
+
+
+def _chosen(
+    wish: PlanningCase,
+    candidates: Mapping[str, Flown],
+    count: int,
+    flights: int,
+    say: Callable[[str], None] | None,
+) -> tuple[tuple[Step, ...], ...]:
+    """The `count` manoeuvres that together tell most, in order, split over the flights."""
+    told = {}
+    for name, f in candidates.items():
+        told[name] = information(wish, f.log)
+        _say(say, f"weighed {f.piece.text}")
+    names = next(iter(told.values())).names
+    chosen = choose(told, count, Score(wish, names))
+    steps = [(candidates[n].piece, candidates[n].amplitude) for n in chosen]
+    return tuple(
+        tuple(steps[i] for i in part) for part in np.array_split(np.arange(count), flights)
     )
 
 

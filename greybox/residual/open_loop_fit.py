@@ -460,7 +460,6 @@ def fit_open_loop(
             parts[best],
             chosen,
             factor,
-            gain,
             iterations,
             lambda text, s: say(text, 0.6 + 0.3 * s),
         )
@@ -468,7 +467,9 @@ def fit_open_loop(
             say("errors of kinds of flight left out", 0.9)
             del parts
             result = replace(
-                result, left_out=_left_out(paths, bases[best], theta, chosen, owners, blocks)
+                result,
+                held_out_gain=gain,
+                left_out=_left_out(paths, bases[best], theta, chosen, owners, blocks),
             )
     return result, best, gains
 
@@ -524,16 +525,13 @@ def _iterate(
     parts: list[Normal],
     chosen: FloatArray,
     factor: FloatArray,
-    gain: float,
     iterations: int,
     say: Progress,
 ) -> tuple[OpenLoopFit, FloatArray]:
     """Gauss-Newton with step control from zero weights: (fit, whitened weights (P,))."""
-    before = value = float(total(parts, "cost"))
+    before = float(total(parts, "cost"))
     strengths = dict(zip(basis.posterior.outputs.names, chosen.tolist(), strict=True))
-    on = np.isfinite(np.repeat(chosen, basis.m))
-    prior = np.repeat(chosen, basis.m)[on]
-    if not on.any():
+    if not np.isfinite(chosen).any():
         null = OpenLoopFit(
             posterior=silent(basis.posterior),
             strengths=strengths,
@@ -548,11 +546,49 @@ def _iterate(
     paths.engine = engine_for(
         WeightedHybrid(inner=paths.model.dynamics, posterior=basis.posterior), ()
     )
+    end = _gauss_newton(paths, basis, parts, chosen, iterations, say)
+    paths.extra = basis.weights(end.theta)
+    hessian = alone(total(end.parts, "hessian"), basis.members, basis.m)
+    hessian = hessian + np.diag(np.repeat(np.where(np.isfinite(chosen), chosen, 1.0), basis.m))
+    found = OpenLoopFit(
+        posterior=fitted(basis.posterior, end.theta, _inverse(hessian), chosen, factor),
+        strengths=strengths,
+        cost_before=before,
+        cost_after=paths.cost(),
+        held_out_gain=0.0,
+        iterations=end.iterations,
+        status=end.status,
+    )
+    return found, end.theta
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _End:
+    """Where the iterations end: whitened weights (P,), and the normal equations that were solved
+    last."""
+
+    theta: FloatArray
+    parts: list[Normal]
+    iterations: int
+    status: str
+
+
+def _gauss_newton(
+    paths: Paths,
+    basis: Basis,
+    parts: list[Normal],
+    chosen: FloatArray,
+    iterations: int,
+    say: Progress,
+) -> _End:
+    """Lower the penalised cost from zero weights; outputs of infinite strength stay silent."""
+    before = value = float(total(parts, "cost"))
+    on = np.isfinite(np.repeat(chosen, basis.m))
+    prior, at = np.repeat(chosen, basis.m)[on], np.ix_(on, on)
     theta = np.zeros(basis.size)
     status, done = "iteration limit", 0
     for done in range(1, iterations + 1):
         step = np.zeros(basis.size)
-        at = np.ix_(on, on)
         step[on], g = _newton(
             total(parts, "hessian")[at], total(parts, "gradient")[on], prior, theta[on], basis
         )
@@ -574,19 +610,7 @@ def _iterate(
             break
         if done < iterations:
             parts = [n for r in paths.records for n in paths.normal(r, [basis])[0]]
-    paths.extra = basis.weights(theta)
-    hessian = alone(total(parts, "hessian"), basis.members, basis.m)
-    hessian = hessian + np.diag(np.repeat(np.where(np.isfinite(chosen), chosen, 1.0), basis.m))
-    found = OpenLoopFit(
-        posterior=fitted(basis.posterior, theta, _inverse(hessian), chosen, factor),
-        strengths=strengths,
-        cost_before=before,
-        cost_after=paths.cost(),
-        held_out_gain=gain,
-        iterations=done,
-        status=status,
-    )
-    return found, theta
+    return _End(theta=theta, parts=parts, iterations=done, status=status)
 
 
 def _newton(
