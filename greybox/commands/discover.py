@@ -62,6 +62,39 @@ def add(subparsers: Any) -> None:
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file (not needed with --from)")
     model_file_option(p, read=False)
+    _earlier_options(p)
+    p.add_argument("--train", nargs="+", default=[], metavar="LOG", help="flights to search in")
+    p.add_argument(
+        "--test",
+        nargs="+",
+        default=[],
+        metavar="LOG",
+        help="flights that propose nothing and judge (without: halves of the training flights)",
+    )
+    flight_log_options(p)
+    _search_options(p)
+    p.add_argument(
+        "--rate",
+        type=float,
+        default=None,
+        metavar="HZ",
+        help="resample the logs to this rate (default: what the response of the craft needs)",
+    )
+    p.add_argument("--seed", type=int, default=0, help="seed of bootstraps and random halves")
+    accept_option(p)
+    p.add_argument(
+        "--out",
+        default=None,
+        metavar="DIR",
+        help="folder for the results (default greybox-discover, or that of --continue)",
+    )
+    mcap_option(p)
+    json_option(p, "discovery.json")
+    p.set_defaults(run=run, default_out=lambda arguments: arguments.folder or "greybox-discover")
+
+
+def _earlier_options(p: argparse.ArgumentParser) -> None:
+    """What an earlier search or fit has found."""
     p.add_argument(
         "--from",
         dest="since",
@@ -74,15 +107,10 @@ def add(subparsers: Any) -> None:
         metavar="FOLDER",
         help="the flights are further ones: their evidence multiplies that of the names in FOLDER",
     )
-    p.add_argument("--train", nargs="+", default=[], metavar="LOG", help="flights to search in")
-    p.add_argument(
-        "--test",
-        nargs="+",
-        default=[],
-        metavar="LOG",
-        help="flights that propose nothing and judge (without: halves of the training flights)",
-    )
-    flight_log_options(p)
+
+
+def _search_options(p: argparse.ArgumentParser) -> None:
+    """What is sought, in which model."""
     p.add_argument(
         "--alpha",
         type=float,
@@ -138,24 +166,6 @@ def add(subparsers: Any) -> None:
         action="store_true",
         help="also learn, without a name, what could be closed (extra gp)",
     )
-    p.add_argument(
-        "--rate",
-        type=float,
-        default=None,
-        metavar="HZ",
-        help="resample the logs to this rate (default: what the response of the craft needs)",
-    )
-    p.add_argument("--seed", type=int, default=0, help="seed of bootstraps and random halves")
-    accept_option(p)
-    p.add_argument(
-        "--out",
-        default=None,
-        metavar="DIR",
-        help="folder for the results (default greybox-discover, or that of --continue)",
-    )
-    mcap_option(p)
-    json_option(p, "discovery.json")
-    p.set_defaults(run=run, default_out=lambda arguments: arguments.folder or "greybox-discover")
 
 
 class _Search:

@@ -56,6 +56,27 @@ def add(subparsers: Any) -> None:
         "--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees"
     )
     flight_log_options(p)
+    _learner_options(p)
+    adapt_option(p)
+    horizon_options(p)
+    p.add_argument(
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="F.py",
+        help="effects of your own in the model, and the laws of model_with_laws.json",
+    )
+    model_file_option(p)
+    _linear_options(p)
+    p.add_argument("--seed", type=int, default=0, help="seed of subsets and restarts")
+    p.add_argument("--out", default="greybox-learn", metavar="DIR", help="folder for the results")
+    mcap_option(p)
+    json_option(p, "learn.json")
+    p.set_defaults(run=run)
+
+
+def _learner_options(p: argparse.ArgumentParser) -> None:
+    """What is learned, of which inputs."""
     p.add_argument(
         "--points", default="50", metavar="M", help="support points, a number or auto (default 50)"
     )
@@ -80,16 +101,10 @@ def add(subparsers: Any) -> None:
         help="let the place in the room compete as a feature too (walls, vents): "
         "what it teaches holds in this room only",
     )
-    adapt_option(p)
-    horizon_options(p)
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="F.py",
-        help="effects of your own in the model, and the laws of model_with_laws.json",
-    )
-    model_file_option(p)
+
+
+def _linear_options(p: argparse.ArgumentParser) -> None:
+    """What only a linear model asks for."""
     p.add_argument(
         "--vehicle", metavar="V.toml", help="of a linear model: vehicle file, for its column names"
     )
@@ -105,11 +120,6 @@ def add(subparsers: Any) -> None:
         help="of a linear model: raise the sparse GP's "
         "variance to that of the full one (docs/residual.md)",
     )
-    p.add_argument("--seed", type=int, default=0, help="seed of subsets and restarts")
-    p.add_argument("--out", default="greybox-learn", metavar="DIR", help="folder for the results")
-    mcap_option(p)
-    json_option(p, "learn.json")
-    p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -52,6 +52,31 @@ def add(subparsers: Any) -> None:
     p.add_argument(
         "--outputs", required=True, metavar="p,q,r", help="output channels, comma separated"
     )
+    _model_options(p)
+    p.add_argument("--vehicle", metavar="V.toml", help="vehicle file, for its column names")
+    p.add_argument(
+        "--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate"
+    )
+    p.add_argument(
+        "--adapt",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="fit state and offset of test logs on S seconds",
+    )
+    horizon_options(p)
+    p.add_argument(
+        "--profile",
+        action="store_true",
+        help="profile likelihood intervals of all poles (takes longer)",
+    )
+    p.add_argument("--out", default="greybox-linear", metavar="DIR", help="folder for the results")
+    json_option(p, "fit.json")
+    p.set_defaults(run=run)
+
+
+def _model_options(p: argparse.ArgumentParser) -> None:
+    """What the model may be."""
     p.add_argument(
         "--order",
         default="auto",
@@ -88,26 +113,6 @@ def add(subparsers: Any) -> None:
         action="store_true",
         help="the inputs do not depend on the outputs (no feedback)",
     )
-    p.add_argument("--vehicle", metavar="V.toml", help="vehicle file, for its column names")
-    p.add_argument(
-        "--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate"
-    )
-    p.add_argument(
-        "--adapt",
-        type=float,
-        default=0.0,
-        metavar="S",
-        help="fit state and offset of test logs on S seconds",
-    )
-    horizon_options(p)
-    p.add_argument(
-        "--profile",
-        action="store_true",
-        help="profile likelihood intervals of all poles (takes longer)",
-    )
-    p.add_argument("--out", default="greybox-linear", metavar="DIR", help="folder for the results")
-    json_option(p, "fit.json")
-    p.set_defaults(run=run)
 
 
 @dataclass(frozen=True, kw_only=True)

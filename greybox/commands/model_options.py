@@ -77,6 +77,27 @@ def model_options(p: Any) -> None:
         metavar="E.py",
         help="add the effects of these Python files, which are run (only what you trust)",
     )
+    _unknown_options(p)
+    _method_options(p)
+    _noise_options(p)
+    p.add_argument(
+        "--input",
+        choices=("command", "speed"),
+        default=None,
+        help="what drives the rotors (default: commands, or rotor speeds where the logs have no "
+        "commands)",
+    )
+    p.add_argument(
+        "--max-iterations",
+        type=int,
+        default=None,
+        metavar="N",
+        help="iteration limit of the solver",
+    )
+
+
+def _unknown_options(p: argparse.ArgumentParser) -> None:
+    """Which numbers are unknown."""
     p.add_argument(
         "--disturbance", type=names, default=None, metavar="force,torque", help="disturbance states"
     )
@@ -114,6 +135,10 @@ def model_options(p: Any) -> None:
     p.add_argument(
         "--free", type=names, default=None, metavar="a,b", help="fit exactly these parameters"
     )
+
+
+def _method_options(p: argparse.ArgumentParser) -> None:
+    """By which method they are found."""
     p.add_argument(
         "--predictor",
         default=None,
@@ -126,6 +151,10 @@ def model_options(p: Any) -> None:
     p.add_argument(
         "--init", default=None, help="equation-error, noise, nominal, multistart, innovation"
     )
+
+
+def _noise_options(p: argparse.ArgumentParser) -> None:
+    """Where they start, and which noise levels are held."""
     p.add_argument(
         "--noise",
         type=noise_levels,
@@ -153,20 +182,6 @@ def model_options(p: Any) -> None:
         action=argparse.BooleanOptionalAction,
         default=None,
         help="noise between attitude and gyro (clocks that drift)",
-    )
-    p.add_argument(
-        "--input",
-        choices=("command", "speed"),
-        default=None,
-        help="what drives the rotors (default: commands, or rotor speeds where the logs have no "
-        "commands)",
-    )
-    p.add_argument(
-        "--max-iterations",
-        type=int,
-        default=None,
-        metavar="N",
-        help="iteration limit of the solver",
     )
 
 

@@ -39,6 +39,25 @@ def add(subparsers: Any) -> None:
         "model of the "
         "body rates with a process on its residual",
     )
+    _world_options(p)
+    _campaign_options(p)
+    p.add_argument(
+        "--even-so", action="store_true", help="go on although the model was judged not usable"
+    )
+    p.add_argument("--out", default="greybox-mpc", metavar="DIR", help="folder for the results")
+    p.add_argument(
+        "--mcap",
+        metavar="F.mcap",
+        default=None,
+        help="also write the watched flights with their plans, for Foxglove, Rerun or PlotJuggler",
+    )
+    add_options(p)
+    json_option(p, "mpc.json")
+    p.set_defaults(run=run)
+
+
+def _world_options(p: argparse.ArgumentParser) -> None:
+    """What is flown, where."""
     p.add_argument(
         "--plant",
         metavar="MODULE:ATTRIBUTE",
@@ -61,6 +80,10 @@ def add(subparsers: Any) -> None:
         help="path and "
         "limits, an mpc_export.mission.Course (default: a wall, a gap, a low ceiling)",
     )
+
+
+def _campaign_options(p: argparse.ArgumentParser) -> None:
+    """How often, and what may go wrong."""
     p.add_argument(
         "--flights", type=int, default=20, metavar="N", help="flights per controller (default 20)"
     )
@@ -94,19 +117,6 @@ def add(subparsers: Any) -> None:
         "flights against the model itself (default), or Boole's inequality over touched limits",
     )
     p.add_argument("--seed", type=int, default=0, metavar="S", help="another set of gusts")
-    p.add_argument(
-        "--even-so", action="store_true", help="go on although the model was judged not usable"
-    )
-    p.add_argument("--out", default="greybox-mpc", metavar="DIR", help="folder for the results")
-    p.add_argument(
-        "--mcap",
-        metavar="F.mcap",
-        default=None,
-        help="also write the watched flights with their plans, for Foxglove, Rerun or PlotJuggler",
-    )
-    add_options(p)
-    json_option(p, "mpc.json")
-    p.set_defaults(run=run)
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -47,6 +47,22 @@ def add(subparsers: Any) -> None:
         metavar="MODEL.json",
         help="fitted model: its values, noise and covariance are what is known",
     )
+    _knowledge_options(p)
+    _length_options(p)
+    _room_options(p)
+    p.add_argument(
+        "--setpoints-only",
+        action="store_true",
+        help="only manoeuvres that need no injected signals",
+    )
+    p.add_argument("--seed", type=int, default=0, help="seed of the multi-sines' phases")
+    p.add_argument("--out", default="greybox-plan", metavar="DIR", help="folder for the results")
+    json_option(p, "plan.json")
+    p.set_defaults(run=run)
+
+
+def _knowledge_options(p: argparse.ArgumentParser) -> None:
+    """What is wanted, and what is taken for known."""
     p.add_argument(
         "--for",
         dest="effects",
@@ -82,6 +98,10 @@ def add(subparsers: Any) -> None:
         metavar="a,b",
         help="what is logged: position, velocity, attitude, gyro, accelerometer (default: [noise])",
     )
+
+
+def _length_options(p: argparse.ArgumentParser) -> None:
+    """How much is flown."""
     p.add_argument(
         "--seconds",
         type=float,
@@ -106,6 +126,10 @@ def add(subparsers: Any) -> None:
         metavar="HZ",
         help="sample rate (default 100, or the model's)",
     )
+
+
+def _room_options(p: argparse.ArgumentParser) -> None:
+    """What may not be left."""
     p.add_argument(
         "--box",
         type=numbers,
@@ -134,15 +158,6 @@ def add(subparsers: Any) -> None:
         metavar="LO,HI",
         help="range of the rotor commands (default: the vehicle's less 2 %% at both ends)",
     )
-    p.add_argument(
-        "--setpoints-only",
-        action="store_true",
-        help="only manoeuvres that need no injected signals",
-    )
-    p.add_argument("--seed", type=int, default=0, help="seed of the multi-sines' phases")
-    p.add_argument("--out", default="greybox-plan", metavar="DIR", help="folder for the results")
-    json_option(p, "plan.json")
-    p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
