@@ -201,56 +201,9 @@ def advice(content: dict[str, Any]) -> list[str]:
     out: list[str] = []
     if not tube or not tube["flights"]:
         return ["Fly again: no flight of the tube was finished."]
-    n, (low, high) = tube["flights"], tube["crossed"]["interval"]
-    if tube["crashed"]:
-        out.append(
-            "The tube crashed: look at its flights first. A course that is too fast for the model "
-            "(--pace), a plant that is "
-            "another vehicle, or a model without the effect that matters are the usual reasons."
-        )
-    elif tube["p_value"] < 0.05:
-        out.append(
-            f"The limits are crossed more often than the {100 * level:g} % asked for: the model is "
-            "surer than it should be. "
-            "Fit and learn on flights like these (same speed, same wind), then fly again."
-        )
-    elif high < level:
-        why = (
-            "Boole's inequality is careful: --risk rehearsal counts what fails together."
-            if content["tuning"]["risk"] == "boole"
-            else "The model is less sure than it could be, or the plant kinder than it; a higher "
-            "--level flies nearer."
-        )
-        out.append(f"The tube is more careful than it was asked to be. {why}")
-    elif high > 2 * level:
-        out.append(
-            f"{n} flights leave the share between {100 * low:.0f} and {100 * high:.0f} %: fly more "
-            "of them, for example "
-            f"--flights {max(100, 5 * n)}; the ones that are there are kept."
-        )
-    other = content["differences"].get("constant")
-    if other and other["error"] is not None:
-        size, error = other["mean"], other["error"]
-        if abs(size) < 2 * error:
-            out.append(
-                "The tube and one constant back-off cost the same within what these flights can "
-                "tell apart."
-            )
-        elif size < 0:
-            constant = found["constant"]
-            out.append(
-                f"One constant back-off of {1e3 * constant['moved']:.1f} mm costs "
-                f"{100 * -size / tube['cost']:.0f} % less than "
-                f"the tube, with {constant['crossed']['count']} of {constant['flights']} flights "
-                "beyond a "
-                f"limit. It was chosen "
-                "on training flights of this very course in these gusts; where either changes it "
-                "must be chosen again."
-            )
-        else:
-            out.append(
-                f"The tube costs {100 * size / tube['cost']:.0f} % less than one constant back-off."
-            )
+    n = tube["flights"]
+    out += _on_risk(content, tube, level)
+    out += _on_cost(content, tube)
     if tube["descended"]:
         out.append(
             f"The tube gave the path up and came down in {tube['descended']} of {n} flights; the "
@@ -279,4 +232,67 @@ def advice(content: dict[str, Any]) -> list[str]:
         "Take the controller's model to the vehicle with greybox export --with "
         "covariance,filter,target."
     )
+    return out
+
+
+def _on_risk(content: dict[str, Any], tube: dict[str, Any], level: float) -> list[str]:
+    """Whether the tube crosses its limits as often as it was asked to."""
+    out: list[str] = []
+    n, (low, high) = tube["flights"], tube["crossed"]["interval"]
+    if tube["crashed"]:
+        out.append(
+            "The tube crashed: look at its flights first. A course that is too fast for the model "
+            "(--pace), a plant that is "
+            "another vehicle, or a model without the effect that matters are the usual reasons."
+        )
+    elif tube["p_value"] < 0.05:
+        out.append(
+            f"The limits are crossed more often than the {100 * level:g} % asked for: the model is "
+            "surer than it should be. "
+            "Fit and learn on flights like these (same speed, same wind), then fly again."
+        )
+    elif high < level:
+        why = (
+            "Boole's inequality is careful: --risk rehearsal counts what fails together."
+            if content["tuning"]["risk"] == "boole"
+            else "The model is less sure than it could be, or the plant kinder than it; a higher "
+            "--level flies nearer."
+        )
+        out.append(f"The tube is more careful than it was asked to be. {why}")
+    elif high > 2 * level:
+        out.append(
+            f"{n} flights leave the share between {100 * low:.0f} and {100 * high:.0f} %: fly more "
+            "of them, for example "
+            f"--flights {max(100, 5 * n)}; the ones that are there are kept."
+        )
+    return out
+
+
+def _on_cost(content: dict[str, Any], tube: dict[str, Any]) -> list[str]:
+    """What the tube costs beside one constant back-off."""
+    out: list[str] = []
+    found = content["controllers"]
+    other = content["differences"].get("constant")
+    if other and other["error"] is not None:
+        size, error = other["mean"], other["error"]
+        if abs(size) < 2 * error:
+            out.append(
+                "The tube and one constant back-off cost the same within what these flights can "
+                "tell apart."
+            )
+        elif size < 0:
+            constant = found["constant"]
+            out.append(
+                f"One constant back-off of {1e3 * constant['moved']:.1f} mm costs "
+                f"{100 * -size / tube['cost']:.0f} % less than "
+                f"the tube, with {constant['crossed']['count']} of {constant['flights']} flights "
+                "beyond a "
+                f"limit. It was chosen "
+                "on training flights of this very course in these gusts; where either changes it "
+                "must be chosen again."
+            )
+        else:
+            out.append(
+                f"The tube costs {100 * size / tube['cost']:.0f} % less than one constant back-off."
+            )
     return out

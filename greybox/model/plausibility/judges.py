@@ -20,6 +20,7 @@ from greybox.model.plausibility.craft import Craft
 from greybox.model.plausibility.finding import Implausible, Severity
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
+from greybox.symbolic import FloatArray
 
 HUGE = 1e9
 MASS_UNITS = {1e-3: "grams instead of kilograms"}
@@ -250,33 +251,46 @@ def allocation(c: Craft) -> Iterator[Implausible]:
     arms = c.place - np.array([q.value for q in c.vehicle.center_of_mass])
     lever = c.lever or 0.0
     rows = np.stack([np.ones(c.n), arms[:, 1] / c.L, -arms[:, 0] / c.L, -c.spin * lever / c.L])
+    lost = [*_dependent(c, rows, lever)]
+    yield from lost
+    if not lost:
+        yield from _level_hover(c, rows)
+        yield from _hubs(c, arms)
+        yield from _discs(c)
+
+
+def _dependent(c: Craft, rows: FloatArray, lever: float) -> Iterator[Implausible]:
+    """Which of thrust and moments, the rows (4, n) of the mixer, are no independent ones."""
     names = ("thrust", "roll", "pitch", "yaw")
     rank = int(np.linalg.matrix_rank(rows, tol=1e-3 * max(abs(lever) / c.L, 1e-9)))
-    if rank < 4:
-        lost = [
-            n
-            for k, n in enumerate(names)
-            if np.linalg.matrix_rank(np.delete(rows, k, 0), tol=1e-6) == rank
-        ]
-        pattern = " ".join(f"{int(s):+d}" for s in c.spin)
-        if c.n < 4:
-            fix = "greybox models fixed rotors: four or more are needed"
-        elif not lever:
-            fix = "give the torque map: without it there is no yaw"
-        else:
-            fix = (
-                f"check spins ({pattern}) and positions: neighbours turn opposite ways, "
-                "opposite rotors alike"
-            )
-        yield Implausible(
-            "blocking",
-            "rotor",
-            f"no independent {', '.join(lost)}",
-            "thrust, roll, pitch and yaw of rank 4",
-            f"rank {rank}",
-            fix,
-        )
+    if rank == 4:
         return
+    lost = [
+        n
+        for k, n in enumerate(names)
+        if np.linalg.matrix_rank(np.delete(rows, k, 0), tol=1e-6) == rank
+    ]
+    pattern = " ".join(f"{int(s):+d}" for s in c.spin)
+    if c.n < 4:
+        fix = "greybox models fixed rotors: four or more are needed"
+    elif not lever:
+        fix = "give the torque map: without it there is no yaw"
+    else:
+        fix = (
+            f"check spins ({pattern}) and positions: neighbours turn opposite ways, "
+            "opposite rotors alike"
+        )
+    yield Implausible(
+        "blocking",
+        "rotor",
+        f"no independent {', '.join(lost)}",
+        "thrust, roll, pitch and yaw of rank 4",
+        f"rank {rank}",
+        fix,
+    )
+
+
+def _level_hover(c: Craft, rows: FloatArray) -> Iterator[Implausible]:
     low, high = float(c.rotor.min()), float(c.rotor.max())
     wrench = np.array([c.weight, 0.0, 0.0, 0.0]) / c.weight
     best = lsq_linear(rows / c.n, wrench, bounds=(c.n * low / c.weight, c.n * high / c.weight))
@@ -289,6 +303,10 @@ def allocation(c: Craft) -> Iterator[Implausible]:
             "no such commands",
             "check signs of the positions (x forward, y left) and the centre of mass",
         )
+
+
+def _hubs(c: Craft, arms: FloatArray) -> Iterator[Implausible]:
+    """Levers for roll and pitch, and the length of the arms (n, 3) alike."""
     for axis, name in ((1, "roll"), (0, "pitch")):
         reach = float(np.abs(arms[:, axis]).max())
         if reach < 0.2 * c.L:
@@ -310,23 +328,28 @@ def allocation(c: Craft) -> Iterator[Implausible]:
             f"{reach_all.min():.3g} to {reach_all.max():.3g} m",
             "check each hub position",
         )
+
+
+def _discs(c: Craft) -> Iterator[Implausible]:
+    """Whether discs at about one height overlap."""
     radius = c.vehicle.actuator.rotor_radius
-    if radius is not None:
-        gaps = [
-            float(np.linalg.norm(a - b))
-            for i, a in enumerate(c.place)
-            for b in c.place[:i]
-            if abs(a[2] - b[2]) < 0.1 * c.L
-        ]
-        if gaps and 2 * radius > 1.05 * min(gaps):
-            yield Implausible(
-                "warning",
-                "actuator.rotor_radius",
-                "discs overlap",
-                f"at most {min(gaps) / 2:.3g} m",
-                f"{radius:g} m",
-                "give the radius in metres, not the diameter",
-            )
+    if radius is None:
+        return
+    gaps = [
+        float(np.linalg.norm(a - b))
+        for i, a in enumerate(c.place)
+        for b in c.place[:i]
+        if abs(a[2] - b[2]) < 0.1 * c.L
+    ]
+    if gaps and 2 * radius > 1.05 * min(gaps):
+        yield Implausible(
+            "warning",
+            "actuator.rotor_radius",
+            "discs overlap",
+            f"at most {min(gaps) / 2:.3g} m",
+            f"{radius:g} m",
+            "give the radius in metres, not the diameter",
+        )
 
 
 def rotors(c: Craft) -> Iterator[Implausible]:
