@@ -68,65 +68,71 @@ class StationaryGain(Predictor[Prepared_co]):
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Innovations of every record, one after the other: what is done with may be forgotten."""
         filters = self.gains(problem, theta, jacobian)
-        engine = problem.engine
-        places = [problem.place(n) for n in noise_names(problem)]
-        noise_columns = np.array([p for p in places if p is not None], dtype=np.intp)
-
-        def pieces(i: int) -> Iterator[Block]:
-            record = problem.records[i]
-            pattern = filters[i].pattern
-            x, moved = problem.start_of(theta, i)
-            initial = problem.initial_columns(i)
-            gains, covariance, slope = filters[i].tables()
-            columns = np.concatenate([problem.local_columns(record.flight), noise_columns, initial])
-            s: FloatArray | None = None
-            if jacobian:
-                s = np.zeros((engine.nd, columns.size))
-                # Derivative of the moved start in its own chart (identity to first order in the
-                # small move).
-                s[:, columns.size - initial.size :] = moved
-            p = problem.parameters_of(theta, record.flight)
-            length = self.piece if jacobian else record.n
-            for begin in range(0, record.n, length):
-                rows = slice(begin, min(begin + length, record.n))
-                run = engine.run(
-                    x0=x,
-                    inputs=record.inputs[begin : rows.stop + engine.past + engine.future],
-                    outputs=record.outputs[rows],
-                    mask=record.mask[rows],
-                    pattern=pattern[rows],
-                    gains=gains,
-                    p=p,
-                    dt=record.dt,
-                    s0=s,
-                    want=frozenset({"innovations", "sensitivity"})
-                    if jacobian
-                    else frozenset({"innovations"}),
-                )
-                if run.failed_at is not None:
-                    at = begin + run.failed_at
-                    raise FitError(
-                        f"the prediction of flight {record.flight} is not finite after sample {at}"
-                    )
-                assert run.innovations is not None
-                x, s = run.end, run.end_sensitivity
-                if s is not None:
-                    s = np.where(np.abs(s) < FORGOTTEN, 0.0, s)
-                yield Block(
-                    record=record,
-                    e=run.innovations,
-                    mask=record.mask[rows],
-                    jacobian=run.sensitivity,
-                    columns=columns,
-                    covariance=covariance,
-                    covariance_slope=slope,
-                    pattern=pattern[rows],
-                )
-
         count = len(problem.records)
         if jacobian and any(r.n > self.piece for r in problem.records):
-            return (block for i in range(count) for block in pieces(i))
-        return problem.map_records(lambda i: next(pieces(i)))
+            return (
+                block
+                for i in range(count)
+                for block in self._pieces(problem, theta, i, filters[i], jacobian)
+            )
+        return problem.map_records(
+            lambda i: next(self._pieces(problem, theta, i, filters[i], jacobian))
+        )
+
+    def _pieces(
+        self, problem: Problem, theta: FloatArray, i: int, filters: RecordGains, jacobian: bool
+    ) -> Iterator[Block]:
+        """Innovations of record i, in pieces where they come with slopes."""
+        engine, record, pattern = problem.engine, problem.records[i], filters.pattern
+        places = [problem.place(n) for n in noise_names(problem)]
+        noise_columns = np.array([p for p in places if p is not None], dtype=np.intp)
+        x, moved = problem.start_of(theta, i)
+        initial = problem.initial_columns(i)
+        gains, covariance, slope = filters.tables()
+        columns = np.concatenate([problem.local_columns(record.flight), noise_columns, initial])
+        s: FloatArray | None = None
+        if jacobian:
+            s = np.zeros((engine.nd, columns.size))
+            # Derivative of the moved start in its own chart (identity to first order in the
+            # small move).
+            s[:, columns.size - initial.size :] = moved
+        p = problem.parameters_of(theta, record.flight)
+        length = self.piece if jacobian else record.n
+        for begin in range(0, record.n, length):
+            rows = slice(begin, min(begin + length, record.n))
+            run = engine.run(
+                x0=x,
+                inputs=record.inputs[begin : rows.stop + engine.past + engine.future],
+                outputs=record.outputs[rows],
+                mask=record.mask[rows],
+                pattern=pattern[rows],
+                gains=gains,
+                p=p,
+                dt=record.dt,
+                s0=s,
+                want=frozenset({"innovations", "sensitivity"})
+                if jacobian
+                else frozenset({"innovations"}),
+            )
+            if run.failed_at is not None:
+                at = begin + run.failed_at
+                raise FitError(
+                    f"the prediction of flight {record.flight} is not finite after sample {at}"
+                )
+            assert run.innovations is not None
+            x, s = run.end, run.end_sensitivity
+            if s is not None:
+                s = np.where(np.abs(s) < FORGOTTEN, 0.0, s)
+            yield Block(
+                record=record,
+                e=run.innovations,
+                mask=record.mask[rows],
+                jacobian=run.sensitivity,
+                columns=columns,
+                covariance=covariance,
+                covariance_slope=slope,
+                pattern=pattern[rows],
+            )
 
 
 @final

@@ -25,6 +25,8 @@ from greybox.errors import FitError, ModelError
 from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.predictors.innovation import Innovation, InnovationPrepared
 from greybox.estimation.predictors.simulation import start_of
+from greybox.estimation.settling import RecordGains
+from greybox.estimation.solver import IndexArray
 from greybox.symbolic import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -69,71 +71,78 @@ class MultiStep(Predictor[InnovationPrepared]):
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Errors of every record, windows in order of time and horizons inside each window."""
-        engine = problem.engine
         filters = self.filter.gains(problem, theta, jacobian)
+        return problem.map_records(lambda i: self._block(problem, theta, i, filters[i], jacobian))
+
+    def _block(
+        self, problem: Problem, theta: FloatArray, i: int, gains: RecordGains, jacobian: bool
+    ) -> Block:
+        """Errors of record i, ahead from every state of its filter."""
+        engine, record = problem.engine, problem.records[i]
         chosen = np.array(sorted(set(self.horizons))) - 1
+        length = min(int(chosen[-1]) + 1, record.n)
+        at = chosen[chosen < length]
+        p = problem.parameters_of(theta, record.flight)
+        states, slopes, columns = _filtered(problem, theta, i, gains, jacobian)
+        rows = np.arange(0, record.n - length + 1, self.stride)
+        whole = np.full(rows.size, length)
+        ahead = engine.windows(
+            starts=states[rows],
+            rows=rows,
+            lengths=whole,
+            tails=whole,
+            inputs=record.inputs,
+            outputs=record.outputs,
+            mask=record.mask,
+            p=p,
+            dt=record.dt,
+            s0=None if slopes is None else slopes[rows],
+        )
+        if ahead.failed_in is not None:
+            raise FitError(
+                f"the prediction of flight {record.flight} is not finite from sample "
+                f"{ahead.failed_in}"
+            )
+        e = ahead.innovations.reshape(rows.size, length, engine.ne)[:, at].reshape(-1, engine.ne)
+        de = ahead.sensitivity
+        if de is not None:
+            de = de.reshape(rows.size, length, engine.ne, -1)[:, at].reshape(
+                e.shape[0], engine.ne, -1
+            )
+        return Block(
+            record=record,
+            e=e,
+            mask=record.mask[(rows[:, None] + at).ravel()],
+            jacobian=de,
+            columns=columns,
+            covariance=None,
+            covariance_slope=None,
+            pattern=record.pattern,
+            group=np.tile(np.arange(at.size, dtype=np.int32), rows.size),
+            weight=self.stride / (at.size * length),
+            spacing=float(self.stride),
+        )
 
-        def work(i: int) -> Block:
-            record = problem.records[i]
-            length = min(int(chosen[-1]) + 1, record.n)
-            at = chosen[chosen < length]
-            x0, s0, columns = start_of(problem, theta, i)
-            gains, _, _ = filters[i].tables()
-            p = problem.parameters_of(theta, record.flight)
-            passed = engine.run(
-                x0=x0,
-                inputs=record.inputs,
-                outputs=record.outputs,
-                mask=record.mask,
-                pattern=filters[i].pattern,
-                gains=gains,
-                p=p,
-                dt=record.dt,
-                s0=s0 if jacobian else None,
-                want=frozenset({"states", "state_sensitivity"}),
-            )
-            if passed.failed_at is not None or passed.states is None:
-                raise FitError(f"the prediction of flight {record.flight} is not finite")
-            rows = np.arange(0, record.n - length + 1, self.stride)
-            whole = np.full(rows.size, length)
-            slope = None if passed.state_sensitivity is None else passed.state_sensitivity[rows]
-            ahead = engine.windows(
-                starts=passed.states[rows],
-                rows=rows,
-                lengths=whole,
-                tails=whole,
-                inputs=record.inputs,
-                outputs=record.outputs,
-                mask=record.mask,
-                p=p,
-                dt=record.dt,
-                s0=slope,
-            )
-            if ahead.failed_in is not None:
-                raise FitError(
-                    f"the prediction of flight {record.flight} is not finite from sample "
-                    f"{ahead.failed_in}"
-                )
-            e = ahead.innovations.reshape(rows.size, length, engine.ne)[:, at].reshape(
-                -1, engine.ne
-            )
-            de = ahead.sensitivity
-            if de is not None:
-                de = de.reshape(rows.size, length, engine.ne, -1)[:, at].reshape(
-                    e.shape[0], engine.ne, -1
-                )
-            return Block(
-                record=record,
-                e=e,
-                mask=record.mask[(rows[:, None] + at).ravel()],
-                jacobian=de,
-                columns=columns,
-                covariance=None,
-                covariance_slope=None,
-                pattern=record.pattern,
-                group=np.tile(np.arange(at.size, dtype=np.int32), rows.size),
-                weight=self.stride / (at.size * length),
-                spacing=float(self.stride),
-            )
 
-        return problem.map_records(work)
+def _filtered(
+    problem: Problem, theta: FloatArray, i: int, filters: RecordGains, jacobian: bool
+) -> tuple[FloatArray, FloatArray | None, IndexArray]:
+    """(states (n, n_x) of the filter over record i, their slopes (n, n_d, n_s), the unknowns of
+    these). Raises `FitError` where they are not finite."""
+    record = problem.records[i]
+    x0, s0, columns = start_of(problem, theta, i)
+    passed = problem.engine.run(
+        x0=x0,
+        inputs=record.inputs,
+        outputs=record.outputs,
+        mask=record.mask,
+        pattern=filters.pattern,
+        gains=filters.tables()[0],
+        p=problem.parameters_of(theta, record.flight),
+        dt=record.dt,
+        s0=s0 if jacobian else None,
+        want=frozenset({"states", "state_sensitivity"}),
+    )
+    if passed.failed_at is not None or passed.states is None:
+        raise FitError(f"the prediction of flight {record.flight} is not finite")
+    return passed.states, passed.state_sensitivity, columns
