@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from greybox.data import Dataset, Flight
 from greybox.estimation.filtering import Filter, Filtered
+from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.report.flight_section import ChannelSeries, FlightSeries
 from greybox.report.replay import ORIGINS, SECONDS, STEP, Replay
@@ -19,16 +21,20 @@ POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 def series(
-    model: Any, *datasets: Any, adapted: Any = None, ahead_seconds: float = 0.5, limit: int = 1
-) -> dict[str, Any]:
+    model: IdentifiedModel,
+    *datasets: Dataset,
+    adapted: Mapping[str, Mapping[str, Any]] | None = None,
+    ahead_seconds: float = 0.5,
+    limit: int = 1,
+) -> dict[str, FlightSeries]:
     """Time series of `limit` flights per data set for the report (15 figures each): measured, one
     step and some ahead."""
-    chosen: list[tuple[str, Any]] = []
+    chosen: list[tuple[str, Flight]] = []
     roles: Sequence[str] = ("train", "test")
     for role, data in zip(roles, datasets, strict=False):
         chosen += [(role, f) for f in data.flights[:limit]]
     runner = Filter(model)
-    out: dict[str, Any] = {}
+    out: dict[str, FlightSeries] = {}
     for role, flight in chosen:
         segment = max(flight.segments, key=lambda s: s.n)
         filtered = runner.run(segment, p=flight_parameters(model, (adapted or {}).get(flight.name)))
@@ -52,7 +58,7 @@ def series(
     return out
 
 
-def flight_parameters(model: Any, own: Mapping[str, Any] | None) -> FloatArray | None:
+def flight_parameters(model: IdentifiedModel, own: Mapping[str, Any] | None) -> FloatArray | None:
     """The parameter vector of a flight with values of its own ({name: {value: ...}}), None where
     there are none."""
     if not own:

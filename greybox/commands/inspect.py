@@ -6,9 +6,14 @@ import argparse
 import shlex
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from greybox.commands.console import Console, json_option
+
+if TYPE_CHECKING:
+    from greybox.data.column_guess import Guess
+    from greybox.data.inspection import Inspection
+    from greybox.model.vehicle import Vehicle
 
 
 def add(subparsers: Any) -> None:
@@ -103,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if content["uses"]["fit"] else 1
 
 
-def looks(found: Any, *, named: bool) -> tuple[tuple[Any, ...], tuple[str, str] | None]:
+def looks(found: Inspection, *, named: bool) -> tuple[tuple[Guess, ...], tuple[str, str] | None]:
     """(guesses, time column) of a table with columns of its own; nothing where a mapping file says
     what they are."""
     from greybox.data.column_guess import guess_columns, guess_time
@@ -115,14 +120,16 @@ def looks(found: Any, *, named: bool) -> tuple[tuple[Any, ...], tuple[str, str] 
     return guess_columns(columns, without={g.group for g in found.groups}), guess_time(columns)
 
 
-def beside(log: str, found: Any) -> str | None:
+def beside(log: str, found: Inspection) -> str | None:
     """A vehicle file in the folder of the log whose `[columns]` are all there."""
     from greybox.data.readers.mapping import TABLE
     from greybox.errors import GreyboxError, OldFormWarning
     from greybox.model.vehicle import read_vehicle
 
     stream = found.recording.streams.get(TABLE)
-    for path in sorted(Path(log).parent.glob("*.toml"))[:20] if stream is not None else ():
+    if stream is None:
+        return None
+    for path in sorted(Path(log).parent.glob("*.toml"))[:20]:
         try:
             with warnings.catch_warnings():  # nobody asked for this file
                 warnings.simplefilter("ignore", OldFormWarning)
@@ -135,7 +142,7 @@ def beside(log: str, found: Any) -> str | None:
 
 
 def advice(
-    found: Any, content: dict[str, Any], arguments: argparse.Namespace, known: str | None
+    found: Inspection, content: dict[str, Any], arguments: argparse.Namespace, known: str | None
 ) -> list[str]:
     """What to do next, in the order in which to try it."""
     log, has = (
@@ -173,7 +180,7 @@ def advice(
     return out
 
 
-def _sensors(found: Any) -> tuple[str, ...]:
+def _sensors(found: Inspection) -> tuple[str, ...]:
     from greybox.model.sensors import SENSORS
 
     groups = {g.group for g in found.groups}
@@ -181,7 +188,7 @@ def _sensors(found: Any) -> tuple[str, ...]:
     return tuple(s.name for s in SENSORS if measured.get(s.group, s.group) in groups)
 
 
-def uses(found: Any) -> dict[str, Any]:
+def uses(found: Inspection) -> dict[str, Any]:
     """Which sensors of the model the log feeds, and what can be fitted: commands or rotor speeds,
     and a sensor."""
     from greybox.model.sensors import USUAL
@@ -205,7 +212,7 @@ def uses(found: Any) -> dict[str, Any]:
     }
 
 
-def effects(found: Any, vehicle: Any) -> dict[str, Any]:
+def effects(found: Inspection, vehicle: Vehicle | None) -> dict[str, Any]:
     """Effects of the catalogue that the log allows, and what the others lack. Facts of a vehicle
     file count if given. Where rotor speeds drive the model, what shapes a command lacks it."""
     from greybox.model.composition import acts_on_speeds

@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,15 @@ from greybox.shown import Cell, Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+class FlightFacts(TypedDict):
+    """A flight as fit.json and validate.json tell it; `seconds` without its gaps."""
+
+    name: str
+    samples: int
+    seconds: float
+    notes: list[str]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -52,6 +61,15 @@ class Flight(Shown):
         for before, after in zip(self.segments[:-1], self.segments[1:], strict=True):
             if after.t[0] <= before.t[-1]:
                 raise DataError("segments overlap in time", where=f"flight {self.name}")
+
+    def facts(self) -> FlightFacts:
+        """What a result says of it."""
+        return {
+            "name": self.name,
+            "samples": self.n,
+            "seconds": self.duration,
+            "notes": list(self.notes),
+        }
 
     @property
     def dt(self) -> float:

@@ -117,10 +117,7 @@ def concluded(
             data_hash=data.hash,
             n_samples=int(sum(r.n for r in problem.records)),
             n_parameters=sum(u.kind != "initial" for u in problem.unknowns),
-            flights=tuple(
-                {"name": f.name, "samples": f.n, "seconds": f.duration, "notes": list(f.notes)}
-                for f in data.flights
-            ),
+            flights=tuple(f.facts() for f in data.flights),
         ),
     )
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from greybox.data.dataset import FlightFacts
 from greybox.errors import UnknownNameError
 from greybox.estimation.covariance import Covariance
 from greybox.estimation.identifiability import Combination
@@ -113,7 +114,7 @@ class Provenance:
     gives the same numbers, and the `decisions`."""
 
     problem: Problem
-    flights: tuple[Mapping[str, Any], ...]
+    flights: tuple[FlightFacts, ...]
     settings: Mapping[str, Any]
     data_hash: str
     n_samples: int
@@ -306,7 +307,7 @@ class Fit(Shown):
         return self.provenance.problem
 
     @property
-    def flights(self) -> tuple[Mapping[str, Any], ...]:
+    def flights(self) -> tuple[FlightFacts, ...]:
         """The flights that were fitted, as in fit.json."""
         return self.provenance.flights
 

@@ -132,11 +132,15 @@ class Effect(ABC):
         return {}
 
     def missing(
-        self, vehicle: Vehicle, sensors: Collection[str], columns: Collection[str] | None = None
+        self,
+        vehicle: Vehicle | None,
+        sensors: Collection[str],
+        columns: Collection[str] | None = None,
     ) -> tuple[str, ...]:
         """What the effect needs and is not there, in words; empty where it can be in a model.
 
-        `sensors` are the names of the model's sensors, `columns` those of the log (None: not
+        `vehicle` may be None (nothing is stated), `sensors` are the names of the model's sensors,
+        `columns` those of the log (None: not
         asked).
         """
         needs = self.needs
@@ -155,7 +159,7 @@ class Effect(ABC):
         return f"<effect {self.name}>"
 
 
-def _fact(vehicle: Vehicle, dotted: str) -> Any:
+def _fact(vehicle: Vehicle | None, dotted: str) -> Any:
     """A fact of the vehicle by its dotted name, None where it is not stated."""
     fact: Any = vehicle
     for part in dotted.split("."):

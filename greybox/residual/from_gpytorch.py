@@ -21,7 +21,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,13 @@ from greybox.residual.gpytorch_models import Posterior, kinds, read_model
 from greybox.residual.posterior import Domain
 from greybox.symbolic import FloatArray, Layout, Signal
 
+if TYPE_CHECKING:
+    import torch
+
+    Model: TypeAlias = torch.nn.Module
+    """A model or a likelihood of GPyTorch."""
+    Models: TypeAlias = list[Model] | tuple[Model, ...]
+
 PROBES = 6
 """Points, at and around the training inputs, at which the numbers are compared with the model."""
 AGREEMENT = 1e-6
@@ -44,8 +51,8 @@ Affine = tuple[npt.ArrayLike, npt.ArrayLike]
 
 
 def from_gpytorch(
-    model: Any,
-    likelihood: Any = None,
+    model: Model | Models,
+    likelihood: Model | None = None,
     *,
     inputs: Layout | Sequence[str] | None = None,
     outputs: Layout | Sequence[str] | None = None,
@@ -84,18 +91,20 @@ def from_gpytorch(
 # -------------------- lists of models
 
 
-def _members(model: Any) -> list[Any] | None:
+def _members(model: Model | Models) -> list[Model] | None:
     """The models of a list of models."""
+    if isinstance(model, (list, tuple)):
+        return list(model)
     if kinds(model) & {"IndependentModelList", "ModelListGP", "ModelList"}:
         return list(model.models)
-    return list(model) if isinstance(model, (list, tuple)) else None
+    return None
 
 
 def _stacked(
-    model: Any,
-    likelihood: Any,
-    inputs: Any,
-    outputs: Any,
+    model: Model | Models,
+    likelihood: Model | None,
+    inputs: Layout | Sequence[str] | None,
+    outputs: Layout | Sequence[str] | None,
     input_transform: Affine | None,
     output_transform: Affine | None,
 ) -> GaussianProcess:
@@ -151,7 +160,7 @@ def _stacked(
 # -------------------- the model's copy
 
 
-def _copy(model: Any, likelihood: Any) -> tuple[Any, Any, float]:
+def _copy(model: Model, likelihood: Model) -> tuple[Model, Model, float]:
     """(model, likelihood) in float64 and evaluation mode, apart from the user's, and the
     variational jitter.
 
@@ -188,7 +197,7 @@ def _copy(model: Any, likelihood: Any) -> tuple[Any, Any, float]:
     return own, noise, jitter
 
 
-def _settle(model: Any) -> None:
+def _settle(model: Model) -> None:
     """Variational parameters as GPyTorch's next call would have them. Raises `ModelError` where
     that would draw them."""
     strategy = getattr(model, "variational_strategy", None)
@@ -224,7 +233,7 @@ def _exactly() -> Iterator[None]:
         yield
 
 
-def _reference(model: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _reference(model: Model) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(x (P, n_in), mean (P, n_out), variance (P, n_out)) of the model itself, in its own units,
     at a few points."""
     torch = sys.modules["torch"]
@@ -301,7 +310,7 @@ def _compare(
 
 
 def _transforms(
-    model: Any, n_in: int
+    model: Model, n_in: int
 ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray] | None]:
     """(offset, coefficient) of BoTorch's input transform, and (mean, deviation) of its outcome
     transform or None."""
@@ -344,7 +353,7 @@ def _transforms(
 
 def _assembled(
     posterior: Posterior,
-    model: Any,
+    model: Model,
     center: FloatArray,
     scale: FloatArray,
     outcome: tuple[FloatArray, FloatArray] | None,
@@ -419,7 +428,11 @@ def _vector(value: npt.ArrayLike, n: int, what: str) -> FloatArray:
     return np.array(np.broadcast_to(array, (n,)))
 
 
-def _named(gp: GaussianProcess, inputs: Any, outputs: Any) -> GaussianProcess:
+def _named(
+    gp: GaussianProcess,
+    inputs: Layout | Sequence[str] | None,
+    outputs: Layout | Sequence[str] | None,
+) -> GaussianProcess:
     for what, given in (("inputs", inputs), ("outputs", outputs)):
         if given is None:
             continue

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from greybox.data.dataset import FlightFacts
 from greybox.model.verdict import NOT_JUDGED, Verdict
 from greybox.shown import Cell, Shown
 from greybox.validation.adapt import Adaptation
@@ -38,7 +39,7 @@ class Validation(Shown):
 
     model: str
     file: str | None
-    flights: Sequence[Mapping[str, Any]]
+    flights: Sequence[FlightFacts]
     sample_time: float
     horizons: tuple[int, ...]
     table: HorizonTable | None

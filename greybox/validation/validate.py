@@ -17,6 +17,7 @@ from typing import Unpack
 import numpy as np
 
 from greybox.data import Dataset, Flight, Segment, group_names
+from greybox.data.dataset import FlightFacts
 from greybox.errors import DataError, FitError, ModelError
 from greybox.estimation.engine import unfelt_place
 from greybox.estimation.filtering import Filter, Filtered
@@ -148,7 +149,7 @@ class _Work:
     every: int
     judged_on: str | None
     warnings: list[str] = field(default_factory=list)
-    flights: list[dict[str, object]] = field(default_factory=list)
+    flights: list[FlightFacts] = field(default_factory=list)
     adaptation: dict[str, Adaptation] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -218,14 +219,7 @@ class _Work:
             late = self._late(flight, segment)
             self.one_step.add(flight.name, filtered, late)
             self._roll_out(flight.name, segment, filtered, late, bias, spread)
-        self.flights.append(
-            {
-                "name": flight.name,
-                "samples": flight.n,
-                "seconds": flight.duration,
-                "notes": list(flight.notes),
-            }
-        )
+        self.flights.append(flight.facts())
         self._extrapolation(flight)
 
     def _late(self, flight: Flight, segment: Segment) -> BoolArray:
