@@ -22,6 +22,7 @@ from greybox.simulators.push_text import push_text
 from greybox.simulators.rest_text import rest_text
 from greybox.simulators.sensor_text import sensor_text
 from greybox.simulators.statement import Statement, state
+from greybox.simulators.target import Target
 from greybox.simulators.targets import TARGETS, target_by_name
 from greybox.simulators.words import Status
 
@@ -158,18 +159,9 @@ def twin(
             notes.append(f"no files for {target.name}: {error.line}")
             continue
         statements.append(said)
-        texts = dict(target.files(said.spoken))
-        lost = said.text + "\n"
-        driven = "commands.py" in texts
-        left = rest_text(craft, said.spoken, said.simulator) if driven else None
-        if left is not None:
-            texts["rest.py"] = left
-            lost += REST
-        if driven and pushes is not None:
-            texts["pushes.py"] = pushes
-            lost += PUSHES
-        for name, text in {**texts, "sensors.toml": sensors, "LOST.txt": lost}.items():
+        for name, text in _texts(target, craft, said, pushes).items():
             files[f"{target.name}/{name}"] = text
+        files[f"{target.name}/sensors.toml"] = sensors
     drawn = None if draws is None else draw(model, draws, seed)
     covered: tuple[Covered, ...] = ()
     if drawn is not None and train is not None:
@@ -193,6 +185,23 @@ def twin(
     if out is not None:
         made.save(out, force=force)
     return made
+
+
+def _texts(
+    target: Target, craft: Craft, said: Statement, pushes: str | None
+) -> dict[str, str | bytes]:
+    """The files of one target: what it flies, what it leaves out, and what is lost."""
+    texts: dict[str, str | bytes] = dict(target.files(said.spoken))
+    lost = said.text + "\n"
+    driven = "commands.py" in texts
+    left = rest_text(craft, said.spoken, said.simulator) if driven else None
+    if left is not None:
+        texts["rest.py"] = left
+        lost += REST
+    if driven and pushes is not None:
+        texts["pushes.py"] = pushes
+        lost += PUSHES
+    return {**texts, "LOST.txt": lost}
 
 
 def _not_of_the_fit(others: Sequence[str], model: IdentifiedModel) -> str:
