@@ -57,41 +57,6 @@ class Plan(Shown):
     def to_dict(self) -> dict[str, Any]:
         """The content of plan.json (schema "greybox.plan/1")."""
         s = self.subject
-        declared, known = s.declared, s.known_before
-        rows = {}
-        for n, (std, alone) in self.errors.items():
-            d = declared[n]
-            rows[n] = {
-                "value": s.values[n],
-                "unit": d.unit,
-                "scope": d.scope,
-                "wanted": n in s.wanted,
-                "std": std,
-                "std_before": known.get(n),
-                "std_flights_alone": alone,
-                "std_naive": self.naive[n][0],
-            }
-        flights = []
-        for k, steps in enumerate(self.flights):
-            starts = np.cumsum([0.0, *(p.seconds for p, _ in steps)])
-            flights.append(
-                {
-                    "file": f"flight_{k + 1}.csv",
-                    "seconds": float(starts[-1]),
-                    "manoeuvres": [
-                        {
-                            "name": p.name,
-                            "text": p.text,
-                            "kind": p.kind,
-                            "start": float(t),
-                            "seconds": p.seconds,
-                            "amplitude": a,
-                            "injected": p.injected,
-                        }
-                        for (p, a), t in zip(steps, starts, strict=False)
-                    ],
-                }
-            )
         return {
             "schema": SCHEMA,
             "vehicle": s.dynamics.vehicle.name,
@@ -103,8 +68,8 @@ class Plan(Shown):
             "limits": self.limits.to_dict(),
             "used": self.limits.used(self.log),
             "home": list(self.limits.home),
-            "flights": flights,
-            "parameters": rows,
+            "flights": self._flights(),
+            "parameters": self._parameters(),
             "efficiency": {
                 "against": "hover and figure of eight of the same length",
                 "as_long": None if self.naive_blind else self.efficiency,
@@ -128,6 +93,50 @@ class Plan(Shown):
             "noise": dict(s.noise),
             "versions": library_versions(),
         }
+
+    def _parameters(self) -> dict[str, dict[str, Any]]:
+        """What is known of every parameter, before and after."""
+        s = self.subject
+        declared, known = s.declared, s.known_before
+        rows = {}
+        for n, (std, alone) in self.errors.items():
+            d = declared[n]
+            rows[n] = {
+                "value": s.values[n],
+                "unit": d.unit,
+                "scope": d.scope,
+                "wanted": n in s.wanted,
+                "std": std,
+                "std_before": known.get(n),
+                "std_flights_alone": alone,
+                "std_naive": self.naive[n][0],
+            }
+        return rows
+
+    def _flights(self) -> list[dict[str, Any]]:
+        """The manoeuvres of every flight, with their times."""
+        flights = []
+        for k, steps in enumerate(self.flights):
+            starts = np.cumsum([0.0, *(p.seconds for p, _ in steps)])
+            flights.append(
+                {
+                    "file": f"flight_{k + 1}.csv",
+                    "seconds": float(starts[-1]),
+                    "manoeuvres": [
+                        {
+                            "name": p.name,
+                            "text": p.text,
+                            "kind": p.kind,
+                            "start": float(t),
+                            "seconds": p.seconds,
+                            "amplitude": a,
+                            "injected": p.injected,
+                        }
+                        for (p, a), t in zip(steps, starts, strict=False)
+                    ],
+                }
+            )
+        return flights
 
     @property
     def median_ratio(self) -> float:

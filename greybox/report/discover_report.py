@@ -461,6 +461,23 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
                 "the rotor speed, a bias at rest, a mass on a scale) and put it into the vehicle "
                 "file."
             )
+    texts += _next_with_laws(content)
+    if content["gap_on"] == "train":
+        texts.append(
+            "Give flights of their own with --test: errors on the flights searched in look too "
+            "good."
+        )
+    if verdict == "nothing_missing":
+        texts.append(
+            "For a sharper answer fly longer, faster and more varied: sizes shrink with the root "
+            "of the time."
+        )
+    report.bullets(texts)
+
+
+def _next_with_laws(content: Mapping[str, Any]) -> list[str]:
+    """What to do with the laws that were found, and with what follows none."""
+    texts: list[str] = []
     own = list(content.get("effects_files", ()))
     files = [u["file"] for u in content["unnamed"] if u.get("file")]
     flown = all(r["channel"].split(".")[0] in WRENCH for r in content["locations"])
@@ -496,17 +513,7 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
             f"{'gusts, noise of force and torque that lasts' if flown else 'noise that lasts'}, or "
             f"a state that nobody measured. {command} learns what can be learned of it."
         )
-    if content["gap_on"] == "train":
-        texts.append(
-            "Give flights of their own with --test: errors on the flights searched in look too "
-            "good."
-        )
-    if verdict == "nothing_missing":
-        texts.append(
-            "For a sharper answer fly longer, faster and more varied: sizes shrink with the root "
-            "of the time."
-        )
-    report.bullets(texts)
+    return texts
 
 
 def _reproduce(report: Report, content: Mapping[str, Any]) -> None:
