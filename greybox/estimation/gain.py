@@ -75,8 +75,10 @@ class Linearisation:
             value, slope = function(x, window, p, dt)
             slopes = np.zeros(slope.shape)
             slopes[places] = slope.nonzeros()
+            values = value.full()
+            del value, slope
         some = slopes if self._columns is None else slopes[:, self._columns]
-        return self._unpack(value.full(), False), self._unpack(some, True)
+        return self._unpack(values, False), self._unpack(some, True)
 
     def values(
         self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float

@@ -474,7 +474,7 @@ class TubeController:
         could hold against it; at rest where they say nothing."""
         state = np.array(self.solver.stages.steady[0][: self.filter.own_states])
         free = list(self.solver.stages.free)
-        if pushed and (np.abs(self.estimate[free]) <= self.most).all():
+        if pushed and (np.abs(self.estimate[free]) < self.most).all():
             state[free] = self.estimate[free]
         for name, columns in MEASURED.items():
             at = [self.columns.index(c) for c in columns if c in self.columns]

@@ -209,7 +209,7 @@ static unsigned believed(const tube_real *share, const tube_real *y_hat, tube_re
    where they say nothing. */
 static void measured(const tube_real *y, const tube_real *there, int pushed, tube_real *x) {
   memcpy(x, hover_x, OWN * sizeof *x);
-  for (int i = 0; i < NFREE; i++) pushed &= fabs(c.known.estimate[pushes[i]]) <= most_push[i];
+  for (int i = 0; i < NFREE; i++) pushed &= fabs(c.known.estimate[pushes[i]]) < most_push[i];
   for (int i = 0; pushed && i < NFREE; i++) x[pushes[i]] = c.known.estimate[pushes[i]];
   for (int i = OWN; i < NF; i++) x[i] = c.known.estimate[i];
   for (int k = 0; k < STARTS; k++)

@@ -9,7 +9,7 @@ import pytest
 
 from mpc_export.tube.descent import BLIND, BRAKE, SLOW, SPEED, Descent, Watch, carried
 from mpc_export.tube.gate import PARTLY, REACH, Gate, plausible
-from mpc_export.tube.rival import DENIED, Rival
+from mpc_export.tube.rival import DENIED, Rival, likelier
 from tests.mpc_export.tube.test_controller_flies_and_survives import fly, pilot
 from tests.mpc_export.tube.wild import SOON
 
@@ -113,6 +113,19 @@ def test_a_rival_is_believed_where_it_explains_all_samples_better_and_by_more_th
     assert rival.estimate is None
 
 
+def test_the_rival_that_explains_clearly_more_speaks_for_both_and_the_unpushed_one_else():
+    pushed, bare = Rival(), Rival()
+    assert not likelier(pushed, bare).believed
+    bare.begins(np.zeros(3))
+    assert likelier(pushed, bare) is bare, "the other was given up"
+    pushed.begins(np.zeros(3))
+    assert likelier(pushed, bare) is bare, "a tie"
+    pushed.evidence = 1.01 * DENIED
+    assert likelier(pushed, bare) is pushed
+    bare.goes_on(np.zeros(3), -1.0)
+    assert likelier(pushed, bare) is pushed
+
+
 # -------------------------------------------------------------------------------------- in flight
 
 
@@ -135,6 +148,23 @@ def test_spikes_in_the_position_do_not_move_the_vehicle(controller):
     assert kinds(controller) == {"not believed: x, y, z"}
     np.testing.assert_allclose(path, np.tile([0.0, 0.0, 1.0], (300, 1)), atol=1e-3)
     assert np.isfinite(commands).all()
+
+
+def test_a_force_that_was_learned_outlives_an_estimate_that_is_replaced(controller):
+    names, force, found = controller.filter.states.names, 0.05, []
+    rows = [i for i, name in enumerate(names) if name.startswith("velocity")]
+    at = names.index("disturbance.force.x")
+
+    def seen(k, y):
+        found.append(controller.estimate[at])
+        if k == 200:
+            controller.estimate[rows] += 3.0
+        return y
+
+    fly(controller, 260, force=force, seen=seen)
+    assert "the filter starts anew" in kinds(controller)
+    assert found[200] == pytest.approx(force, rel=0.02), "it was learned"
+    assert min(found[210:]) > 0.5 * force
 
 
 @pytest.mark.parametrize("block", ["position", "velocity", "attitude", "rate", "disturbance"])
