@@ -25,6 +25,7 @@ static const short lag_of[NX - OWN + 1] = @lag_of@, command_of[NX - OWN + 1] = @
 static const int pushes[NFREE1] = TUBE_FREE;
 static const tube_real most_push[NFREE + 1] = @most@; /* that rotors hold against */
 static const tube_real turning[NU] = @turning@, turned = @turned@; /* heading.py */
+static const tube_real denied_at = @denied@, believed_at = @believed@; /* rival.py */
 
 enum { POSITION = @at_position@, VELOCITY = @at_velocity@, ATTITUDE = @at_attitude@, RATE = @at_rate@ };
 enum { PUSHED, BARE, RIVALS };
@@ -233,15 +234,15 @@ static unsigned challenged(const tube_real *y, const tube_real *there, const tub
   int posed = 1;
   for (int i = 0; i < NE; i++)
     if (of_pose[sensor_of[i]] && there[i] == 0) posed = 0;
-  if (!c.has_rival[PUSHED] && !c.has_rival[BARE] && denied >= 0.6931472 && posed)
+  if (!c.has_rival[PUSHED] && !c.has_rival[BARE] && denied >= denied_at && posed)
     for (int r = 0; r < RIVALS; r++) {
       measured(y, there, r == PUSHED, start);
       c.has_rival[r] = !filtered(start, y, there, c.rival[r], off, y_hat);
       c.evidence[r] = 0;
     }
-  int more = c.has_rival[PUSHED] && c.evidence[PUSHED] >= c.evidence[BARE] + (tube_real)0.6931472;
+  int more = c.has_rival[PUSHED] && c.evidence[PUSHED] >= c.evidence[BARE] + denied_at;
   int r = c.has_rival[BARE] && !more ? BARE : PUSHED;
-  if (!c.has_rival[r] || c.evidence[r] < 13.815511) return 0;
+  if (!c.has_rival[r] || c.evidence[r] < believed_at) return 0;
   memcpy(c.known.estimate, c.rival[r], sizeof c.rival[r]);
   c.has_rival[PUSHED] = c.has_rival[BARE] = 0;
   for (int k = 0; k < SENSORS; k++) c.wide[k] = c.calm[k] = c.missing[k] = c.unseen[k] = 0;
