@@ -279,13 +279,10 @@ class _Runner:
         gains, s, _ = found.tables()
         run = self.engine.run(
             x0=self.starts[i],
-            inputs=record.inputs,
-            outputs=record.outputs,
-            mask=record.mask,
             pattern=found.pattern,
             gains=gains,
             p=p,
-            dt=record.dt,
+            **record.samples,
         )
         if run.failed_at is not None or run.innovations is None:
             raise FitError(

@@ -68,18 +68,8 @@ class GainTable:
 
 
 class Samples(TypedDict):
-    """The samples of one record, as keywords of `Engine.run`: `inputs` padded by `padded_inputs`,
-    outputs (n, n_y; NaN where missing), mask (n, n_e), pattern (n,) into the gain table, dt [s]."""
-
-    inputs: FloatArray
-    outputs: FloatArray
-    mask: FloatArray
-    pattern: IntArray
-    dt: float
-
-
-class WindowSamples(TypedDict):
-    """The same as keywords of `Engine.windows`, which has no gain and therefore no pattern."""
+    """The samples of one record, as keywords of `Engine.run` and `Engine.windows`: `inputs` padded
+    by `padded_inputs`, outputs (n, n_y; NaN where missing), mask (n, n_e), dt [s]."""
 
     inputs: FloatArray
     outputs: FloatArray
@@ -346,13 +336,14 @@ class Engine:
         *,
         x0: FloatArray,
         gains: GainTable,
+        pattern: IntArray,
         p: FloatArray,
         s0: FloatArray | None = None,
         want: frozenset[str] = frozenset({"innovations"}),
         **samples: Unpack[Samples],
     ) -> Run:
-        """Filter n samples from x0 (n_x,) with the parameters p (n_p); inputs, outputs, mask,
-        pattern, dt: see `Samples`.
+        """Filter n samples from x0 (n_x,) with the parameters p (n_p) and that one of the `gains`
+        that `pattern` (n,) says. inputs, outputs, mask, dt: see `Samples`.
 
         `want` names the arrays of `Run` to keep. With `s0` (n_d, n_s) the sensitivities run along:
         the first columns belong to the active parameters, the others only to what s0 and the gain's
@@ -378,7 +369,7 @@ class Engine:
             u=np.ascontiguousarray(samples["inputs"]),
             y=np.ascontiguousarray(np.where(np.isfinite(outputs), outputs, 0.0)),
             mask=np.ascontiguousarray(samples["mask"], dtype=np.float64),
-            pattern=np.ascontiguousarray(samples["pattern"], dtype=np.int32),
+            pattern=np.ascontiguousarray(pattern, dtype=np.int32),
             gains=gains,
             p=np.ascontiguousarray(p),
             dt=samples["dt"],
@@ -502,10 +493,10 @@ class Engine:
         tails: Whole,
         p: FloatArray,
         s0: FloatArray | None = None,
-        **samples: Unpack[WindowSamples],
+        **samples: Unpack[Samples],
     ) -> Windows:
         """Open-loop runs of `lengths` (m,) samples from the states `starts` (m, n_x) at the
-        record's `rows` (m,). inputs, outputs, mask, dt: see `WindowSamples`.
+        record's `rows` (m,). inputs, outputs, mask, dt: see `Samples`.
 
         The innovations of the last `tails` (m,) samples of each window are kept, in order. With
         `s0` (m, n_d, n_s) the sensitivities run along as in `run`.

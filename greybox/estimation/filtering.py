@@ -109,14 +109,11 @@ class Filter:
         gains, covariance, _ = found.tables()
         run = self.engine.run(
             x0=record.x0 if x0 is None else x0,
-            inputs=record.inputs,
-            outputs=record.outputs,
-            mask=record.mask,
             pattern=found.pattern,
             gains=gains,
             p=vector,
-            dt=record.dt,
             want=frozenset({"innovations", "states", "outputs"}),
+            **record.samples,
         )
         if run.failed_at is not None:
             raise FitError(

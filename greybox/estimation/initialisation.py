@@ -52,15 +52,12 @@ def _pass(
     )
     run = engine.run(
         x0=x0,
-        inputs=record.inputs,
-        outputs=record.outputs,
-        mask=record.mask,
         pattern=record.pattern,
         gains=gains,
         p=problem.parameters_of(theta, record.flight),
-        dt=record.dt,
         s0=s0 if jacobian else None,
         want=frozenset({"innovations", "sensitivity"}),
+        **record.samples,
     )
     if run.failed_at is not None:
         raise FitError(

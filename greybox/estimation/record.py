@@ -13,7 +13,7 @@ from greybox.data import Dataset, Segment
 from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
 from greybox.estimation.channel_pattern import Pattern, pattern_of
-from greybox.estimation.engine import Engine, IntArray
+from greybox.estimation.engine import Engine, IntArray, Samples
 from greybox.model.dynamics import Dynamics
 from greybox.model.noise import lasting_errors
 from greybox.symbolic import BoolArray, FloatArray
@@ -50,6 +50,16 @@ class Record:
     def n(self) -> int:
         """Number of samples."""
         return self.outputs.shape[0]
+
+    @property
+    def samples(self) -> Samples:
+        """What the engine takes of it as keywords."""
+        return {
+            "inputs": self.inputs,
+            "outputs": self.outputs,
+            "mask": self.mask,
+            "dt": self.dt,
+        }
 
     @property
     def spread(self) -> FloatArray:

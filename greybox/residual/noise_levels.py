@@ -59,13 +59,10 @@ def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) ->
             gains, covariance, _ = found.tables()
             run = engine.run(
                 x0=record.x0,
-                inputs=record.inputs,
-                outputs=record.outputs,
-                mask=record.mask,
                 pattern=found.pattern,
                 gains=gains,
                 p=p,
-                dt=record.dt,
+                **record.samples,
             )
             if run.failed_at is not None or run.innovations is None:
                 return np.inf

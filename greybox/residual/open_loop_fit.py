@@ -225,14 +225,11 @@ class Paths:
         found = self.gains(record)
         run = self.engine.run(
             x0=record.x0,
-            inputs=record.inputs,
-            outputs=record.outputs,
-            mask=record.mask,
             pattern=found.pattern,
             gains=found.tables()[0],
             p=p,
-            dt=record.dt,
             want=frozenset({"states"}),
+            **record.samples,
         )
         if run.failed_at is not None or run.states is None:
             raise FitError(f"the prediction of flight {record.flight} is not finite")
@@ -244,11 +241,8 @@ class Paths:
             rows=rows,
             lengths=whole,
             tails=whole,
-            inputs=record.inputs,
-            outputs=record.outputs,
-            mask=record.mask,
             p=p,
-            dt=record.dt,
+            **record.samples,
         )
         if ahead.failed_in is not None:
             raise FitError(f"the prediction of flight {record.flight} is not finite")

@@ -237,11 +237,8 @@ def _errors(
         rows=rows,
         lengths=one,
         tails=one,
-        inputs=record.inputs,
-        outputs=record.outputs,
-        mask=record.mask,
         p=filtered.p,
-        dt=record.dt,
+        **record.samples,
     ).innovations
 
 

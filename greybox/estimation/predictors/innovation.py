@@ -24,7 +24,9 @@ from greybox.errors import FitError
 from greybox.estimation.gain import Linearisation, Riccati, linearisation_at
 from greybox.estimation.lost_commands import LostCommands, any_lost, lost_commands
 from greybox.estimation.predictor import Block, Predictor, Prepared_co
+from greybox.estimation.predictors.simulation import start_of
 from greybox.estimation.settling import RecordGains, Settling
+from greybox.estimation.solver import IndexArray
 from greybox.symbolic import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -236,3 +238,28 @@ def noise_names(problem: Problem) -> list[str]:
     """Names of all noise levels, process first, in the order of the columns of every predictor."""
     names = [f"noise.process.{n}" for n in problem.dynamics.noises.names]
     return names + [f"noise.sensor.{n}" for n in problem.dynamics.innovations.names]
+
+
+def filtered_states(
+    problem: Problem, theta: FloatArray, i: int, filters: RecordGains, jacobian: bool
+) -> tuple[FloatArray, FloatArray | None, IndexArray]:
+    """(States (n, n_x) of the filter over record i, their slopes (n, n_d, n_s) if asked for, the
+    unknowns of these (n_s,)). Raises `FitError` where they are not finite."""
+    record = problem.records[i]
+    x0, s0, columns = start_of(problem, theta, i)
+    passed = problem.engine.run(
+        x0=x0,
+        gains=filters.tables()[0],
+        pattern=filters.pattern,
+        p=problem.parameters_of(theta, record.flight),
+        s0=s0 if jacobian else None,
+        want=frozenset({"states", "state_sensitivity"}),
+        **record.samples,
+    )
+    if passed.failed_at is not None:
+        raise FitError(
+            f"the prediction of flight {record.flight} is not finite after sample "
+            f"{passed.failed_at}"
+        )
+    assert passed.states is not None
+    return passed.states, passed.state_sensitivity, columns

@@ -20,8 +20,11 @@ import numpy as np
 
 from greybox.errors import FitError, ModelError
 from greybox.estimation.predictor import Block, Predictor
-from greybox.estimation.predictors.innovation import Innovation, InnovationPrepared
-from greybox.estimation.predictors.simulation import start_of
+from greybox.estimation.predictors.innovation import (
+    Innovation,
+    InnovationPrepared,
+    filtered_states,
+)
 from greybox.symbolic import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -71,42 +74,19 @@ class KStep(Predictor[InnovationPrepared]):
 
         def work(i: int) -> Block:
             record = problem.records[i]
-            x0, s0, columns = start_of(problem, theta, i)
-            gains, _, _ = filters[i].tables()
-            p = problem.parameters_of(theta, record.flight)
-            passed = engine.run(
-                x0=x0,
-                inputs=record.inputs,
-                outputs=record.outputs,
-                mask=record.mask,
-                pattern=filters[i].pattern,
-                gains=gains,
-                p=p,
-                dt=record.dt,
-                s0=s0 if jacobian else None,
-                want=frozenset({"states", "state_sensitivity"}),
-            )
-            if passed.failed_at is not None:
-                raise FitError(
-                    f"the prediction of flight {record.flight} is not finite after sample "
-                    f"{passed.failed_at}"
-                )
+            states, slopes, columns = filtered_states(problem, theta, i, filters[i], jacobian)
             k = min(self.k, record.n)
             rows = np.arange(record.n - k + 1)
             tails = np.ones(rows.size, dtype=np.int32)
             tails[0] = k
-            assert passed.states is not None
             ahead = engine.windows(
-                starts=passed.states[rows],
+                starts=states[rows],
                 rows=rows,
                 lengths=np.full(rows.size, k),
                 tails=tails,
-                inputs=record.inputs,
-                outputs=record.outputs,
-                mask=record.mask,
-                p=p,
-                dt=record.dt,
-                s0=None if passed.state_sensitivity is None else passed.state_sensitivity[rows],
+                p=problem.parameters_of(theta, record.flight),
+                s0=None if slopes is None else slopes[rows],
+                **record.samples,
             )
             if ahead.failed_in is not None:
                 raise FitError(

@@ -23,10 +23,12 @@ import numpy as np
 
 from greybox.errors import FitError, ModelError
 from greybox.estimation.predictor import Block, Predictor
-from greybox.estimation.predictors.innovation import Innovation, InnovationPrepared
-from greybox.estimation.predictors.simulation import start_of
+from greybox.estimation.predictors.innovation import (
+    Innovation,
+    InnovationPrepared,
+    filtered_states,
+)
 from greybox.estimation.settling import RecordGains
-from greybox.estimation.solver import IndexArray
 from greybox.symbolic import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -83,7 +85,7 @@ class MultiStep(Predictor[InnovationPrepared]):
         length = min(int(chosen[-1]) + 1, record.n)
         at = chosen[chosen < length]
         p = problem.parameters_of(theta, record.flight)
-        states, slopes, columns = _filtered(problem, theta, i, gains, jacobian)
+        states, slopes, columns = filtered_states(problem, theta, i, gains, jacobian)
         rows = np.arange(0, record.n - length + 1, self.stride)
         whole = np.full(rows.size, length)
         ahead = engine.windows(
@@ -91,12 +93,9 @@ class MultiStep(Predictor[InnovationPrepared]):
             rows=rows,
             lengths=whole,
             tails=whole,
-            inputs=record.inputs,
-            outputs=record.outputs,
-            mask=record.mask,
             p=p,
-            dt=record.dt,
             s0=None if slopes is None else slopes[rows],
+            **record.samples,
         )
         if ahead.failed_in is not None:
             raise FitError(
@@ -122,27 +121,3 @@ class MultiStep(Predictor[InnovationPrepared]):
             weight=self.stride / (at.size * length),
             spacing=float(self.stride),
         )
-
-
-def _filtered(
-    problem: Problem, theta: FloatArray, i: int, filters: RecordGains, jacobian: bool
-) -> tuple[FloatArray, FloatArray | None, IndexArray]:
-    """(states (n, n_x) of the filter over record i, their slopes (n, n_d, n_s), the unknowns of
-    these). Raises `FitError` where they are not finite."""
-    record = problem.records[i]
-    x0, s0, columns = start_of(problem, theta, i)
-    passed = problem.engine.run(
-        x0=x0,
-        inputs=record.inputs,
-        outputs=record.outputs,
-        mask=record.mask,
-        pattern=filters.pattern,
-        gains=filters.tables()[0],
-        p=problem.parameters_of(theta, record.flight),
-        dt=record.dt,
-        s0=s0 if jacobian else None,
-        want=frozenset({"states", "state_sensitivity"}),
-    )
-    if passed.failed_at is not None or passed.states is None:
-        raise FitError(f"the prediction of flight {record.flight} is not finite")
-    return passed.states, passed.state_sensitivity, columns

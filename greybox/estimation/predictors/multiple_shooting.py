@@ -176,14 +176,11 @@ def _path(
         )
         run = problem.engine.run(
             x0=x0,
-            inputs=record.inputs,
-            outputs=record.outputs,
-            mask=record.mask,
             pattern=record.pattern,
             gains=gains,
             p=problem.parameters_of(theta, record.flight),
-            dt=record.dt,
             want=frozenset({"states"}),
+            **record.samples,
         )
         if run.failed_at is not None or run.states is None:
             raise FitError(f"no path along flight {record.flight}")
@@ -205,12 +202,9 @@ def _part(
         rows=windows.rows,
         lengths=windows.lengths,
         tails=windows.lengths,
-        inputs=record.inputs,
-        outputs=record.outputs,
-        mask=record.mask,
         p=problem.parameters_of(theta, record.flight),
-        dt=record.dt,
         s0=own,
+        **record.samples,
     )
     if run.failed_in is not None:
         raise FitError(f"window {run.failed_in} of flight {record.flight} is not finite")

@@ -45,18 +45,15 @@ class Simulation(Predictor[None]):
             count = len(record.patterns)
             run = engine.run(
                 x0=x0,
-                inputs=record.inputs,
-                outputs=record.outputs,
-                mask=record.mask,
                 pattern=record.pattern,
                 gains=GainTable(
                     gain=np.zeros((count, engine.nd, engine.ne)),
                     zero=np.ones(count, dtype=np.int32),
                 ),
                 p=problem.parameters_of(theta, record.flight),
-                dt=record.dt,
                 s0=s0 if jacobian else None,
                 want=frozenset({"innovations", "sensitivity"}),
+                **record.samples,
             )
             if run.failed_at is not None:
                 raise FitError(
