@@ -57,8 +57,8 @@ STEADY = 50
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Adapted:
     """What adapt_step adapts: `names` (n_a), first those of theta with their places `rows` (n_t) in
-    p, then error.* of the model's own states; the `mean` (n_t) of theta over the training flights, the
-    `covariance` (n_a, n_a) before the flight (between flights; of learned weights their
+    p, then error.* of the model's own states; the `mean` (n_t) of theta over the training flights,
+    the `covariance` (n_a, n_a) before the flight (between flights; of learned weights their
     posterior's; of the start beyond that of the filter), and bounds (n_t,).
 
     `limits` maps states that are bounded too, to their largest size.
@@ -227,7 +227,7 @@ def adapt_function(
     `innovation` maps (y, y_hat, x) to e. `p_next` differs from p in what is adapted.
     """
     n_a, n_t = len(own.names), len(own.rows)
-    n_own, n_d = n_a - n_t, functions["boxplus"].numel_in(1)
+    n_own, plus = n_a - n_t, _moved(functions["boxplus"], n_a - n_t)
     n_y, n_e = innovation.numel_in(0), innovation.numel_out(0)
     x, u, p = (ca.MX.sym(n, functions["f_d"].numel_in(n)) for n in ("x", "u", "p"))
     y, there, memory = ca.MX.sym("y", n_y), ca.MX.sym("there", n_e), ca.MX.sym("memory")
@@ -235,12 +235,10 @@ def adapt_function(
     rows = list(own.rows)
     seen, by_x, _, by_p = functions["h_jac_raw"](x, u, p)
     gain, spread = functions["innovation_gain"](there)
-    gain = gain[:n_own, :]
+    gain = gain[:n_own, :]  # the history of commands is known
     found = innovation(y, seen, x)
     e = ca.if_else(there != 0, found, 0.0)
-    slopes = _slopes(innovation, functions["boxplus"], n_t)(y, seen, x, by_x, by_p[:, rows])[
-        :, :n_a
-    ]
+    slopes = _slopes(innovation, plus, n_t)(y, seen, x, by_x, by_p[:, rows])
     psi = ca.if_else(ca.repmat(there != 0, 1, n_a), slopes, 0.0)
     through = psi @ v
     scaled = _whitened(n_e, n_a)(spread + through @ psi.T, ca.horzcat(through, e))
@@ -255,14 +253,13 @@ def adapt_function(
     theta = _between(p[rows] + said[:n_t], own.lower, own.upper)
     moved = ca.vertcat(theta - p[rows], said[n_t:])
     # After the measurement, before time goes on.
-    known = ca.DM.zeros(n_d - n_own)
-    at = functions["boxplus"](x, ca.vertcat(said[n_t:], known))
+    at = plus(x, said[n_t:])
     q = ca.MX(p)
     q[rows] = theta
     after, a, _, by = functions["f_d_jac"](at, u, q)
-    pushed = ca.vertcat(gain @ (e - psi @ moved), known)
-    turned, by_push = (m[:n_own, :n_own] for m in _carried(functions)(after, pushed))
-    after = functions["boxplus"](after, pushed)
+    pushed = gain @ (e - psi @ moved)
+    turned, by_push = _carried(plus, functions["boxminus"])(after, pushed)
+    after = plus(after, pushed)
     keep = ca.if_else(memory > 0, ca.exp(-dt / ca.fmax(memory, 1e-12)), 1.0)
     q[rows] = own.mean + keep * (theta - own.mean)
     on_step = ca.vertcat(
@@ -282,34 +279,36 @@ def adapt_function(
     )
 
 
-def _slopes(innovation: Any, boxplus: Any, n_t: int) -> Any:
-    """(y, y_hat, x, dy_hat/dx raw, dy_hat/dtheta) -> psi (n_e, n_t + n_d), how the innovation falls
+def _moved(boxplus: Any, n_own: int) -> Any:
+    """(x, d (n_own,)) -> x moved by errors of the model's own states, the first ones."""
+    x, d = ca.MX.sym("x", boxplus.numel_in(0)), ca.MX.sym("d", n_own)
+    whole = ca.vertcat(d, ca.DM.zeros(boxplus.numel_in(1) - n_own))
+    return ca.Function("moved", [x, d], [boxplus(x, whole)])
+
+
+def _slopes(innovation: Any, plus: Any, n_t: int) -> Any:
+    """(y, y_hat, x, dy_hat/dx raw, dy_hat/dtheta) -> psi (n_e, n_a), how the innovation falls
     with theta and the error of the state. It is not that at y = y_hat: a rotation that is some way
     off turns the slopes."""
-    n_y, n_x, n_d = innovation.numel_in(0), boxplus.numel_in(0), boxplus.numel_in(1)
+    n_y, n_x, n_own = innovation.numel_in(0), plus.numel_in(0), plus.numel_in(1)
     y, seen, x, d = (
-        ca.MX.sym(n, k) for n, k in (("y", n_y), ("y_hat", n_y), ("x", n_x), ("d", n_d))
+        ca.MX.sym(n, k) for n, k in (("y", n_y), ("y_hat", n_y), ("x", n_x), ("d", n_own))
     )
     by_x, by_theta = ca.MX.sym("by_x", n_y, n_x), ca.MX.sym("by_theta", n_y, n_t)
-    chart = ca.substitute(ca.jacobian(boxplus(x, d), d), d, ca.DM.zeros(n_d))
+    chart = ca.substitute(ca.jacobian(plus(x, d), d), d, ca.DM.zeros(n_own))
     e = innovation(y, seen, x)
     by_seen, direct = ca.jacobian(e, seen), ca.jacobian(e, x)
     psi = -ca.horzcat(by_seen @ by_theta, (by_seen @ by_x + direct) @ chart)
     return ca.Function("slopes", [y, seen, x, by_x, by_theta], [ca.densify(psi)])
 
 
-def _carried(functions: Mapping[str, Any]) -> Any:
-    """(x, d) -> slopes (n_d, n_d) of the error of x boxplus d in the error of x, and in d."""
-    plus, minus = functions["boxplus"], functions["boxminus"]
-    n_x, n_d = plus.numel_in(0), plus.numel_in(1)
-    x, own, d, small = (
-        ca.MX.sym("x", n_x),
-        ca.MX.sym("own", n_d),
-        ca.MX.sym("d", n_d),
-        ca.MX.sym("small", n_d),
-    )
-    apart = minus(plus(plus(x, own), d + small), plus(x, d))
-    none = [ca.DM.zeros(n_d)] * 2
+def _carried(plus: Any, minus: Any) -> Any:
+    """(x, d) -> slopes (n_own, n_own) of the error of x moved by d in the error of x, and in d."""
+    n_own = plus.numel_in(1)
+    x = ca.MX.sym("x", plus.numel_in(0))
+    own, d, small = (ca.MX.sym(n, n_own) for n in ("own", "d", "small"))
+    apart = minus(plus(plus(x, own), d + small), plus(x, d))[:n_own]
+    none = [ca.DM.zeros(n_own)] * 2
     found = ca.substitute([ca.jacobian(apart, own), ca.jacobian(apart, small)], [own, small], none)
     return ca.Function("carried", [x, d], [ca.densify(v) for v in found])
 

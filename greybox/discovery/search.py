@@ -1,9 +1,9 @@
 """Search: from the base structure by the move that gains most evidence, until none gains any.
 
-Moves are add, add together, drop, and, where none of these gains, the first swap that does. Every structure has a prior: a
-cause that is not in the base costs the logarithm of how many were offered, so that many candidates
-make no name (Scott and Berger 2010, Annals of Statistics 38(5)). What is tried is heuristic; what
-is taken is the evidence.
+Moves are add, add together, drop, and, where none of these gains, the first swap that does. Every
+structure has a prior: a cause that is not in the base costs the logarithm of how many were offered,
+so that many candidates make no name (Scott and Berger 2010, Annals of Statistics 38(5)). What is
+tried is heuristic; what is taken is the evidence.
 """
 
 from __future__ import annotations
