@@ -195,8 +195,8 @@ def robust_solve(
     The solver's `con_h_expr` and `con_h_expr_e` are `limits`, a function of x (n_x,) with m values
     that must stay below `upper` (m,). In turn it solves, propagates `covariance` (n_d, n_d) of the
     first state along the plan under the feedback `gain` (n_u, n_d), and takes kappa standard
-    deviations of every limit off `upper`, stage by stage, until nothing moves by more than `SETTLED`.
-    A status other than 0 ends it, with the limits as they were solved with; that of
+    deviations of every limit off `upper`, stage by stage, until nothing moves by more than
+    `SETTLED`. A status other than 0 ends it, with the limits as they were solved with; that of
     `rounds` that were not enough is 2 (acados' "maximum number of iterations"). The covariance is
     fixed while it solves (Feng, Di Cairano and Quirynen 2020;
     Zanelli, Frey, Messerer and Diehl 2021). What is added at a stage is what the model says there,

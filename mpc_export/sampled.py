@@ -111,7 +111,7 @@ class Sampled:
     looks_back: Mapping[str, int] = field(default_factory=dict)
     """How many samples back a learned part looks at an input."""
     measured: bool = True
-    """Whether outputs must come out right; else the history has only commands that the step feels."""
+    """Whether outputs must come out right; else the history has what the step feels alone."""
 
     def __post_init__(self) -> None:
         known = [d.name for d in self.dynamics.parameters]

@@ -195,8 +195,8 @@ def _nonlinear_output(bench: Bench) -> Outcome:
 def candidates(
     bench: Bench, space: Mapping[str, Sequence[Any]], first: str
 ) -> list[dict[str, Any]]:
-    """`bench.options.budget` points of the grid `space`, drawn without repetition; all values of `first`
-    take turns."""
+    """`bench.options.budget` points of the grid `space`, drawn without repetition; all values of
+    `first` take turns."""
     grid = [dict(zip(space, values)) for values in itertools.product(*space.values())]
     drawn = [grid[i] for i in np.random.default_rng(bench.options.seed).permutation(len(grid))]
     turns = [[p for p in drawn if p[first] == v] for v in space[first]]

@@ -1,5 +1,5 @@
-"""What a fit comes to: estimates with their errors, what is not identified, the identified model, and
-what must be said of all this.
+"""What a fit comes to: estimates with their errors, what is not identified, the identified model,
+and what must be said of all this.
 """
 
 from __future__ import annotations

@@ -106,8 +106,8 @@ class _Pass:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _OpenRuns:
-    """Many short open-loop runs as the recursion takes them: contiguous arrays, of which x (m, n_x),
-    s (m, n_d, n_s), e (r, n_e) and de (r, n_e, n_s) are written."""
+    """Many short open-loop runs as the recursion takes them: contiguous arrays, of which x (m,
+    n_x), s (m, n_d, n_s), e (r, n_e) and de (r, n_e, n_s) are written."""
 
     first: IntArray
     length: IntArray

@@ -104,7 +104,7 @@ class Effect(ABC):
     """Those of `EARLY` that `apply` returns. They depend on the effect's parameters alone."""
     case: ClassVar[ReferenceCase]
     source: ClassVar[EffectSource | None] = None
-    """The file that it was loaded from; None of one of the catalogue or of the caller's own code."""
+    """The file that it was loaded from; None: of the catalogue, or of the caller's own code."""
 
     @abstractmethod
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:

@@ -138,8 +138,8 @@ def fly(
     dt [s]: sample time of controller and log. seed: an integer, or a sequence of B integers, which
     flies B vehicles at once, each with its own noise, reference and excitation. warm_up [s]: flown
     before the log begins (its time starts at zero all the same). charge_used [A s]: what the
-    battery has given before. record: columns to add, "truth" (the true states, as `true.<state>`) and
-    "clean" (`clean.<column>`, what the sensors would have said without noise). Row k holds the
+    battery has given before. record: columns to add, "truth" (the true states, as `true.<state>`)
+    and "clean" (`clean.<column>`, what the sensors would have said without noise). Row k holds the
     measurement at t_k and the command held from t_k to t_k+1. Raises `ValueError` for another word
     in `record`.
     """

@@ -4,7 +4,8 @@ out.
 Hyper-parameters come from the exact marginal likelihood of a subset (greybox/residual/torch_gp.py),
 the posterior then from all data in closed form (greybox/residual/sparse.py); one training is in
 greybox/residual/training_run.py. On held-out samples, by group and never by sample, every output
-has to beat a constant, and the number of support points can be chosen there. PyTorch is imported only when training runs.
+has to beat a constant, and the number of support points can be chosen there. PyTorch is imported
+only when training runs.
 """
 
 from __future__ import annotations

@@ -83,7 +83,8 @@ def validate(
     """Multi-step and one-step errors of `model` on all flights of `dataset`, with residual tests,
     baselines and a verdict.
 
-    The choices are keywords, fields of `ValidateOptions` with its defaults, or `options` as a whole.
+    The choices are keywords, fields of `ValidateOptions` with its defaults, or `options` as a
+    whole.
 
     `horizons` [s] are listed (`horizon_samples` instead: numbers of samples; default: `HORIZONS`,
     of a model that is not a vehicle's `SAMPLES`). `adapt` [s]: per flight, the parameters with a
