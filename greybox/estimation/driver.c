@@ -38,16 +38,6 @@ static int is_dense(const INT *sp) { return sp[2] == 1; }
 
 static INT entries(const INT *sp) { return is_dense(sp) ? sp[0] * sp[1] : sp[2 + sp[1]]; }
 
-/* Two registers of four numbers. */
-typedef REAL quad __attribute__((vector_size(4 * sizeof(REAL))));
-typedef REAL quad_at __attribute__((vector_size(4 * sizeof(REAL)), aligned(sizeof(REAL)), may_alias));
-#define ADD8(factor, from)                           \
-  do {                                               \
-    const REAL f_ = (factor), *v_ = (from);          \
-    low += f_ * *(const quad_at *)v_;                \
-    high += f_ * *(const quad_at *)(v_ + 4);         \
-  } while (0)
-
 /* A sparsity by rows: entries start[i] .. start[i + 1] of row i, each its place in the column-wise numbers and its column. */
 typedef struct {
   int rows, *start, *place, *column;
@@ -75,112 +65,142 @@ static by_rows make_by_rows(const INT *sp, int *memory) {
   return r;
 }
 
-/* out (rows x n) = M1 in1 + M2 in2 (M2 NULL: without); m1, m2 their numbers. Eight columns at a time; the last
-   eight may overlap those before, which changes nothing. */
-static void product(const by_rows *M1, const REAL *m1, const REAL *in1, const by_rows *M2, const REAL *m2, const REAL *in2,
-                    REAL *out, int n) {
-  for (int i = 0; i < M1->rows; ++i) {
-    REAL *dst = out + (size_t)i * n;
-    int c = 0;
-    while (n >= 8 && c < n) {
-      if (c > n - 8) c = n - 8;
-      quad low = {0}, high = {0};
-      for (int k = M1->start[i]; k < M1->start[i + 1]; ++k)
-        ADD8(m1[M1->place[k]], in1 + (size_t)M1->column[k] * n + c);
-      if (M2)
-        for (int k = M2->start[i]; k < M2->start[i + 1]; ++k)
-          ADD8(m2[M2->place[k]], in2 + (size_t)M2->column[k] * n + c);
-      *(quad_at *)(dst + c) = low;
-      *(quad_at *)(dst + c + 4) = high;
-      c += 8;
-    }
-    for (; c < n; ++c) {
-      REAL sum = 0;
-      for (int k = M1->start[i]; k < M1->start[i + 1]; ++k)
-        sum += m1[M1->place[k]] * in1[(size_t)M1->column[k] * n + c];
-      if (M2)
-        for (int k = M2->start[i]; k < M2->start[i + 1]; ++k)
-          sum += m2[M2->place[k]] * in2[(size_t)M2->column[k] * n + c];
-      dst[c] = sum;
-    }
+/* WIDE columns of S are carried through a block of samples at a time: they and the slopes of the gain then stay near the
+   processor. Four numbers are one register. */
+enum { WIDE = 16, PARTS = WIDE / 4, PACKS = 8 };
+typedef REAL quad __attribute__((vector_size(4 * sizeof(REAL)), may_alias));
+
+/* sum += row i of M (its numbers m) times the rows of `in` (n x WIDE). */
+static inline void add_row(const by_rows *M, const REAL *m, int i, const REAL *in, quad *sum) {
+  for (int k = M->start[i]; k < M->start[i + 1]; ++k) {
+    const REAL f = m[M->place[k]];
+    const quad *v = (const quad *)(in + (size_t)M->column[k] * WIDE);
+    for (int q = 0; q < PARTS; ++q) sum[q] += f * v[q];
   }
 }
 
-/* Eight numbers in one register. */
-typedef REAL eight __attribute__((vector_size(8 * sizeof(REAL))));
-typedef REAL eight_at __attribute__((vector_size(8 * sizeof(REAL)), aligned(sizeof(REAL)), may_alias));
-
-/* out (nd x n) = K (nd x ne) dE (ne x n), plus P (nd x nk) in its first nk columns (P NULL: without). Only the channels in
-   `there` (many of them) count. */
-static void correction(const REAL *K, const REAL *dE, const int *there, int many, const REAL *P, int nk, REAL *out, int nd,
-                       int ne, int n) {
-  for (int i = 0; i < nd; i += 4) {
-    const int rows = nd - i < 4 ? nd - i : 4;
-    const REAL *k[4];
-    for (int r = 0; r < 4; ++r) k[r] = K + (size_t)(i + (r < rows ? r : rows - 1)) * ne;
-    int c = 0;
-    while (n >= 8 && c < n) {
-      if (c > n - 8) c = n - 8;
-      eight sum[4] = {{0}, {0}, {0}, {0}};
-      for (int q = 0; q < many; ++q) {
-        const int j = there[q];
-        const eight d = *(const eight_at *)(dE + (size_t)j * n + c);
-        for (int r = 0; r < 4; ++r) sum[r] += k[r][j] * d;
-      }
-      for (int r = 0; r < rows; ++r) *(eight_at *)(out + (size_t)(i + r) * n + c) = sum[r];
-      c += 8;
-    }
-    for (; c < n; ++c)
-      for (int r = 0; r < rows; ++r) {
-        REAL sum = 0;
-        for (int q = 0; q < many; ++q) sum += k[r][there[q]] * dE[(size_t)there[q] * n + c];
-        out[(size_t)(i + r) * n + c] = sum;
-      }
-  }
-  if (!P) return;
-  for (int i = 0; i < nd; ++i)
-    for (int c = 0; c < nk; ++c) out[(size_t)i * n + c] += P[(size_t)i * nk + c];
+/* Row i of out = M1 in1 + M2 in2 (M2 NULL: without); m1, m2 their numbers. */
+static inline void set_row(const by_rows *M1, const REAL *m1, int i, const REAL *in1, const by_rows *M2, const REAL *m2,
+                           const REAL *in2, REAL *out) {
+  quad sum[PARTS] = {{0}};
+  add_row(M1, m1, i, in1, sum);
+  if (M2) add_row(M2, m2, i, in2, sum);
+  for (int q = 0; q < PARTS; ++q) ((quad *)(out + (size_t)i * WIDE))[q] = sum[q];
 }
 
-/* P[t] (nd x nk) = dK e[t] for `many` samples at most TOGETHER of one gain: dK (nk x nd x ne), e[t] (ne). */
-static void pushes(const REAL *dK, const REAL *const *e, REAL *const *P, int many, int nd, int ne, int nk) {
-  eight column[ne];
-  int there[ne], some = 0;
-  for (int j = 0; j < ne; ++j) {
-    eight v = {0};
-    int any = 0;
-    for (int t = 0; t < many; ++t) {
-      v[t] = e[t][j];
-      any |= e[t][j] != 0;
-    }
-    column[some] = v;
-    there[some] = j;
-    some += any;
-  }
-  for (int s = 0; s < nk; ++s)
-    for (int i = 0; i < nd; i += 4) {
-      const REAL *d[4];
-      eight sum[4] = {{0}, {0}, {0}, {0}};
-      for (int r = 0; r < 4; ++r) d[r] = dK + ((size_t)s * nd + (i + r < nd ? i + r : nd - 1)) * ne;
-      for (int q = 0; q < some; ++q)
-        for (int r = 0; r < 4; ++r) sum[r] += d[r][there[q]] * column[q];
-      for (int r = 0; r < 4 && i + r < nd; ++r)
-        for (int t = 0; t < many; ++t) P[t][(size_t)(i + r) * nk + s] = sum[r][t];
-    }
-}
+/* The entries of a sparse matrix by the columns of S that they are added to: entries start[g] .. start[g + 1] go to
+   columns WIDE g and on, number place[k] to `to[k]` of these (rows x WIDE). */
+typedef struct {
+  int *start, *place, *to;
+} by_columns;
 
-/* out (rows x n) += M (compressed columns) scattered: column c of M goes to column place[c] of out, a column
-   with a negative place nowhere; place NULL: to the first columns in order */
-static void scatter(const INT *sp, const int *place, const REAL *m, REAL *out, int n) {
+static int by_columns_length(const INT *sp, int ns) { return ns / WIDE + 2 + 2 * (int)entries(sp); }
+
+/* Fills `memory` (by_columns_length integers). Column c goes to column place[c] of S, one with a negative place nowhere;
+   place NULL: to the first columns in order. */
+static by_columns make_by_columns(const INT *sp, const int *place, int ns, int *memory) {
   const INT nrow = sp[0], ncol = sp[1];
   const INT *colind = sp + 2, *row = sp + 3 + ncol;
-  const int dense = is_dense(sp);
-  for (INT c = 0; c < ncol; ++c) {
-    const INT from = dense ? c * nrow : colind[c], to = dense ? from + nrow : colind[c + 1];
-    const INT at = place ? place[c] : c;
-    if (at < 0) continue;
-    for (INT k = from; k < to; ++k) out[(dense ? k - from : row[k]) * n + at] += m[k];
+  const int dense = is_dense(sp), groups = ns / WIDE + 1, nnz = (int)entries(sp);
+  by_columns r = {memory, memory + groups + 1, memory + groups + 1 + nnz};
+  int n = 0;
+  for (int g = 0; g < groups; ++g) {
+    r.start[g] = n;
+    for (INT c = 0; c < ncol; ++c) {
+      const INT at = place ? place[c] : c;
+      if (at < 0 || at / WIDE != g) continue;
+      for (INT k = dense ? c * nrow : colind[c]; k < (dense ? (c + 1) * nrow : colind[c + 1]); ++k, ++n) {
+        r.place[n] = (int)k;
+        r.to[n] = (int)((dense ? k - c * nrow : row[k]) * WIDE + at % WIDE);
+      }
+    }
   }
+  r.start[groups] = n;
+  return r;
+}
+
+/* out (rows x WIDE) += the entries m of M in group g. */
+static inline void add_group(const by_columns *M, const REAL *m, int g, REAL *out) {
+  for (int k = M->start[g]; k < M->start[g + 1]; ++k) out[M->to[k]] += m[M->place[k]];
+}
+
+/* packed (nd x ne x WIDE) from dK (nk x nd x ne): parameters `from` and on, zero where there are no more. */
+static void pack(const REAL *dK, int from, int nk, int all, REAL *packed) {
+  memset(packed, 0, (size_t)all * WIDE * sizeof(REAL));
+  for (int s = 0; s < WIDE && from + s < nk; ++s) {
+    const REAL *d = dK + (size_t)(from + s) * all;
+    for (int i = 0; i < all; ++i) packed[(size_t)i * WIDE + s] = d[i];
+  }
+}
+
+/* out (nd x WIDE) = K (nd x ne) dE (ne x WIDE) + dK e; dK is packed, or NULL. Only the `many` channels in `there` count. */
+static void correction(const REAL *K, const REAL *dE, const REAL *dK, const REAL *e, const int *there, int many, REAL *out,
+                       int nd, int ne) {
+  for (int i = 0; i < nd; i += 4) {
+    quad sum[4][PARTS] = {{{0}}};
+    const REAL *k[4], *d[4];
+    for (int r = 0; r < 4; ++r) {
+      const size_t at = (size_t)(i + r < nd ? i + r : nd - 1) * ne;
+      k[r] = K + at;
+      d[r] = dK ? dK + at * WIDE : 0;
+    }
+    for (int c = 0; c < many; ++c) {
+      const int j = there[c];
+      const quad *v = (const quad *)(dE + j * WIDE);
+      for (int r = 0; r < 4; ++r)
+        for (int q = 0; q < PARTS; ++q) sum[r][q] += k[r][j] * v[q];
+    }
+    if (dK)
+      for (int c = 0; c < many; ++c) {
+        const int j = there[c];
+        const REAL f = e[j];
+        for (int r = 0; r < 4; ++r)
+          for (int q = 0; q < PARTS; ++q) sum[r][q] += f * ((const quad *)(d[r] + (size_t)j * WIDE))[q];
+      }
+    for (int r = 0; r < 4 && i + r < nd; ++r)
+      for (int q = 0; q < PARTS; ++q) ((quad *)(out + (size_t)(i + r) * WIDE))[q] = sum[r][q];
+  }
+}
+
+/* `width` columns of a matrix with n columns to and from one with WIDE, whose other columns are zero. */
+static void take(const REAL *from, int rows, int n, int width, REAL *to) {
+  for (int i = 0; i < rows; ++i)
+    for (int c = 0; c < WIDE; ++c) to[i * WIDE + c] = c < width ? from[(size_t)i * n + c] : 0;
+}
+
+static void give(const REAL *from, int rows, int n, int width, REAL *to) {
+  for (int i = 0; i < rows; ++i) memcpy(to + (size_t)i * n, from + i * WIDE, width * sizeof(REAL));
+}
+
+/* The recursion of the slopes: sizes, sparsities, and the numbers of the samples of a block, side by side. */
+typedef struct {
+  int nd, ne;
+  by_rows A, E, J1, J2;
+  by_columns B, H;
+  const INT *lA, *lJ; /* numbers of A, B, E, H and of J1, J2 in one sample */
+  const REAL *a, *b, *e, *h, *j1, *j2;
+} recursion;
+
+/* Sample l of a block, columns WIDE g and on: dE (ne x WIDE), zero where `seen` (ne) is, and after (nd x WIDE) from s
+   (nd x WIDE). K (nd x ne; NULL: no correction), dK packed (NULL: none), innovations e; T, T2 (nd x WIDE) are scratch. */
+static void one_sample(const recursion *r, int l, int g, const REAL *seen, const REAL *K, const REAL *dK, const REAL *e,
+                       const REAL *s, REAL *dE, REAL *T, REAL *T2, REAL *after) {
+  const REAL *a = r->a + l * r->lA[0], *b = r->b + l * r->lA[1], *c = r->e + l * r->lA[2], *h = r->h + l * r->lA[3],
+             *j1 = r->j1 + l * r->lJ[0], *j2 = r->j2 + l * r->lJ[1];
+  int there[r->ne], many = 0;
+  for (int i = 0; i < r->ne; ++i) {
+    if (seen[i] != 0) there[many++] = i;
+    set_row(&r->E, c, i, s, 0, 0, 0, dE);
+  }
+  add_group(&r->H, h, g, dE);
+  for (int i = 0; i < r->ne; ++i)
+    if (seen[i] == 0) memset(dE + i * WIDE, 0, WIDE * sizeof(REAL));
+  REAL *const moved = K ? T : after;
+  for (int i = 0; i < r->nd; ++i) set_row(&r->A, a, i, s, 0, 0, 0, moved);
+  add_group(&r->B, b, g, moved);
+  if (!K) return;
+  correction(K, dE, dK, e, there, many, T2, r->nd, r->ne);
+  for (int i = 0; i < r->nd; ++i) set_row(&r->J1, j1, i, T, &r->J2, j2, T2, after);
 }
 
 /* Sizes that the caller needs: number of pointers, integers and reals of work memory. */
@@ -208,10 +228,10 @@ static INT numbers_of(const gb_linear *f, int results) {
 }
 
 /* Length of `buf` for gb_run; nk columns of the gain's derivative. */
-INT gb_buffer(int nx, int nd, int ne, int ny, int ns, int nk, const gb_linear *slope, const gb_linear *turn) {
+INT gb_buffer(int nx, int nd, int ne, int ny, int nk, const gb_linear *slope, const gb_linear *turn) {
   const INT slots = slope->slots > turn->slots ? slope->slots : turn->slots;
-  return SAMPLES * (2 * nx + ne + nd + numbers_of(slope, 4) + numbers_of(turn, 2) + (INT)nd * nk + slots) + ny +
-         (INT)ne * ns + 3 * (INT)nd * ns + 64;
+  return SAMPLES * (2 * nx + ne + nd + numbers_of(slope, 4) + numbers_of(turn, 2) + slots) + ny +
+         WIDE * ((INT)ne + 4 * nd + (nk ? PACKS * (INT)nd * ne : 0)) + 64;
 }
 
 /* Sample `step` of window `window`. */
@@ -230,7 +250,7 @@ static place_of next(place_of at, const int *length) {
    K (npat x nd x ne, NULL: no correction), zero_gain (npat): 1 = none; dK: npat pointers to (nk x nd x ne), the derivative
    in the first nk columns (NULL: gain is constant);
    Xout (rows x nx), Eout (rows x ne), Yout (rows x ny), Jout (rows x ne x ns): any may be NULL; Sout (rows x nd x ns) too.
-   place: where the parameters of `slope` stand among the columns of S (see scatter).
+   place: where the parameters of `slope` stand among the columns of S (see make_by_columns).
    Returns 0, or 1 when the numbers stop being finite, at `failed`. */
 static int run(int m, const int *first, const int *length, const int *tail, int nx, int nd, int ne, int ny, int nu, int ns,
                int nk, const gb_linear *slope, const gb_linear *turn, REAL *x, REAL *S, const REAL *U, const REAL *Y,
@@ -238,15 +258,18 @@ static int run(int m, const int *first, const int *length, const int *tail, int 
                const REAL *const *dK, REAL *Xout, REAL *Eout, REAL *Yout, REAL *Jout, REAL *Sout, const int *place,
                const REAL **arg, REAL **res, INT *iw, REAL *w, REAL *buf, place_of *failed) {
   const INT *lA = slope->lengths, *lJ = turn->lengths;
-  const size_t pushed = (size_t)nd * nk, of_state = (size_t)nd * ns;
-  REAL *X = buf, *XF = X + SAMPLES * nx, *Es = XF + SAMPLES * nx, *Ks = Es + SAMPLES * ne, *yh = Ks + SAMPLES * nd,
-       *A = yh + ny, *B = A + SAMPLES * lA[0], *E = B + SAMPLES * lA[1], *H = E + SAMPLES * lA[2],
-       *J1 = H + SAMPLES * lA[3], *J2 = J1 + SAMPLES * lJ[0], *dE = J2 + SAMPLES * lJ[1], *T = dE + ne * ns,
-       *T2 = T + of_state, *Sn = T2 + of_state, *P = Sn + of_state, *slots = P + SAMPLES * pushed;
-  int memA[by_rows_length(slope->sparsity[0])], memE[by_rows_length(slope->sparsity[2])],
-      mem1[by_rows_length(turn->sparsity[0])], mem2[by_rows_length(turn->sparsity[1])];
-  const by_rows rA = make_by_rows(slope->sparsity[0], memA), rE = make_by_rows(slope->sparsity[2], memE),
-                r1 = make_by_rows(turn->sparsity[0], mem1), r2 = make_by_rows(turn->sparsity[1], mem2);
+  const size_t of_state = (size_t)nd * ns, of_gain = (size_t)nd * ne;
+  REAL *dE = (REAL *)(((size_t)buf + 63) & ~(size_t)63), *s = dE + ne * WIDE, *after = s + nd * WIDE,
+       *T = after + nd * WIDE, *T2 = T + nd * WIDE, *packs = T2 + nd * WIDE, *X = packs + (nk ? PACKS * of_gain * WIDE : 0),
+       *XF = X + SAMPLES * nx, *Es = XF + SAMPLES * nx, *Ks = Es + SAMPLES * ne, *yh = Ks + SAMPLES * nd, *A = yh + ny,
+       *B = A + SAMPLES * lA[0], *E = B + SAMPLES * lA[1], *H = E + SAMPLES * lA[2], *J1 = H + SAMPLES * lA[3],
+       *J2 = J1 + SAMPLES * lJ[0], *slots = J2 + SAMPLES * lJ[1];
+  const INT *const *sp = slope->sparsity, *const *st = turn->sparsity;
+  int memA[by_rows_length(sp[0])], memB[by_columns_length(sp[1], ns)], memE[by_rows_length(sp[2])],
+      memH[by_columns_length(sp[3], ns)], mem1[by_rows_length(st[0])], mem2[by_rows_length(st[1])];
+  const recursion r = {nd, ne, make_by_rows(sp[0], memA), make_by_rows(sp[2], memE), make_by_rows(st[0], mem1),
+                       make_by_rows(st[1], mem2), make_by_columns(sp[1], place, ns, memB),
+                       make_by_columns(sp[3], place, ns, memH), lA, lJ, A, B, E, H, J1, J2};
   const REAL *many[5 * SAMPLES];
   REAL *out[4];
   size_t row = 0;
@@ -310,47 +333,37 @@ static int run(int m, const int *first, const int *length, const int *tail, int 
         gb_tape(turn->instructions, turn->constants, many, out, lJ, slots, there);
       }
     }
-    int known[SAMPLES] = {0}; /* whose dK e is in P */
+    size_t rows[SAMPLES];
     for (int l = 0; l < there; ++l) {
-      const int i = block[l].window, t = first[i] + block[l].step, g = pat ? pat[t] : 0;
-      const int kept = block[l].step >= length[i] - tail[i];
-      if (kept && Eout) memcpy(Eout + row * ne, Es + l * ne, ne * sizeof(REAL));
-      if (S) {
-        REAL *s = S + i * of_state;
-        int seen[ne], channels = 0;
-        if (kept && Sout) memcpy(Sout + row * of_state, s, of_state * sizeof(REAL));
-        product(&rE, E + l * lA[2], s, 0, 0, 0, dE, ns);
-        scatter(slope->sparsity[3], place, H + l * lA[3], dE, ns);
-        for (int j = 0; j < ne; ++j) {
-          if (M[(size_t)t * ne + j] != 0)
-            seen[channels++] = j;
-          else
-            memset(dE + (size_t)j * ns, 0, ns * sizeof(REAL));
+      const int i = block[l].window;
+      rows[l] = row;
+      if (block[l].step < length[i] - tail[i]) continue;
+      if (Eout) memcpy(Eout + row * ne, Es + l * ne, ne * sizeof(REAL));
+      ++row;
+    }
+    for (int from = 0; S && from < ns; from += WIDE) {
+      const int width = ns - from < WIDE ? ns - from : WIDE;
+      int packed[PACKS];
+      for (int k = 0; k < PACKS; ++k) packed[k] = -1;
+      for (int l = 0; l < there; ++l) {
+        const int i = block[l].window, t = first[i] + block[l].step, gain = pat ? pat[t] : 0;
+        const int kept = block[l].step >= length[i] - tail[i], corrects = K && !zero_gain[gain];
+        REAL *pack_of = 0, *const own = S + i * of_state + from;
+        if (l == 0 || block[l - 1].window != i) take(own, nd, ns, width, s);
+        if (kept && Sout) give(s, nd, ns, width, Sout + rows[l] * of_state + from);
+        if (corrects && dK && from < nk) {
+          pack_of = packs + gain % PACKS * of_gain * WIDE;
+          if (packed[gain % PACKS] != gain) pack(dK[gain], from, nk, nd * ne, pack_of);
+          packed[gain % PACKS] = gain;
         }
-        if (kept && Jout) memcpy(Jout + row * ne * ns, dE, (size_t)ne * ns * sizeof(REAL));
-        product(&rA, A + l * lA[0], s, 0, 0, 0, T, ns);
-        scatter(slope->sparsity[1], place, B + l * lA[1], T, ns);
-        if (!K || zero_gain[g]) {
-          memcpy(s, T, of_state * sizeof(REAL));
-        } else {
-          if (dK && !known[l]) {
-            const REAL *e[TOGETHER];
-            REAL *push[TOGETHER];
-            int same = 0;
-            for (int k = l; k < there && same < TOGETHER; ++k)
-              if (pat[first[block[k].window] + block[k].step] == g) {
-                e[same] = Es + k * ne;
-                push[same++] = P + k * pushed;
-                known[k] = 1;
-              }
-            pushes(dK[g], e, push, same, nd, ne, nk);
-          }
-          correction(K + (size_t)g * nd * ne, dE, seen, channels, dK ? P + l * pushed : 0, nk, T2, nd, ne, ns);
-          product(&r1, J1 + l * lJ[0], T, &r2, J2 + l * lJ[1], T2, Sn, ns);
-          memcpy(s, Sn, of_state * sizeof(REAL));
-        }
+        one_sample(&r, l, from / WIDE, M + (size_t)t * ne, corrects ? K + gain * of_gain : 0, pack_of, Es + l * ne, s, dE, T,
+                   T2, after);
+        if (kept && Jout) give(dE, ne, ns, width, Jout + rows[l] * ne * ns + from);
+        REAL *const before = s;
+        s = after;
+        after = before;
+        if (l + 1 == there || block[l + 1].window != i) give(s, nd, ns, width, own);
       }
-      row += kept;
     }
   }
   return 0;

@@ -378,11 +378,9 @@ class Engine:
         bad = self._run_c(one) if self.compiled else self._run_vm(one)
         return Run(**out, end=one.x, end_sensitivity=one.s, failed_at=None if bad == 0 else bad - 1)
 
-    def _scratch(
-        self, ns: int, nk: int = 0
-    ) -> tuple[Pointer, Pointer, Pointer, Pointer, FloatArray]:
+    def _scratch(self, nk: int = 0) -> tuple[Pointer, Pointer, Pointer, Pointer, FloatArray]:
         a, r, i, w = self._work
-        sizes = self.nx, self.nd, self.ne, self.ny, max(ns, 1), nk
+        sizes = self.nx, self.nd, self.ne, self.ny, nk
         length = int(self._library.gb_buffer(*sizes, *self._tapes))
         return (
             (ctypes.c_void_p * a)(),
@@ -400,7 +398,7 @@ class Engine:
         ns, gains, out = one.ns, one.gains, one.out
         slopes = [np.ascontiguousarray(v) for v in gains.derivative or ()] if ns else []
         nk = len(slopes[0]) if slopes else 0
-        arg, res, iw, w, buffer = self._scratch(ns, nk)
+        arg, res, iw, w, buffer = self._scratch(nk)
         gain = np.ascontiguousarray(gains.gain)
         zero = np.ascontiguousarray(gains.zero, dtype=np.int32)
         pointers = (ctypes.c_void_p * len(slopes))(*(v.ctypes.data for v in slopes)) if nk else None
@@ -531,7 +529,7 @@ class Engine:
 
     def _windows_c(self, runs: _OpenRuns) -> int:
         ns = 0 if runs.s is None else runs.s.shape[2]
-        arg, res, iw, w, buffer = self._scratch(ns)
+        arg, res, iw, w, buffer = self._scratch()
         return int(
             self._library.gb_windows(
                 len(runs.first),
@@ -610,7 +608,7 @@ class Engine:
         starts = np.ascontiguousarray(starts, dtype=np.float64)
         u, p = np.ascontiguousarray(inputs), np.ascontiguousarray(p, dtype=np.float64)
         if self.compiled:
-            arg, res, iw, w, buffer = self._scratch(1)
+            arg, res, iw, w, buffer = self._scratch()
             k0 = np.ascontiguousarray(rows, dtype=np.int32)
             self._library.gb_rollout(
                 m,
