@@ -174,12 +174,19 @@ def _predictives(
     every: Sequence[Fitted], at: Fitted, split: Split, within: Sequence[float]
 ) -> list[tuple[Fitted, Fitted]]:
     """Structures, `at` first, on the flights that taught, and on all from where `at` ended there,
-    side by side."""
+    or by as much elsewhere as `at` moved, side by side."""
     starts = [[f.known] if f is at else [f.known, {**at.known, **f.known}] for f in every]
     asked = [(f.structure, s) for f, s in zip(every, starts, strict=True)]
     first = split.first.fits(asked, within)
-    new = split.both.fit(at.structure, [at.known, first[0].known], within=within[0]).known
-    both = [[f.known, g.known, {**new, **f.known}] for f, g in zip(every, first, strict=True)]
+    old = first[0].known
+    new = split.both.fit(at.structure, [at.known, old], within=within[0]).known
+    moved = {k: v - old[k] for k, v in new.items() if k in old}
+
+    def starts_of(f: Fitted, g: Fitted) -> list[Mapping[Key, float]]:
+        beside = {k: v + moved.get(k, 0.0) for k, v in g.known.items()}
+        return [f.known, g.known, {**new, **f.known}, {**new, **beside}]
+
+    both = [starts_of(f, g) for f, g in zip(every, first, strict=True)]
     whole = split.both.fits([(f.structure, s) for f, s in zip(every, both, strict=True)], within)
     return list(zip(first, whole, strict=True))
 
