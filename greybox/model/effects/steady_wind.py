@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import casadi as ca
 
@@ -10,6 +11,13 @@ from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_para
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
+
+BREEZE = 4.0
+"""Typical wind [m/s], a gentle breeze: 3.4 to 5.4 m/s (World Meteorological Organization, Guide to
+Instruments and Methods of Observation, Beaufort scale)."""
+RISES = 0.05
+"""Its part upwards: near the ground the mean flow is along it, inclined by 8 degrees at most, three
+times this (IEC 61400-1, 6.3)."""
 
 
 class SteadyWind(Effect):
@@ -47,16 +55,10 @@ class SteadyWind(Effect):
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """w_x, w_y, w_z [m/s] world; scope flight."""
-        return vector_parameters(
-            "w_",
-            "xyz",
-            unit="m/s",
-            scale=0.5,
-            meaning="wind",
-            scope="flight",
-            lower=-30.0,
-            upper=30.0,
-        )
+        every: dict[str, Any] = {"unit": "m/s", "meaning": "wind", "scope": "flight"}
+        every |= {"lower": -30.0, "upper": 30.0}
+        along = vector_parameters("w_", "xy", scale=BREEZE, **every)
+        return (*along, *vector_parameters("w_", "z", scale=BREEZE * RISES, **every))
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Winds add; the model knows the total before it asks for any airspeed."""
