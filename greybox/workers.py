@@ -6,10 +6,11 @@ import concurrent.futures
 import contextlib
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import resource_tracker
 from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
@@ -75,6 +76,25 @@ class Workers(concurrent.futures.Executor):
             for process in multiprocessing.active_children():
                 process.kill()
         self.shutdown(wait=True, cancel_futures=True)
+        return None
+
+
+def side_by_side(
+    executor: concurrent.futures.Executor,
+    call: Callable[..., T],
+    common: Sequence[object],
+    tasks: Sequence[object],
+) -> list[T] | None:
+    """call(*common, task) of every task; None where these cannot be sent to other processes, or one
+    of these was killed."""
+    try:
+        pickle.dumps((common, tasks))
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return None
+    try:
+        sent = [executor.submit(call, *common, task) for task in tasks]
+        return [f.result() for f in sent]
+    except concurrent.futures.BrokenExecutor:
         return None
 
 

@@ -10,7 +10,6 @@ its mass on the side that is allowed.
 from __future__ import annotations
 
 import concurrent.futures
-import pickle
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -32,7 +31,9 @@ from greybox.estimation.problem import Problem, Value, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND, LevenbergMarquardt
 from greybox.estimation.status import Code, Status
 from greybox.model.dynamics import Dynamics
+from greybox.statistics.normal_mass import log_mass
 from greybox.symbolic import BoolArray, FloatArray
+from greybox.workers import side_by_side
 
 Key = tuple[str, str | None]
 """An unknown and, where it is one flight's own, the flight (or record)."""
@@ -114,19 +115,10 @@ def log_evidence(problem: Problem, theta: FloatArray, value: Value) -> float:
         if np.isfinite(u.sigma):
             total -= float(np.log(u.sigma)) + 0.5 * float(np.log(2 * np.pi))
             if bounded and u.kind == "parameter":
-                total -= _log_mass(u.lower, u.upper, u.mean, u.sigma)
+                total -= log_mass(u.lower, u.upper, u.mean, u.sigma)
         if bounded and u.kind == "parameter" and free[i]:
-            total += _log_mass(u.lower, u.upper, float(theta[i]), float(spread[i]))
+            total += log_mass(u.lower, u.upper, float(theta[i]), float(spread[i]))
     return float(total)
-
-
-def _log_mass(low: float, high: float, mean: float, sigma: float) -> float:
-    """Log of what a normal distribution has between two bounds."""
-    a, b = (low - mean) / sigma, (high - mean) / sigma
-    if a > 0:
-        a, b = -b, -a
-    mass = scipy.special.ndtr(b) - scipy.special.ndtr(a)
-    return float(np.log(max(mass, 1e-300)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,14 +216,11 @@ class Flights:
         """Tasks, side by side where there is an executor; what cannot be sent runs here."""
         common = self.causes, self.data, self.options
         problems = [self._problem(t.structure) for t in tasks]
-        answers: list[Solution] = []
-        if self.executor is not None and len(tasks) > 1 and _sendable((common, tasks)):
-            try:
-                sent = [self.executor.submit(solved, *common, t) for t in tasks]
-                answers = [f.result() for f in sent]
-            except concurrent.futures.BrokenExecutor:  # a process was killed, or cannot read these
-                self.executor, answers = None, []
-        answers = answers or [solution(p, t) for p, t in zip(problems, tasks, strict=True)]
+        answers = None
+        if self.executor is not None and len(tasks) > 1:
+            answers = side_by_side(self.executor, solved, common, tasks)
+        if answers is None:
+            answers = [solution(p, t) for p, t in zip(problems, tasks, strict=True)]
         out = []
         for task, problem, (theta, status, value) in zip(tasks, problems, answers, strict=True):
             evidence = -np.inf
@@ -337,15 +326,6 @@ def solution(problem: Problem, task: Task) -> Solution:
         )
         theta, status = solver.solve(problem, start)
         return theta, status, problem.evaluate(theta)  # kept by the problem
-
-
-def _sendable(content: object) -> bool:
-    """Whether it can be pickled."""
-    try:
-        pickle.dumps(content)
-    except (pickle.PicklingError, AttributeError, TypeError):
-        return False
-    return True
 
 
 def vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:

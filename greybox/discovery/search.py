@@ -219,13 +219,21 @@ class Search:
 
     def contest(self, at: Fitted) -> dict[str, list[Rival]]:
         """Every cause of `at` beyond the base against what could take its place, and nothing."""
-        return {name: self._rivals(at, name) for name in self.added(at)}
+        more = frozenset(self.crowded_out(at))
+        return {name: self._rivals(at, name, more) for name in self.added(at)}
 
-    def _rivals(self, at: Fitted, name: str) -> list[Rival]:
+    def crowded_out(self, at: Fitted) -> list[str]:
+        """Causes that would gain next to those of `at`, where these are as many as may be: in the
+        place of a name they would gain for what they are."""
+        scores, full = self._scored(at), len(self.added(at)) >= self.most
+        return [n for n in scores.absent if full and scores.gain(n) > self.price]
+
+    def _rivals(self, at: Fitted, name: str, but: frozenset[str] = frozenset()) -> list[Rival]:
         left, known = at.structure - {name}, _without(at, self.flights, name)
         rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]
         asked: list[Move] = [(left, [known])]
-        for share, names, p in self._scored(at).instead(name)[: RULES.rivals]:
+        instead = [r for r in self._scored(at).instead(name) if not but & set(r[1])]
+        for share, names, p in instead[: RULES.rivals]:
             if share < RULES.stand_in:
                 break
             rows.append((names, share))

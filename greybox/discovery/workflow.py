@@ -243,6 +243,9 @@ class _Run:
         null = self.flights.fit(causes.base)
         at = search.run(null)
         self.say("certificates", 0.6)
+        if more := search.crowded_out(at):
+            more_said = f"{', '.join(more)} would make the flights likelier, too: --max-effects"
+            self.warnings.append(f"as many effects as were asked for ({search.most}); {more_said}")
         rivals = search.contest(at)
         names, at = self._named(search, at, rivals)
         found = self.settled(at)
