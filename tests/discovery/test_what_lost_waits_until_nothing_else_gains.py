@@ -71,3 +71,19 @@ def test_no_move_from_where_a_search_ends_gains():
 def test_what_only_a_fit_can_judge_is_not_asked_beyond_the_most_that_there_may_be():
     one, _, _ = searched(0, most=1)
     assert max(len(s) for s in one.kept if s & set(UNSCORED)) == 1
+
+
+def test_what_would_gain_next_to_a_full_structure_is_said_and_stands_in_for_nothing():
+    one, search, at = searched(0)
+    alone = one.fit({"a"})
+    assert search.crowded_out(at) == [], "there is room"
+    # "b" is "a" in part: it would take the place of "a" by what it gains besides.
+    one.columns = {**one.columns, "b": one.columns["b"] + 3.0 * one.columns["a"]}
+    one.kept.clear()
+    full = Search(flights=one, most=1, say=lambda _text, _share: None)  # type: ignore[arg-type]
+    assert full.crowded_out(alone) == ["b"]
+    instead = {names for share, names, _ in full._scored(alone).instead("a") if share > 0.5}
+    assert ("b",) in instead
+    assert {r.instead for r in full.contest(alone)["a"]} == {()}
+    full.most = 2
+    assert ("b",) in {r.instead for r in full.contest(alone)["a"]}
