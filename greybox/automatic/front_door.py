@@ -10,7 +10,8 @@ from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import adaptation, fit_decided, on_pieces, prepare
 from greybox.automatic.like import like
 from greybox.data import Dataset
-from greybox.errors import DataError, GreyboxError
+from greybox.data.halves import demand_disjoint
+from greybox.errors import GreyboxError
 from greybox.estimation.fit import fit as explicit_fit
 from greybox.estimation.options import FitChoices, FitOptions, says_choices
 from greybox.estimation.record import sample_time
@@ -78,8 +79,7 @@ def _automatic(
     progress: Progress | None,
 ) -> Fit:
     FitOptions.of(None, choices)  # an unknown keyword is said before any work is done
-    if test is not None and (both := sorted(set(data.names) & set(test.names))):
-        raise DataError(f"flight {', '.join(both)} is both train and test")
+    demand_disjoint(data.names, () if test is None else test.names)
     prepared = prepare(vehicle, data)
     facts = facts_of(prepared.data, vehicle, prepared.report)
     vehicle = vehicle if source is None else like(vehicle, source, facts)

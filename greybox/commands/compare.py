@@ -92,7 +92,7 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, run the methods one by one, report."""
     from greybox.baselines.compare import compare
-    from greybox.commands.own_model import demand_disjoint
+    from greybox.data.halves import demand_disjoint
     from greybox.estimation.record import sample_time
     from greybox.files import write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
@@ -103,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
     vehicle = read_vehicle(arguments.vehicle)
     train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
     test = read_flight_logs(arguments, arguments.test, vehicle, rate=1 / sample_time(train))
-    demand_disjoint(train, test)
+    demand_disjoint(train.names, test.names)
     bench = _bench(arguments, vehicle, train, test, console)
     out = Path(arguments.out)
     command = typed("compare")

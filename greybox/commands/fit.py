@@ -298,8 +298,9 @@ def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared,
     a flight in both."""
     from greybox.automatic.fit import prepare, read_flights
     from greybox.data import Dataset
+    from greybox.data.halves import demand_disjoint
     from greybox.data.logs import read_possible
-    from greybox.errors import DataError, GreyboxError
+    from greybox.errors import DataError
     from greybox.estimation.record import sample_time
 
     keep = bool(arguments.keep_impossible)
@@ -318,12 +319,7 @@ def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared,
             f"flight names given twice: {', '.join(double)}",
             fix="give each log once, under its own file name",
         )
-    both = sorted({r.flight for r in logs} & {r.flight for r in others})
-    if both:
-        raise GreyboxError(
-            f"flight {', '.join(both)} is both train and test",
-            fix="give every flight to one of the two",
-        )
+    demand_disjoint(names, (r.flight for r in others))
     prepared = prepare(
         vehicle,
         logs,

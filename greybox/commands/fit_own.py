@@ -31,7 +31,8 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.commands.judgement import exit_code, given_horizons
     from greybox.commands.mcap_option import write_if_asked
     from greybox.commands.model_options import fit_options
-    from greybox.commands.own_model import demand_disjoint, read_flights_of
+    from greybox.commands.own_model import read_flights_of
+    from greybox.data.halves import demand_disjoint
     from greybox.errors import GreyboxError
     from greybox.estimation.fit import fit
     from greybox.estimation.record import sample_time
@@ -45,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     model = load_own_model(arguments.model_file)
     train = read_flights_of(arguments, model, arguments.train, rate=arguments.rate)
     test = read_flights_of(arguments, model, arguments.test, rate=1 / sample_time(train))
-    demand_disjoint(train, test)
+    demand_disjoint(train.names, test.names)
     out = Path(arguments.out)
 
     try:

@@ -19,7 +19,7 @@ from greybox.commands.judgement import (
     horizon_options,
 )
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
-from greybox.commands.own_model import demand_disjoint, loaded, model_file_option, read_flights_of
+from greybox.commands.own_model import loaded, model_file_option, read_flights_of
 
 if TYPE_CHECKING:
     from greybox.data import Dataset
@@ -125,6 +125,7 @@ def _linear_options(p: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, learn, validate before and after, report."""
     from greybox.commands.learn_output import RESULTS, feature_names, is_linear, run_output
+    from greybox.data.halves import demand_disjoint
     from greybox.files import withdraw, write_atomic, write_json
     from greybox.model.layer import physics_of
     from greybox.model.verdict import NOT_JUDGED
@@ -148,7 +149,7 @@ def run(arguments: argparse.Namespace) -> int:
         read_flights_of(arguments, model.dynamics, paths, rate=1.0 / model.sample_time)
         for paths in (arguments.train, arguments.test)
     )
-    demand_disjoint(train, test)
+    demand_disjoint(train.names, test.names)
     console = Console.of(arguments)
     learned = learn(
         model,

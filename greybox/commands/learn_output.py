@@ -38,8 +38,8 @@ def run_output(arguments: argparse.Namespace) -> int:
     from greybox.baselines.output_judge import judge
     from greybox.baselines.output_residual import fit_output_residual, read_linear
     from greybox.commands.judgement import given_horizons, horizon_steps
-    from greybox.commands.own_model import demand_disjoint
     from greybox.data import Dataset
+    from greybox.data.halves import demand_disjoint
     from greybox.errors import GreyboxError
     from greybox.files import withdraw, write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
@@ -56,7 +56,7 @@ def run_output(arguments: argparse.Namespace) -> int:
 
     train = flights(arguments.train)
     test = flights(arguments.test) if arguments.test else Dataset(flights=())
-    demand_disjoint(train, test)
+    demand_disjoint(train.names, test.names)
     base, channels = combined(models, {s.name: s.terms for s in inputs})
     hybrid = fit_output_residual(
         base,

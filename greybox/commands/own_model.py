@@ -107,14 +107,3 @@ def read_flights_of(
     own = None if rate == "needed" else rate
     found = read_records(paths, inputs, outputs, rate=own, mapping=arguments.mapping)
     return Dataset(flights=found.flights)
-
-
-def demand_disjoint(train: Dataset, test: Dataset) -> None:
-    """Raise `GreyboxError` for a flight that is both."""
-    from greybox.errors import GreyboxError
-
-    if both := sorted(set(train.names) & set(test.names)):
-        raise GreyboxError(
-            f"flight {', '.join(both)} is both train and test",
-            fix="give every flight to one of the two",
-        )

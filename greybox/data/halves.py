@@ -1,16 +1,37 @@
-"""Halves: flights in two sets of which each judges what the other taught."""
+"""Flights that teach and flights that judge: kept apart, or the halves of those there are."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from greybox.data.dataset import Dataset
+from greybox.errors import DataError
 
 APART = 0.5
 """Seconds between the halves of a single flight: what is remembered has faded."""
+
+EITHER = "give every flight to one of the two"
+
+
+def demand_disjoint(train: Iterable[str], test: Iterable[str]) -> None:
+    """Raise `DataError` for names of flights that are in both."""
+    if both := sorted(set(train) & set(test)):
+        raise DataError(f"flight {', '.join(both)} is both train and test", fix=EITHER)
+
+
+def demand_apart(train: Dataset, test: Dataset) -> None:
+    """Raise `DataError` for a flight that is in both, whatever its names."""
+    taught = {f.sha256 for f in train if f.sha256}
+    for f in test:
+        if f.sha256 in taught or any(f is g for g in train):
+            raise DataError(
+                f"flight {f.name} is both train and test",
+                expected="test flights that did not teach",
+                fix=EITHER,
+            )
 
 
 def renamed(data: Dataset, taken: Sequence[str]) -> Dataset:

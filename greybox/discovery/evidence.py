@@ -176,6 +176,12 @@ class Flights:
         self._carried_out(list(tasks.values()))
         return [self._known[structure] for structure, _ in asked]
 
+    def arrived(self, found: Fitted) -> Fitted:
+        """The fit of an answer, carried on from where its iterations ended until nothing moves."""
+        e, start = self.effort, (found.known,)
+        task = Task(structure=found.structure, starts=start, tolerance=e.exact, iterations=e.last)
+        return self._carried_out([task])[0] if found.status.code is Code.MAX_ITERATIONS else found
+
     def contest(
         self, asked: Sequence[tuple[Structure, Sequence[Start]]], than: Fitted
     ) -> list[Fitted]:

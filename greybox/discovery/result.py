@@ -219,14 +219,18 @@ class Discovery(Shown):
         kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
         found += [f"in the model, not certified: {kept}"] if kept else []
         what = "nothing is missing that has a name"
-        what = f"{doubt(self.gap)}MISSING: {'; '.join(found)}" if found else what
+        rough = "NOT CONVERGED, every number may move: " * bool(self.fit and not self.fit.converged)
+        what = rough + (f"{doubt(self.gap)}MISSING: {'; '.join(found)}" if found else what)
         if held:
             return f"{what}; without a name: {', '.join(held)}"
         if found:
             return f"{what}; nothing clear is left"
         least = list(self.minimum_detectable.items())[:3]
         seen = ", ".join(f"{n} {next(iter(v.values())):.2g}" for n, v in least)
-        return "NOTHING MISSING" + f" (would have been certified from {seen} on, ...)" * bool(seen)
+        return (
+            f"{rough}NOTHING MISSING"
+            + f" (would have been certified from {seen} on, ...)" * bool(seen)
+        )
 
     def summary(self) -> str:
         """The verdict in words, most important first."""

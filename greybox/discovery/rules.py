@@ -47,6 +47,8 @@ class Effort:
     together: int = 6
     """Causes that one step adds at most: the later ones rest on the earlier ones."""
     iterations: int = 60
+    last: int = 300
+    """Iterations that the fit of the answer goes on for."""
     opening: int = 6
     """Iterations after which a fit is first held against the best."""
     rough: float = 0.1

@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.data.checks.finding import WANDER
+from greybox.data.halves import demand_apart
 from greybox.data.lead import without_lead_in
 from greybox.discovery.alike import separating
 from greybox.discovery.cause import Causes, offer
@@ -87,7 +88,8 @@ def discover(
     vehicle = subject if isinstance(subject, Vehicle) else None
     tested = test if test is not None and test.flights else None
     settings = _settings(options)
-    _disjoint(train, tested)
+    if tested is not None:
+        demand_apart(train, tested)
     if vehicle is not None:
         if faults is None:
             faults = check(train if tested is None else train + tested, vehicle)
@@ -187,18 +189,6 @@ def refused(
     )
 
 
-def _disjoint(train: Dataset, test: Dataset | None) -> None:
-    """Raise `DataError` for a flight that would judge what it proposed."""
-    taught = {f.sha256 for f in train if f.sha256}
-    for f in () if test is None else test:
-        if f.sha256 in taught or any(f is g for g in train):
-            raise DataError(
-                f"flight {f.name} is both train and test",
-                expected="test flights that did not propose",
-                fix="give every flight to one of the two",
-            )
-
-
 def _long_enough(train: Dataset) -> None:
     longest = max((s.n * f.dt for f in train for s in f.segments), default=0.0)
     if longest < SHORTEST_FLIGHT:
@@ -248,6 +238,7 @@ class _Run:
             self.warnings.append(f"as many effects as were asked for ({search.most}); {more_said}")
         rivals = search.contest(at)
         names, at = self._named(search, at, rivals)
+        at = self.flights.arrived(at)
         found = self.settled(at)
         self.say("what is left", 0.8)
         left = self._left(at, found)
