@@ -143,7 +143,7 @@ def _log_e(
         paid = regret(first, both, keys) if keys and first.value.valid and both.value.valid else 0.0
         told.append(_less(lead - lost - paid, *mine, *other))
         most.append(lead - lost + sum(f.may_gain for f in (*mine, *other)))
-        gained.append((_less(lead, *mine), mine[1].known))
+        gained.append((_less(lead, *mine), {**mine[1].known, **other[1].known}))
     sharp, highest = _mean(told), _mean(most)
     highest = highest if np.isfinite(highest) else np.inf  # else a fit says nothing
     if sharp >= bar + np.log(2) or highest < 0 or (highest < bar and sharp >= np.log(2)):
@@ -151,9 +151,8 @@ def _log_e(
     known, structure = rival.fitted.known, rival.fitted.structure
     logs = []
     for split, (lead, new) in zip(judges, gained, strict=True):
-        worst = split.judge.fit(
-            structure, [known, {**at.known, **known}, {**new, **known}], within=min(within, rough)
-        )
+        starts = [known, {**at.known, **known}, new]
+        worst = split.judge.fit(structure, starts, within=min(within, rough))
         logs.append(_less(lead + worst.value.likelihood, worst))
     return _mean([_mean(logs), sharp]), highest
 

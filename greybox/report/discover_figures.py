@@ -47,7 +47,7 @@ def paired_bars(
     axes.xaxis.set_major_formatter(_SHORT)
     axes.locator_params(axis="x", nbins=4)
     axes.set_xlabel(_plain(f"RMS [{unit}]"), fontsize=8.5, color=MUTED, labelpad=2)
-    axes.set_title(_plain(title), fontsize=9.5, color=INK, loc="left", pad=5)
+    axes.set_title(_plain(title), fontsize=9.5, color=INK, loc="left", pad=5, y=1.0)
     return figure
 
 

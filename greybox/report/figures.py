@@ -60,7 +60,7 @@ def _label(axes: Axes, *, x: str = "", y: str = "", title: str = "") -> None:
     axes.set_ylabel(_plain(y), fontsize=8.5, color=MUTED)
     # At a fixed place, so that long numbers never push it off the figure.
     axes.yaxis.set_label_coords((0.14 - _LEFT) / (WIDTH - _LEFT - _RIGHT), 0.5)
-    axes.set_title(_plain(title), fontsize=9.5, color=INK, loc="left", pad=5)
+    axes.set_title(_plain(title), fontsize=9.5, color=INK, loc="left", pad=5, y=1.0)
 
 
 def _plain(text: str) -> str:
