@@ -186,7 +186,7 @@ class Flights:
         self, asked: Sequence[tuple[Structure, Sequence[Start]]], than: Fitted
     ) -> list[Fitted]:
         """Structures that are held against each other and against `than`, each from the likeliest
-        of its starts: carried on as long as they may catch up, and exact where they come near."""
+        of its starts: carried on as long as they may catch up, and exact where they may win."""
         e = self.effort
         new = [(s, tuple(starts)) for s, starts in asked if s not in self._known]
         self.prepare(s for s, _ in new)
@@ -213,9 +213,9 @@ class Flights:
         )
         self._carried_out([replace(goes_on, structure=f.structure, starts=(f.known,)) for f in on])
         best = max([than, *found()], key=lambda f: f.log_evidence)
-        near = [f for f in found() if f.log_evidence > best.log_evidence - e.behind]
-        for f in near:
-            self.fit(f.structure)
+        for f in found():
+            if f.log_evidence > best.log_evidence - min(f.may_gain, e.behind):
+                self.fit(f.structure)
         return found()
 
     def _carried_out(self, tasks: Sequence[Task]) -> list[Fitted]:

@@ -276,7 +276,7 @@ class Search:
                 "added": [n for names, f in tried if f is best and gained > 0 for n in names],
             }
             self.steps.append(step)
-        return best if gained > 0 else None
+        return self.flights.fit(best.structure) if best is not None and gained > 0 else None
 
 
 def _change(at: Fitted, structure: Structure) -> tuple[Structure, Structure]:
