@@ -20,7 +20,6 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -28,18 +27,20 @@ import numpy.typing as npt
 
 from greybox.errors import FitError
 from greybox.estimation.lost_commands import Pushes
+from greybox.estimation.point_functions import PointFunction
 from greybox.estimation.record import lost_bits
 from greybox.estimation.reference_point import (
-    FEW,
     Fixed,
     Reference,
     ReferenceStep,
     once_per_model,
-    reference_step,
     unchanging,
 )
 from greybox.model.dynamics import Dynamics
-from greybox.symbolic import CASADI, FloatArray
+from greybox.symbolic import Expr, FloatArray
+
+MANY = 64
+"""Linearisations that are kept: those of the latest models."""
 
 
 class Linearisation:
@@ -70,60 +71,37 @@ class Linearisation:
         self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
     ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
         """((A, G, C, D), (dA, dG, dC, dD)); derivatives have the active parameter as first axis."""
-        function, places = _slopes(self._reference)
-        with CASADI:
-            value, slope = function(x, window, p, dt)
-            slopes = np.zeros(slope.shape)
-            slopes[places] = slope.nonzeros()
-            values = value.full()
-            del value, slope
-        some = slopes if self._columns is None else slopes[:, self._columns]
-        return self._unpack(values, False), self._unpack(some, True)
+        values, slopes = _functions(self._reference).with_slopes(x, window, p, dt)
+        some = slopes if self._columns is None else slopes[self._columns]
+        return self._unpack(values[None], False), self._unpack(some, True)
 
     def values(
         self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
     ) -> tuple[FloatArray, ...]:
         """(A, G, C, D)."""
-        function = _values(self._reference)
-        with CASADI:
-            value = function(x, window, p, dt).full()
-        return self._unpack(value, False)
+        return self._unpack(_functions(self._reference).values(x, window, p, dt)[None], False)
 
-    def _unpack(self, columns: Any, many: bool) -> tuple[FloatArray, ...]:
+    def _unpack(self, stacked: FloatArray, many: bool) -> tuple[FloatArray, ...]:
         out, at = [], 0
         for rows, cols in self._shapes:
-            block = columns[at : at + rows * cols]
+            block = stacked[:, at : at + rows * cols]
             at += rows * cols
-            stack = np.ascontiguousarray(block.T.reshape(-1, cols, rows).transpose(0, 2, 1))
+            stack = np.ascontiguousarray(block.reshape(-1, cols, rows).transpose(0, 2, 1))
             out.append(stack if many else stack[0])
         return tuple(out)
 
 
-@lru_cache(maxsize=FEW)
-def _stacked(reference: Reference) -> tuple[ReferenceStep, Any]:
-    """A model's step, and (A, G, C, D) of it column by column."""
-    with CASADI:
-        at = reference_step(reference.dynamics, reference.fixed)
-        a = at.out @ ca.jacobian(at.after, at.x) @ at.into
-        g = at.out @ ca.jacobian(at.after, at.w)
-        c, d = -(ca.jacobian(at.e, at.x) @ at.into), -ca.jacobian(at.e, at.w)
-        return at, ca.vertcat(*(ca.densify(ca.vec(v)) for v in at.at_rest([a, g, c, d])))
+def _stacked(at: ReferenceStep) -> Expr:
+    """(A, G, C, D) of a model's step, column by column."""
+    a = at.out @ ca.jacobian(at.after, at.x) @ at.into
+    g = at.out @ ca.jacobian(at.after, at.w)
+    c, d = -(ca.jacobian(at.e, at.x) @ at.into), -ca.jacobian(at.e, at.w)
+    return ca.vertcat(*(ca.densify(ca.vec(v)) for v in at.at_rest([a, g, c, d])))
 
 
-@lru_cache(maxsize=FEW)
-def _values(reference: Reference) -> Any:
-    with CASADI:
-        at, stacked = _stacked(reference)
-        return at.function("linearisation_value", stacked)
-
-
-@lru_cache(maxsize=FEW)
-def _slopes(reference: Reference) -> tuple[Any, tuple[npt.NDArray[np.intp], ...]]:
-    """The values with their slopes, and where what is not zero of these stands."""
-    with CASADI:
-        at, stacked = _stacked(reference)
-        made = at.with_slopes("linearisation", stacked, reference.active)
-        return made, tuple(np.array(v, dtype=np.intp) for v in made.sparsity_out(1).get_triplet())
+@lru_cache(maxsize=MANY)
+def _functions(reference: Reference) -> PointFunction:
+    return PointFunction(reference, "linearisation", _stacked)
 
 
 _built = once_per_model(Linearisation)

@@ -46,7 +46,7 @@ class ReferenceStep:
     def __init__(self, dynamics: Dynamics, fixed: Fixed) -> None:
         s = symbols(dynamics)
         self.x, self.window, self.p, self.w, self.dt = s["x"], s["U"], s["p"], s["w"], s["dt"]
-        self._names = [q.name for q in dynamics.parameters]
+        self.names = [q.name for q in dynamics.parameters]
         self.after = dynamics.step(0, self.x, self.window, self.p, self.w, self.dt)
         self._predicted = dynamics.output(0, self.x, self.window, self.p, self.w, self.dt)
         self.into, self.out = chart_jacobians(dynamics, self.x, self.after)
@@ -65,13 +65,27 @@ class ReferenceStep:
             ca.substitute(seen, [self.x, self.w], [self._point, ca.DM.zeros(self.w.numel())])
         )
 
+    @property
+    def whole(self) -> ca.Function:
+        """All that derivatives follow from, as one function."""
+        given = [self.x, self.window, self.p, self.w, self._measured, self.dt]
+        made = [self.after, self._predicted, self.e, self.into, self.out]
+        return ca.Function("step", given, made)
+
+    def along(self, active: Sequence[str]) -> tuple[Expr, Expr]:
+        """A direction of the parameters, and its numbers for the active ones, which span it."""
+        seed, whole = ca.SX.sym("seed", len(active)), ca.SX(len(self.names), 1)
+        for i, name in enumerate(active):
+            whole[self.names.index(name)] = seed[i]
+        return whole, seed
+
     def function(self, name: str, values: Expr) -> ca.Function:
         """(x, window, p, dt) to `values`."""
         return ca.Function(name, [self.x, self.window, self.p, self.dt], [values])
 
     def with_slopes(self, name: str, values: Expr, active: Iterable[str]) -> ca.Function:
         """(x, window, p, dt) to `values` and their slopes in the active parameters."""
-        chosen = [self._names.index(a) for a in active]
+        chosen = [self.names.index(a) for a in active]
         slopes = ca.jacobian(values, self.p)[:, chosen] if chosen else ca.SX(values.numel(), 0)
         return ca.Function(name, [self.x, self.window, self.p, self.dt], [values, slopes])
 

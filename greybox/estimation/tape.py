@@ -90,6 +90,8 @@ CHUNK = 8192
 """Neighbours that may change places."""
 SAMPLES = 32
 """Samples that one pass over a tape takes at most."""
+WIDTHS = (8, 16, SAMPLES)
+"""Samples that a pass can take, see `gb_tape_width`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,6 +145,34 @@ class Linear:
             for i in range(function.n_out())
         ]
         return cls(tape_of(function), sparsities)
+
+    def sparsity(self, i: int) -> npt.NDArray[np.int64]:
+        """Of result i, in CasADi's compressed form."""
+        return self._sparsities[i]
+
+    def at_points(self, library: Any, *arguments: npt.ArrayLike) -> list[FloatArray]:
+        """The structural nonzeros of every result, (points, numbers) each. The last argument has a
+        row for every point, the others are the same for all. `library` holds `gb_tape`."""
+        *common, own = (np.asarray(a, dtype=np.float64) for a in arguments)
+        same = [np.ravel(a, order="F") for a in common]
+        own = np.ascontiguousarray(own)
+        out = [np.empty((len(own), n)) for n in self._tape.lengths]
+        work = np.empty(self._tape.work)
+        for begin in range(0, len(own), SAMPLES):
+            rows = own[begin : begin + SAMPLES]
+            wide = next(w for w in WIDTHS if w >= len(rows))
+            last = [*rows, *[rows[-1]] * (wide - len(rows))]
+            given = [v.ctypes.data for v in [*(a for a in same for _ in range(wide)), *last]]
+            library.gb_tape(
+                ctypes.c_void_p(self.carrier.instructions),
+                ctypes.c_void_p(self.carrier.constants),
+                (ctypes.c_void_p * len(given))(*given),
+                (ctypes.c_void_p * len(out))(*(v[begin:].ctypes.data for v in out)),
+                ctypes.c_void_p(self.carrier.lengths),
+                ctypes.c_void_p(work.ctypes.data),
+                len(rows),
+            )
+        return out
 
     def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
         """All that it is made of, by name."""

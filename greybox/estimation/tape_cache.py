@@ -20,7 +20,14 @@ import numpy as np
 from greybox.estimation.cache import cache_dir, find, keep, key_of, say
 from greybox.estimation.tape import Linear
 
-MAKERS = ("engine.py", "tape.py", "tape_cache.py")
+MAKERS = (
+    "engine.py",
+    "tape.py",
+    "tape_cache.py",
+    "reference_point.py",
+    "point_functions.py",
+    "gain.py",
+)
 """What a tape depends on besides the expressions, in this package."""
 SUFFIX = ".npz"
 

@@ -7,11 +7,11 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from greybox.estimation import gain
+from greybox.estimation import point_functions
 from greybox.estimation.gain import Linearisation, linearisation_at
 from greybox.estimation.problem import make_problem
-from greybox.estimation.reference_point import FEW
 from greybox.model.model import PhysicsModel
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import read_vehicle
@@ -28,22 +28,22 @@ def craft(*effects: str) -> PhysicsModel:
     return PhysicsModel(vehicle=vehicle, sensors=SENSORS[:5]).with_effect(*effects)
 
 
-def test_what_was_derived_for_earlier_models_is_forgotten_and_made_again():
-    """A search looks at a hundred structures, whose expressions do not all fit into memory."""
-    model = craft()
-    x = model.reference({f"u{i}": 0.5 for i in range(1, 5)})
-    window, p = (
-        np.full((len(model.inputs), 1), 0.5),
-        np.array([q.nominal for q in model.parameters]),
-    )
-    every = [Linearisation(model, (q.name,)) for q in model.parameters[: FEW + 2]]
-    before = gain._values.cache_info().misses
-    first = every[0].values(x, window, p, 0.01)
-    for lin in (*every, every[-1], every[0]):
-        for a, b in zip(lin.values(x, window, p, 0.01), first):
-            np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
-    assert gain._values.cache_info().currsize <= FEW
-    assert gain._values.cache_info().misses == before + len(every) + 1
+def test_a_tape_at_one_point_is_the_function_in_the_vm(monkeypatch: pytest.MonkeyPatch):
+    model = craft("motor_lag", "rotor_drag")
+    active = ("inertia.xx", "thrust.c2", "motor_lag.tau", "rotor_drag.k_x")
+    x = model.reference({f"u{i}": 0.5 + 0.01 * i for i in range(1, 5)})
+    p = np.array([q.nominal + 0.1 * q.scale for q in model.parameters])
+    at = x, np.full((len(model.inputs), 1), 0.55), p, 0.01
+    if point_functions.tape_library() is None:
+        pytest.skip("no C compiler here")
+    on_tape = Linearisation(model, active)
+    written = [*on_tape(*at), on_tape.values(*at)]
+    monkeypatch.setattr(point_functions, "tape_library", lambda: None)
+    in_vm = Linearisation(model, active)
+    for ours, theirs in zip(written, [*in_vm(*at), in_vm.values(*at)], strict=True):
+        assert any(np.abs(v).max() > 0 for v in ours)
+        for a, b in zip(ours, theirs, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12 * max(np.abs(b).max(), 1e-300))
 
 
 def test_a_fixed_point_gives_the_same_linearisation():
