@@ -12,8 +12,10 @@ from greybox.data import Dataset, Flight
 from greybox.discovery.cause import offer, sensor_cause
 from greybox.discovery.colour import sensor_proposals
 from greybox.discovery.evidence import Flights
+from greybox.discovery.result import Discovery
 from greybox.discovery.rules import EFFORT
 from greybox.discovery.search import Search
+from greybox.estimation.status import Code
 from greybox.model.noise import Coloured, LowPass
 from tests.discovery.small_world import damped, shorten, vehicle
 
@@ -97,3 +99,20 @@ def test_no_filter_is_sought_where_clocks_wander():
     assert {"coloured.accelerometer", "low_pass.accelerometer"} <= offered[False]
     assert "coloured.accelerometer" in offered[True]
     assert not any(n.startswith("low_pass") for n in offered[True])
+
+
+def test_the_fit_of_an_answer_goes_on_until_it_has_arrived_and_says_first_where_it_did_not():
+    world = damped()
+    world.effort = replace(EFFORT, iterations=2)
+    cut = world.fit(world.causes.base)
+    assert cut.status.code is Code.MAX_ITERATIONS
+    short = replace(world, effort=replace(EFFORT, last=1)).arrived(cut)
+    said = {
+        name: Discovery(
+            verdict="nothing_missing", omega_known=True, seconds=0.0, fit=world.settled(found)
+        ).line
+        for name, found in (("short", short), ("whole", world.arrived(cut)))
+    }
+    assert said["short"].startswith("NOT CONVERGED, every number may move: NOTHING MISSING")
+    assert said["whole"].startswith("NOTHING MISSING")
+    assert world.arrived(cut).value.cost < cut.value.cost
