@@ -15,14 +15,20 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import scipy.optimize
 
 from greybox.data import Dataset
 from greybox.errors import FitError
+from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.engine import engine_for
 from greybox.estimation.filtering import at_reference
+from greybox.estimation.predictor import Block
 from greybox.estimation.record import make_record
 from greybox.estimation.settling import Settling
+from greybox.estimation.solver import Value
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.unknown import Unknown
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 
@@ -30,6 +36,9 @@ LIMITS = (0.02, 5.0)
 """Bounds of the factors on the levels."""
 WIDE = (1e-3, 50.0)
 """Bounds of the factors where every level has its own."""
+ARRIVED = 1e-3
+"""Log likelihood that a further step promises where the search ends."""
+NOT_FINITE = Value(cost=np.inf, likelihood=np.inf, valid=False)
 
 
 def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) -> IdentifiedModel:
@@ -42,54 +51,121 @@ def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) ->
     heads = [n.rpartition(".")[0] or n for n in model.dynamics.noises.names]
     groups = list(dict.fromkeys(heads))
     members = np.array([groups.index(h) for h in heads])
-    engine = engine_for(model.dynamics, ())
-    linear = at_reference(model)
-    runs = [(make_record(engine, s), model.flight_vector(f.name)) for f in data for s in f.segments]
-
-    def cost(levels: FloatArray) -> float:
-        try:
-            settling = Settling(
-                values=linear, q=levels**2, r=model.sensor_noise**2, weak=model.weak**2
-            )
-            filters = [settling.gains(record, record.spread) for record, _ in runs]
-        except FitError:
-            return np.inf
-        total, count = 0.0, 0
-        for (record, p), found in zip(runs, filters, strict=True):
-            gains, covariance, _ = found.tables()
-            run = engine.run(
-                x0=record.x0,
-                pattern=found.pattern,
-                gains=gains,
-                p=p,
-                **record.samples,
-            )
-            if run.failed_at is not None or run.innovations is None:
-                return np.inf
-            for k, s in enumerate(covariance):
-                e = run.innovations[found.pattern == k]
-                total += 0.5 * float(np.sum(e @ np.linalg.inv(s) * e)) + 0.5 * len(e) * float(
-                    np.linalg.slogdet(s)[1]
-                )
-                count += len(e)
-        return total / max(count, 1)
-
+    likelihood = _Likelihood(model, data, members, len(groups))
     own = model.process_noise
-    before = cost(own)
+    before = likelihood.cost(own)
     if not np.isfinite(before):
         return model
     if each:
-        return replace(model, process_noise=_one_by_one(cost, own, before))
-    best = scipy.optimize.minimize(
-        lambda v: cost(own * np.exp(v)[members]),
-        np.zeros(len(groups)),
-        method="Powell",
-        bounds=[tuple(np.log(LIMITS))] * len(groups),
-        options={"xtol": 0.01, "ftol": 1e-6, "maxiter": 6},
-    )
-    if not best.fun < before:
+        return replace(model, process_noise=_one_by_one(likelihood.cost, own, before))
+    solver = LevenbergMarquardt(tolerance=ARRIVED)
+    found, _ = solver.solve(likelihood, np.zeros(likelihood.n))
+    levels = likelihood.levels(found)
+    if not likelihood.cost(levels) < before:
         return model
-    return replace(model, process_noise=own * np.exp(best.x)[members])
+    return replace(model, process_noise=levels)
+
+
+class _Likelihood:
+    """Negative log likelihood of the innovations of all flights as an objective: unknowns are the
+    logarithms of one factor for each of n `groups` of levels, `members` (n_w,) the group of every
+    level."""
+
+    def __init__(
+        self, model: IdentifiedModel, data: Dataset, members: npt.NDArray[np.int_], groups: int
+    ) -> None:
+        self._model, self._members, self._linear = model, members, at_reference(model)
+        self._engine = engine_for(model.dynamics, ())
+        self._runs = [
+            (make_record(self._engine, s), model.flight_vector(f.name))
+            for f in data
+            for s in f.segments
+        ]
+        low, high = np.log(LIMITS)
+        self.unknowns = tuple(
+            Unknown(
+                name=f"noise group {i}",
+                kind="noise",
+                flight=None,
+                start=0.0,
+                lower=float(low),
+                upper=float(high),
+                mean=0.0,
+                sigma=np.inf,
+                scale=1.0,
+                unit="-",
+            )
+            for i in range(groups)
+        )
+        self.n = groups
+        self.lower, self.upper = np.full(groups, low), np.full(groups, high)
+        self.scale = np.ones(groups)
+
+    def levels(self, theta: FloatArray) -> FloatArray:
+        """The process noise (n_w,) at logarithms (n,) of the factors."""
+        return np.asarray(self._model.process_noise * np.exp(theta)[self._members])
+
+    def cost(self, levels: FloatArray) -> float:
+        """At noise levels (n_w,); infinite where the filter is not finite."""
+        return self._evaluated(levels, None).cost
+
+    def evaluate(self, theta: FloatArray, order: int = 1, scores: int | None = None) -> Value:
+        """Cost and, for order 1, gradient and Fisher information at `theta` (n,); no scores."""
+        levels = self.levels(theta)
+        if not order:
+            return self._evaluated(levels, None)
+        slope = np.zeros((self.n, levels.size))
+        slope[self._members, np.arange(levels.size)] = 2 * levels**2
+        return self._evaluated(levels, slope)
+
+    def _evaluated(self, levels: FloatArray, slope: FloatArray | None) -> Value:
+        model, engine, ns = self._model, self._engine, 0 if slope is None else self.n
+        still = tuple(np.zeros((0, *v.shape)) for v in self._linear)
+        criterion, order = Gaussian(), int(slope is not None)
+        cost, gradient, hessian = 0.0, np.zeros(ns), np.zeros((ns, ns))
+        try:
+            settling = Settling(
+                values=self._linear,
+                q=levels**2,
+                r=model.sensor_noise**2,
+                weak=model.weak**2,
+                slopes=None if slope is None else still,
+                dq=slope,
+                dr=None if slope is None else np.zeros((ns, engine.ne)),
+            )
+            for record, p in self._runs:
+                found = settling.gains(record, record.spread)
+                gains, covariance, slopes = found.tables()
+                run = engine.run(
+                    x0=record.x0,
+                    pattern=found.pattern,
+                    gains=gains,
+                    p=p,
+                    s0=None if slope is None else np.zeros((engine.nd, ns)),
+                    want=frozenset({"innovations", "sensitivity"}),
+                    **record.samples,
+                )
+                if run.failed_at is not None or run.innovations is None:
+                    return NOT_FINITE
+                block = Block(
+                    record=record,
+                    e=run.innovations,
+                    mask=record.mask,
+                    jacobian=run.sensitivity,
+                    columns=np.arange(ns),
+                    covariance=covariance,
+                    covariance_slope=slopes,
+                    pattern=found.pattern,
+                )
+                c, g, h, _ = criterion.of_block(block, order, None)
+                cost += c
+                if order:
+                    gradient, hessian = gradient + g, hessian + h
+        except FitError:
+            return NOT_FINITE
+        if not order:
+            return Value(cost=cost, likelihood=cost)
+        return Value(cost=cost, likelihood=cost, gradient=gradient, hessian=hessian)
 
 
 def _one_by_one(

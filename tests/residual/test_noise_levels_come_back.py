@@ -40,3 +40,12 @@ def test_levels_are_right_on_average():
 
 def test_a_level_that_was_driven_to_nothing_stays_there_without(data):
     assert refit_noise(hybrid_cases.pendulum_model((0.02, 0.3)), data).process_noise[0] < 0.11
+
+
+def test_a_factor_is_the_same_from_below_and_from_above(data):
+    low, high = (
+        refit_noise(hybrid_cases.pendulum_model((start, 1e-6)), data).process_noise[0]
+        for start in (0.2, 0.8)
+    )
+    assert low == pytest.approx(high, rel=1e-3)
+    assert low == pytest.approx(0.354, rel=0.05)

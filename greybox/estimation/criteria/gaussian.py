@@ -68,7 +68,7 @@ class Gaussian:
             with np.errstate(
                 over="ignore", invalid="ignore", divide="ignore"
             ):  # does not reach threads from outside
-                return b.columns, self._block(
+                return b.columns, self.of_block(
                     b, order, scores
                 )  # not the block: its sensitivities are large
 
@@ -155,9 +155,11 @@ class Gaussian:
         np.add.at(table, np.arange(n) // size, per_sample)
         return cost, per_sample.sum(axis=0), flat.T @ flat + 2.0 * half.T @ half, table
 
-    def _block(
+    def of_block(
         self, b: Block, order: int, scores: int | None
     ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """(cost, gradient (n_s,), Hessian (n_s, n_s), scores) of one record that brings its
+        covariance, in its own columns."""
         if b.variance is not None:
             return self._decorrelated(b, order, scores)
         assert b.covariance is not None
