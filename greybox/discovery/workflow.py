@@ -213,8 +213,8 @@ class _Run:
     save: Callable[[Discovery], None]
     began: float
     warnings: list[str] = field(default_factory=list)
-    _held_out: dict[frozenset[str], HeldOutErrors | None] = field(default_factory=dict)
-    _settled: dict[frozenset[str], Fit] = field(default_factory=dict)
+    _held_out: dict[Fitted, HeldOutErrors | None] = field(default_factory=dict)
+    _settled: dict[Fitted, Fit] = field(default_factory=dict)
 
     @property
     def bar(self) -> float:
@@ -301,18 +301,18 @@ class _Run:
 
     def settled(self, at: Fitted) -> Fit:
         """The whole result of a fit, once."""
-        if at.structure not in self._settled:
-            self._settled[at.structure] = self.flights.settled(at)
-        return self._settled[at.structure]
+        if at not in self._settled:
+            self._settled[at] = self.flights.settled(at)
+        return self._settled[at]
 
     def held_out(self, at: Fitted) -> HeldOutErrors | None:
         """Errors of a structure on the flights that judge; None where it predicts nothing there."""
-        if at.structure not in self._held_out:
+        if at not in self._held_out:
             try:
-                self._held_out[at.structure] = self._ahead(self.settled(at).model)
+                self._held_out[at] = self._ahead(self.settled(at).model)
             except GreyboxError:
-                self._held_out[at.structure] = None
-        return self._held_out[at.structure]
+                self._held_out[at] = None
+        return self._held_out[at]
 
     def _ahead(self, model: IdentifiedModel, unnamed: bool = False) -> HeldOutErrors:
         return predict_ahead(model, self.judges, adapt=self.options.adapt, unnamed=unnamed)

@@ -12,9 +12,11 @@ from greybox.data import Dataset, Flight
 from greybox.discovery.cause import offer, sensor_cause
 from greybox.discovery.colour import sensor_proposals
 from greybox.discovery.evidence import Flights
+from greybox.discovery.options import DiscoverOptions
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import EFFORT
 from greybox.discovery.search import Search
+from greybox.discovery.workflow import _Run
 from greybox.estimation.status import Code
 from greybox.model.noise import Coloured, LowPass
 from tests.discovery.small_world import damped, shorten, vehicle
@@ -116,3 +118,25 @@ def test_the_fit_of_an_answer_goes_on_until_it_has_arrived_and_says_first_where_
     assert said["short"].startswith("NOT CONVERGED, every number may move: NOTHING MISSING")
     assert said["whole"].startswith("NOTHING MISSING")
     assert world.arrived(cut).value.cost < cut.value.cost
+
+
+def test_a_result_is_that_of_its_own_fit_not_of_an_earlier_one_of_the_same_structure():
+    """Rivals are fitted roughly, and the structure of the answer may have been one."""
+    world = damped()
+    world.effort = replace(EFFORT, iterations=2)
+    rough = world.fit(world.causes.base)
+    run = _Run(
+        flights=world,
+        test=None,
+        judges=world.data,
+        options=DiscoverOptions(),
+        settings={},
+        say=lambda _text, _share: None,
+        save=lambda _found: None,
+        began=0.0,
+    )
+    assert not run.settled(rough).converged
+    whole = world.arrived(rough)
+    assert whole.structure == rough.structure
+    assert run.settled(whole).converged
+    assert run.settled(rough) is run.settled(rough)
