@@ -50,7 +50,7 @@ from mpc_export.tube.gate import Gate, plausible
 from mpc_export.tube.heading import TURN, room, turning, within
 from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
-from mpc_export.tube.rival import DENIED, Rival, likelier
+from mpc_export.tube.rival import Known, Rival, likelier
 from mpc_export.tube.solver import Outcome, TubeSolver
 from mpc_export.tube.stages import block
 
@@ -184,6 +184,7 @@ class TubeController:
             for at, name in enumerate(self.filter.adapted.names)
             if name.startswith("error.disturbance.")
         ]
+        self._learned = list(self.filter.adapted.rows)
         self._adapt = native(self.filter["adapt_step"]) if self.adapt is not None else None
         self.calibrated = Calibrated(self.filter) if self.calibrate else None
         self.solver = TubeSolver(
@@ -394,88 +395,97 @@ class TubeController:
             if math.isfinite(value) and low - room <= value <= high + room:
                 self.p[i] = value
         y, there = self._there(measured)
-        (after, innovation, expected), learned = self._filtered(y, there)
-        share, believed = self.gate(innovation.full().ravel(), there), there
+        before = Known(self.estimate, self.p[self._learned], self._unsure)
+        after, innovation, expected = self._filtered(before, y, there)
+        share, believed = self.gate(innovation, there), there
         if (share < 1.0).any():
             moved, believed = self._believed(time, share, y, there, expected)
-            (after, _, _), learned = self._filtered(moved, believed)
+            after, _, _ = self._filtered(before, moved, believed)
         if called and not there.any():
             self._note(time, "no measurement")
         for j, (k, rows) in enumerate(self._pose):
             if (there[rows].all() and share[k] > 0.0) or math.isinf(self._seen[j]):
                 self._seen[j] = time
-        found = after.full().ravel()
-        if np.isfinite(found).all():
+        if np.isfinite(after.x).all():
             if self.calibrated is not None:
-                self.calibrated.sees(self.estimate, found, self.u, self.p, y, believed)
-            self.estimate = found
-            self._learn(learned)
+                self.calibrated.sees(self.estimate, after.x, self.u, self.p, y, believed)
+            self._know(after)
         else:
             self._note(time, "the filter's estimate is not finite")
-        self._challenge(time, y, there, innovation)
+        self._challenge(time, before, y, there, innovation, bool((share == 0.0).any()))
 
     def _filtered(
-        self, y: FloatArray, there: FloatArray
-    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any] | None]:
-        """(Next state, innovation, expected measurement), (parameters, covariance of what is
-        adapted) where any is."""
+        self, known: Known, y: FloatArray, there: FloatArray
+    ) -> tuple[Known, FloatArray, FloatArray]:
+        """(What is known at the next sample, innovation, expected measurement). Parameters and
+        covariance stay where the filter's are not finite."""
+        p = self.p.copy()
+        p[self._learned] = known.theta
         if self._adapt is None:
-            return self._step(self.estimate, self.u, self.p, y, there), None
-        after, p, unsure, e, y_hat = self._adapt(
-            self.estimate, self.u, self.p, y, there, self._unsure, self.memory
-        )
-        return (after, e, y_hat), (p, unsure)
-
-    def _learn(self, learned: tuple[Any, Any] | None) -> None:
-        """Take over what the filter says of the parameters, unless it is not finite."""
-        if learned is not None:
-            p, unsure = learned[0].full().ravel(), learned[1].full()
+            after, e, y_hat = self._step(known.x, self.u, p, y, there)
+        else:
+            after, p, unsure, e, y_hat = self._adapt(
+                known.x, self.u, p, y, there, known.unsure, self.memory
+            )
+            theta, unsure = p.full().ravel()[self._learned], unsure.full()
             if self.calibrated is not None:
                 for at, kind, variance in self._pushes:
                     unsure[at, at] += (self.calibrated.unrest(kind) ** 2 - 1.0) * variance
-            if np.isfinite(p).all() and np.isfinite(unsure).all():
-                self.p, self._unsure = p, unsure
+            if np.isfinite(theta).all() and np.isfinite(unsure).all():
+                known = Known(known.x, theta, unsure)
+        return known._replace(x=after.full().ravel()), e.full().ravel(), y_hat.full().ravel()
 
-    def _challenge(self, time: float, y: FloatArray, there: FloatArray, innovation: Any) -> None:
+    def _know(self, known: Known) -> None:
+        self.estimate, self._unsure = known.x, known.unsure
+        self.p = self.p.copy()
+        self.p[self._learned] = known.theta
+
+    def _challenge(
+        self,
+        time: float,
+        before: Known,
+        y: FloatArray,
+        there: FloatArray,
+        innovation: FloatArray,
+        denied: bool,
+    ) -> None:
         """Let an estimate that is begun at what is measured take over where it explains the
-        measurements far better."""
-        denied = self.gate.surprise(innovation.full().ravel(), there)
+        measurements far better. before: what was known before this sample."""
+        surprise = self.gate.surprise(innovation, there)
         for rival in self._rivals:
-            if rival.estimate is not None:
-                after, off, _ = self._step(rival.estimate, self.u, self.p, y, there)
-                rival.goes_on(
-                    after.full().ravel(), denied - self.gate.surprise(off.full().ravel(), there)
-                )
+            if rival.known is not None:
+                after, off, _ = self._filtered(rival.known, y, there)
+                rival.goes_on(after, surprise - self.gate.surprise(off, there))
         posed = all(there[rows].all() for _, rows in self._pose)
-        if denied >= DENIED and posed and all(r.estimate is None for r in self._rivals):
+        if denied and posed and all(r.known is None for r in self._rivals):
             for rival, pushed in zip(self._rivals, (True, False), strict=True):
-                begin = self._measured(y, there, pushed)
-                rival.begins(self._step(begin, self.u, self.p, y, there)[0].full().ravel())
+                begin = self._measured(before, y, there, pushed)
+                rival.begins(self._filtered(begin, y, there)[0])
         rival = likelier(*self._rivals)
         if rival.believed:
+            assert rival.known is not None
             self._note(time, "the filter starts anew")
-            # what is known of what goes on is kept, that of a state that is given up is not
-            own, kept = (
-                self.filter.adapted.covariance.copy(),
-                [*range(len(self.filter.adapted.rows))],
-            )
-            if rival is self._rivals[0]:
-                kept += [at for at, *_ in self._pushes]
-            own[np.ix_(kept, kept)] = self._unsure[np.ix_(kept, kept)]
-            self.estimate, self._unsure = np.asarray(rival.estimate), own
+            self._know(rival.known)
             self._rivals = Rival(), Rival()
             self.gate.start()
             if self.calibrated is not None:
                 self.calibrated.anew()
             self._seen = [time] * len(self._pose)
 
-    def _measured(self, y: FloatArray, there: FloatArray, pushed: bool) -> FloatArray:
-        """The state that the measurements of one sample say, `pushed` as the estimate is if rotors
-        could hold against it; at rest where they say nothing."""
-        state = np.array(self.solver.stages.steady[0][: self.filter.own_states])
+    def _measured(self, before: Known, y: FloatArray, there: FloatArray, pushed: bool) -> Known:
+        """What the measurements of one sample say, `pushed` as `before` is if rotors could hold
+        against it; at rest where they say nothing. As unsure as the start of a flight, and of the
+        push as well as before."""
+        own = self.filter.own_states
+        state = np.array(self.solver.stages.steady[0][:own])
         free = list(self.solver.stages.free)
-        if pushed and (np.abs(self.estimate[free]) < self.most).all():
-            state[free] = self.estimate[free]
+        kept = [*range(len(self._learned))]
+        unsure = self.filter.adapted.covariance.copy()
+        unsure[np.ix_(kept, kept)] = before.unsure[np.ix_(kept, kept)]
+        if pushed and (np.abs(before.x[free]) < self.most).all():
+            state[free] = before.x[free]
+            pushes = [at for at, *_ in self._pushes]
+            unsure[np.ix_(pushes, pushes)] += before.unsure[np.ix_(pushes, pushes)]
         for name, columns in MEASURED.items():
             at = [self.columns.index(c) for c in columns if c in self.columns]
             given = [there[i] > 0.0 for i, rows in enumerate(self._present) if set(rows) & set(at)]
@@ -483,14 +493,14 @@ class TubeController:
                 state[self._rows(name)] = y[at] / (
                     np.linalg.norm(y[at]) if name == "attitude" else 1.0
                 )
-        return np.asarray(self.filter.sampled.extended(state, self._column(self.u))[0])
+        return Known(np.concatenate([state, before.x[own:]]), before.theta, unsure)
 
     def _believed(
-        self, time: float, share: FloatArray, y: FloatArray, there: FloatArray, expected: Any
+        self, time: float, share: FloatArray, y: FloatArray, there: FloatArray, y_hat: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """y and `there` with every sensor moved toward what was expected, so that `share` of its
         innovation is left."""
-        y, there, y_hat = y.copy(), there.copy(), expected.full().ravel()
+        y, there = y.copy(), there.copy()
         for part, (name, at) in zip(share, self.gate.sensors, strict=True):
             if part == 0.0:
                 self._note(time, f"not believed: {name}")

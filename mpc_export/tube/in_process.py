@@ -45,6 +45,8 @@ class TubeInC:
         library = ctypes.CDLL(str(build(sources, link=("-lm",))))
         self._start, self._step = library.flown_tube_start, library.flown_tube_step
         self._step.restype = ctypes.c_uint
+        library.flown_tube_state.restype = ctypes.c_void_p
+        self._state, self._states = library.flown_tube_state, len(pilot.filter.states)
         self._type: Any = np.float32 if real == "float" else np.float64
         self._c = ctypes.c_float if real == "float" else ctypes.c_double
         self.problem, self.dt = pilot.problem, pilot.model.sample_time
@@ -85,6 +87,12 @@ class TubeInC:
         self.said.append(int(said))
         self.u = u.astype(float)
         return self.u.copy()
+
+    @property
+    def estimate(self) -> FloatArray:
+        """State of the filter for the next sample, (n_x,)."""
+        at = (self._c * self._states).from_address(self._state())
+        return np.array(at, dtype=float)
 
 
 def _number(value: object) -> float:

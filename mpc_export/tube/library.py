@@ -36,7 +36,7 @@ from mpc_export.tube.controller import (
 from mpc_export.tube.descent import HELD
 from mpc_export.tube.heading import TURN
 from mpc_export.tube.problem import TubeProblem
-from mpc_export.tube.rival import BELIEVED, DENIED
+from mpc_export.tube.rival import BELIEVED, CLEARLY
 from mpc_export.tube.solver import COARSE, PRIMAL, QP_TOLERANCE, driver, settled
 from mpc_export.tube.stages import block
 
@@ -241,7 +241,7 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         "turning": _list(pilot._turning),
         "turned": pilot._turned,
         "near_heading": near_heading(problem),
-        "denied": DENIED,
+        "clearly": CLEARLY,
         "believed": BELIEVED,
         "held": HELD,
         "most_turn": TURN,

@@ -25,7 +25,7 @@ static const short lag_of[NX - OWN + 1] = @lag_of@, command_of[NX - OWN + 1] = @
 static const int pushes[NFREE1] = TUBE_FREE;
 static const tube_real most_push[NFREE + 1] = @most@; /* that rotors hold against */
 static const tube_real turning[NU] = @turning@, turned = @turned@; /* heading.py */
-static const tube_real denied_at = @denied@, believed_at = @believed@; /* rival.py */
+static const tube_real clearly = @clearly@, believed_at = @believed@; /* rival.py */
 
 enum { POSITION = @at_position@, VELOCITY = @at_velocity@, ATTITUDE = @at_attitude@, RATE = @at_rate@ };
 enum { PUSHED, BARE, RIVALS };
@@ -206,13 +206,13 @@ static unsigned believed(const tube_real *share, const tube_real *y_hat, tube_re
   return said;
 }
 
-/* The state that the measurements of one sample say, pushed as the estimate is if rotors could hold against it; at rest
-   where they say nothing. */
-static void measured(const tube_real *y, const tube_real *there, int pushed, tube_real *x) {
+/* The state that the measurements of one sample say, pushed as `before` is if rotors could hold against it; at rest where
+   they say nothing. */
+static void measured(const tube_real *before, const tube_real *y, const tube_real *there, int pushed, tube_real *x) {
   memcpy(x, hover_x, OWN * sizeof *x);
-  for (int i = 0; i < NFREE; i++) pushed &= fabs(c.known.estimate[pushes[i]]) < most_push[i];
-  for (int i = 0; pushed && i < NFREE; i++) x[pushes[i]] = c.known.estimate[pushes[i]];
-  for (int i = OWN; i < NF; i++) x[i] = c.known.estimate[i];
+  for (int i = 0; i < NFREE; i++) pushed &= fabs(before[pushes[i]]) < most_push[i];
+  for (int i = 0; pushed && i < NFREE; i++) x[pushes[i]] = before[pushes[i]];
+  memcpy(x + OWN, before + OWN, (NF - OWN) * sizeof *x);
   for (int k = 0; k < STARTS; k++)
     for (int i = 0; i < NE; i++)
       if (columns[i][start_from[k][0]] && there[i] != 0) x[start_from[k][1]] = y[start_from[k][0]];
@@ -221,12 +221,12 @@ static void measured(const tube_real *y, const tube_real *there, int pushed, tub
 }
 
 /* Lets an estimate that is begun at what is measured take over where it explains the measurements far better; see rival.py. */
-static unsigned challenged(const tube_real *y, const tube_real *there, const tube_real *e) {
-  tube_real denied = surprise(e, there), next[NF], off[NE], y_hat[NY], start[NF];
+static unsigned challenged(const tube_real *before, const tube_real *y, const tube_real *there, const tube_real *e, int denied) {
+  tube_real surprised = surprise(e, there), next[NF], off[NE], y_hat[NY], start[NF];
   for (int r = 0; r < RIVALS; r++) {
     if (!c.has_rival[r]) continue;
     int failed = filtered(c.rival[r], y, there, next, off, y_hat);
-    tube_real gained = denied - surprise(off, there);
+    tube_real gained = surprised - surprise(off, there);
     c.evidence[r] += gained;
     c.has_rival[r] = gained > 0 && !failed;
     memcpy(c.rival[r], next, sizeof next);
@@ -234,13 +234,13 @@ static unsigned challenged(const tube_real *y, const tube_real *there, const tub
   int posed = 1;
   for (int i = 0; i < NE; i++)
     if (of_pose[sensor_of[i]] && there[i] == 0) posed = 0;
-  if (!c.has_rival[PUSHED] && !c.has_rival[BARE] && denied >= denied_at && posed)
+  if (!c.has_rival[PUSHED] && !c.has_rival[BARE] && denied && posed)
     for (int r = 0; r < RIVALS; r++) {
-      measured(y, there, r == PUSHED, start);
+      measured(before, y, there, r == PUSHED, start);
       c.has_rival[r] = !filtered(start, y, there, c.rival[r], off, y_hat);
       c.evidence[r] = 0;
     }
-  int more = c.has_rival[PUSHED] && c.evidence[PUSHED] >= c.evidence[BARE] + denied_at;
+  int more = c.has_rival[PUSHED] && c.evidence[PUSHED] >= c.evidence[BARE] + clearly;
   int r = c.has_rival[BARE] && !more ? BARE : PUSHED;
   if (!c.has_rival[r] || c.evidence[r] < believed_at) return 0;
   memcpy(c.known.estimate, c.rival[r], sizeof c.rival[r]);
@@ -250,18 +250,22 @@ static unsigned challenged(const tube_real *y, const tube_real *there, const tub
 }
 
 static unsigned seen(const tube_real *y, const unsigned char *given, int called) {
-  tube_real clean[NY], there[NE], e[NE], y_hat[NY], next[NF], share[SENSORS], used[NE], moved[NY];
-  int whole[SENSORS], doubted = 0, failed;
+  tube_real clean[NY], there[NE], e[NE], y_hat[NY], next[NF], share[SENSORS], used[NE], moved[NY], before[NF];
+  int whole[SENSORS], doubted = 0, denied = 0, failed;
   unsigned said = present(y, given, clean, there) || !called ? 0 : @UPPER@_TUBE_NO_MEASUREMENT;
-  failed = filtered(c.known.estimate, clean, there, next, e, y_hat);
+  memcpy(before, c.known.estimate, sizeof before);
+  failed = filtered(before, clean, there, next, e, y_hat);
   memcpy(moved, clean, sizeof moved);
   memcpy(used, there, sizeof used);
   gated(e, there, share, whole);
-  for (int k = 0; k < SENSORS; k++) doubted |= share[k] < 1;
+  for (int k = 0; k < SENSORS; k++) {
+    doubted |= share[k] < 1;
+    denied |= share[k] == 0;
+  }
   if (doubted) {
     tube_real again[NE];
     said |= believed(share, y_hat, moved, used);
-    failed = filtered(c.known.estimate, moved, used, next, again, y_hat);
+    failed = filtered(before, moved, used, next, again, y_hat);
   }
   c.known.seconds_since_pose = 0;
   for (int k = 0; k < SENSORS; k++) {
@@ -273,7 +277,7 @@ static unsigned seen(const tube_real *y, const unsigned char *given, int called)
     said |= @UPPER@_TUBE_FILTER_FAILED;
   else
     memcpy(c.known.estimate, next, sizeof next);
-  return said | challenged(clean, there, e);
+  return said | challenged(before, clean, there, e, denied);
 }
 
 /* ---------------------------------------------------------------------------------------------------------------- plans */

@@ -9,7 +9,7 @@ import pytest
 
 from mpc_export.tube.descent import BLIND, BRAKE, SLOW, SPEED, Descent, Watch, carried
 from mpc_export.tube.gate import PARTLY, REACH, Gate, plausible
-from mpc_export.tube.rival import DENIED, Rival, likelier
+from mpc_export.tube.rival import CLEARLY, Known, Rival, likelier
 from tests.mpc_export.tube.test_controller_flies_and_survives import fly, pilot
 from tests.mpc_export.tube.wild import SOON
 
@@ -96,33 +96,37 @@ def test_a_reason_counts_when_it_holds_more_often_than_not():
     assert Watch()(0.02, {"why": (False, 0.0)}) is None, "what does not hold is no reason"
 
 
+def known(x=0.0):
+    return Known(np.full(3, x), np.zeros(0), np.zeros((0, 0)))
+
+
 def test_a_rival_is_believed_where_it_explains_all_samples_better_and_by_more_than_one_sensor_can():
     rival, weigh = Rival(), gate()
     worst = weigh.surprise(np.array([1e9, 0.0, 0.0, 0.0]), np.ones(4))
-    assert worst == weigh.surprise(np.array([math.nan, 0.0, 0.0, 0.0]), np.ones(4)) > DENIED
+    assert worst == weigh.surprise(np.array([math.nan, 0.0, 0.0, 0.0]), np.ones(4)) > CLEARLY
     assert weigh.surprise(np.array([1e9, 0.0, 0.0, 0.0]), np.array([0.0, 1.0, 1.0, 1.0])) == 0.0
-    rival.begins(np.zeros(3))
-    rival.goes_on(np.zeros(3), worst)
+    rival.begins(known())
+    rival.goes_on(known(), worst)
     assert not rival.believed
-    rival.goes_on(np.zeros(3), worst)
+    rival.goes_on(known(), worst)
     assert rival.believed
-    rival.goes_on(np.zeros(3), -0.1)
-    assert rival.estimate is None
+    rival.goes_on(known(), -0.1)
+    assert rival.known is None
     assert not rival.believed
-    rival.begins(np.array([math.inf, 0.0, 0.0]))
-    assert rival.estimate is None
+    rival.begins(known(math.inf))
+    assert rival.known is None
 
 
 def test_the_rival_that_explains_clearly_more_speaks_for_both_and_the_unpushed_one_else():
     pushed, bare = Rival(), Rival()
     assert not likelier(pushed, bare).believed
-    bare.begins(np.zeros(3))
+    bare.begins(known())
     assert likelier(pushed, bare) is bare, "the other was given up"
-    pushed.begins(np.zeros(3))
+    pushed.begins(known())
     assert likelier(pushed, bare) is bare, "a tie"
-    pushed.evidence = 1.01 * DENIED
+    pushed.evidence = 1.01 * CLEARLY
     assert likelier(pushed, bare) is pushed
-    bare.goes_on(np.zeros(3), -1.0)
+    bare.goes_on(known(), -1.0)
     assert likelier(pushed, bare) is pushed
 
 

@@ -172,6 +172,26 @@ def test_its_heading_gives_way_as_that_of_the_controller_in_python_does(tmp_path
 
 
 @pytest.mark.slow
+def test_an_estimate_that_takes_over_is_that_of_python(tmp_path):
+    """Twice: from hover, and among commands that move."""
+    own = pilot()
+    f, flown = own.filter, TubeInC(own, tmp_path, real="double")
+    own.start()
+    x, u, off, taken = own.estimate.copy(), own.u.copy(), [], []
+    for k in range(60):
+        y = f["h"](x, u, f.parameter_values).full().ravel()
+        measured = dict(zip(own.columns, y)) | {"x": y[0] + 0.4 * (30 <= k < 36)}
+        u_next = own.sample(0.01 * k, measured).copy()
+        flown.sample(0.01 * k, measured)
+        off.append(np.abs(flown.estimate - own.estimate).max())
+        taken.append(bool(flown.said[-1] & 32))
+        x, u = f["f_d"](x, u, f.parameter_values).full().ravel(), u_next
+    assert sum(taken) == sum(e.what == "the filter starts anew" for e in own.events) == 2
+    assert max(off[:34]) < 1e-10
+    assert max(off) < 1e-4  # commands agree no better while they are at their limits
+
+
+@pytest.mark.slow
 def test_no_measurement_moves_a_command_of_the_library_out_of_its_limits():
     flown, problem = in_c("float"), pilot().problem
     rng, f = np.random.default_rng(1), pilot().filter
