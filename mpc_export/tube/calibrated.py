@@ -42,12 +42,11 @@ class Calibrated:
         self._late = [at + delay for at, delay in zip(self.own.first, self.own.delays, strict=True)]
         self._ahead = np.array(self.own.samples) * functions.dt
         names = functions.innovations.names
-        self._place, self._tilt, self._rates = (
+        self._place, self._tilt = (
             [names.index(n) for n in wanted if n in names]
             for wanted in (
                 ("position.x", "position.y", "position.z"),
                 ("attitude.x", "attitude.y"),
-                ("p", "q"),
             )
         )
         self.start()
@@ -84,14 +83,6 @@ class Calibrated:
         self.held = np.where(due, size <= self._half * np.exp(self._theta[:, self._late]), np.nan)
         theta, scale = self._calibrate(self._theta, error, seen, self.own.sigma, LEVEL, GAIN)
         self._theta, self.scale = theta.full(), scale.full()
-
-    def unrest(self, kind: str) -> float:
-        """By how much larger than stated disturbances of a kind, "force" or "torque", must be: the
-        largest scale of the place, or of roll and pitch, beyond one sample, and of their rates, to
-        which a torque adds up within one; 1 where they are not measured or errors are smaller."""
-        rows = self._place if kind == "force" else self._tilt
-        found = [self.scale[rows, 1:], self.scale[self._rates if kind == "torque" else []]]
-        return max(float(v.max(initial=1.0)) for v in found)
 
     def wider(self, ahead: FloatArray, planes: FloatArray) -> FloatArray:
         """(n, n_p + 1): factors of the planes (n, n_p, 4) and of the tilt, (n,) seconds after the

@@ -50,6 +50,7 @@ from mpc_export.tube.gate import Gate, plausible
 from mpc_export.tube.heading import TURN, room, turning, within
 from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
+from mpc_export.tube.restless import Restless
 from mpc_export.tube.rival import Known, Rival, likelier
 from mpc_export.tube.solver import Outcome, TubeSolver
 from mpc_export.tube.stages import block
@@ -129,8 +130,8 @@ class TubeController:
     (calibrated.py). adapt: the filter learns parameters in flight and plans use them
     (adaptation.py): those that differ between the model's training flights, and those named, with
     the standard deviation that they may be off by ({}: the former alone; None: nothing). They are
-    forgotten within `memory` [s], 0: never. Both together: where errors are larger than stated,
-    disturbances are followed faster. lost [m]: farther from the reference than this, a descent is
+    forgotten within `memory` [s], 0: never. Where disturbances walk faster than stated, they are
+    followed faster (restless.py). lost [m]: farther from the reference than this, a descent is
     declared; only for references that do not jump. The sample time of `problem` must be a multiple
     of the model's. Raises `ModelError`, `BuildError`.
     """
@@ -179,11 +180,16 @@ class TubeController:
         noise = dict(
             zip(self.filter.error_states.names, np.diag(self.filter.noise.filtered), strict=True)
         )
-        self._pushes = [
-            (at, name.split(".")[2], float(noise[f"d_{name.removeprefix('error.')}"]))
+        pushes = {
+            at: f"d_{name.removeprefix('error.')}"
             for at, name in enumerate(self.filter.adapted.names)
             if name.startswith("error.disturbance.")
-        ]
+        }
+        self._pushes = list(pushes)
+        self._walk = np.array([noise[n] for n in pushes.values()])
+        self.restless = Restless(
+            self.filter, [self.filter.error_states.names.index(n) for n in pushes.values()]
+        )
         self._learned = list(self.filter.adapted.rows)
         self._adapt = native(self.filter["adapt_step"]) if self.adapt is not None else None
         self.calibrated = Calibrated(self.filter) if self.calibrate else None
@@ -248,6 +254,7 @@ class TubeController:
         self.steady = (self._state(), self.u.copy())
         self.p = self.functions.parameter_values.copy()
         self._unsure = self.filter.adapted.covariance.copy()
+        self._steps = self.restless.start()
         self.count = 0
         self.plan: Plan | None = None
         self.descent: Descent | None = None
@@ -395,7 +402,7 @@ class TubeController:
             if math.isfinite(value) and low - room <= value <= high + room:
                 self.p[i] = value
         y, there = self._there(measured)
-        before = Known(self.estimate, self.p[self._learned], self._unsure)
+        before = Known(self.estimate, self.p[self._learned], self._unsure, self._steps)
         after, innovation, expected = self._filtered(before, y, there)
         share, believed = self.gate(innovation, there), there
         if (share < 1.0).any():
@@ -428,15 +435,14 @@ class TubeController:
                 known.x, self.u, p, y, there, known.unsure, self.memory
             )
             theta, unsure = p.full().ravel()[self._learned], unsure.full()
-            if self.calibrated is not None:
-                for at, kind, variance in self._pushes:
-                    unsure[at, at] += (self.calibrated.unrest(kind) ** 2 - 1.0) * variance
+            steps = self.restless.sees(known.steps, np.where(there > 0.0, e.full().ravel(), 0.0))
+            unsure[self._pushes, self._pushes] += self.restless.more(steps) * self._walk
             if np.isfinite(theta).all() and np.isfinite(unsure).all():
-                known = Known(known.x, theta, unsure)
+                known = Known(known.x, theta, unsure, steps)
         return known._replace(x=after.full().ravel()), e.full().ravel(), y_hat.full().ravel()
 
     def _know(self, known: Known) -> None:
-        self.estimate, self._unsure = known.x, known.unsure
+        self.estimate, self._unsure, self._steps = known.x, known.unsure, known.steps
         self.p = self.p.copy()
         self.p[self._learned] = known.theta
 
@@ -484,8 +490,8 @@ class TubeController:
         unsure[np.ix_(kept, kept)] = before.unsure[np.ix_(kept, kept)]
         if pushed and (np.abs(before.x[free]) < self.most).all():
             state[free] = before.x[free]
-            pushes = [at for at, *_ in self._pushes]
-            unsure[np.ix_(pushes, pushes)] += before.unsure[np.ix_(pushes, pushes)]
+            pushes = np.ix_(self._pushes, self._pushes)
+            unsure[pushes] += before.unsure[pushes]
         for name, columns in MEASURED.items():
             at = [self.columns.index(c) for c in columns if c in self.columns]
             given = [there[i] > 0.0 for i, rows in enumerate(self._present) if set(rows) & set(at)]
@@ -493,7 +499,8 @@ class TubeController:
                 state[self._rows(name)] = y[at] / (
                     np.linalg.norm(y[at]) if name == "attitude" else 1.0
                 )
-        return Known(np.concatenate([state, before.x[own:]]), before.theta, unsure)
+        x = np.concatenate([state, before.x[own:]])
+        return Known(x, before.theta, unsure, self.restless.start())
 
     def _believed(
         self, time: float, share: FloatArray, y: FloatArray, there: FloatArray, y_hat: FloatArray

@@ -36,12 +36,13 @@ sample."""
 
 
 class Known(NamedTuple):
-    """All that a filter knows at a sample: state x (n_x,), learned parameters theta (n_t,), and
-    how unsure (n_a, n_a) both are beyond the settled filter."""
+    """All that a filter knows at a sample: state x (n_x,), learned parameters theta (n_t,), how
+    unsure (n_a, n_a) both are beyond the settled filter, and the steps (restless.py)."""
 
     x: FloatArray
     theta: FloatArray
     unsure: FloatArray
+    steps: FloatArray
 
 
 class Rival:

@@ -97,7 +97,7 @@ def test_a_reason_counts_when_it_holds_more_often_than_not():
 
 
 def known(x=0.0):
-    return Known(np.full(3, x), np.zeros(0), np.zeros((0, 0)))
+    return Known(np.full(3, x), np.zeros(0), np.zeros((0, 0)), np.zeros((2, 0)))
 
 
 def test_a_rival_is_believed_where_it_explains_all_samples_better_and_by_more_than_one_sensor_can():

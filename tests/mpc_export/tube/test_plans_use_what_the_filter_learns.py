@@ -11,7 +11,6 @@ import pytest
 
 from greybox.errors import ModelError
 from mpc_export.functions import model_functions
-from mpc_export.tube.calibrated import Calibrated
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.problem import TubeProblem
 from tests.mpc_export import cases
@@ -70,39 +69,6 @@ def test_disturbances_that_do_not_decay_start_as_those_identified_do():
     settled = f.noise.covariance.diagonal()[at - len(f.adapted.rows)]
     assert f.adapted.covariance[at, at] == pytest.approx(start - settled, rel=1e-6)
     assert math.sqrt(start) == pytest.approx(2.827e-3, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_errors_ten_times_as_large_as_stated_make_the_filter_follow_a_force_sooner(monkeypatch):
-    """A force of a tenth of the weight comes at once."""
-    controller = pilot()
-    model = controller.model
-    plant = model_functions(model)
-    at = plant.states.names.index("disturbance.force.x")
-    force, left = 0.1 * 9.81 * model.values["mass"], {}
-    for size in (1.0, 10.0):
-        monkeypatch.setattr(controller.calibrated, "unrest", lambda kind, size=size: size)
-        controller.start()
-        x, u, off = controller.estimate.copy(), controller.u, []
-        for k in range(90):
-            x[at] = force * (k >= 50)
-            y = plant["h"](x, u, plant.parameter_values).full().ravel()
-            new = controller.sample(0.01 * k, dict(zip(plant.outputs.names, y.tolist())))
-            x, u = plant["f_d"](x, u, plant.parameter_values).full().ravel(), np.array(new)
-            off.append(abs(controller.estimate[at] / force - (k >= 50)))
-        left[size] = np.mean(off[55:])
-    assert left[10.0] < 0.7 * left[1.0]
-
-
-def test_disturbances_are_as_restless_as_the_largest_scale_of_what_they_move():
-    functions = model_functions(cases.disturbed(), with_=("calibrate",))
-    own = Calibrated(functions)
-    assert own.unrest("force") == own.unrest("torque") == 1.0
-    own.scale[1] = [9.0, 1.0, 3.0, 2.0, 0.5]
-    own.scale[4] = 0.5
-    assert (own.unrest("force"), own.unrest("torque")) == (3.0, 1.0)
-    own.scale[functions.innovations.names.index("p"), 0] = 4.0
-    assert (own.unrest("force"), own.unrest("torque")) == (3.0, 4.0), "a torque shows at once"
 
 
 @pytest.mark.slow
