@@ -51,7 +51,7 @@ from mpc_export.tube.heading import TURN, room, turning, within
 from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.restless import Restless
-from mpc_export.tube.rival import Known, Rival, likelier
+from mpc_export.tube.rival import CLEARLY, Known, Rival, likelier
 from mpc_export.tube.solver import Outcome, TubeSolver
 from mpc_export.tube.stages import block
 
@@ -262,7 +262,7 @@ class TubeController:
         self.gate.start()
         if self.calibrated is not None:
             self.calibrated.start()
-        self._rivals = Rival(), Rival()
+        self._rivals, self._denied = (Rival(), Rival()), False
         self._watch = Watch()
         self._told: float | None = None
         self._ahead = self._phase = 0.0
@@ -456,14 +456,22 @@ class TubeController:
         denied: bool,
     ) -> None:
         """Let an estimate that is begun at what is measured take over where it explains the
-        measurements far better. before: what was known before this sample."""
+        measurements far better. before: what was known before this sample; denied: whether a
+        sensor was not believed at all."""
         surprise = self.gate.surprise(innovation, there)
         for rival in self._rivals:
             if rival.known is not None:
                 after, off, _ = self._filtered(rival.known, y, there)
                 rival.goes_on(after, surprise - self.gate.surprise(off, there))
         posed = all(there[rows].all() for _, rows in self._pose)
-        if denied and posed and all(r.known is None for r in self._rivals):
+        calm = posed and surprise < CLEARLY and not self.gate.wide.any()
+        self._denied = denied or (self._denied and not calm)
+        if (
+            self._denied
+            and surprise >= CLEARLY
+            and posed
+            and all(r.known is None for r in self._rivals)
+        ):
             for rival, pushed in zip(self._rivals, (True, False), strict=True):
                 begin = self._measured(before, y, there, pushed)
                 rival.begins(self._filtered(begin, y, there)[0])
@@ -472,8 +480,8 @@ class TubeController:
             assert rival.known is not None
             self._note(time, "the filter starts anew")
             self._know(rival.known)
-            self._rivals = Rival(), Rival()
             self.gate.start()
+            self._rivals, self._denied = (Rival(), Rival()), False
             if self.calibrated is not None:
                 self.calibrated.anew()
             self._seen = [time] * len(self._pose)

@@ -2,14 +2,15 @@
 explains the measurements far better.
 
 A filter of constant gain comes back from an error only as fast as its gain, and a nonlinear one
-from a large error not at all. So where a sensor denies the estimate so far that it is not believed
-(share 0, gate.py), another begins at what is measured at that sample, at rest, and is carried on
+from a large error not at all. So an estimate is denied as soon as a sensor is not believed at all
+(gate.py), and until a whole pose surprises no more and the gate is as narrow as at first. While it
+is denied, a sample that surprises begins another: at what is measured, at rest. It is carried on
 beside it by the same filter. Its evidence is the sum of the log-likelihood ratios (Wald 1945,
 Annals of Mathematical Statistics 16(2)). At a sample that it explains no better it is given up, and
-the next that denies the estimate begins another. So wrong measurements, which deny every estimate
-alike, change nothing.
+the next begins another. So wrong measurements, which deny every estimate alike, change nothing. One
+that takes over meets the gate of a flight's start.
 
-A sensor that is doubted begins none: a wind or a weak rotor makes the estimate late, sample by
+A sensor that is doubted denies nothing: a wind or a weak rotor makes the estimate late, sample by
 sample. What begins at measurements would be late the same way soon, and forget what was learned.
 
 Of force and torque one sample says nothing. Two rivals begin: one with those of the estimate, if
@@ -28,8 +29,8 @@ import numpy as np
 from greybox.symbolic import FloatArray
 
 CLEARLY = math.log(2.0)
-"""Evidence by which a rival explains clearly more: one number that is as far off as the gate lets
-through."""
+"""Evidence, or surprise (`Gate.surprise`), that is clear: that of one number as far off as the gate
+lets through."""
 BELIEVED = math.log(1e6)
 """Evidence at which the rival takes over, a million to one: more than one sensor gives in one
 sample."""

@@ -42,7 +42,7 @@ static struct {
   tube_real plan_x[N + 1][NX], plan_u[N][NU]; /* that of the last solution */
   tube_real wide[SENSORS], calm[SENSORS], missing[SENSORS], unseen[SENSORS];
   tube_real rival[RIVALS][NF], evidence[RIVALS], phase, kappa_u;
-  int adrift, has_rival[RIVALS], has_plan, plan_age, failures, count, begun;
+  int adrift, denied, has_rival[RIVALS], has_plan, plan_age, failures, count, begun;
 } c;
 
 static int all_finite(const tube_real *v, int n) {
@@ -234,7 +234,10 @@ static unsigned challenged(const tube_real *before, const tube_real *y, const tu
   int posed = 1;
   for (int i = 0; i < NE; i++)
     if (of_pose[sensor_of[i]] && there[i] == 0) posed = 0;
-  if (!c.has_rival[PUSHED] && !c.has_rival[BARE] && denied && posed)
+  int calm = posed && surprised < clearly;
+  for (int k = 0; k < SENSORS; k++) calm &= c.wide[k] == 0;
+  c.denied = denied || (c.denied && !calm);
+  if (!c.has_rival[PUSHED] && !c.has_rival[BARE] && c.denied && surprised >= clearly && posed)
     for (int r = 0; r < RIVALS; r++) {
       measured(before, y, there, r == PUSHED, start);
       c.has_rival[r] = !filtered(start, y, there, c.rival[r], off, y_hat);
@@ -244,7 +247,7 @@ static unsigned challenged(const tube_real *before, const tube_real *y, const tu
   int r = c.has_rival[BARE] && !more ? BARE : PUSHED;
   if (!c.has_rival[r] || c.evidence[r] < believed_at) return 0;
   memcpy(c.known.estimate, c.rival[r], sizeof c.rival[r]);
-  c.has_rival[PUSHED] = c.has_rival[BARE] = 0;
+  c.denied = c.has_rival[PUSHED] = c.has_rival[BARE] = 0;
   for (int k = 0; k < SENSORS; k++) c.wide[k] = c.calm[k] = c.missing[k] = c.unseen[k] = 0;
   return @UPPER@_TUBE_FILTER_ANEW;
 }

@@ -193,6 +193,22 @@ def test_an_estimate_that_was_thrown_away_is_replaced_before_the_vehicle_is(
     assert not controller.descending
 
 
+def test_an_estimate_that_was_denied_stays_so_where_everything_is_believed_since(controller):
+    """Upside down, while the gate is wide."""
+    rows = [i for i, n in enumerate(controller.filter.states.names) if n.startswith("attitude")]
+
+    def seen(k, y):
+        if k == 60:
+            controller.gate.wide += 20.0
+            controller.gate.calm += 20.0
+            controller.estimate[rows] = [0.0, 1.0, 0.0, 0.0]
+            controller._denied = True
+        return y
+
+    fly(controller, 60 + 2 * SOON, seen=seen)
+    assert kinds(controller) == {"the filter starts anew"}
+
+
 def test_measurements_that_deny_every_estimate_replace_none(controller):
     rng = np.random.default_rng(4)
 

@@ -7,7 +7,7 @@ import pytest
 
 from mpc_export.functions import model_functions
 from mpc_export.tube.restless import Restless
-from mpc_export.tube.rival import Known
+from mpc_export.tube.rival import Known, Rival, likelier
 from tests.mpc_export import cases
 from tests.mpc_export.tube.test_controller_flies_and_survives import pilot as settled
 from tests.mpc_export.tube.test_plans_use_what_the_filter_learns import pilot as adaptive
@@ -93,6 +93,21 @@ def test_a_push_that_makes_the_estimate_late_begins_no_rival():
     assert any(what.startswith("doubted") for what in found)
     assert "the filter starts anew" not in found
     assert 0.1 < np.linalg.norm(path - [0.0, 0.0, 1.0], axis=1).max() < 0.3
+
+
+@pytest.mark.slow
+def test_a_push_that_denies_the_estimate_throws_the_craft_less_far_than_without_rivals(monkeypatch):
+    controller, farthest = settled(), []
+    for speaks in (likelier, lambda *_: Rival()):
+        monkeypatch.setattr("mpc_export.tube.controller.likelier", speaks)
+        away, begun = [], 0
+        for seed in range(6):
+            path, *_ = flight(controller, 200, force=FORCE, torque=0.0022, noise=1.0, seed=seed)
+            away.append(np.linalg.norm(path - [0.0, 0.0, 1.0], axis=1).max())
+            begun += sum(e.what == "the filter starts anew" for e in controller.events)
+        farthest.append(np.mean(away))
+        assert (begun > 0) == (speaks is likelier)
+    assert farthest[0] < farthest[1]
 
 
 @pytest.mark.slow
