@@ -21,7 +21,6 @@ import numpy.typing as npt
 
 from greybox.cores import cores
 from greybox.data import Dataset
-from greybox.errors import FitError
 from greybox.estimation.engine import engine_for
 from greybox.estimation.gain import linearisation_at
 from greybox.estimation.lost_commands import any_lost, lost_commands
@@ -284,11 +283,8 @@ class _Runner:
             p=p,
             **record.samples,
         )
-        if run.failed_at is not None or run.innovations is None:
-            raise FitError(
-                f"the prediction of flight {record.flight} is not finite after sample "
-                f"{run.failed_at}"
-            )
+        run.demand_finite(f"the prediction of flight {record.flight}")
+        assert run.innovations is not None
         return _Passed(innovations=run.innovations, spread=_Spread(table=s, row=found.pattern))
 
     def column(self, d: Parameter, null: float, flight: str | None) -> list[_Column | None]:

@@ -14,7 +14,7 @@
 
 #define REAL double
 typedef long long INT;
-enum { SAMPLES = 32, TOGETHER = 8 };
+enum { SAMPLES = 32 };
 
 /* A tape (tape.py) and the sparsities of its results; `slots` of work memory. */
 typedef struct {

@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from greybox.errors import ModelError, UnknownNameError
+from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, compiler, opened
 from greybox.estimation.cache import say
 from greybox.estimation.tape_cache import linears
@@ -52,6 +52,12 @@ class Run:
     end: FloatArray
     end_sensitivity: FloatArray | None
     failed_at: int | None
+
+    def demand_finite(self, what: str, before: int = 0) -> None:
+        """Raise `FitError` where the numbers of `what` stopped being finite, at a sample that is
+        counted from `before` these n."""
+        if self.failed_at is not None:
+            raise FitError(f"{what} is not finite after sample {before + self.failed_at}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -115,11 +115,7 @@ class Filter:
             want=frozenset({"innovations", "states", "outputs"}),
             **record.samples,
         )
-        if run.failed_at is not None:
-            raise FitError(
-                f"the prediction of flight {segment.flight} is not finite after sample "
-                f"{run.failed_at}"
-            )
+        run.demand_finite(f"the prediction of flight {segment.flight}")
         if run.states is None or run.innovations is None or run.outputs is None:
             raise FitError("the engine returned no arrays")
         return Filtered(

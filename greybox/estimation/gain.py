@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -39,9 +39,6 @@ from greybox.estimation.reference_point import (
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import Expr, FloatArray
 
-MANY = 64
-"""Linearisations that are kept: those of the latest models."""
-
 
 class Linearisation:
     """A, G, C, D of a Dynamics at one state and command, and their derivatives in the active
@@ -51,7 +48,9 @@ class Linearisation:
     """
 
     def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed = ()) -> None:
-        self._reference = Reference(dynamics, tuple(active), fixed)
+        self._active = tuple(active)
+        reference = Reference(dynamics, self._active, fixed)
+        self._functions = PointFunction(reference, "linearisation", _stacked)
         nd, ne, nw = (
             len(v) for v in (dynamics.error_states, dynamics.innovations, dynamics.noises)
         )
@@ -61,7 +60,7 @@ class Linearisation:
     def select(self, columns: npt.NDArray[np.int_]) -> Linearisation:
         """The same linearisation with the derivatives in some of its active parameters only, at
         `columns` among them."""
-        if len(columns) == len(self._reference.active):
+        if len(columns) == len(self._active):
             return self
         some = copy.copy(self)
         some._columns = columns
@@ -71,7 +70,7 @@ class Linearisation:
         self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
     ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
         """((A, G, C, D), (dA, dG, dC, dD)); derivatives have the active parameter as first axis."""
-        values, slopes = _functions(self._reference).with_slopes(x, window, p, dt)
+        values, slopes = self._functions.with_slopes(x, window, p, dt)
         some = slopes if self._columns is None else slopes[self._columns]
         return self._unpack(values[None], False), self._unpack(some, True)
 
@@ -79,7 +78,7 @@ class Linearisation:
         self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
     ) -> tuple[FloatArray, ...]:
         """(A, G, C, D)."""
-        return self._unpack(_functions(self._reference).values(x, window, p, dt)[None], False)
+        return self._unpack(self._functions.values(x, window, p, dt)[None], False)
 
     def _unpack(self, stacked: FloatArray, many: bool) -> tuple[FloatArray, ...]:
         out, at = [], 0
@@ -97,11 +96,6 @@ def _stacked(at: ReferenceStep) -> Expr:
     g = at.out @ ca.jacobian(at.after, at.w)
     c, d = -(ca.jacobian(at.e, at.x) @ at.into), -ca.jacobian(at.e, at.w)
     return ca.vertcat(*(ca.densify(ca.vec(v)) for v in at.at_rest([a, g, c, d])))
-
-
-@lru_cache(maxsize=MANY)
-def _functions(reference: Reference) -> PointFunction:
-    return PointFunction(reference, "linearisation", _stacked)
 
 
 _built = once_per_model(Linearisation)

@@ -59,10 +59,7 @@ def _pass(
         want=frozenset({"innovations", "sensitivity"}),
         **record.samples,
     )
-    if run.failed_at is not None:
-        raise FitError(
-            f"the prediction of flight {record.flight} is not finite after sample {run.failed_at}"
-        )
+    run.demand_finite(f"the prediction of flight {record.flight}")
     assert run.innovations is not None
     return record, run.innovations, run.sensitivity
 

@@ -24,23 +24,22 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from greybox.estimation.point_functions import PointFunction
 from greybox.estimation.record import REACH, Record
 from greybox.estimation.reference_point import (
-    FEW,
     Fixed,
     Reference,
+    ReferenceStep,
     once_per_model,
-    reference_step,
     unchanging,
 )
 from greybox.model.dynamics import Dynamics
-from greybox.symbolic import CASADI, FloatArray
+from greybox.symbolic import Expr, FloatArray
 
 LOST = 0.04
 """Standard deviation of a lost command about the one before, relative to the mean command."""
@@ -98,7 +97,9 @@ class LostCommands:
     """
 
     def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed = ()) -> None:
-        self._reference = Reference(dynamics, tuple(active), fixed)
+        reference = Reference(dynamics, tuple(active), fixed)
+        self._functions = PointFunction(reference, "pushes", _stacked)
+        self._rows = len(dynamics.error_states), len(dynamics.innovations)
         self._now = dynamics.window[0]
         self._slow = [n == "vbat" for n in dynamics.inputs.names]
 
@@ -115,65 +116,40 @@ class LostCommands:
         with `columns` also slopes in those of the active parameters, each times `scale`."""
         sigma = LOST * np.abs(window[:, self._now])
         sigma[self._slow] = 0.0  # the voltage is slow: the row before has it
-        derived = _derived(self._reference)
-        with CASADI:
-            if columns is None:
-                value, slope = derived.values(x, window, p, dt).full(), None
-            else:
-                value, slope = (v.full() for v in derived.slopes(x, window, p, dt))
-        (b, early), (h, _) = self._unpack(derived, value, sigma)
-        if slope is None or columns is None:
+        if columns is None:
+            value = self._functions.values(x, window, p, dt)
+            (b, early), (h, _) = self._unpack(value[None], sigma)
             return Pushes(B=b[0], H=h[0], early=early[0])
-        (db, dearly), (dh, _) = self._unpack(derived, slope[:, columns] * scale, sigma)
+        value, slope = self._functions.with_slopes(x, window, p, dt)
+        (b, early), (h, _) = self._unpack(value[None], sigma)
+        own = slope[columns] * np.reshape(scale, (-1, 1))
+        (db, dearly), (dh, _) = self._unpack(own, sigma)
         return Pushes(B=b[0], H=h[0], early=early[0], dB=db, dH=dh, dearly=dearly)
 
     def _unpack(
-        self, derived: _Derived, columns: FloatArray, sigma: FloatArray
+        self, stacked: FloatArray, sigma: FloatArray
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """[(B, early), (H, unused)] of every column: (columns, past + 2, n, n_u), the latest
-        command first, and (columns, n, n_u) for the command that comes."""
-        made, at = [], 0
-        for (rows, width), (row, column) in zip(derived.shapes, derived.places, strict=True):
-            dense = np.zeros((columns.shape[1], rows, width))
-            dense[:, row, column] = columns[at : at + row.size].T
-            at += row.size
-            by_row = dense.reshape(columns.shape[1], rows, width // sigma.size, sigma.size) * sigma
+        """[(B, early), (H, unused)] of every row of `stacked`: (k, past + 2, n, n_u), the latest
+        command first, and (k, n, n_u) for the command that comes."""
+        made, at, many = [], 0, len(stacked)
+        width = stacked.shape[1] // sum(self._rows)
+        for rows in self._rows:
+            block = stacked[:, at : at + rows * width]
+            at += rows * width
+            by_row = block.reshape(many, -1, sigma.size, rows).transpose(0, 3, 1, 2) * sigma
             late = by_row[:, :, self._now :: -1].transpose(0, 2, 1, 3)
-            none = np.zeros((columns.shape[1], 1, rows, sigma.size))
+            none = np.zeros((many, 1, rows, sigma.size))
             made.append(
                 (np.concatenate([late, none], axis=1), by_row[:, :, self._now + 1 :].sum(axis=2))
             )
         return made
 
 
-@dataclass(frozen=True, eq=False)
-class _Derived:
-    """What is not zero of both derivatives, alone and with slopes; their shapes, and where it
-    stands in each."""
-
-    values: Any
-    slopes: Any
-    shapes: list[tuple[int, int]]
-    places: list[tuple[npt.NDArray[np.intp], ...]]
-
-
-@functools.lru_cache(maxsize=FEW)
-def _derived(reference: Reference) -> _Derived:
-    with CASADI:
-        at = reference_step(reference.dynamics, reference.fixed)
-        commands = ca.vec(at.window)
-        parts = at.at_rest([at.out @ ca.jacobian(at.after, commands), -ca.jacobian(at.e, commands)])
-        parts = [ca.sparsify(v) for v in parts]
-        stacked = ca.vertcat(*(v.nz[:] for v in parts))
-        values = at.function("pushes_value", stacked)
-        slopes = at.with_slopes("pushes", stacked, reference.active)
-        places = [v.sparsity().get_triplet() for v in parts]
-    return _Derived(
-        values=values,
-        slopes=slopes,
-        shapes=[v.shape for v in parts],
-        places=[tuple(np.array(i, dtype=np.intp) for i in rows) for rows in places],
-    )
+def _stacked(at: ReferenceStep) -> Expr:
+    """Derivatives of step and sample in the commands of the window, column by column."""
+    commands = ca.vec(at.window)
+    parts = [at.out @ ca.jacobian(at.after, commands), -ca.jacobian(at.e, commands)]
+    return ca.vertcat(*(ca.densify(ca.vec(v)) for v in at.at_rest(parts)))
 
 
 _built = once_per_model(LostCommands)

@@ -8,6 +8,7 @@ kept between processes as tapes; without a compiler CasADi's VM runs them.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable
 from importlib import resources
@@ -15,7 +16,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from greybox.errors import ModelError
 from greybox.estimation.build import DRIVER_FLAGS, opened
@@ -25,7 +25,8 @@ from greybox.symbolic import CASADI, Expr, FloatArray
 
 
 class PointFunction:
-    """(x, window, p, dt) to m numbers, and to these with their slopes in the active parameters.
+    """(x, window, p, dt) to m numbers, and to these with their slopes in the active parameters;
+    derived when it is first asked for.
 
     `derive` makes the expressions (m,) of the step of a model; `name` stands for it among all that
     is derived of a step.
@@ -34,66 +35,59 @@ class PointFunction:
     def __init__(
         self, reference: Reference, name: str, derive: Callable[[ReferenceStep], Expr]
     ) -> None:
-        self._many = len(reference.active)
-
-        def both() -> ca.Function:
-            at = reference_step(reference.dynamics, reference.fixed)
-            values = ca.cse(ca.sparsify(derive(at)))
-            along, seed = at.along(reference.active)
-            slope = ca.jtimes(values, at.p, along)
-            return ca.Function(name, [at.x, at.window, at.p, at.dt, seed], [values, slope])
-
-        with CASADI:
-            library = tape_library()
-            self._run = self._taped(reference, name, both, library) if library else None
-            if self._run is None:
-                self._run = self._in_vm(both())
-
-    def _taped(
-        self, reference: Reference, name: str, both: Callable[[], ca.Function], library: Any
-    ) -> Callable[..., list[FloatArray]] | None:
-        at = reference_step(reference.dynamics, reference.fixed)
-        by = f"{name} along {reference.active} of {at.names} at {reference.fixed}"
-        try:
-            tape = linears(at.whole, by, {name: both})[name]
-        except ModelError:  # too large for a tape
-            return None
-        self._places([ca.Sparsity.compressed(tape.sparsity(i).tolist()) for i in (0, 1)])
-        return functools.partial(tape.at_points, library)
-
-    def _in_vm(self, function: ca.Function) -> Callable[..., list[FloatArray]]:
-        self._places([function.sparsity_out(i) for i in (0, 1)])
-
-        def run(*arguments: FloatArray) -> list[FloatArray]:
-            *common, seeds = arguments
-            with CASADI:
-                rows = [[v.nonzeros() for v in function.call([*common, s])] for s in seeds]
-            return [np.array(v, dtype=np.float64) for v in zip(*rows, strict=True)]
-
-        return run
-
-    def _places(self, patterns: list[ca.Sparsity]) -> None:
-        self._size = patterns[0].size1()
-        self._rows: list[npt.NDArray[np.intp]] = [np.array(v.row(), np.intp) for v in patterns]
+        self._reference, self._name, self._derive = reference, name, derive
 
     def values(self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float) -> FloatArray:
         """The numbers (m,)."""
-        return self._asked(x, window, p, dt, np.zeros((1, self._many)))[0]
+        return self._asked(x, window, p, dt, np.zeros((1, len(self._reference.active))))[0]
 
     def with_slopes(
         self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
     ) -> tuple[FloatArray, FloatArray]:
         """The numbers (m,) and their slopes (n_active, m)."""
-        if not self._many:
-            return self.values(x, window, p, dt), np.zeros((0, self._size))
-        return self._asked(x, window, p, dt, np.eye(self._many))
+        many = len(self._reference.active)
+        if not many:
+            values = self.values(x, window, p, dt)
+            return values, np.zeros((0, values.size))
+        return self._asked(x, window, p, dt, np.eye(many))
 
     def _asked(self, *arguments: Any) -> tuple[FloatArray, FloatArray]:
-        assert self._run is not None
-        found, along = self._run(*arguments)
-        values, slopes = np.zeros(self._size), np.zeros((len(along), self._size))
-        values[self._rows[0]], slopes[:, self._rows[1]] = found[0], along
+        run, (some, moving) = self._made
+        found, along = run(*arguments)
+        values, slopes = np.zeros(some.size1()), np.zeros((len(along), some.size1()))
+        values[some.row()], slopes[:, moving.row()] = found[0], along
         return values, slopes
+
+    @functools.cached_property
+    def _made(self) -> tuple[Callable[..., list[FloatArray]], list[ca.Sparsity]]:
+        """(What runs it at one point along several directions, the patterns of both results)."""
+        with CASADI:
+            library, active = tape_library(), self._reference.active
+            if library is not None:
+                at = reference_step(self._reference.dynamics, self._reference.fixed)
+                by = f"{self._name} along {active} of {at.names} at {self._reference.fixed}"
+                with contextlib.suppress(ModelError):  # it is too large for a tape
+                    tape = linears(at.whole, by, {self._name: self._both})[self._name]
+                    patterns = [ca.Sparsity.compressed(tape.sparsity(i).tolist()) for i in (0, 1)]
+                    return functools.partial(tape.at_points, library), patterns
+            function = self._both()
+            return functools.partial(_in_vm, function), [function.sparsity_out(i) for i in (0, 1)]
+
+    def _both(self) -> ca.Function:
+        """(x, window, p, dt, direction) to the numbers and their slope along it."""
+        at = reference_step(self._reference.dynamics, self._reference.fixed)
+        values = ca.cse(ca.sparsify(self._derive(at)))
+        along, seed = at.along(self._reference.active)
+        slope = ca.jtimes(values, at.p, along)
+        return ca.Function(self._name, [at.x, at.window, at.p, at.dt, seed], [values, slope])
+
+
+def _in_vm(function: ca.Function, *arguments: Any) -> list[FloatArray]:
+    """As `Linear.at_points`."""
+    *common, directions = arguments
+    with CASADI:
+        rows = [[v.nonzeros() for v in function.call([*common, d])] for d in directions]
+    return [np.array(v, dtype=np.float64) for v in zip(*rows, strict=True)]
 
 
 @functools.cache

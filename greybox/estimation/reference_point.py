@@ -19,8 +19,7 @@ Built = TypeVar("Built")
 
 
 FEW = 8
-"""Functions that are derived from the step of a model and kept: those of the latest models. Of a
-large one they take a hundred megabytes and most of a second."""
+"""Steps that are kept: those of the latest models."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,16 +77,6 @@ class ReferenceStep:
         for i, name in enumerate(active):
             whole[self.names.index(name)] = seed[i]
         return whole, seed
-
-    def function(self, name: str, values: Expr) -> ca.Function:
-        """(x, window, p, dt) to `values`."""
-        return ca.Function(name, [self.x, self.window, self.p, self.dt], [values])
-
-    def with_slopes(self, name: str, values: Expr, active: Iterable[str]) -> ca.Function:
-        """(x, window, p, dt) to `values` and their slopes in the active parameters."""
-        chosen = [self.names.index(a) for a in active]
-        slopes = ca.jacobian(values, self.p)[:, chosen] if chosen else ca.SX(values.numel(), 0)
-        return ca.Function(name, [self.x, self.window, self.p, self.dt], [values, slopes])
 
 
 def unchanging(x: Iterable[float], other: Iterable[float]) -> Fixed:

@@ -45,25 +45,21 @@ def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) ->
     """`model` with the process-noise levels that make the innovations of `data` most likely.
 
     each: refit every level by itself, one after the other (20 s for a minute of flight at 100 Hz).
-    Flights use their own per-flight values. Never less likely than before: where no level helps,
-    the model comes back.
+    Flights use their own per-flight values. Never less likely than before: where no level helps
+    all stay.
     """
     heads = [n.rpartition(".")[0] or n for n in model.dynamics.noises.names]
     groups = list(dict.fromkeys(heads))
     members = np.array([groups.index(h) for h in heads])
     likelihood = _Likelihood(model, data, members, len(groups))
-    own = model.process_noise
-    before = likelihood.cost(own)
-    if not np.isfinite(before):
-        return model
     if each:
-        return replace(model, process_noise=_one_by_one(likelihood.cost, own, before))
+        own = model.process_noise
+        before = likelihood.cost(own)
+        found = _one_by_one(likelihood.cost, own, before) if np.isfinite(before) else own
+        return replace(model, process_noise=found)
     solver = LevenbergMarquardt(tolerance=ARRIVED)
-    found, _ = solver.solve(likelihood, np.zeros(likelihood.n))
-    levels = likelihood.levels(found)
-    if not likelihood.cost(levels) < before:
-        return model
-    return replace(model, process_noise=levels)
+    factors, _ = solver.solve(likelihood, np.zeros(likelihood.n))  # never worse than they start
+    return replace(model, process_noise=likelihood.levels(factors))
 
 
 class _Likelihood:

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 
-from greybox.errors import FitError
 from greybox.estimation.gain import Linearisation, Riccati, linearisation_at
 from greybox.estimation.lost_commands import LostCommands, any_lost, lost_commands
 from greybox.estimation.predictor import Block, Predictor, Prepared_co
@@ -116,11 +115,7 @@ class StationaryGain(Predictor[Prepared_co]):
                 if jacobian
                 else frozenset({"innovations"}),
             )
-            if run.failed_at is not None:
-                at = begin + run.failed_at
-                raise FitError(
-                    f"the prediction of flight {record.flight} is not finite after sample {at}"
-                )
+            run.demand_finite(f"the prediction of flight {record.flight}", begin)
             assert run.innovations is not None
             x, s = run.end, run.end_sensitivity
             if s is not None:
@@ -256,10 +251,6 @@ def filtered_states(
         want=frozenset({"states", "state_sensitivity"}),
         **record.samples,
     )
-    if passed.failed_at is not None:
-        raise FitError(
-            f"the prediction of flight {record.flight} is not finite after sample "
-            f"{passed.failed_at}"
-        )
+    passed.demand_finite(f"the prediction of flight {record.flight}")
     assert passed.states is not None
     return passed.states, passed.state_sensitivity, columns

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from greybox.errors import FitError
 from greybox.estimation.engine import GainTable
 from greybox.estimation.predictor import Block, Predictor
 from greybox.symbolic import FloatArray
@@ -55,11 +54,7 @@ class Simulation(Predictor[None]):
                 want=frozenset({"innovations", "sensitivity"}),
                 **record.samples,
             )
-            if run.failed_at is not None:
-                raise FitError(
-                    f"the simulation of flight {record.flight} is not finite after sample "
-                    f"{run.failed_at}"
-                )
+            run.demand_finite(f"the simulation of flight {record.flight}")
             assert run.innovations is not None
             return Block(
                 record=record,

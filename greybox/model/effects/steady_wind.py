@@ -55,8 +55,13 @@ class SteadyWind(Effect):
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """w_x, w_y, w_z [m/s] world; scope flight."""
-        every: dict[str, Any] = {"unit": "m/s", "meaning": "wind", "scope": "flight"}
-        every |= {"lower": -30.0, "upper": 30.0}
+        every: dict[str, Any] = {
+            "unit": "m/s",
+            "meaning": "wind",
+            "scope": "flight",
+            "lower": -30.0,
+            "upper": 30.0,
+        }
         along = vector_parameters("w_", "xy", scale=BREEZE, **every)
         return (*along, *vector_parameters("w_", "z", scale=BREEZE * RISES, **every))
 
