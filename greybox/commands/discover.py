@@ -162,6 +162,11 @@ def _search_options(p: argparse.ArgumentParser) -> None:
         "--trace", action="store_true", help="also add what is certain and worth nothing"
     )
     p.add_argument(
+        "--executor",
+        metavar="dask://HOST:PORT",
+        help="fit on the workers of this dask scheduler (extra cluster)",
+    )
+    p.add_argument(
         "--attainable",
         action="store_true",
         help="also learn, without a name, what could be closed (extra gp)",
@@ -223,7 +228,7 @@ class _Search:
         """Where an interrupted search goes on."""
         model = self._out / "model.json"
         more = (
-            f"; greybox discover --from {model} --train LOGS goes on from it"
+            f"; greybox discover --from {shlex.quote(str(model))} --train LOGS goes on from it"
             if model.exists()
             else ""
         )
@@ -248,6 +253,7 @@ class _Search:
 
 def _check(arguments: argparse.Namespace, out: Path) -> None:
     """Raise `GreyboxError` for options that do not fit together, before anything is read."""
+    from greybox.cluster import host_of
     from greybox.errors import GreyboxError
     from greybox.residual.laws.effect_file import LAW_FILE
 
@@ -259,6 +265,8 @@ def _check(arguments: argparse.Namespace, out: Path) -> None:
         raise GreyboxError(
             "--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 12"
         )
+    if arguments.executor is not None:
+        host_of(arguments.executor)
     demand_adapt(arguments)
     need_mcap(arguments.mcap)
     if arguments.folder is not None:
@@ -305,7 +313,7 @@ def _subject(
         model = since.core
     else:
         model = load_own_model(arguments.model_file)
-    for option in ("effects_file", "kinematic_noise", "accept", "keep_impossible"):
+    for option in ("effects_file", "kinematic_noise", "accept", "keep_impossible", "executor"):
         if getattr(arguments, option):
             raise GreyboxError(
                 f"--{option.replace('_', '-')} is for vehicles",
@@ -354,7 +362,7 @@ def run(arguments: argparse.Namespace) -> int:
             say_vehicle(subject, console.say)
         asked = _choices(arguments, own, since)
         try:
-            found = _searched(subject, train, test, asked, search, console)
+            found = _searched(subject, train, test, asked, search, console, arguments.executor)
         except KeyboardInterrupt:
             if search.content:
                 search.page()
@@ -400,15 +408,18 @@ def _searched(
     asked: DiscoverChoices,
     search: _Search,
     console: Console,
+    address: str | None,
 ) -> Discovery:
-    """The search itself: fits side by side where there are cores, every state of it written."""
+    """The search itself: fits side by side where there are cores, or on a cluster; every state of
+    it is written."""
+    from greybox.cluster import Cluster
     from greybox.cores import cores
     from greybox.discovery.workflow import discover
     from greybox.model.dynamics import StateSpaceModel
     from greybox.workers import Workers
 
-    side_by_side = not isinstance(subject, StateSpaceModel) and cores() > 1
-    with Workers() as workers:
+    side_by_side = not isinstance(subject, StateSpaceModel) and (cores() > 1 or address is not None)
+    with Workers() if address is None else Cluster(address) as workers:
         return discover(
             subject,
             train,

@@ -23,6 +23,7 @@ BASE = (
     "runs",
     "cores",
     "workers",
+    "cluster",
     "interrupts",
     "progress",
     "shown",

@@ -133,7 +133,7 @@ def test_faults_that_do_no_harm(name: str, tmp_path: Path) -> None:
 def test_the_page_says_what_happens() -> None:
     rows = dict(
         re.findall(
-            r"^\| ([^|]+?) \| [^|]+ \| ([^|]+?) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE
+            r"^([^|\n]+?) \| [^|\n]+ \| ([^|\n]+?)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE
         )
     )
     said = {
