@@ -26,9 +26,7 @@ def separating(flights: Flights, at: Fitted, name: Name) -> Mapping[str, Any] | 
     left = at.structure - {name.name}
     for other in list(name.shares)[1:]:
         rival = flights.known(left | set(other.split("+")))
-        if rival is not None:
-            if abs(rival.value.likelihood - at.value.likelihood) < EXACT:
-                continue
+        if rival is not None and abs(rival.value.likelihood - at.value.likelihood) >= EXACT:
             fits[other] = flights.settled(rival)
     if len(fits) < 2:
         return None

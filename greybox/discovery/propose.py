@@ -12,7 +12,7 @@ which is the whole truth for a linear model. A proposal decides nothing.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,12 +43,12 @@ class Proposal:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scores:
-    """Score and information of the parameters of absent causes at a fit, nuisances projected out.
+    """Score and information of parameters of causes at a fit, all other unknowns projected out.
 
     Everything is in units of the prior's standard deviation: `score` (m,), `information` (m, m),
     `null` (m,), `sigma` (m,), `lower` and `upper` (m,) the bounds; `keys` the unknowns, `places`
-    those of every cause. `present` are the parameters of causes that the fit has: their `places`
-    come after the absent ones, with their present `value` (m,) in place of a score.
+    those of every cause. `value` (m,) is where the fit stands: those of causes that it has come
+    after the `absent` ones.
     """
 
     at: Fitted
@@ -70,30 +70,32 @@ class Scores:
         rows = [i for n in names for i in self.places.get(n, ())]
         return [i for i in rows if self.information[i, i] > DEAD]
 
+    def _apart(self, gone: Collection[str] = ()) -> tuple[FloatArray, FloatArray]:
+        """Information and score, causes of the fit projected out but `gone` and those at bounds."""
+        there = [i for n in self.places if n not in (*self.absent, *gone) for i in self.places[n]]
+        there = [i for i in there if self.lower[i] < self.value[i] < self.upper[i]]
+        near = self.information[there]
+        moved = np.linalg.solve(near[:, there] + np.eye(len(there)), near)
+        return self.information - near.T @ moved, self.score - moved.T @ self.score[there]
+
     def felt(self, name: str) -> bool:
         """Whether the flights have any sensitivity to a cause."""
         return bool(self._rows([name]))
 
     def solved(self, names: Iterable[str]) -> tuple[FloatArray, list[int], float]:
         """(estimate in prior units, its rows, gain in log evidence) of absent causes together."""
-        rows = self._rows(names)
+        rows, (information, score) = self._rows(names), self._apart()
         while rows:
-            v = self.information[np.ix_(rows, rows)]
-            m = v + np.eye(len(rows))
-            s = self.score[rows]
+            m = information[np.ix_(rows, rows)] + np.eye(len(rows))
+            s = score[rows]
             estimate = -np.linalg.solve(m, s)
-            # What would run through a bound is not there.
-            out = [
-                i
-                for i, e in zip(rows, estimate, strict=True)
-                if (e < 0 and self.null[i] <= self.lower[i])
-                or (e > 0 and self.null[i] >= self.upper[i])
-            ]
-            if not out:
+            low, high = self.null[rows] <= self.lower[rows], self.null[rows] >= self.upper[rows]
+            beyond = np.where(estimate < 0, low, high)  # what would run through a bound
+            if not beyond.any():
                 _, logdet = np.linalg.slogdet(m)
                 gain = float(-0.5 * s @ estimate - 0.5 * logdet)
                 return np.asarray(estimate, dtype=float), rows, gain
-            rows = [i for i in rows if i not in out]
+            rows = [i for i, out in zip(rows, beyond, strict=True) if not out]
         return np.zeros(0), [], 0.0
 
     def gain(self, *names: str) -> float:
@@ -113,9 +115,9 @@ class Scores:
     def smallest(self, name: str, bar: float, share: float) -> dict[str, float]:
         """Per parameter of an absent cause, the size whose expected log e-value is `bar` on flights
         with `share` of the information of these."""
-        out = {}
+        out, (information, _) = {}, self._apart()
         for i in self._rows([name]):
-            v = share * float(self.information[i, i])
+            v = share * float(information[i, i])
             needed = 2 * bar + np.log1p(v)
             out[self.keys[i][0]] = float(self.sigma[i] * np.sqrt(needed * (v + 1)) / v)
         return out
@@ -123,11 +125,11 @@ class Scores:
     def instead(self, gone: str) -> list[tuple[float, tuple[str, ...], Proposal]]:
         """For a cause that is present: (share of what its absence costs that they take over, names,
         first estimate) of absent causes, alone and in pairs, most first."""
-        own = self._rows([gone])
+        own, (information, score) = self._rows([gone]), self._apart([gone])
         if not own:
             return []
         move = (self.null[own] - self.value[own]) / self.sigma[own]
-        push = self.information[:, own] @ move
+        push = information[:, own] @ move
         cost = 0.5 * float(move @ push[own])
         found: dict[tuple[str, ...], tuple[float, Proposal]] = {}
 
@@ -135,8 +137,8 @@ class Scores:
             rows = self._rows(names)
             if not rows or cost <= 0:
                 return 0.0
-            v = self.information[np.ix_(rows, rows)] + np.eye(len(rows))
-            s = push[rows] + self.score[rows]
+            v = information[np.ix_(rows, rows)] + np.eye(len(rows))
+            s = push[rows] + score[rows]
             estimate = -np.linalg.solve(v, s)
             ends = self.null[rows] + self.sigma[rows] * estimate
             inside = np.clip(ends, self.lower[rows], self.upper[rows])

@@ -204,14 +204,15 @@ def scores(world: World, present: Sequence[str] = ()) -> Scores:
         places[n] = tuple(range(k, k + world.columns[n].shape[1]))
         k += world.columns[n].shape[1]
     keys = [key(p) for n in names for p in parameters(n, world.columns[n].shape[1])]
+    value = np.array([at.known.get(q, 0.0) for q in keys])
     return Scores(
         at=at,
         keys=tuple(keys),
-        score=-left.T @ y,
+        score=-left.T @ y + value / SIGMA**2,
         information=left.T @ left,
         sigma=np.full(k, SIGMA),
         null=np.zeros(k),
-        value=np.array([at.known.get(q, 0.0) for q in keys]),
+        value=value,
         lower=np.full(k, -np.inf),
         upper=np.full(k, np.inf),
         places=places,

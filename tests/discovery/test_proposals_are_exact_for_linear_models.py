@@ -23,6 +23,14 @@ def test_the_predicted_gain_is_the_gain_in_evidence(names: tuple[str, ...]):
     )
 
 
+@pytest.mark.parametrize("there", [("a",), ("b",), ("a", "b")])
+def test_what_is_there_moves_where_something_is_added(there: tuple[str, ...]):
+    world, _ = drawn(2, {"a": np.array([0.8]), "c": np.array([0.3, 0.0, -0.4])})
+    world.columns["c"] = world.columns["c"] + world.columns["a"]
+    exact = world.fit((*there, "c")).log_evidence - world.fit(there).log_evidence
+    assert scores(world, there).gain("c") == pytest.approx(exact, abs=1e-5)
+
+
 def test_a_bound_keeps_a_cause_from_gaining_on_the_wrong_side():
     world, _ = drawn(2, {"a": np.array([-1.5])})
     free = scores(world)
