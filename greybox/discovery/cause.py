@@ -27,8 +27,8 @@ from greybox.model.vehicle import Vehicle
 from greybox.residual.laws.effect_file import Law, proposal_text, proposed
 
 Kind = Literal["effect", "sensor noise"]
-BASE = ("gyro_bias", "accelerometer_bias")
-"""In the structure from the start where sensors and vehicle file allow: no sensor is without."""
+BASE = ("gyro_bias", "accelerometer_bias", "thrust_level")
+"""From the start: no sensor is without a bias, and no file knows the air and the battery."""
 GROUPS = ("force", "torque")
 """Groups of the process noise that carry the unnamed discrepancy."""
 
@@ -258,7 +258,7 @@ def offer(
         offered=causes,
         core=core,
         unjudged=unjudged,
-        per_flight=tuple(per_flight),
+        per_flight=(*per_flight, *(["thrust_level.s"] if "vbat" not in columns else [])),
         known={} if known is None else known.prior,
     )
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SCHEMA = "greybox.discovery/2"
-WITH_LAWS = "model_with_laws.json"
+LEVEL, WITH_LAWS = "thrust_level", "model_with_laws.json"
 """File of the model that has the laws of the leftover as well."""
 SAYS = {
     "bad_data": "the data have faults that block the search",
@@ -250,7 +250,8 @@ class Discovery(Shown):
             lines.append(f"  not certified{', in the model' * n.kept}: {n.name} ({n.reason})")
         if self.base:
             drift = ", noise between attitude and gyro" * bool(self.settings.get("kinematic_noise"))
-            lines.append(f"  in every model: {', '.join(self.base)}{drift}")
+            level = _in_words({"name": LEVEL, "parameters": self._parameters(LEVEL)})
+            lines.append(f"  in every model: {', '.join(self.base)}{drift}".replace(LEVEL, level))
         for kind in dict.fromkeys(s["kind"] for s in self.sensors if s["kind"] != "white"):
             channels = [s["channel"] for s in self.sensors if s["kind"] == kind]
             lines.append(f"  sensors: {kind} in {', '.join(channels)}")

@@ -53,6 +53,7 @@ class Craft:
     def of(model: IdentifiedModel) -> Craft:
         """Raises `ModelError` for a model of another kind than a vehicle's, for one driven by
         measured rotor speeds, and for mass or inertia that no body has."""
+        model = _levelled(model)
         physics = model.physics
         if physics.input == "speed":
             raise ModelError(
@@ -255,6 +256,16 @@ def of_a_body(moments: npt.NDArray[np.floating[Any]]) -> BoolArray:
     the sum of the other two, which it is for a flat body."""
     low, middle, high = (moments[..., k] for k in range(3))
     return np.asarray((low > 0) & (high <= low + middle + TOLERANCE * high))
+
+
+def _levelled(model: IdentifiedModel) -> IdentifiedModel:
+    """The same craft with its thrust level in the thrust and torque maps, which simulators have."""
+    level = model.values.get("thrust_level.s", 0.0)
+    if level == 0.0:
+        return model
+    maps = [f"{m}.c{k}" for m in ("thrust", "torque") for k in range(3)]
+    more = {n: (1.0 + level) * model.values[n] for n in maps}
+    return replace(model, values=model.values.replace({**more, "thrust_level.s": 0.0}))
 
 
 def _pushes(model: IdentifiedModel) -> str:

@@ -29,6 +29,7 @@ VALUES = {
     "motor_lag_asymmetry": {"a": 0.4},
     "battery_sag": {"c_V": 0.8},
     "rotor_asymmetry": {"delta_1": 0.03, "delta_2": -0.05, "delta_3": 0.04},
+    "thrust_level": {"s": -0.04},
     "center_of_mass_offset": {"c_x": 4e-3, "c_y": -3e-3, "c_z": 5e-3},
     "rotor_drag": {"k_x": 3e-5, "k_y": 2e-5},
     "blade_flapping": {"k_flap": 2e-6},

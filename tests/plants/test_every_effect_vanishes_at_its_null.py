@@ -38,6 +38,7 @@ from greybox.plants.effects import (
     SensorDelay,
     SteadyWind,
     ThrustCurve,
+    ThrustLevel,
     TranslationalLift,
 )
 from greybox.plants.presets import NANO, nano
@@ -62,6 +63,7 @@ AWAY = {
     MotorLagAsymmetry: MotorLagAsymmetry(a=0.4),
     SteadyWind: SteadyWind(w_x=1.0),
     ThrustCurve: ThrustCurve(f=0.2),
+    ThrustLevel: ThrustLevel(s=0.05),
     AccelerometerLeverArm: AccelerometerLeverArm(r_x=0.01),
     AccelerometerScale: AccelerometerScale(s_z=0.02),
     AxialInflow: AxialInflow(k_z=1e-6),

@@ -28,6 +28,7 @@ AERODYNAMICS = {
     "translational_lift.k_h": 2e-3,
     "steady_wind.w_x": 1.0,
     "steady_wind.w_y": -0.5,
+    "thrust_level.s": -0.03,
     "rotor_asymmetry.delta_1": 0.03,
     "rotor_asymmetry.delta_2": -0.02,
     "rotor_asymmetry.delta_3": 0.01,

@@ -34,6 +34,7 @@ from greybox.model.effects.rotor_gyroscopic import RotorGyroscopic
 from greybox.model.effects.sensor_delay import SensorDelay
 from greybox.model.effects.steady_wind import SteadyWind
 from greybox.model.effects.thrust_curve import ThrustCurve
+from greybox.model.effects.thrust_level import ThrustLevel
 from greybox.model.effects.translational_lift import TranslationalLift
 
 CATALOGUE: tuple[Effect, ...] = (
@@ -44,6 +45,7 @@ CATALOGUE: tuple[Effect, ...] = (
     MotorLagAsymmetry(),
     BatterySag(),
     RotorAsymmetry(),
+    ThrustLevel(),
     AxialInflow(),
     TranslationalLift(),
     GroundEffect(),

@@ -32,6 +32,7 @@ from greybox.plants.effects.rotor_gyroscopic import RotorGyroscopic
 from greybox.plants.effects.sensor_delay import SensorDelay
 from greybox.plants.effects.steady_wind import SteadyWind
 from greybox.plants.effects.thrust_curve import ThrustCurve
+from greybox.plants.effects.thrust_level import ThrustLevel
 from greybox.plants.effects.translational_lift import TranslationalLift
 
 CATALOGUE: tuple[type[PlantEffect], ...] = (
@@ -64,6 +65,7 @@ CATALOGUE: tuple[type[PlantEffect], ...] = (
     SensorDelay,
     SteadyWind,
     ThrustCurve,
+    ThrustLevel,
     TranslationalLift,
 )
 """Every effect class; a new effect is one small file plus one line here."""
