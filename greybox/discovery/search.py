@@ -22,8 +22,6 @@ from greybox.statistics.evidence import FELT
 
 Move = tuple[Structure, list[Mapping[Key, float]]]
 """A structure and where its fit starts."""
-ROUNDS = 24
-"""Moves after which a search ends in any case: more than any craft misses."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,12 +68,14 @@ class Search:
         return [n for n in self.flights.causes.effects if n in there]
 
     def run(self, start: Fitted | None = None) -> Fitted:
-        """The structure from which no move gains evidence."""
+        """The structure from which no move gains evidence, or to which one leads back."""
         at = start or self.flights.fit(self.flights.causes.base)
         self.interim(at)
-        for turn in range(ROUNDS):
+        seen: set[Structure] = set()
+        while at.structure not in seen:
+            seen.add(at.structure)
             there = ", ".join(self.named(at.structure)) or "nothing added"
-            self.say(f"step {turn + 1}: {there}", min(0.05 + 0.05 * turn, 0.5))
+            self.say(f"step {len(seen)}: {there}", min(0.05 * len(seen), 0.5))
             better = self._add(at)
             if better is not None:
                 better = self._leaner(better) or better

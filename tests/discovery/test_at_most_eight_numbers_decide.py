@@ -27,7 +27,6 @@ ELSEWHERE = {
     "left.LOUDER": COMPUTES,
     "propose.CLEARLY": PROPOSES,
     "propose.DEAD": COMPUTES,
-    "search.ROUNDS": PROPOSES,
     "alike.EXACT": "below it no manoeuvre is sought",
     "workflow.SHORTEST_FLIGHT": "shorter flights are refused",
     "name.LOG10": SAYS,
