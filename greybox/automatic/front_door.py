@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Unpack
 
-from greybox.automatic.decide import Given, Say, decide
+from greybox.automatic.borrow import decide_with_source
+from greybox.automatic.decide import Given, Say
 from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import adaptation, fit_decided, on_pieces, prepare
-from greybox.automatic.like import like
-from greybox.data import Dataset
+from greybox.data import Dataset, Flight
 from greybox.data.halves import demand_disjoint
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import fit as explicit_fit
@@ -36,10 +36,10 @@ def _quiet(text: str) -> None:
 @says_choices(FitOptions)
 def fit(
     subject: Vehicle | Dynamics,
-    data: Dataset,
+    data: Dataset | Flight,
     options: FitOptions | None = None,
     *,
-    test: Dataset | None = None,
+    test: Dataset | Flight | None = None,
     source: IdentifiedModel | None = None,
     progress: Progress | None = None,
     say: Callable[[str], None] = _quiet,
@@ -58,9 +58,11 @@ def fit(
     values, priors, flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build,
     use_compiler. Raises what `greybox.estimation.fit.fit` raises.
     """
+    data = Dataset.of(data)
     if isinstance(subject, Vehicle):
         said: FitChoices = choices if options is None else {**_said(options), **choices}
-        return _automatic(subject, data, test, source, said, say, progress)
+        judged = None if test is None else test if isinstance(test, Dataset) else Dataset.of(test)
+        return _automatic(subject, data, judged, source, said, say, progress)
     return explicit_fit(subject, data, FitOptions.of(options, choices), progress=progress)
 
 
@@ -79,12 +81,11 @@ def _automatic(
     progress: Progress | None,
 ) -> Fit:
     FitOptions.of(None, choices)  # an unknown keyword is said before any work is done
-    demand_disjoint(data.names, () if test is None else test.names)
+    demand_disjoint(data.files, () if test is None else test.files)
     prepared = prepare(vehicle, data)
     facts = facts_of(prepared.data, vehicle, prepared.report)
-    vehicle = vehicle if source is None else like(vehicle, source, facts)
     given = Given(choices=choices, source=source)
-    decided = decide(vehicle, prepared.data, facts, given, say=say)
+    vehicle, decided = decide_with_source(vehicle, prepared.data, facts, given, say=say)
     found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
     found = calibrated(found, prepared.data)
     recipe = found.provenance.recipe

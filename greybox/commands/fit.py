@@ -56,7 +56,7 @@ def add(subparsers: Any) -> None:
         dest="source",
         metavar="MODEL.json",
         help="a model of a craft like this one: effects begin where its own are, believed within "
-        "half their size; few seconds of flight correct them",
+        "half their size, and stay where they foretell these flights better",
     )
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
     p.add_argument(
@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
     vehicle = read_vehicle(arguments.vehicle)
     source = None if arguments.source is None else IdentifiedModel.load(arguments.source)
     prepared, test = _flights(arguments, vehicle)
-    if source is not None:
+    if source is not None and arguments.manual:
         vehicle = _like(source, vehicle, prepared, console)
     faults = check(test, vehicle) if test.flights else None
     warnings = _warnings(arguments, vehicle, prepared, faults)
@@ -141,7 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
     result = calibrated(result, prepared.data)
     content = save(result)
     arguments.kept = (
-        f"the fit is in {out}, not judged: greybox validate {out / 'model.json'} "
+        f"the fit is in {out}, not judged: greybox validate {shlex.quote(str(out / 'model.json'))} "
         "--log LOGS judges it"
     )
     seen = None
@@ -317,9 +317,9 @@ def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared,
     if double:
         raise DataError(
             f"flight names given twice: {', '.join(double)}",
-            fix="give each log once, under its own file name",
+            fix="give each log once; of two files with one name rename one",
         )
-    demand_disjoint(names, (r.flight for r in others))
+    demand_disjoint(*([(r.flight, r.sha256) for r in some] for some in (logs, others)))
     prepared = prepare(
         vehicle,
         logs,
@@ -362,7 +362,7 @@ def _decided(
     source: IdentifiedModel | None,
 ) -> Fit:
     """The automatic fit."""
-    from greybox.automatic.decide import decide
+    from greybox.automatic.borrow import decide_with_source
     from greybox.automatic.facts import facts_of
     from greybox.automatic.fit import fit_decided
     from greybox.estimation.status import Interrupted
@@ -373,11 +373,11 @@ def _decided(
     facts = facts_of(prepared.data, vehicle, prepared.report)
     try:
         said = replace(given(arguments), source=source)
-        decided = decide(vehicle, prepared.data, facts, said, say=console.say)
+        own, decided = decide_with_source(vehicle, prepared.data, facts, said, say=console.say)
     except Interrupted:  # a trial on pieces of the flights is no result
         raise KeyboardInterrupt from None
     console.say("fitting all flights:")
-    return fit_decided(vehicle, prepared, decided, say=console.say, progress=console.solver)
+    return fit_decided(own, prepared, decided, say=console.say, progress=console.solver)
 
 
 def _pieces(
@@ -464,7 +464,8 @@ def _explicit(arguments: argparse.Namespace, prepared: Prepared, test: Dataset, 
     train = [p for p, name in zip(arguments.train, prepared.names, strict=True) if name not in out]
     words = recipe.command_line(arguments.vehicle, train, arguments.test)
     more = ["--mapping", arguments.mapping] if arguments.mapping else []
-    more += ["--from", arguments.source] if arguments.source else []
+    told = [d.choice for d in result.provenance.decisions if d.option == "--from"]
+    more += ["--from", arguments.source] if arguments.source and told != ["nothing"] else []
     more += (
         []
         if arguments.max_iterations is None

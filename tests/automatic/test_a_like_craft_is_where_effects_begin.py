@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.automatic.borrow import decide_with_source
+from greybox.automatic.decide import Given
 from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import prepare
 from greybox.automatic.like import grown, lasting, like
@@ -91,6 +93,24 @@ def test_effects_are_believed_within_half_their_size_and_the_file_goes_first(sou
     assert damping.value == pytest.approx(2.0 * DAMPING)
     assert damping.sigma == pytest.approx(np.hypot(0.5, 0.1) * damping.value)
     assert lasting(source, ("force", "torque")) == {"disturbance.torque.T": (0.5, 0.25)}
+
+
+@pytest.mark.parametrize(("damping", "taken"), [(DAMPING, True), (0.0, False)])
+def test_what_a_craft_does_not_have_is_not_borrowed(source, damping, taken):
+    own = replace(vehicle(), effects={n: {} for n in ("motor_lag", "command_delay")})
+    strong = {f"rotational_damping.d_{a}": 20 * DAMPING for a in "pqr"} if not taken else {}
+    other = replace(source, values={**source.values, **strong})
+    short = {k: v for k, v in flown((3,), 3.0, damping)[0].items() if k in COLUMNS}
+    prepared = prepare(own, [raw(short, "c")])
+    facts = facts_of(prepared.data, own, prepared.report)
+    said: list[str] = []
+    craft, decided = decide_with_source(
+        own, prepared.data, facts, Given(source=other), say=said.append
+    )
+    assert ("rotational_damping" in craft.effects) == taken
+    (choice,) = [d.choice for d in decided.decisions if d.option == "--from"]
+    assert choice == ("rotational_damping" if taken else "nothing")
+    assert any("without what" in line for line in said)
 
 
 @pytest.mark.slow
