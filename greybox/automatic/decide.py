@@ -632,10 +632,14 @@ class _Decider:
             else "likelihood one step ahead",
             f"pieces left out: {chosen.ahead_score.mean:.3f} ahead, "
             f"{chosen.likelihood_score.mean:.3f} by "
-            f"the likelihood, the difference +- {error:.3f}",
+            f"the likelihood, the difference {_within(error)}",
             "--predictor",
         )
         return (options.but(predictor="multi-step") if chosen.looks_ahead else options), chosen
+
+
+def _within(error: float) -> str:
+    return f"+- {error:.3f}" if np.isfinite(error) else "with no error: one block of them"
 
 
 def likeliest_of_the_good(tried: Sequence[Candidate]) -> Candidate:

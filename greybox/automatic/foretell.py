@@ -14,18 +14,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.data import Dataset
+from greybox.data import Dataset, Segment
 from greybox.estimation.filtering import Filter
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from greybox.validation.baselines import persistence
 from greybox.validation.groups import GROUPS, error_norms
-from greybox.validation.open_loop import GroupReader, predict_from
+from greybox.validation.open_loop import GroupReader, IntArray, predict_from
 
 HORIZONS = (0.1, 0.5)
 """Seconds ahead that count: what an attitude and a position controller look ahead."""
 BLOCK = 2.0
 """Length of a block [s]: errors of origins that are closer share what caused them."""
+FEWEST = 4
+"""Blocks that short pieces are cut into where they are long enough: of fewer no scatter is seen."""
 SPACING = 0.05
 """Seconds between origins: neighbours tell the same."""
 SETTLE = 1.0
@@ -73,10 +75,12 @@ def foretell(model: IdentifiedModel, pieces: Dataset, *, use_compiler: bool = Tr
     held: list[FloatArray] = []
     labels: list[FloatArray] = []
     count = 0
+    every = [_origins(s, dt, longest) for s in pieces.segments]
+    seconds = sum(float(o[-1] - o[0]) * dt for o in every if o.size)
+    length = min(BLOCK, max(HORIZONS[-1], seconds / FEWEST))
     for flight in pieces:
         for segment in flight.segments:
-            settle = min(round(SETTLE / dt), segment.n // 4)
-            origins = np.arange(settle, segment.n - longest - 1, max(1, round(SPACING / dt)))
+            origins = _origins(segment, dt, longest)
             if origins.size == 0:
                 continue
             run = runner.run(segment.without(flight.noncausal), p=model.flight_vector(flight.name))
@@ -101,10 +105,10 @@ def foretell(model: IdentifiedModel, pieces: Dataset, *, use_compiler: bool = Tr
             own.append(rows[0])
             held.append(rows[1])
             time = (origins - origins[0]) * dt
-            last_block = max(
-                0, round(float(time[-1]) / BLOCK) - 1
-            )  # a short rest joins the block before
-            block = np.minimum((time // BLOCK).astype(int), last_block)
+            last_block = max(  # a short rest joins the block before
+                0, round(float(time[-1]) / length) - 1
+            )
+            block = np.minimum((time // length).astype(int), last_block)
             labels.append(count + block)
             count += int(block[-1]) + 1
     if not own:
@@ -118,6 +122,12 @@ def foretell(model: IdentifiedModel, pieces: Dataset, *, use_compiler: bool = Tr
     return Score(
         blocks=np.array([np.nanmean(b) if np.isfinite(b).any() else np.nan for b in blocks])
     )
+
+
+def _origins(segment: Segment, dt: float, longest: int) -> IntArray:
+    """Samples from which is foretold."""
+    settle = min(round(SETTLE / dt), segment.n // 4)
+    return np.arange(settle, segment.n - longest - 1, max(1, round(SPACING / dt)))
 
 
 def _safe(predicted: FloatArray, like: FloatArray) -> FloatArray:
