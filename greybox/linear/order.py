@@ -17,6 +17,8 @@ from greybox.linear.search import Found, Options, sweep
 from greybox.statistics.whiteness import hosking
 
 CRITERIA = ("aic", "aicc", "bic")
+ONE_ERROR = 0.16
+"""One-sided p-value of a difference of one standard error."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,8 +96,9 @@ def choose_order(
 
     With `cross_validate` the orders are also fitted on about 70 % of the data (whole records where
     there are three or more, else the first part of each) and scored on the rest: the smallest order
-    that is not significantly worse than the best (Wilcoxon signed-rank over blocks, 1 %) wins over
-    a larger one that the criterion prefers. Raises `DataError` for an unknown criterion or data too
+    that is within one standard error of the best (Hastie, Tibshirani and Friedman 2009, sec. 7.10;
+    by the ranks of blocks, so that one rough landing does not decide) wins over a larger one that
+    the criterion prefers. Raises `DataError` for an unknown criterion or data too
     short for order 1.
     """
     if criterion not in CRITERIA:
@@ -113,10 +116,10 @@ def choose_order(
         scored = [r for r in rows if np.isfinite(r.held_out)]
         if scored:
             best = min(scored, key=lambda r: r.held_out)
-            enough = min(r.order for r in scored if r.held_out_p > 0.01)
+            enough = min(r.order for r in scored if r.held_out_p > ONE_ERROR)
             reasons.append(
                 f"on held-out data order {best.order} predicts best and order {enough} is not "
-                "worse at the 1 % level"
+                "worse by more than chance (one standard error)"
             )
             if enough < order:
                 order = enough
