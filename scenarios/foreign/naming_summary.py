@@ -98,6 +98,9 @@ def single_lines(rows: Sequence[Row], kind: str) -> list[str]:
         f"right {_count(seen, lambda r: r['judged'] == 'right')}; "
         f"wrong {_count(seen, _false)}{size}"
     ]
+    if any(stage(r) == TRACE for r in seen if not _good(r)):
+        told = _count(seen, lambda r: _good(r) or stage(r) == TRACE)
+        out.append(f"  the same with what was said to be there and worth nothing: {told}")
     if missed := [stage(r) for r in seen if not _good(r)]:
         counts = ", ".join(f"{missed.count(s)} {s}" for s in dict.fromkeys(missed))
         out.append(f"  what hides and was missed with power: {counts}")
@@ -106,12 +109,15 @@ def single_lines(rows: Sequence[Row], kind: str) -> list[str]:
     return out
 
 
+TRACE = "certain, and worth nothing (a trace)"
+
+
 def stage(row: Row) -> str:
     """How far what hides came in a log that is not right: an e-value is there of what the search
     took up."""
     hidden = set(row["hidden"])
     if not hidden - {*row.get("traces", ()), *row.get("names", ())}:
-        return "certain, and worth nothing (a trace)"
+        return TRACE
     if row["judged"] in ("refused", "failed"):
         return str(row["judged"])
     if not hidden - {n for name in row.get("log10_e", ()) for n in name.split("|")}:
@@ -126,13 +132,17 @@ def several_lines(rows: Sequence[Row]) -> list[str]:
         return []
     seen = [r for r in some if shows(r)]
     out = [f"two to five: all and nothing else, with power {_count(seen, _good)}"]
-    hit = wanted = 0
+    hit = told = wanted = 0
     for row in some:
         able = set(row["hidden"]) & able_of(row)
         said = {n for s in row.get("sets", ()) for c in s for n in c.split("+")}
         said |= set(row.get("names", ())) | set(row.get("in_base", ()))
         wanted, hit = wanted + len(able), hit + len(able & said)
+        told += len(able & (said | set(row.get("traces", ()))))
     out.append(f"  recall of effects with power {share(hit, wanted)}")
+    if told > hit:
+        more = share(told, wanted)
+        out.append(f"  the same with what was said to be there and worth nothing: {more}")
     return [*out, f"  a false name beside them {_count(some, _false)}"]
 
 
