@@ -8,6 +8,7 @@ Whoever sees something (the checks of a log, a solver's end, a test of physics) 
 from __future__ import annotations
 
 import enum
+import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
@@ -252,3 +253,17 @@ def hints_of_sanity(sanity: Sanity) -> tuple[Hint, ...]:
         for f in sanity.findings
         if f.severity == "impossible" or f.kind == "overruled"
     )
+
+
+def lacking(action: str, there: Collection[str]) -> str:
+    """An action without the effects and groups of disturbances that the model has already."""
+
+    def left(match: re.Match[str]) -> str:
+        names = [n for n in match.group(2).split(",") if n not in there]
+        return f"{match.group(1)} {','.join(names)}" if names else ""
+
+    text = re.sub(r"(--effects|--disturbance) ([a-z_,]+)", left, action)
+    if text == action:
+        return action
+    text = re.sub(r"^[ ;,]*(and )?|( and)?[ ;,]*$", "", re.sub(r"  +", " ", text))
+    return text or "greybox discover names what is missing"

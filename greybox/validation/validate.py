@@ -26,10 +26,11 @@ from greybox.estimation.propagation import Propagator
 from greybox.frames import GRAVITY
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
+from greybox.model.noise import disturbances
 from greybox.model.verdict import Verdict
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import Adaptation, adapt_to_flight
-from greybox.validation.advice import Hint, Symptom
+from greybox.validation.advice import Hint, Symptom, lacking
 from greybox.validation.baselines import (
     ImuBias,
     ImuRecord,
@@ -62,6 +63,8 @@ CHUNK = 200_000
 SPACING = 0.01
 """Seconds between origins unless told otherwise: every sample at 100 Hz, as the benchmark counts;
 at higher rates neighbours tell the same."""
+ADAPTED = 5.0
+"""Seconds of a flight that its own values are usually taken from."""
 STATED = 0.1
 """Seconds between the origins whose uncertainty is propagated and judged (neighbours tell the
 same)."""
@@ -74,7 +77,7 @@ leave a third of the origins of 51 samples, 10 % none)."""
 @says_choices(ValidateOptions)
 def validate(
     model: IdentifiedModel,
-    dataset: Dataset,
+    dataset: Dataset | Flight,
     options: ValidateOptions | None = None,
     *,
     progress: Progress | None = None,
@@ -100,6 +103,13 @@ def validate(
     `UnknownNameError` (a choice that there is not).
     """
     o = ValidateOptions.of(options, choices)
+    if not isinstance(model, IdentifiedModel):
+        raise ModelError(
+            "validate judges models of fit, discover and learn",
+            got=type(model).__name__,
+            fix="fit_linear and greybox linear --test judge a linear model themselves",
+        )
+    dataset = Dataset.of(dataset)
     dt = model.sample_time
     own = physics_of(model.dynamics) is None
     samples = o.horizon_samples
@@ -111,8 +121,6 @@ def validate(
         sample_time=dt,
         longest=np.inf if own else LONGEST,
     )
-    if not len(dataset):
-        raise DataError("no flight to validate on")
     _demand_causal(model, dataset)
     work = _Work(
         model=model,
@@ -505,17 +513,24 @@ class _Work:
         hints = list(self.options.hints)
         # Offsets of sensors differ from flight to flight too, but spoil no model by much.
         own_values = [n for n in self.model.flight_spread if "_bias." not in n]
-        if self.options.adapt is None and own_values and self.judged_on == TEST_FLIGHTS:
+        long = max((f.duration for f in self.dataset), default=0.0) > ADAPTED
+        if self.options.adapt is None and own_values and long and self.judged_on == TEST_FLIGHTS:
             hints.append(
                 Hint(symptom=Symptom.FLIGHT_DIFFERS, detail="its own values were not adapted")
             )
         try:
-            return judge(
+            found = judge(
                 own, held, floor, judged_on=self.judged_on, hints=hints, standard=self.standard
             )
         except DataError as error:
             self.warnings.append(str(error))
             return None
+        physics = physics_of(self.model.dynamics)
+        there = {e.name for e in physics.effects} if physics is not None else set()
+        there |= {d.group for d in disturbances(self.model.dynamics)}
+        action = lacking(found.action, there)
+        line = found.line.replace(found.action, action) if found.action else found.line
+        return replace(found, action=action, line=line)
 
 
 def _has(channels: Sequence[str], *groups: str) -> bool:
