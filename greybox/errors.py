@@ -75,14 +75,20 @@ class UnknownNameError(GreyboxError, KeyError):
     """A name that greybox does not know; the message carries the nearest names."""
 
     def __init__(
-        self, kind: str, name: str, known: Iterable[str], *, where: str | None = None
+        self,
+        kind: str,
+        name: str,
+        known: Iterable[str],
+        *,
+        where: str | None = None,
+        fix: str | None = None,
     ) -> None:
         names = sorted(known)
         near = difflib.get_close_matches(
             str(name)[:200], names, n=3, cutoff=0.5
         )  # a file may say anything
         shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
-        fix = f"did you mean {' or '.join(near)}?" if near else f"known: {shown}"
+        fix = fix or (f"did you mean {' or '.join(near)}?" if near else f"known: {shown}")
         super().__init__(f"unknown {kind} '{name}'", where=where, fix=fix)
 
 

@@ -103,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
     vehicle = read_vehicle(arguments.vehicle)
     train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
     test = read_flight_logs(arguments, arguments.test, vehicle, rate=1 / sample_time(train))
-    demand_disjoint(train.names, test.names)
+    demand_disjoint(train.files, test.files)
     bench = _bench(arguments, vehicle, train, test, console)
     out = Path(arguments.out)
     command = typed("compare")

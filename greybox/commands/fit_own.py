@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     model = load_own_model(arguments.model_file)
     train = read_flights_of(arguments, model, arguments.train, rate=arguments.rate)
     test = read_flights_of(arguments, model, arguments.test, rate=1 / sample_time(train))
-    demand_disjoint(train.names, test.names)
+    demand_disjoint(train.files, test.files)
     out = Path(arguments.out)
 
     try:

@@ -30,20 +30,20 @@ def load(
     path: str | os.PathLike[str], *, effects: Iterable[Effect] = (), sensors: Iterable[Sensor] = ()
 ) -> IdentifiedModel | LinearModel | OutputHybrid:
     """Read a model file of any kind: of `fit`, `learn`, `discover` (`IdentifiedModel`), of `linear`
-    (`LinearModel`), of `learn` on a linear model (`OutputHybrid`).
+    (`LinearModel`; decoupled ones as one, block by block), of `learn` on a linear model
+    (`OutputHybrid`).
 
     `effects` and `sensors` are those of the user's own (`load_effects`). Raises `FileFormatError`,
     `UnknownNameError`.
     """
-    from greybox.baselines.output_residual import KIND, OutputHybrid
+    from greybox.baselines.decoupled import combined
+    from greybox.baselines.output_residual import KIND, LINEAR_SCHEMAS, OutputHybrid, read_linear
     from greybox.files import read_json
-    from greybox.model.linear import SCHEMA as LINEAR
-    from greybox.model.linear import LinearModel
     from greybox.residual.files import load_model
 
     data = read_json(path)
-    if data.get("schema") == LINEAR:
-        return LinearModel.load(path)
+    if data.get("schema") in LINEAR_SCHEMAS:
+        return combined(read_linear(path)[0], {})[0]
     if data.get("kind") == KIND:
         return OutputHybrid.load(path, effects=effects)
     return load_model(path, effects=effects, sensors=sensors)

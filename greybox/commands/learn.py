@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -149,7 +150,7 @@ def run(arguments: argparse.Namespace) -> int:
         read_flights_of(arguments, model.dynamics, paths, rate=1.0 / model.sample_time)
         for paths in (arguments.train, arguments.test)
     )
-    demand_disjoint(train.names, test.names)
+    demand_disjoint(train.files, test.files)
     console = Console.of(arguments)
     learned = learn(
         model,
@@ -170,7 +171,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_json(out / "learn.json", content)
     arguments.kept = (
         f"what was learned is in {out}, not judged: greybox validate "
-        f"{out / 'hybrid.json'} --log LOGS judges it"
+        f"{shlex.quote(str(out / 'hybrid.json'))} --log LOGS judges it"
     )
     judged, models = test if test.flights else train, (model, learned.model)
     verdict = _validated(arguments, console, content, models, judged, horizons)

@@ -56,7 +56,7 @@ def run_output(arguments: argparse.Namespace) -> int:
 
     train = flights(arguments.train)
     test = flights(arguments.test) if arguments.test else Dataset(flights=())
-    demand_disjoint(train.names, test.names)
+    demand_disjoint(train.files, test.files)
     base, channels = combined(models, {s.name: s.terms for s in inputs})
     hybrid = fit_output_residual(
         base,

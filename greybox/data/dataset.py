@@ -33,7 +33,8 @@ class FlightFacts(TypedDict):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Flight(Shown):
-    """One flight (one log): its segments in order of time and where they came from.
+    """One flight (one log): its segments in order of time, which bear its name, and where they came
+    from.
 
     `source` is the file name, `sha256` the checksum of its bytes ("" for data from memory), `notes`
     say what conditioning did, `removed` which samples were taken as missing because no craft can
@@ -61,6 +62,9 @@ class Flight(Shown):
         for before, after in zip(self.segments[:-1], self.segments[1:], strict=True):
             if after.t[0] <= before.t[-1]:
                 raise DataError("segments overlap in time", where=f"flight {self.name}")
+        if any(s.flight != self.name for s in self.segments):
+            own = tuple(replace(s, flight=self.name) for s in self.segments)
+            object.__setattr__(self, "segments", own)
 
     def facts(self) -> FlightFacts:
         """What a result says of it."""
@@ -141,7 +145,7 @@ class Dataset(Shown):
         if double:
             raise DataError(
                 f"flight names given twice: {', '.join(double)}",
-                fix="give each log once, under its own file name",
+                fix="give each log once; of two files with one name rename one",
             )
 
     def __len__(self) -> int:
@@ -158,6 +162,27 @@ class Dataset(Shown):
 
     def __add__(self, other: Dataset) -> Dataset:
         return Dataset(flights=self.flights + other.flights)
+
+    @staticmethod
+    def of(data: Dataset | Flight) -> Dataset:
+        """One flight as a data set. Raises `DataError` for what is neither, and where there is no
+        flight."""
+        if isinstance(data, Flight):
+            return Dataset(flights=(data,))
+        if not isinstance(data, Dataset):
+            raise DataError(
+                "flights come as a Dataset",
+                got=type(data).__name__,
+                fix="greybox.read_logs(paths, vehicle)",
+            )
+        if not data.flights:
+            raise DataError("no flights", fix="check the paths that were read")
+        return data
+
+    @property
+    def files(self) -> tuple[tuple[str, str], ...]:
+        """(name, SHA-256 of its file) of every flight; "" for one from memory."""
+        return tuple((f.name, f.sha256) for f in self.flights)
 
     @property
     def names(self) -> tuple[str, ...]:

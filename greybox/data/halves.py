@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +14,32 @@ APART = 0.5
 """Seconds between the halves of a single flight: what is remembered has faded."""
 
 EITHER = "give every flight to one of the two"
+Files = Collection[tuple[str, str]]
 
 
-def demand_disjoint(train: Iterable[str], test: Iterable[str]) -> None:
-    """Raise `DataError` for names of flights that are in both."""
-    if both := sorted(set(train) & set(test)):
-        raise DataError(f"flight {', '.join(both)} is both train and test", fix=EITHER)
+def demand_disjoint(train: Files, test: Files = ()) -> None:
+    """Raise `DataError` for a flight that is in both, under whatever name, and for one that trains
+    twice: it would count as two. Flights are (name, SHA-256 of the file, "" for none)."""
+    known: dict[str, str] = {}
+    for name, content in train:
+        if content and content in known:
+            raise DataError(
+                f"flights {known[content]} and {name} are the same file", fix="give each log once"
+            )
+        known[content] = name
+    contents = dict(train)
+    for name, content in test:
+        if content and content in known:
+            other = known[content]
+            copy = f" (byte for byte {other})" * (other != name)
+            raise DataError(f"flight {name} is both train and test{copy}", fix=EITHER)
+        if name in contents:
+            if not content:
+                raise DataError(f"flight {name} is both train and test", fix=EITHER)
+            raise DataError(
+                f"two files are called {name}: one to train, one to test",
+                fix="rename one of them: a flight is known by the name of its file",
+            )
 
 
 def demand_apart(train: Dataset, test: Dataset) -> None:

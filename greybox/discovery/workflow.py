@@ -78,7 +78,7 @@ def discover(
     too).
     """
     began = time.perf_counter()
-    options = DiscoverOptions.of(options, choices)
+    options, train = DiscoverOptions.of(options, choices), Dataset.of(train)
     if not isinstance(subject, Vehicle | StateSpaceModel):
         raise ModelError(
             "discover names what the model of a vehicle, or one of your own, misses",

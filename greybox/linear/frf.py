@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from greybox.data import Dataset
+from greybox.data import Dataset, Flight
 from greybox.data.airframe import Airframe
 from greybox.errors import DataError
 from greybox.estimation.lag_and_gain import lag_and_gain
@@ -81,7 +81,7 @@ class _Channels:
 
 
 def frf(
-    data: Dataset,
+    data: Dataset | Flight,
     inputs: Sequence[str],
     outputs: Sequence[str],
     *,
@@ -92,6 +92,7 @@ def frf(
     window: float | None = None,
 ) -> FrequencyResponse:
     """The estimate behind `greybox.frf`, which says what the arguments mean and what is raised."""
+    data = Dataset.of(data)
     vehicle = vehicle or vehicle_of(model)
     columns = (
         model.dynamics.inputs.names
@@ -179,8 +180,6 @@ def _channels(
 def _stretches(data: Dataset, c: _Channels) -> tuple[list[FloatArray], dict[str, float]]:
     """Stretches (N_i, c) in which every channel was measured, and the seconds of each flight in
     them."""
-    if not data.flights:
-        raise DataError("no flights")
     if len({f.dt for f in data.flights}) > 1:
         raise DataError(
             "flights with different sample times", fix="resample them: --rate, or read_logs(rate=)"

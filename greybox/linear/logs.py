@@ -25,6 +25,7 @@ from greybox.linear.records import Record, split_at_missing
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray, Signal
 
+NAMES_COLUMNS = "--vehicle V.toml, which says what the log calls it"
 _TERM = re.compile(
     r"([+-])\s*(?:([0-9.]+(?:e[+-]?[0-9]+)?)\s*\*\s*)?([A-Za-z_][\w.]*)", re.IGNORECASE
 )
@@ -114,7 +115,10 @@ def read_records(
     dt = None
     for path in paths:
         raw = with_columns(
-            read_possible(path, vehicle, mapping=mapping), (*inputs, *outputs), os.fspath(path)
+            read_possible(path, vehicle, mapping=mapping),
+            (*inputs, *outputs),
+            os.fspath(path),
+            named=vehicle is not None or mapping is not None,
         )
         cut = vehicle is not None if trim is None else trim
         flight = condition(raw, vehicle, rate=rate, trim=cut, where=os.fspath(path))
@@ -178,9 +182,11 @@ def _records(
     return records, notes
 
 
-def with_columns(raw: RawLog, specs: Sequence[ChannelSpec], where: str) -> RawLog:
+def with_columns(
+    raw: RawLog, specs: Sequence[ChannelSpec], where: str, *, named: bool = True
+) -> RawLog:
     """The raw log with every needed column among its channels, so that conditioning interpolates
-    it.
+    it. `named`: a vehicle or mapping file said what the columns are called.
 
     Raises `UnknownNameError` for a column that the log has not, `DataError` for text, infinite or
     no values.
@@ -193,7 +199,8 @@ def with_columns(raw: RawLog, specs: Sequence[ChannelSpec], where: str) -> RawLo
             continue
         if name not in raw.extra:
             known = [*raw.channels, *raw.extra]
-            raise UnknownNameError("column", name, known, where=where)
+            fix = NAMES_COLUMNS if is_canonical(name) and not named else None
+            raise UnknownNameError("column", name, known, where=where, fix=fix)
         column = raw.extra[name]
         if column.dtype.kind != "f":
             raise DataError(

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data import Dataset
+from greybox.data import Dataset, Flight
 from greybox.errors import ModelError
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import LongerWindow, physics_of
@@ -179,7 +179,7 @@ def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tu
 @in_notebooks(progress="share")
 def learn(
     model: IdentifiedModel,
-    train: Dataset,
+    train: Dataset | Flight,
     *,
     features: Sequence[str] | None = None,
     place: bool = False,
@@ -203,6 +203,7 @@ def learn(
     say = progress or (lambda _text, _share: None)
     other = _learner(model, learner, points, kernel)
     _check_features(model, features, place)
+    train = Dataset.of(train)
     say("disturbance states", 0.0)
     # What is learned changes what was judged.
     base = replace(disturbed_model(model, train), verdict=None)

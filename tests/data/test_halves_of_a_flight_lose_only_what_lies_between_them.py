@@ -30,7 +30,9 @@ def test_nothing_is_lost_but_around_the_middle(lengths: tuple[int, ...], hole: f
         name="one", segments=tuple(stretch(b, n) for b, n in zip(begins, lengths, strict=True))
     )
     whole = stamps(Dataset(flights=(flight,)))
-    early, late = (stamps(h) for h in halves(Dataset(flights=(flight,))))
+    sides = halves(Dataset(flights=(flight,)))
+    assert [{s.flight for s in f.segments} for h in sides for f in h] == [{"one"}, {"one (late)"}]
+    early, late = map(stamps, sides)
     assert late[0] - early[-1] >= APART - 1e-9
     middle = whole[whole.size // 2]
     lost = np.setdiff1d(whole, np.concatenate([early, late]))

@@ -51,6 +51,13 @@ def damped(short: None) -> tuple[Discovery, list[Discovery]]:
     return discover(vehicle(), small_world.flown(DAMPING), test, save=saved.append), saved
 
 
+def test_one_flight_without_a_test_judges_itself_by_halves(short: None):
+    found = discover(vehicle(), small_world.flown(DAMPING, seeds=(1,), seconds=6.0))
+    assert found.base == ("gyro_bias",)  # a number of each half's own
+    assert [e["name"] for e in found.effects()] == ["rotational_damping"]
+    assert any("by halves" in w for w in found.warnings)
+
+
 def test_the_hidden_effect_is_certified_and_nothing_else(damped: tuple[Discovery, list[Discovery]]):
     content = valid(damped[0])
     assert content["verdict"] == "named"

@@ -84,7 +84,7 @@ NAMES = tuple(sorted({c.name for c in CHECKS if c is not KINEMATICS} | {r.name f
 
 
 def check(
-    data: Dataset | Sequence[RawLog], vehicle: Airframe, *, accept: Iterable[str] = ()
+    data: Dataset | Flight | Sequence[RawLog], vehicle: Airframe, *, accept: Iterable[str] = ()
 ) -> CheckReport:
     """Look for data faults. Raw logs (`read_table`) show everything; a data set no longer shows
     faults of its clock.
@@ -97,13 +97,15 @@ def check(
     for name in accepted:
         if name not in NAMES:
             raise UnknownNameError("check", name, NAMES)
-    logs = [_as_raw(f) for f in data] if isinstance(data, Dataset) else list(data)
+    if isinstance(data, Dataset | Flight):
+        data = [_as_raw(f) for f in Dataset.of(data)]
+    logs = list(data)
     names = [log.flight for log in logs]
     double = sorted({n for n in names if names.count(n) > 1})
     if double:
         raise DataError(
             f"flight names given twice: {', '.join(double)}",
-            fix="give each log once, under its own name",
+            fix="give each log once; of two files with one name rename one",
         )
     findings: list[Finding] = []
     unjudged: list[Unjudged] = []

@@ -44,7 +44,9 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     mix = np.vstack([expected_signs(view), np.full((1, u.shape[1]), 1.0 / np.sqrt(u.shape[1]))])
     for name, row in zip(("roll", "pitch", "yaw", "thrust"), mix, strict=True):
         combined = (moved @ row) / np.sqrt(u.shape[1]) / span
-        size = float(np.sqrt(np.nanmean(combined**2))) if np.isfinite(combined).any() else 0.0
+        if not np.isfinite(combined).any():
+            continue  # too short for a mean to move about
+        size = float(np.sqrt(np.nanmean(combined**2)))
         evidence[f"{name}_command_rms"] = size
         if size < LEAST_COMMAND and np.any(row):
             still.append(f"{name} command")

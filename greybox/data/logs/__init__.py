@@ -93,7 +93,7 @@ def read_log(
 
 
 def read_logs(
-    paths: Iterable[Path],
+    paths: Iterable[str | os.PathLike[str]] | str | os.PathLike[str],
     vehicle: Airframe | None = None,
     *,
     rate: float | None = None,
@@ -102,8 +102,10 @@ def read_logs(
     mapping: Path | LogMapping | None = None,
     keep_impossible: bool = False,
 ) -> Dataset:
-    """Read several logs of one vehicle (see `read_log`) into a data set. Raises `DataError` for
-    equal file names."""
+    """Read one or several logs of one vehicle (see `read_log`) into a data set. Raises `DataError`
+    for equal file names."""
+    if isinstance(paths, str | os.PathLike):
+        paths = [paths]
     if mapping is not None and not isinstance(mapping, LogMapping):
         mapping = read_mapping(mapping)
     return Dataset(
