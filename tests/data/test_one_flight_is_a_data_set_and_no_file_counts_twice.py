@@ -32,9 +32,9 @@ def test_a_flight_is_a_data_set_and_its_segments_bear_its_name() -> None:
 
 @pytest.mark.parametrize("data", ["a.csv", [], 3, Dataset(flights=())])
 def test_what_is_none_is_said(data: object) -> None:
-    with pytest.raises(DataError, match="Dataset|no flights"):
+    with pytest.raises(DataError, match=r"Dataset|no flights"):
         Dataset.of(data)  # type: ignore[arg-type]
-    with pytest.raises(DataError, match="Dataset|no flights"):
+    with pytest.raises(DataError, match=r"Dataset|no flights"):
         gb.fit(gb.read_vehicle(vehicle_path(SET)), data)  # type: ignore[arg-type]
 
 
