@@ -155,14 +155,17 @@ def advice(
             f"{known} knows these columns: greybox inspect {log} --vehicle {shlex.quote(known)}"
         ]
     out = []
-    if content["looks_like"] and not arguments.draft:
-        out.append(f"write the guess and look it over: greybox inspect {log} --draft map.toml")
-        out.append(f"then: greybox inspect {log} --mapping map.toml")
-    elif content["looks_like"]:
-        out.append(
-            f"look {arguments.draft} over, then: greybox inspect {log} --mapping "
-            f"{shlex.quote(arguments.draft)}"
-        )
+    if content["looks_like"]:
+        mapped = shlex.quote(arguments.draft or "map.toml")
+        again = f"greybox inspect {log}"
+        again += f" --vehicle {shlex.quote(arguments.vehicle)}" if arguments.vehicle else ""
+        if arguments.draft:
+            out.append(f"look {arguments.draft} over, then: {again} --mapping {mapped}")
+        else:
+            out.append(f"write the guess and look it over: {again} --draft {mapped}")
+            out.append(f"then: {again} --mapping {mapped}")
+        if not arguments.mapping:
+            has.insert(0, f"--mapping {mapped}")
     if arguments.vehicle is None:
         from greybox.model.vehicle_template import TEMPLATES
 
