@@ -78,14 +78,14 @@ def discover(
     too).
     """
     began = time.perf_counter()
-    options, train = DiscoverOptions.of(options, choices), Dataset.of(train)
+    options = DiscoverOptions.of(options, choices)
     if not isinstance(subject, Vehicle | StateSpaceModel):
         raise ModelError(
             "discover names what the model of a vehicle, or one of your own, misses",
             expected="a vehicle (gb.read_vehicle) or a StateSpaceModel",
             got=type(subject).__name__,
         )
-    vehicle = subject if isinstance(subject, Vehicle) else None
+    train, vehicle = Dataset.of(train), subject if isinstance(subject, Vehicle) else None
     tested = test if test is not None and test.flights else None
     settings = _settings(options)
     if tested is not None:
