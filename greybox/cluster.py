@@ -101,8 +101,12 @@ class Cluster(concurrent.futures.Executor):
         answer: concurrent.futures.Future[T] = concurrent.futures.Future()
         self._open.add(answer)
         answer.add_done_callback(self._open.discard)
-        sent = self._client.submit(fn, *args, **kwargs, pure=False)
-        sent.add_done_callback(lambda done: _told(done, answer))
+        try:
+            sent = self._client.submit(fn, *args, **kwargs, pure=False)
+        except Exception as error:  # its scheduler is gone
+            _fail(answer, concurrent.futures.BrokenExecutor(str(error)))
+        else:
+            sent.add_done_callback(lambda done: _told(done, answer))
         return answer
 
     def _watch(self) -> None:

@@ -40,7 +40,7 @@ def started(*command: str) -> subprocess.Popen[bytes]:
 
 @pytest.fixture
 def cluster() -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """HOST:PORT of a scheduler, and its two workers."""
+    """HOST:PORT of a scheduler, and its two workers and itself."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         host = f"127.0.0.1:{free.getsockname()[1]}"
@@ -51,7 +51,7 @@ def cluster() -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     try:
         with distributed.Client(f"tcp://{host}", timeout=60, set_as_default=False) as client:
             client.wait_for_workers(2, timeout=60)
-        yield host, workers
+        yield host, [*workers, *ran]
     finally:
         for process in (*ran, *workers):
             process.kill()
@@ -84,6 +84,10 @@ def test_a_killed_worker_changes_no_number(
         workers[1].kill()
         with pytest.raises(concurrent.futures.BrokenExecutor):  # the search goes on here
             lost.result(timeout=30)
+        workers[2].kill()  # the scheduler
+        time.sleep(0.5)
+        with pytest.raises(concurrent.futures.BrokenExecutor):
+            executor.submit(time.sleep, 0.0).result(timeout=30)
 
 
 @pytest.mark.parametrize(
