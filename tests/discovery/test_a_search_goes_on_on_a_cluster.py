@@ -22,11 +22,7 @@ from greybox.errors import GreyboxError
 from tests.discovery import small_world
 
 distributed = pytest.importorskip("distributed")
-RIVALS: list[Structure] = [
-    frozenset({"rotational_damping"}),
-    frozenset({"gyro_bias"}),
-    frozenset({"parasitic_drag"}),
-]
+RIVALS: list[Structure] = [frozenset({"rotational_damping"}), frozenset({"gyro_bias"})]
 
 
 def started(*command: str) -> subprocess.Popen[bytes]:

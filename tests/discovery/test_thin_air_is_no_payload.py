@@ -13,7 +13,7 @@ from tests.discovery.small_world import plant, shorten
 
 
 def test_nothing_is_named_for_thrust_that_is_missing(monkeypatch: pytest.MonkeyPatch):
-    shorten(monkeypatch, "thrust_level", "gyro_scale", "payload_mass", "command_delay")
+    shorten(monkeypatch, "thrust_level", "payload_mass")
     thin = ThrustLevel(s=-0.03)
     exact = discovery_grid.vehicle_of(plant(), sigma={}, errors={})
     test = small_world.flown(thin, seeds=(11,), name="test")
