@@ -265,5 +265,6 @@ def lacking(action: str, there: Collection[str]) -> str:
     text = re.sub(r"(--effects|--disturbance) ([a-z_,]+)", left, action)
     if text == action:
         return action
-    text = re.sub(r"^[ ;,]*(and )?|( and)?[ ;,]*$", "", re.sub(r"  +", " ", text))
+    text = re.sub(r"(?: and)? +(?=[;, ]|$)", "", text)  # what joined a part that is gone
+    text = re.sub(r"^(?:[ ;,]|and )+|[ ;,]+$", "", text)
     return text or "greybox discover names what is missing"
