@@ -8,7 +8,6 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
 from greybox.distribution import VERSION, install_line
@@ -124,15 +123,6 @@ class Cluster(concurrent.futures.Executor):
         del wait, cancel_futures
         self._left.set()
         self._client.close()
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> bool | None:
-        self.shutdown()
-        return None
 
 
 def _version() -> str:

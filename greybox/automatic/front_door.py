@@ -61,7 +61,7 @@ def fit(
     data = Dataset.of(data)
     if isinstance(subject, Vehicle):
         said: FitChoices = choices if options is None else {**_said(options), **choices}
-        judged = None if test is None else test if isinstance(test, Dataset) else Dataset.of(test)
+        judged = Dataset(flights=(test,)) if isinstance(test, Flight) else test
         return _automatic(subject, data, judged, source, said, say, progress)
     return explicit_fit(subject, data, FitOptions.of(options, choices), progress=progress)
 

@@ -298,9 +298,9 @@ def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared,
     a flight in both."""
     from greybox.automatic.fit import prepare, read_flights
     from greybox.data import Dataset
+    from greybox.data.dataset import demand_names_once
     from greybox.data.halves import demand_disjoint
     from greybox.data.logs import read_possible
-    from greybox.errors import DataError
     from greybox.estimation.record import sample_time
 
     keep = bool(arguments.keep_impossible)
@@ -312,13 +312,7 @@ def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared,
         ]
 
     logs, others = read(arguments.train), read(arguments.test)
-    names = [r.flight for r in logs]
-    double = sorted({n for n in names if names.count(n) > 1})
-    if double:
-        raise DataError(
-            f"flight names given twice: {', '.join(double)}",
-            fix="give each log once; of two files with one name rename one",
-        )
+    demand_names_once([r.flight for r in logs])
     demand_disjoint(*([(r.flight, r.sha256) for r in some] for some in (logs, others)))
     prepared = prepare(
         vehicle,

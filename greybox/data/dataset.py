@@ -133,6 +133,16 @@ class Flight(Shown):
         return Dataset(flights=(self,)).plot(channels, ax=ax)
 
 
+def demand_names_once(names: Sequence[str]) -> None:
+    """Raise `DataError` for two flights of one name."""
+    double = sorted({n for n in names if names.count(n) > 1})
+    if double:
+        raise DataError(
+            f"flight names given twice: {', '.join(double)}",
+            fix="give each log once; of two files with one name rename one",
+        )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Dataset(Shown):
     """Several flights. Immutable; flight names are unique (`DataError` otherwise)."""
@@ -140,13 +150,7 @@ class Dataset(Shown):
     flights: tuple[Flight, ...]
 
     def __post_init__(self) -> None:
-        names = [f.name for f in self.flights]
-        double = sorted({n for n in names if names.count(n) > 1})
-        if double:
-            raise DataError(
-                f"flight names given twice: {', '.join(double)}",
-                fix="give each log once; of two files with one name rename one",
-            )
+        demand_names_once([f.name for f in self.flights])
 
     def __len__(self) -> int:
         return len(self.flights)

@@ -36,11 +36,11 @@ from greybox.data.checks.finding import (
     Unjudged,
 )
 from greybox.data.checks.view import View
-from greybox.data.dataset import Dataset, Flight
+from greybox.data.dataset import Dataset, Flight, demand_names_once
 from greybox.data.logs import read_table
 from greybox.data.raw import RawLog, measurable
 from greybox.data.readers import LogMapping
-from greybox.errors import DataError, UnknownNameError
+from greybox.errors import UnknownNameError
 
 __all__ = [
     "CHECKS",
@@ -100,13 +100,7 @@ def check(
     if isinstance(data, Dataset | Flight):
         data = [_as_raw(f) for f in Dataset.of(data)]
     logs = list(data)
-    names = [log.flight for log in logs]
-    double = sorted({n for n in names if names.count(n) > 1})
-    if double:
-        raise DataError(
-            f"flight names given twice: {', '.join(double)}",
-            fix="give each log once; of two files with one name rename one",
-        )
+    demand_names_once([log.flight for log in logs])
     findings: list[Finding] = []
     unjudged: list[Unjudged] = []
     flights: list[FlightSummary] = []
