@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FitError
+from greybox.estimation.elements import stack_times
 from greybox.estimation.lost_commands import Pushes
 from greybox.estimation.point_functions import PointFunction
 from greybox.estimation.record import lost_bits
@@ -400,12 +401,10 @@ class SystemSamples:
             return Riccati(P=p, N=n_, S=s, lost=self.lost, pieces=(a, c))
         da, dc, *every, fixed_n, fixed_s = self._slopes
         own = len(da)
-        dpc = (dp.reshape(-1, len(p)) @ c.T).reshape(len(dp), len(p), len(c))
+        dpc = stack_times(dp, c.T)
         dn, ds = fixed_n + a @ dpc, fixed_s + c @ dpc
-        half = (dc.reshape(-1, len(p)) @ pc).reshape(own, len(c), len(c))
-        dn[:own] += (da.reshape(-1, len(p)) @ pc).reshape(own, len(p), len(c)) + (
-            a @ p
-        ) @ dc.transpose(0, 2, 1)
+        half = stack_times(dc, pc)
+        dn[:own] += stack_times(da, pc) + (a @ p) @ dc.transpose(0, 2, 1)
         ds[:own] += half + half.transpose(0, 2, 1)
         return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds, lost=self.lost, pieces=(a, c, *every))
 

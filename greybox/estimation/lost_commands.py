@@ -110,10 +110,9 @@ class LostCommands:
         p: FloatArray,
         dt: float,
         columns: npt.NDArray[np.int_] | None = None,
-        scale: FloatArray | float = 1.0,
     ) -> Pushes:
         """Pushes at the state x, the command window (n_u, past + 1 + future) and the parameters p;
-        with `columns` also slopes in those of the active parameters, each times `scale`."""
+        with `columns` also slopes in those of the active parameters."""
         sigma = LOST * np.abs(window[:, self._now])
         sigma[self._slow] = 0.0  # the voltage is slow: the row before has it
         if columns is None:
@@ -122,8 +121,7 @@ class LostCommands:
             return Pushes(B=b[0], H=h[0], early=early[0])
         value, slope = self._functions.with_slopes(x, window, p, dt)
         (b, early), (h, _) = self._unpack(value[None], sigma)
-        own = slope[columns] * np.reshape(scale, (-1, 1))
-        (db, dearly), (dh, _) = self._unpack(own, sigma)
+        (db, dearly), (dh, _) = self._unpack(slope[columns], sigma)
         return Pushes(B=b[0], H=h[0], early=early[0], dB=db, dH=dh, dearly=dearly)
 
     def _unpack(

@@ -103,12 +103,13 @@ class RecordGains:
     """Filter of one record: `solutions` and, for every sample, the row of the tables made of them.
 
     `rows` (n_row) pairs of a solution's place and the channels there (as in `Record.patterns`);
-    `pattern` (n,).
+    `pattern` (n,); `columns` (n_s,) as in `Settling`.
     """
 
     solutions: tuple[Riccati, ...]
     rows: tuple[tuple[int, FloatArray], ...]
     pattern: IntArray
+    columns: BoolArray | None = None
 
     def tables(self) -> tuple[GainTable, FloatArray, tuple[FloatArray, ...] | None]:
         """(gains, covariances (n_row, n_e, n_e), their slopes per row (n_s, n_e, n_e))."""
@@ -119,8 +120,16 @@ class RecordGains:
         slopes = [(v.dK, v.dS) for v in parts if v.dK is not None and v.dS is not None]
         if not slopes:
             return GainTable(gain=k, zero=zero), s, None
-        dk, ds = zip(*slopes, strict=True)
+        dk, ds = zip(*((self._whole(a), self._whole(b)) for a, b in slopes), strict=True)
         return GainTable(gain=k, zero=zero, derivative=dk), s, ds
+
+    def _whole(self, slope: FloatArray) -> FloatArray:
+        """Slopes in all unknowns, zero in those that do not move the filter."""
+        if self.columns is None or self.columns.all():
+            return slope
+        whole = np.zeros((self.columns.size, *slope.shape[1:]))
+        whole[self.columns] = slope
+        return whole
 
     @property
     def covariances(self) -> FloatArray:
@@ -148,7 +157,9 @@ class Settling:
     at once.
 
     values (A, G, C, D), q, r, weak, slopes, dq, dr, lost as in
-    `greybox.estimation.gain.stationary`. Raises `FitError` where there is no stationary filter.
+    `greybox.estimation.gain.stationary`; `columns` (n,): the slopes are those in the unknowns where
+    it is true, the others (n in all) do not move the filter. Raises `FitError` where there is no
+    stationary filter.
     """
 
     values: tuple[FloatArray, ...]
@@ -159,6 +170,7 @@ class Settling:
     dq: FloatArray | None = None
     dr: FloatArray | None = None
     lost: Pushes | None = None
+    columns: BoolArray | None = None
     _known: dict[bytes, list[Riccati]] = field(default_factory=dict)
     _walks: dict[tuple[bytes, bytes, bytes], _Walk] = field(default_factory=dict)
     _elements: dict[bytes, list[Element]] = field(default_factory=dict)
@@ -193,7 +205,10 @@ class Settling:
         pairs, row = np.unique(node * len(few) + kind[record.pattern], return_inverse=True)
         rows = tuple((int(i) // len(few), few[int(i) % len(few)]) for i in pairs)
         return RecordGains(
-            solutions=tuple(solutions), rows=rows, pattern=row.ravel().astype(np.int32)
+            solutions=tuple(solutions),
+            rows=rows,
+            pattern=row.ravel().astype(np.int32),
+            columns=self.columns,
         )
 
     def _always(self) -> Riccati:

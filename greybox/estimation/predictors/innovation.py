@@ -202,30 +202,29 @@ class Innovation(StationaryGain[InnovationPrepared]):
                 values=lin.values(x, window, p, problem.dt), q=q, r=r, weak=weak, lost=pushes
             )
         values, dvalues = lin(x, window, p, problem.dt)
-        # A per-flight parameter does not move the common gain.
-        shared = np.array([(a, None) in problem.index for a in problem.engine.active], dtype=float)
-        dvalues = tuple(v * shared[:, None, None] for v in dvalues)
+        # A per-flight parameter does not move the common gain, nor does a bias.
+        shared = np.array([(a, None) in problem.index for a in problem.engine.active])
+        felt = np.any([v.reshape(len(v), -1).any(axis=1) for v in dvalues], axis=0)
+        moving = shared & (felt | (lost is not None))
         pushes = (
             None
             if lost is None
-            else lost.at(x, window, p, problem.dt, problem.engine.columns, shared)
+            else lost.at(x, window, p, problem.dt, problem.engine.columns[moving])
         )
-        na, nw, ne = len(problem.engine.active), q.size, r.size
-        free = [problem.place(n) is not None for n in noise_names(problem)]
-        dq = np.zeros((na + nw + ne, nw))
-        dr = np.zeros((na + nw + ne, ne))
-        dq[na + np.arange(nw), np.arange(nw)] = 2 * q  # d sigma^2 / d ln sigma
-        dr[na + nw + np.arange(ne), np.arange(ne)] = 2 * r
-        keep = np.concatenate([np.ones(na, dtype=bool), np.array(free)])
+        free = np.array([problem.place(n) is not None for n in noise_names(problem)])
+        na, nw, level = int(moving.sum()), q.size, np.concatenate([q, r])
+        dlevel = np.diag(2 * level)[free]  # d sigma^2 / d ln sigma
+        dlevel = np.concatenate([np.zeros((na, level.size)), dlevel])
         return Settling(
             values=values,
             q=q,
             r=r,
             weak=weak,
-            slopes=dvalues,
-            dq=dq[keep],
-            dr=dr[keep],
+            slopes=tuple(v[moving] for v in dvalues),
+            dq=dlevel[:, :nw],
+            dr=dlevel[:, nw:],
             lost=pushes,
+            columns=np.concatenate([moving, np.ones(free.sum(), dtype=bool)]),
         )
 
 
