@@ -220,8 +220,10 @@ static int stage(tube_solver *s, tube_data *d, int k) {
   tube_real value;
   if (k < N) {
     const tube_real *arg[TUBE_ARG] = {d->x[k], d->u[k], k > 0 ? d->u[k - 1] : d->u_before, d->ref[k]};
-    tube_real *res[TUBE_RES] = {&value, s->qp.g[k], s->qp.H[k]};
+    tube_real H[TUBE_COST_NONZEROS], *res[TUBE_RES] = {&value, s->qp.g[k], H};
     if (tube_model_tube_cost(arg, res, s->iw, s->w, 0)) return 1;
+    for (int j = NZ; j < NV; j++) s->qp.H[k][j * NV + j] = 0;
+    for (int i = 0; i < TUBE_COST_NONZEROS; i++) s->qp.H[k][cost_across[i] * NV + cost_row[i]] = H[i];
     for (int j = NZ; j < NV; j++) s->qp.H[k][j * NV + j] += d->damping;
     if (dynamics(s, d, k)) return 1;
   } else {

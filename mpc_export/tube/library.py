@@ -85,7 +85,7 @@ def write_tube(
     settings = settled(pilot.solver.sizes, pilot.solver.stages, model)
     bent = _matrix(pilot.solver.stages.bent.reshape(len(pilot.solver.stages.bent), -1))
     texts = [
-        driver("", settings, "double", "riccati"),
+        driver("", settings, "double", "condensed"),
         f"static const tube_real bent[N + 1][ND * ND] = {bent};\n",
         _filled("tube/step.c", words),
     ]

@@ -1,11 +1,12 @@
-/* The QP about a plan, as controller.c states it and qp_hpipm.c or qp_riccati.c solves it:
+/* The QP about a plan, as controller.c states it and qp_hpipm.c or qp_interior.c solves it:
 
      minimise   sum_k 0.5 y' H y + g' y + penalty slack + 0.5 penalty_square slack^2,     y = (d, v, w)
      subject to d+ = A d + B w + b,  v+ = w,  d_0 = v_0 = 0
                 lower <= w <= upper,  |w - v + change| <= rate_max (stages 1..N-1),  G d - slack <= most (stages 1..N)
 
    d is the error state without disturbances, which no command moves, v the change of the previous command, w the change of
-   the command. Matrices stand column by column; of A there are the nonzeros. */
+   the command. Matrices stand column by column; of A there are the nonzeros, of H those of TUBE_COST are not zero, none of which
+   joins d with v or w. */
 #define NZ (NK + NU)
 #define NV (NK + 2 * NU)
 
@@ -25,6 +26,8 @@ typedef struct {
 } tube_qp_answer;
 
 static const int plan_column[NK + 1] = TUBE_PLAN_COLUMN, plan_row[TUBE_PLAN_NONZEROS] = TUBE_PLAN_ROW;
+
+static const int cost_row[TUBE_COST_NONZEROS] = TUBE_COST_ROW, cost_across[TUBE_COST_NONZEROS] = TUBE_COST_ACROSS;
 
 /* y += A x */
 static void plus_sparse(const int *column, const int *row, const tube_real *a, int n, const tube_real *x, tube_real *y) {

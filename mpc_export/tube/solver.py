@@ -30,6 +30,7 @@ from mpc_export.c_code import (
     GENERATED_FLAGS,
     CKernel,
     CSource,
+    Port,
     Real,
     single_precision,
     write_c,
@@ -46,7 +47,7 @@ COARSE = 1e3
 """Tolerances in float are so many times those in double, but the QP's."""
 QP_TOLERANCE: dict[Real, float] = {"double": 1e-6, "float": 1e-4}
 """Up to which a QP counts as solved. Float gets no nearer in every QP, and commands are within 1e-3."""
-QP = Literal["hpipm", "riccati"]
+QP = Literal["hpipm", "riccati", "condensed"]
 """Who solves the QP."""
 HERE = Path(__file__).parent
 HOSTED = "#define TUBE_HOSTED\n#define _POSIX_C_SOURCE 199309L\n"
@@ -238,7 +239,7 @@ def driver(header: str, settings: str, real: Real, qp: QP) -> str:
         "tube_model.h": header,
         "tube_sizes.h": settings,
         "qp.h": (HERE / "qp.h").read_text(encoding="utf-8"),
-        "qp_solver.c": (HERE / f"qp_{qp}.c").read_text(encoding="utf-8"),
+        "qp_solver.c": _qp(qp),
     }
     for name, part in parts.items():
         # headers of a library know nothing of macros like N: they come first
@@ -249,11 +250,21 @@ def driver(header: str, settings: str, real: Real, qp: QP) -> str:
     return single_precision(text) if real == "float" else text
 
 
+def _qp(qp: QP) -> str:
+    """C of the QP's solver."""
+    own = (HERE / f"qp_{qp}.c").read_text(encoding="utf-8")
+    if qp == "hpipm":
+        return own
+    text = (HERE / "qp_interior.c").read_text(encoding="utf-8")
+    return text.replace('#include "qp_steps.c"\n', own)
+
+
 def settled(sizes: dict[str, int], made: Stages, source: CSource) -> str:
     """tube_sizes.h: sizes, constants and tube_data, for stage functions in `source`."""
     works = {k: max(1, *(getattr(f, f"sz_{k.lower()}") for f in source.functions)) for k in WORK}
     linear = next(f for f in source.functions if f.name == "tube_linear")
     plan, whole = linear.outputs[1], linear.outputs[3]
+    cost = next(f for f in source.functions if f.name == "tube_cost").outputs[2]
     lines = [f"typedef {source.real} tube_real;", *(f"#define {k} {v}" for k, v in sizes.items())]
     lines += [f"#define TUBE_{k} {v}" for k, v in works.items()]
     lines += [
@@ -261,22 +272,19 @@ def settled(sizes: dict[str, int], made: Stages, source: CSource) -> str:
         f"#define TUBE_WORST_CASE {int(made.worst_case)}",
         f"#define TUBE_NONZEROS {whole.nnz}",
         f"#define TUBE_PLAN_NONZEROS {plan.nnz}",
+        f"#define TUBE_COST_NONZEROS {cost.nnz}",
     ]
-    rows = np.array(whole.row)
-    across = np.repeat(np.arange(whole.columns), np.diff(whole.colind))
-    order = np.argsort(rows, kind="stable")
     tables: dict[str, Sequence[float]] = {
         "KEEP": made.keep,
         "FREE": made.free or (0,),
         "COLUMN": whole.colind,
         "ROW": whole.row,
-        "BY_ROW": np.concatenate(
-            [[0], np.cumsum(np.bincount(rows, minlength=whole.rows))]
-        ).tolist(),
-        "ROW_COLUMN": across[order].tolist(),
-        "ROW_AT": order.tolist(),
+        **_by_row("", whole),
         "PLAN_COLUMN": plan.colind,
         "PLAN_ROW": plan.row,
+        **_by_row("PLAN_", plan),
+        "COST_ROW": cost.row,
+        "COST_ACROSS": _across(cost).tolist(),
         "GAIN": made.gain.ravel(order="F").tolist(),
         "ESTIMATE": made.estimate.ravel().tolist(),
         "FRESH": made.fresh.ravel().tolist(),
@@ -285,6 +293,23 @@ def settled(sizes: dict[str, int], made: Stages, source: CSource) -> str:
     for name, values in tables.items():
         lines.append(f"#define TUBE_{name} {{{', '.join(map(_literal(source.real), values))}}}")
     return "\n".join(lines) + "\n" + in_c()
+
+
+def _across(port: Port) -> FloatArray:
+    """Column of every nonzero."""
+    return np.repeat(np.arange(port.columns), np.diff(port.colind))
+
+
+def _by_row(name: str, port: Port) -> dict[str, Sequence[float]]:
+    """Tables of the nonzeros row by row: where rows begin, their columns and places."""
+    rows, size = np.array(port.row), port.rows
+    order = np.argsort(rows, kind="stable")
+    begin = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=size))])
+    return {
+        f"{name}BY_ROW": begin.tolist(),
+        f"{name}ROW_COLUMN": _across(port)[order].tolist(),
+        f"{name}ROW_AT": order.tolist(),
+    }
 
 
 def _literal(real: Real) -> Callable[[float], str]:

@@ -254,17 +254,25 @@ def _cost(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) ->
         w.command * (u - ref[7:]),
         w.change * (u - before),
     )
-    return _squares("tube_cost", [x, u, before, ref], residual, (d, before, u), d)
+    return _squares("tube_cost", [x, u, before, ref], residual, (d, before, u), d, sparse=True)
 
 
 def _squares(
-    name: str, arguments: list[Expr], residual: Expr, by: tuple[Expr, ...], at_zero: Expr
+    name: str,
+    arguments: list[Expr],
+    residual: Expr,
+    by: tuple[Expr, ...],
+    at_zero: Expr,
+    *,
+    sparse: bool = False,
 ) -> Any:
-    """Value, gradient and Gauss-Newton Hessian of 0.5 r'r in `by`, at `at_zero` = 0."""
+    """Value, gradient and Gauss-Newton Hessian of 0.5 r'r in `by`, at `at_zero` = 0; sparse: of the
+    Hessian there are the nonzeros."""
     jacobian = ca.horzcat(*(ca.jacobian(residual, v) for v in by))
     value, slope = ca.substitute([residual, jacobian], [at_zero], [ca.DM.zeros(at_zero.shape)])
     found = ca.cse([0.5 * ca.sumsqr(value), slope.T @ value, slope.T @ slope])
-    return ca.Function(name, arguments, [ca.densify(v) for v in found])
+    found[2] = ca.sparsify(found[2]) if sparse else ca.densify(found[2])
+    return ca.Function(name, arguments, [*map(ca.densify, found[:2]), found[2]])
 
 
 def _end(model: ModelFunctions, keep: tuple[int, ...], terminal: FloatArray) -> Any:

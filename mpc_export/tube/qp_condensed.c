@@ -1,0 +1,240 @@
+/* Steps of the interior point method by condensing (Bock and Plitt 1984, IFAC Proceedings 17(2)): the states are written as
+   functions of all commands once a QP, so that an iteration factorises a matrix of the commands alone. For short horizons,
+   where it costs a fraction of a Riccati recursion: few commands and stages, many states. */
+
+enum { ALL = N * NU, ROWS = N * NL, TILE = ALL % 4 == 0 ? 4 : ALL % 2 == 0 ? 2 : 1 };
+
+static const int plan_by_row[NK + 1] = TUBE_PLAN_BY_ROW, plan_row_column[TUBE_PLAN_NONZEROS] = TUBE_PLAN_ROW_COLUMN;
+static const int plan_row_at[TUBE_PLAN_NONZEROS] = TUBE_PLAN_ROW_AT;
+
+typedef struct {
+  tube_real H[ALL][ALL], g[ALL];                  /* of the cost in the commands */
+  tube_real C[ROWS][ALL], c[ROWS];                /* soft limits: C w + c */
+  tube_real heavy[ROWS][ALL], L[ALL][ALL], inverse[ALL]; /* C with its weights; the factor, 1 / its diagonal */
+  tube_real slope[ALL], d[N + 1][NK], moved[N + 1][NK][NU], on[NK][NU];
+} qp_steps;
+
+/* out = (A) in for NU columns that stand row by row */
+static void qp_forward(const tube_real *A, tube_real in[NK][NU], tube_real out[NK][NU]) {
+  for (int i = 0; i < NK; i++) {
+    tube_real sum[NU] = {0};
+    for (int m = plan_by_row[i]; m < plan_by_row[i + 1]; m++) {
+      const tube_real a = A[plan_row_at[m]], *x = in[plan_row_column[m]];
+      for (int j = 0; j < NU; j++) sum[j] += a * x[j];
+    }
+    for (int j = 0; j < NU; j++) out[i][j] = sum[j];
+  }
+}
+
+/* out = A' in + Q x: columns as before; Q by its nonzeros, or all of it */
+static void qp_back(const tube_real *A, tube_real in[NK][NU], tube_real out[NK][NU]) {
+  for (int i = 0; i < NK; i++) {
+    tube_real sum[NU] = {0};
+    for (int m = plan_column[i]; m < plan_column[i + 1]; m++) {
+      const tube_real a = A[m], *x = in[plan_row[m]];
+      for (int j = 0; j < NU; j++) sum[j] += a * x[j];
+    }
+    for (int j = 0; j < NU; j++) out[i][j] = sum[j];
+  }
+}
+
+/* on += the Hessian of stage k in d, times x */
+static void qp_curved(const tube_qp *q, int k, tube_real x[NK][NU], tube_real on[NK][NU]) {
+  if (k == N) {
+    for (int i = 0; i < NK; i++)
+      for (int m = 0; m < NK; m++)
+        for (int j = 0; j < NU; j++) on[i][j] += q->H_end[i * NK + m] * x[m][j];
+    return;
+  }
+  for (int m = 0; m < TUBE_COST_NONZEROS; m++) {
+    int r = cost_row[m], c = cost_across[m];
+    if (r >= NK || c >= NK) continue;
+    for (int j = 0; j < NU; j++) on[r][j] += q->H[k][c * NV + r] * x[c][j];
+  }
+}
+
+/* What the command of stage j moves, its part of C and its columns of H. */
+static void qp_column(qp_steps *s, const tube_qp *q, int j) {
+  tube_real next[NK][NU];
+  for (int i = 0; i < NK; i++)
+    for (int m = 0; m < NU; m++) s->moved[j + 1][i][m] = q->B[j][m * NK + i];
+  for (int k = j + 1; k < N; k++) qp_forward(q->A[k], s->moved[k], s->moved[k + 1]);
+  for (int k = j + 1; k <= N; k++)
+    for (int l = 0; l < NL; l++) {
+      tube_real sum[NU] = {0};
+      for (int i = 0; i < NK; i++) {
+        tube_real a = q->G[k][i * NL + l];
+        if (a == 0) continue;
+        for (int m = 0; m < NU; m++) sum[m] += a * s->moved[k][i][m];
+      }
+      for (int m = 0; m < NU; m++) s->C[(k - 1) * NL + l][j * NU + m] = sum[m];
+    }
+  memset(s->on, 0, sizeof s->on);
+  for (int k = N; k > j; k--) {
+    qp_curved(q, k, s->moved[k], s->on);
+    for (int i = 0; i < NU; i++) {
+      tube_real sum[NU] = {0};
+      for (int r = 0; r < NK; r++) {
+        tube_real b = q->B[k - 1][i * NK + r];
+        for (int m = 0; m < NU; m++) sum[m] += b * s->on[r][m];
+      }
+      for (int m = 0; m < NU; m++) s->H[(k - 1) * NU + i][j * NU + m] = sum[m];
+    }
+    if (k == j + 1) break;
+    qp_back(q->A[k - 1], s->on, next);
+    memcpy(s->on, next, sizeof next);
+  }
+}
+
+/* The gradient in the commands, and the soft limits, where no command is changed. */
+static void qp_resting(qp_steps *s, const tube_qp *q) {
+  static tube_real still[N][NU];
+  tube_real p[NK] = {0}, on[NK];
+  qp_flown(q, 0, still, s->d);
+  for (int k = N; k >= 0; k--) {
+    const tube_real *d = s->d[k];
+    for (int l = 0; k > 0 && l < NL; l++) {
+      tube_real sum = 0;
+      for (int i = 0; i < NK; i++) sum += q->G[k][i * NL + l] * d[i];
+      s->c[(k - 1) * NL + l] = sum;
+    }
+    memcpy(on, k < N ? q->g[k] : q->g_end, sizeof on);
+    for (int i = 0; k == N && i < NK; i++)
+      for (int m = 0; m < NK; m++) on[i] += q->H_end[i * NK + m] * d[m];
+    for (int m = 0; k < N && m < TUBE_COST_NONZEROS; m++)
+      if (cost_row[m] < NK && cost_across[m] < NK) on[cost_row[m]] += q->H[k][cost_across[m] * NV + cost_row[m]] * d[cost_across[m]];
+    if (k < N) {
+      for (int j = 0; j < NU; j++) {
+        tube_real sum = q->g[k][NZ + j] + (k + 1 < N ? q->g[k + 1][NK + j] : 0);
+        for (int i = 0; i < NK; i++) sum += q->B[k][j * NK + i] * p[i];
+        s->g[k * NU + j] = sum;
+      }
+      for (int i = 0; k > 0 && i < NK; i++)
+        for (int m = plan_column[i]; m < plan_column[i + 1]; m++) on[i] += q->A[k][m] * p[plan_row[m]];
+    }
+    memcpy(p, on, sizeof p);
+  }
+}
+
+static void qp_prepared(qp_steps *s, const tube_qp *q) {
+  for (int j = 0; j < N; j++) qp_column(s, q, j);
+  for (int k = 0; k < N; k++)
+    for (int j = 0; j < NU; j++)
+      for (int i = 0; i < NU; i++) {
+        int at = k * NU;
+        s->H[at + i][at + j] += q->H[k][(NZ + j) * NV + NZ + i] + (k + 1 < N ? q->H[k + 1][(NK + j) * NV + NK + i] : 0);
+        if (k > 0) s->H[at + i][at - NU + j] += q->H[k][(NK + j) * NV + NZ + i];
+      }
+  for (int i = 0; i < ALL; i++)
+    for (int j = 0; j < i; j++) s->H[j][i] = s->H[i][j];
+  qp_resting(s, q);
+}
+
+/* Values of the soft limits, stage by stage; moved: of a change */
+static void qp_soft(const qp_steps *s, const tube_qp *q, int moved, tube_real w[N][NU], qp_limits value) {
+  const tube_real *flat = w[0];
+  (void)q;
+  for (int k = 1; k <= N; k++)
+    for (int l = 0; l < NL; l++) {
+      int at = (k - 1) * NL + l;
+      tube_real sum = moved ? 0 : s->c[at];
+      for (int j = 0; j < k * NU; j++) sum += s->C[at][j] * flat[j];
+      value[k][SOFT + l] = sum;
+    }
+}
+
+/* on += what numbers of the limits are in the commands */
+static void qp_pushed(const qp_steps *s, const qp_limits of, tube_real on[ALL]) {
+  for (int k = 0; k < N; k++)
+    for (int j = 0; j < NU; j++) {
+      tube_real rate = k > 0 ? of[k][RISE + j] - of[k][FALL + j] : 0;
+      on[k * NU + j] += of[k][UP + j] - of[k][DOWN + j] + rate;
+      if (k > 0) on[(k - 1) * NU + j] -= rate;
+    }
+  for (int k = 1; k <= N; k++)
+    for (int l = 0; l < NL; l++) {
+      const tube_real by = of[k][SOFT + l], *row = s->C[(k - 1) * NL + l];
+      for (int j = 0; j < k * NU; j++) on[j] += by * row[j];
+    }
+}
+
+static tube_real qp_slope(qp_steps *s, const tube_qp *q, tube_real w[N][NU], const qp_limits of) {
+  const tube_real *flat = w[0];
+  (void)q;
+  for (int i = 0; i < ALL; i++) {
+    tube_real sum = s->g[i];
+    for (int j = 0; j < ALL; j++) sum += s->H[i][j] * flat[j];
+    s->slope[i] = sum;
+  }
+  qp_pushed(s, of, s->slope);
+  return largest(s->slope, ALL);
+}
+
+/* One tile of the factor, from its sum so far. Returns 1 where a pivot is not positive. */
+static int qp_tile(qp_steps *s, int row, int column, tube_real sum[TILE][TILE]) {
+  for (int i = 0; i < TILE; i++)
+    for (int j = 0; j < TILE && column + j <= row + i; j++) {
+      tube_real v = sum[i][j];
+      for (int m = 0; m < j; m++) v -= s->L[row + i][column + m] * s->L[column + j][column + m];
+      if (row + i == column + j) {
+        if (!(v > 0)) return 1;
+        v = sqrt(v);
+        s->inverse[row + i] = 1 / v;
+      } else {
+        v *= s->inverse[column + j];
+      }
+      s->L[row + i][column + j] = v;
+    }
+  return 0;
+}
+
+/* L L' = H + C' W C + what limits of commands and rates weigh, tile by tile, so that a number loaded is used TILE times.
+   Returns 1 where it breaks down. */
+static int qp_factorised(qp_steps *s, const tube_qp *q, const qp_limits weight) {
+  (void)q;
+  for (int i = 0; i < ALL; i++) memcpy(s->L[i], s->H[i], (size_t)(i + 1) * sizeof s->L[i][0]);
+  for (int k = 0; k < N; k++)
+    for (int j = 0; j < NU; j++) {
+      int at = k * NU + j;
+      tube_real rate = k > 0 ? weight[k][RISE + j] + weight[k][FALL + j] : 0;
+      s->L[at][at] += weight[k][UP + j] + weight[k][DOWN + j] + rate;
+      if (k == 0) continue;
+      s->L[at - NU][at - NU] += rate;
+      s->L[at][at - NU] -= rate;
+    }
+  for (int k = 1; k <= N; k++)
+    for (int l = 0; l < NL; l++) {
+      int at = (k - 1) * NL + l;
+      for (int j = 0; j < k * NU; j++) s->heavy[at][j] = weight[k][SOFT + l] * s->C[at][j];
+    }
+  for (int i = 0; i < ALL; i += TILE)
+    for (int j = 0; j <= i; j += TILE) {
+      tube_real sum[TILE][TILE];
+      for (int a = 0; a < TILE; a++)
+        for (int b = 0; b < TILE; b++) sum[a][b] = s->L[i + a][j + b];
+      for (int r = i / NU * NL; r < ROWS; r++)
+        for (int a = 0; a < TILE; a++)
+          for (int b = 0; b < TILE; b++) sum[a][b] += s->heavy[r][i + a] * s->C[r][j + b];
+      for (int m = 0; m < j; m++)
+        for (int a = 0; a < TILE; a++)
+          for (int b = 0; b < TILE; b++) sum[a][b] -= s->L[i + a][m] * s->L[j + b][m];
+      if (qp_tile(s, i, j, sum)) return 1;
+    }
+  return 0;
+}
+
+static void qp_stepped(qp_steps *s, const tube_qp *q, const qp_limits push, tube_real change[N][NU]) {
+  tube_real *x = change[0];
+  (void)q;
+  memcpy(x, s->slope, sizeof s->slope);
+  qp_pushed(s, push, x);
+  for (int i = 0; i < ALL; i++) {
+    tube_real sum = -x[i];
+    for (int m = 0; m < i; m++) sum -= s->L[i][m] * x[m];
+    x[i] = sum * s->inverse[i];
+  }
+  for (int i = ALL - 1; i >= 0; i--) {
+    x[i] *= s->inverse[i];
+    for (int m = 0; m < i; m++) x[m] -= s->L[i][m] * x[i];
+  }
+}
