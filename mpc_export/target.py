@@ -158,9 +158,10 @@ def _least_squares(rows: int, columns: int) -> Any:
     m = ca.densify(ca.vertcat(top, ca.horzcat(RIDGE * ca.DM.eye(columns), ca.DM.zeros(columns, 1))))
     upper = []
     for k in range(columns):
-        q = m[:, k] / ca.norm_2(m[:, k])
-        upper.append(q.T @ m)
-        m = m - q @ upper[-1]
+        q = m[:, 0] / ca.norm_2(m[:, 0])
+        row = q.T @ m
+        upper.append(ca.horzcat(ca.DM.zeros(1, k), row))
+        m = m[:, 1:] - q @ row[:, 1:]
     u = ca.SX.sym("R", columns, columns + 1)
     x: list[Expr] = [ca.SX(0)] * columns
     for i in reversed(range(columns)):

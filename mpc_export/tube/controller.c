@@ -22,6 +22,9 @@
 #include "qp.h"
 #include "qp_solver.c"
 
+/* rows of square matrices and of errors that last, in tiles of four */
+enum { SIDE = (ND + 3) / 4 * 4, LASTING = (NGP + NTH + 4) / 4 * 4, MOST = LASTING > SIDE ? LASTING : SIDE };
+
 typedef struct {
   qp_solver solver;
   tube_qp qp;
@@ -30,14 +33,13 @@ typedef struct {
   tube_model_int iw[TUBE_IW];
   tube_real A[N][TUBE_NONZEROS], B[N][ND * NU]; /* of all error states; nonzeros of A */
   tube_real value[N + 1][NL];
-  tube_real Z[ND * ND], Y[ND * ND];
+  tube_real closed[SIDE][SIDE], Z[SIDE][SIDE], Y[MOST][SIDE], lasting[LASTING][SIDE];
   tube_real x_kept[N + 1][NX], u_kept[N][NU];
   tube_data first;
 } tube_solver;
 
 static const int column[ND + 1] = TUBE_COLUMN, row[TUBE_NONZEROS] = TUBE_ROW;
-static const int by_row[ND + 1] = TUBE_BY_ROW, row_column[TUBE_NONZEROS] = TUBE_ROW_COLUMN, row_at[TUBE_NONZEROS] = TUBE_ROW_AT;
-static const tube_real gain[NU * ND] = TUBE_GAIN;
+static const tube_real gain[NU][ND] = TUBE_GAIN;
 
 #ifdef TUBE_HOSTED
 #define TUBE_SOLVE
@@ -92,47 +94,50 @@ static int limits(tube_solver *s, const tube_data *d, int k) {
   return tube_model_tube_limits(arg, res, s->iw, s->w, 0);
 }
 
-/* y = (A_k + B_k K) x, one column */
-static void closed_loop(const tube_solver *s, int k, const tube_real *x, tube_real *y) {
-  tube_real u[NU] = {0};
-  for (int i = 0; i < ND; i++)
-    for (int j = 0; j < NU; j++) u[j] += gain[i * NU + j] * x[i];
-  for (int i = 0; i < ND; i++) {
-    y[i] = 0;
-    for (int j = 0; j < NU; j++) y[i] += s->B[k][j * ND + i] * u[j];
-  }
-  plus_sparse(column, row, s->A[k], ND, x, y);
+/* out = X Y' of matrices whose rows are SIDE long: tile by tile, so that a number loaded is used four times. lower: of a
+   symmetric product tiles above the diagonal are left out. */
+static void product(tube_real X[][SIDE], tube_real Y[][SIDE], int rows, int lower, tube_real out[][SIDE]) {
+  for (int i = 0; i < rows; i += 4)
+    for (int j = 0; j < (lower ? i + 4 : SIDE); j += 4) {
+      tube_real sum[4][4] = {{0}};
+      for (int m = 0; m < ND; m++)
+        for (int a = 0; a < 4; a++)
+          for (int b = 0; b < 4; b++) sum[a][b] += X[i + a][m] * Y[j + b][m];
+      for (int a = 0; a < 4; a++)
+        for (int b = 0; b < 4; b++) out[i + a][j + b] = sum[a][b];
+    }
 }
 
-/* out' = (A_k + B_k K) m for a matrix m that stands row by row: what is contiguous is added */
-static void closed_rows(const tube_solver *s, int k, const tube_real *m, tube_real *out) {
-  tube_real u[NU][ND] = {{0}}, line[ND];
-  for (int j = 0; j < NU; j++)
-    for (int i = 0; i < ND; i++)
-      if (gain[i * NU + j] != 0) PLUS(u[j], gain[i * NU + j], m + i * ND, ND);
+/* A_k + B_k K */
+static void closed_loop(tube_solver *s, int k) {
   for (int i = 0; i < ND; i++) {
-    memset(line, 0, sizeof line);
-    for (int j = 0; j < NU; j++)
-      if (s->B[k][j * ND + i] != 0) PLUS(line, s->B[k][j * ND + i], u[j], ND);
-    for (int j = by_row[i]; j < by_row[i + 1]; j++) PLUS(line, s->A[k][row_at[j]], m + row_column[j] * ND, ND);
-    for (int j = 0; j < ND; j++) out[j * ND + i] = line[j];
+    tube_real *line = s->closed[i];
+    for (int m = 0; m < ND; m++) line[m] = 0;
+    for (int j = 0; j < NU; j++) {
+      tube_real b = s->B[k][j * ND + i];
+      if (b != 0)
+        for (int m = 0; m < ND; m++) line[m] += b * gain[j][m];
+    }
   }
+  for (int j = 0; j < ND; j++)
+    for (int i = column[j]; i < column[j + 1]; i++) s->closed[row[i]][j] += s->A[k][i];
 }
 
-static tube_real trace(const tube_real *m) {
+static tube_real trace(const tube_solver *s) {
   tube_real sum = 0;
-  for (int i = 0; i < ND; i++) sum += m[i * ND + i];
+  for (int i = 0; i < ND; i++) sum += s->Z[i][i];
   return sum;
 }
 
 /* Z+ from Z, see stages.py; pushed: of the learned functions, for errors that are fresh at every stage. */
-static void propagated(tube_solver *s, int k, const tube_real *pushed) {
+static void propagated(tube_solver *s, const tube_real *pushed) {
   static const tube_real fresh[ND * ND] = TUBE_FRESH;
   tube_real own = 1, other = 1, added;
-  closed_rows(s, k, s->Z, s->Y);
-  closed_rows(s, k, s->Y, s->Z);
+  product(s->closed, s->Z, SIDE, 0, s->Y);
+  product(s->Y, s->closed, SIDE, 1, s->Z);
   if (TUBE_WORST_CASE) {
-    tube_real spread = trace(s->Z), more = trace(fresh), ratio;
+    tube_real spread = trace(s), more = 0, ratio;
+    for (int i = 0; i < ND; i++) more += fresh[i * ND + i];
     for (int i = 0; TUBE_WHITE && i < ND * NGP; i++) more += pushed[i] * pushed[i];
     ratio = sqrt(spread / fmax(more, 1e-30));
     /* at the start there is nothing to add to */
@@ -140,77 +145,78 @@ static void propagated(tube_solver *s, int k, const tube_real *pushed) {
     other = spread > 0 ? 1 + ratio : 1;
   }
   for (int j = 0; j < ND; j++)
-    for (int i = 0; i < ND; i++) {
+    for (int i = 0; i <= j; i++) {
       added = fresh[j * ND + i];
       for (int m = 0; TUBE_WHITE && m < NGP; m++) added += pushed[m * ND + i] * pushed[m * ND + j];
-      s->Z[j * ND + i] = own * s->Z[j * ND + i] + other * added;
+      s->Z[j][i] = s->Z[i][j] = own * s->Z[j][i] + other * added;
     }
 }
 
 /* total = P_f + Z + D + c c' + b Cov(theta) b' */
-static void summed(const tube_solver *s, const tube_data *d, const tube_real *c, const tube_real *b, int k, tube_real *total) {
-  static const tube_real estimate[ND * ND] = TUBE_ESTIMATE, covariance[NTH1 * NTH1] = TUBE_COVARIANCE;
-  for (int j = 0; j < ND; j++) {
-    tube_real along[NTH1] = {0};
-    for (int m = 0; m < NTH; m++)
-      for (int i = 0; i < NTH; i++) along[i] += covariance[m * NTH + i] * b[m * ND + j];
+static void summed(const tube_solver *s, const tube_data *d, int k, tube_real total[ND][ND]) {
+  static const tube_real estimate[ND * ND] = TUBE_ESTIMATE;
+  for (int j = 0; j < ND; j++)
     for (int i = 0; i <= j; i++) {
-      int at = j * ND + i;
-      tube_real sum = estimate[at] + s->Z[at] + d->bent[k][j][i];
-      for (int m = 0; m < NGP; m++) sum += c[m * ND + i] * c[m * ND + j];
-      for (int m = 0; m < NTH; m++) sum += b[m * ND + i] * along[m];
-      total[at] = total[i * ND + j] = sum;
+      tube_real sum = estimate[j * ND + i] + s->Z[j][i] + d->bent[k][j][i];
+      for (int m = 0; m < NGP + NTH; m++) sum += s->lasting[m][i] * s->lasting[m][j];
+      total[j][i] = total[i][j] = sum;
     }
-  }
 }
 
 /* What the covariance takes off the limits of stage k, and the ancillary gain off the commands: K (Z + c c' + b b') K',
    without the filter's error. */
 static void back_off(const tube_solver *s, tube_data *d, int k) {
   static const int keep[NK] = TUBE_KEEP;
-  const tube_real *total = d->covariance[k][0];
+  tube_real(*total)[ND] = d->covariance[k], taken[NU] = {0};
   for (int j = 0; j < NL; j++) {
     tube_real sum = 0;
     for (int m = 0; m < NK; m++) {
-      tube_real part = 0;
-      if (s->qp.G[k][m * NL + j] == 0) continue;
-      for (int i = 0; i < NK; i++) part += s->qp.G[k][i * NL + j] * total[keep[m] * ND + keep[i]];
-      sum += s->qp.G[k][m * NL + j] * part;
+      tube_real part = 0, by = s->qp.G[k][m * NL + j];
+      if (by == 0) continue;
+      for (int i = 0; i < NK; i++) part += s->qp.G[k][i * NL + j] * total[keep[m]][keep[i]];
+      sum += by * part;
     }
     d->backoff[k][j] = k > 0 ? d->kappa[j] * d->wider[k][j] * sqrt(sum > 0 ? sum : 0) : 0;
   }
-  for (int j = 0; k < N && j < NU; j++) {
-    tube_real sum = 0, room = 0.45 * (d->u_max[j] - d->u_min[j]);
-    for (int m = 0; k > 0 && m < ND; m++) {
-      tube_real part = 0;
-      for (int i = 0; i < ND; i++) part += gain[i * NU + j] * (total[m * ND + i] - d->covariance[0][m][i]);
-      sum += gain[m * NU + j] * part;
+  for (int m = 0; k > 0 && k < N && m < ND; m++) {
+    tube_real part[NU] = {0};
+    for (int i = 0; i <= m; i++) {
+      tube_real more = (i < m ? 2 : 1) * (total[m][i] - d->covariance[0][m][i]);
+      for (int j = 0; j < NU; j++) part[j] += gain[j][i] * more;
     }
-    d->backoff_u[k][j] = k > 0 ? d->kappa_u * sqrt(sum > 0 ? sum : 0) : 0;
+    for (int j = 0; j < NU; j++) taken[j] += gain[j][m] * part[j];
+  }
+  for (int j = 0; k < N && j < NU; j++) {
+    tube_real room = 0.45 * (d->u_max[j] - d->u_min[j]);
+    d->backoff_u[k][j] = d->kappa_u * sqrt(taken[j] > 0 ? taken[j] : 0);
     if (d->backoff_u[k][j] > room) d->backoff_u[k][j] = room;
   }
 }
 
-/* Covariance of the closed loop along the plan, and what it takes off every constraint. */
+/* Covariance of the closed loop along the plan, and what it takes off every constraint. Errors that last, c and b, travel
+   as rows of one matrix, those of the parameters by a root of their covariance. */
 static int tube(tube_solver *s, tube_data *d) {
-  tube_real c[ND * NGP1] = {0}, b[ND * NTH1] = {0}, push[ND * NGP1] = {0}, slope[ND * NTH1] = {0}, moved[ND];
-  memcpy(s->Z, d->Z0, sizeof s->Z);
+  static const tube_real root[NTH1][NTH1] = TUBE_ROOT;
+  tube_real push[ND * NGP1], slope[ND * NTH1];
+  memset(s->lasting, 0, sizeof s->lasting);
+  for (int j = 0; j < ND; j++) memcpy(s->Z[j], d->Z0[j], sizeof d->Z0[j]);
   for (int k = 0; k <= N; k++) {
-    summed(s, d, c, b, k, d->covariance[k][0]);
+    summed(s, d, k, d->covariance[k]);
     back_off(s, d, k);
     if (k == N) break;
     const tube_real *arg[TUBE_ARG] = {d->x[k], d->u[k], d->p};
     tube_real *res[TUBE_RES] = {push, slope};
     if (tube_model_tube_unsure(arg, res, s->iw, s->w, 0)) return 1;
-    propagated(s, k, push);
-    for (int m = 0; !TUBE_WHITE && m < NGP; m++) {
-      closed_loop(s, k, c + m * ND, moved);
-      for (int i = 0; i < ND; i++) c[m * ND + i] = moved[i] + push[m * ND + i];
-    }
-    for (int m = 0; m < NTH; m++) {
-      closed_loop(s, k, b + m * ND, moved);
-      for (int i = 0; i < ND; i++) b[m * ND + i] = moved[i] + slope[m * ND + i];
-    }
+    closed_loop(s, k);
+    propagated(s, push);
+    if (NGP + NTH == 0) continue;
+    product(s->lasting, s->closed, LASTING, 0, s->Y);
+    memcpy(s->lasting, s->Y, sizeof s->lasting);
+    for (int m = 0; m < NGP; m++)
+      for (int i = 0; i < ND; i++) s->lasting[m][i] = TUBE_WHITE ? 0 : s->lasting[m][i] + push[m * ND + i];
+    for (int j = 0; j < NTH; j++)
+      for (int m = 0; m < NTH; m++)
+        for (int i = 0; root[m][j] != 0 && i < ND; i++) s->lasting[NGP + j][i] += root[m][j] * slope[m * ND + i];
   }
   return 0;
 }

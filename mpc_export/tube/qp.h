@@ -35,16 +35,6 @@ static void plus_sparse(const int *column, const int *row, const tube_real *a, i
     for (int i = column[j]; i < column[j + 1]; i++) y[row[i]] += a[i] * x[j];
 }
 
-/* y += a x of n numbers, n known to the compiler: most of a step's time */
-#ifdef __GNUC__
-#define PLUS(y, a, x, n) do { \
-    _Pragma("GCC unroll 32") \
-    for (int plus = 0; plus < (n); plus++) (y)[plus] += (a) * (x)[plus]; \
-  } while (0)
-#else
-#define PLUS(y, a, x, n) for (int plus = 0; plus < (n); plus++) (y)[plus] += (a) * (x)[plus]
-#endif
-
 /* The larger of two sizes; infinite where one is no number, so that a NaN is never lost among numbers. */
 static tube_real larger(tube_real a, tube_real b) {
   if (isnan(a) || isnan(b)) return (tube_real)INFINITY;

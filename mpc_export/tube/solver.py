@@ -279,19 +279,19 @@ def settled(sizes: dict[str, int], made: Stages, source: CSource) -> str:
         "FREE": made.free or (0,),
         "COLUMN": whole.colind,
         "ROW": whole.row,
-        **_by_row("", whole),
         "PLAN_COLUMN": plan.colind,
         "PLAN_ROW": plan.row,
-        **_by_row("PLAN_", plan),
+        **_by_row(plan),
         "COST_ROW": cost.row,
         "COST_ACROSS": _across(cost).tolist(),
-        "GAIN": made.gain.ravel(order="F").tolist(),
         "ESTIMATE": made.estimate.ravel().tolist(),
         "FRESH": made.fresh.ravel().tolist(),
-        "COVARIANCE": made.covariance.ravel().tolist() or [0.0],
     }
     for name, values in tables.items():
-        lines.append(f"#define TUBE_{name} {{{', '.join(map(_literal(source.real), values))}}}")
+        lines.append(f"#define TUBE_{name} {_braced(values, source.real)}")
+    for name, m in (("GAIN", made.gain), ("ROOT", _root(made.covariance))):
+        rows = [_braced(row, source.real) for row in m.tolist()]
+        lines.append(f"#define TUBE_{name} {{{', '.join(rows) or '{0}'}}}")
     return "\n".join(lines) + "\n" + in_c()
 
 
@@ -300,16 +300,27 @@ def _across(port: Port) -> FloatArray:
     return np.repeat(np.arange(port.columns), np.diff(port.colind))
 
 
-def _by_row(name: str, port: Port) -> dict[str, Sequence[float]]:
+def _by_row(port: Port) -> dict[str, Sequence[float]]:
     """Tables of the nonzeros row by row: where rows begin, their columns and places."""
     rows, size = np.array(port.row), port.rows
     order = np.argsort(rows, kind="stable")
     begin = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=size))])
     return {
-        f"{name}BY_ROW": begin.tolist(),
-        f"{name}ROW_COLUMN": _across(port)[order].tolist(),
-        f"{name}ROW_AT": order.tolist(),
+        "PLAN_BY_ROW": begin.tolist(),
+        "PLAN_ROW_COLUMN": _across(port)[order].tolist(),
+        "PLAN_ROW_AT": order.tolist(),
     }
+
+
+def _root(m: FloatArray) -> FloatArray:
+    """R (n, n) with R R' = m, m symmetric and not negative."""
+    values, vectors = np.linalg.eigh(m) if m.size else (np.zeros(0), m)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _braced(values: Sequence[float], real: Real) -> str:
+    """An initialiser of C."""
+    return f"{{{', '.join(map(_literal(real), values))}}}"
 
 
 def _literal(real: Real) -> Callable[[float], str]:

@@ -180,11 +180,20 @@ def _linear(model: ModelFunctions, keep: tuple[int, ...]) -> Any:
     of all."""
     x, u, p = _arguments(model)
     after, a, b, _ = model["f_d_jac"](x, u, p)
-    a = ca.project(a, _pattern(model))
-    rows = list(keep)
+    rows, pattern = list(keep), _pattern(model)
+    plan = pattern.sub(rows, rows)[0]
     return ca.Function(
-        "tube_linear", [x, u, p], [after, a[rows, rows], ca.densify(b[rows, :]), a, ca.densify(b)]
+        "tube_linear",
+        [x, u, p],
+        [after, _picked(a[rows, rows], plan), ca.densify(b[rows, :]), _picked(a, pattern), b],
     )
+
+
+def _picked(m: Expr, pattern: Any) -> Expr:
+    """m (dense) with the nonzeros of the pattern alone: by their places, which is quicker in C than
+    a projection."""
+    rows, columns = pattern.get_triplet()
+    return ca.MX(pattern, m.nz[[r + m.shape[0] * c for r, c in zip(rows, columns, strict=True)]])
 
 
 def _pattern(model: ModelFunctions) -> Any:

@@ -450,7 +450,7 @@ static void corrected(const tube_real *state, const tube_real *before, const tub
   }
   for (int j = 0; j < NU; j++) {
     tube_real v = u[j];
-    for (int i = 0; i < ND; i++) v += gain[i * NU + j] * away[i];
+    for (int i = 0; i < ND; i++) v += gain[j][i] * away[i];
     out[j] = allowed(all_finite(&v, 1) ? v : before[j], before[j]);
   }
 }
