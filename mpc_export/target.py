@@ -156,12 +156,12 @@ def _least_squares(rows: int, columns: int) -> Any:
     weight = 1 / ca.sqrt(ca.sum2(j * j) + 1e-30)
     top = ca.horzcat(j * ca.repmat(weight, 1, columns), r * weight)
     m = ca.densify(ca.vertcat(top, ca.horzcat(RIDGE * ca.DM.eye(columns), ca.DM.zeros(columns, 1))))
-    upper = []
+    left, upper = ca.horzsplit(m), []
     for k in range(columns):
-        q = m[:, 0] / ca.norm_2(m[:, 0])
-        row = q.T @ m
-        upper.append(ca.horzcat(ca.DM.zeros(1, k), row))
-        m = m[:, 1:] - q @ row[:, 1:]
+        q = left[k] / ca.norm_2(left[k])
+        row = [ca.dot(q, v) for v in left[k:]]
+        upper.append(ca.horzcat(ca.DM.zeros(1, k), *row))
+        left[k + 1 :] = [v - r * q for v, r in zip(left[k + 1 :], row[1:], strict=True)]
     u = ca.SX.sym("R", columns, columns + 1)
     x: list[Expr] = [ca.SX(0)] * columns
     for i in reversed(range(columns)):

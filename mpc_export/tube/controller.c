@@ -373,7 +373,7 @@ static int simulated(tube_solver *s, tube_data *d) {
 }
 
 /* Iterates from the plan in d; where that fails or its steps grow, also from its commands flown by the model, and takes
-   the better. Returns 0; 1 where a function of the model failed or the plan is not finite; 2 where the QP was
+   the better; with attempts_max = 1 the call after a failure begins there. Returns 0; 1 where a function of the model failed or the plan is not finite; 2 where the QP was
    not solved; 3 where Newton's steps grow. After 1 to 3 the plan is the one from before the call, to the last bit. After 0
    its commands keep their limits and rates exactly; qp_status 1 or 2 then says that the QP was not solved to the end,
    though it met dynamics and limits to primal_tolerance. d->kkt <= d->tolerance says that the iterations converged. */
@@ -386,9 +386,9 @@ TUBE_SOLVE int tube_solve(tube_solver *s, tube_data *d) {
   memcpy(s->x_kept, d->x, sizeof d->x);
   memcpy(s->u_kept, d->u, sizeof d->u);
   memcpy(d->x[0], d->x0, sizeof d->x[0]);
-  int failed = iterated(s, d);
+  int failed = ((int)d->attempts_max < 2 && d->failed != 0 && simulated(s, d)) || iterated(s, d);
   tube_real ratio = contraction(d, failed);
-  if (ratio >= 1) {
+  if (ratio >= 1 && (int)d->attempts_max > 1) {
     s->first = *d;
     if (failed) qp_renew(&s->solver);
     memcpy(d->u, s->u_kept, sizeof d->u);
@@ -402,6 +402,7 @@ TUBE_SOLVE int tube_solve(tube_solver *s, tube_data *d) {
     }
   }
   if (!failed && ratio >= 1) failed = 3;
+  d->failed = failed != 0;
   if (failed) {
     memcpy(d->x, s->x_kept, sizeof d->x);
     memcpy(d->u, s->u_kept, sizeof d->u);

@@ -231,6 +231,7 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         "qp_tolerance": QP_TOLERANCE[real],
         "primal_tolerance": PRIMAL,
         "qp_iterations": QP_ITERATIONS,
+        "attempts": problem.attempts,
         "parameters": _list([*pilot.functions.parameter_values] or [0.0]),
         "near_steady": NEAR_STEADY * (COARSE if single else 1.0),
         "near_position": NEAR["position"],

@@ -23,7 +23,9 @@ class TubeProblem:
     loop. ancillary: weights of the LQR that gives this gain, default those of the tracking cost; a
     stiffer one makes the tube narrower in place and takes more off the commands. kind:
     "probabilistic" (covariances, back-off = kappa standard deviations) or "worst case" (ellipsoids
-    that hold every disturbance inside its own ellipsoid; back-off = their half width).
+    that hold every disturbance inside its own ellipsoid; back-off = their half width). attempts: 2,
+    or 1 for a chip whose time is short: a plan that fails is tried again, from its commands flown by
+    the model, at once or in place of the next plan; until then the plan before goes on.
     """
 
     dt: float = 0.02
@@ -39,6 +41,7 @@ class TubeProblem:
     penalty_square: float = 400.0
     feedback: bool = True
     kind: str = "probabilistic"
+    attempts: int = 2
 
     def __post_init__(self) -> None:
         low, high, most = self.command_min, self.command_max, math.inf
@@ -50,6 +53,7 @@ class TubeProblem:
             < low
             < high
             < most,
+            "attempts are 1 or 2": self.attempts in (1, 2),
             "rate_max must be positive and finite": 0 < self.rate_max < most,
             "tilt_max lies between 0 and pi": 0 < self.tilt_max < math.pi,
             "penalties must be finite and not negative": 0 <= self.penalty < most

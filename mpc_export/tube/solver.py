@@ -168,6 +168,7 @@ class TubeSolver:
         d["qp_tolerance"][()] = QP_TOLERANCE[self._real]
         d["primal_tolerance"][()] = PRIMAL
         d["iterations_max"][()], d["qp_iterations_max"][()], d["tube_updates_max"][()] = 1, 40, 1
+        d["attempts_max"][()] = problem.attempts
 
     def solve(self) -> Outcome:
         """Iterate from the plan in `data`; the new plan stands there afterwards."""

@@ -36,6 +36,8 @@ FIELDS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("iterations_max", (), ""),
     ("qp_iterations_max", (), ""),
     ("tube_updates_max", (), ""),
+    ("attempts_max", (), "2: a plan that fails is tried again at once; 1: by the next call"),
+    ("failed", (), "whether the call before gave no plan"),
     ("x", ("N + 1", "NX"), "the plan, also the start of the next solution"),
     ("u", ("N", "NU"), ""),
     ("covariance", ("N + 1", "ND", "ND"), "results from here on"),

@@ -77,6 +77,7 @@ int @NAME@_tube_start(const tube_real place[4]) {
   c.data.primal_tolerance = @primal_tolerance@;
   c.data.iterations_max = c.data.tube_updates_max = 1;
   c.data.qp_iterations_max = @qp_iterations@;
+  c.data.attempts_max = @attempts@;
   memcpy(c.p, (const tube_real[NP1])@parameters@, sizeof c.p);
   memcpy(c.steady_x, hover_x, sizeof hover_x);
   memcpy(c.steady_x + POSITION, place, 3 * sizeof *place);
