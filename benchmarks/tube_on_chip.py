@@ -128,7 +128,7 @@ def main() -> None:
         for horizon in arguments.horizon:
             pilot = TubeController(
                 model=model,
-                problem=TubeProblem(dt=0.02, horizon=horizon, planes=2),
+                problem=TubeProblem(dt=0.02, horizon=horizon, planes=2, attempts=1),
                 reference=Circle(0),
                 planes=Circle(0).planes,
                 kappa=(2.0, 2.0, 2.0),

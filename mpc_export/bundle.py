@@ -68,6 +68,7 @@ from mpc_export.predictors import Fitted, PredictorModel, predictor_model
 from mpc_export.readme import licences, readme
 from mpc_export.tape import write_tape
 from mpc_export.targets import NAMES, write_target
+from mpc_export.tube.library import Planning
 
 GOLDEN_POINTS = 12
 KEPT = 16
@@ -213,8 +214,8 @@ def write_bundle(
     They are those of `model_functions` and of the command line.
 
     `name` is the prefix in C (default: the folder's name), `points` projects the learned part on
-    that many support points first, `horizon` are the stages of
-    the target tube. Raises `ModelError` (a name that is no C identifier, see
+    that many support points first, `horizon` are the stages of the target tube, `attempts` how many
+    a step may make at its plan. Raises `ModelError` (a name that is no C identifier, see
     `model_functions`), `UnknownNameError` (a target), `OutputError` (a folder that is not a bundle,
     or cannot be written).
     """
@@ -294,8 +295,9 @@ def _write_parts(
         (part / "casadi").mkdir()
         for n, f in functions.functions.items():
             f.save(str(part / "casadi" / f"{n}.casadi"))
+    plan = Planning(horizon=o.horizon, attempts=o.attempts)
     targets = {
-        target: write_target(target, functions, part, name, o.real, o.horizon)
+        target: write_target(target, functions, part, name, o.real, plan)
         for target in o.targets
         if target in NAMES
     }

@@ -8,7 +8,8 @@ from typing import Literal, TypedDict
 
 from greybox.errors import UnknownNameError
 from greybox.estimation.options import chosen
-from mpc_export.targets import HORIZON, NAMES, NEEDS, ONBOARD
+from mpc_export.targets import NAMES, NEEDS, ONBOARD
+from mpc_export.tube.library import HORIZON
 
 TARGETS = ("c", "casadi", *NAMES)
 """Those that `mpc_export.targets` adds come after the two that the bundle itself writes."""
@@ -26,6 +27,7 @@ class ExportChoices(TypedDict, total=False):
     runtime_parameters: Iterable[str]
     points: int | None
     horizon: int
+    attempts: int
     use_cache: bool
 
 
@@ -49,6 +51,8 @@ class ExportOptions:
     """Support points that the learned part is projected on first; None: as it is."""
     horizon: int = HORIZON
     """Stages of the plan of the target tube."""
+    attempts: int = 1
+    """Attempts at a plan of the target tube within one step: 2 may take twice as long."""
     use_cache: bool = True
     """Whether the same bundle may come from the cache."""
 
@@ -86,4 +90,5 @@ class ExportOptions:
             runtime,
             self.points,
             self.horizon,
+            self.attempts,
         ]

@@ -31,7 +31,7 @@ from mpc_export.fmu import write_fmu
 from mpc_export.functions import ModelFunctions
 from mpc_export.onboard import crazyflie_app, px4_module, ros2
 from mpc_export.onboard.flight import OnBoard, write_flight
-from mpc_export.tube.library import write_target_tube
+from mpc_export.tube.library import PLANNING, Planning, write_target_tube
 
 COMMON = ("exported", "hover")
 MODULES = {
@@ -52,8 +52,6 @@ ONBOARD = {own.TARGET: own.write for own in (crazyflie_app, px4_module, ros2)}
 NEEDS = {"l4acados": ("nominal",)} | dict.fromkeys(ONBOARD, ("pilot",))
 """Groups of functions that a target cannot do without."""
 NAMES = (*EXAMPLES, *ONBOARD, "tube")
-HORIZON = 10
-"""Stages of the plan of the target tube."""
 PACKAGE = (
     '"""What this bundle\'s model looks like to controllers; see the scripts in examples/."""\n'
 )
@@ -65,10 +63,10 @@ def write_target(
     folder: Path,
     name: str,
     real: Literal["double", "float"] = "double",
-    horizon: int = HORIZON,
+    plan: Planning = PLANNING,
 ) -> dict[str, Any]:
     """Add a target to the bundle in `folder`; `name` is the bundle's, `real` the precision of its
-    C, `horizon` the stages of the tube. Returns what the manifest says of it.
+    C, `plan` what is chosen of the tube. Returns what the manifest says of it.
 
     Raises `UnknownNameError`, and `ModelError` for a model that the target cannot take.
     """
@@ -79,7 +77,7 @@ def write_target(
         write_flight(board, folder / "c")
         return ONBOARD[target](board, folder)
     if target == "tube":
-        return write_target_tube(functions, folder, name, real, horizon)
+        return write_target_tube(functions, folder, name, real, plan)
     model = of(functions, name)
     said: dict[str, Any] = {"example": f"examples/{EXAMPLES[target]}.py"}
     if target == "fmu":

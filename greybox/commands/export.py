@@ -82,6 +82,13 @@ def add(commands: Any) -> None:
         help="stages of the plan of the target tube (default %(default)s)",
     )
     p.add_argument(
+        "--attempts",
+        type=int,
+        choices=(1, 2),
+        default=1,
+        help="attempts at a plan in one step of the target tube (default %(default)s)",
+    )
+    p.add_argument(
         "--effects-file",
         nargs="+",
         default=[],
@@ -142,6 +149,7 @@ def run(arguments: argparse.Namespace) -> int:
         runtime_parameters=_split(arguments.runtime),
         points=arguments.points,
         horizon=arguments.horizon,
+        attempts=arguments.attempts,
         use_cache=not arguments.no_cache,
     )
     judged.say("export")

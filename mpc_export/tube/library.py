@@ -9,6 +9,7 @@ which is a bit in the answer instead.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -37,9 +38,11 @@ from mpc_export.tube.descent import HELD
 from mpc_export.tube.heading import TURN
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.rival import BELIEVED, CLEARLY
-from mpc_export.tube.solver import COARSE, PRIMAL, QP_TOLERANCE, driver, settled
+from mpc_export.tube.solver import COARSE, PRIMAL, QP, QP_TOLERANCE, driver, settled
 from mpc_export.tube.stages import block
 
+CONDENSED = 20
+"""Stages up to which the QP is condensed; beyond, a Riccati recursion is the cheaper."""
 QP_ITERATIONS = 12
 """Iterations of the QP at most: what is found then is the plan, if it keeps its limits."""
 AGREE: dict[Real, float] = {"double": 1e-5, "float": 1e-3}
@@ -82,10 +85,11 @@ def write_tube(
     words = _words(pilot, own, name, real)
     header = _filled("tube/tube.h", words)
     write_atomic(folder / f"{name}_tube.h", header)
+    qp: QP = "condensed" if pilot.problem.horizon <= CONDENSED else "riccati"
     settings = settled(pilot.solver.sizes, pilot.solver.stages, model)
     bent = _matrix(pilot.solver.stages.bent.reshape(len(pilot.solver.stages.bent), -1))
     texts = [
-        driver("", settings, "double", "condensed"),
+        driver("", settings, "double", qp),
         f"static const tube_real bent[N + 1][ND * ND] = {bent};\n",
         _filled("tube/step.c", words),
     ]
@@ -101,7 +105,22 @@ def write_tube(
     return tuple(folder / f"{name}_{end}.c" for end in ends)
 
 
-def pilot_of(functions: ModelFunctions, horizon: int) -> TubeController:
+HORIZON = 10
+"""Stages of the plan of the target tube."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planning:
+    """What is chosen of the target: stages of the plan, and attempts at it in one step."""
+
+    horizon: int = HORIZON
+    attempts: int = 1
+
+
+PLANNING = Planning()
+
+
+def pilot_of(functions: ModelFunctions, plan: Planning) -> TubeController:
     """The controller that the target exports: limits five hundredths of their range inside those of
     the model's commands, back-offs of KAPPA standard deviations. Raises `ModelError`."""
     model = functions.model
@@ -116,7 +135,8 @@ def pilot_of(functions: ModelFunctions, horizon: int) -> TubeController:
     low, high = float(lower.max()), float(upper.min())
     problem = TubeProblem(
         dt=model.sample_time * max(1, round(STEP / model.sample_time)),
-        horizon=horizon,
+        horizon=plan.horizon,
+        attempts=plan.attempts,
         command_min=low + 0.05 * (high - low),
         command_max=high - 0.05 * (high - low),
         rate_max=0.25 * (high - low),
@@ -130,11 +150,16 @@ def pilot_of(functions: ModelFunctions, horizon: int) -> TubeController:
 
 
 def write_target_tube(
-    functions: ModelFunctions, folder: Path, name: str, real: Real, horizon: int
+    functions: ModelFunctions, folder: Path, name: str, real: Real, plan: Planning
 ) -> dict[str, Any]:
     """The library in folder/tube. Returns what the manifest says of it."""
-    write_tube(pilot_of(functions, horizon), folder / "tube", name=name, real=real)
-    return {"folder": "tube", "horizon": horizon, "selftest": f"tube/{name}_tube_selftest.c"}
+    write_tube(pilot_of(functions, plan), folder / "tube", name=name, real=real)
+    return {
+        "folder": "tube",
+        "horizon": plan.horizon,
+        "attempts": plan.attempts,
+        "selftest": f"tube/{name}_tube_selftest.c",
+    }
 
 
 def _filled(template: str, words: Mapping[str, str]) -> str:

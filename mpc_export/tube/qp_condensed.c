@@ -144,7 +144,7 @@ static void qp_soft(const qp_steps *s, const tube_qp *q, int moved, tube_real w[
 }
 
 /* on += what numbers of the limits are in the commands */
-static void qp_pushed(const qp_steps *s, const qp_limits of, tube_real on[ALL]) {
+static void qp_pushed(const qp_steps *s, qp_limits of, tube_real on[ALL]) {
   for (int k = 0; k < N; k++)
     for (int j = 0; j < NU; j++) {
       tube_real rate = k > 0 ? of[k][RISE + j] - of[k][FALL + j] : 0;
@@ -158,7 +158,7 @@ static void qp_pushed(const qp_steps *s, const qp_limits of, tube_real on[ALL]) 
     }
 }
 
-static tube_real qp_slope(qp_steps *s, const tube_qp *q, tube_real w[N][NU], const qp_limits of) {
+static tube_real qp_slope(qp_steps *s, const tube_qp *q, tube_real w[N][NU], qp_limits of) {
   const tube_real *flat = w[0];
   (void)q;
   for (int i = 0; i < ALL; i++) {
@@ -190,7 +190,7 @@ static int qp_tile(qp_steps *s, int row, int column, tube_real sum[TILE][TILE]) 
 
 /* L L' = H + C' W C + what limits of commands and rates weigh, tile by tile, so that a number loaded is used TILE times.
    Returns 1 where it breaks down. */
-static int qp_factorised(qp_steps *s, const tube_qp *q, const qp_limits weight) {
+static int qp_factorised(qp_steps *s, const tube_qp *q, qp_limits weight) {
   (void)q;
   for (int i = 0; i < ALL; i++) memcpy(s->L[i], s->H[i], (size_t)(i + 1) * sizeof s->L[i][0]);
   for (int k = 0; k < N; k++)
@@ -223,7 +223,7 @@ static int qp_factorised(qp_steps *s, const tube_qp *q, const qp_limits weight) 
   return 0;
 }
 
-static void qp_stepped(qp_steps *s, const tube_qp *q, const qp_limits push, tube_real change[N][NU]) {
+static void qp_stepped(qp_steps *s, const tube_qp *q, qp_limits push, tube_real change[N][NU]) {
   tube_real *x = change[0];
   (void)q;
   memcpy(x, s->slope, sizeof s->slope);

@@ -24,19 +24,6 @@ static void qp_flown(const tube_qp *q, int moved, tube_real w[N][NU], tube_real 
   }
 }
 
-/* L of S = L L' in place, S (n x n) column by column. Returns 1 where S is not positive. */
-static int qp_cholesky(tube_real *S, int n) {
-  for (int j = 0; j < n; j++) {
-    for (int i = j; i < n; i++) {
-      tube_real sum = S[j * n + i];
-      for (int m = 0; m < j; m++) sum -= S[m * n + i] * S[m * n + j];
-      if (i == j && !(sum > 0)) return 1;
-      S[j * n + i] = i == j ? sqrt(sum) : sum / S[j * n + j];
-    }
-  }
-  return 0;
-}
-
 /* qp_steps, its memory, and what it does: qp_prepared before the first iteration; qp_soft, values G d of the soft limits;
    qp_slope, the gradient of the Lagrangian in the commands, of which it returns the largest; qp_factorised; qp_stepped, the
    change of the commands that `push` on the limits asks for. */
@@ -155,7 +142,7 @@ static qp_distance qp_judged(qp_solver *s, const tube_qp *q) {
       s->left[k][i] = left;
       far.missed = larger(far.missed, fabs(left));
     }
-  far.slope = qp_slope(&s->steps, q, s->w, n->of);
+  far.slope = qp_slope(&s->steps, q, s->w, s->now.of);
   far.product /= (tube_real)far.pairs;
   return far;
 }

@@ -49,7 +49,7 @@ static void qp_pushed(const tube_qp *q, int k, const tube_real *c, tube_real *on
     for (int j = 0; j < NL; j++) on_d[i] += q->G[k][i * NL + j] * c[SOFT + j];
 }
 
-static tube_real qp_slope(qp_steps *s, const tube_qp *q, tube_real w[N][NU], const qp_limits of) {
+static tube_real qp_slope(qp_steps *s, const tube_qp *q, tube_real w[N][NU], qp_limits of) {
   tube_real most = 0, p[NK] = {0}, after[NK];
   for (int k = N; k >= 0; k--) {
     if (k == N) {
@@ -85,6 +85,19 @@ static tube_real qp_slope(qp_steps *s, const tube_qp *q, tube_real w[N][NU], con
     memcpy(p, after, sizeof p);
   }
   return most;
+}
+
+/* L of S = L L' in place, S (NU x NU). Returns 1 where S is not positive. */
+static int qp_cholesky(tube_real *S) {
+  for (int j = 0; j < NU; j++) {
+    for (int i = j; i < NU; i++) {
+      tube_real sum = S[j * NU + i];
+      for (int m = 0; m < j; m++) sum -= S[m * NU + i] * S[m * NU + j];
+      if (i == j && !(sum > 0)) return 1;
+      S[j * NU + i] = i == j ? sqrt(sum) : sum / S[j * NU + j];
+    }
+  }
+  return 0;
 }
 
 /* x = -S^-1 x */
@@ -127,7 +140,7 @@ static void qp_products(qp_steps *s, const tube_qp *q, int k) {
 }
 
 /* Riccati recursion: the cost to go 0.5 (d, v)' [P Pv; Pv' Pvv] (d, v), feedback and factors. Returns 1 where it breaks down. */
-static int qp_factorised(qp_steps *s, const tube_qp *q, const qp_limits weights) {
+static int qp_factorised(qp_steps *s, const tube_qp *q, qp_limits weights) {
   memcpy(s->P, q->H_end, sizeof s->P);
   memset(s->Pv, 0, sizeof s->Pv);
   memset(s->Pvv, 0, sizeof s->Pvv);
@@ -144,7 +157,7 @@ static int qp_factorised(qp_steps *s, const tube_qp *q, const qp_limits weights)
       }
       S[j * NU + j] += weight[UP + j] + weight[DOWN + j] + (k > 0 ? weight[RISE + j] + weight[FALL + j] : 0);
     }
-    if (qp_cholesky(S, NU)) return 1;
+    if (qp_cholesky(S)) return 1;
     if (k == 0) break;
     /* M = E' A + H_wd: (NU x NK), its columns through the factor are the feedback */
     for (int j = 0; j < NK; j++)
@@ -185,7 +198,7 @@ static int qp_factorised(qp_steps *s, const tube_qp *q, const qp_limits weights)
   return 0;
 }
 
-static void qp_stepped(qp_steps *s, const tube_qp *q, const qp_limits push, tube_real change_w[N][NU]) {
+static void qp_stepped(qp_steps *s, const tube_qp *q, qp_limits push, tube_real change_w[N][NU]) {
   tube_real p[NK] = {0}, pv[NU] = {0}, after[NK];
   for (int k = N; k >= 0; k--) {
     tube_real on_d[NK], on_v[NU], on_w[NU] = {0};
