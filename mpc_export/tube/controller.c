@@ -19,6 +19,7 @@
 
 #include "tube_model.h"
 #include "tube_sizes.h"
+#include "numbers.h"
 #include "qp.h"
 #include "qp_solver.c"
 
@@ -261,8 +262,6 @@ static void bounds(tube_solver *s, tube_data *d, int k) {
   s->qp.penalty = d->penalty;
   s->qp.penalty_square = d->penalty_square;
 }
-
-static tube_real clip(tube_real v, tube_real low, tube_real high) { return v < low ? low : (v > high ? high : v); }
 
 /* Commands of the plan within their limits and, which comes first, their rates. Returns the largest change. */
 static tube_real limited(tube_data *d) {

@@ -49,6 +49,14 @@ AGREE: dict[Real, float] = {"double": 1e-5, "float": 1e-3}
 """Largest difference of commands from Python's in the self-test."""
 SAMPLES = 60
 """Samples of the self-test."""
+MEMORY = """  tube_solver solver;
+  tube_data data;
+  tube_real steady_x[NX], steady_u[NU];
+  tube_real plan_x[N + 1][NX], plan_u[N][NU]; /* that of the last solution */
+  tube_real kappa_u;
+  int adrift, has_plan, plan_age, failures;
+"""
+"""What plans keep in the library's memory."""
 STEP, KAPPA = 0.02, 2.81
 """Of the target: sample time of the plan, to whole samples of the model [s]; standard deviations of
 the tube (10 % a flight that touches 40 limits)."""
@@ -82,7 +90,7 @@ def write_tube(
         real=real,
         kernels=kernels_of(pilot.filter),
     )
-    words = _words(pilot, own, name, real)
+    words = _words(pilot, own, name, real) | {"memory": MEMORY}
     header = _filled("tube/tube.h", words)
     write_atomic(folder / f"{name}_tube.h", header)
     qp: QP = "condensed" if pilot.problem.horizon <= CONDENSED else "riccati"
@@ -91,7 +99,7 @@ def write_tube(
     texts = [
         driver("", settings, "double", qp),
         f"static const tube_real bent[N + 1][ND * ND] = {bent};\n",
-        _filled("tube/step.c", words),
+        *(_filled(f"tube/{part}.c", words) for part in ("sample", "plan", "call")),
     ]
     text = "".join(texts)
     text = single_precision(text) if real == "float" else text

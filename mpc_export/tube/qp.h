@@ -34,15 +34,3 @@ static void plus_sparse(const int *column, const int *row, const tube_real *a, i
   for (int j = 0; j < n; j++)
     for (int i = column[j]; i < column[j + 1]; i++) y[row[i]] += a[i] * x[j];
 }
-
-/* The larger of two sizes; infinite where one is no number, so that a NaN is never lost among numbers. */
-static tube_real larger(tube_real a, tube_real b) {
-  if (isnan(a) || isnan(b)) return (tube_real)INFINITY;
-  return a > b ? a : b;
-}
-
-static tube_real largest(const tube_real *v, int n) {
-  tube_real m = 0;
-  for (int i = 0; i < n; i++) m = larger(m, fabs(v[i]));
-  return m;
-}

@@ -13,18 +13,7 @@ typedef tube_real qp_limits[N + 1][LIMITS]; /* a number of every limit */
 static int qp_first(int k) { return k < N ? 0 : SOFT; }
 static int qp_last(int k) { return k > 0 ? LIMITS : RISE; }
 
-/* d from w by the dynamics; with b, or of a change without it. */
-static void qp_flown(const tube_qp *q, int moved, tube_real w[N][NU], tube_real d[N + 1][NK]) {
-  memset(d[0], 0, sizeof d[0]);
-  for (int k = 0; k < N; k++) {
-    for (int i = 0; i < NK; i++) d[k + 1][i] = moved ? 0 : q->b[k][i];
-    for (int j = 0; j < NU; j++)
-      for (int i = 0; i < NK; i++) d[k + 1][i] += q->B[k][j * NK + i] * w[k][j];
-    if (k > 0) plus_sparse(plan_column, plan_row, q->A[k], NK, d[k], d[k + 1]);
-  }
-}
-
-/* qp_steps, its memory, and what it does: qp_prepared before the first iteration; qp_soft, values G d of the soft limits;
+/* qp_steps, its memory, and what it does: qp_soft, values G d of the soft limits;
    qp_slope, the gradient of the Lagrangian in the commands, of which it returns the largest; qp_factorised; qp_stepped, the
    change of the commands that `push` on the limits asks for. */
 #include "qp_steps.c"
@@ -240,41 +229,20 @@ static void qp_moved(qp_solver *s, const tube_qp *q, tube_real by) {
   qp_values(s, q, 0, s->w, s->value);
 }
 
-static void qp_answered(qp_solver *s, const tube_qp *q, tube_qp_answer *answer) {
-  qp_flown(q, 0, s->w, answer->d);
-  memcpy(answer->w, s->w, sizeof answer->w);
-  answer->residual = 0;
-  for (int k = 0; k <= N; k++)
-    for (int i = qp_first(k); i < qp_last(k); i++) {
-      tube_real beyond = s->value[k][i] - s->room[k][i];
-      if (i >= SOFT)
-        answer->slack[k][i - SOFT] = beyond < 0 ? 0 : beyond;
-      else if (!(beyond <= 0))
-        answer->residual = larger(answer->residual, beyond);
-    }
-}
-
-/* Solves the QP. Where a factor breaks down, which float does near the limits, the commands found so far are the answer: they
-   fly by the dynamics, and the residual says how far they are from their limits. It always begins anew (`warm` is HPIPM's): in
-   float the end of a QP before is too near its limits. */
-static void qp_solve(qp_solver *s, tube_qp *q, tube_real tolerance, int most, int warm, tube_qp_answer *answer) {
-  (void)warm;
-  answer->status = 1;
-  qp_prepared(&s->steps, q);
+/* Iterates from the beginning until the QP is solved to `tolerance`, or `most` times: 0 solved, 1 cut off, 2 a factor or the
+   step broke down, which float does near the limits, 3 NaN. The commands found so far are the answer, and s->value is theirs. */
+static int qp_iterated(qp_solver *s, const tube_qp *q, tube_real tolerance, int most, int *iterations) {
   qp_begin(s, q);
-  for (answer->iterations = 0;; answer->iterations++) {
+  for (*iterations = 0;; ++*iterations) {
     tube_real product, aimed, length;
     qp_distance far = qp_judged(s, q);
-    if (!(far.missed < (tube_real)INFINITY) || !(far.slope < (tube_real)INFINITY) || !(far.product < (tube_real)INFINITY)) answer->status = 3;
+    if (!(far.missed < (tube_real)INFINITY) || !(far.slope < (tube_real)INFINITY) || !(far.product < (tube_real)INFINITY)) return 3;
     /* What a limit is missed by moves commands as it is, a product by its root, a slope by its part of the curvature, and in float
        it rounds with multipliers as large as the penalty. */
-    if (far.missed <= 0.1 * tolerance && far.product <= 0.001 * tolerance && far.slope <= tolerance) answer->status = 0;
-    if (answer->status != 1 || answer->iterations >= most) break;
+    if (far.missed <= 0.1 * tolerance && far.product <= 0.001 * tolerance && far.slope <= tolerance) return 0;
+    if (*iterations >= most) return 1;
     qp_weights(s, q);
-    if (qp_factorised(&s->steps, q, s->weight)) {
-      answer->status = 2;
-      break;
-    }
+    if (qp_factorised(&s->steps, q, s->weight)) return 2;
     qp_directed(s, q, 0, 0);
     qp_length(s, &product);
     aimed = product / far.product;
@@ -282,23 +250,9 @@ static void qp_solve(qp_solver *s, tube_qp *q, tube_real tolerance, int most, in
     qp_directed(s, q, aimed, 1);
     length = 0.995 * qp_length(s, &product);
     if (length < 1e-6) {
-      answer->status = 2;
       qp_values(s, q, 0, s->w, s->value);
-      break;
+      return 2;
     }
     qp_moved(s, q, length);
   }
-  qp_answered(s, q, answer);
-}
-
-/* KKT residual of the plan that the QP is about, with the multipliers of the QP before. */
-static tube_real qp_kkt(qp_solver *s, tube_qp *q) {
-  qp_distance far;
-  tube_real defect = largest(&q->b[0][0], N * NK);
-  qp_prepared(&s->steps, q);
-  memset(s->w, 0, sizeof s->w);
-  qp_rooms(s, q);
-  qp_values(s, q, 0, s->w, s->value);
-  far = qp_judged(s, q);
-  return larger(larger(far.missed, far.slope), larger(far.product, defect));
 }

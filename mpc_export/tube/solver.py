@@ -237,6 +237,7 @@ def driver(header: str, settings: str, real: Real, qp: QP) -> str:
     """controller.c with everything that it includes of ours."""
     text = (HERE / "controller.c").read_text(encoding="utf-8")
     parts = {
+        "numbers.h": included("numbers.h"),
         "tube_model.h": header,
         "tube_sizes.h": settings,
         "qp.h": (HERE / "qp.h").read_text(encoding="utf-8"),
@@ -253,11 +254,18 @@ def driver(header: str, settings: str, real: Real, qp: QP) -> str:
 
 def _qp(qp: QP) -> str:
     """C of the QP's solver."""
-    own = (HERE / f"qp_{qp}.c").read_text(encoding="utf-8")
     if qp == "hpipm":
-        return own
-    text = (HERE / "qp_interior.c").read_text(encoding="utf-8")
-    return text.replace('#include "qp_steps.c"\n', own)
+        return included("qp_hpipm.c")
+    return included("qp_planned.c").replace('#include "qp_steps.c"\n', included(f"qp_{qp}.c"))
+
+
+def included(name: str) -> str:
+    """A C file of ours with those of ours that it includes; what is chosen stays."""
+    text = (HERE / name).read_text(encoding="utf-8")
+    own = re.findall(r'^#include "(qp_(?:interior|dense)\.c)"\n', text, re.MULTILINE)
+    for part in own:
+        text = text.replace(f'#include "{part}"\n', included(part))
+    return text
 
 
 def settled(sizes: dict[str, int], made: Stages, source: CSource) -> str:
