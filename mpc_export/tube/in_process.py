@@ -15,14 +15,14 @@ from greybox.estimation.build import build
 from greybox.symbolic import FloatArray
 from mpc_export.c_code import GENERATED_FLAGS, Real
 from mpc_export.tube.controller import Planes, Reference, TubeController
-from mpc_export.tube.library import along, write_tube
+from mpc_export.tube.library import along, write_library
 
 
 class TubeInC:
     """`pilot` as its C library, flying the same reference and planes.
 
-    flags: of the compiler. said: the bits of every call. Raises `BuildError`
-    without a C compiler and what `write_tube` raises.
+    flags: of the compiler; linear: the linear tube. said: the bits of every call. Raises `BuildError`
+    without a C compiler and what `write_library` raises.
     """
 
     def __init__(
@@ -32,11 +32,12 @@ class TubeInC:
         *,
         real: Real = "float",
         flags: Sequence[str] = GENERATED_FLAGS,
+        linear: bool = False,
     ) -> None:
         name = "flown"
-        files = write_tube(pilot, folder, name=name, real=real)
+        files, _ = write_library(pilot, folder, name=name, real=real, linear=linear)
         sources = []
-        for path in files[:-1]:
+        for path in files:
             text = path.read_text(encoding="utf-8")
             for header in folder.glob("*.h"):
                 include = f'#include "{header.name}"\n'

@@ -8,11 +8,12 @@ which is a bit in the answer instead.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from mpc_export.c_kernels import kernels_of
 from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions
 from mpc_export.template import filled, places_in
+from mpc_export.tube import linear as linear_library
 from mpc_export.tube.controller import (
     FAILURES,
     MEASURED,
@@ -63,26 +65,35 @@ the tube (10 % a flight that touches 40 limits)."""
 
 
 def write_tube(
-    pilot: TubeController, folder: Path, *, name: str, real: Real = "float"
+    pilot: TubeController, folder: Path, *, name: str, real: Real = "float", linear: bool = False
 ) -> tuple[Path, ...]:
-    """Write the library of `pilot` into `folder`; returns its C files, the self-test last.
+    """Write the library of `pilot` into `folder`, with its README; returns its C files, the
+    self-test last. linear: the linear tube (linear.py).
 
     Raises `ModelError` for a controller that calibrates, adapts or has no planes: those stay on a
     desktop.
     """
+    files, words = write_library(pilot, folder, name=name, real=real, linear=linear)
+    words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE[real])}
+    selftest = folder / f"{name}_tube_selftest.c"
+    write_atomic(selftest, _selftest(pilot, words, real, linear))
+    write_atomic(folder / "README.md", _filled("tube/README.md", words))
+    return *files, selftest
+
+
+def write_library(
+    pilot: TubeController, folder: Path, *, name: str, real: Real, linear: bool = False
+) -> tuple[tuple[Path, ...], dict[str, str]]:
+    """The C files alone, and the words of their templates. Raises what `write_tube` does."""
     if pilot.calibrate or pilot.adapt is not None:
         raise ModelError("a controller that calibrates or adapts has no C library", fix="leave it")
     if not pilot.problem.planes:
         raise ModelError("the C library has room for at least one plane", got="planes = 0")
     f = pilot.functions
     made = {n: v for n, v in pilot.solver.stages.functions.items() if n != "tube_spread"}
-    model = write_c(
-        [*made.values(), f["target_step"], f["boxminus"]],
-        folder,
-        prefix=f"{name}_tube_model",
-        real=real,
-        kernels=kernels_of(pilot.functions),
-    )
+    needed = [f["boxminus"]] if linear else [*made.values(), f["target_step"], f["boxminus"]]
+    kernels = kernels_of(pilot.functions)
+    model = write_c(needed, folder, prefix=f"{name}_tube_model", real=real, kernels=kernels)
     own = write_c(
         [pilot.filter["filter_step"]],
         folder,
@@ -90,27 +101,36 @@ def write_tube(
         real=real,
         kernels=kernels_of(pilot.filter),
     )
-    words = _words(pilot, own, name, real) | {"memory": MEMORY}
-    header = _filled("tube/tube.h", words)
-    write_atomic(folder / f"{name}_tube.h", header)
-    qp: QP = "condensed" if pilot.problem.horizon <= CONDENSED else "riccati"
-    settings = settled(pilot.solver.sizes, pilot.solver.stages, model)
-    bent = _matrix(pilot.solver.stages.bent.reshape(len(pilot.solver.stages.bent), -1))
-    texts = [
-        driver("", settings, "double", qp),
-        f"static const tube_real bent[N + 1][ND * ND] = {bent};\n",
-        *(_filled(f"tube/{part}.c", words) for part in ("sample", "plan", "call")),
-    ]
-    text = "".join(texts)
+    words = _words(pilot, own, name, real)
+    if linear:
+        words |= {"memory": linear_library.MEMORY}
+        words["qp_iterations"] = repr(linear_library.QP_ITERATIONS)
+    write_atomic(folder / f"{name}_tube.h", _filled("tube/tube.h", words))
+    text = _linear(pilot, model, words) if linear else _nonlinear(pilot, model, words)
     text = single_precision(text) if real == "float" else text
     text = text.replace("tube_model_", f"{name}_tube_model_").replace(f"{name}_{name}_", f"{name}_")
     includes = [f'#include "{name}_{part}.h"\n' for part in ("tube", "tube_model", "tube_filter")]
     write_atomic(folder / f"{name}_tube.c", "".join([*includes, text]))
-    words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE[real])}
-    write_atomic(folder / f"{name}_tube_selftest.c", _selftest(pilot, words, real))
-    write_atomic(folder / "README.md", _filled("tube/README.md", words))
-    ends = ("tube", "tube_model", "tube_filter", "tube_selftest")
-    return tuple(folder / f"{name}_{end}.c" for end in ends)
+    ends = ("tube", "tube_model", "tube_filter")
+    return tuple(folder / f"{name}_{end}.c" for end in ends), words
+
+
+def _nonlinear(pilot: TubeController, model: CSource, words: Mapping[str, str]) -> str:
+    qp: QP = "condensed" if pilot.problem.horizon <= CONDENSED else "riccati"
+    stages = pilot.solver.stages
+    bent = _matrix(stages.bent.reshape(len(stages.bent), -1))
+    texts = [
+        driver("", settled(pilot.solver.sizes, stages, model), "double", qp),
+        f"static const tube_real bent[N + 1][ND * ND] = {bent};\n",
+        *(_filled(f"tube/{part}.c", words) for part in ("sample", "plan", "call")),
+    ]
+    return "".join(texts)
+
+
+def _linear(pilot: TubeController, model: CSource, words: Mapping[str, str]) -> str:
+    libraries, text = linear_library.driver()
+    parts = (_filled(f"tube/{part}.c", words) for part in ("sample", "linear", "call"))
+    return "".join([libraries, linear_library.settled(pilot, model), text, *parts])
 
 
 HORIZON = 10
@@ -119,10 +139,12 @@ HORIZON = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Planning:
-    """What is chosen of the target: stages of the plan, and attempts at it in one step."""
+    """What is chosen of the target: stages of the plan, attempts at it in one step, and whether it
+    is the linear tube."""
 
     horizon: int = HORIZON
     attempts: int = 1
+    linear: bool = False
 
 
 PLANNING = Planning()
@@ -161,11 +183,12 @@ def write_target_tube(
     functions: ModelFunctions, folder: Path, name: str, real: Real, plan: Planning
 ) -> dict[str, Any]:
     """The library in folder/tube. Returns what the manifest says of it."""
-    write_tube(pilot_of(functions, plan), folder / "tube", name=name, real=real)
+    write_tube(pilot_of(functions, plan), folder / "tube", name=name, real=real, linear=plan.linear)
     return {
         "folder": "tube",
         "horizon": plan.horizon,
         "attempts": plan.attempts,
+        "linear": plan.linear,
         "selftest": f"tube/{name}_tube_selftest.c",
     }
 
@@ -279,12 +302,24 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         "believed": BELIEVED,
         "held": HELD,
         "most_turn": TURN,
+        "tilt_max": problem.tilt_max,
+        "memory": MEMORY,
     }
     return {k: v if isinstance(v, str) else repr(v) for k, v in words.items()}
 
 
-def flight(pilot: TubeController, samples: int, seed: int = 0) -> dict[str, FloatArray]:
-    """A flight of the model itself under `pilot`, with a gap and a spike in its measurements:
+class Pilot(Protocol):
+    """What flies."""
+
+    def sample(self, time: float, measured: Mapping[str, float | None] | None) -> FloatArray:
+        """The command that is in force from the next sample on, (n_u,)."""
+        ...
+
+
+def flight(
+    pilot: TubeController, samples: int, seed: int = 0, flown: Pilot | None = None
+) -> dict[str, FloatArray]:
+    """A flight of the model itself under `pilot`, or under its library `flown`, with a gap and a spike in its measurements:
     measured (samples, n_y), NaN where nothing was, and commands (samples, n_u)."""
     f, rng = pilot.filter, np.random.default_rng(seed)
     pilot.start()
@@ -305,7 +340,8 @@ def flight(pilot: TubeController, samples: int, seed: int = 0) -> dict[str, Floa
         if k == samples // 2:
             y[0] += 50.0
         y = y.astype(np.float32).astype(float)
-        command = pilot.sample(k * pilot.model.sample_time, dict(zip(f.outputs.names, y.tolist())))
+        known = dict(zip(f.outputs.names, y.tolist()))
+        command = (flown or pilot).sample(k * pilot.model.sample_time, known)
         rows.append(y)
         commands.append(command)
         x, u = f["f_d"](x, u, f.parameter_values).full().ravel(), np.array(command)
@@ -347,12 +383,20 @@ class Still:
         )
 
 
-def _selftest(pilot: TubeController, words: Mapping[str, str], real: Real) -> str:
+def _selftest(pilot: TubeController, words: Mapping[str, str], real: Real, linear: bool) -> str:
+    from mpc_export.tube.in_process import TubeInC
+
     kept = pilot.reference, pilot.planes
     place = (0.1, -0.2, 1.0, 0.3)
     pilot.reference, pilot.planes = Still(place), None
     try:
-        flown = flight(pilot, SAMPLES)
+        if linear:
+            # Python has no other: the commands are those in double
+            with tempfile.TemporaryDirectory() as folder:
+                library = TubeInC(pilot, Path(folder), real="double", linear=True)
+                flown = flight(pilot, SAMPLES, flown=library)
+        else:
+            flown = flight(pilot, SAMPLES)
         pilot.start()
     finally:
         pilot.reference, pilot.planes = kept

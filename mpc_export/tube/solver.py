@@ -297,9 +297,9 @@ def settled(sizes: dict[str, int], made: Stages, source: CSource) -> str:
         "FRESH": made.fresh.ravel().tolist(),
     }
     for name, values in tables.items():
-        lines.append(f"#define TUBE_{name} {_braced(values, source.real)}")
+        lines.append(f"#define TUBE_{name} {braced(values, source.real)}")
     for name, m in (("GAIN", made.gain), ("ROOT", _root(made.covariance))):
-        rows = [_braced(row, source.real) for row in m.tolist()]
+        rows = [braced(row, source.real) for row in m.tolist()]
         lines.append(f"#define TUBE_{name} {{{', '.join(rows) or '{0}'}}}")
     return "\n".join(lines) + "\n" + in_c()
 
@@ -327,7 +327,7 @@ def _root(m: FloatArray) -> FloatArray:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _braced(values: Sequence[float], real: Real) -> str:
+def braced(values: Sequence[float], real: Real) -> str:
     """An initialiser of C."""
     return f"{{{', '.join(map(_literal(real), values))}}}"
 

@@ -1,0 +1,169 @@
+"""The linear tube MPC as one C library, for parts too small for the tube MPC: the model as it is near
+hover, its QP condensed before the flight.
+
+In error coordinates about hover at the present heading and the path's place, d+ = A d + B w with
+w = u - u_hover, whatever the heading is: errors of place and speed stand in body axes. So the
+responses G_k of the error states to the commands, the Hessian of the tracking cost
+
+    H = sum_k G_k' Q G_k + G_N' P G_N + changes and commands,
+
+the steady state that holds against a disturbance, and the tube (covariances of the closed loop
+along hover) are numbers of the library. A step computes the response to hover's command, the
+gradient, the limits, and a few iterations of the interior point method. Attitude is linear: planes
+are as they are, the tilt is held where the plan before tilts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from greybox.symbolic import FloatArray
+from mpc_export.c_code import CSource, Real
+from mpc_export.tube.controller import TubeController
+from mpc_export.tube.solver import braced, included
+from mpc_export.tube.stages import block
+
+QP_ITERATIONS = 8
+"""Iterations of the QP at most: what is found then is the plan, if it keeps its limits."""
+MEMORY = """  qp_solver solver;
+  tube_qp qp;
+  tube_real kappa[NL], kappa_u, before[N][NU], tilt[N + 1][2];
+  tube_real w[TUBE_W];
+  tube_model_int iw[TUBE_IW];
+"""
+"""What plans keep in the library's memory."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearTube:
+    """Numbers of the library: transition A (n_d, n_d); responses G_k (k = 1..N, each n_k, k n_u);
+    hessian (N n_u, N n_u); terminal P G_N (n_k, N n_u); steady (n_k + n_u, n_f), what holds against
+    a disturbance; tracking (n_k,), the diagonal of Q; spreads of place (N + 1, 3, 3), tilt
+    (N + 1, 2, 2) and, standard deviations, commands (N, n_u)."""
+
+    transition: FloatArray
+    responses: tuple[FloatArray, ...]
+    hessian: FloatArray
+    terminal: FloatArray
+    steady: FloatArray
+    tracking: FloatArray
+    place: FloatArray
+    tilt: FloatArray
+    command: FloatArray
+
+
+def linear_tube(pilot: TubeController) -> LinearTube:
+    """The numbers for a pilot's model and problem."""
+    f, made, problem = pilot.functions, pilot.solver.stages, pilot.problem
+    keep, n, nu = list(made.keep), problem.horizon, len(f.inputs)
+    x, u = made.steady
+    a, b = (v.full() for v in f["f_d_jac"](x, u, f.parameter_values)[1:3])
+    responses = []
+    for k in range(1, n + 1):
+        moved = [np.linalg.matrix_power(a, k - 1 - j) @ b for j in range(k)]
+        responses.append(np.hstack(moved)[keep])
+    w = problem.weights
+    weight = {"position": w.position, "velocity": w.velocity, "rate": w.rate}
+    tracking = np.zeros(len(f.error_states))
+    for name, v in weight.items():
+        tracking[block(f, name, error=True)] = v**2
+    tracking[block(f, "attitude", error=True)[2]] = w.yaw**2
+    tracking = tracking[keep]
+    change = np.eye(n) - np.eye(n, k=-1)
+    hessian = np.kron(w.command**2 * np.eye(n) + w.change**2 * change.T @ change, np.eye(nu))
+    for g in responses[:-1]:
+        size = g.shape[1]
+        hessian[:size, :size] += g.T @ (tracking[:, None] * g)
+    terminal = made.terminal @ responses[-1]
+    hessian += responses[-1].T @ terminal
+    total, commands = _spread(pilot)
+    place, tilt = (block(f, v, error=True) for v in ("position", "attitude"))
+    return LinearTube(
+        transition=a,
+        responses=tuple(responses),
+        hessian=0.5 * (hessian + hessian.T),
+        terminal=terminal,
+        steady=_steady(pilot, a, b),
+        tracking=tracking,
+        place=total[:, place][:, :, place],
+        tilt=total[:, tilt[:2]][:, :, tilt[:2]],
+        command=commands,
+    )
+
+
+def _steady(pilot: TubeController, a: FloatArray, b: FloatArray) -> FloatArray:
+    """(error states kept, commands) per unit of each disturbance: at rest in place, heading 0."""
+    f, keep = pilot.functions, list(pilot.solver.stages.keep)
+    pushed = block(f, "disturbance", error=True)
+    place = [*block(f, "position", error=True), block(f, "attitude", error=True)[2]]
+    still = (a - np.eye(len(a)))[keep]
+    held = np.zeros((len(place), len(keep) + b.shape[1]))
+    held[range(len(place)), [keep.index(i) for i in place]] = 1.0
+    left = np.vstack([np.hstack([still[:, keep], b[keep]]), held])
+    right = np.vstack([-still[:, pushed], np.zeros((len(place), len(pushed)))])
+    return np.asarray(np.linalg.lstsq(left, right, rcond=None)[0])
+
+
+def _spread(pilot: TubeController) -> tuple[FloatArray, FloatArray]:
+    """Covariances (N + 1, n_d, n_d) along hover, and standard deviations of the commands."""
+    solver = pilot.solver
+    solver.reset()
+    solver.data["kappa_u"][()] = 1.0
+    solver.solve()
+    total, commands = solver.data["covariance"].copy(), solver.data["backoff_u"].copy()
+    pilot.start()
+    return total, commands
+
+
+def settled(pilot: TubeController, model: CSource) -> str:
+    """Sizes and numbers as C."""
+    made, stages, f = linear_tube(pilot), pilot.solver.stages, pilot.functions
+    sizes, real, keep = pilot.solver.sizes, model.real, list(pilot.solver.stages.keep)
+    boxminus = model.functions[0]
+    lines = [f"typedef {real} tube_real;", *(f"#define {k} {v}" for k, v in sizes.items())]
+    for k in ("arg", "res", "iw", "w"):
+        lines.append(f"#define TUBE_{k.upper()} {max(1, getattr(boxminus, f'sz_{k}'))}")
+    for name in ("position", "velocity", "attitude", "rate"):
+        first = keep.index(block(f, name, error=True)[0])
+        lines.append(f"#define TUBE_K_{name.upper()} {first}")
+    weights, nu = pilot.problem.weights, len(f.inputs)
+    responses = np.concatenate(
+        [g.reshape(len(g), -1, nu).transpose(1, 0, 2).ravel() for g in made.responses]
+    )
+    tables: dict[str, Any] = {
+        "TRANSITION": made.transition.ravel(),
+        "RESPONSES": responses,
+        "HESSIAN": made.hessian,
+        "TERMINAL": made.terminal,
+        "STEADY": made.steady if made.steady.size else np.zeros((len(made.steady), 1)),
+        "GAIN": stages.gain,
+        "TRACKING": made.tracking,
+        "PLACE_SPREAD": made.place,
+        "TILT_SPREAD": made.tilt,
+        "COMMAND_SPREAD": made.command,
+        "FREE": stages.free or (0,),
+        "KEEP": keep,
+        "PUSHED": block(f, "disturbance", error=True) or (0,),
+    }
+    lines += [f"#define TUBE_{k} {_nested(v, real)}" for k, v in tables.items()]
+    for name, v in (("COMMAND", weights.command), ("CHANGE", weights.change)):
+        lines.append(f"#define TUBE_ON_{name} {braced([float(v**2)], real)[1:-1]}")
+    return "\n".join(["#define TUBE_LINEAR", *lines]) + "\n"
+
+
+def _nested(values: Any, real: Real) -> str:
+    if np.ndim(values) <= 1:
+        return braced(values.tolist() if isinstance(values, np.ndarray) else values, real)
+    return f"{{{', '.join(_nested(v, real) for v in values)}}}"
+
+
+def driver() -> tuple[str, str]:
+    """What of libraries is included, and C of the QP without a plan."""
+    interior = included("qp_interior.c").replace('#include "qp_steps.c"\n', included("qp_dense.c"))
+    text = "".join(included(name) for name in ("numbers.h", "linear_sizes.h")) + interior
+    libraries = ("float", "math", "stddef", "string")
+    text = text.replace("#include <float.h>\n", "")
+    return "".join(f"#include <{name}.h>\n" for name in libraries), text
