@@ -19,6 +19,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -51,7 +52,9 @@ EXAMPLES = {
 ONBOARD = {own.TARGET: own.write for own in (crazyflie_app, px4_module, ros2)}
 NEEDS = {"l4acados": ("nominal",)} | dict.fromkeys(ONBOARD, ("pilot",))
 """Groups of functions that a target cannot do without."""
-NAMES = (*EXAMPLES, *ONBOARD, "tube")
+TUBES = {"tube": False, "tube-linear": True}
+"""Which of them is linear."""
+NAMES = (*EXAMPLES, *ONBOARD, *TUBES)
 PACKAGE = (
     '"""What this bundle\'s model looks like to controllers; see the scripts in examples/."""\n'
 )
@@ -76,7 +79,8 @@ def write_target(
         board = OnBoard(functions=functions, name=name, real=real)
         write_flight(board, folder / "c")
         return ONBOARD[target](board, folder)
-    if target == "tube":
+    if target in TUBES:
+        plan = replace(plan, linear=TUBES[target])
         return write_target_tube(functions, folder, name, real, plan)
     model = of(functions, name)
     said: dict[str, Any] = {"example": f"examples/{EXAMPLES[target]}.py"}

@@ -21,6 +21,7 @@ TARGETS = (
     "px4-module",
     "ros2",
     "tube",
+    "tube-linear",
 )
 GROUPS = ("covariance", "filter", "target", "hessian", "nominal", "adapt", "calibrate", "pilot")
 

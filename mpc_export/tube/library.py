@@ -133,6 +133,8 @@ def _linear(pilot: TubeController, model: CSource, words: Mapping[str, str]) -> 
     return "".join([libraries, linear_library.settled(pilot, model), text, *parts])
 
 
+LONGER_STEP = 0.05
+"""Sample time of a plan of the linear tube [s]: five stages reach a quarter of a second."""
 HORIZON = 10
 """Stages of the plan of the target tube."""
 
@@ -163,9 +165,11 @@ def pilot_of(functions: ModelFunctions, plan: Planning) -> TubeController:
             fix="speed_max of the actuator in the vehicle file",
         )
     low, high = float(lower.max()), float(upper.min())
+    step = LONGER_STEP if plan.linear else STEP
     problem = TubeProblem(
-        dt=model.sample_time * max(1, round(STEP / model.sample_time)),
+        dt=model.sample_time * max(1, round(step / model.sample_time)),
         horizon=plan.horizon,
+        planes=2 if plan.linear else 4,
         attempts=plan.attempts,
         command_min=low + 0.05 * (high - low),
         command_max=high - 0.05 * (high - low),
@@ -182,14 +186,15 @@ def pilot_of(functions: ModelFunctions, plan: Planning) -> TubeController:
 def write_target_tube(
     functions: ModelFunctions, folder: Path, name: str, real: Real, plan: Planning
 ) -> dict[str, Any]:
-    """The library in folder/tube. Returns what the manifest says of it."""
-    write_tube(pilot_of(functions, plan), folder / "tube", name=name, real=real, linear=plan.linear)
+    """The library in folder/tube, or tube_linear. Returns what the manifest says of it."""
+    own = "tube_linear" if plan.linear else "tube"
+    pilot = pilot_of(functions, plan)
+    write_tube(pilot, folder / own, name=name, real=real, linear=plan.linear)
     return {
-        "folder": "tube",
+        "folder": own,
         "horizon": plan.horizon,
-        "attempts": plan.attempts,
-        "linear": plan.linear,
-        "selftest": f"tube/{name}_tube_selftest.c",
+        **({} if plan.linear else {"attempts": plan.attempts}),
+        "selftest": f"{own}/{name}_tube_selftest.c",
     }
 
 

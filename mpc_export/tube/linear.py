@@ -20,14 +20,17 @@ from typing import Any
 
 import numpy as np
 
+from greybox.errors import ModelError
 from greybox.symbolic import FloatArray
 from mpc_export.c_code import CSource, Real
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.solver import braced, included
 from mpc_export.tube.stages import block
 
-QP_ITERATIONS = 8
+QP_ITERATIONS = 5
 """Iterations of the QP at most: what is found then is the plan, if it keeps its limits."""
+GROWTH = 2.0
+"""By how much errors of the open loop may grow within a plan."""
 MEMORY = """  qp_solver solver;
   tube_qp qp;
   tube_real kappa[NL], kappa_u, before[N][NU], tilt[N + 1][2];
@@ -56,11 +59,19 @@ class LinearTube:
 
 
 def linear_tube(pilot: TubeController) -> LinearTube:
-    """The numbers for a pilot's model and problem."""
+    """The numbers for a pilot's model and problem. Raises `ModelError` for a model whose errors grow
+    within the plan by more than GROWTH."""
     f, made, problem = pilot.functions, pilot.solver.stages, pilot.problem
     keep, n, nu = list(made.keep), problem.horizon, len(f.inputs)
     x, u = made.steady
     a, b = (v.full() for v in f["f_d_jac"](x, u, f.parameter_values)[1:3])
+    growth = float(np.abs(np.linalg.eigvals(a)).max()) ** n
+    if growth > GROWTH:
+        raise ModelError(
+            "the linear tube is for a model that hovers calmly",
+            got=f"errors that grow {growth:.1f} times within the plan at hover",
+            fix="leave linear out, or learn a smoother part",
+        )
     responses = []
     for k in range(1, n + 1):
         moved = [np.linalg.matrix_power(a, k - 1 - j) @ b for j in range(k)]

@@ -53,20 +53,31 @@ static tube_real qp_slope(qp_steps *s, const tube_qp *q, tube_real w[N][NU], qp_
   return largest(s->slope, ALL);
 }
 
-/* One tile of the factor, from its sum so far. Returns 1 where a pivot is not positive. */
-static int qp_tile(qp_steps *s, int row, int column, tube_real sum[TILE][TILE]) {
-  for (int i = 0; i < TILE; i++)
-    for (int j = 0; j < TILE && column + j <= row + i; j++) {
-      tube_real v = sum[i][j];
-      for (int m = 0; m < j; m++) v -= s->L[row + i][column + m] * s->L[column + j][column + m];
-      if (row + i == column + j) {
-        if (!(v > 0)) return 1;
-        v = sqrt(v);
-        s->inverse[row + i] = 1 / v;
+/* A tile of the factor beside its diagonal, from its sum so far. */
+static void qp_tile(qp_steps *s, int row, int column, tube_real sum[TILE][TILE]) {
+  for (int j = 0; j < TILE; j++) {
+    const tube_real *L = s->L[column + j] + column, inverse = s->inverse[column + j];
+    for (int i = 0; i < TILE; i++) {
+      for (int m = 0; m < j; m++) sum[i][j] -= sum[i][m] * L[m];
+      sum[i][j] *= inverse;
+      s->L[row + i][column + j] = sum[i][j];
+    }
+  }
+}
+
+/* One on the diagonal. Returns 1 where a pivot is not positive. */
+static int qp_corner(qp_steps *s, int at, tube_real sum[TILE][TILE]) {
+  for (int j = 0; j < TILE; j++)
+    for (int i = j; i < TILE; i++) {
+      for (int m = 0; m < j; m++) sum[i][j] -= sum[i][m] * sum[j][m];
+      if (i == j) {
+        if (!(sum[j][j] > 0)) return 1;
+        sum[j][j] = sqrt(sum[j][j]);
+        s->inverse[at + j] = 1 / sum[j][j];
       } else {
-        v *= s->inverse[column + j];
+        sum[i][j] *= s->inverse[at + j];
       }
-      s->L[row + i][column + j] = v;
+      s->L[at + i][at + j] = sum[i][j];
     }
   return 0;
 }
@@ -101,7 +112,10 @@ static int qp_factorised(qp_steps *s, const tube_qp *q, qp_limits weight) {
       for (int m = 0; m < j; m++)
         for (int a = 0; a < TILE; a++)
           for (int b = 0; b < TILE; b++) sum[a][b] -= s->L[i + a][m] * s->L[j + b][m];
-      if (qp_tile(s, i, j, sum)) return 1;
+      if (i != j)
+        qp_tile(s, i, j, sum);
+      else if (qp_corner(s, i, sum))
+        return 1;
     }
   return 0;
 }

@@ -31,17 +31,6 @@ typedef struct {
   qp_steps steps;
 } qp_solver;
 
-static void qp_renew(qp_solver *s) { memset(&s->now, 0, sizeof s->now); }
-
-#ifdef TUBE_HOSTED
-static int qp_create(qp_solver *s) {
-  qp_renew(s);
-  return 0;
-}
-
-static void qp_free(qp_solver *s) { (void)s; }
-#endif
-
 /* a' y of every limit; moved: of a change */
 static void qp_values(qp_solver *s, const tube_qp *q, int moved, tube_real w[N][NU], qp_limits value) {
   for (int k = 0; k < N; k++)
@@ -187,11 +176,10 @@ static void qp_directed(qp_solver *s, const tube_qp *q, tube_real barrier, int c
 /* The longest step that leaves v and its change m positive, at most `most` */
 static tube_real qp_shorter(tube_real most, tube_real v, tube_real m) { return m < 0 && -v > most * m ? -v / m : most; }
 
-/* The longest step that leaves everything positive, at most 1, and the mean product after it. */
-static tube_real qp_length(const qp_solver *s, tube_real *product) {
+/* The longest step that leaves everything positive, at most 1. */
+static tube_real qp_length(const qp_solver *s) {
   const qp_point *n = &s->now, *m = &s->move;
-  tube_real most = 1, sum = 0;
-  int pairs = 0;
+  tube_real most = 1;
   for (int k = 0; k <= N; k++)
     for (int i = qp_first(k); i < qp_last(k); i++) {
       int j = i - SOFT;
@@ -201,6 +189,14 @@ static tube_real qp_length(const qp_solver *s, tube_real *product) {
       most = qp_shorter(most, n->s[k][j], m->s[k][j]);
       most = qp_shorter(most, n->of_s[k][j], m->of_s[k][j]);
     }
+  return most;
+}
+
+/* The mean product after a step of this length. */
+static tube_real qp_product(const qp_solver *s, tube_real most) {
+  const qp_point *n = &s->now, *m = &s->move;
+  tube_real sum = 0;
+  int pairs = 0;
   for (int k = 0; k <= N; k++)
     for (int i = qp_first(k); i < qp_last(k); i++) {
       int j = i - SOFT;
@@ -210,8 +206,7 @@ static tube_real qp_length(const qp_solver *s, tube_real *product) {
       sum += (n->s[k][j] + most * m->s[k][j]) * (n->of_s[k][j] + most * m->of_s[k][j]);
       pairs++;
     }
-  *product = sum / (tube_real)pairs;
-  return most;
+  return sum / (tube_real)pairs;
 }
 
 static void qp_moved(qp_solver *s, const tube_qp *q, tube_real by) {
@@ -234,7 +229,7 @@ static void qp_moved(qp_solver *s, const tube_qp *q, tube_real by) {
 static int qp_iterated(qp_solver *s, const tube_qp *q, tube_real tolerance, int most, int *iterations) {
   qp_begin(s, q);
   for (*iterations = 0;; ++*iterations) {
-    tube_real product, aimed, length;
+    tube_real aimed, length;
     qp_distance far = qp_judged(s, q);
     if (!(far.missed < (tube_real)INFINITY) || !(far.slope < (tube_real)INFINITY) || !(far.product < (tube_real)INFINITY)) return 3;
     /* What a limit is missed by moves commands as it is, a product by its root, a slope by its part of the curvature, and in float
@@ -244,11 +239,10 @@ static int qp_iterated(qp_solver *s, const tube_qp *q, tube_real tolerance, int 
     qp_weights(s, q);
     if (qp_factorised(&s->steps, q, s->weight)) return 2;
     qp_directed(s, q, 0, 0);
-    qp_length(s, &product);
-    aimed = product / far.product;
+    aimed = qp_product(s, qp_length(s)) / far.product;
     aimed = far.product * aimed * aimed * aimed;
     qp_directed(s, q, aimed, 1);
-    length = 0.995 * qp_length(s, &product);
+    length = 0.995 * qp_length(s);
     if (length < 1e-6) {
       qp_values(s, q, 0, s->w, s->value);
       return 2;

@@ -14,6 +14,17 @@ static void qp_flown(const tube_qp *q, int moved, tube_real w[N][NU], tube_real 
 
 #include "qp_interior.c"
 
+static void qp_renew(qp_solver *s) { memset(&s->now, 0, sizeof s->now); }
+
+#ifdef TUBE_HOSTED
+static int qp_create(qp_solver *s) {
+  qp_renew(s);
+  return 0;
+}
+
+static void qp_free(qp_solver *s) { (void)s; }
+#endif
+
 static void qp_answered(qp_solver *s, const tube_qp *q, tube_qp_answer *answer) {
   qp_flown(q, 0, s->w, answer->d);
   memcpy(answer->w, s->w, sizeof answer->w);
