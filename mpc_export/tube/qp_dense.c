@@ -21,6 +21,7 @@ static void qp_soft(const qp_steps *s, const tube_qp *q, int moved, tube_real w[
     for (int l = 0; l < NL; l++) {
       int at = (k - 1) * NL + l;
       tube_real sum = moved ? 0 : s->c[at];
+      UNROLLED
       for (int j = 0; j < k * NU; j++) sum += s->C[at][j] * flat[j];
       value[k][SOFT + l] = sum;
     }
@@ -37,6 +38,8 @@ static void qp_pushed(const qp_steps *s, qp_limits of, tube_real on[ALL]) {
   for (int k = 1; k <= N; k++)
     for (int l = 0; l < NL; l++) {
       const tube_real by = of[k][SOFT + l], *row = s->C[(k - 1) * NL + l];
+      if (by == 0) continue;
+      UNROLLED
       for (int j = 0; j < k * NU; j++) on[j] += by * row[j];
     }
 }
@@ -46,6 +49,7 @@ static tube_real qp_slope(qp_steps *s, const tube_qp *q, tube_real w[N][NU], qp_
   (void)q;
   for (int i = 0; i < ALL; i++) {
     tube_real sum = s->g[i];
+    UNROLLED
     for (int j = 0; j < ALL; j++) sum += s->H[i][j] * flat[j];
     s->slope[i] = sum;
   }
@@ -99,6 +103,7 @@ static int qp_factorised(qp_steps *s, const tube_qp *q, qp_limits weight) {
   for (int k = 1; k <= N; k++)
     for (int l = 0; l < NL; l++) {
       int at = (k - 1) * NL + l;
+      UNROLLED
       for (int j = 0; j < k * NU; j++) s->heavy[at][j] = weight[k][SOFT + l] * s->C[at][j];
     }
   for (int i = 0; i < ALL; i += TILE)
@@ -127,11 +132,13 @@ static void qp_stepped(qp_steps *s, const tube_qp *q, qp_limits push, tube_real 
   qp_pushed(s, push, x);
   for (int i = 0; i < ALL; i++) {
     tube_real sum = -x[i];
+    UNROLLED
     for (int m = 0; m < i; m++) sum -= s->L[i][m] * x[m];
     x[i] = sum * s->inverse[i];
   }
   for (int i = ALL - 1; i >= 0; i--) {
-    x[i] *= s->inverse[i];
-    for (int m = 0; m < i; m++) x[m] -= s->L[i][m] * x[i];
+    const tube_real by = x[i] *= s->inverse[i];
+    UNROLLED
+    for (int m = 0; m < i; m++) x[m] -= s->L[i][m] * by;
   }
 }
