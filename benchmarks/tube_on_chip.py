@@ -2,12 +2,13 @@
 cycles), and how far are its commands from those in double?
 
     python -m benchmarks.tube_on_chip --points 0 20 50 --horizon 10 20 --flights 5
+    python -m benchmarks.tube_on_chip --points 0 20 --horizon 5 --linear --part M4F
 
 Needs `tests`: the craft of the export's tests with motor lag, delay and, with points, a Gaussian
 process of that many support points that pushes three channels; or a model of your own (`--model`).
 Every flight goes around a circle of its own size and speed, beside a wall that cuts it, with noise,
 a gap and a spike in its measurements; float and double compute from the same ones. On the emulator it flies the
-first two seconds of the first flight.
+first two seconds of the first flights. `--linear --part M4F --horizon 5` is the linear tube.
 """
 
 from __future__ import annotations
@@ -61,18 +62,22 @@ class Circle:
         return found
 
 
-def flights(pilot: TubeController, folder: Path, many: int, seconds: float) -> dict[str, Any]:
+def flights(
+    pilot: TubeController, folder: Path, many: int, seconds: float, linear: bool = False
+) -> dict[str, Any]:
     """Float and double on the same measurements."""
     made = {}
     for real in ("double", "float"):
         (folder / real).mkdir()
-        made[real] = TubeInC(pilot, folder / real, real=real)
+        made[real] = TubeInC(pilot, folder / real, real=real, linear=linear)
     steps = round(seconds / pilot.model.sample_time)
     worst, beyond, failed, plans = [], 0, 0, 0
     for seed in range(many):
         path = Circle(seed)
         pilot.reference, pilot.planes = path, path.planes
-        y = flight(pilot, steps, seed)["measured"]
+        made["double"].reference, made["double"].planes = path, path.planes
+        made["double"].start()
+        y = flight(pilot, steps, seed, made["double"] if linear else None)["measured"]
         commands = {}
         for real, flown in made.items():
             flown.reference, flown.planes = path, path.planes
@@ -100,6 +105,58 @@ def flights(pilot: TubeController, folder: Path, many: int, seconds: float) -> d
     }
 
 
+def pilot_of(model: Any, horizon: int, arguments: argparse.Namespace) -> TubeController:
+    """The controller that is written as C."""
+    return TubeController(
+        model=model,
+        problem=TubeProblem(
+            dt=0.05 if arguments.linear else 0.02,
+            horizon=horizon,
+            planes=2,
+            attempts=arguments.attempts,
+        ),
+        reference=Circle(0),
+        planes=Circle(0).planes,
+        kappa=(2.0, 2.0, 2.0),
+        kappa_u=1.0,
+    )
+
+
+def on_chip(pilot: TubeController, part: Any, arguments: argparse.Namespace) -> dict[str, Any]:
+    """What the first flights cost there."""
+    counts, plans, off = [], [], 0.0
+    with tempfile.TemporaryDirectory() as name:
+        folder, linear = Path(name), arguments.linear
+        files = write_tube(pilot, folder, name="craft", real="float", linear=linear)
+        flown = None
+        if linear:
+            (folder / "double").mkdir()
+            flown = TubeInC(pilot, folder / "double", real="double", linear=True)
+        for seed in range(arguments.chip_flights):
+            path = Circle(seed)
+            for own in (pilot, flown):
+                if own is not None:
+                    own.reference, own.planes = path, path.planes
+            if flown is not None:
+                flown.start()
+            recorded = flight(pilot, SHORT, seed, flown)
+            given = recorded["measured"], paths(pilot, SHORT), part, pilot.model.sample_time
+            run = cortex.fly_on_cortex(files[:-1], "craft", *given)
+            counts.append(run.instructions)
+            plans.append(run.instructions[run.instructions > 0.3 * run.instructions.max()])
+            off = max(off, float(np.abs(run.commands - recorded["commands"]).max()))
+    return {
+        "flights on the chip": arguments.chip_flights,
+        "instructions, largest": float(np.max(counts)),
+        "instructions of a plan, median": float(np.median(np.concatenate(plans))),
+        "instructions of a sample between": float(np.min(counts)),
+        "flash_bytes": run.flash,
+        "ram_bytes": run.ram,
+        "stack_bytes": run.stack,
+        "from Python" if not linear else "from double": off,
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -109,6 +166,9 @@ def main() -> None:
     parser.add_argument("--horizon", type=int, nargs="+", default=[10, 20])
     parser.add_argument("--flights", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--chip-flights", type=int, default=1)
+    parser.add_argument("--attempts", type=int, choices=(1, 2), default=1)
+    parser.add_argument("--linear", action="store_true", help="the linear tube")
     parser.add_argument("--part", choices=("M7F", "M4F"), default="M7F")
     parser.add_argument("--out", type=Path, default=RESULTS / "tube_on_chip.json")
     arguments = parser.parse_args()
@@ -126,43 +186,15 @@ def main() -> None:
         else:
             model = cases.hybrid(points=points) if points else cases.disturbed()
         for horizon in arguments.horizon:
-            pilot = TubeController(
-                model=model,
-                problem=TubeProblem(dt=0.02, horizon=horizon, planes=2, attempts=1),
-                reference=Circle(0),
-                planes=Circle(0).planes,
-                kappa=(2.0, 2.0, 2.0),
-                kappa_u=1.0,
-            )
-            with tempfile.TemporaryDirectory() as name:
-                files = write_tube(pilot, Path(name), name="craft", real="float")
-                recorded = flight(pilot, SHORT)
-                run = cortex.fly_on_cortex(
-                    files[:-1],
-                    "craft",
-                    recorded["measured"],
-                    paths(pilot, SHORT),
-                    part,
-                    model.sample_time,
-                )
-            count = run.instructions
-            plan = count[count > 0.3 * count.max()]
-            row = {
-                "part": arguments.part,
-                "points": points,
-                "horizon": horizon,
-                "instructions, largest": float(count.max()),
-                "instructions of a plan, median": float(np.median(plan)),
-                "instructions of a sample between": float(count.min()),
-                "flash_bytes": run.flash,
-                "ram_bytes": run.ram,
-                "stack_bytes": run.stack,
-                "from Python": float(np.abs(run.commands - recorded["commands"]).max()),
-            }
+            pilot = pilot_of(model, horizon, arguments)
+            row = {"part": arguments.part, "points": points, "horizon": horizon}
+            row |= {"linear": arguments.linear, "attempts": arguments.attempts}
+            row |= on_chip(pilot, part, arguments)
             print(json.dumps(row), flush=True)
             if arguments.flights:
                 with tempfile.TemporaryDirectory() as name:
-                    row |= flights(pilot, Path(name), arguments.flights, arguments.seconds)
+                    flown = arguments.flights, arguments.seconds, arguments.linear
+                    row |= flights(pilot, Path(name), *flown)
                 print(json.dumps(row), flush=True)
             rows.append(row)
     content = {"question": __doc__.split("\n\n")[0], "rows": rows}

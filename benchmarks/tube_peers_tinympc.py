@@ -20,31 +20,23 @@ REPEATS = 5
 def main() -> None:
     given = {k: np.array(v, dtype=float) for k, v in json.load(sys.stdin).items()}
     n = int(given["N"]) + 1
-    solver = tinympc.TinyMPC()
     matrices = [given["A"], given["B"], np.diag(given["Q"]), np.diag(given["R"])]
-    limits = {k: given[k] for k in ("x_min", "x_max", "u_min", "u_max")}
     tolerance = float(given["tolerance"])
-    solver.setup(
-        *matrices,
-        n,
-        rho=float(given["rho"]),
-        max_iter=2000,
-        abs_pri_tol=tolerance,
-        abs_dua_tol=tolerance,
-        check_termination=1,
-        **limits,
-    )
+    chosen = {"rho": float(given["rho"]), "abs_pri_tol": tolerance, "abs_dua_tol": tolerance}
+    limits = {k: given[k] for k in ("x_min", "x_max", "u_min", "u_max")}
     commands, iterations, seconds = [], [], []
     for x in given["starts"]:
         spent = []
         for _ in range(REPEATS):
-            solver.reset() if hasattr(solver, "reset") else None
+            # anew: a solver that has solved begins where it ended
+            solver = tinympc.TinyMPC()
+            solver.setup(*matrices, n, max_iter=5000, check_termination=1, **chosen, **limits)
             solver.set_x0(x)
             begin = time.process_time()
             found = solver.solve()
             spent.append(time.process_time() - begin)
-        commands.append(np.asarray(found["controls_all"]).T.tolist())
-        iterations.append(int(found.get("iterations", -1)))
+        commands.append(np.asarray(found["controls_all"]).tolist())
+        iterations.append(int(solver._solver.solution.iter))
         seconds.append(float(np.median(spent)))
     json.dump({"commands": commands, "iterations": iterations, "seconds": seconds}, sys.stdout)
 
