@@ -76,7 +76,6 @@ def flights(
         path = Circle(seed)
         pilot.reference, pilot.planes = path, path.planes
         made["double"].reference, made["double"].planes = path, path.planes
-        made["double"].start()
         y = flight(pilot, steps, seed, made["double"] if linear else None)["measured"]
         commands = {}
         for real, flown in made.items():
@@ -102,6 +101,34 @@ def flights(
         "samples": many * steps,
         "plans without solution in float": failed,
         "plans": plans,
+    }
+
+
+def closed_loop(
+    pilot: TubeController, folder: Path, many: int, seconds: float, linear: bool
+) -> dict[str, Any]:
+    """The model itself flown by the library in float: is the wall kept after the first second?"""
+    made = TubeInC(pilot, folder, real="float", linear=linear)
+    f, steps = pilot.filter, round(seconds / pilot.model.sample_time)
+    place = [f.states.names.index(f"position.{a}") for a in "xyz"]
+    beyond, away, failed, plans = [], [], 0, 0
+    for seed in range(many):
+        path = Circle(seed)
+        for own in (pilot, made):
+            own.reference, own.planes = path, path.planes
+        states = flight(pilot, steps, seed, made)["states"][:, place]
+        times = np.asarray(pilot.model.sample_time * np.arange(1, steps + 1), dtype=float)
+        away.append(np.sqrt(((states - path.sample(times).position) ** 2).sum(axis=1).mean()))
+        beyond.append((states[times > 1.0, 0] - 0.8 * path.radius).max())
+        failed += sum(s & 256 > 0 for s in made.said)
+        plans += steps // pilot.every
+    return {
+        "closed loops": many,
+        "of these over the wall": int(np.sum(np.array(beyond) > 0)),
+        "farthest over it [m]": float(np.max(beyond)),
+        "rms from the circle [m]": float(np.mean(away)),
+        "plans without solution there": failed,
+        "plans there": plans,
     }
 
 
@@ -137,8 +164,6 @@ def on_chip(pilot: TubeController, part: Any, arguments: argparse.Namespace) -> 
             for own in (pilot, flown):
                 if own is not None:
                     own.reference, own.planes = path, path.planes
-            if flown is not None:
-                flown.start()
             recorded = flight(pilot, SHORT, seed, flown)
             given = recorded["measured"], paths(pilot, SHORT), part, pilot.model.sample_time
             run = cortex.fly_on_cortex(files[:-1], "craft", *given)
@@ -167,6 +192,7 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--chip-flights", type=int, default=1)
+    parser.add_argument("--closed-loops", type=int, default=0)
     parser.add_argument("--attempts", type=int, choices=(1, 2), default=1)
     parser.add_argument("--linear", action="store_true", help="the linear tube")
     parser.add_argument("--part", choices=("M7F", "M4F"), default="M7F")
@@ -195,6 +221,11 @@ def main() -> None:
                 with tempfile.TemporaryDirectory() as name:
                     flown = arguments.flights, arguments.seconds, arguments.linear
                     row |= flights(pilot, Path(name), *flown)
+                print(json.dumps(row), flush=True)
+            if arguments.closed_loops:
+                with tempfile.TemporaryDirectory() as name:
+                    flown = arguments.closed_loops, arguments.seconds, arguments.linear
+                    row |= closed_loop(pilot, Path(name), *flown)
                 print(json.dumps(row), flush=True)
             rows.append(row)
     content = {"question": __doc__.split("\n\n")[0], "rows": rows}

@@ -44,8 +44,10 @@ HERE = Path(__file__).resolve().parent
 WALL = 0.15
 """Of the place along x [m]."""
 REPEATS = 5
-Answer = tuple[FloatArray, float]
-"""Commands (N, n_u) and seconds."""
+MOST = 5000
+"""Iterations of TinyMPC."""
+Answer = tuple[FloatArray, float, bool]
+"""Commands (N, n_u), seconds, and whether there is a plan."""
 
 
 def starts(solver: TubeSolver, many: int) -> list[FloatArray]:
@@ -70,8 +72,9 @@ def ours(solver: TubeSolver, x: FloatArray) -> Answer:
         d["tube_updates_max"][()], d["qp_iterations_max"][()] = 0, 12
         d["x0"][:] = x
         d["plane"][:, 0] = [1.0, 0.0, 0.0, WALL]
-        spent.append(solver.solve().seconds)
-    return d["u"].astype(float).copy(), float(np.median(spent))
+        outcome = solver.solve()
+        spent.append(outcome.seconds)
+    return d["u"].astype(float).copy(), float(np.median(spent)), outcome.status == 0
 
 
 def with_acados(problem: Problem, home: Path, work: Path, kind: Any) -> Callable[..., Answer]:
@@ -96,9 +99,10 @@ def with_acados(problem: Problem, home: Path, work: Path, kind: Any) -> Callable
             for side in ("lbx", "ubx"):
                 solver.constraints_set(0, side, start)
             begin = time.process_time()
-            solver.solve()
+            status = solver.solve()
             spent.append(time.process_time() - begin)
-        return np.array([solver.get(k, "u") for k in range(p.n)]), float(np.median(spent))
+        plan = np.array([solver.get(k, "u") for k in range(p.n)])
+        return plan, float(np.median(spent)), status in (0, 5)  # 5: one iteration, as asked for
 
     return solve
 
@@ -133,6 +137,7 @@ def for_tinympc(solver: TubeSolver, problems: list[FloatArray], rho: float) -> d
         "x_max": high.tolist(),
         "starts": [np.concatenate([d, np.zeros(nu)]).tolist() for d in begin],
         "rho": rho,
+        "most": MOST,
         "tolerance": 1e-3,
     }
 
@@ -149,7 +154,34 @@ def tinympc(python: str, solver: TubeSolver, problems: list[FloatArray], rho: fl
     found = json.loads(done.stdout[done.stdout.index("{") :])
     changes = np.array(found["commands"])
     commands = solver.stages.steady[1] + np.cumsum(changes, axis=1)
-    return list(zip(commands, found["seconds"], strict=True)), found["iterations"]
+    solved = [n < MOST for n in found["iterations"]]
+    return list(zip(commands, found["seconds"], solved, strict=True)), found["iterations"]
+
+
+def compared(
+    answers: dict[str, list[Answer]], iterations: dict[str, float]
+) -> list[dict[str, Any]]:
+    """A row per solver, against acados, converged."""
+    best, same = answers["acados, converged"], answers["acados, one iteration"]
+    rows = []
+    for name, found in answers.items():
+        first = [np.abs(f[0][0] - b[0][0]).max() for f, b in zip(found, best, strict=True)]
+        plan = [np.abs(f[0] - b[0]).max() for f, b in zip(found, best, strict=True)]
+        alike = [np.abs(f[0][0] - b[0][0]).max() for f, b in zip(found, same, strict=True)]
+        rows.append(
+            {
+                "solver": name,
+                "CPU microseconds, median": round(1e6 * float(np.median([f[1] for f in found])), 1),
+                "CPU microseconds, most": round(1e6 * max(f[1] for f in found), 1),
+                "first command off, median": float(np.median(first)),
+                "first command off, most": float(np.max(first)),
+                "first command off one iteration of acados, median": float(np.median(alike)),
+                "plan off, median": float(np.median(plan)),
+                "without a plan": sum(not f[2] for f in found),
+                **({"iterations": iterations[name]} if name in iterations else {}),
+            }
+        )
+    return rows
 
 
 def main() -> None:
@@ -190,23 +222,9 @@ def main() -> None:
         name = f"TinyMPC, linear, rho {rho:g}"
         answers[name], took = tinympc(arguments.tinympc_python, base, problems, rho)
         iterations[name] = float(np.median(took))
-    best = answers["acados, converged"]
-    rows = []
-    for name, found in answers.items():
-        first = [np.abs(f[0][0] - b[0][0]).max() for f, b in zip(found, best, strict=True)]
-        plan = [np.abs(f[0] - b[0]).max() for f, b in zip(found, best, strict=True)]
-        rows.append(
-            {
-                "solver": name,
-                "CPU microseconds, median": round(1e6 * float(np.median([f[1] for f in found])), 1),
-                "CPU microseconds, most": round(1e6 * max(f[1] for f in found), 1),
-                "first command off, median": float(np.median(first)),
-                "first command off, most": float(np.max(first)),
-                "plan off, median": float(np.median(plan)),
-                **({"iterations": iterations[name]} if name in iterations else {}),
-            }
-        )
-        print(json.dumps(rows[-1]), flush=True)
+    rows = compared(answers, iterations)
+    for row in rows:
+        print(" | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()))
     content = {"question": __doc__.split("\n\n")[0], "problems": len(problems), "rows": rows}
     arguments.out.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 

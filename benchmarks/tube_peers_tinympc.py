@@ -30,7 +30,9 @@ def main() -> None:
         for _ in range(REPEATS):
             # anew: a solver that has solved begins where it ended
             solver = tinympc.TinyMPC()
-            solver.setup(*matrices, n, max_iter=5000, check_termination=1, **chosen, **limits)
+            solver.setup(
+                *matrices, n, max_iter=int(given["most"]), check_termination=1, **chosen, **limits
+            )
             solver.set_x0(x)
             begin = time.process_time()
             found = solver.solve()

@@ -316,6 +316,10 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
 class Pilot(Protocol):
     """What flies."""
 
+    def start(self) -> None:
+        """Forget everything."""
+        ...
+
     def sample(self, time: float, measured: Mapping[str, float | None] | None) -> FloatArray:
         """The command that is in force from the next sample on, (n_u,)."""
         ...
@@ -325,9 +329,12 @@ def flight(
     pilot: TubeController, samples: int, seed: int = 0, flown: Pilot | None = None
 ) -> dict[str, FloatArray]:
     """A flight of the model itself under `pilot`, or under its library `flown`, with a gap and a spike in its measurements:
-    measured (samples, n_y), NaN where nothing was, and commands (samples, n_u)."""
+    measured (samples, n_y), NaN where nothing was, commands (samples, n_u), and the states after
+    each (samples, n_x)."""
     f, rng = pilot.filter, np.random.default_rng(seed)
     pilot.start()
+    if flown is not None:
+        flown.start()
     x, u = pilot.estimate.copy(), pilot.u.copy()
     groups = f.sampled.dynamics.innovation_columns
     noise = np.array(
@@ -336,7 +343,7 @@ def flight(
             for c in f.outputs.names
         ]
     )
-    rows, commands = [], []
+    rows, commands, states = [], [], []
     for k in range(samples):
         y = f["h"](x, u, f.parameter_values).full().ravel()
         y += noise * rng.standard_normal(len(y))
@@ -350,7 +357,12 @@ def flight(
         rows.append(y)
         commands.append(command)
         x, u = f["f_d"](x, u, f.parameter_values).full().ravel(), np.array(command)
-    return {"measured": np.array(rows), "commands": np.array(commands)}
+        states.append(x)
+    return {
+        "measured": np.array(rows),
+        "commands": np.array(commands),
+        "states": np.array(states),
+    }
 
 
 def paths(pilot: TubeController, samples: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -240,12 +240,15 @@ def test_the_command_line_exports_a_library_that_passes_its_self_test(tmp_path, 
 @pytest.mark.slow
 @pytest.mark.skipif(cortex.missing_tool() is not None, reason=f"{cortex.missing_tool()} is missing")
 def test_a_step_with_fifty_points_fits_a_cortex_m7(tmp_path):
-    """Its memory; commands are Python's and keep their limits there, too."""
+    """At 100 Hz and 600 MHz, with one attempt a step; commands are Python's and keep their limits
+    there, too."""
     flown = TubeController(
         model=cases.hybrid(points=50),
-        problem=TubeProblem(dt=0.02, horizon=6, planes=2),
-        reference=Still(PLACE),
+        problem=TubeProblem(dt=0.02, horizon=10, planes=2, attempts=1),
+        reference=Circle(0),
+        planes=Circle(0).planes,
         kappa=(2.0, 2.0, 2.0),
+        kappa_u=1.0,
     )
     files = write_tube(flown, tmp_path, name="craft", real="float")
     recorded = flight(flown, 40)
@@ -254,5 +257,5 @@ def test_a_step_with_fifty_points_fits_a_cortex_m7(tmp_path):
     )
     assert ((run.commands >= 0.05 - 1e-6) & (run.commands <= 0.95 + 1e-6)).all()
     assert np.abs(run.commands - recorded["commands"]).max() < 1e-3
-    assert 1_000_000 < run.instructions.max() < 15_000_000
+    assert 1_000_000 < run.instructions.max() <= 6_000_000
     assert 100_000 < run.ram < 512 * 1024

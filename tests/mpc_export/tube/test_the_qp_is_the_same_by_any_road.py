@@ -1,0 +1,68 @@
+"""The QP of a plan: HPIPM, Riccati recursions and the condensed matrix give the same commands; a plan
+that fails with one attempt is tried again by the next call."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from mpc_export.functions import model_functions
+from mpc_export.tube.problem import TubeProblem
+from mpc_export.tube.solver import TubeSolver
+from tests.mpc_export import cases
+
+HORIZON = 6
+
+
+@functools.cache
+def solver(qp, real="double", attempts=2):
+    problem = TubeProblem(dt=0.02, horizon=HORIZON, planes=2, attempts=attempts)
+    functions = model_functions(
+        cases.disturbed(), dt=0.02, with_=("covariance", "target"), measured=False
+    )
+    return TubeSolver(functions, problem, qp=qp, real=real)
+
+
+def beside_a_wall(own, seed):
+    """Commands of one iteration from a start at speed, close to a wall or beyond it."""
+    rng = np.random.default_rng(seed)
+    own.reset()
+    d = own.data
+    d["x0"][:3] += 0.2 * rng.standard_normal(3)
+    d["x0"][3:6] += rng.standard_normal(3)
+    d["plane"][:, 0] = [1.0, 0.0, 0.0, 0.05]
+    d["kappa"][:], d["kappa_u"][()] = 2.0, 1.0
+    outcome = own.solve()
+    assert outcome.status == 0
+    return d["u"].astype(float)
+
+
+@pytest.mark.parametrize(
+    ("qp", "real", "most"),
+    [("condensed", "double", 1e-5), ("condensed", "float", 2e-4), ("riccati", "double", 1e-5)],
+)
+def test_commands_are_those_of_hpipm(qp, real, most):
+    moved = []
+    for seed in range(4):
+        expected = beside_a_wall(solver("hpipm"), seed)
+        assert np.abs(beside_a_wall(solver(qp, real), seed) - expected).max() < most
+        moved.append(np.ptp(expected))
+    assert max(moved) > 0.3  # limits were reached
+
+
+def test_with_one_attempt_the_next_call_begins_at_flown_commands():
+    """After a failure the plan is the one before, to the last bit; the next call finds one that a
+    second attempt would have found."""
+    one, two = solver("condensed", attempts=1), solver("condensed")
+    for own in (one, two):
+        own.reset()
+        own.data["x0"][3:6] = [2.0, -1.0, 0.5]
+        own.data["x"][1:] = np.nan
+    kept = one.data["x"].copy(), one.data["u"].copy()
+    assert one.solve().status in (1, 2)
+    assert float(one.data["failed"]) == 1.0
+    for now, then in zip((one.data["x"], one.data["u"]), kept, strict=True):
+        np.testing.assert_array_equal(now[1:], then[1:])
+    assert one.solve().status == two.solve().status == 0
+    assert float(one.data["failed"]) == 0.0
+    assert np.abs(one.data["u"] - two.data["u"]).max() < 1e-9
