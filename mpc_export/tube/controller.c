@@ -385,7 +385,8 @@ TUBE_SOLVE int tube_solve(tube_solver *s, tube_data *d) {
   memcpy(s->x_kept, d->x, sizeof d->x);
   memcpy(s->u_kept, d->u, sizeof d->u);
   memcpy(d->x[0], d->x0, sizeof d->x[0]);
-  int failed = ((int)d->attempts_max < 2 && d->failed != 0 && simulated(s, d)) || iterated(s, d);
+  int again = (int)d->attempts_max < 2 && d->failed != 0;
+  int failed = again && simulated(s, d) ? 1 : iterated(s, d);
   tube_real ratio = contraction(d, failed);
   if (ratio >= 1 && (int)d->attempts_max > 1) {
     s->first = *d;
