@@ -27,8 +27,9 @@ from greybox.symbolic import FloatArray
 from mpc_export import cortex
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.in_process import TubeInC
-from mpc_export.tube.library import flight, paths, write_tube
+from mpc_export.tube.library import flight, paths
 from mpc_export.tube.problem import TubeProblem
+from mpc_export.tube.target import write_tube
 from tests.mpc_export import cases
 
 RESULTS = Path(__file__).resolve().parent / "results"

@@ -68,7 +68,7 @@ from mpc_export.predictors import Fitted, PredictorModel, predictor_model
 from mpc_export.readme import licences, readme
 from mpc_export.tape import write_tape
 from mpc_export.targets import NAMES, write_target
-from mpc_export.tube.library import Planning
+from mpc_export.tube.target import Planning
 
 GOLDEN_POINTS = 12
 KEPT = 16

@@ -9,7 +9,7 @@ from typing import Literal, TypedDict
 from greybox.errors import UnknownNameError
 from greybox.estimation.options import chosen
 from mpc_export.targets import NAMES, NEEDS, ONBOARD
-from mpc_export.tube.library import HORIZON
+from mpc_export.tube.target import HORIZON
 
 TARGETS = ("c", "casadi", *NAMES)
 """Those that `mpc_export.targets` adds come after the two that the bundle itself writes."""

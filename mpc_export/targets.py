@@ -3,7 +3,7 @@
     python/consumers/   exported.py, hover.py and the file of each target: casadi, numpy and the target's package
     examples/           one script per target that runs with the bundle and that package alone
     fmu/                NAME.fmu
-    tube/               the tube MPC as one C library: mpc_export/tube/library.py
+    tube/               the tube MPC as one C library: mpc_export/tube/target.py
     crazyflie/, px4/, ros2/   code around c/ that an autopilot builds: mpc_export/onboard
 
 | target | needs | example |
@@ -32,7 +32,7 @@ from mpc_export.fmu import write_fmu
 from mpc_export.functions import ModelFunctions
 from mpc_export.onboard import crazyflie_app, px4_module, ros2
 from mpc_export.onboard.flight import OnBoard, write_flight
-from mpc_export.tube.library import PLANNING, Planning, write_target_tube
+from mpc_export.tube.target import PLANNING, Planning, write_target_tube
 
 COMMON = ("exported", "hover")
 MODULES = {

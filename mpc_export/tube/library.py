@@ -1,16 +1,14 @@
 """The tube MPC as one C library: NAME_tube.h and .c, with static memory and nothing to link but libm.
 
 One call takes measurements and gives the next command. In it are the identified filter with its
-gate and its rival, the steady state, the plan with its tube, the QP by Riccati recursions, and the
+gate and its rival, the steady state, the plan with its tube, the QP, condensed or by Riccati recursions, and the
 fallback: the controller of controller.py without calibration, adaptation and the declared descent,
 which is a bit in the answer instead.
 """
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Protocol
@@ -19,12 +17,10 @@ import numpy as np
 
 from greybox.errors import ModelError
 from greybox.files import write_atomic
-from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from mpc_export.c_code import CSource, Real, single_precision, write_c
 from mpc_export.c_kernels import kernels_of
 from mpc_export.feedback import NEAR
-from mpc_export.functions import ModelFunctions
 from mpc_export.template import filled, places_in
 from mpc_export.tube import linear as linear_library
 from mpc_export.tube.controller import (
@@ -38,19 +34,15 @@ from mpc_export.tube.controller import (
 )
 from mpc_export.tube.descent import HELD
 from mpc_export.tube.heading import TURN
-from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.rival import BELIEVED, CLEARLY
 from mpc_export.tube.solver import COARSE, PRIMAL, QP, QP_TOLERANCE, driver, settled
 from mpc_export.tube.stages import block
 
 CONDENSED = 20
-"""Stages up to which the QP is condensed; beyond, a Riccati recursion is the cheaper."""
+"""Stages up to which the QP is condensed: its work grows with their cube, that of a Riccati recursion
+with their number."""
 QP_ITERATIONS = 12
 """Iterations of the QP at most: what is found then is the plan, if it keeps its limits."""
-AGREE: dict[Real, float] = {"double": 1e-5, "float": 1e-3}
-"""Largest difference of commands from Python's in the self-test."""
-SAMPLES = 60
-"""Samples of the self-test."""
 MEMORY = """  tube_solver solver;
   tube_data data;
   tube_real steady_x[NX], steady_u[NU];
@@ -59,32 +51,17 @@ MEMORY = """  tube_solver solver;
   int adrift, has_plan, plan_age, failures;
 """
 """What plans keep in the library's memory."""
-STEP, KAPPA = 0.02, 2.81
-"""Of the target: sample time of the plan, to whole samples of the model [s]; standard deviations of
-the tube (10 % a flight that touches 40 limits)."""
-
-
-def write_tube(
-    pilot: TubeController, folder: Path, *, name: str, real: Real = "float", linear: bool = False
-) -> tuple[Path, ...]:
-    """Write the library of `pilot` into `folder`, with its README; returns its C files, the
-    self-test last. linear: the linear tube (linear.py).
-
-    Raises `ModelError` for a controller that calibrates, adapts or has no planes: those stay on a
-    desktop.
-    """
-    files, words = write_library(pilot, folder, name=name, real=real, linear=linear)
-    words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE[real])}
-    selftest = folder / f"{name}_tube_selftest.c"
-    write_atomic(selftest, _selftest(pilot, words, real, linear))
-    write_atomic(folder / "README.md", _filled("tube/README.md", words))
-    return *files, selftest
 
 
 def write_library(
     pilot: TubeController, folder: Path, *, name: str, real: Real, linear: bool = False
 ) -> tuple[tuple[Path, ...], dict[str, str]]:
-    """The C files alone, and the words of their templates. Raises what `write_tube` does."""
+    """Write the library of `pilot` into `folder`; returns its C files, and the words of their
+    templates. linear: the linear tube (linear.py).
+
+    Raises `ModelError` for a controller that calibrates, adapts or has no planes: those stay on a
+    desktop.
+    """
     if pilot.calibrate or pilot.adapt is not None:
         raise ModelError("a controller that calibrates or adapts has no C library", fix="leave it")
     if not pilot.problem.planes:
@@ -105,7 +82,7 @@ def write_library(
     if linear:
         words |= {"memory": linear_library.MEMORY}
         words["qp_iterations"] = repr(linear_library.QP_ITERATIONS)
-    write_atomic(folder / f"{name}_tube.h", _filled("tube/tube.h", words))
+    write_atomic(folder / f"{name}_tube.h", filled_with("tube/tube.h", words))
     text = _linear(pilot, model, words) if linear else _nonlinear(pilot, model, words)
     text = single_precision(text) if real == "float" else text
     text = text.replace("tube_model_", f"{name}_tube_model_").replace(f"{name}_{name}_", f"{name}_")
@@ -118,98 +95,36 @@ def write_library(
 def _nonlinear(pilot: TubeController, model: CSource, words: Mapping[str, str]) -> str:
     qp: QP = "condensed" if pilot.problem.horizon <= CONDENSED else "riccati"
     stages = pilot.solver.stages
-    bent = _matrix(stages.bent.reshape(len(stages.bent), -1))
+    bent = matrix(stages.bent.reshape(len(stages.bent), -1))
     texts = [
         driver("", settled(pilot.solver.sizes, stages, model), "double", qp),
         f"static const tube_real bent[N + 1][ND * ND] = {bent};\n",
-        *(_filled(f"tube/{part}.c", words) for part in ("sample", "plan", "call")),
+        *(filled_with(f"tube/{part}.c", words) for part in ("sample", "plan", "call")),
     ]
     return "".join(texts)
 
 
 def _linear(pilot: TubeController, model: CSource, words: Mapping[str, str]) -> str:
     libraries, text = linear_library.driver()
-    parts = (_filled(f"tube/{part}.c", words) for part in ("sample", "linear", "call"))
+    parts = (filled_with(f"tube/{part}.c", words) for part in ("sample", "linear", "call"))
     return "".join([libraries, linear_library.settled(pilot, model), text, *parts])
 
 
-LONGER_STEP = 0.05
-"""Sample time of a plan of the linear tube [s]: five stages reach a quarter of a second."""
-HORIZON = 10
-"""Stages of the plan of the target tube."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Planning:
-    """What is chosen of the target: stages of the plan, attempts at it in one step, and whether it
-    is the linear tube."""
-
-    horizon: int = HORIZON
-    attempts: int = 1
-    linear: bool = False
-
-
-PLANNING = Planning()
-
-
-def pilot_of(functions: ModelFunctions, plan: Planning) -> TubeController:
-    """The controller that the target exports: limits five hundredths of their range inside those of
-    the model's commands, back-offs of KAPPA standard deviations. Raises `ModelError`."""
-    model = functions.model
-    lower, upper = functions.bounds
-    if not isinstance(model, IdentifiedModel):
-        raise ModelError("the target tube is for a model of an aircraft", got=functions.name)
-    if not (len(lower) and np.isfinite(lower).all() and np.isfinite(upper).all()):
-        raise ModelError(
-            f"{functions.name} has commands without limits",
-            fix="speed_max of the actuator in the vehicle file",
-        )
-    low, high = float(lower.max()), float(upper.min())
-    step = LONGER_STEP if plan.linear else STEP
-    problem = TubeProblem(
-        dt=model.sample_time * max(1, round(step / model.sample_time)),
-        horizon=plan.horizon,
-        planes=2 if plan.linear else 4,
-        attempts=plan.attempts,
-        command_min=low + 0.05 * (high - low),
-        command_max=high - 0.05 * (high - low),
-        rate_max=0.25 * (high - low),
-    )
-    return TubeController(
-        model=model,
-        problem=problem,
-        reference=Still((0.0, 0.0, 0.0, 0.0)),
-        kappa=[KAPPA] * (problem.planes + 1),
-    )
-
-
-def write_target_tube(
-    functions: ModelFunctions, folder: Path, name: str, real: Real, plan: Planning
-) -> dict[str, Any]:
-    """The library in folder/tube, or tube_linear. Returns what the manifest says of it."""
-    own = "tube_linear" if plan.linear else "tube"
-    pilot = pilot_of(functions, plan)
-    write_tube(pilot, folder / own, name=name, real=real, linear=plan.linear)
-    return {
-        "folder": own,
-        "horizon": plan.horizon,
-        **({} if plan.linear else {"attempts": plan.attempts}),
-        "selftest": f"{own}/{name}_tube_selftest.c",
-    }
-
-
-def _filled(template: str, words: Mapping[str, str]) -> str:
+def filled_with(template: str, words: Mapping[str, str]) -> str:
+    """The template with those of the words that it asks for."""
     own = places_in(template)
     return filled(template, **{k: v for k, v in words.items() if k in own})
 
 
-def _list(values: Any) -> str:
+def braced(values: Any) -> str:
+    """Numbers as an initialiser of C."""
     numbers = [repr(v.item() if hasattr(v, "item") else v) for v in values]
     return f"{{{', '.join(numbers) or '0'}}}"
 
 
-def _matrix(values: Any) -> str:
-    return "{\n  " + ",\n  ".join(_list(row) for row in values) + "}"
+def matrix(values: Any) -> str:
+    """Rows of numbers as an initialiser of C."""
+    return "{\n  " + ",\n  ".join(braced(row) for row in values) + "}"
 
 
 def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[str, str]:
@@ -243,7 +158,7 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         "outputs": " ".join(f.outputs.names),
         "inputs": " ".join(f.inputs.names),
         "states": " ".join(f.states.names),
-        "kappa": _list(kappa),
+        "kappa": braced(kappa),
         "kappa_u": float(pilot.kappa_u),
         "low": problem.command_min,
         "high": problem.command_max,
@@ -263,19 +178,19 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         "sensors": len(sensors),
         "n_starts": len(start),
         "lags": len(pilot.past) + 1,
-        "hover_x": _list(x),
-        "hover_u": _list(u),
-        "columns": _matrix([[int(c in names) for c in f.outputs.names] for names in groups]),
-        "sensor_of": _list(sensor_of),
-        "of_pose": _list([int(k in poses) for k in range(len(sensors))]),
-        "of_sensor": _list([len(rows) for _, rows in sensors]),
-        "inverse": _matrix(pilot.gate.inverse),
-        "attitude_columns": _list(
+        "hover_x": braced(x),
+        "hover_u": braced(u),
+        "columns": matrix([[int(c in names) for c in f.outputs.names] for names in groups]),
+        "sensor_of": braced(sensor_of),
+        "of_pose": braced([int(k in poses) for k in range(len(sensors))]),
+        "of_sensor": braced([len(rows) for _, rows in sensors]),
+        "inverse": matrix(pilot.gate.inverse),
+        "attitude_columns": braced(
             [f.outputs.names.index(c) for c in attitude] if len(attitude) == 4 else [-1] * 4
         ),
         "start_from": "{" + ", ".join(f"{{{a}, {b}}}" for a, b in [*start, (0, 0)]) + "}",
-        "lag_of": _list([*(int(n[2]) - 1 for n in past), 0]),
-        "command_of": _list([*(f.inputs[n[1]] for n in past), 0]),
+        "lag_of": braced([*(int(n[2]) - 1 for n in past), 0]),
+        "command_of": braced([*(f.inputs[n[1]] for n in past), 0]),
         "at_position": block(plan, "position")[0],
         "at_velocity": block(plan, "velocity")[0],
         "at_attitude": block(plan, "attitude")[0],
@@ -286,21 +201,21 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         "filter_w": max(1, step.sz_w),
         "filter_arg": max(5, step.sz_arg),
         "filter_res": max(3, step.sz_res),
-        "most": _list([*pilot.most, 0.0]),
-        "filter_past": _list([*extended[f.own_states :], 0.0]),
+        "most": braced([*pilot.most, 0.0]),
+        "filter_past": braced([*extended[f.own_states :], 0.0]),
         "tolerance": 1e-6 * (COARSE if single else 1.0),
         "qp_tolerance": QP_TOLERANCE[real],
         "primal_tolerance": PRIMAL,
         "qp_iterations": QP_ITERATIONS,
         "attempts": problem.attempts,
-        "parameters": _list([*pilot.functions.parameter_values] or [0.0]),
+        "parameters": braced([*pilot.functions.parameter_values] or [0.0]),
         "near_steady": NEAR_STEADY * (COARSE if single else 1.0),
         "near_position": NEAR["position"],
         "near_velocity": NEAR["velocity"],
         "rounding": ROUNDING,
         "failures": FAILURES,
         "blind": pilot.blind,
-        "turning": _list(pilot._turning),
+        "turning": braced(pilot._turning),
         "turned": pilot._turned,
         "near_heading": near_heading(problem),
         "clearly": CLEARLY,
@@ -398,32 +313,3 @@ class Still:
             acceleration=zero,
             yaw=np.full(len(time), self.place[3]),
         )
-
-
-def _selftest(pilot: TubeController, words: Mapping[str, str], real: Real, linear: bool) -> str:
-    from mpc_export.tube.in_process import TubeInC
-
-    kept = pilot.reference, pilot.planes
-    place = (0.1, -0.2, 1.0, 0.3)
-    pilot.reference, pilot.planes = Still(place), None
-    try:
-        if linear:
-            # Python has no other: the commands are those in double
-            with tempfile.TemporaryDirectory() as folder:
-                library = TubeInC(pilot, Path(folder), real="double", linear=True)
-                flown = flight(pilot, SAMPLES, flown=library)
-        else:
-            flown = flight(pilot, SAMPLES)
-        pilot.start()
-    finally:
-        pilot.reference, pilot.planes = kept
-    numbers = f"static const {real}"
-    missing = _matrix(flown["measured"]).replace("nan", "NAN")
-    data = [
-        f"{numbers} place[4] = {_list(place)}, goal[4] = {_list(place)};",
-        f"{numbers} lowest = {words['low']}, highest = {words['high']}, rate = {words['rate']};",
-        f"{numbers} measured[SAMPLES][NY] = {missing};",
-        f"{numbers} wanted[SAMPLES][NU] = {_matrix(flown['commands'])};",
-    ]
-    text = _filled("tube/selftest.c", {**words, "data": "\n".join(data)})
-    return single_precision(text) if real == "float" else text

@@ -15,9 +15,10 @@ from mpc_export import cortex
 from mpc_export.bundle import ExportBundle
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.in_process import TubeInC
-from mpc_export.tube.library import Still, flight, paths, write_tube
+from mpc_export.tube.library import Still, flight, paths
 from mpc_export.tube.linear import linear_tube
 from mpc_export.tube.problem import TubeProblem
+from mpc_export.tube.target import write_tube
 from tests.mpc_export import cases
 from tests.mpc_export.tube.test_no_measurement_moves_a_command_out_of_its_limits import cc
 

@@ -1,0 +1,137 @@
+"""The target `tube` of an export: the library of a controller of its own, with its self-test and
+README."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import ModelError
+from greybox.files import write_atomic
+from greybox.model.identified import IdentifiedModel
+from mpc_export.c_code import Real, single_precision
+from mpc_export.functions import ModelFunctions
+from mpc_export.tube.controller import TubeController
+from mpc_export.tube.in_process import TubeInC
+from mpc_export.tube.library import Still, braced, filled_with, flight, matrix, write_library
+from mpc_export.tube.problem import TubeProblem
+
+AGREE: dict[Real, float] = {"double": 1e-5, "float": 1e-3}
+"""Largest difference of commands from Python's in the self-test."""
+SAMPLES = 60
+"""Samples of the self-test."""
+STEP, KAPPA = 0.02, 2.81
+"""Of the target: sample time of the plan, to whole samples of the model [s]; standard deviations of
+the tube (10 % a flight that touches 40 limits)."""
+LONGER_STEP = 0.05
+"""Sample time of a plan of the linear tube [s]: five stages reach a quarter of a second."""
+HORIZON = 10
+"""Stages of the plan of the target tube."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planning:
+    """What is chosen of the target: stages of the plan, attempts at it in one step, and whether it
+    is the linear tube."""
+
+    horizon: int = HORIZON
+    attempts: int = 1
+    linear: bool = False
+
+
+PLANNING = Planning()
+
+
+def pilot_of(functions: ModelFunctions, plan: Planning) -> TubeController:
+    """The controller that the target exports: limits five hundredths of their range inside those of
+    the model's commands, back-offs of KAPPA standard deviations. Raises `ModelError`."""
+    model = functions.model
+    lower, upper = functions.bounds
+    if not isinstance(model, IdentifiedModel):
+        raise ModelError("the target tube is for a model of an aircraft", got=functions.name)
+    if not (len(lower) and np.isfinite(lower).all() and np.isfinite(upper).all()):
+        raise ModelError(
+            f"{functions.name} has commands without limits",
+            fix="speed_max of the actuator in the vehicle file",
+        )
+    low, high = float(lower.max()), float(upper.min())
+    step = LONGER_STEP if plan.linear else STEP
+    problem = TubeProblem(
+        dt=model.sample_time * max(1, round(step / model.sample_time)),
+        horizon=plan.horizon,
+        planes=2 if plan.linear else 4,
+        attempts=plan.attempts,
+        command_min=low + 0.05 * (high - low),
+        command_max=high - 0.05 * (high - low),
+        rate_max=0.25 * (high - low),
+    )
+    return TubeController(
+        model=model,
+        problem=problem,
+        reference=Still((0.0, 0.0, 0.0, 0.0)),
+        kappa=[KAPPA] * (problem.planes + 1),
+    )
+
+
+def write_target_tube(
+    functions: ModelFunctions, folder: Path, name: str, real: Real, plan: Planning
+) -> dict[str, Any]:
+    """The library in folder/tube, or tube_linear. Returns what the manifest says of it."""
+    own = "tube_linear" if plan.linear else "tube"
+    pilot = pilot_of(functions, plan)
+    write_tube(pilot, folder / own, name=name, real=real, linear=plan.linear)
+    return {
+        "folder": own,
+        "horizon": plan.horizon,
+        **({} if plan.linear else {"attempts": plan.attempts}),
+        "selftest": f"{own}/{name}_tube_selftest.c",
+    }
+
+
+def write_tube(
+    pilot: TubeController, folder: Path, *, name: str, real: Real = "float", linear: bool = False
+) -> tuple[Path, ...]:
+    """Write the library of `pilot` into `folder`, with its README; returns its C files, the
+    self-test last. linear: the linear tube (linear.py).
+
+    Raises `ModelError` for a controller that calibrates, adapts or has no planes: those stay on a
+    desktop.
+    """
+    files, words = write_library(pilot, folder, name=name, real=real, linear=linear)
+    words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE[real])}
+    selftest = folder / f"{name}_tube_selftest.c"
+    write_atomic(selftest, _selftest(pilot, words, real, linear))
+    write_atomic(folder / "README.md", filled_with("tube/README.md", words))
+    return *files, selftest
+
+
+def _selftest(pilot: TubeController, words: Mapping[str, str], real: Real, linear: bool) -> str:
+    kept = pilot.reference, pilot.planes
+    place = (0.1, -0.2, 1.0, 0.3)
+    pilot.reference, pilot.planes = Still(place), None
+    try:
+        if linear:
+            # Python has no other: the commands are those in double
+            with tempfile.TemporaryDirectory() as folder:
+                library = TubeInC(pilot, Path(folder), real="double", linear=True)
+                flown = flight(pilot, SAMPLES, flown=library)
+        else:
+            flown = flight(pilot, SAMPLES)
+        pilot.start()
+    finally:
+        pilot.reference, pilot.planes = kept
+    numbers = f"static const {real}"
+    missing = matrix(flown["measured"]).replace("nan", "NAN")
+    data = [
+        f"{numbers} place[4] = {braced(place)}, goal[4] = {braced(place)};",
+        f"{numbers} lowest = {words['low']}, highest = {words['high']}, rate = {words['rate']};",
+        f"{numbers} measured[SAMPLES][NY] = {missing};",
+        f"{numbers} wanted[SAMPLES][NU] = {matrix(flown['commands'])};",
+    ]
+    text = filled_with("tube/selftest.c", {**words, "data": "\n".join(data)})
+    return single_precision(text) if real == "float" else text
