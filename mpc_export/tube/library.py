@@ -82,6 +82,7 @@ def write_library(
     if linear:
         words |= {"memory": linear_library.MEMORY}
         words["qp_iterations"] = repr(linear_library.QP_ITERATIONS)
+        words["qp_tolerance"] = repr(QP_TOLERANCE["float"])
     write_atomic(folder / f"{name}_tube.h", filled_with("tube/tube.h", words))
     text = _linear(pilot, model, words) if linear else _nonlinear(pilot, model, words)
     text = single_precision(text) if real == "float" else text

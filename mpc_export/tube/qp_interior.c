@@ -128,7 +128,11 @@ static qp_distance qp_judged(qp_solver *s, const tube_qp *q) {
 /* Of every limit in the Hessian. Weights stay finite. Where limits are soft by more, the first plans beside a wall hardly
    converge: position feels the first commands of a horizon by less than a thousandth. */
 static void qp_weights(qp_solver *s, const tube_qp *q) {
+#ifdef TUBE_LINEAR
+  const tube_real softest = (tube_real)FLT_EPSILON; /* cut off early, float and double are to be as far */
+#else
   const tube_real softest = sizeof(tube_real) == sizeof(float) ? FLT_EPSILON : (tube_real)DBL_EPSILON;
+#endif
   const qp_point *n = &s->now;
   for (int k = 0; k <= N; k++)
     for (int i = qp_first(k); i < qp_last(k); i++) {
