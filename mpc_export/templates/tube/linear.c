@@ -94,10 +94,10 @@ static void limited(const tube_real *planes, int k, tube_real R[3][3], const tub
       for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) spread += normal[i] * place_spread[k][i][j] * normal[j];
     } else {
-      /* toward where it tilts */
-      tube_real size = norm(c.tilt[k], 2);
-      normal[0] = size > 1e-6 ? c.tilt[k][0] / size : 1;
-      normal[1] = size > 1e-6 ? c.tilt[k][1] / size : 0;
+      /* toward where it tilts; nearly level there is none, and no limit near */
+      tube_real size = fmax(norm(c.tilt[k], 2), 0.3 * most);
+      normal[0] = c.tilt[k][0] / size;
+      normal[1] = c.tilt[k][1] / size;
       for (int i = 0; i < 2; i++)
         for (int j = 0; j < 2; j++) spread += normal[i] * tilt_spread[k][i][j] * normal[j];
     }
