@@ -25,6 +25,11 @@ AGREE: dict[Real, float] = {"double": 1e-5, "float": 1e-3}
 """Largest difference of commands from Python's in the self-test."""
 SAMPLES = 60
 """Samples of the self-test."""
+SAID = {
+    False: ("tube MPC", "Python's", "the one before with the ancillary gain"),
+    True: ("linear tube MPC", "those in double", "the gain about the path"),
+}
+"""Of the README: what it is, whose commands it is compared with, what flies without a plan."""
 STEP, KAPPA = 0.02, 2.81
 """Of the target: sample time of the plan, to whole samples of the model [s]; standard deviations of
 the tube (10 % a flight that touches 40 limits)."""
@@ -104,6 +109,7 @@ def write_tube(
     """
     files, words = write_library(pilot, folder, name=name, real=real, linear=linear)
     words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE[real])}
+    words |= dict(zip(("kind", "whose", "instead"), SAID[linear], strict=True))
     selftest = folder / f"{name}_tube_selftest.c"
     write_atomic(selftest, _selftest(pilot, words, real, linear))
     write_atomic(folder / "README.md", filled_with("tube/README.md", words))
