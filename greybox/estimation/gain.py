@@ -423,7 +423,7 @@ def smith(closed: FloatArray, m: FloatArray) -> FloatArray:
     for _ in range(60):
         step = f @ x @ f.T
         x = x + step
-        if np.abs(step).max() <= 1e-15 * max(float(np.abs(x).max()), 1e-300):
+        if np.abs(step).max(initial=0.0) <= 1e-15 * max(np.abs(x).max(initial=0.0), 1e-300):
             return x
         f = f @ f
     return x

@@ -134,7 +134,8 @@ class LostCommands:
         for rows in self._rows:
             block = stacked[:, at : at + rows * width]
             at += rows * width
-            by_row = block.reshape(many, -1, sigma.size, rows).transpose(0, 3, 1, 2) * sigma
+            by_row = block.reshape(many, width // sigma.size, sigma.size, rows)
+            by_row = by_row.transpose(0, 3, 1, 2) * sigma
             late = by_row[:, :, self._now :: -1].transpose(0, 2, 1, 3)
             none = np.zeros((many, 1, rows, sigma.size))
             made.append(

@@ -300,3 +300,19 @@ def test_lost_rows_do_not_pass_for_torque_noise(flight):
         for name, data in (("whole", whole), ("holed", holed))
     }
     assert level["holed"] == pytest.approx(level["whole"], rel=0.25)
+
+
+@pytest.mark.parametrize(
+    "held", [(), ("noise.process", "noise.sensor")], ids=["levels", "no levels"]
+)
+@pytest.mark.parametrize("lost", [False, True], ids=["whole", "holed"])
+def test_the_gradient_stays_exact_where_nothing_moves_the_gain(flight, lost, held):
+    vehicle, whole, holed, _ = flight
+    data = (holed if lost else whole).split_by_time(at=1.0)[0]
+    bias = "gyro_bias.b_x"
+    problem = problem_of(vehicle, data, ("gyro_bias",), free=(bias,), held_noise=held)
+    value, theta = problem.evaluate(problem.start), problem.start
+    place = next(i for i, u in enumerate(problem.unknowns) if u.name == bias)
+    step = 1e-4 * problem.scale[place] * np.eye(problem.n)[place]
+    ends = [problem.evaluate(theta + s * step, 0).cost for s in (1, -1)]
+    assert value.gradient[place] == pytest.approx((ends[0] - ends[1]) / 2 / step[place], rel=1e-5)
