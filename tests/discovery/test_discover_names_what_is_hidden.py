@@ -20,8 +20,6 @@ from greybox.discovery.workflow import discover
 from greybox.errors import DataError, GreyboxError
 from greybox.files import to_plain
 from greybox.model.noise import sensor_parts
-from scenarios.studies.discovery_cells import Cell, flown, nominal
-from scenarios.studies.discovery_grid import judge
 from tests.discovery import small_world
 from tests.discovery.small_world import DAMPING, SHORT, shorten, vehicle
 from tests.discovery.test_noise_that_is_not_felt_is_not_kept import coloured
@@ -177,32 +175,6 @@ def test_further_flights_of_coloured_sensors_multiply_the_evidence_too(short: No
     assert after["status"] == "certified"
     assert after["further"] > 1.0
     assert after["log10_e"] == pytest.approx(before["log10_e"] + after["further"])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "hidden",
-    [
-        (),
-        ("motor_lag",),
-        ("rotor_drag",),
-        ("accelerometer_bias",),
-        ("steady_wind", "rotor_drag"),
-        ("motor_lag", "command_delay"),
-        ("motor_lag", "battery_sag", "rotor_drag", "blade_flapping", "rotational_damping"),
-    ],
-    ids="+".join,
-)
-@pytest.mark.parametrize("noise", ["white", "gusts"])
-def test_the_whole_catalogue_on_flights_of_the_grid(hidden: tuple[str, ...], noise: str):
-    ((_, plant, _, train, test),) = list(flown(Cell(hidden=hidden, noise=noise), [41]))
-    found = discover(nominal(plant, "off", 41), train, test)
-    # Gusts are there and have no name.
-    assert judge(found, hidden) in (
-        "right",
-        "group",
-        *(("silent",) if noise == "gusts" and not hidden else ()),
-    )
 
 
 def test_flights_that_are_too_short_are_refused():
