@@ -20,6 +20,11 @@ regret), the first is not worked out, and counts as nothing. Evidence is Laplace
 the invariance that of a linear model, so that for a vehicle the bound holds as well as these do,
 and not in finite samples. The e-value of a name is that against its strongest rival. Without D2
 flights are halved, and the mean of both ways is an e-value, too.
+
+The sharper one on all flights, against the prior, is a second e-value. A rival with more causes or
+numbers than the name is nearly the name itself at its worst, and no flight refutes that. Against it
+there is no regret: the Bayes factor is an e-value at the sizes that its prior expects (Gruenwald,
+de Heide and Koolen 2024, JRSS B 86(5)).
 """
 
 from __future__ import annotations
@@ -37,27 +42,52 @@ from greybox.estimation.solvers.levenberg_marquardt import BEYOND
 from greybox.statistics import regret as of_arrays
 from greybox.symbolic import FloatArray
 
+Instead = tuple[str, ...]
+"""Causes in the place of a name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Whole:
+    """Of a name against a rival on all flights: log `odds` (Bayes factor), `log_e`, and of the odds
+    what those that `judge` add to what was taught; less what fits may still gain."""
+
+    odds: float
+    log_e: float
+    judge: float
+
+    def refutes(self, bar: float, alpha: float) -> bool:
+        """Whether the rival is, and flights that judge do not speak for it by `alpha` (1: at all)."""
+        return self.log_e >= bar and self.judge >= np.log(alpha)
+
+
+UNKNOWN = Whole(odds=-np.inf, log_e=-np.inf, judge=-np.inf)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """`log_e` of a name against its strongest rival, `against` (empty: dropped), and against every
-    rival that was asked."""
+    """Log e-values of a name against every rival that was asked (empty: dropped), and what all
+    flights say of them."""
 
     name: str
-    log_e: float
-    against: tuple[str, ...]
-    rivals: Mapping[tuple[str, ...], float]
-    evidence: Mapping[tuple[str, ...], float] = field(default_factory=dict)
-    """Rival -> its log evidence on the flights that taught, less that of the name: even-handed,
-    where the e-value is against the name."""
+    rivals: Mapping[Instead, float]
+    whole: Mapping[Instead, Whole] = field(default_factory=dict)
 
-    def beaten(self, bar: float) -> bool:
-        """Whether every rival is beaten by the `bar`."""
-        return self.log_e >= bar
+    @property
+    def against(self) -> Instead:
+        """The strongest rival."""
+        return min(self.rivals, key=self.rivals.__getitem__, default=())
 
-    def alike(self, bar: float) -> list[tuple[str, ...]]:
-        """Rivals that take the place of the name and are not beaten by the `bar`."""
-        return [r for r, e in self.rivals.items() if r and e < bar]
+    @property
+    def log_e(self) -> float:
+        """That against the strongest rival."""
+        return self.rivals.get(self.against, -np.inf)
+
+    def unbeaten(self, bar: float, alpha: float) -> tuple[list[Instead], list[Instead]]:
+        """Rivals in the place of the name that the e-value does not beat by the `bar`: (alike,
+        unlikely, for all flights refute them)."""
+        near = [r for r, e in self.rivals.items() if r and e < bar]
+        out = [r for r in near if self.whole.get(r, UNKNOWN).refutes(bar, alpha)]
+        return [r for r in near if r not in out], out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,20 +128,37 @@ def certificates(
         _predictives([at, *every], at, split, [effort.rough, *(stakes[f.structure] for f in every)])
     out = {}
     for name, rows in rivals.items():
-        found: dict[tuple[str, ...], float] = {}
+        found: dict[Instead, float] = {}
         for rival in rows:
             for within in (stakes[rival.fitted.structure], effort.rough, 0.0):
                 least, most = _log_e(at, rival, judges, bar, within)
                 if not any(least < b + near and most >= b - near for b in (0.0, bar)):
                     break
             found[rival.instead] = least
-        strongest = min(found, key=lambda r: found[r], default=())
-        log_e = found[strongest] if found else -np.inf
-        evidence = {r.instead: r.fitted.log_evidence - at.log_evidence for r in rows}
-        out[name] = Certificate(
-            name=name, log_e=log_e, against=strongest, rivals=found, evidence=evidence
-        )
+        said = {r.instead: _whole(at, name, r, judges) for r in rows}
+        whole = {r: w for r, w in said.items() if np.isfinite(w.odds)}
+        out[name] = Certificate(name=name, rivals=found, whole=whole)
     return out
+
+
+def _whole(at: Fitted, name: str, rival: Rival, judges: Sequence[Split]) -> Whole:
+    """That of a name against a rival, as far as both were fitted."""
+    offered = judges[0].both.causes.offered
+    own = [p for n in rival.instead for p in offered[n].parameters]
+    larger = len(rival.instead) > 1 or len(own) > len(offered[name].parameters)
+    rows = []
+    for split in judges:
+        (old, new), (before, other) = (
+            [on.fit(f.structure, within=np.inf) for on in (split.first, split.both)]
+            for f in (at, rival.fitted)
+        )
+        odds = _less(new.log_evidence - other.log_evidence, new, other)
+        told = _less(odds - old.log_evidence + before.log_evidence, old, before)
+        keys = [] if larger else _keys(other, split, rival.instead)
+        paid = regret(None, other, keys) if keys and other.value.valid else 0.0
+        rows.append((odds, odds - paid, told))
+    odds, log_e, judge = (_mean(r) for r in zip(*rows, strict=True))
+    return Whole(odds=odds, log_e=log_e, judge=judge)
 
 
 def certificates_beside(
@@ -119,10 +166,9 @@ def certificates_beside(
 ) -> dict[str, Certificate]:
     """Certificates of names next to laws: `written` is the structure on `flights` with both, and
     its rivals are those without a name."""
-    rivals, rough = {}, flights.effort.rough
-    for name in names:
-        without = flights.fit(written.structure - {name}, [written.known], within=rough)
-        rivals[name] = [Rival(instead=(), share=0.0, fitted=without)]
+    left, rough = {n: written.structure - {n} for n in names}, flights.effort.rough
+    fits = {n: flights.fit(s, [written.known], within=rough) for n, s in left.items()}
+    rivals = {n: [Rival(instead=(), share=0.0, fitted=f)] for n, f in fits.items()}
     return certificates(written, rivals, judges, bar)
 
 
@@ -195,15 +241,16 @@ def _keys(both: Fitted, split: Split, causes: Sequence[str]) -> list[Key]:
     return [(u.name, u.flight) for u in both.problem.unknowns if u.name in own]
 
 
-def regret(first: Fitted, both: Fitted, keys: Sequence[Key]) -> float:
-    """`greybox.statistics.regret` of the unknowns `keys` of a rival, all others integrated."""
+def regret(first: Fitted | None, both: Fitted, keys: Sequence[Key]) -> float:
+    """`greybox.statistics.regret` of the unknowns `keys` of a rival, all others integrated, over
+    what the fit `first` taught (None: the prior)."""
     v, theta = _information(both, keys)
-    there = {(u.name, u.flight) for u in first.problem.unknowns}
+    there = set(first.known) if first is not None else set()
     old = [i for i, k in enumerate(keys) if k in there]
     unknowns = [both.problem.unknowns[both.problem.index[k]] for k in keys]
     v1 = np.diag([1.0 / u.sigma**2 for u in unknowns])
     theta1 = np.array([u.mean for u in unknowns])
-    if old:
+    if first is not None and old:
         v1[np.ix_(old, old)], theta1[old] = _information(first, [keys[i] for i in old])
     return of_arrays.regret(v, theta, v1, theta1)
 

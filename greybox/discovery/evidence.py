@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -354,6 +354,3 @@ def vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:
     return np.array(
         [of(u.name, u.flight, u.start, u.kind) for u in problem.unknowns], dtype=np.float64
     )
-
-
-Say = Callable[[str, float], None]

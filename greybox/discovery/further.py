@@ -86,7 +86,8 @@ def further(
         effects.append({**effect, "log10_e": total, "status": status, "further": new})
     kept = [e for e in effects if e["status"] != "not certified"]
     lost = [
-        {**_without_numbers(e), "reason": f"further flights speak against it: {e['log10_e']:.1f}"}
+        {k: e[k] for k in ("name", "status", "log10_e", "against", "worth", "further")}
+        | {"reason": f"further flights speak against it: {e['log10_e']:.1f}"}
         for e in effects
         if e["status"] == "not certified"
     ]
@@ -116,10 +117,6 @@ def _verdict(content: Mapping[str, Any], kept: Iterable[Mapping[str, Any]]) -> s
     if content["ambiguous"]:
         return "ambiguous"
     return "unnamed" if content["unnamed"] else "nothing_missing"
-
-
-def _without_numbers(effect: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: effect[k] for k in ("name", "status", "log10_e", "against", "worth", "further")}
 
 
 def _line(kept: Iterable[Mapping[str, Any]]) -> str:

@@ -1,4 +1,4 @@
-"""Name: what is said of one cause of the final structure, and on what grounds."""
+"""Name: what is said of one cause, on what grounds, and what would part it from its like."""
 
 from __future__ import annotations
 
@@ -8,48 +8,58 @@ from typing import Any, Literal
 
 import numpy as np
 
-from greybox.discovery.certificate import Certificate
+from greybox.discovery.certificate import UNKNOWN, Certificate, Instead
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.worth import Worth
+from greybox.errors import GreyboxError
 from greybox.model.parameter import Parameter
+from greybox.planning.experiment import separating_manoeuvre
 
 Status = Literal["certified", "supported", "one of these", "trace", "impossible", "not certified"]
 LOG10 = float(np.log(10.0))
+EXACT = 1e-3
+"""Difference in log likelihood below which two structures say the same thing with other words."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Name:
     """One cause: its `status`, `certificate` and `worth` (None where no flight could tell). Of
     "one of these", `shares` are the probabilities of the sets of causes that the flights cannot
-    tell apart, itself first; `reason` says why it has no name; `kept`: it is in the model without
-    one."""
+    tell apart, itself first; `unlikely`: log (odds, e-value) against what all flights refute and
+    the certificate has no more; `reason`: why it has no name; `kept`: in the model without one."""
 
     name: str
     status: Status
     certificate: Certificate
     worth: Worth | None
     shares: Mapping[str, float] = field(default_factory=dict)
+    unlikely: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     reason: str = ""
     kept: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """What discovery.json says of it besides its estimates."""
-        w = self.worth
+        w, worth = self.worth, None
+        if w is not None:
+            worth = {"share": w.share, "group": w.group, "horizon_s": w.horizon}
+            worth |= {"log10_e": w.log_e / LOG10, "seconds": w.seconds}
         return {
             "name": self.name,
             "status": self.status,
             "log10_e": self.certificate.log_e / LOG10,
             "against": " + ".join(self.certificate.against) or "nothing in its place",
-            "worth": None
-            if w is None
-            else {
-                "share": w.share,
-                "group": w.group,
-                "horizon_s": w.horizon,
-                "log10_e": w.log_e / LOG10,
-                "seconds": w.seconds,
-            },
+            "unlikely": [
+                {"name": r, "log10_odds": odds / LOG10, "log10_e": e / LOG10}
+                for r, (odds, e) in self.unlikely.items()
+            ],
+            "worth": worth,
         }
+
+
+def held(name: Name) -> Name:
+    """A name where a law won: no model was right before, and only an e-value holds."""
+    told = name.status in ("supported", "one of these") and name.reason
+    return replace(name, status="not certified", shares={}, kept=True) if told else name
 
 
 def judged(
@@ -57,15 +67,18 @@ def judged(
 ) -> Name:
     """The status of one cause: `bar` is the log e-value that certifies a name among all that were
     offered, `impossible` says why it can be none."""
-    name = certificate.name
-    alike = certificate.alike(bar)
-    dropped = certificate.rivals.get((), -np.inf)
+    e, whole = certificate.rivals, certificate.whole
+    alike, unlikely = certificate.unbeaten(bar, alpha)
+    dropped, every = e.get((), -np.inf), whole.get((), UNKNOWN)
     status: Status
-    reason, shares = "", dict[str, float]()
-    if dropped < bar:
-        foretells = worth is not None and worth.log_e >= bar and worth.matters
-        status = "supported" if dropped >= 0 and foretells and not alike else "not certified"
-        reason = f"log10 e {dropped / LOG10:.1f} of {bar / LOG10:.1f} that a name needs"
+    shares = dict[str, float]()
+    needed = f"log10 e {dropped / LOG10:.1f} of {bar / LOG10:.1f} that a name needs"
+    reason, kept = needed if dropped < bar else "", False
+    told = every.refutes(bar, 1.0) or (worth is not None and worth.log_e >= bar and dropped >= 0)
+    told = told and worth is not None and worth.matters and not impossible
+    if dropped < bar and not told:
+        status = "not certified"
+        kept = every.log_e >= bar and not impossible
     elif impossible:
         status, reason = "impossible", impossible
     elif worth is not None and not worth.matters:
@@ -76,36 +89,32 @@ def judged(
         status = "one of these"
         shares = _shares(certificate, alike, bar + float(np.log(alpha)))
     else:
-        status = "certified"
+        status = "certified" if dropped >= bar else "supported"
     return Name(
-        name=name,
+        name=certificate.name,
         status=status,
-        certificate=certificate,
+        certificate=replace(certificate, rivals={r: e[r] for r in e if r not in unlikely}),
         worth=worth,
         shares=shares,
+        unlikely={"+".join(r): (whole[r].odds, e[r]) for r in unlikely},
         reason=reason,
+        kept=kept,
     )
 
 
 def unneeded(name: Name, beside: Certificate, bar: float) -> Name:
     """A name that did not hold beside laws, by the certificate that it has there."""
-    reason = (
-        f"next to the laws of what has no name its log10 e is {beside.log_e / LOG10:.1f} of "
-        f"{bar / LOG10:.1f} that a name needs"
-    )
-    return replace(
-        name, status="not certified", certificate=beside, shares={}, reason=reason, kept=True
-    )
+    e = f"log10 e {beside.log_e / LOG10:.1f} of {bar / LOG10:.1f} that a name needs"
+    reason = f"next to the laws of what has no name {e}"
+    shown = replace(name, status="not certified", certificate=beside, shares={}, unlikely={})
+    return replace(shown, reason=reason, kept=True)
 
 
-def _shares(
-    certificate: Certificate, alike: Sequence[tuple[str, ...]], price: float
-) -> dict[str, float]:
-    """Probability of every set: by the evidence of the flights that taught, which favours no side
-    as an e-value does, and the log prior odds `price` against each cause that a set has more."""
-    told = certificate.evidence
-    own = [told.get(r, -certificate.rivals[r]) - price * (len(r) - 1) for r in alike]
-    logs = np.array([0.0, *own])
+def _shares(certificate: Certificate, alike: Sequence[Instead], price: float) -> dict[str, float]:
+    """Probability of every set: by the evidence of all flights, which favours no side as an e-value
+    does, and the log prior odds `price` against each cause that a set has more."""
+    e, told = certificate.rivals, {r: w.odds for r, w in certificate.whole.items()}
+    logs = np.array([0.0, *(-told.get(r, e[r]) - price * (len(r) - 1) for r in alike)])
     weights = np.exp(logs - np.logaddexp.reduce(logs))
     names = (certificate.name, *("+".join(r) for r in alike))
     return dict(zip(names, weights.tolist(), strict=True))
@@ -133,3 +142,16 @@ def impossible(at: Fitted, flights: Flights, name: str) -> str:
     if bent:
         return f"{', '.join(sorted(set(bent)))} ran to a bound: it stands in for something else"
     return ""
+
+
+def separating(flights: Flights, at: Fitted, name: Name) -> Mapping[str, Any] | None:
+    """The manoeuvre that tells a set apart, as in discovery.json; None where none does."""
+    fits, left = {name.name: flights.settled(at)}, at.structure - {name.name}
+    for other in list(name.shares)[1:]:
+        rival = flights.known(left | set(other.split("+")))
+        if rival is not None and abs(rival.value.likelihood - at.value.likelihood) >= EXACT:
+            fits[other] = flights.settled(rival)
+    try:
+        return separating_manoeuvre(fits) if len(fits) > 1 else None
+    except GreyboxError:
+        return None

@@ -19,15 +19,24 @@ import numpy as np
 import scipy.linalg
 from threadpoolctl import threadpool_limits
 
+from greybox.discovery.cause import Cause, Causes, sensor_cause
 from greybox.discovery.evidence import Fitted, Flights, Key
 from greybox.discovery.rules import RULES
 from greybox.estimation.differences import with_candidate_sensitivities
+from greybox.model.layer import physics_of
+from greybox.model.noise import Coloured, LowPass, SensorPart
+from greybox.model.noise.low_pass import FILTERED
 from greybox.symbolic import FloatArray
+from greybox.validation.whiteness import whiteness_of_blocks
 
 BODY = ("position", "velocity", "attitude", "rate")
 """States of the rigid body, by the beginning of their names."""
 CLEARLY = 5.0
 """Log evidence by which a pair must stand in for a cause better than its members to be tried."""
+LAGS = 25
+"""Lags of the autocorrelation that are looked at for colour, which is never a name."""
+LEVEL = 0.01
+"""Level, over all channels, at which one counts as not white."""
 DEAD = 1e-8
 """Information on a parameter, per typical size, that is the rounding of a difference."""
 
@@ -238,10 +247,8 @@ def _brings_motion(flights: Flights, at: Fitted, name: str) -> bool:
 
 def typical(flights: Flights, *names: str) -> Proposal:
     """Causes with a fit from their typical size as the only test."""
-    start: dict[Key, float] = {}
-    for n in names:
-        for p, (null, sigma) in flights.causes.offered[n].prior.items():
-            start[p, None] = null + sigma / RULES.typical
+    prior = [p for n in names for p in flights.causes.offered[n].prior.items()]
+    start: dict[Key, float] = {(p, None): at + sigma / RULES.typical for p, (at, sigma) in prior}
     return Proposal(causes=names, gain=0.0, start=start)
 
 
@@ -276,3 +283,31 @@ def unfelt(scores: Scores, flights: Flights) -> list[Proposal]:
             begins.start.update({(p, None): null for p, (null, _) in cause.prior.items()})
         out.append(begins)
     return out
+
+
+def sensor_proposals(at: Fitted, causes: Causes) -> tuple[list[Cause], float]:
+    """(colour of every sensor whose innovations are clearly not white, and a low-pass of those that
+    firmware filters; log likelihood that they promise together: what the channels' own past tells).
+    What is not felt goes again; none where all are white."""
+    physics = physics_of(at.problem.dynamics)
+    if physics is None:  # nothing is known of the sensors of a model of the user's own
+        return [], 0.0
+    names = at.problem.dynamics.innovations.names
+    tested = whiteness_of_blocks(
+        at.problem.predictor.blocks(at.problem, at.theta, False), names, max_lag=LAGS
+    )
+    parts: list[SensorPart] = []
+    gain = 0.0
+    for sensor in physics.sensors:
+        own = [s.name for s in sensor.innovation_signals(physics.vehicle)]
+        told = [tested[n] for n in own if n in tested]
+        clear = [c.predictable for c in told if c.test.p_value < LEVEL / len(tested)]
+        if max(clear, default=0.0) > RULES.colour:
+            more: list[SensorPart] = [Coloured(sensor=sensor.name)]
+            # Where the clocks of gyro and attitude wander nothing tells how late a filter is.
+            if sensor.name in FILTERED and not physics.kinematic_noise:
+                more.append(LowPass(sensor=sensor.name))
+            if new := [p for p in more if p.name not in at.structure]:
+                parts += new
+                gain -= sum(0.5 * c.n * np.log1p(-c.predictable) for c in told)
+    return [sensor_cause(p, causes.model) for p in parts], gain

@@ -165,6 +165,7 @@ class Discovery(Shown):
                 "candidates": [{"name": c, "weight": w} for c, w in n.shares.items()],
                 "separating_manoeuvre": self.separating.get(n.name),
                 "log10_e": n.certificate.rivals.get((), 0.0) / LOG10,
+                "reason": n.reason,
                 "parameters": self._parameters(n.name),
             }
             for n in self.said("one of these")
@@ -239,9 +240,12 @@ class Discovery(Shown):
             return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
         for e in self.effects():
             lines.append(f"  {_in_words(e)}: {e['status']}, log10 e {e['log10_e']:.1f}{_worth(e)}")
+            odds = "    rather than {name}: log10 odds {log10_odds:.1f}, log10 e {log10_e:.1f}"
+            lines += [odds.format(**u) for u in e["unlikely"]]
         for a in self.ambiguous():
             rows = [f"{c['name']} ({c['weight']:.0%})" for c in a["candidates"]]
-            lines.append("  one of " + ", ".join(rows))
+            why = f"; supported: {a['reason']}" if a["reason"] else ""
+            lines.append(f"  one of {', '.join(rows)}{why}")
             if fly := a["separating_manoeuvre"]:
                 size = f", {fly['amplitude']:g} {fly['unit']}" if fly["unit"] else ""
                 lines.append(f"    to tell them apart, {fly['text']}{size}")

@@ -13,12 +13,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from greybox.discovery.colour import sensor_proposals
-from greybox.discovery.evidence import Fitted, Flights, Key, Say, Structure
+from greybox.discovery.evidence import Fitted, Flights, Key, Structure
 from greybox.discovery.left import axis_gains
-from greybox.discovery.propose import Proposal, Scores, proposals, scored, typical, unfelt
+from greybox.discovery.propose import (
+    Proposal,
+    Scores,
+    proposals,
+    scored,
+    sensor_proposals,
+    typical,
+    unfelt,
+)
 from greybox.discovery.rules import RULES
 from greybox.statistics.evidence import FELT
+from greybox.statistics.regret import information_on
 
 Move = tuple[Structure, list[Mapping[Key, float]]]
 """A structure and where its fit starts."""
@@ -40,7 +48,7 @@ class Search:
 
     flights: Flights
     most: int
-    say: Say
+    say: Callable[[str, float], None]
     interim: Callable[[Fitted], None] = lambda _fit: None
     steps: list[dict[str, object]] = field(default_factory=list)
     scores: Scores | None = None
@@ -99,7 +107,8 @@ class Search:
         there = self.added(at)
         room = self.most - len(there)
         silent = [p for p in silent if len(p.causes) <= room]
-        pairs = [p for p in silent if len(p.causes) > 1 and (not there or self._gained(p))]
+        won = [added for (added, gone), lost in self.lost.items() if not (gone or lost)]
+        pairs = [p for p in silent if len(p.causes) > 1 and (not there or set(p.causes) in won)]
         unscored = [typical(self.flights, n) for n in scores.unscored if room > 0]
         fits = self._tried(at, scores, unscored, pairs, room)
         for last in (unscored, silent):
@@ -129,10 +138,6 @@ class Search:
                 break
             fits += self._fits(at, self._moves(at, [p]), fits)
         return fits + self._fits(at, self._moves(at, pairs), fits)
-
-    def _gained(self, p: Proposal) -> bool:
-        """Whether a proposal was fitted before and did not lose."""
-        return self.lost.get((frozenset(p.causes), frozenset())) is False
 
     def _net(self, p: Proposal) -> float:
         """What a proposal promises, less the price of its causes."""
@@ -290,24 +295,18 @@ def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
     rows = [i for i, u in enumerate(at.problem.unknowns) if u.name in cause.parameters]
     if not rows or at.value.hessian is None:
         return 0.0 if rows else np.inf
-    h = at.value.hessian + 1e-12 * np.diag(np.diag(at.value.hessian))
-    free = ~at.held
-    place = np.ix_(free, free)
-    unit = np.sqrt(np.outer(np.diag(h), np.diag(h)))[place]
-    inverse = np.zeros_like(h)
-    inverse[place] = np.linalg.pinv(h[place] / unit, hermitian=True) / unit
-    live = [i for i in rows if free[i]]
+    free = np.flatnonzero(~at.held).tolist()
+    live = [i for i in rows if i in free]
     if not live:
         return np.inf
+    told = information_on(at.value.hessian, live, [i for i in free if i not in live])
     if cause.kind == "sensor noise":  # its time constant is there, or at its bound within its error
-        clear = at.theta[live] - at.problem.lower[live] > FELT * np.sqrt(np.diag(inverse)[live])
+        std = np.sqrt(np.diag(np.linalg.pinv(told, hermitian=True)))
+        clear = at.theta[live] - at.problem.lower[live] > FELT * std
         return -np.inf if clear.all() else 0.0
-    null = np.array([cause.prior[at.problem.unknowns[i].name][0] for i in live])
-    sigma = np.array([cause.prior[at.problem.unknowns[i].name][1] for i in live])
-    cov = inverse[np.ix_(live, live)]
+    null, sigma = np.array([cause.prior[at.problem.unknowns[i].name] for i in live]).T
     off = at.theta[live] - null
-    _, logdet = np.linalg.slogdet(cov)
-    here = -0.5 * float(off @ np.linalg.solve(cov, off)) - 0.5 * float(logdet)
+    here = -0.5 * float(off @ told @ off) + 0.5 * float(np.linalg.slogdet(told)[1])
     return here + float(np.log(sigma).sum())
 
 

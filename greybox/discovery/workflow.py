@@ -8,7 +8,7 @@ from __future__ import annotations
 import concurrent.futures
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Unpack
 
 import numpy as np
@@ -19,12 +19,11 @@ from greybox.data.checks import CheckReport, check
 from greybox.data.checks.finding import WANDER
 from greybox.data.halves import demand_apart
 from greybox.data.lead import without_lead_in
-from greybox.discovery.alike import separating
 from greybox.discovery.cause import Causes, offer
 from greybox.discovery.certificate import certificates, certificates_beside, splits
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.left import Left, left_over
-from greybox.discovery.name import Name, impossible, judged, unneeded
+from greybox.discovery.name import Name, held, impossible, judged, separating, unneeded
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
 from greybox.discovery.own_cause import offer_own
 from greybox.discovery.result import Discovery
@@ -243,6 +242,7 @@ class _Run:
         self.say("what is left", 0.8)
         left = self._left(at, found)
         if left.written is not None:
+            names = [held(n) for n in names]
             shorter, fewer = self._beside_laws(search, names, at, left.written)
             if fewer is not at:
                 rest = self._left(fewer, self.settled(fewer))
@@ -255,10 +255,9 @@ class _Run:
         lawful = None if left.written is None else left.lawful(self.settled(left.written))
         rows = self._gap(null, at, lawful)
         scores = search.scores
-        smallest: dict[str, dict[str, float]] = {}
-        if scores is not None:
-            share = self._judging_share()
-            smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent}
+        taught, judging = (sum(f.n for f in d) for d in (self.flights.data, self.judges))
+        share = 0.5 if self.test is None else judging / max(taught, 1)
+        smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent} if scores else {}
         said = self._separated(names, at)
         return Discovery(
             verdict=_verdict(names, left),
@@ -330,34 +329,23 @@ class _Run:
             old, new = self.held_out(without), self.held_out(at)
             good = None if old is None or new is None else worth(old, new)
             odd = impossible(at, self.flights, name)
-            found = judged(certificate, good, odd, self.bar, self.options.alpha)
-            if found.status == "not certified":
-                found = replace(found, kept=self._asked(at, name, judges[0].both))
-            names.append(found)
+            names.append(judged(certificate, good, odd, self.bar, self.options.alpha))
         keep = {"certified", "supported", "one of these", *["trace"] * self.options.trace}
         doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
         self.warnings += [doubt for doubt in doubts if doubt]
         gone = {n.name for n in names if n.status not in keep and not n.kept}
         return names, self.flights.fit(at.structure - gone, [at.known]) if gone else at
 
-    def _asked(self, at: Fitted, name: str, both: Flights) -> bool:
-        """Whether all flights, `both`, clearly ask for a cause: without it others would bend."""
-        there, without = both.known(at.structure), both.known(at.structure - {name})
-        if there is None or without is None or impossible(at, self.flights, name):
-            return False
-        return -np.inf < there.log_evidence >= without.log_evidence + without.may_gain + self.bar
-
     def _beside_laws(
         self, search: Search, names: list[Name], at: Fitted, written: Fitted
     ) -> tuple[list[Name], Fitted]:
         """Names that fade next to the laws that won and are not needed there are none (they had
-        bent), and the structure without them. What was supported alone must not be refuted."""
+        bent), and the structure without them."""
         there = [n.name for n in names if n.name in written.structure]
         asked = [n for n in there if search.doubted(written, n)]
         judges = splits(self.flights, self.test)
         beside = certificates_beside(self.flights, written, asked, judges, self.bar)
-        alone = {n.name for n in names if n.status == "supported"}
-        gone = {n for n, c in beside.items() if not c.beaten(0.0 if n in alone else self.bar)}
+        gone = {n for n, c in beside.items() if c.log_e < self.bar}
         if not gone:
             return names, at
         names = [n if n.name not in gone else unneeded(n, beside[n.name], self.bar) for n in names]
@@ -369,11 +357,6 @@ class _Run:
         except GreyboxError as error:
             self.warnings.append(f"what is left could not be looked at: {error}")
             return Left(axes=())
-
-    def _judging_share(self) -> float:
-        """Samples that judge over those that taught."""
-        taught = sum(f.n for f in self.flights.data)
-        return 0.5 if self.test is None else sum(f.n for f in self.test) / max(taught, 1)
 
     def _separated(self, names: Sequence[Name], at: Fitted) -> dict[str, Mapping[str, Any] | None]:
         out: dict[str, Mapping[str, Any] | None] = {}

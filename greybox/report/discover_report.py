@@ -152,7 +152,10 @@ def _names(report: Report, content: Mapping[str, Any]) -> None:
         for name, p in e["parameters"].items():
             value, std = rounded(p["value"], p["std"])
             spread: Cell = Tag(text="at bound") if p["std"] is None else std
-            evidence_of = [number(e["log10_e"], 3), e["against"], _worth(e["worth"]), e["status"]]
+            status = ", rather than ".join(
+                [e["status"], *(u["name"] for u in e.get("unlikely", ()))]
+            )
+            evidence_of = [number(e["log10_e"], 3), e["against"], _worth(e["worth"]), status]
             rows.append([f"{e['name']}.{name}", value, spread, p["unit"], *evidence_of])
     heads = ["parameter", "value", "std", "unit", "log10 e", "against", "removes", "status"]
     report.table(
@@ -160,7 +163,8 @@ def _names(report: Report, content: Mapping[str, Any]) -> None:
         rows,
         numeric=(1, 2, 4),
         caption="Removes: share of the squared error, in the channels and at the horizon where the "
-        "name is worth most. Supported: certain only in that it foretells better on average.",
+        "name is worth most. Supported: it foretells better on average, or all flights together "
+        "speak for it. Rather than: the e-value does not refute this rival, all flights do.",
     )
     panels: list[tuple[Figure, str]] = []
     for e in content["effects"]:

@@ -58,6 +58,10 @@ class World:
     def causes(self, new: Any) -> None:
         """None joins."""
 
+    def known(self, structure: Structure) -> Fitted | None:
+        """A fit that was done."""
+        return self.kept.get(structure)
+
     def contest(
         self, asked: Sequence[tuple[Iterable[str], Sequence[Any]]], than: Fitted
     ) -> list[Fitted]:

@@ -20,14 +20,14 @@ PROPOSES = "decides what is tried or how long; what is taken is the evidence"
 COMPUTES = "accuracy of a computation"
 SAYS = "how something is said"
 ELSEWHERE = {
-    "colour.LAGS": PROPOSES,
-    "colour.CLEARLY": PROPOSES,
     "evidence.WEAK": COMPUTES,
     "left.SILENT": COMPUTES,
     "left.LOUDER": COMPUTES,
     "propose.CLEARLY": PROPOSES,
+    "propose.LAGS": PROPOSES,
+    "propose.LEVEL": PROPOSES,
     "propose.DEAD": COMPUTES,
-    "alike.EXACT": "below it no manoeuvre is sought",
+    "name.EXACT": "below it no manoeuvre is sought",
     "workflow.SHORTEST_FLIGHT": "shorter flights are refused",
     "name.LOG10": SAYS,
 }

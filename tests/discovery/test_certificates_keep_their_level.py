@@ -91,8 +91,8 @@ def test_a_name_that_bent_into_what_a_law_says_is_none_beside_it():
     assert certified(one, other, "b", ((),), 6.0).log_e > 6.0
     both = one.fit({"a", "b"})
     beside = certificates_beside(cast(Flights, one), both, ("a", "b"), [judge], 6.0)
-    assert not beside["b"].beaten(6.0)
-    assert beside["a"].beaten(6.0)
+    assert beside["b"].log_e < 6.0
+    assert beside["a"].log_e >= 6.0
 
 
 @pytest.mark.parametrize("code", [Code.MAX_ITERATIONS, Code.NO_PROGRESS, Code.BEHIND])
@@ -155,8 +155,37 @@ def test_look_alikes_stay_a_set_where_the_flights_cannot_tell():
     )
     found = certified(one, other, "a", ((), ("twin",)), 6.0)
     assert found.rivals[()] >= 6.0
-    assert found.alike(6.0) == [("twin",)]
+    assert found.unbeaten(6.0, ALPHA) == ([("twin",)], [])
     assert found.against == ("twin",)
+
+
+def test_what_is_nearly_the_name_at_its_worst_is_unlikely_by_all_flights():
+    """An inflow stayed one of a set with a drag and a damping, whose nine numbers can be nearly
+    what it is; their probability was 0 %."""
+    one, other = drawn(3, {"a": np.array([2.0])})
+    near = [
+        {**w.columns, "many": np.column_stack([w.columns["a"] + 0.1 * w.shared[:, :1], w.shared])}
+        for w in (one, other)
+    ]
+    one, other = (
+        World(
+            columns=c, shared=w.shared[:, :2], y=w.y - w.shared[:, 2:] @ np.linspace(-2, 2, 6)[2:]
+        )
+        for c, w in zip(near, (one, other), strict=True)
+    )
+    found = certified(one, other, "a", ((), ("many",)), 6.0)
+    assert found.rivals["many",] < 6.0 < found.whole["many",].log_e
+    assert found.unbeaten(6.0, ALPHA) == ([], [("many",)])
+    assert found.whole["many",].log_e == found.whole["many",].odds
+    for judge, alike in ((-2.0, []), (-4.0, [("many",)])):
+        told = replace(found, whole={("many",): replace(found.whole["many",], judge=judge)})
+        assert told.unbeaten(6.0, ALPHA)[0] == alike, "flights that judge speak for it"
+
+
+def test_a_rival_that_is_no_larger_counts_at_its_worst_on_all_flights():
+    one, other = drawn(3, {"a": np.array([1.0])})
+    found = certified(one, other, "a", ((), ("b",)), 6.0)
+    assert found.whole["b",].log_e < found.whole["b",].odds
 
 
 def test_nuisances_cost_no_name():

@@ -25,13 +25,17 @@ FOUND = ("certified", "one of these", "not certified")
 """From the most that can be said of a name to the least."""
 
 
+def drawn(rng: np.random.Generator) -> dict[str, Any]:
+    """What is there."""
+    some = (("a", 1), ("c", 2), ("f", 1))
+    return {n: rng.normal(0.0, 1.0, k) for n, k in some if rng.random() < 0.5}
+
+
 def world(seed: int) -> tuple[World, World]:
     """To teach and to judge: nine causes, of which some are alike and some act together, up to
     three are there."""
     rng = np.random.default_rng(seed)
-    hidden = {
-        n: rng.normal(0.0, 1.0, k) for n, k in (("a", 1), ("c", 2), ("f", 1)) if rng.random() < 0.5
-    }
+    hidden = drawn(rng)
     mixed = rng.uniform(-1.0, 1.0, 3)
     worlds = []
     for _ in range(2):
@@ -82,6 +86,17 @@ def test_no_verdict_is_lost_by_raising_effort():
         few, many = found(seed, LITTLE), found(seed, MUCH)
         for name, before in few.items():
             assert FOUND.index(many[name].status) <= FOUND.index(before.status), (seed, name)
+
+
+def test_names_among_look_alikes_are_those_that_are_there():
+    """In 300 such worlds 149 names were right and none was wrong; 126 before all flights weighed
+    rivals."""
+    right = wrong = 0
+    for seed in range(40):
+        named = {n for n, v in found(seed, EFFORT).items() if v.status == "certified"}
+        there = set(drawn(np.random.default_rng(seed)))
+        right, wrong = right + len(named & there), wrong + len(named - there)
+    assert wrong <= ALPHA * 40 and right >= 15, (right, wrong)
 
 
 @pytest.mark.parametrize(("promise", "tried"), [(5.0, False), (500.0, True)])

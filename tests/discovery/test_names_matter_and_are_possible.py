@@ -3,14 +3,16 @@ and is none."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from greybox.data import Dataset
 from greybox.discovery.cause import offer
-from greybox.discovery.certificate import Certificate
+from greybox.discovery.certificate import Certificate, Whole
 from greybox.discovery.evidence import Fitted, Flights, problem_of
-from greybox.discovery.name import impossible, judged
+from greybox.discovery.name import held, impossible, judged
 from greybox.discovery.rules import RULES
 from greybox.discovery.workflow import discover
 from greybox.discovery.worth import seconds, worth
@@ -40,8 +42,7 @@ def foresight(
 
 def certificate(**rivals: float) -> Certificate:
     found = {() if n == "nothing" else tuple(n.split("_")): e for n, e in rivals.items()}
-    against = min(found, key=lambda r: found[r])
-    return Certificate(name="a", log_e=found[against], against=against, rivals=found)
+    return Certificate(name="a", rivals=found)
 
 
 def test_worth_is_the_share_of_the_squared_error_that_goes():
@@ -88,6 +89,40 @@ def test_the_status_follows_from_evidence_worth_and_size(
         certificate(**rivals), worth(foresight(1.0), foresight(1.0 - better)), odd, bar, ALPHA
     )
     assert name.status == status
+
+
+@pytest.mark.parametrize(
+    ("rivals", "judge", "odd", "status"),
+    [
+        ({"nothing": 1.0}, 0.5, "", "supported"),
+        ({"nothing": 1.0}, -0.5, "", "not certified"),
+        ({"nothing": 1.0}, 0.5, "no craft has more", "not certified"),
+        ({"nothing": 1.0, "b": 0.0}, 0.5, "", "one of these"),
+    ],
+)
+def test_all_flights_support_what_those_that_judge_agree_to(
+    rivals: dict[str, float], judge: float, odd: str, status: str
+):
+    """An inflow in gusts was in the model without a name: the test flight was too short."""
+    found = replace(certificate(**rivals), whole={(): Whole(odds=9.0, log_e=9.0, judge=judge)})
+    better = worth(foresight(1.0), foresight(0.5))
+    name = judged(found, better, odd, BAR, ALPHA)
+    assert name.status == status
+    assert name.kept == (status == "not certified" and not odd)
+    assert "that a name needs" in name.reason
+    assert held(name).status == "not certified", "next to a law only an e-value holds"
+    little = worth(foresight(1.0), foresight(1.0 - 0.5 * RULES.trace))
+    assert judged(found, little, odd, BAR, ALPHA).status == "not certified"
+
+
+def test_a_name_says_which_rivals_its_e_value_did_not_beat():
+    whole = {("b", "c"): Whole(odds=40.0, log_e=40.0, judge=0.5)}
+    found = replace(certificate(nothing=20.0, b_c=-3.0), whole=whole)
+    name = judged(found, worth(foresight(1.0), foresight(0.5)), "", BAR, ALPHA)
+    assert (name.status, name.certificate.log_e, name.shares) == ("certified", 20.0, {})
+    assert held(name) is name
+    (said,) = name.to_dict()["unlikely"]
+    assert said["name"] == "b+c" and said["log10_e"] < 0 < said["log10_odds"]
 
 
 def test_shares_of_a_set_are_probabilities_and_follow_the_evidence():

@@ -10,9 +10,9 @@ import pytest
 
 from greybox.data import Dataset, Flight
 from greybox.discovery.cause import offer, sensor_cause
-from greybox.discovery.colour import sensor_proposals
 from greybox.discovery.evidence import Flights
 from greybox.discovery.options import DiscoverOptions
+from greybox.discovery.propose import sensor_proposals
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import EFFORT
 from greybox.discovery.search import Search

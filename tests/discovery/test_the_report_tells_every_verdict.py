@@ -188,6 +188,13 @@ def test_a_set_that_no_flight_tells_apart_is_to_be_measured():
     assert "No flight of the library tells a or b apart" in page
 
 
+def test_a_name_says_which_rivals_only_all_flights_refute():
+    given = content("named")
+    assert "certified, rather than" not in discover_report(given)
+    given["effects"][0]["unlikely"] = [{"name": "a+b", "log10_odds": 9.0, "log10_e": -1.0}]
+    assert "certified, rather than a+b" in discover_report(given)
+
+
 def test_an_ambiguous_answer_says_what_to_fly_and_what_it_will_tell():
     given = content("ambiguous")
     given["ambiguous"][0]["separating_manoeuvre"] = told()

@@ -63,7 +63,7 @@ def discovery() -> Discovery:
 
     def name(cause: str, status: typing.Any, log10_e: float, worth: Worth | None) -> Name:
         rivals = {(): log10_e * LOG10}
-        certificate = Certificate(name=cause, log_e=log10_e * LOG10, against=(), rivals=rivals)
+        certificate = Certificate(name=cause, rivals=rivals)
         return Name(name=cause, status=status, certificate=certificate, worth=worth, reason="said")
 
     worth = Worth(share=0.4, seen=True, group="velocity", horizon=0.5, log_e=9.0, seconds=20)
