@@ -27,7 +27,7 @@ Annals of Statistics 14(4), in the metric of the errors).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -49,6 +49,7 @@ from greybox.model.parameter import Parameter
 from greybox.residual.discrepancy import feature_function
 from greybox.residual.features import features
 from greybox.residual.hybrid import HybridModel
+from greybox.residual.impulses import impulses, pushed
 from greybox.residual.strengths import (
     Halves,
     Maker,
@@ -80,8 +81,10 @@ FEW, BLOCKS = 4, 4
 flights."""
 SMALLEST = 1e-3
 """Least factor on the covariance of the weights."""
-CHUNK = 1000
-"""Samples whose sensitivities are held in memory at once."""
+CHUNK = 100
+"""Strides of the filter whose sensitivities are held in memory at once."""
+ORIGINS = 200
+"""Origins of predictions whose sensitivities are held in memory at once."""
 MANY = 6
 """From this many flights on, flights of a kind are left out together."""
 Progress = Callable[[str, float], None]
@@ -167,14 +170,27 @@ class Basis:
         """Weights of the kernel values, (P,), of whitened theta (P,)."""
         return plain_weights(self.posterior, self.factors, theta)
 
-    def spread(self, states: FloatArray, windows: FloatArray) -> FloatArray:
-        """d push/d theta, (m, n_out, P)."""
-        post = self.posterior
-        x = ((evaluate(self.look, states, windows) - post.input_mean) / post.input_scale).T
-        out = np.zeros((x.shape[1], self.outputs, self.size))
-        for j, psi in enumerate(whitened(post, self.factors, x)):
-            out[:, j, j * self.m : (j + 1) * self.m] = post.output_scale[j] * psi
-        return out
+    def spread(self, states: FloatArray, windows: FloatArray) -> list[FloatArray]:
+        """d push/d theta per output, in its own weights: s psi at states (..., n_x) and command
+        windows alike, (..., M)."""
+        post, before = self.posterior, states.shape[:-1]
+        flat = (a.reshape(-1, a.shape[-1]) for a in (states, windows))
+        x = ((evaluate(self.look, *flat) - post.input_mean) / post.input_scale).T
+        return [
+            (size * psi).reshape(*before, self.m)
+            for size, psi in zip(post.output_scale, whitened(post, self.factors, x), strict=True)
+        ]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Ahead:
+    """Open-loop paths of m origins over L samples: states (m, L, n_x), command windows (m, L, .),
+    transitions (m, L, n_d, n_d) and slopes of the innovations (m, L, n_e, n_d)."""
+
+    states: FloatArray
+    windows: FloatArray
+    transition: FloatArray
+    seen: FloatArray
 
 
 class Paths:
@@ -254,39 +270,46 @@ class Paths:
         return self.runner.settling.gains(record, record.spread)
 
     def filtered(
-        self,
-        record: Record,
-        p: FloatArray,
-        states: FloatArray,
-        rows: IntArray,
-        bases: Sequence[Basis],
+        self, record: Record, p: FloatArray, states: FloatArray, bases: Sequence[Basis]
     ) -> list[FloatArray]:
-        """Per basis the sensitivity (m, n_d, P) of the filter's state at `rows` (m,) to the
-        whitened weights."""
+        """Per basis the sensitivity (m, n_d, P) of the filter's state at every `stride` samples to
+        the whitened weights."""
+        m, nd = (record.n - int(self.chosen[-1]) - 1) // self.stride, self.engine.nd
         found = self.gains(record)
         table = found.tables()[0].gain
-        width = self.engine.past + 1 + self.engine.future
-        now = [np.zeros((self.engine.nd, b.size)) for b in bases]
-        out = [np.zeros((rows.size, self.engine.nd, b.size)) for b in bases]
-        place = {int(k): i for i, k in enumerate(rows)}
-        last = int(rows[-1])
-        for begin in range(0, last + 1, CHUNK):
-            at = np.arange(begin, min(begin + CHUNK, last + 1))
+        now = [np.zeros((nd, b.size)) for b in bases]
+        out = [np.empty((m, nd, b.size)) for b in bases]
+        for begin in range(0, m, CHUNK):
+            some = slice(begin, min(begin + CHUNK, m))
+            shape = (some.stop - begin, self.stride)
+            at = np.arange(begin * self.stride, some.stop * self.stride)
             step = transitions(self.engine, states[at], at, record.inputs, p, record.dt)
             assert step.end_sensitivity is not None
             assert step.sensitivity is not None
             gain = table[found.pattern[at]]
             # `sensitivity` is -C; gains have zero columns for what is not measured.
             closed = step.end_sensitivity + gain @ step.sensitivity
-            windows = record.inputs[at[:, None] + np.arange(width)].reshape(at.size, -1)
+            rows = bases[0].rows
+            into = self.push[:, rows] - gain @ self.through[:, rows]
+            responses, whole = impulses(
+                np.broadcast_to(np.eye(nd), (shape[0], nd, nd)),
+                closed.reshape(*shape, nd, nd),
+                into.reshape(*shape, nd, len(rows)),
+            )
+            windows = self._windows(record, at)
             for j, basis in enumerate(bases):
-                into = self.push[:, basis.rows] - gain @ self.through[:, basis.rows]
-                spread = basis.spread(states[at], windows)
-                for i, k in enumerate(at.tolist()):
-                    if k in place:
-                        out[j][place[k]] = now[j]
-                    now[j] = closed[i] @ now[j] + into[i] @ spread[i]
+                own = out[j][some]
+                features = [psi.reshape(*shape, -1) for psi in basis.spread(states[at], windows)]
+                pushed(responses, features, own)
+                for i, through in enumerate(whole):
+                    now[j] = own[i] = own[i] + through @ now[j]
         return out
+
+    def _windows(self, record: Record, at: IntArray) -> FloatArray:
+        """The commands that a step looks at, of samples `at` (...), (..., n_u (past + 1 +
+        future))."""
+        width = self.engine.past + 1 + self.engine.future
+        return np.asarray(record.inputs[at[..., None] + np.arange(width)].reshape(*at.shape, -1))
 
     def cost(self) -> float:
         """Weighted square errors; infinite where a prediction is not finite."""
@@ -300,41 +323,68 @@ class Paths:
         except FitError:
             return np.inf
 
+    def _ahead(self, record: Record, p: FloatArray, states: FloatArray, rows: IntArray) -> _Ahead:
+        """The open-loop paths from `states` (m, n_x) at `rows` (m,)."""
+        m, length, nd = rows.size, int(self.chosen[-1]) + 1, self.engine.nd
+        x = np.empty((m, length, self.engine.nx))
+        a, seen = np.empty((m, length, nd, nd)), np.empty((m, length, self.engine.ne, nd))
+        for h in range(length):
+            x[:, h] = states
+            step = transitions(self.engine, states, rows + h, record.inputs, p, record.dt)
+            assert step.end_sensitivity is not None
+            assert step.sensitivity is not None
+            a[:, h], seen[:, h], states = step.end_sensitivity, step.sensitivity, step.ends
+        return _Ahead(
+            states=x,
+            windows=self._windows(record, rows[:, None] + np.arange(length)),
+            transition=a,
+            seen=seen,
+        )
+
+    def _slopes(
+        self, ahead: _Ahead, bases: Sequence[Basis], carried: Sequence[FloatArray]
+    ) -> Iterator[FloatArray]:
+        """Per basis the slopes (H, m, n_e, P) of the errors along `ahead`, whose starts have the
+        sensitivities `carried` (m, n_d, P)."""
+        rows, m = bases[0].rows, len(ahead.states)
+        entry = np.broadcast_to(self.push[:, rows], (m, 1, self.engine.nd, len(rows)))
+        direct = np.broadcast_to(
+            -self.through[:, rows].T[..., None], (m, len(rows), self.engine.ne, 1)
+        )
+        found = []
+        for h in self.chosen.tolist():
+            before, start = impulses(
+                ahead.seen[:, h], ahead.transition[:, :h], np.repeat(entry, h, axis=1)
+            )
+            found.append((np.concatenate([before, direct], axis=3), start))
+        for basis, own in zip(bases, carried, strict=True):
+            features = basis.spread(ahead.states, ahead.windows)
+            slope = np.empty((self.chosen.size, m, self.engine.ne, basis.size))
+            for i, (responses, start) in enumerate(found):
+                pushed(responses, [psi[:, : responses.shape[3]] for psi in features], slope[i])
+                slope[i] += start @ own
+            yield slope
+
     def normal(
         self, record: Record, bases: Sequence[Basis], blocks: int = 1, *, by_horizon: bool = False
     ) -> list[list[Normal]]:
         """Per basis the cost and normal equations of one record, in `blocks` parts along its time.
         With `by_horizon` every channel group at every horizon is a group of its own, horizon by
-        horizon."""
+        horizon. All bases have the same outputs."""
         p, rows, states, e, mask = self.errors(record)
-        width = self.engine.past + 1 + self.engine.future
-        carried = self.filtered(record, p, states, rows, bases)
-        x = states[rows]
+        carried = self.filtered(record, p, states, bases)
         c, layers = len(self.groups), self.chosen.size if by_horizon else 1
         gradient = [np.zeros((blocks, layers * c, b.size)) for b in bases]
         hessian = [np.zeros((blocks, layers * c, b.size, b.size)) for b in bases]
         part = np.arange(rows.size) * blocks // rows.size
-        for h in range(int(self.chosen[-1]) + 1):
-            at = rows + h
-            step = transitions(self.engine, x, at, record.inputs, p, record.dt)
-            assert step.end_sensitivity is not None
-            assert step.sensitivity is not None
-            windows = record.inputs[at[:, None] + np.arange(width)].reshape(rows.size, -1)
-            place = np.flatnonzero(self.chosen == h)
-            for k, basis in enumerate(bases):
-                spread = basis.spread(x, windows)
-                if place.size:
-                    i = int(place[0])
-                    slope = step.sensitivity @ carried[k] - self.through[:, basis.rows] @ spread
-                    weight = self.scales[i] * mask[:, i]
-                    for b, (g, members) in itertools.product(range(blocks), enumerate(self.groups)):
-                        flat = slope[part == b][:, members].reshape(-1, basis.size)
-                        own = weight[part == b][:, members]
-                        row = g + c * i * by_horizon
-                        gradient[k][b, row] += flat.T @ (own * e[part == b, i][:, members]).ravel()
-                        hessian[k][b, row] += flat.T @ (flat * own.reshape(-1, 1))
-                carried[k] = step.end_sensitivity @ carried[k] + self.push[:, basis.rows] @ spread
-            x = step.ends
+        root = np.sqrt(self.scales * mask)
+        for b in range(blocks):
+            mine = np.flatnonzero(part == b)
+            for some in np.array_split(mine, -(-mine.size // ORIGINS)):
+                ahead = self._ahead(record, p, states[rows[some]], rows[some])
+                slopes = self._slopes(ahead, bases, [own[some] for own in carried])
+                for k, slope in enumerate(slopes):
+                    self._add(slope, root[some], e[some], gradient[k][b], hessian[k][b])
         weighed = e * e * mask * self.scales
         weighed = weighed if by_horizon else weighed.sum(axis=1, keepdims=True)
         cost = np.stack(
@@ -345,12 +395,34 @@ class Paths:
                 Normal(
                     cost=cost[part == b].sum(axis=0),
                     gradient=gradient[k][b],
-                    hessian=_symmetric(hessian[k][b]),
+                    hessian=hessian[k][b],
                 )
                 for b in range(blocks)
             ]
             for k in range(len(bases))
         ]
+
+    def _add(
+        self,
+        slope: FloatArray,
+        root: FloatArray,
+        e: FloatArray,
+        gradient: FloatArray,
+        hessian: FloatArray,
+    ) -> None:
+        """Add the normal equations of slopes (H, m, n_e, P) of errors e (m, H, n_e) with the roots
+        of their weights alike to gradient (C, P) and Hessian (C, P, P), C groups of channels or as
+        many of every horizon."""
+        layers = len(gradient) // len(self.groups)
+        for i, steps in enumerate(np.array_split(np.arange(self.chosen.size), layers)):
+            for g, members in enumerate(self.groups):
+                at = np.ix_(steps, np.arange(len(e)), members)
+                weight = np.swapaxes(root, 0, 1)[at]
+                flat = (slope[at] * weight[..., None]).reshape(-1, slope.shape[3])
+                error = (np.swapaxes(e, 0, 1)[at] * weight).ravel()
+                row = g + len(self.groups) * i
+                gradient[row] += flat.T @ error
+                hessian[row] += flat.T @ flat  # half a product: BLAS sees that it is symmetric
 
     def all_normal(
         self, bases: Mapping[str, Basis], blocks: int, say: Progress
@@ -376,11 +448,10 @@ class Paths:
         numbers = {f: i for i, f in enumerate(flights)}
         if len(flights) >= MANY:
             rows: dict[str, list[FloatArray]] = {f: [] for f in flights}
-            width = self.engine.past + 1 + self.engine.future
             for record in self.records:
                 _, at, states, _, _ = self.errors(record)
-                windows = record.inputs[at[:, None] + np.arange(width)].reshape(at.size, -1)
-                rows[record.flight].append(evaluate(basis.look, states[at], windows))
+                seen = evaluate(basis.look, states[at], self._windows(record, at))
+                rows[record.flight].append(seen)
             z = {
                 f: (np.concatenate(v) - basis.posterior.input_mean) / basis.posterior.input_scale
                 for f, v in rows.items()
@@ -703,7 +774,3 @@ def _dispersion(
 
 def _inverse(hessian: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(hessian), dtype=np.float64)
-
-
-def _symmetric(a: FloatArray) -> FloatArray:
-    return np.asarray(0.5 * (a + np.swapaxes(a, -1, -2)))

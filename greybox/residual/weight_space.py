@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.kernels import Kernel
@@ -67,8 +68,8 @@ def whitened(post: Candidate, lower: list[FloatArray], x: FloatArray) -> list[Fl
     for j, kernel in enumerate(post.kernels):
         if id(kernel) not in known:
             covariance: FloatArray = kernel.covariance(post.support.T, x)
-            psi = np.linalg.solve(lower[j], covariance)
-            known[id(kernel)] = np.asarray(psi.T, dtype=np.float64)
+            psi = solve_triangular(lower[j], covariance, lower=True, check_finite=False)
+            known[id(kernel)] = np.ascontiguousarray(psi.T)
     return [known[id(k)] for k in post.kernels]
 
 
