@@ -410,18 +410,18 @@ class Paths:
         gradient: FloatArray,
         hessian: FloatArray,
     ) -> None:
-        """Add the normal equations of slopes (H, m, n_e, P) of errors e (m, H, n_e) with the roots
-        of their weights alike to gradient (C, P) and Hessian (C, P, P), C groups of channels or as
-        many of every horizon."""
+        """Add the normal equations of slopes (H, m, n_e, P), which are scaled in place, of errors e
+        (m, H, n_e) with the roots of their weights alike to gradient (C, P) and Hessian (C, P, P),
+        C groups of channels or as many of every horizon."""
         layers = len(gradient) // len(self.groups)
+        slope *= np.swapaxes(root, 0, 1)[..., None]
+        error = np.swapaxes(root * e, 0, 1)
         for i, steps in enumerate(np.array_split(np.arange(self.chosen.size), layers)):
+            part = slice(steps[0], steps[-1] + 1)
             for g, members in enumerate(self.groups):
-                at = np.ix_(steps, np.arange(len(e)), members)
-                weight = np.swapaxes(root, 0, 1)[at]
-                flat = (slope[at] * weight[..., None]).reshape(-1, slope.shape[3])
-                error = (np.swapaxes(e, 0, 1)[at] * weight).ravel()
+                flat = slope[part].take(members, axis=2).reshape(-1, slope.shape[3])
                 row = g + len(self.groups) * i
-                gradient[row] += flat.T @ error
+                gradient[row] += flat.T @ error[part].take(members, axis=2).ravel()
                 hessian[row] += flat.T @ flat  # half a product: BLAS sees that it is symmetric
 
     def all_normal(

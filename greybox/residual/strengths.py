@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import scipy.linalg
 
 from greybox.residual.weight_space import Candidate, alone
 from greybox.symbolic import BoolArray, FloatArray
@@ -106,26 +107,11 @@ def choose(
     """
     groups = [n.split(".")[0] for n in outputs]
     kinds = list(dict.fromkeys(groups))
-    results: dict[tuple[float, ...], FloatArray] = {}
-    # Features that are made again without some flights may be more or fewer: terms of a law, for
-    # one.
-    features = [fold.left_gradient.size // len(groups) for fold in found]
-    left = [alone(fold.left_hessian, members, m) for fold, m in zip(found, features, strict=True)]
-    for choice in itertools.product(strengths, repeat=len(kinds)):
-        saved = np.zeros((len(found), len(cost)))
-        for i, fold in enumerate(found):
-            prior = np.repeat([choice[kinds.index(g)] for g in groups], features[i])
-            on = np.isfinite(prior)
-            if not on.any():
-                continue
-            at = np.ix_(on, on)
-            theta = (
-                -np.linalg.solve(left[i][at] + np.diag(prior[on]), fold.left_gradient[on]) / members
-            )
-            bent = fold.hessian[:, on][:, :, on] @ theta
-            saved[i] = -(2 * fold.gradient[:, on] @ theta + bent @ theta)
-        if (saved.sum(axis=0) >= -HARM * cost).all():
-            results[choice] = saved.sum(axis=1)
+    choices = list(itertools.product(strengths, repeat=len(kinds)))
+    every = np.array([[c[kinds.index(g)] for g in groups] for c in choices])
+    saved = np.stack([_saved(fold, every, len(cost), members) for fold in found], axis=1)
+    harmless = (saved.sum(axis=1) >= -HARM * cost).all(axis=1)
+    results = {c: s.sum(axis=1) for c, s, fine in zip(choices, saved, harmless) if fine}
     best = max(results, key=lambda c: float(results[c].sum()))
     margin = results[best]
     keep = [
@@ -138,6 +124,46 @@ def choose(
     )
     share = float(results[strongest].sum() / cost.sum())
     return np.array([strongest[kinds.index(g)] for g in groups]), share
+
+
+def _saved(fold: Judged, every: FloatArray, channels: int, members: int) -> FloatArray:
+    """What `every` choice of strengths (n, n_out) saves of the costs of a left-out fold, (n,
+    `channels`)."""
+    out = np.zeros((len(every), channels))
+    # Features that are made again without some flights may be more or fewer: terms of a law, for
+    # one.
+    features = fold.left_gradient.size // every.shape[1]
+    left = alone(fold.left_hessian, members, features)
+    silent, pattern = np.unique(np.isinf(every), axis=0, return_inverse=True)
+    for k, off in enumerate(silent):
+        if off.all():
+            continue
+        on = np.repeat(~off, features)
+        at = np.ix_(on, on)
+        block, slope = left[at], fold.left_gradient[on]
+        gradient, hessian = fold.gradient[:, on], fold.hessian[:, on][:, :, on]
+        for i in np.flatnonzero(pattern.ravel() == k):
+            prior = np.repeat(every[i], features)[on]
+            theta = -_solved(block, prior, slope) / members
+            out[i] = -(2 * gradient @ theta + hessian @ theta @ theta)
+    return out
+
+
+def _solved(hessian: FloatArray, prior: FloatArray, slope: FloatArray) -> FloatArray:
+    """(H + diag(prior))^-1 slope for a Hessian (P, P); by Cholesky, where rounding leaves it
+    positive definite."""
+    matrix = hessian.copy()
+    matrix.flat[:: len(matrix) + 1] += prior
+    try:
+        found = scipy.linalg.cho_solve(
+            # The transpose is the same matrix as LAPACK keeps it.
+            scipy.linalg.cho_factor(matrix.T, lower=True, overwrite_a=True, check_finite=False),
+            slope,
+            check_finite=False,
+        )
+    except np.linalg.LinAlgError:
+        found = np.linalg.solve(hessian + np.diag(prior), slope)
+    return np.asarray(found, dtype=np.float64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
