@@ -4,7 +4,7 @@ uncertainty.
 1. Disturbance states take up what the physics misses (fitted, where the model has none); smoothing
    gives its time series.
 2. Candidates (`greybox.residual.candidates`): of every set of features a Gaussian process with
-   hyper-parameters by marginal likelihood (GPyTorch) on the smoothed discrepancy, and one with a
+   hyper-parameters by marginal likelihood on the smoothed discrepancy, and one with a
    broad kernel that knows nothing but the scales of the data; or what another learner offers.
 3. Their weights are fitted by multi-step prediction errors; the candidate and the strength of its
    prior are those that lower the errors of left-out flights most. Where none does, the result is

@@ -1,5 +1,5 @@
-"""The part of training that runs in GPyTorch: marginal likelihoods, polish of support points, SVGP
-with mini-batches.
+"""The search for hyper-parameters, and the part of training that runs in GPyTorch: polish of support
+points, SVGP with mini-batches.
 
 The only file of the GP that imports PyTorch and GPyTorch (the extra `gp`). Arrays in and out are
 NumPy, samples are rows, inputs and outputs standardised, prior mean zero. Everything is float64
@@ -10,7 +10,6 @@ door.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,12 +19,12 @@ import gpytorch
 import numpy as np
 import torch
 from linear_operator.utils.errors import NanError, NotPSDError
-from linear_operator.utils.warnings import NumericalWarning
 from scipy.optimize import minimize
 
 from greybox.errors import FitError
 from greybox.residual import sparse
 from greybox.residual.kernels import FADE_POWER, Kernel, correlation, split_name
+from greybox.residual.marginal_likelihood import MarginalLikelihood
 from greybox.symbolic import FloatArray
 
 BOUNDS = {
@@ -183,46 +182,17 @@ def _likelihood_of(
 ) -> Callable[[FloatArray], tuple[float, FloatArray]]:
     """theta -> (minus log marginal likelihood of y (N, n) at x (N, n_in) summed over columns,
     gradient)."""
-    inputs, n = torch.tensor(x), len(x)
-    covariance = gpytorch_kernel(like)
-    likelihoods = [gpytorch_likelihood(0.1) for _ in range(y.shape[1])]
-    models = [
-        ExactModel(inputs, torch.tensor(y[:, j].copy()), likelihood, covariance)
-        for j, likelihood in enumerate(likelihoods)
-    ]
-    mlls = [gpytorch.mlls.ExactMarginalLogLikelihood(a, b) for a, b in zip(likelihoods, models)]
-    for model in models:
-        model.train()
-    stationary = covariance if like.slopes is None else covariance.kernels[0]
-    tensors = [stationary.base_kernel.raw_lengthscale, stationary.raw_outputscale]
-    tensors += [] if like.slopes is None else [covariance.kernels[1].raw_variance]
-    tensors += [likelihood.noise_covar.raw_noise for likelihood in likelihoods]
+    exact = MarginalLikelihood(x, y)
 
     def value(theta: FloatArray) -> tuple[float, FloatArray]:
-        at = 0
-        for tensor in tensors:
-            part = torch.tensor(theta[at : at + tensor.numel()]).reshape(tensor.shape)
-            tensor.data.copy_(part)
-            tensor.grad = None
-            at += tensor.numel()
+        kernel, noise = _unpack(theta, like)
         try:
-            # A jitter in a corner of the search is no news; the posterior says which jitter it
-            # needed.
-            with (
-                warnings.catch_warnings(),
-                gpytorch.settings.fast_computations(False, False, False),
-            ):
-                warnings.simplefilter("ignore", NumericalWarning)
-                loss = sum(
-                    -n * mll(model(inputs), model.train_targets) for mll, model in zip(mlls, models)
-                )
-            loss.backward()
-        except (NanError, NotPSDError, RuntimeError) as error:
+            loss, gradient = exact.value(kernel, noise)
+        except FitError as error:
             raise TrainingAborted(str(error).splitlines()[0]) from None
-        gradient = np.concatenate([t.grad.numpy().ravel() for t in tensors])
-        if not math.isfinite(loss.item()) or not np.isfinite(gradient).all():
+        if not math.isfinite(loss) or not np.isfinite(gradient).all():
             raise TrainingAborted("the likelihood is not finite")
-        return loss.item(), gradient
+        return loss, gradient
 
     return value
 

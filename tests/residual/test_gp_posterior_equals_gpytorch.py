@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from greybox.residual import sparse
+from greybox.residual.marginal_likelihood import MarginalLikelihood
 
 torch = pytest.importorskip("torch")
 gpytorch = pytest.importorskip("gpytorch")
@@ -86,6 +87,32 @@ def test_exact(name, noise):
     agrees(
         posterior, queries, *exact_gpytorch(kernel, x, y, noise, queries), np.linalg.cond(matrix)
     )
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_marginal_likelihood_and_its_gradient(name):
+    rng, x, y, _ = data(7)
+    kernel, noise = make_kernel(name, 3, rng), np.array([0.1, 0.02])
+    columns = np.stack([y, np.cos(y)], axis=1)
+    value, gradient = MarginalLikelihood(x, columns).value(kernel, noise)
+    covariance = torch_gp.gpytorch_kernel(kernel)
+    loss, levels = 0.0, []
+    for column, level in zip(columns.T, noise, strict=True):
+        likelihood = torch_gp.gpytorch_likelihood(level)
+        model = torch_gp.ExactModel(
+            torch.tensor(x), torch.tensor(column.copy()), likelihood, covariance
+        )
+        mll = gpytorch.mlls.ExactMarginalLogLikelihood(likelihood, model)
+        with gpytorch.settings.fast_computations(False, False, False):
+            loss = loss - len(x) * mll(model(torch.tensor(x)), model.train_targets)
+        levels.append(likelihood.noise_covar.raw_noise)
+    loss.backward()
+    stationary = covariance if kernel.slopes is None else covariance.kernels[0]
+    tensors = [stationary.base_kernel.raw_lengthscale, stationary.raw_outputscale]
+    tensors += [] if kernel.slopes is None else [covariance.kernels[1].raw_variance]
+    expected = np.concatenate([t.grad.numpy().ravel() for t in (*tensors, *levels)])
+    assert value == pytest.approx(loss.item(), rel=1e-10)
+    assert np.abs(gradient - expected).max() < 1e-9 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("correction", [True, False])
