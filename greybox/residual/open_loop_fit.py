@@ -26,6 +26,7 @@ Annals of Statistics 14(4), in the metric of the errors).
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -71,7 +72,7 @@ from greybox.residual.weight_space import (
     weighted,
     whitened,
 )
-from greybox.symbolic import Expr, FloatArray, evaluate, given
+from greybox.symbolic import BoolArray, Expr, FloatArray, evaluate, given
 
 HORIZONS = (1, 2, 5, 10, 20, 35, 50)
 STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, np.inf)
@@ -165,6 +166,15 @@ class Basis:
         self.rows = [model.dynamics.noises[n] for n in posterior.outputs.names]
         self.look = feature_function(model.dynamics, posterior.inputs.names)
         self.factors = factors(posterior)
+        self.at = list(range(self.outputs))
+
+    def only(self, on: BoolArray) -> Basis:
+        """Of the outputs `on` (n_out,) alone, for `spread`: their weights, their rows."""
+        found = copy.copy(self)
+        found.at = [j for j in self.at if on[j]]
+        found.rows = [self.rows[j] for j in found.at]
+        found.outputs, found.size = len(found.at), len(found.at) * self.m
+        return found
 
     def weights(self, theta: FloatArray) -> FloatArray:
         """Weights of the kernel values, (P,), of whitened theta (P,)."""
@@ -176,10 +186,8 @@ class Basis:
         post, before = self.posterior, states.shape[:-1]
         flat = (a.reshape(-1, a.shape[-1]) for a in (states, windows))
         x = ((evaluate(self.look, *flat) - post.input_mean) / post.input_scale).T
-        return [
-            (size * psi).reshape(*before, self.m)
-            for size, psi in zip(post.output_scale, whitened(post, self.factors, x), strict=True)
-        ]
+        psi = whitened(post, self.factors, x)
+        return [(post.output_scale[j] * psi[j]).reshape(*before, self.m) for j in self.at]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -347,14 +355,16 @@ class Paths:
         """Per basis the slopes (H, m, n_e, P) of the errors along `ahead`, whose starts have the
         sensitivities `carried` (m, n_d, P)."""
         rows, m = bases[0].rows, len(ahead.states)
-        entry = np.broadcast_to(self.push[:, rows], (m, 1, self.engine.nd, len(rows)))
+        entry = self.push[:, rows]
         direct = np.broadcast_to(
             -self.through[:, rows].T[..., None], (m, len(rows), self.engine.ne, 1)
         )
         found = []
         for h in self.chosen.tolist():
             before, start = impulses(
-                ahead.seen[:, h], ahead.transition[:, :h], np.repeat(entry, h, axis=1)
+                ahead.seen[:, h],
+                ahead.transition[:, :h],
+                np.broadcast_to(entry, (m, h, *entry.shape)),
             )
             found.append((np.concatenate([before, direct], axis=3), start))
         for basis, own in zip(bases, carried, strict=True):
@@ -380,7 +390,8 @@ class Paths:
         root = np.sqrt(self.scales * mask)
         for b in range(blocks):
             mine = np.flatnonzero(part == b)
-            for some in np.array_split(mine, -(-mine.size // ORIGINS)):
+            for begin in range(0, mine.size, ORIGINS):
+                some = mine[begin : begin + ORIGINS]
                 ahead = self._ahead(record, p, states[rows[some]], rows[some])
                 slopes = self._slopes(ahead, bases, [own[some] for own in carried])
                 for k, slope in enumerate(slopes):
@@ -703,28 +714,27 @@ def _left_out(
     blocks: int,
 ) -> dict[tuple[str, int, str], float]:
     """As `OpenLoopFit.left_out`, in the quadratic model of the cost around the fitted weights."""
-    parts = [n for r in paths.records for n in paths.normal(r, [basis], blocks, by_horizon=True)[0]]
+    learned = np.isfinite(chosen)
+    few, on = basis.only(learned), np.repeat(learned, basis.m)
+    parts = [n for r in paths.records for n in paths.normal(r, [few], blocks, by_horizon=True)[0]]
     flights = [r.flight for r in paths.records for _ in range(blocks)]
-    on = np.isfinite(np.repeat(chosen, basis.m))
-    at, prior = np.ix_(on, on), np.repeat(chosen, basis.m)[on]
-    whole_h, whole_g = total(parts, "hessian")[at], total(parts, "gradient")[on]
+    prior = np.repeat(chosen, basis.m)[on]
+    whole_h, whole_g = total(parts, "hessian"), total(parts, "gradient")
     seen: dict[str, FloatArray] = {}
     unseen: dict[str, FloatArray] = {}
     for fold in folds_of(owners):
         own = [parts[i] for i in fold]
-        left_h, left_g = whole_h - total(own, "hessian")[at], whole_g - total(own, "gradient")[on]
+        left_h, left_g = whole_h - total(own, "hessian"), whole_g - total(own, "gradient")
         d, _ = _newton(left_h, left_g, prior, theta[on], basis)
-        for i in fold:
-            g, h = parts[i].gradient[:, on], parts[i].hessian[:, on][:, :, on]
-            seen[flights[i]] = seen.get(flights[i], 0.0) + parts[i].cost
-            unseen[flights[i]] = (
-                unseen.get(flights[i], 0.0) + parts[i].cost + 2 * g @ d + (h @ d) @ d
-            )
+        for n, i in zip(own, fold, strict=True):
+            after = n.cost + 2 * n.gradient @ d + (n.hessian @ d) @ d
+            seen[flights[i]] = seen.get(flights[i], 0.0) + n.cost
+            unseen[flights[i]] = unseen.get(flights[i], 0.0) + after
     names = list(itertools.product((paths.chosen + 1).tolist(), paths.labels))
     return {
-        (flight, h, label): max(1.0, float(after / before)) if before > 0 else 1.0
+        (flight, h, label): max(1.0, float(value / before)) if before > 0 else 1.0
         for flight, values in unseen.items()
-        for (h, label), after, before in zip(names, values, seen[flight], strict=True)
+        for (h, label), value, before in zip(names, values, seen[flight], strict=True)
     }
 
 
