@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -167,12 +168,14 @@ class Basis:
         self.look = feature_function(model.dynamics, posterior.inputs.names)
         self.factors = factors(posterior)
         self.at = list(range(self.outputs))
+        self.scale = np.asarray(posterior.output_scale)
 
     def only(self, on: BoolArray) -> Basis:
         """Of the outputs `on` (n_out,) alone, for `spread`: their weights, their rows."""
         found = copy.copy(self)
         found.at = [j for j in self.at if on[j]]
         found.rows = [self.rows[j] for j in found.at]
+        found.scale = self.scale[[self.at.index(j) for j in found.at]]
         found.outputs, found.size = len(found.at), len(found.at) * self.m
         return found
 
@@ -181,13 +184,14 @@ class Basis:
         return plain_weights(self.posterior, self.factors, theta)
 
     def spread(self, states: FloatArray, windows: FloatArray) -> list[FloatArray]:
-        """d push/d theta per output, in its own weights: s psi at states (..., n_x) and command
-        windows alike, (..., M)."""
+        """psi per output at states (..., n_x) and command windows alike, (..., M): d push/d theta
+        in its own weights over its `scale` (n_out,). Outputs that share share the array."""
         post, before = self.posterior, states.shape[:-1]
         flat = (a.reshape(-1, a.shape[-1]) for a in (states, windows))
         x = ((evaluate(self.look, *flat) - post.input_mean) / post.input_scale).T
         psi = whitened(post, self.factors, x)
-        return [(post.output_scale[j] * psi[j]).reshape(*before, self.m) for j in self.at]
+        known = {id(v): v.reshape(*before, self.m) for v in psi}
+        return [known[id(psi[j])] for j in self.at]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -307,8 +311,8 @@ class Paths:
             windows = self._windows(record, at)
             for j, basis in enumerate(bases):
                 own = out[j][some]
-                features = [psi.reshape(*shape, -1) for psi in basis.spread(states[at], windows)]
-                pushed(responses, features, own)
+                features = basis.spread(states[at].reshape(*shape, -1), windows.reshape(*shape, -1))
+                pushed(responses * basis.scale[:, None], features, own)
                 for i, through in enumerate(whole):
                     now[j] = own[i] = own[i] + through @ now[j]
         return out
@@ -350,28 +354,34 @@ class Paths:
         )
 
     def _slopes(
-        self, ahead: _Ahead, bases: Sequence[Basis], carried: Sequence[FloatArray]
+        self,
+        ahead: _Ahead,
+        bases: Sequence[Basis],
+        carried: Sequence[FloatArray],
+        root: FloatArray,
     ) -> Iterator[FloatArray]:
         """Per basis the slopes (H, m, n_e, P) of the errors along `ahead`, whose starts have the
-        sensitivities `carried` (m, n_d, P)."""
+        sensitivities `carried` (m, n_d, P), times `root` (m, H, n_e). The next basis takes the
+        place of one in memory."""
         rows, m = bases[0].rows, len(ahead.states)
-        entry = self.push[:, rows]
+        entry = np.broadcast_to(self.push[:, rows], (m, 1, self.engine.nd, len(rows)))
         direct = np.broadcast_to(
-            -self.through[:, rows].T[..., None], (m, len(rows), self.engine.ne, 1)
+            -self.through[:, rows][..., None], (m, self.engine.ne, len(rows), 1)
         )
         found = []
-        for h in self.chosen.tolist():
+        for i, h in enumerate(self.chosen.tolist()):
             before, start = impulses(
-                ahead.seen[:, h],
-                ahead.transition[:, :h],
-                np.broadcast_to(entry, (m, h, *entry.shape)),
+                ahead.seen[:, h], ahead.transition[:, :h], np.repeat(entry, h, axis=1)
             )
-            found.append((np.concatenate([before, direct], axis=3), start))
+            whole, weight = np.concatenate([before, direct], axis=3), root[:, i, :, None]
+            found.append((whole * weight[..., None], start * weight))
+        shape = (self.chosen.size, m, self.engine.ne)
+        room = np.empty(math.prod(shape) * max(b.size for b in bases))
         for basis, own in zip(bases, carried, strict=True):
             features = basis.spread(ahead.states, ahead.windows)
-            slope = np.empty((self.chosen.size, m, self.engine.ne, basis.size))
+            slope = room[: math.prod(shape) * basis.size].reshape(*shape, basis.size)
             for i, (responses, start) in enumerate(found):
-                pushed(responses, [psi[:, : responses.shape[3]] for psi in features], slope[i])
+                pushed(responses * basis.scale[:, None], features, slope[i])
                 slope[i] += start @ own
             yield slope
 
@@ -393,9 +403,10 @@ class Paths:
             for begin in range(0, mine.size, ORIGINS):
                 some = mine[begin : begin + ORIGINS]
                 ahead = self._ahead(record, p, states[rows[some]], rows[some])
-                slopes = self._slopes(ahead, bases, [own[some] for own in carried])
+                slopes = self._slopes(ahead, bases, [own[some] for own in carried], root[some])
+                error = np.swapaxes(root[some] * e[some], 0, 1)
                 for k, slope in enumerate(slopes):
-                    self._add(slope, root[some], e[some], gradient[k][b], hessian[k][b])
+                    self._add(slope, error, gradient[k][b], hessian[k][b])
         weighed = e * e * mask * self.scales
         weighed = weighed if by_horizon else weighed.sum(axis=1, keepdims=True)
         cost = np.stack(
@@ -416,17 +427,14 @@ class Paths:
     def _add(
         self,
         slope: FloatArray,
-        root: FloatArray,
-        e: FloatArray,
+        error: FloatArray,
         gradient: FloatArray,
         hessian: FloatArray,
     ) -> None:
-        """Add the normal equations of slopes (H, m, n_e, P), which are scaled in place, of errors e
-        (m, H, n_e) with the roots of their weights alike to gradient (C, P) and Hessian (C, P, P),
-        C groups of channels or as many of every horizon."""
+        """Add the normal equations of weighted slopes (H, m, n_e, P) of weighted errors (H, m, n_e)
+        to gradient (C, P) and Hessian (C, P, P), C groups of channels or as many of every
+        horizon."""
         layers = len(gradient) // len(self.groups)
-        slope *= np.swapaxes(root, 0, 1)[..., None]
-        error = np.swapaxes(root * e, 0, 1)
         for i, steps in enumerate(np.array_split(np.arange(self.chosen.size), layers)):
             part = slice(steps[0], steps[-1] + 1)
             for g, members in enumerate(self.groups):
