@@ -8,24 +8,15 @@ predict.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import DataError
-from greybox.frames import (
-    GRAVITY,
-    numeric,
-    quat_exp,
-    quat_multiply,
-    quat_normalize,
-    rotation_matrix,
-)
-from greybox.symbolic import FloatArray, evaluate
+from greybox.frames import GRAVITY, numeric
+from greybox.symbolic import FloatArray
 from greybox.validation.groups import error_vectors
 from greybox.validation.samples import columns, complete_rows
 
@@ -110,20 +101,29 @@ class ImuRecord:
         return cls(rate=parts[0], specific_force=parts[1], sample_time=sample_time, filled=filled)
 
 
-@functools.cache
-def _strapdown() -> ca.Function:
-    """One step of inertial navigation: state (q, v, p), samples (w0, w1, f0, f1), (dt, g) ->
-    state."""
-    x, samples, c = ca.SX.sym("x", 10), ca.SX.sym("samples", 12), ca.SX.sym("c", 2)
-    q, v, p = x[:4], x[4:7], x[7:]
-    w0, w1, f0, f1 = ca.vertsplit(samples, 3)
-    dt, down = c[0], ca.vertcat(0, 0, -c[1])
-    turn = dt * (w0 + w1) / 2 + dt * dt / 12 * ca.cross(w0, w1)
-    after = quat_normalize(quat_multiply(q, quat_exp(turn)))
-    a0, a1 = rotation_matrix(q) @ f0 + down, rotation_matrix(after) @ f1 + down
-    moved = p + dt * v + dt * dt / 6 * (2 * a0 + a1)
-    return ca.Function(
-        "strapdown", [x, samples, c], [ca.vertcat(after, v + dt * (a0 + a1) / 2, moved)]
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Hamilton products (4, n) of quaternions a, b (4, n)."""
+    w, x, y, z = a
+    return np.stack(
+        [
+            w * b[0] - x * b[1] - y * b[2] - z * b[3],
+            w * b[1] + x * b[0] + y * b[3] - z * b[2],
+            w * b[2] - x * b[3] + y * b[0] + z * b[1],
+            w * b[3] + x * b[2] - y * b[1] + z * b[0],
+        ]
+    )
+
+
+def _turned(q: FloatArray, v: FloatArray) -> FloatArray:
+    """Vectors v (3, n) in body axes, in the world, for unit quaternions q (4, n)."""
+    twice = 2.0 * _cross(q[1:], v)
+    return v + q[0] * twice + _cross(q[1:], twice)
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a x b, (3, n)."""
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
 
 
@@ -174,31 +174,36 @@ def dead_reckoning(
         out["velocity"] = np.full((len(starts), steps, 3), np.nan)
         if position is not None:
             out["position"] = np.full((len(starts), steps, 3), np.nan)
-    if not len(starts):
+    if not len(starts) or last < 1:
         return out
-    state = np.zeros((len(starts), 10))
-    state[:, :4] = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
-    state[:, 4:7] = 0.0 if velocity is None else velocity
-    state[:, 7:] = 0.0 if position is None else position
-    columns_of = {"rotation": slice(0, 4), "velocity": slice(4, 7), "position": slice(7, 10)}
+    # The turn of a step is that of its two samples, whatever the attitude.
+    turns = 0.5 * dt * (rate[:-1] + rate[1:]) + dt * dt / 12.0 * np.cross(rate[:-1], rate[1:])
+    steps_of = np.ascontiguousarray(numeric("exp", turns).T)
+    force = np.ascontiguousarray(force.T)
+    down = np.array([[0.0], [0.0], [gravity]])
     world = (
-        None if attitude_record is None else _world_acceleration(force, attitude_record, gravity)
+        None
+        if attitude_record is None
+        else np.ascontiguousarray(_world_acceleration(force.T, attitude_record, gravity).T)
     )
+
+    def acceleration(q: FloatArray, at: IntArray) -> FloatArray:
+        return _turned(q, force[:, at]) - down if world is None else world[:, at]
+
+    q = (attitude / np.linalg.norm(attitude, axis=1, keepdims=True)).T
+    v = np.zeros((3, len(starts))) if velocity is None else velocity.T
+    p = np.zeros((3, len(starts))) if position is None else position.T
+    before = acceleration(q, np.minimum(starts, last))
     for h in range(steps):
-        now, later = np.minimum(starts + h, last), np.minimum(starts + h + 1, last)
-        samples = np.concatenate([rate[now], rate[later], force[now], force[later]], axis=1)
-        after = evaluate(_strapdown(), state, samples, np.array([dt, gravity]))
-        if world is not None:
-            after[:, 7:] = (
-                state[:, 7:]
-                + dt * state[:, 4:7]
-                + dt * dt / 6.0 * (2.0 * world[now] + world[later])
-            )
-            after[:, 4:7] = state[:, 4:7] + 0.5 * dt * (world[now] + world[later])
-        state = after
+        q = _product(q, steps_of[:, np.minimum(starts + h, last - 1)])
+        q = q / np.sqrt((q * q).sum(axis=0))
+        after = acceleration(q, np.minimum(starts + h + 1, last))
+        p = p + dt * v + dt * dt / 6.0 * (2.0 * before + after)
+        v, before = v + 0.5 * dt * (before + after), after
         inside = starts + h + 1 <= last
-        for name, value in out.items():
-            value[inside, h] = state[inside, columns_of[name]]
+        for name, state in (("rotation", q), ("velocity", v), ("position", p)):
+            if name in out:
+                out[name][inside, h] = state.T[inside]
     return out
 
 
