@@ -1,11 +1,12 @@
 """Training of the residual GP: rows of inputs and outputs go in, a `GPPosterior` and a report come
 out.
 
-Hyper-parameters come from the exact marginal likelihood of a subset (greybox/residual/torch_gp.py),
-the posterior then from all data in closed form (greybox/residual/sparse.py); one training is in
-greybox/residual/training_run.py. On held-out samples, by group and never by sample, every output
-has to beat a constant, and the number of support points can be chosen there. PyTorch is imported
-only when training runs.
+Hyper-parameters come from the exact marginal likelihood of a subset
+(greybox/residual/hyper_parameters.py), the posterior then from all data in closed form
+(greybox/residual/sparse.py); one training is in greybox/residual/training_run.py. On held-out
+samples, by group and never by sample, every output has to beat a constant, and the number of
+support points can be chosen there. PyTorch is imported only where points are polished, and for
+SVGP.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import importlib.util
 import math
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Unpack
 
@@ -48,7 +49,11 @@ def _missing(why: object) -> MissingExtraError:
     )
 
 
-def _one_thread() -> AbstractContextManager[None]:
+def _one_thread(options: GPOptions) -> AbstractContextManager[None]:
+    """PyTorch on one thread, where it takes part."""
+    check_extra()
+    if not options.polish and options.method != "svgp":
+        return nullcontext()
     try:
         from greybox.residual.torch_gp import one_thread
     except ImportError as error:
@@ -94,7 +99,7 @@ def train_gp(
         raise ModelError(
             'points="auto" needs a sparse method and a hold-out', fix="pass a number of points"
         )
-    one_thread = _one_thread()
+    one_thread = _one_thread(settings)
     report = progress or (lambda _text, _share: None)
     task = Task(inputs=inputs, outputs=outputs, flights=names, options=settings, progress=report)
     with threadpool_limits(limits=1), one_thread:

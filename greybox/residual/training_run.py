@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from greybox.residual import sparse
+from greybox.residual.hyper_parameters import Hyper, fit_hyper
 from greybox.residual.inflation import autocorrelation_time, group_variances, groups_differ
 from greybox.residual.kernels import Kernel
 from greybox.residual.options import GPOptions
@@ -21,9 +21,6 @@ from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import IntArray, place_points, stratified
 from greybox.residual.training_rows import Rows
 from greybox.symbolic import BoolArray, FloatArray, Layout
-
-if TYPE_CHECKING:
-    from greybox.residual.torch_gp import Hyper
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of all work that is done."""
@@ -145,8 +142,6 @@ def _hyper_parameters(
     task: Task, data: _Standardised, subset: IntArray, live: Sequence[int], start: Start | None
 ) -> dict[int, Hyper]:
     """Of the outputs `live`, by the exact marginal likelihood of the rows `subset`."""
-    from greybox.residual.torch_gp import fit_hyper
-
     o = task.options
     reach = REACH * np.maximum(np.abs(data.x).max(0), 1.0)
     hypers: dict[int, Hyper] = {}
@@ -176,8 +171,6 @@ def _support(
     task: Task, data: _Standardised, group: IntArray, points: int, hypers: dict[int, Hyper]
 ) -> _Support:
     """Support points for the outputs with `hypers`, by `place_points` and a polish where wanted."""
-    from greybox.residual.torch_gp import polish
-
     o, live = task.options, list(hypers)
     kernels = {j: hypers[j].kernel for j in live}
     levels = {j: float(hypers[j].noise[0]) for j in live}
@@ -192,6 +185,8 @@ def _support(
     )
     if not o.polish:
         return _Support(points=placed, kernels=kernels, levels=levels)
+    from greybox.residual.torch_gp import polish
+
     few = stratified(group, POLISH_SAMPLES, o.seed + 1)
     new, noise, placed, status = polish(
         data.x[few],

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("gpytorch")
 from greybox.errors import ModelError, UnknownNameError
-from greybox.residual import torch_gp
+from greybox.residual import hyper_parameters, torch_gp
 from greybox.residual.judgement import CHANCE, better_by_chance
 from greybox.residual.kernels import Kernel
 from greybox.residual.train import train_gp
@@ -170,14 +170,14 @@ def test_an_unfinished_search_does_not_look_converged():
     y = np.sin(2 * x[:, :1]) + 0.1 * rng.standard_normal((80, 1))
     like = Kernel(family="se", lengthscales=np.ones(3), variance=1.0)
     start = np.zeros(5)
-    assert torch_gp._search(x, y, like, start, 2).status == "iteration limit"
-    done = torch_gp._search(x, y, like, start, 200)
+    assert hyper_parameters._search(x, y, like, start, 2).status == "iteration limit"
+    done = hyper_parameters._search(x, y, like, start, 200)
     assert done.status == "converged"
-    assert done.log_likelihood > torch_gp._search(x, y, like, start, 2).log_likelihood
+    assert done.log_likelihood > hyper_parameters._search(x, y, like, start, 2).log_likelihood
 
 
 def test_a_diverging_likelihood_is_aborted(monkeypatch):
-    original = torch_gp._likelihood_of
+    original = hyper_parameters._likelihood_of
     calls = []
 
     def poisoned(*arguments):
@@ -186,16 +186,16 @@ def test_a_diverging_likelihood_is_aborted(monkeypatch):
         def value(theta):
             calls.append(1)
             if len(calls) > 4:
-                raise torch_gp.TrainingAborted("the likelihood is not finite")
+                raise hyper_parameters.TrainingAborted("the likelihood is not finite")
             return function(theta)
 
         return value
 
-    monkeypatch.setattr(torch_gp, "_likelihood_of", poisoned)
+    monkeypatch.setattr(hyper_parameters, "_likelihood_of", poisoned)
     rng = np.random.default_rng(0)
     x = rng.standard_normal((60, 2))
     like = Kernel(family="se", lengthscales=np.ones(2), variance=1.0)
-    hyper = torch_gp._search(x, x[:, :1], like, np.zeros(4), 100)
+    hyper = hyper_parameters._search(x, x[:, :1], like, np.zeros(4), 100)
     assert hyper.status == "diverged" and np.isfinite(hyper.log_likelihood) and len(calls) == 5
 
 
