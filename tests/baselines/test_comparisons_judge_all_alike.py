@@ -182,7 +182,7 @@ def test_every_pair_has_its_row(learner):
     from greybox.model.model import build_model
 
     judge = bench(adapt=2.0, budget=1, points=12)
-    judge.fit = lambda: fit(build_model(vehicle(), judge.train.channels), judge.train)
+    judge.fit = lambda: fit(build_model(vehicle(), judge.train.channels), judge.train).model
     *_, last = compare(judge, (), learners=(learner,))
     for row in last["methods"]:
         assert row["status"] == "done", row.get("error")
