@@ -35,6 +35,7 @@ from typing import Any
 import numpy as np
 
 from greybox.baselines.compare_bench import Bench, Outcome
+from greybox.baselines.compare_costs import expectation, expected
 from greybox.baselines.compare_methods import METHODS, pairs
 from greybox.baselines.compare_scores import one_step_scores
 from greybox.data.channel import channel
@@ -66,6 +67,17 @@ def compare(
     for name in chosen:
         if name not in there:
             raise UnknownNameError("method", name, there)
+    bench.say(
+        expectation(
+            expected(
+                chosen,
+                train=sum(s.n for s in bench.train_segments),
+                test=sum(s.n for s in bench.segments),
+                budget=bench.options.budget,
+                fitted=bench.fitted,
+            )
+        )
+    )
     rows: list[dict[str, Any]] = []
     for name in chosen:
         bench.say(f"{name} ...")

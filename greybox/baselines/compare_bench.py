@@ -95,7 +95,7 @@ class Outcome:
 class Bench:
     """The flights, and the fits that several methods share.
 
-    `fit` gives the nonlinear model of the training flights.
+    `fit` gives the nonlinear model of the training flights; `fitted`: at no cost.
     """
 
     vehicle: Vehicle
@@ -104,6 +104,7 @@ class Bench:
     fit: Callable[[], IdentifiedModel]
     options: CompareOptions = field(default_factory=CompareOptions)
     say: Callable[[str], None] = lambda _text: None
+    fitted: bool = False
 
     def __post_init__(self) -> None:
         there = set(self.train.channels) & set(self.test.channels)

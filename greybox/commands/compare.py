@@ -177,6 +177,7 @@ def _bench(
             horizons=horizon_steps(arguments, sample_time(train)),
         ),
         say=lambda text: console.say(f"  {text}"),
+        fitted=fitted is not None,
     )
 
 
