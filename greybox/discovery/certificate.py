@@ -56,7 +56,7 @@ class Whole:
     judge: float
 
     def refutes(self, bar: float, alpha: float) -> bool:
-        """Whether the rival is, and flights that judge do not speak for it by `alpha` (1: at all)."""
+        """Whether the rival is, and flights that judge do not speak for it by `alpha`."""
         return self.log_e >= bar and self.judge >= np.log(alpha)
 
 

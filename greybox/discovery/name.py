@@ -58,8 +58,9 @@ class Name:
 
 def held(name: Name) -> Name:
     """A name where a law won: no model was right before, and only an e-value holds."""
-    told = name.status in ("supported", "one of these") and name.reason
-    return replace(name, status="not certified", shares={}, kept=True) if told else name
+    if name.status != "supported":
+        return name
+    return replace(name, status="not certified", kept=True)
 
 
 def judged(
@@ -74,9 +75,8 @@ def judged(
     shares = dict[str, float]()
     needed = f"log10 e {dropped / LOG10:.1f} of {bar / LOG10:.1f} that a name needs"
     reason, kept = needed if dropped < bar else "", False
-    told = every.refutes(bar, 1.0) or (worth is not None and worth.log_e >= bar and dropped >= 0)
-    told = told and worth is not None and worth.matters and not impossible
-    if dropped < bar and not told:
+    foretells = worth is not None and worth.log_e >= bar and worth.matters
+    if dropped < bar and not (foretells and dropped >= 0 and not alike and not impossible):
         status = "not certified"
         kept = every.log_e >= bar and not impossible
     elif impossible:

@@ -165,7 +165,6 @@ class Discovery(Shown):
                 "candidates": [{"name": c, "weight": w} for c, w in n.shares.items()],
                 "separating_manoeuvre": self.separating.get(n.name),
                 "log10_e": n.certificate.rivals.get((), 0.0) / LOG10,
-                "reason": n.reason,
                 "parameters": self._parameters(n.name),
             }
             for n in self.said("one of these")
@@ -244,8 +243,7 @@ class Discovery(Shown):
             lines += [odds.format(**u) for u in e["unlikely"]]
         for a in self.ambiguous():
             rows = [f"{c['name']} ({c['weight']:.0%})" for c in a["candidates"]]
-            why = f"; supported: {a['reason']}" if a["reason"] else ""
-            lines.append(f"  one of {', '.join(rows)}{why}")
+            lines.append("  one of " + ", ".join(rows))
             if fly := a["separating_manoeuvre"]:
                 size = f", {fly['amplitude']:g} {fly['unit']}" if fly["unit"] else ""
                 lines.append(f"    to tell them apart, {fly['text']}{size}")

@@ -163,8 +163,8 @@ def _names(report: Report, content: Mapping[str, Any]) -> None:
         rows,
         numeric=(1, 2, 4),
         caption="Removes: share of the squared error, in the channels and at the horizon where the "
-        "name is worth most. Supported: it foretells better on average, or all flights together "
-        "speak for it. Rather than: the e-value does not refute this rival, all flights do.",
+        "name is worth most. Supported: certain only in that it foretells better on average. Rather "
+        "than: the e-value does not refute this rival, all flights do.",
     )
     panels: list[tuple[Figure, str]] = []
     for e in content["effects"]:
