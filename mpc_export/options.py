@@ -9,7 +9,6 @@ from typing import Literal, TypedDict
 from greybox.errors import UnknownNameError
 from greybox.estimation.options import chosen
 from mpc_export.targets import NAMES, NEEDS, ONBOARD
-from mpc_export.tube.target import HORIZON
 
 TARGETS = ("c", "casadi", *NAMES)
 """Those that `mpc_export.targets` adds come after the two that the bundle itself writes."""
@@ -26,7 +25,7 @@ class ExportChoices(TypedDict, total=False):
     with_: Iterable[str]
     runtime_parameters: Iterable[str]
     points: int | None
-    horizon: int
+    horizon: int | None
     attempts: int
     use_cache: bool
 
@@ -49,7 +48,7 @@ class ExportOptions:
     """Model parameters that stay arguments, by name, and "gp.weights"."""
     points: int | None = None
     """Support points that the learned part is projected on first; None: as it is."""
-    horizon: int = HORIZON
+    horizon: int | None = None
     """Stages of the plan of the target tube."""
     attempts: int = 1
     """Attempts at a plan of the target tube within one step: 2 may take twice as long."""

@@ -78,9 +78,8 @@ def add(commands: Any) -> None:
     p.add_argument(
         "--horizon",
         type=int,
-        default=10,
         metavar="N",
-        help="stages of the plan of the target tube (default %(default)s)",
+        help="stages of the plan of the target tube (default 10; of tube-linear 5)",
     )
     p.add_argument(
         "--attempts",
@@ -130,7 +129,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     if arguments.dt is not None and not 0 < arguments.dt < float("inf"):
         raise DataError("--dt", expected="a positive number of seconds", got=f"{arguments.dt:g}")
-    if not 2 <= arguments.horizon <= 100:
+    if arguments.horizon is not None and not 2 <= arguments.horizon <= 100:
         raise DataError("--horizon", expected="2 to 100 stages", got=str(arguments.horizon))
     model = _model(arguments)
     judged = gate(read_json(arguments.model), arguments.model, even_so=arguments.even_so)

@@ -70,7 +70,7 @@ def linear_tube(pilot: TubeController) -> LinearTube:
         raise ModelError(
             "the linear tube is for a model that hovers calmly",
             got=f"errors that grow {growth:.1f} times within the plan at hover",
-            fix="leave linear out, or learn a smoother part",
+            fix="use the target tube, or learn a smoother part",
         )
     responses = []
     for k in range(1, n + 1):

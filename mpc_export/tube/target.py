@@ -35,18 +35,23 @@ STEP, KAPPA = 0.02, 2.81
 the tube (10 % a flight that touches 40 limits)."""
 LONGER_STEP = 0.05
 """Sample time of a plan of the linear tube [s]: five stages reach a quarter of a second."""
-HORIZON = 10
-"""Stages of the plan of the target tube."""
+HORIZONS = {False: 10, True: 5}
+"""Stages of the plan of the target tube, and of the linear one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Planning:
-    """What is chosen of the target: stages of the plan, attempts at it in one step, and whether it
-    is the linear tube."""
+    """What is chosen of the target: stages of the plan (None: `HORIZONS`), attempts at it in one
+    step, and whether it is the linear tube."""
 
-    horizon: int = HORIZON
+    horizon: int | None = None
     attempts: int = 1
     linear: bool = False
+
+    @property
+    def stages(self) -> int:
+        """Stages of the plan."""
+        return HORIZONS[self.linear] if self.horizon is None else self.horizon
 
 
 PLANNING = Planning()
@@ -64,11 +69,17 @@ def pilot_of(functions: ModelFunctions, plan: Planning) -> TubeController:
             f"{functions.name} has commands without limits",
             fix="speed_max of the actuator in the vehicle file",
         )
+    if plan.linear and plan.attempts > 1:
+        raise ModelError(
+            "the linear tube has one attempt at a plan",
+            got=f"{plan.attempts} attempts",
+            fix="leave --attempts out, or export the other tube by itself",
+        )
     low, high = float(lower.max()), float(upper.min())
     step = LONGER_STEP if plan.linear else STEP
     problem = TubeProblem(
         dt=model.sample_time * max(1, round(step / model.sample_time)),
-        horizon=plan.horizon,
+        horizon=plan.stages,
         planes=2 if plan.linear else 4,
         attempts=plan.attempts,
         command_min=low + 0.05 * (high - low),
@@ -92,7 +103,7 @@ def write_target_tube(
     write_tube(pilot, folder / own, name=name, real=real, linear=plan.linear)
     return {
         "folder": own,
-        "horizon": plan.horizon,
+        "horizon": plan.stages,
         **({} if plan.linear else {"attempts": plan.attempts}),
         "selftest": f"{own}/{name}_tube_selftest.c",
     }

@@ -208,7 +208,9 @@ static unsigned decided(const @NAME@_tube_path *path, const tube_real *planes, i
       tube_real v = c.solver.w[k][j];
       residual = larger(residual, larger(v - c.qp.upper[k][j], c.qp.lower[k][j] - v));
     }
-  c.known.plan_status = status > 2 || !(residual <= @primal_tolerance@) ? 2 : 0;
+  /* A method that broke down before its first step has found nothing. */
+  const int nothing = status == 2 && c.known.qp_iterations == 0;
+  c.known.plan_status = status > 2 || nothing || !(residual <= @primal_tolerance@) ? 2 : 0;
   if (c.known.plan_status) {
     asked(path, 0, R, rest, goal);
     held(first, goal, rest, u);

@@ -1,4 +1,4 @@
-"""The linear tube as one C library: its plan solves the condensed problem, float is double, limits
+"""The linear tube as one C library: its plan solves the condensed problem, limits
 hold in flight at any heading, and a Cortex-M4F makes a step at 500 Hz."""
 
 import functools
@@ -18,7 +18,8 @@ from mpc_export.tube.in_process import TubeInC
 from mpc_export.tube.library import Still, flight, paths
 from mpc_export.tube.linear import linear_tube
 from mpc_export.tube.problem import TubeProblem
-from mpc_export.tube.target import write_tube
+from mpc_export.tube.target import Planning, write_tube
+from mpc_export.tube.target import pilot_of as target_pilot
 from tests.mpc_export import cases
 from tests.mpc_export.tube.test_no_measurement_moves_a_command_out_of_its_limits import cc
 
@@ -63,11 +64,13 @@ def test_responses_and_steady_state_are_those_of_the_model():
     assert np.abs(drift).max() < 1e-2 * np.abs(d).max()
 
 
-def flown(own, made, seconds):
-    """Places (n, 3) and commands (n, 4) of the model itself under the library."""
+def flown(own, made, seconds, goal=None):
+    """Places (n, 3) and commands (n, 4) of the model itself under the library, from its path's
+    beginning, or from there towards another `goal`."""
     f = own.filter
     own.start()
     made.start()
+    made.reference = goal or made.reference
     x, u = own.estimate.copy(), own.u.copy()
     place, commands = [], []
     for k in range(round(seconds / made.dt)):
@@ -86,6 +89,19 @@ def test_it_holds_its_place_at_any_heading(tmp_path, heading):
     made = TubeInC(own, tmp_path, real="float", linear=True)
     place, _ = flown(own, made, 2.0)
     assert np.abs(place[-20:] - [0.1, -0.2, 1.0]).max() < 5e-3
+
+
+@pytest.mark.slow
+def test_a_path_far_beyond_reach_is_flown_towards_and_said_to_have_no_plan(tmp_path):
+    """The method broke down before its first step, and hover's command was called a plan."""
+    own = pilot_of(cases.disturbed(), Still((0.0, 0.0, 1.0, 0.0)))
+    made = TubeInC(own, tmp_path, real="float", linear=True)
+    _, commands = flown(own, made, 0.5, Still((1e6, 0.0, 1.0, 0.0)))
+    assert {said & 256 for said in made.said} == {0, 256}  # between plans nothing is said
+    assert not any(said & 512 for said in made.said)
+    assert np.ptp(commands, axis=0).min() > 0.05
+    assert (commands >= own.problem.command_min - 1e-6).all()
+    assert (commands <= own.problem.command_max + 1e-6).all()
 
 
 @pytest.mark.slow
@@ -108,11 +124,19 @@ def test_a_model_that_runs_away_at_hover_is_refused():
         linear_tube(own)
 
 
+def test_two_attempts_are_refused():
+    functions = pilot().functions
+    with pytest.raises(ModelError, match="one attempt"):
+        target_pilot(functions, Planning(attempts=2, linear=True))
+    assert target_pilot(functions, Planning(linear=True)).problem.horizon == 5
+    assert target_pilot(functions, Planning()).problem.horizon == 10
+
+
 @pytest.mark.slow
 def test_the_command_line_exports_a_clean_library_that_passes_its_self_test(tmp_path, capsys):
     save_model(cases.disturbed(), tmp_path / "model.json")
     arguments = ["export", str(tmp_path / "model.json"), "--out", str(tmp_path / "craft")]
-    arguments += ["--target", "tube-linear", "--horizon", "5", "--float", "--even-so"]
+    arguments += ["--target", "tube-linear", "--float", "--even-so"]
     assert main(arguments) == 0
     capsys.readouterr()
     said = ExportBundle.load(tmp_path / "craft").manifest["targets_written"]["tube-linear"]
