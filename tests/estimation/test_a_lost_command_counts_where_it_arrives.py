@@ -303,16 +303,20 @@ def test_lost_rows_do_not_pass_for_torque_noise(flight):
 
 
 @pytest.mark.parametrize(
-    "held", [(), ("noise.process", "noise.sensor")], ids=["levels", "no levels"]
+    ("one", "free", "held"),
+    [
+        ("gyro_bias.b_x", ("gyro_bias.b_x",), ()),
+        ("gyro_bias.b_x", ("gyro_bias.b_x",), ("noise.process", "noise.sensor")),
+        ("noise.sensor.q", (), ()),
+    ],
 )
 @pytest.mark.parametrize("lost", [False, True], ids=["whole", "holed"])
-def test_the_gradient_stays_exact_where_nothing_moves_the_gain(flight, lost, held):
+def test_the_gradient_stays_exact_where_nothing_moves_the_gain(flight, lost, one, free, held):
     vehicle, whole, holed, _ = flight
     data = (holed if lost else whole).split_by_time(at=1.0)[0]
-    bias = "gyro_bias.b_x"
-    problem = problem_of(vehicle, data, ("gyro_bias",), free=(bias,), held_noise=held)
+    problem = problem_of(vehicle, data, ("gyro_bias",), free=free, held_noise=held)
     value, theta = problem.evaluate(problem.start), problem.start
-    place = next(i for i, u in enumerate(problem.unknowns) if u.name == bias)
+    place = [u.name for u in problem.unknowns].index(one)
     step = 1e-4 * problem.scale[place] * np.eye(problem.n)[place]
     ends = [problem.evaluate(theta + s * step, 0).cost for s in (1, -1)]
     assert value.gradient[place] == pytest.approx((ends[0] - ends[1]) / 2 / step[place], rel=1e-5)

@@ -203,15 +203,15 @@ class Innovation(StationaryGain[InnovationPrepared]):
             )
         values, dvalues = lin(x, window, p, problem.dt)
         # A per-flight parameter does not move the common gain, nor does a bias.
-        shared = np.array([(a, None) in problem.index for a in problem.engine.active])
-        felt = np.any([v.reshape(len(v), -1).any(axis=1) for v in dvalues], axis=0)
+        shared = np.array([(a, None) in problem.index for a in problem.engine.active], dtype=bool)
+        felt = np.any([v.any(axis=(1, 2)) for v in dvalues], axis=0)
         moving = shared & (felt | (lost is not None))
         pushes = (
             None
             if lost is None
             else lost.at(x, window, p, problem.dt, problem.engine.columns[moving])
         )
-        free = np.array([problem.place(n) is not None for n in noise_names(problem)])
+        free = np.array([problem.place(n) is not None for n in noise_names(problem)], dtype=bool)
         na, nw, level = int(moving.sum()), q.size, np.concatenate([q, r])
         dlevel = np.diag(2 * level)[free]  # d sigma^2 / d ln sigma
         dlevel = np.concatenate([np.zeros((na, level.size)), dlevel])
