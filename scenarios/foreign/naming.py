@@ -82,7 +82,7 @@ def search(folder: Path, greybox: str, limit: float) -> tuple[Said | None, dict[
     process.returncode = os.waitstatus_to_exitcode(status)
     how = {
         "code": process.returncode,
-        "seconds": round(used.ru_utime + used.ru_stime, 1),
+        "seconds": round(used.ru_utime + used.ru_stime, 2),
         "elapsed": round(time.monotonic() - began, 1),
     }
     try:
