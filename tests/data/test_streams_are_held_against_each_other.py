@@ -8,6 +8,7 @@ on a real flight.
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from greybox.data.checks import check
 from greybox.data.checks.finding import CheckReport
 from greybox.data.checks.mixture import mixture
 from greybox.data.checks.relations import Reading, Tried, better_reading, mixed, moments
+from greybox.data.checks.signals import turned
+from greybox.data.raw import RawLog
 from tests.data.faults import real, vehicle
 from tests.hardening.channel_faults import CHANNEL_FAULTS
 
@@ -81,6 +84,24 @@ def test_a_factor_of_two_blocks() -> None:
 def test_nothing_is_said_of_the_flight_as_it_came() -> None:
     report = check([real(SET, FLIGHT)], vehicle(SET))
     assert {f.check for f in report.findings if f.severity != "info"} == {"alignment"}
+
+
+def off_centre(raw: RawLog, place: np.ndarray) -> RawLog:
+    """The flight as a mark at `place` [m] from the centre of mass moves."""
+    q = np.column_stack([raw.channels[n] for n in ("qw", "qx", "qy", "qz")])
+    moved = turned("rotate", q, np.tile(place, (len(q), 1)))
+    added = np.gradient(moved, raw.t, axis=0)
+    more = {n: raw.channels[n] + moved[:, i] for i, n in enumerate("xyz")}
+    more |= {n: raw.channels[n] + added[:, i] for i, n in enumerate(("vx", "vy", "vz"))}
+    return replace(raw, channels={**raw.channels, **more})
+
+
+def test_a_mark_off_the_centre_of_mass_is_no_turned_world_and_hides_none() -> None:
+    raw = off_centre(real(SET, "B2_circle_fast_rep1"), np.array([0.3, 0.1, 0.3]))
+    assert not list(check([raw], vehicle(SET)).of("acceleration"))
+    turned_by_30 = CHANNEL_FAULTS["motion capture yawed by 30 deg"].make(raw)
+    (found,) = check([turned_by_30], vehicle(SET)).of("acceleration")
+    assert found.severity == "blocking" and "deg about z" in found.message
 
 
 def test_a_rounded_scalar_of_a_hover_is_no_frozen_sensor() -> None:

@@ -3,10 +3,14 @@ specific force, turned into the world by the attitude, less gravity.
 
 It sees a world frame that is turned, mirrored or upside down against the attitude, and an
 accelerometer in world or other body axes. Without an accelerometer the thrust that the commands
-give stands for it, up to its size; without a velocity the position does.
+give stands for it, up to its size; without a velocity the position does. A point of the craft that
+is off its centre of mass moves with every turn, too, which is no other frame: what such a lever arm
+adds is set aside first.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,6 +21,7 @@ from greybox.data.checks.signals import (
     centred,
     derivative,
     increments,
+    shifted,
     smoothed,
     turned,
 )
@@ -55,7 +60,11 @@ def streams(view: View) -> Streams | str:
     half = max(1, round(HALF_WINDOW / dt))
     moving = view.has("velocity")
     velocity = view.group("velocity") if moving else derivative(view.group("position"), dt, half)
-    change = centred(velocity[n:] - velocity[:-n])
+    told = centred(increments(turned("rotate", quaternions, force), dt, n))
+    arms = [derivative(a, dt, 1 if moving else half) for a in _body_axes(quaternions)]
+    change = _without_lever_arm(
+        centred(velocity[n:] - velocity[:-n]), told, [a[n:] - a[:-n] for a in arms], half
+    )
 
     def reading(text: str, fix: str, world: FloatArray) -> Reading:
         same = world if moving else smoothed(world, half)
@@ -102,6 +111,39 @@ def streams(view: View) -> Streams | str:
         where=f"{'vx, vy, vz' if moving else 'x, y, z'} against {'ax..az' if measured else 'u1..'} "
         "with qw..qz",
     )
+
+
+def _body_axes(quaternions: FloatArray) -> list[FloatArray]:
+    """Where points one metre along each body axis are from the centre of mass, in the world, (N, 3)
+    each."""
+    return [turned("rotate", quaternions, np.tile(e, (len(quaternions), 1))) for e in np.eye(3)]
+
+
+def _without_lever_arm(
+    change: FloatArray, told: FloatArray, arms: Sequence[FloatArray], late: int
+) -> FloatArray:
+    """A change of velocity (N, 3) less that of a point off the centre of mass.
+
+    Its place is found by least squares beside any matrix times what is `told` (N, 3), and how that
+    changes over `late` samples either way, so that no frame, factor or delay is taken for a place.
+    `arms` (N, 3) is what a metre along each body axis adds.
+    """
+    drift = shifted(told, late) - shifted(told, -late)
+    axes = np.stack(arms, axis=2)
+    known = np.isfinite(np.column_stack([change, told, drift, axes.reshape(len(axes), -1)]))
+    rows = known.all(axis=1)
+    if not rows.any():
+        return change
+    beside = np.column_stack([told, drift])[rows]
+    basis, size, _ = np.linalg.svd(beside, full_matrices=False)
+    basis = basis[:, size > 1e-9 * size[0]]
+
+    def left(values: FloatArray) -> FloatArray:
+        return np.asarray(values - basis @ (basis.T @ values))
+
+    moved = np.concatenate([left(axes[rows, i]) for i in range(3)])
+    place = np.linalg.lstsq(moved, left(change[rows]).T.ravel(), rcond=None)[0]
+    return np.asarray(change - axes @ place)
 
 
 def _thrust(view: View) -> FloatArray:
