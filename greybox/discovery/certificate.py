@@ -15,11 +15,12 @@ denominator alone. The e-value of a name is therefore the mean of this one and o
 in which both sides integrate what they share over what D1 taught, as group invariance allows
 (Perez-Ortiz, Lardy, de Heide and Gruenwald 2024, Annals of Statistics 52(4)), and only what R has
 in the place of c is taken at its worst: `regret` is the supremum over D2 against the integral.
-Where the sharper one decides, or the first cannot (it is at most the sharper one without its
-regret), the first is not worked out, and counts as nothing. Evidence is Laplace's approximation and
-the invariance that of a linear model, so that for a vehicle the bound holds as well as these do,
-and not in finite samples. The e-value of a name is that against its strongest rival. Without D2
-flights are halved, and the mean of both ways is an e-value, too.
+The first is at most the sharper one without its regret. Against a rival with nothing in the place
+of c the sharper one therefore counts alone; else the first counts as nothing where the sharper one
+decides, or the first cannot. Evidence is Laplace's approximation and the invariance that of a
+linear model, so that for a vehicle the bound holds as well as these do, and not in finite samples.
+The e-value of a name is that against its strongest rival. Without D2 flights are halved, and the
+mean of both ways is an e-value, too.
 
 The sharper one on all flights, against the prior, is a second e-value. A rival with more causes or
 numbers than the name is nearly the name itself at its worst, and no flight refutes that. Against it
@@ -36,10 +37,11 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.data.halves import halves, renamed
-from greybox.discovery.evidence import Fitted, Flights, Key
+from greybox.discovery.evidence import Fitted, Flights, Key, Start, Structure
 from greybox.discovery.search import Rival
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND
 from greybox.statistics import regret as of_arrays
+from greybox.statistics.betting import log_mean
 from greybox.symbolic import FloatArray
 
 Instead = tuple[str, ...]
@@ -119,25 +121,24 @@ def certificates(
     behind an e-value no nearer than what decides, and the e-value less what they may still gain."""
     effort = judges[0].both.effort
     near, share = 4 * BEYOND * effort.rough, effort.stake / BEYOND
-    every = [r.fitted for rows in rivals.values() for r in rows]
-    stakes = {f.structure: effort.rough for f in every}
-    for f in (r.fitted for rows in rivals.values() for r in rows if not r.instead):
+    asked = [(name, r) for name, rows in rivals.items() for r in rows]
+    stakes = {f.structure: effort.rough for f in (at, *(r.fitted for _, r in asked))}
+    for f in (r.fitted for _, r in asked if not r.instead and np.isfinite(r.fitted.log_evidence)):
         behind = at.log_evidence - f.log_evidence  # of others a regret rests on where they are
-        stakes[f.structure] = max(share * behind, effort.rough) if behind < np.inf else effort.rough
-    for split in judges:
-        _predictives([at, *every], at, split, [effort.rough, *(stakes[f.structure] for f in every)])
+        stakes[f.structure] = max(share * behind, effort.rough)
+    found: dict[str, dict[Instead, float]] = {name: {} for name in rivals}
+    for within in (stakes, dict.fromkeys(stakes, effort.rough), dict.fromkeys(stakes, 0.0)):
+        logs = _log_es(at, [r for _, r in asked], judges, bar, within) if asked else []
+        every, asked = list(zip(asked, logs, strict=True)), []
+        for (name, rival), (least, most) in every:
+            found[name][rival.instead] = least
+            if any(least < b + near and most >= b - near for b in (0.0, bar)):
+                asked.append((name, rival))
     out = {}
     for name, rows in rivals.items():
-        found: dict[Instead, float] = {}
-        for rival in rows:
-            for within in (stakes[rival.fitted.structure], effort.rough, 0.0):
-                least, most = _log_e(at, rival, judges, bar, within)
-                if not any(least < b + near and most >= b - near for b in (0.0, bar)):
-                    break
-            found[rival.instead] = least
-        said = {r.instead: _whole(at, name, r, judges) for r in rows}
-        whole = {r: w for r, w in said.items() if np.isfinite(w.odds)}
-        out[name] = Certificate(name=name, rivals=found, whole=whole)
+        said = [(r.instead, _whole(at, name, r, judges)) for r in rows]
+        whole = {instead: w for instead, w in said if np.isfinite(w.odds)}
+        out[name] = Certificate(name=name, rivals=found[name], whole=whole)
     return out
 
 
@@ -148,59 +149,76 @@ def _whole(at: Fitted, name: str, rival: Rival, judges: Sequence[Split]) -> Whol
     larger = len(rival.instead) > 1 or len(own) > len(offered[name].parameters)
     rows = []
     for split in judges:
-        (old, new), (before, other) = (
-            [on.fit(f.structure, within=np.inf) for on in (split.first, split.both)]
-            for f in (at, rival.fitted)
-        )
+        ways = split.first, split.both
+        old, new = (on.fit(at.structure, within=np.inf) for on in ways)
+        before, other = (on.fit(rival.fitted.structure, within=np.inf) for on in ways)
         odds = _less(new.log_evidence - other.log_evidence, new, other)
         told = _less(odds - old.log_evidence + before.log_evidence, old, before)
         keys = [] if larger else _keys(other, split, rival.instead)
         paid = regret(None, other, keys) if keys and other.value.valid else 0.0
         rows.append((odds, odds - paid, told))
-    odds, log_e, judge = (_mean(r) for r in zip(*rows, strict=True))
+    odds, log_e, judge = (log_mean(r) for r in zip(*rows, strict=True))
     return Whole(odds=odds, log_e=log_e, judge=judge)
 
 
 def certificates_beside(
     flights: Flights, written: Fitted, names: Iterable[str], judges: Sequence[Split], bar: float
 ) -> dict[str, Certificate]:
-    """Certificates of names next to laws: `written` is the structure on `flights` with both, and
-    its rivals are those without a name."""
+    """Certificates of names next to laws, of the structure `written` with both on `flights`."""
     left, rough = {n: written.structure - {n} for n in names}, flights.effort.rough
     fits = {n: flights.fit(s, [written.known], within=rough) for n, s in left.items()}
     rivals = {n: [Rival(instead=(), share=0.0, fitted=f)] for n, f in fits.items()}
     return certificates(written, rivals, judges, bar)
 
 
-def _log_e(
-    at: Fitted, rival: Rival, judges: Sequence[Split], bar: float, within: float
-) -> tuple[float, float]:
-    """(least, most) that the log e-value against one rival is. A supremum is at least the mean over
-    what was taught, so that the first e-value is at most the sharper one without its regret: where
-    that is below the bar the supremum is not sought, nor where the sharper one decides."""
-    told, most, gained = [], [], []
-    rough = judges[0].both.effort.rough
+def _log_es(
+    at: Fitted,
+    rivals: Sequence[Rival],
+    judges: Sequence[Split],
+    bar: float,
+    within: Mapping[Structure, float],
+) -> list[tuple[float, float]]:
+    """(least, most) that the log e-value against each rival is. The first is at most the sharper
+    one without its regret: where that is below the bar the supremum is not sought, nor where the
+    sharper one decides, nor where there is no regret."""
+    fits = {f.structure: f for f in (at, *(r.fitted for r in rivals))}
+    near, half = [within[s] for s in fits], float(np.log(2))
+    told: list[list[tuple[float, float, float, Start]]] = [[] for _ in rivals]
     for split in judges:
-        mine, other = _predictives([at, rival.fitted], at, split, [min(within, rough), within])
-        first, both = other
-        lead = mine[1].log_evidence - mine[0].log_evidence
-        lost = both.log_evidence - first.log_evidence
-        keys = _keys(both, split, rival.instead)
-        paid = regret(first, both, keys) if keys and first.value.valid and both.value.valid else 0.0
-        told.append(_less(lead - lost - paid, *mine, *other))
-        most.append(lead - lost + sum(f.may_gain for f in (*mine, *other)))
-        gained.append((_less(lead, *mine), {**mine[1].known, **other[1].known}))
-    sharp, highest = _mean(told), _mean(most)
-    highest = highest if np.isfinite(highest) else np.inf  # else a fit says nothing
-    if sharp >= bar + np.log(2) or highest < 0 or (highest < bar and sharp >= np.log(2)):
-        return sharp - float(np.log(2)), highest
-    known, structure = rival.fitted.known, rival.fitted.structure
-    logs = []
-    for split, (lead, new) in zip(judges, gained, strict=True):
-        starts = [known, {**at.known, **known}, new]
-        worst = split.judge.fit(structure, starts, within=min(within, rough))
-        logs.append(_less(lead + worst.value.likelihood, worst))
-    return _mean([_mean(logs), sharp]), highest
+        pair = dict(zip(fits, _predictives(list(fits.values()), at, split, near), strict=True))
+        for rows, r in zip(told, rivals, strict=True):
+            rows.append(_told(pair[at.structure], pair[r.fitted.structure], r, split))
+    out, strict = [], dict[int, list[float]]()
+    for i, (r, rows) in enumerate(zip(rivals, told, strict=True)):
+        sharp, most = (log_mean([row[j] for row in rows]) for j in range(2))
+        most = most if np.isfinite(most) else np.inf  # else a fit says nothing
+        out.append((sharp - half if r.instead else sharp, most))
+        if r.instead and not (sharp >= bar + half or most < 0 or half <= sharp <= most < bar):
+            strict[i] = []
+    for k, split in enumerate(judges):
+        now = [(rivals[i].fitted, *told[i][k][2:]) for i in strict]
+        asked = [(f.structure, [f.known, {**at.known, **f.known}, new]) for f, _, new in now]
+        worst = split.judge.fits(asked, [within[at.structure]] * len(asked))
+        for logs, fit, (_, lead, _) in zip(strict.values(), worst, now, strict=True):
+            logs.append(_less(lead + fit.value.likelihood, fit))
+    for i, logs in strict.items():
+        out[i] = log_mean([log_mean(logs), out[i][0] + half]), out[i][1]
+    return out
+
+
+def _told(
+    mine: tuple[Fitted, Fitted], other: tuple[Fitted, Fitted], rival: Rival, split: Split
+) -> tuple[float, float, float, Start]:
+    """Of a name against a rival on one split: logs of (the sharper e-value, the most that any may
+    be, the lead of the name), and the unknowns where both are fitted."""
+    first, both = other
+    lead = mine[1].log_evidence - mine[0].log_evidence
+    lost = both.log_evidence - first.log_evidence
+    keys = _keys(both, split, rival.instead)
+    paid = regret(first, both, keys) if keys and first.value.valid and both.value.valid else 0.0
+    fits, known = (*mine, *other), {**mine[1].known, **both.known}
+    most = lead - lost + sum(f.may_gain for f in fits)
+    return _less(lead - lost - paid, *fits), most, _less(lead, *mine), known
 
 
 def _less(log_e: float, *fits: Fitted) -> float:
@@ -208,11 +226,6 @@ def _less(log_e: float, *fits: Fitted) -> float:
     if not all(f.value.valid for f in fits) or not np.isfinite(log_e):
         return -np.inf
     return log_e - sum(f.may_gain for f in fits)
-
-
-def _mean(logs: Sequence[float]) -> float:
-    """Log of the mean of numbers that are given by their logarithms."""
-    return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
 
 
 def _predictives(

@@ -1,10 +1,8 @@
 """Evidence: how likely flights are under a structure, its parameters integrated over their priors.
 
-Laplace's approximation at the maximum a posteriori (Kass and Raftery 1995, JASA 90(430), sec. 4.1),
-exact for a linear Gaussian model. Parameters of a cause have the prior that it declares, core
-parameters that of the vehicle file, the start of every flight that of its first readings. A
-parameter that ended at its bound is integrated along one side, and a prior that a bound cuts holds
-its mass on the side that is allowed.
+Laplace's approximation (greybox/estimation/laplace.py). Parameters of a cause have the prior that
+it declares, core parameters that of the vehicle file, the start of every flight that of its first
+readings.
 """
 
 from __future__ import annotations
@@ -15,7 +13,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import scipy.special
 from threadpoolctl import threadpool_limits
 
 from greybox.cores import cores
@@ -26,12 +23,12 @@ from greybox.estimation.engine import engine_for
 from greybox.estimation.few_samples import demand_samples
 from greybox.estimation.fit import Fit, concluded
 from greybox.estimation.initialisation import noise_start
+from greybox.estimation.laplace import at_bound, log_evidence
 from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import Problem, Value, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND, LevenbergMarquardt
 from greybox.estimation.status import Code, Status
 from greybox.model.dynamics import Dynamics
-from greybox.statistics.normal_mass import log_mass
 from greybox.symbolic import BoolArray, FloatArray
 from greybox.workers import side_by_side
 
@@ -41,8 +38,6 @@ Structure = frozenset[str]
 Start = Mapping[Key, float]
 Solution = tuple[FloatArray, Status, Value]
 """Unknowns (n,), how the solver ended, and the value there."""
-WEAK = 1e-8
-"""Precision, per squared scale, of an unknown without prior that nothing tells: a flat prior."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,43 +77,6 @@ class Fitted:
     def held(self) -> BoolArray:
         """Which unknowns ended at a bound."""
         return at_bound(self.problem, self.theta, self.value)
-
-
-def at_bound(problem: Problem, theta: FloatArray, value: Value) -> BoolArray:
-    """Which unknowns (n,) a bound holds back."""
-    assert value.gradient is not None
-    low, high = theta <= problem.lower, theta >= problem.upper
-    return np.asarray((low & (value.gradient > 0)) | (high & (value.gradient < 0)))
-
-
-def log_evidence(problem: Problem, theta: FloatArray, value: Value) -> float:
-    """Log of the integral of likelihood times prior about `theta` (n,), see the module."""
-    assert value.gradient is not None and value.hessian is not None
-    scale = problem.scale
-    gradient = value.gradient * scale
-    h = value.hessian * np.outer(scale, scale) + WEAK * np.eye(problem.n)
-    held = at_bound(problem, theta, value)
-    free = ~held
-    sign, logdet = np.linalg.slogdet(h[np.ix_(free, free)])
-    if sign <= 0:
-        return -np.inf
-    total = -value.cost + float(np.log(scale).sum())
-    total += 0.5 * float(free.sum()) * np.log(2 * np.pi) - 0.5 * float(logdet)
-    for i in np.flatnonzero(held).tolist():  # integral of exp(-g t - h t^2 / 2) over t > 0
-        g, c = abs(gradient[i]), h[i, i]
-        ratio = scipy.special.erfcx(g / np.sqrt(2 * c))
-        total += float(np.log(np.sqrt(np.pi / (2 * c)) * ratio))
-    spread = np.zeros(problem.n)
-    spread[free] = np.sqrt(np.diag(np.linalg.inv(h[np.ix_(free, free)]))) * scale[free]
-    for i, u in enumerate(problem.unknowns):
-        bounded = np.isfinite(u.lower) or np.isfinite(u.upper)
-        if np.isfinite(u.sigma):
-            total -= float(np.log(u.sigma)) + 0.5 * float(np.log(2 * np.pi))
-            if bounded and u.kind == "parameter":
-                total -= log_mass(u.lower, u.upper, u.mean, u.sigma)
-        if bounded and u.kind == "parameter" and free[i]:
-            total += log_mass(u.lower, u.upper, float(theta[i]), float(spread[i]))
-    return float(total)
 
 
 @dataclass(frozen=True, kw_only=True)

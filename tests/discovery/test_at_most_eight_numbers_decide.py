@@ -20,7 +20,6 @@ PROPOSES = "decides what is tried or how long; what is taken is the evidence"
 COMPUTES = "accuracy of a computation"
 SAYS = "how something is said"
 ELSEWHERE = {
-    "evidence.WEAK": COMPUTES,
     "left.SILENT": COMPUTES,
     "left.LOUDER": COMPUTES,
     "propose.CLEARLY": PROPOSES,

@@ -10,7 +10,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from greybox.discovery.certificate import Certificate, certificates, certificates_beside
+from greybox.discovery.certificate import (
+    Certificate,
+    certificates,
+    certificates_beside,
+    regret,
+)
 from greybox.discovery.evidence import Flights
 from greybox.discovery.search import Rival
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND
@@ -31,24 +36,36 @@ def certified(
     return certificates(at, {name: rows}, [split(one, other)], bar)[name]
 
 
-def parts(one: World, other: World, name: str) -> tuple[float, float]:
-    """Log of the strict and of the sharper e-value against the model without the name."""
+def parts(
+    one: World, other: World, name: str, instead: tuple[str, ...] = ()
+) -> tuple[float, float, float]:
+    """Log of the strict and of the sharper e-value against a rival of the name, and the regret."""
     judges = split(one, other)
     gained = judges.both.fit({name}).log_evidence - judges.first.fit({name}).log_evidence
-    lost = judges.both.fit(()).log_evidence - judges.first.fit(()).log_evidence
-    return gained + judges.judge.fit(()).value.likelihood, gained - lost
+    first, both = (f.fit(set(instead)) for f in (judges.first, judges.both))
+    keys = [k for k in both.known if k[0].split(".")[0] in instead]
+    paid = regret(first, both, keys) if keys else 0.0
+    lost = both.log_evidence - first.log_evidence + paid
+    return gained + judges.judge.fit(set(instead)).value.likelihood, gained - lost, paid
 
 
 @pytest.mark.parametrize("seed", range(40))
 def test_the_supremum_is_sought_only_where_it_could_decide(seed: int):
-    """The strict e-value is at most the sharper one against what is dropped; the certificate is
-    their mean where the bar is between the sharper one and its half, else that half."""
+    """The strict e-value is at most the sharper one without its regret. Against what is dropped the
+    sharper one therefore counts alone; else the certificate is their mean where the bar is between
+    the sharper one and its half, and that half where it decides."""
     worlds = drawn(seed, {"a": np.array([0.9])})
-    strict, sharp = parts(*worlds, "a")
-    assert strict < sharp
+    strict, sharp, paid = parts(*worlds, "a")
+    assert strict < sharp and paid == 0.0
+    for bar in (sharp - 0.3, sharp + 0.1, sharp - 1.0):
+        assert certified(*worlds, "a", ((),), bar).log_e == pytest.approx(sharp)
+    strict, sharp, paid = parts(*worlds, "a", ("b",))
+    assert strict < sharp + paid and paid > 0.0
     mean, half = np.logaddexp(strict, sharp) - np.log(2), sharp - np.log(2)
-    for bar, expected in ((sharp - 0.3, mean), (sharp + 0.1, half), (sharp - 1.0, half)):
-        assert certified(*worlds, "a", ((),), bar).log_e == pytest.approx(expected)
+    for bar, expected in ((max(sharp, 0.0) - 0.3, mean), (sharp - 1.0, half)):
+        if sharp + paid >= 0.0:
+            found = certified(*worlds, "a", (("b",),), bar)
+            assert found.log_e == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -102,16 +119,17 @@ def test_what_a_fit_may_still_gain_counts_against_the_name(promised: float, code
     all. The optimum is believed deeper than the last step promised, and a fit that predicts nothing
     certifies nothing."""
     one, other = drawn(3, {"a": np.array([5.0])})
-    rival = Rival(instead=(), share=1.0, fitted=one.fit(()))
-    strict, sharp = parts(one, other, "a")
+    strict, sharp, _ = parts(one, other, "a", ("b",))
     early = Status(code=code, iterations=60, evaluations=90, decrement=promised)
     lost = BEYOND * promised
 
     def found(world: str, bar: float) -> float:
         judges = split(one, other)
         some = cast(World, getattr(judges, world))
-        some.kept[frozenset()] = replace(some.fit(()), status=early)
+        some.kept[frozenset({"b"})] = replace(some.fit({"b"}), status=early)
         return certificates(one.fit({"a"}), {"a": [rival]}, [judges], bar)["a"].log_e
+
+    rival = Rival(instead=("b",), share=1.0, fitted=one.fit({"b"}))
 
     assert sharp - found("both", -np.inf) == pytest.approx(lost + np.log(2))
     mean = np.logaddexp(strict - lost, sharp) - np.log(2)

@@ -1,0 +1,55 @@
+"""Evidence of a fit: the integral of likelihood times prior over its unknowns.
+
+Laplace's approximation at the maximum a posteriori (Kass and Raftery 1995, JASA 90(430), sec. 4.1),
+exact for a linear Gaussian model. A parameter that ended at its bound is integrated along one side,
+and a prior that a bound cuts holds its mass on the side that is allowed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.special
+
+from greybox.estimation.problem import Problem, Value
+from greybox.statistics.normal_mass import log_mass
+from greybox.symbolic import BoolArray, FloatArray
+
+WEAK = 1e-8
+"""Precision, per squared scale, of an unknown without prior that nothing tells: a flat prior."""
+
+
+def at_bound(problem: Problem, theta: FloatArray, value: Value) -> BoolArray:
+    """Which unknowns (n,) a bound holds back."""
+    assert value.gradient is not None
+    low, high = theta <= problem.lower, theta >= problem.upper
+    return np.asarray((low & (value.gradient > 0)) | (high & (value.gradient < 0)))
+
+
+def log_evidence(problem: Problem, theta: FloatArray, value: Value) -> float:
+    """Log of the integral of likelihood times prior about `theta` (n,), see the module."""
+    assert value.gradient is not None and value.hessian is not None
+    scale = problem.scale
+    gradient = value.gradient * scale
+    h = value.hessian * np.outer(scale, scale) + WEAK * np.eye(problem.n)
+    held = at_bound(problem, theta, value)
+    free = ~held
+    sign, logdet = np.linalg.slogdet(h[np.ix_(free, free)])
+    if sign <= 0:
+        return -np.inf
+    total = -value.cost + float(np.log(scale).sum())
+    total += 0.5 * float(free.sum()) * np.log(2 * np.pi) - 0.5 * float(logdet)
+    for i in np.flatnonzero(held).tolist():  # integral of exp(-g t - h t^2 / 2) over t > 0
+        g, c = abs(gradient[i]), h[i, i]
+        ratio = scipy.special.erfcx(g / np.sqrt(2 * c))
+        total += float(np.log(np.sqrt(np.pi / (2 * c)) * ratio))
+    spread = np.zeros(problem.n)
+    spread[free] = np.sqrt(np.diag(np.linalg.inv(h[np.ix_(free, free)]))) * scale[free]
+    for i, u in enumerate(problem.unknowns):
+        bounded = np.isfinite(u.lower) or np.isfinite(u.upper)
+        if np.isfinite(u.sigma):
+            total -= float(np.log(u.sigma)) + 0.5 * float(np.log(2 * np.pi))
+            if bounded and u.kind == "parameter":
+                total -= log_mass(u.lower, u.upper, u.mean, u.sigma)
+        if bounded and u.kind == "parameter" and free[i]:
+            total += log_mass(u.lower, u.upper, float(theta[i]), float(spread[i]))
+    return float(total)
