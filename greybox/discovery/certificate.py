@@ -44,6 +44,7 @@ from greybox.statistics import regret as of_arrays
 from greybox.statistics.betting import log_mean
 from greybox.symbolic import FloatArray
 
+_Told = tuple[tuple[float, float], tuple[float, Start]]
 Instead = tuple[str, ...]
 """Causes in the place of a name."""
 
@@ -183,20 +184,20 @@ def _log_es(
     sharper one decides, nor where there is no regret."""
     fits = {f.structure: f for f in (at, *(r.fitted for r in rivals))}
     near, half = [within[s] for s in fits], float(np.log(2))
-    told: list[list[tuple[float, float, float, Start]]] = [[] for _ in rivals]
+    told: list[list[_Told]] = [[] for _ in rivals]
     for split in judges:
         pair = dict(zip(fits, _predictives(list(fits.values()), at, split, near), strict=True))
         for rows, r in zip(told, rivals, strict=True):
             rows.append(_told(pair[at.structure], pair[r.fitted.structure], r, split))
     out, strict = [], dict[int, list[float]]()
     for i, (r, rows) in enumerate(zip(rivals, told, strict=True)):
-        sharp, most = (log_mean([row[j] for row in rows]) for j in range(2))
+        sharp, most = (log_mean([bounds[j] for bounds, _ in rows]) for j in range(2))
         most = most if np.isfinite(most) else np.inf  # else a fit says nothing
         out.append((sharp - half if r.instead else sharp, most))
         if r.instead and not (sharp >= bar + half or most < 0 or half <= sharp <= most < bar):
             strict[i] = []
     for k, split in enumerate(judges):
-        now = [(rivals[i].fitted, *told[i][k][2:]) for i in strict]
+        now = [(rivals[i].fitted, *told[i][k][1]) for i in strict]
         asked = [(f.structure, [f.known, {**at.known, **f.known}, new]) for f, _, new in now]
         worst = split.judge.fits(asked, [within[at.structure]] * len(asked))
         for logs, fit, (_, lead, _) in zip(strict.values(), worst, now, strict=True):
@@ -208,9 +209,9 @@ def _log_es(
 
 def _told(
     mine: tuple[Fitted, Fitted], other: tuple[Fitted, Fitted], rival: Rival, split: Split
-) -> tuple[float, float, float, Start]:
+) -> _Told:
     """Of a name against a rival on one split: logs of (the sharper e-value, the most that any may
-    be, the lead of the name), and the unknowns where both are fitted."""
+    be), and (the lead of the name, the unknowns where both are fitted)."""
     first, both = other
     lead = mine[1].log_evidence - mine[0].log_evidence
     lost = both.log_evidence - first.log_evidence
@@ -218,7 +219,7 @@ def _told(
     paid = regret(first, both, keys) if keys and first.value.valid and both.value.valid else 0.0
     fits, known = (*mine, *other), {**mine[1].known, **both.known}
     most = lead - lost + sum(f.may_gain for f in fits)
-    return _less(lead - lost - paid, *fits), most, _less(lead, *mine), known
+    return (_less(lead - lost - paid, *fits), most), (_less(lead, *mine), known)
 
 
 def _less(log_e: float, *fits: Fitted) -> float:

@@ -37,6 +37,12 @@ class Name:
     reason: str = ""
     kept: bool = False
 
+    @property
+    def claim(self) -> float:
+        """Log e-value that it, or what looks like it, is there; -inf where it cannot be."""
+        no = self.status == "impossible"
+        return -np.inf if no else self.certificate.rivals.get((), -np.inf)
+
     def to_dict(self) -> dict[str, Any]:
         """What discovery.json says of it besides its estimates."""
         w, worth = self.worth, None
@@ -64,10 +70,17 @@ def held(name: Name) -> Name:
 
 
 def judged(
-    certificate: Certificate, worth: Worth | None, impossible: str, bar: float, alpha: float
+    certificate: Certificate,
+    worth: Worth | None,
+    impossible: str,
+    bar: float,
+    alpha: float,
+    alone: float | None = None,
 ) -> Name:
-    """The status of one cause: `bar` is the log e-value that certifies a name among all that were
-    offered, `impossible` says why it can be none."""
+    """The status of one cause: `bar` is the log e-value that certifies it among all that were
+    offered, `alone` (the same where not given) if no other had one, `impossible` says why it can be
+    none."""
+    alone = bar if alone is None else alone
     e, whole = certificate.rivals, certificate.whole
     alike, unlikely = certificate.unbeaten(bar, alpha)
     dropped, every = e.get((), -np.inf), whole.get((), UNKNOWN)
@@ -75,7 +88,7 @@ def judged(
     shares = dict[str, float]()
     needed = f"log10 e {dropped / LOG10:.1f} of {bar / LOG10:.1f} that a name needs"
     reason, kept = needed if dropped < bar else "", False
-    foretells = worth is not None and worth.log_e >= bar and worth.matters
+    foretells = worth is not None and worth.log_e >= alone and worth.matters
     if dropped < bar and not (foretells and dropped >= 0 and not alike and not impossible):
         status = "not certified"
         kept = every.log_e >= bar and not impossible
@@ -87,7 +100,7 @@ def judged(
         reason += "" if worth.seen else ", less than one reading can show"
     elif alike:
         status = "one of these"
-        shares = _shares(certificate, alike, bar + float(np.log(alpha)))
+        shares = _shares(certificate, alike, alone + float(np.log(alpha)))
     else:
         status = "certified" if dropped >= bar else "supported"
     return Name(

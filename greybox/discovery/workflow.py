@@ -40,6 +40,7 @@ from greybox.model.known import known_numbers, since
 from greybox.model.layer import physics_of
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
+from greybox.statistics.betting import bar_of_several
 from greybox.validation.gap import HeldOutErrors, gap, outgrown, predict_ahead, worsened
 
 SHORTEST_FLIGHT = 0.6
@@ -212,12 +213,14 @@ class _Run:
     save: Callable[[Discovery], None]
     began: float
     warnings: list[str] = field(default_factory=list)
+    needed: float = np.inf
+    """Log e-value that each of the names found needs, see `bar_of_several`."""
     _held_out: dict[Fitted, HeldOutErrors | None] = field(default_factory=dict)
     _settled: dict[Fitted, Fit] = field(default_factory=dict)
 
     @property
     def bar(self) -> float:
-        """Log e-value of a name: one over alpha, times the causes that were offered
+        """Log e-value of a name that is alone: one over alpha, times the causes that were offered
         (Bonferroni)."""
         offered = len(self.flights.causes.effects)
         return float(np.log(max(offered, 1) / self.options.alpha))
@@ -267,7 +270,7 @@ class _Run:
             before=before.axes,
             gap=tuple(rows),
             gap_on="train" if self.test is None else "test",
-            bar=self.bar,
+            bar=self.needed,
             unjudged=dict(causes.unjudged),
             minimum_detectable={n: v for n, v in smallest.items() if v},
             warnings=tuple(self.warnings),
@@ -323,13 +326,19 @@ class _Run:
     ) -> tuple[list[Name], Fitted]:
         """What is said of every cause of the structure, and the structure of what is said."""
         judges = splits(self.flights, self.test)
-        names = []
-        for name, certificate in certificates(at, rivals, judges, self.bar).items():
+        odd = {name: impossible(at, self.flights, name) for name in rivals}
+        names, before, self.needed = [], np.inf, self.bar
+        while self.needed < before:  # fits near a lower bar are carried on, and more may pass it
+            before = self.needed
+            found = certificates(at, rivals, judges, before)
+            possible = [c.rivals.get((), -np.inf) for n, c in found.items() if not odd[n]]
+            self.needed = min(bar_of_several(possible, self.bar), before)
+        for name, certificate in found.items():
             without = next(r.fitted for r in rivals[name] if not r.instead)
             old, new = self.held_out(without), self.held_out(at)
             good = None if old is None or new is None else worth(old, new)
-            odd = impossible(at, self.flights, name)
-            names.append(judged(certificate, good, odd, self.bar, self.options.alpha))
+            alpha, odds = self.options.alpha, odd[name]
+            names.append(judged(certificate, good, odds, self.needed, alpha, self.bar))
         keep = {"certified", "supported", "one of these", *["trace"] * self.options.trace}
         doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
         self.warnings += [doubt for doubt in doubts if doubt]
@@ -344,11 +353,19 @@ class _Run:
         there = [n.name for n in names if n.name in written.structure]
         asked = [n for n in there if search.doubted(written, n)]
         judges = splits(self.flights, self.test)
-        beside = certificates_beside(self.flights, written, asked, judges, self.bar)
-        gone = {n for n, c in beside.items() if c.log_e < self.bar}
+        beside = certificates_beside(self.flights, written, asked, judges, self.needed)
+        claims, before = {n.name: n.claim for n in names}, self.needed
+        left = {n: min(e, beside[n].log_e) if n in beside else e for n, e in claims.items()}
+        self.needed = bar_of_several(list(left.values()), self.bar)
+        gone = {
+            n for n, e in left.items() if e < self.needed and (n in beside or claims[n] >= before)
+        }
         if not gone:
             return names, at
-        names = [n if n.name not in gone else unneeded(n, beside[n.name], self.bar) for n in names]
+        names = [
+            n if n.name not in gone else unneeded(n, beside.get(n.name, n.certificate), self.needed)
+            for n in names
+        ]
         return names, self.flights.fit(at.structure - gone, [at.known])
 
     def _left(self, at: Fitted, found: Fit) -> Left:

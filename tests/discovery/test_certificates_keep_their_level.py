@@ -20,7 +20,7 @@ from greybox.discovery.evidence import Flights
 from greybox.discovery.search import Rival
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND
 from greybox.estimation.status import Code, Status
-from greybox.statistics.betting import betting
+from greybox.statistics.betting import bar_of_several, betting
 from tests.discovery.linear_world import World, drawn, split
 
 ALPHA = 0.05
@@ -84,6 +84,31 @@ def test_false_certificates_are_rare(truth: Truth, rivals: tuple[tuple[str, ...]
     )
     # 95 % of binomial draws at alpha lie below this; e-values are far below alpha in practice.
     assert beyond <= ALPHA * LOGS + 2 * np.sqrt(ALPHA * (1 - ALPHA) * LOGS)
+
+
+@pytest.mark.parametrize("there", [0, 3])
+def test_of_what_several_names_say_the_share_that_is_false_is_below_alpha(there: int):
+    """The bar of n hypotheses falls with how many pass it (e-BH). Each log here has its own e-value
+    of the worst kind: with probability 1/E it is E, where E is what one name among k needs."""
+    draw = np.random.default_rng(there)
+    n, shares = 20, []
+    for _ in range(4000):
+        passing = draw.integers(1, n, size=n - there)
+        e = n / ALPHA / passing
+        false = np.where(draw.random(n - there) < 1 / e, np.log(e), -np.inf)
+        true = np.full(there, 30.0)
+        bar = bar_of_several([*false, *true], float(np.log(n / ALPHA)))
+        said = int((false >= bar).sum())
+        shares.append(said / max(said + there, 1))
+    assert np.mean(shares) <= ALPHA + 2 * np.std(shares) / np.sqrt(len(shares))
+
+
+def test_the_bar_falls_only_with_names_that_reach_it():
+    alone = float(np.log(620))
+    assert bar_of_several([], alone) == alone
+    assert bar_of_several([3.0, 2.0], alone) == alone
+    assert bar_of_several([9.0, 5.8], alone) == pytest.approx(np.log(310))
+    assert bar_of_several([9.0, 5.5, 5.5], alone) == pytest.approx(np.log(620 / 3))
 
 
 def test_what_is_there_is_certified_and_more_of_it_more():
