@@ -130,7 +130,7 @@ def _without_lever_arm(
     """
     drift = shifted(told, late) - shifted(told, -late)
     axes = np.stack(arms, axis=2)
-    known = np.isfinite(np.column_stack([change, told, drift, axes.reshape(len(axes), -1)]))
+    known = np.isfinite(np.column_stack([change, told, drift, axes.reshape(-1, 9)]))
     rows = known.all(axis=1)
     if not rows.any():
         return change
