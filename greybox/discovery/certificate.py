@@ -37,9 +37,10 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.data.halves import halves, renamed
-from greybox.discovery.evidence import Fitted, Flights, Key, Start, Structure
+from greybox.discovery.evidence import Fitted, Flights, Structure
 from greybox.discovery.search import Rival
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND
+from greybox.estimation.start import Key, Start
 from greybox.statistics import regret as of_arrays
 from greybox.statistics.betting import log_mean
 from greybox.symbolic import FloatArray

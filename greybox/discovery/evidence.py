@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -27,15 +27,13 @@ from greybox.estimation.laplace import at_bound, log_evidence
 from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import Problem, Value, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND, LevenbergMarquardt
+from greybox.estimation.start import Key, Start, vector
 from greybox.estimation.status import Code, Status
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import BoolArray, FloatArray
 from greybox.workers import side_by_side
 
-Key = tuple[str, str | None]
-"""An unknown and, where it is one flight's own, the flight (or record)."""
 Structure = frozenset[str]
-Start = Mapping[Key, float]
 Solution = tuple[FloatArray, Status, Value]
 """Unknowns (n,), how the solver ended, and the value there."""
 
@@ -290,25 +288,3 @@ def solution(problem: Problem, task: Task) -> Solution:
         )
         theta, status = solver.solve(problem, start)
         return theta, status, problem.evaluate(theta)  # kept by the problem
-
-
-def vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:
-    """Unknowns of the problem (n,) at the known values; one flight's own at what all share, or at
-    the mean of other flights, where that is known; else as they start."""
-    others: dict[str, list[float]] = {}
-    for (name, flight), value in known.items():
-        if flight is not None:
-            others.setdefault(name, []).append(value)
-
-    def of(name: str, flight: str | None, start: float, kind: str) -> float:
-        if (name, flight) in known:
-            return known[name, flight]
-        if (name, None) in known:
-            return known[name, None]
-        if kind == "parameter" and name in others:
-            return float(np.mean(others[name]))
-        return start
-
-    return np.array(
-        [of(u.name, u.flight, u.start, u.kind) for u in problem.unknowns], dtype=np.float64
-    )

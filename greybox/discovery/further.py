@@ -22,14 +22,16 @@ from threadpoolctl import threadpool_limits
 from greybox.data import Dataset
 from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import offer, sensor_cause
-from greybox.discovery.evidence import Flights, Key, Structure
+from greybox.discovery.evidence import Flights, Structure
 from greybox.discovery.name import LOG10
 from greybox.errors import DataError
 from greybox.estimation.record import sample_time
+from greybox.estimation.start import Key
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
 from greybox.model.known import Known, since
 from greybox.model.noise import sensor_parts
+from greybox.statistics.betting import bar_of_several
 
 
 @threadpool_limits.wrap(limits=1)
@@ -72,14 +74,18 @@ def further(
     start: dict[Key, float] = {(n, None): float(v) for n, v in model.values.items()}
     told = flights.fit(structure, [start])
     flat = flights.on(flights.data, flat=True)
-    effects = []
+    told_now: list[float] = []
     for effect in content["effects"]:
         rivals = _rivals(structure, effect, causes.effects)
         worst = [flat.fit(r, [told.known, start]) for r in rivals]
         against = min(f.value.likelihood - f.may_gain for f in worst)
-        new = (told.log_evidence - told.may_gain + against) / LOG10
-        total = effect["log10_e"] + new
-        enough = total >= content["bar_log10_e"]
+        told_now.append((told.log_evidence - told.may_gain + against) / LOG10)
+    alone = content.get("alone_log10_e", content["bar_log10_e"])
+    totals = [e["log10_e"] + new for e, new in zip(content["effects"], told_now, strict=True)]
+    bar = bar_of_several([LOG10 * t for t in totals], LOG10 * alone) / LOG10
+    effects = []
+    for effect, new, total in zip(content["effects"], told_now, totals, strict=True):
+        enough = total >= bar
         status = "certified" if enough else effect["status"]
         if not enough and (status == "certified" or total < 0.0):
             status = "not certified"
@@ -93,6 +99,7 @@ def further(
     ]
     return {
         **content,
+        "bar_log10_e": bar,
         "effects": kept,
         "not_certified": [*content["not_certified"], *lost],
         "tested_on": [*content["tested_on"], *data.names],

@@ -20,9 +20,10 @@ import scipy.linalg
 from threadpoolctl import threadpool_limits
 
 from greybox.discovery.cause import Cause, Causes, sensor_cause
-from greybox.discovery.evidence import Fitted, Flights, Key
+from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.rules import RULES
 from greybox.estimation.differences import with_candidate_sensitivities
+from greybox.estimation.start import Key
 from greybox.model.layer import physics_of
 from greybox.model.noise import Coloured, LowPass, SensorPart
 from greybox.model.noise.low_pass import FILTERED

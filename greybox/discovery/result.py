@@ -53,6 +53,7 @@ class Discovery(Shown):
     gap: tuple[GapRow, ...] = ()
     gap_on: str = ""
     bar: float = 0.0
+    alone: float = 0.0
     unjudged: Mapping[str, str] = field(default_factory=dict)
     minimum_detectable: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     faults: tuple[str, ...] = ()
@@ -178,6 +179,7 @@ class Discovery(Shown):
             "verdict": self.verdict,
             "line": self.line,
             "bar_log10_e": self.bar / LOG10,
+            "alone_log10_e": self.alone / LOG10,
             "effects": self.effects() if fitted else [],
             "traces": self.traces() if fitted else [],
             "omega_known": self.omega_known,

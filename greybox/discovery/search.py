@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from greybox.discovery.evidence import Fitted, Flights, Key, Structure
+from greybox.discovery.evidence import Fitted, Flights, Structure
 from greybox.discovery.left import axis_gains
 from greybox.discovery.propose import (
     Proposal,
@@ -25,6 +25,7 @@ from greybox.discovery.propose import (
     unfelt,
 )
 from greybox.discovery.rules import RULES
+from greybox.estimation.start import Key
 from greybox.statistics.evidence import FELT
 from greybox.statistics.regret import information_on
 

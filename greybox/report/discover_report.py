@@ -144,8 +144,8 @@ def _names(report: Report, content: Mapping[str, Any]) -> None:
         "than with the strongest thing that could stand in its place, everything else free. If it "
         "were not there, an e-value of 100 or more would come up in one search of a hundred at "
         "most. "
-        f"A name needs 10 to the power of {number(content['bar_log10_e'], 2)}, as many were "
-        "offered."
+        f"A name needs 10 to the power of {number(content['bar_log10_e'], 2)}: as many were "
+        "offered, and as many have it."
     )
     rows: list[list[Cell]] = []
     for e in content["effects"]:

@@ -36,7 +36,7 @@ from greybox.data import Dataset
 from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import offer
 from greybox.discovery.certificate import certificates, splits
-from greybox.discovery.evidence import Fitted, Flights, problem_of, vector
+from greybox.discovery.evidence import Fitted, Flights, problem_of
 from greybox.discovery.name import LOG10
 from greybox.discovery.options import DiscoverOptions
 from greybox.discovery.rules import EFFORT
@@ -44,6 +44,7 @@ from greybox.discovery.search import Rival
 from greybox.estimation.initialisation import noise_start
 from greybox.estimation.record import sample_time
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND, PACE, LevenbergMarquardt
+from greybox.estimation.start import vector
 from greybox.files import append_json_line, write_atomic
 from greybox.plants.quadrotor import Quadrotor
 from greybox.symbolic import FloatArray

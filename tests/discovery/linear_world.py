@@ -14,10 +14,12 @@ import numpy.typing as npt
 
 from greybox.discovery.cause import Cause
 from greybox.discovery.certificate import Split
-from greybox.discovery.evidence import Fitted, Flights, Key, Structure, log_evidence
+from greybox.discovery.evidence import Fitted, Flights, Structure
 from greybox.discovery.propose import Scores
 from greybox.discovery.rules import EFFORT
+from greybox.estimation.laplace import log_evidence
 from greybox.estimation.problem import Problem, Value
+from greybox.estimation.start import Key
 from greybox.estimation.status import Code, Status
 from greybox.estimation.unknown import Unknown
 

@@ -3,8 +3,8 @@ nothing beside them."""
 
 from __future__ import annotations
 
-from greybox.discovery.evidence import log_evidence
 from greybox.estimation.criteria.gaussian import Gaussian
+from greybox.estimation.laplace import log_evidence
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import make_problem
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
