@@ -195,18 +195,43 @@ def correlogram(
     return figure
 
 
-def cumulated(share: npt.ArrayLike, band: float, *, sample_time: float, title: str) -> Figure:
-    """Cumulated periodogram: `share` (F,) of the variance below the frequencies up to half the
-    sample rate, between the lines `band` above and below that of white noise."""
+def autocorrelations(
+    lags: npt.ArrayLike, curves: Mapping[str, npt.ArrayLike], band: npt.ArrayLike, *, title: str
+) -> Figure:
+    """Correlations (L,) of a few channels with themselves at `lags` (L,), in the order of `SERIES`,
+    over +-`band` ((L,) or a number)."""
     figure, axes = _panel(1.9)
-    y = np.asarray(share, dtype=np.float64)
-    x = np.linspace(0.0, 0.5 / sample_time, len(y))
-    white = np.linspace(0.0, 1.0, len(y))
+    x = np.asarray(lags, dtype=np.float64)
+    width = np.broadcast_to(np.asarray(band, dtype=np.float64), x.shape)
+    axes.fill_between(x, -width, width, color=SERIES[3], alpha=0.22, linewidth=0)
+    every = [np.asarray(r, dtype=np.float64) for r in curves.values()]
+    for y, colour in zip(every, SERIES, strict=False):
+        axes.plot(x, y, color=colour, linewidth=1.2)
+    axes.axhline(0.0, color=MUTED, linewidth=0.7)
+    top = max(1.3 * max(float(np.nanmax(np.abs(y))) for y in every), 2.0 * float(np.nanmax(width)))
+    axes.set_ylim(-max(top, 1e-3), max(top, 1e-3))
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+    axes.yaxis.set_major_formatter(_SHORT)
+    _label(axes, x="lag [samples]", y="correlation", title=title)
+    return figure
+
+
+def cumulated(
+    shares: Mapping[str, npt.ArrayLike], band: float, *, sample_time: float, title: str
+) -> Figure:
+    """Cumulated periodograms of a few channels, in the order of `SERIES`: shares (F,) of the
+    variance below the frequencies up to half the sample rate, between the lines `band` above and
+    below that of white noise."""
+    figure, axes = _panel(1.9)
+    white = np.linspace(0.0, 1.0, 100)
     for off in (-band, band):
-        axes.plot(x, np.clip(white + off, 0.0, 1.0), color=MUTED, linestyle="--", linewidth=0.8)
-    out = bool(np.any(np.abs(y - white) > band))
-    axes.plot(x, y, color=SERIES[1] if out else SERIES[0], linewidth=1.4)
-    axes.set_xlim(0.0, float(x[-1]))
+        line = np.clip(white + off, 0.0, 1.0)
+        axes.plot(0.5 / sample_time * white, line, color=MUTED, linestyle="--", linewidth=0.8)
+    for share, colour in zip(shares.values(), SERIES, strict=False):
+        y = np.asarray(share, dtype=np.float64)
+        x = np.linspace(0.0, 0.5 / sample_time, len(y))
+        axes.plot(x, y, color=colour, linewidth=1.4)
+    axes.set_xlim(0.0, 0.5 / sample_time)
     axes.set_ylim(0.0, 1.0)
     axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_formatter(_SHORT)

@@ -238,7 +238,8 @@ def _parameters(report: Report, fit: Mapping[str, Any]) -> None:
 
 def _per_flight(report: Report, fit: Mapping[str, Any]) -> None:
     chosen = {n: p for n, p in fit["parameters"].items() if p.get("per_flight")}
-    if not chosen:
+    flights = list(dict.fromkeys(f for p in chosen.values() for f in p["per_flight"]))
+    if len(flights) < 2:  # of one flight the table of all parameters says the same
         return
     report.section("Per-flight parameters")
     panels = []
@@ -261,7 +262,6 @@ def _per_flight(report: Report, fit: Mapping[str, Any]) -> None:
         key=key,
     )
     with report.details("The numbers"):
-        flights = list(dict.fromkeys(f for p in chosen.values() for f in p["per_flight"]))
         for first in range(0, len(flights), _BESIDE):
             part = flights[first : first + _BESIDE]
             rows: list[list[Cell]] = []

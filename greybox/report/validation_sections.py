@@ -3,12 +3,13 @@ residual tests."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from greybox.data.channel import group_of
 from greybox.model.verdict import NOT_JUDGED, Outcome, Verdict
 from greybox.report import figures
 from greybox.report.html import Cell, Key, Report, Tag
@@ -40,6 +41,13 @@ ROWS = (
         ":",
         Key(text="dead reckoning with the measured IMU (floor)", colour="c3", stroke="dots"),
     ),
+)
+
+
+ORDER = (
+    Key(text="first channel of a title", colour="c1"),
+    Key(text="second", colour="c2"),
+    Key(text="third", colour="c3"),
 )
 
 
@@ -262,20 +270,23 @@ def residual_section(report: Report, validation: Mapping[str, Any], *, worst: in
     if whiteness:
         text = whiteness_verdict(whiteness)
         (report.verdict if text.startswith("No ") else report.paragraph)(text)
-        lags = list(range(1, whiteness["max_lag"] + 1))
-        panels = [
-            (
-                figures.correlogram(lags, c["r"], c["band"], title=name),
-                f"Autocorrelation of the innovation {name}, {100 * c['outside']:.0f} % of lags "
-                "outside the band",
+        lags, channels = list(range(1, whiteness["max_lag"] + 1)), whiteness["channels"]
+        panels = []
+        for title, names in _together(channels).items():
+            curves = {n: channels[n]["r"] for n in names}
+            outside = ", ".join(f"{100 * channels[n]['outside']:.0f} %" for n in names)
+            panels.append(
+                (
+                    figures.autocorrelations(lags, curves, channels[names[0]]["band"], title=title),
+                    f"Autocorrelation of the innovations {title}; of their lags {outside} lie "
+                    "outside the band",
+                )
             )
-            for name, c in whiteness["channels"].items()
-        ]
         report.figures(
             panels,
             caption=f"Autocorrelation of the innovations; grey: where {100 * whiteness['level']:g} "
-            "% of the lags of "
-            "white noise lie; orange: outside.",
+            "% of the lags of white noise lie.",
+            key=ORDER,
         )
         _spectra(report, whiteness, validation.get("sample_time"))
         body: list[list[Cell]] = [
@@ -327,24 +338,35 @@ def _spectra(report: Report, whiteness: Mapping[str, Any], sample_time: float | 
     }
     if not kept or not sample_time:
         return
-    panels = [
-        (
-            figures.cumulated(
-                c["periodogram"], c["periodogram_band"], sample_time=sample_time, title=name
-            ),
-            f"Share of the variance of innovation {name} below each frequency, with the band of "
-            "white noise",
+    panels = []
+    for title, names in _together(kept).items():
+        shares, band = {n: kept[n]["periodogram"] for n in names}, kept[names[0]]
+        figure = figures.cumulated(
+            shares, band["periodogram_band"], sample_time=sample_time, title=title
         )
-        for name, c in kept.items()
-    ]
+        alt = f"Share of the variance of the innovations {title} below each frequency"
+        panels.append((figure, f"{alt}, with the band of white noise"))
     report.figures(
         panels,
         caption="Cumulated periodograms: white noise rises straight and stays between the dashed "
-        "lines "
-        f"{100 * whiteness['level']:g} % of the time. Early rise (orange): slow errors are left, "
-        "as of drag or wind; late "
-        "rise: vibration or noise that a sensor adds.",
+        f"lines {100 * whiteness['level']:g} % of the time. Early rise: slow errors are left, as "
+        "of drag or wind; late rise: vibration or noise that a sensor adds.",
+        key=ORDER,
     )
+
+
+def _together(names: Iterable[str]) -> dict[str, list[str]]:
+    """Title -> channels that one figure shows: those of one sensor, at most three."""
+    found: list[list[str]] = []
+    for name in names:
+        group = name.rpartition(".")[0] or group_of(name)
+        last = found[-1][-1] if found else ""
+        same = group is not None and group == (last.rpartition(".")[0] or group_of(last))
+        if same and len(found[-1]) < len(ORDER):
+            found[-1].append(name)
+        else:
+            found.append([name])
+    return {", ".join(some): some for some in found}
 
 
 def _cross(report: Report, cross: Mapping[str, Any], worst: int) -> None:
