@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import time
 
 import numpy as np
 import pytest
@@ -102,10 +101,8 @@ def test_vehicle_columns_give_names_scales_offsets_and_causality():
     assert raw.flight == "B2_circle_slow_rep1"
 
 
-def test_a_long_log_is_read_in_half_a_second():
-    vehicle = read_vehicle(vehicle_path("arpl_crazyflie"))
-    path = flight_path("arpl_crazyflie", "log15")
-    start = time.process_time()
-    raw = read_table(path, vehicle)
-    assert time.process_time() - start < 1.0  # 0.1 s on an idle machine
+def test_a_long_log_is_read_whole():
+    raw = read_table(
+        flight_path("arpl_crazyflie", "log15"), read_vehicle(vehicle_path("arpl_crazyflie"))
+    )
     assert raw.n == 44299 + 1
