@@ -13,14 +13,20 @@ import math
 import os
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from greybox.errors import FileFormatError, GreyboxError
 
+Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
+"""Any value of a JSON file. A document that greybox itself reads again has a TypedDict of its own
+where it is made."""
+Parsed: TypeAlias = Mapping[str, Any]
+"""An object of a JSON or TOML file as its parser gave it, of which nothing is checked yet: whoever
+reads it asks or catches KeyError, TypeError and ValueError."""
 LARGEST_JSON = 128 * 2**20
 """Bytes of a JSON file that is read; the model of 1000 support points and six outputs has about 120
 MB."""
@@ -166,7 +172,7 @@ def _locked(place: Path) -> int | None:
     return handle
 
 
-def to_plain(value: Any) -> Any:
+def to_plain(value: object) -> Any:
     """Turn NumPy scalars and arrays, tuples, sets and paths into plain JSON values; NaN and
     infinity become None."""
     if isinstance(value, dict):
@@ -186,18 +192,19 @@ def to_plain(value: Any) -> Any:
     return value
 
 
-def dump_json(value: Any, *, indent: int | None = 1) -> str:
+def dump_json(value: object, *, indent: int | None = 1) -> str:
     """JSON text with plain numbers, one trailing newline, keys in the order given."""
     return json.dumps(to_plain(value), indent=indent, allow_nan=False) + "\n"
 
 
-def write_json(path: str | os.PathLike[str], value: Any) -> Path:
+def write_json(path: str | os.PathLike[str], value: object) -> Path:
     """`dump_json`, written atomically."""
     return write_atomic(path, dump_json(value))
 
 
-def read_json(path: str | os.PathLike[str], *, schema: str | None = None) -> dict[str, Any]:
-    """Read a JSON object; with `schema` also demand that its "schema" field is that string.
+def read_json(path: str | os.PathLike[str], *, schema: str | None = None) -> Any:
+    """Read a JSON object, whose shape the caller names; with `schema` also demand that its "schema"
+    field is that string.
 
     Raises `FileFormatError` for a missing file, text that is not JSON, a file over the limits of
     this module, or another schema.
@@ -326,7 +333,7 @@ def read_limited(path: str | os.PathLike[str], limit: int) -> bytes:
     return b"".join(pieces)
 
 
-def checksum(value: Any) -> str:
+def checksum(value: object) -> str:
     """SHA-256 of the canonical JSON of a value. Raises `FileFormatError` for one nested too deeply
     for that."""
     try:
@@ -335,7 +342,7 @@ def checksum(value: Any) -> str:
         raise FileFormatError("nested too deeply", fix="pass a file that greybox wrote") from None
 
 
-def _checksum(value: Any) -> str:
+def _checksum(value: object) -> str:
     text = json.dumps(to_plain(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -349,7 +356,7 @@ def file_sha256(path: str | os.PathLike[str]) -> str:
     return digest.hexdigest()
 
 
-def append_json_line(path: Path, row: dict[str, Any]) -> None:
+def append_json_line(path: Path, row: Mapping[str, object]) -> None:
     """Add a row to a file of JSON lines, in one write that is on the disk when this returns. A line
     that was cut off before it stays alone."""
     whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
@@ -359,7 +366,7 @@ def append_json_line(path: Path, row: dict[str, Any]) -> None:
         os.fsync(stream.fileno())
 
 
-def read_json_lines(text: str) -> list[dict[str, Any]]:
+def read_json_lines(text: str) -> list[Any]:
     """Rows of a text of JSON lines; a line that was cut off counts as not there."""
     rows = []
     for line in text.splitlines():

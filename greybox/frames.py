@@ -12,7 +12,6 @@ arXiv:1711.02508 (Hamilton convention, local error).
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -109,7 +108,7 @@ def quat_from_euler(phi: Expr, theta: Expr, psi: Expr) -> Expr:
 
 
 @functools.cache
-def _function(name: str) -> Any:
+def _function(name: str) -> ca.Function:
     q, p, v = ca.SX.sym("q", 4), ca.SX.sym("p", 4), ca.SX.sym("v", 3)
     bodies = {
         "rotate": ([q, v], rotation_matrix(q) @ v),

@@ -30,6 +30,7 @@ FloatArray = npt.NDArray[np.float64]
 Numeric = Expr | FloatArray
 """What a function computes with that takes a `Namespace`."""
 BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,5 +171,5 @@ def evaluate(function: ca.Function, *columns: npt.ArrayLike) -> FloatArray:
 
 
 @functools.lru_cache(maxsize=64)
-def _mapped(function: ca.Function, n: int) -> Any:
+def _mapped(function: ca.Function, n: int) -> Expr:
     return function.map(n)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -19,7 +20,7 @@ class Signal(Protocol):
         ...
 
 
-def active(time: Array, start: float, length: float | None) -> Any:
+def active(time: Array, start: float, length: float | None) -> npt.NDArray[np.bool_]:
     """Mask (N,) of the times inside [start, start + length); no length means until the end."""
     mask = time >= start - 1e-9
     return mask if length is None else mask & (time < start + length - 1e-9)
