@@ -12,11 +12,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal, TypedDict, Unpack
+
+import numpy.typing as npt
 
 from greybox.model.clock import DELAYS
 from greybox.model.flow import Flow, Remembered
-from greybox.model.parameter import Parameter
+from greybox.model.parameter import Parameter, Scope
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
@@ -53,8 +55,8 @@ class ReferenceCase:
     """
 
     parameters: Mapping[str, float]
-    flow: Mapping[str, Any]
-    expected: Mapping[str, Any]
+    flow: Mapping[str, npt.ArrayLike]
+    expected: Mapping[str, npt.ArrayLike]
     working: str
 
 
@@ -159,16 +161,32 @@ class Effect(ABC):
         return f"<effect {self.name}>"
 
 
-def _fact(vehicle: Vehicle | None, dotted: str) -> Any:
+def _fact(vehicle: Vehicle | None, dotted: str) -> object:
     """A fact of the vehicle by its dotted name, None where it is not stated."""
-    fact: Any = vehicle
+    fact: object = vehicle
     for part in dotted.split("."):
         fact = getattr(fact, part, None)
     return fact
 
 
+class Declaration(TypedDict, total=False):
+    """What else `Parameter` takes, alike for all axes."""
+
+    lower: float
+    upper: float
+    sigma: float
+    possible: float
+    scope: Scope
+
+
 def vector_parameters(
-    prefix: str, axes: str, *, unit: str, scale: float, meaning: str, **declaration: Any
+    prefix: str,
+    axes: str,
+    *,
+    unit: str,
+    scale: float,
+    meaning: str,
+    **declaration: Unpack[Declaration],
 ) -> tuple[Parameter, ...]:
     """One parameter per letter of `axes`, named prefix + letter, all declared alike with null and
     nominal 0."""

@@ -6,7 +6,6 @@ from __future__ import annotations
 import re
 import traceback
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -86,7 +85,7 @@ def failed(doing: str, error: Exception, path: str) -> ModelError:
     )
 
 
-def _check_parameters(declared: Any, say: str, where: str) -> None:
+def _check_parameters(declared: object, say: str, where: str) -> None:
     if not (
         isinstance(declared, tuple) and declared and all(isinstance(d, Parameter) for d in declared)
     ):

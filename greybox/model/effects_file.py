@@ -14,7 +14,6 @@ import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from greybox.errors import FileFormatError, ModelError
 from greybox.model.effect import Effect, EffectSource
@@ -43,13 +42,17 @@ def load_effects(path: str | os.PathLike[str]) -> tuple[Effect, ...]:
     return _from_text(text, str(path))
 
 
-def own_effects(effects: Iterable[Effect]) -> dict[str, Any]:
+OwnEffect = dict[str, str | list[str] | None]
+"""What a model file says of an effect that is not in the catalogue: file, sha256, references."""
+
+
+def own_effects(effects: Iterable[Effect]) -> dict[str, OwnEffect]:
     """What a model file says of the effects that are not in the catalogue: name -> file, sha256 and
     references.
 
     File and sha256 are null for an effect of the caller's own code.
     """
-    out = {}
+    out: dict[str, OwnEffect] = {}
     for effect in effects:
         if not any(type(effect) is type(known) for known in CATALOGUE):
             source = effect.source
@@ -62,7 +65,7 @@ def own_effects(effects: Iterable[Effect]) -> dict[str, Any]:
 
 
 def effects_of(
-    names: Iterable[str], own: Mapping[str, Any], given: Iterable[Effect], *, where: str
+    names: Iterable[str], own: Mapping[str, OwnEffect], given: Iterable[Effect], *, where: str
 ) -> tuple[Effect, ...]:
     """The effects of a model file by name, those under `own` (see `own_effects`) from the `given`
     ones.

@@ -14,6 +14,7 @@ from typing import Any
 import casadi as ca
 
 from greybox.errors import FileFormatError, ModelError
+from greybox.files import Json, Parsed
 from greybox.symbolic import Expr
 
 LONGEST = 1_000_000
@@ -28,7 +29,7 @@ def _codes() -> Mapping[str, int]:
     return {n.removeprefix("OP_"): int(getattr(ca, n)) for n in names}
 
 
-def write_function(function: ca.Function) -> dict[str, Any]:
+def write_function(function: ca.Function) -> dict[str, Json]:
     """Plain values of an SX function: shapes of arguments and results, and one row per operation.
 
     A row is [name, result slot, arguments...]: slots, or argument number and entry (INPUT), result
@@ -42,7 +43,7 @@ def write_function(function: ca.Function) -> dict[str, Any]:
             got=function.class_name(),
         )
     names = {code: name for name, code in _codes().items()}
-    rows: list[list[Any]] = []
+    rows: list[list[str | float]] = []
     for k in range(function.n_instructions()):
         name = names[function.instruction_id(k)]
         put = [int(i) for i in function.instruction_output(k)]
@@ -69,7 +70,7 @@ def _triplet(sparsity: ca.Sparsity) -> tuple[list[int], list[int]]:
     return rows, columns
 
 
-def read_function(name: str, values: Mapping[str, Any]) -> ca.Function:
+def read_function(name: str, values: Parsed) -> ca.Function:
     """The function that `write_function` wrote. Raises `FileFormatError` for anything else."""
     try:
         if len(values["operations"]) > LONGEST:
@@ -96,7 +97,7 @@ def read_function(name: str, values: Mapping[str, Any]) -> ca.Function:
 
 
 def _apply(
-    row: Any, entries: Sequence[Expr], results: Sequence[Expr], work: dict[int, Expr]
+    row: Sequence[Any], entries: Sequence[Expr], results: Sequence[Expr], work: dict[int, Expr]
 ) -> None:
     """One operation: slots in `work`, symbols in `entries`, what comes out in `results`."""
     name, *rest = row

@@ -15,13 +15,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from greybox.distribution import VERSION
 from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
-from greybox.files import checksum, read_json, write_json
+from greybox.files import Json, Parsed, checksum, read_json, write_json
 from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.effect import Effect
 from greybox.model.effective_lag import EffectiveLag, effective_lag
@@ -200,7 +199,7 @@ class IdentifiedModel(Shown):
         """A copy with some values changed, which nobody has judged."""
         return replace(self, values=self.values.replace(changes), verdict=None)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values of the model file. Raises `ModelError` for other than catalogue parts."""
         augmented = self.dynamics if isinstance(self.dynamics, Augmented) else None
         physics = self.dynamics if augmented is None else augmented.core
@@ -213,7 +212,7 @@ class IdentifiedModel(Shown):
                 got=type(physics).__name__,
                 fix="write it as a StateSpaceModel, or keep its Python code and save its values",
             )
-        body = {
+        body: dict[str, Json] = {
             "schema": SCHEMA,
             "kind": "own" if isinstance(physics, StateSpaceModel) else "physics",
             "name": self.name,
@@ -278,7 +277,7 @@ class IdentifiedModel(Shown):
 
     @staticmethod
     def from_dict(
-        data: Mapping[str, Any],
+        data: Parsed,
         *,
         where: str = "model",
         effects: Iterable[Effect] = (),
@@ -311,7 +310,7 @@ class IdentifiedModel(Shown):
         return model
 
 
-def _check_file(data: Mapping[str, Any], where: str) -> None:
+def _check_file(data: Parsed, where: str) -> None:
     """Raises `FileFormatError` for another kind of model, or a file that was changed."""
     if data.get("kind") == "hybrid":
         raise FileFormatError(
@@ -333,9 +332,7 @@ def _check_file(data: Mapping[str, Any], where: str) -> None:
         )
 
 
-def _identified_from_dict(
-    data: Mapping[str, Any], dynamics: Dynamics, where: str
-) -> IdentifiedModel:
+def _identified_from_dict(data: Parsed, dynamics: Dynamics, where: str) -> IdentifiedModel:
     """The numbers of a file with their `dynamics`."""
     return IdentifiedModel(
         dynamics=dynamics,
@@ -369,16 +366,16 @@ def _identified_from_dict(
     )
 
 
-def _demand_sample(data: Mapping[str, Any], key: str) -> None:
+def _demand_sample(data: Parsed, key: str) -> None:
     if not SHORTEST_SAMPLE <= float(data[key]) < np.inf:
         raise ValueError(f"{key} is {float(data[key]):g} s")
 
 
-def _considered_to_dict(model: IdentifiedModel) -> dict[str, Any]:
+def _considered_to_dict(model: IdentifiedModel) -> dict[str, Json]:
     return {n: {"std": s, "moves": dict(by)} for n, (s, by) in model.considered.items()}
 
 
-def _core_to_dict(core: PhysicsModel | StateSpaceModel) -> dict[str, Any]:
+def _core_to_dict(core: PhysicsModel | StateSpaceModel) -> dict[str, Json]:
     """What the innermost model is built from."""
     if isinstance(core, StateSpaceModel):
         return {"own": own_to_dict(core)}
@@ -395,7 +392,7 @@ def _core_to_dict(core: PhysicsModel | StateSpaceModel) -> dict[str, Any]:
 
 
 def _physics_from_dict(
-    data: Mapping[str, Any], effects: Iterable[Effect], sensors: Iterable[Sensor], where: str
+    data: Parsed, effects: Iterable[Effect], sensors: Iterable[Sensor], where: str
 ) -> PhysicsModel:
     """The model of a vehicle that a file describes; `effects` and `sensors` as in `load`."""
     _demand_sample(data, "model_sample_time")
@@ -412,7 +409,7 @@ def _physics_from_dict(
     )
 
 
-def _noise_parts(data: Mapping[str, Any]) -> list[NoisePart]:
+def _noise_parts(data: Parsed) -> list[NoisePart]:
     """The noise that is correlated in time; earlier files named the groups of disturbances and one
     time of all of them."""
     if "noise_parts" in data:

@@ -10,18 +10,21 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 import scipy.linalg as sla
 
 from greybox.errors import FileFormatError, ModelError
-from greybox.files import checksum, read_json, to_plain, write_json
+from greybox.files import Json, Parsed, checksum, read_json, to_plain, write_json
 from greybox.model.matrices import Matrices, spectral_radius
 from greybox.model.parameter import Parameter
 from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, sum_of
+
+if TYPE_CHECKING:
+    import control
 
 SCHEMA = "greybox.linear_model/1"
 LONGEST_DELAY = 10_000
@@ -261,7 +264,7 @@ class LinearModel(Shown):
         nothing is added to it."""
         return 1e-3 * self.noise_scale(self.dt)
 
-    def to_control(self, *, include_delays: bool = False) -> Any:
+    def to_control(self, *, include_delays: bool = False) -> control.StateSpace:
         """`control.StateSpace` from u to y (deviations from the operating point), with names and
         dt.
 
@@ -291,7 +294,7 @@ class LinearModel(Shown):
 
     @staticmethod
     def from_control(
-        system: Any,
+        system: control.StateSpace,
         *,
         gain: FloatArray | None = None,
         noise: FloatArray | None = None,
@@ -325,9 +328,9 @@ class LinearModel(Shown):
             outputs=Layout([Signal(name=n, unit="1") for n in system.output_labels]),
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain JSON value with schema and checksum."""
-        body: dict[str, Any] = {
+        body: dict[str, object] = {
             "schema": SCHEMA,
             "name": self.name,
             "comment": self.comment,
@@ -340,11 +343,11 @@ class LinearModel(Shown):
             **dict(zip("ABCDK", self.matrices)),
             "Lambda": self.noise,
         }
-        plain: dict[str, Any] = to_plain(body)
+        plain: dict[str, Json] = to_plain(body)
         return {**plain, "checksum": checksum(plain)}
 
     @staticmethod
-    def from_dict(value: Mapping[str, Any], *, where: str = "model") -> LinearModel:
+    def from_dict(value: Parsed, *, where: str = "model") -> LinearModel:
         """The inverse of `to_dict`. Raises `FileFormatError` for missing fields or a wrong
         checksum."""
         body = {k: v for k, v in value.items() if k != "checksum"}

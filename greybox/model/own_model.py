@@ -14,11 +14,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import casadi as ca
 
 from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
+from greybox.files import Json, Parsed
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.effect_check import failed
 from greybox.model.expressions import read_function, write_function
@@ -104,14 +104,14 @@ def _module(path: str) -> ModuleType:
     return module
 
 
-def own_to_dict(model: StateSpaceModel) -> dict[str, Any]:
+def own_to_dict(model: StateSpaceModel) -> dict[str, Json]:
     """Declarations and equations of the model as plain values."""
     t, x, u, p = _symbols(model)
     equations = (model.f(t, x, u, p), model.h(t, x, u, p))
     return {
         "name": model.name,
         **{part: [vars(s) for s in getattr(model, part)] for part in LAYOUTS},
-        "parameters": [_plain(asdict(d)) for d in model.parameters],
+        "parameters": [_plain(d) for d in model.parameters],
         **{
             part: write_function(ca.Function(part, [t, x, u, p], [value]))
             for part, value in zip(PARTS, equations, strict=True)
@@ -132,12 +132,14 @@ def _symbols(model: StateSpaceModel) -> tuple[Expr, Expr, Expr, Expr]:
     )
 
 
-def _plain(declaration: Mapping[str, Any]) -> dict[str, Any]:
+def _plain(declaration: Parameter) -> dict[str, Json]:
     """Without what is not finite, which JSON does not have and is the default."""
-    return {k: v for k, v in declaration.items() if not isinstance(v, float) or math.isfinite(v)}
+    return {
+        k: v for k, v in asdict(declaration).items() if not isinstance(v, float) or math.isfinite(v)
+    }
 
 
-def own_from_dict(data: Mapping[str, Any], *, where: str = "model") -> StateSpaceModel:
+def own_from_dict(data: Parsed, *, where: str = "model") -> StateSpaceModel:
     """The model of a file. Raises `FileFormatError` for what `own_to_dict` did not write."""
     try:
         parameters = tuple(Parameter(**d) for d in data["parameters"])
@@ -172,15 +174,16 @@ def own_from_dict(data: Mapping[str, Any], *, where: str = "model") -> StateSpac
         ) from None
 
 
-def _numbers(values: Mapping[str, Any] | None) -> dict[str, float] | None:
+def _numbers(values: Parsed | None) -> dict[str, float] | None:
     return None if values is None else {str(k): float(v) for k, v in values.items()}
 
 
-def _called(function: Any, names: list[str]) -> Callable[..., Expr]:
+def _called(function: ca.Function, names: list[str]) -> Callable[..., Expr]:
     """The function of a file as the user's own was: (t, x, u, p by name) -> vector."""
 
     def value(t: Expr, x: Expr, u: Expr, p: Mapping[str, Expr]) -> Expr:
-        return function(t, x, u, ca.vertcat(*(p[n] for n in names)))
+        out: Expr = function(t, x, u, ca.vertcat(*(p[n] for n in names)))
+        return out
 
     return value
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 from greybox.errors import UnknownNameError, VehicleError
 
@@ -32,7 +31,7 @@ class TomlTable:
         self.file, self.path = file, path
         if not isinstance(value, Mapping):
             raise self.error("", "a table is needed here", got=describe(value))
-        self.value: Mapping[str, Any] = value
+        self.value: Mapping[str, object] = value
 
     def place(self, key: str) -> str:
         """File and dotted key."""
@@ -54,7 +53,7 @@ class TomlTable:
             if key not in allowed:
                 raise UnknownNameError("key", key, allowed, where=self.place(""))
 
-    def get(self, key: str, default: object = _ABSENT) -> Any:
+    def get(self, key: str, default: object = _ABSENT) -> object:
         """The raw value; `VehicleError` where it is missing and there is no default."""
         if key in self.value:
             return self.value[key]
@@ -141,7 +140,7 @@ class TomlTable:
             )
         return value
 
-    def array(self, key: str, length: int | None, default: object = _ABSENT) -> list[Any]:
+    def array(self, key: str, length: int | None, default: object = _ABSENT) -> list[object]:
         """An array, of `length` entries unless None."""
         value = self.get(key, default)
         wanted = "an array" if length is None else f"an array of {length}"

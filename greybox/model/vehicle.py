@@ -13,17 +13,17 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from greybox.data.readers.by_channel import by_group, is_by_channel
 from greybox.data.readers.mapping import LogMapping, mapping_of
 from greybox.errors import DataError, OldFormWarning, UnknownNameError, VehicleError
-from greybox.files import read_toml
+from greybox.files import Json, Parsed, read_toml
 from greybox.frames import GRAVITY
 from greybox.model.beliefs import Belief, Beliefs, Why, default_sigma
 from greybox.model.toml_table import TomlTable, describe
@@ -125,10 +125,10 @@ class Vehicle(Shown):
         for key in ("effects", "noise"):
             object.__setattr__(self, key, MappingProxyType(dict(getattr(self, key))))
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, Json]:
         return self.to_dict()
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: Parsed) -> None:
         self.__dict__.update(Vehicle.from_dict(state).__dict__)
 
     def __hash__(self) -> int:
@@ -204,11 +204,11 @@ class Vehicle(Shown):
         why: Why = "exact" if quantity.exact else "default" if name in self.assumed else "stated"
         return Belief(quantity=name, value=quantity.value, sigma=quantity.sigma, why=why)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """The vehicle as plain values in the shape of its TOML file; `from_dict` reads it back
         exactly."""
         bare = self.schema == EXACT_SCHEMA  # where a number without sigma is exact
-        actuator: dict[str, Any] = {
+        actuator: dict[str, Json] = {
             "u_min": self.actuator.u_min,
             "u_max": self.actuator.u_max,
             "hold": self.actuator.hold,
@@ -219,7 +219,7 @@ class Vehicle(Shown):
         for key in ("thrust", "torque"):
             actuator[key] = [q.value for q in getattr(self.actuator, key)]
             actuator[f"{key}_sigma"] = [q.sigma for q in getattr(self.actuator, key)]
-        out: dict[str, Any] = {
+        out: dict[str, Json] = {
             "schema": self.schema,
             "name": self.name,
             "gravity": self.gravity,
@@ -243,7 +243,7 @@ class Vehicle(Shown):
         return out
 
     @staticmethod
-    def from_dict(value: Mapping[str, Any], *, where: str = "vehicle") -> Vehicle:
+    def from_dict(value: Parsed, *, where: str = "vehicle") -> Vehicle:
         """Build and check a vehicle from the values of its file. `where` names the file in errors.
 
         Raises `VehicleError` (or `UnknownNameError` for an unknown key, with the nearest names).
@@ -276,7 +276,7 @@ def columns_by_channel(path: str | os.PathLike[str]) -> bool:
     return _by_channel(read_toml(path, what="vehicle file", error=VehicleError))
 
 
-def _by_channel(data: Mapping[str, Any]) -> bool:
+def _by_channel(data: Parsed) -> bool:
     columns = data.get("columns")
     return isinstance(columns, Mapping) and is_by_channel(columns)
 
@@ -329,7 +329,11 @@ def _quantity(table: TomlTable, key: str, value: object, name: str, silent: _Sil
 
 
 def _quantities(
-    table: TomlTable, key: str, names: tuple[str, str, str], silent: _Silent, default: Any = None
+    table: TomlTable,
+    key: str,
+    names: tuple[str, str, str],
+    silent: _Silent,
+    default: Sequence[float] | None = None,
 ) -> Quantity3:
     """Three numbers with sigmas, from `key` (numbers or value-sigma tables) and the optional
     `key_sigma`."""
@@ -366,7 +370,7 @@ def _sigmas(table: TomlTable, key: str) -> Vector3:
     return values[0], values[1], values[2]
 
 
-def _vector(table: TomlTable, key: str, default: Any = None) -> Vector3:
+def _vector(table: TomlTable, key: str, default: Sequence[float] | None = None) -> Vector3:
     x, y, z = table.numbers(key, 3) if default is None else table.numbers(key, 3, default)
     return x, y, z
 

@@ -20,7 +20,6 @@ import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from greybox.data.raw import FloatArray, RawLog
 from greybox.data.readers.px4 import signal_of_thrust
 from greybox.data.readers.recording import Recording
 from greybox.errors import DataError
+from greybox.files import Parsed
 from greybox.frames import GRAVITY
 from greybox.model.vehicle import Vehicle
 from greybox.model.vehicle_template import vehicle_text, written
@@ -84,9 +84,7 @@ class FromLog:
     to_measure: tuple[str, ...]
 
 
-def vehicle_from_log(
-    path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None
-) -> FromLog:
+def vehicle_from_log(path: str | os.PathLike[str], changes: Parsed | None = None) -> FromLog:
     """A vehicle file for the craft that wrote this log; `changes` are those of `vehicle_text`
     (mass, arm, hover, ...).
 

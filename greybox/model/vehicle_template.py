@@ -22,6 +22,8 @@ TEMPLATES = ("crazyflie", "racer250", "duckiedrone", "x", "plus")
 SIZED = ("x", "plus")
 """Templates whose inertia and maps follow mass and arm."""
 AXES = "xyz"
+Tree = dict[str, Any]
+"""A parsed template, which is changed in place: its keys are known, as it comes along."""
 SIZES = ("mass", "arm", "hover")
 _TABLE = re.compile(r"^\s*(\[\[?)\s*([^\]]+?)\s*\]\]?")
 _KEY = re.compile(r"^(\s*)([A-Za-z_]\w*)(\s*=\s*)")
@@ -34,10 +36,10 @@ def template_text(name: str) -> str:
     return files("greybox").joinpath(f"templates/{name}.toml").read_text(encoding="utf-8")
 
 
-def settings(pairs: list[str]) -> dict[str, Any]:
+def settings(pairs: list[str]) -> dict[str, object]:
     """KEY=VALUE texts as names and TOML values (what is no TOML value is a text). Raises
     `VehicleError`."""
-    out: dict[str, Any] = {}
+    out: dict[str, object] = {}
     for pair in pairs:
         key, sign, text = pair.partition("=")
         if not sign or not key.strip():
@@ -55,7 +57,7 @@ def settings(pairs: list[str]) -> dict[str, Any]:
     return out
 
 
-def vehicle_text(name: str, changes: Mapping[str, Any]) -> str:
+def vehicle_text(name: str, changes: Mapping[str, object]) -> str:
     """The file of template `name` with `changes`, checked by the vehicle reader.
 
     Keys: `mass`, `inertia.xx`, `thrust.c2`, `torque.c0`, `center_of_mass.x`, each also with
@@ -91,9 +93,7 @@ def _positive(key: str, value: object) -> float:
     return float(value)
 
 
-def _resize(
-    name: str, data: dict[str, Any], sizes: Mapping[str, float], notes: dict[str, str]
-) -> None:
+def _resize(name: str, data: Tree, sizes: Mapping[str, float], notes: dict[str, str]) -> None:
     """Apply mass, arm and hover to the parsed file, and to what follows from them."""
     actuator = data["actuator"]
     mass, sigma = data["mass"]["value"], data["mass"]["sigma"]
@@ -138,13 +138,13 @@ def _resize(
         )
 
 
-def _arm(data: Mapping[str, Any]) -> float:
+def _arm(data: Tree) -> float:
     """Longest arm [m] of a parsed file."""
     return max(float(np.hypot(*r["position"][:2])) for r in data["rotor"])
 
 
 def _scale(
-    table: dict[str, Any],
+    table: Tree,
     key: str,
     factor: float,
     notes: dict[str, str],
@@ -157,7 +157,7 @@ def _scale(
         notes[prefix + k] = note
 
 
-def _assign(data: dict[str, Any], key: str, value: object, notes: dict[str, str]) -> None:
+def _assign(data: Tree, key: str, value: object, notes: dict[str, str]) -> None:
     """Set one key that is no size. Parameter names first, then keys of the file."""
     wants_sigma = key.endswith(".sigma")
     base = key.removesuffix(".sigma")
@@ -229,7 +229,7 @@ def _number(key: str, value: object) -> float:
     return float(value)
 
 
-def _keys(data: Mapping[str, Any], prefix: str = "") -> list[str]:
+def _keys(data: Tree, prefix: str = "") -> list[str]:
     return [
         k
         for n, v in data.items()
@@ -241,7 +241,7 @@ def _round(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def _value_at(data: dict[str, Any], place: str) -> Any:
+def _value_at(data: Tree, place: str) -> object:
     value: Any = data
     for part in place.split("."):
         match = re.fullmatch(r"(\w+)\[(\d+)\]", part)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+
+from greybox.files import Json, Parsed
 
 NOT_JUDGED = (
     "NOT JUDGED: this model was not compared with holding the last value; `greybox validate` does"
@@ -81,7 +81,7 @@ class Verdict:
         """0 usable, partly judged or too calm to tell, 1 not usable."""
         return 1 if self.refused else 0
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values under the names of the fields; null for a number that is not finite."""
         fields = asdict(self)
         return {
@@ -98,7 +98,7 @@ class Verdict:
         }
 
     @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> Verdict:
+    def from_dict(data: Parsed) -> Verdict:
         """The verdict of a file. Raises `KeyError`, `TypeError` or `ValueError` for one that is
         incomplete."""
         return Verdict(

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
-from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_parameters
+from greybox.model.effect import Declaration, Effect, Flow, Needs, ReferenceCase, vector_parameters
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
@@ -55,15 +54,15 @@ class SteadyWind(Effect):
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """w_x, w_y, w_z [m/s] world; scope flight."""
-        every: dict[str, Any] = {
-            "unit": "m/s",
-            "meaning": "wind",
-            "scope": "flight",
-            "lower": -30.0,
-            "upper": 30.0,
-        }
-        along = vector_parameters("w_", "xy", scale=BREEZE, **every)
-        return (*along, *vector_parameters("w_", "z", scale=BREEZE * RISES, **every))
+        every: Declaration = {"scope": "flight", "lower": -30.0, "upper": 30.0}
+        axes = (("xy", BREEZE), ("z", BREEZE * RISES))
+        return tuple(
+            parameter
+            for letters, scale in axes
+            for parameter in vector_parameters(
+                "w_", letters, unit="m/s", meaning="wind", scale=scale, **every
+            )
+        )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Winds add; the model knows the total before it asks for any airspeed."""

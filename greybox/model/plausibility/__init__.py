@@ -4,10 +4,10 @@ explain it."""
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from greybox.files import Json
 from greybox.model.beliefs import Beliefs
 from greybox.model.effects import CATALOGUE
 from greybox.model.plausibility import judges
@@ -57,7 +57,7 @@ class Plausibility(Shown):
             return [asdict(f) for f in self.findings]
         return [{"figure": name, "value": value} for name, value in self.figures.items()]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """The content of `greybox vehicle check --json` (schema "greybox.vehicle_check/1")."""
         return {
             "schema": SCHEMA,

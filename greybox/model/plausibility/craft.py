@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -18,6 +18,7 @@ from greybox.symbolic import FloatArray
 AIR = 1.225
 """Density of air at sea level [kg/m^3]."""
 
+Nu = TypeVar("Nu", float, FloatArray)
 FIGURES = (
     "mass",
     "arm_length",
@@ -60,7 +61,7 @@ class Craft:
         values = (self.m, self.L, ratio, self.hover, self.lever, self.tip, self.coefficient)
         self.figures: dict[str, float | None] = dict(zip(FIGURES, values, strict=True))
 
-    def polynomial(self, kind: str, nu: Any) -> Any:
+    def polynomial(self, kind: str, nu: Nu) -> Nu:
         """Thrust or torque of one rotor at normalised speed."""
         return sum(q.value * nu**k for k, q in enumerate(getattr(self.vehicle.actuator, kind)))
 
