@@ -11,12 +11,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from greybox.data.raw import FloatArray
 from greybox.data.readers.mapping import SCHEMA, TIME_UNITS, mapping_text
+from greybox.files import Json
 from greybox.frames import GRAVITY
 
 _AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
@@ -161,7 +161,7 @@ def guess_time(columns: Mapping[str, FloatArray]) -> tuple[str, str] | None:
 
 def draft(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
     """A mapping file (docs/logs.md) that says what was guessed, to be looked over."""
-    content: dict[str, Any] = {"schema": SCHEMA}
+    content: dict[str, Json] = {"schema": SCHEMA}
     if time is not None:
         content["time"] = {"field": time[0], "unit": time[1]}
     for g in guesses:

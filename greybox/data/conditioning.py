@@ -7,7 +7,7 @@ holds until the next one. A longer gap ends the segment.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,14 +18,15 @@ from greybox.data.channel import command_names, group_names
 from greybox.data.clock import Clock, backward_rows, read_clock
 from greybox.data.dataset import Flight
 from greybox.data.drive import drive_names
-from greybox.data.raw import RawLog
+from greybox.data.raw import Column, RawLog
 from greybox.data.resampling import AVERAGE_FROM, averaged, continuous_signs, held, interpolated
 from greybox.data.segment import Segment
 from greybox.errors import DataError
 from greybox.runs import runs
 
 FloatArray = npt.NDArray[np.float64]
-Columns = dict[str, npt.NDArray[Any]]
+Columns = dict[str, Column]
+Kind = TypeVar("Kind", bound=np.generic)
 
 MAX_GAP = 0.1
 """Longest stretch without samples inside a segment [s]."""
@@ -166,7 +167,7 @@ def _placed(part: Part, slots: npt.NDArray[np.int64], dt: float, flight: str) ->
     ]
 
 
-def _scatter(values: npt.NDArray[Any], slots: npt.NDArray[np.int64], n: int) -> npt.NDArray[Any]:
+def _scatter(values: npt.NDArray[Kind], slots: npt.NDArray[np.int64], n: int) -> npt.NDArray[Kind]:
     out = np.full(n, np.nan if values.dtype.kind == "f" else "", dtype=values.dtype)
     out[slots] = values
     return out

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +15,7 @@ from greybox.data.fitness import unfit
 from greybox.data.logs import mapping_for
 from greybox.data.logs.canonical import to_channels
 from greybox.data.logs.table import Table
-from greybox.data.raw import RawLog
+from greybox.data.raw import RawLog, is_numeric
 from greybox.data.readers import LogFormat, LogMapping, Recording, format_of, read_recording
 from greybox.data.readers.assemble import (
     assemble,
@@ -30,6 +29,7 @@ from greybox.data.readers.mapping import TABLE
 from greybox.data.readers.recording import Source, Stream
 from greybox.data.resampling import STRETCH
 from greybox.errors import GreyboxError
+from greybox.files import Json
 from greybox.shown import Cell, Shown
 
 SCHEMA = "greybox.inspect/1"
@@ -149,7 +149,7 @@ class Inspection(Shown):
             if m.group not in seen
         ]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values (schema "greybox.inspect/1")."""
         return {
             "schema": SCHEMA,
@@ -262,7 +262,7 @@ def _recording_of(table: Table, said: LogMapping, where: str) -> Recording:
         return stream_of_table(table, said, where=where)
     except GreyboxError:
         empty: npt.NDArray[np.float64] = np.full(table.rows.size, np.nan)
-        numbers = {k: v for k, v in table.columns.items() if v.dtype.kind == "f"}
+        numbers = {k: v for k, v in table.columns.items() if is_numeric(v)}
         text = tuple(k for k in table.columns if k not in numbers)
         stream = Stream(
             name=TABLE,
@@ -335,7 +335,7 @@ def _missing(groups: tuple[ChannelGroup, ...], form: LogFormat) -> list[MissingG
     return out
 
 
-def stream_facts(stream: Stream) -> dict[str, Any]:
+def stream_facts(stream: Stream) -> dict[str, Json]:
     """Samples, rate [Hz], span [s], jitter, gaps and fields of a stream."""
     t = stream.t[np.isfinite(stream.t)]
     steps = np.diff(t)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,14 @@ import numpy.typing as npt
 from greybox.errors import DataError
 
 FloatArray = npt.NDArray[np.float64]
+Column = npt.NDArray[np.generic]
+"""A column of a log as it came: numbers, or text."""
+
+
+def is_numeric(column: Column) -> TypeGuard[FloatArray]:
+    """Whether a column holds numbers."""
+    return column.dtype.kind == "f"
+
 
 LARGEST = float(np.finfo(np.float32).max)
 """No sensor writes more; the square of more than its square overflows."""
@@ -51,7 +59,7 @@ class RawLog:
 
     t: FloatArray
     channels: Mapping[str, FloatArray]
-    extra: Mapping[str, npt.NDArray[Any]]
+    extra: Mapping[str, Column]
     rows: npt.NDArray[np.int64]
     flight: str
     source: str

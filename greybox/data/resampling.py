@@ -7,12 +7,13 @@ interval in which the sample is held).
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+Kind = TypeVar("Kind", bound=np.generic)
 
 STRETCH = 2.5
 """Nothing is interpolated over a step longer than this many sample times of the log."""
@@ -52,7 +53,7 @@ def _nearest(t: FloatArray, values: FloatArray, grid: FloatArray) -> FloatArray:
     return out
 
 
-def held(t: FloatArray, values: npt.NDArray[Any], grid: FloatArray) -> npt.NDArray[Any]:
+def held(t: FloatArray, values: npt.NDArray[Kind], grid: FloatArray) -> npt.NDArray[Kind]:
     """The last value at or before each grid point, (M,)."""
     return values[np.clip(np.searchsorted(t, grid, side="right") - 1, 0, t.size - 1)]
 

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from greybox.data.raw import Column, is_numeric
 from greybox.errors import DataError, UnknownNameError
 from greybox.shown import Cell, Shown
 
@@ -52,7 +52,7 @@ class Segment(Shown):
     t: FloatArray
     channels: Mapping[str, FloatArray]
     flight: str = "flight"
-    extra: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+    extra: Mapping[str, Column] = field(default_factory=dict)
     earlier: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -84,9 +84,9 @@ class Segment(Shown):
                 raise DataError(
                     f"channel {name} has an infinite value", where=f"flight {self.flight}"
                 )
-        extra = {}
-        for name, values in self.extra.items():
-            array = np.array(values)
+        extra: dict[str, Column] = {}
+        for name, column in self.extra.items():
+            array = np.array(column)
             if array.shape != (n,):
                 raise DataError(
                     f"extra column {name} has shape {array.shape}", where=f"flight {self.flight}"
@@ -103,7 +103,7 @@ class Segment(Shown):
         object.__setattr__(self, "channels", MappingProxyType(channels))
         object.__setattr__(self, "extra", MappingProxyType(extra))
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         return {
             "t": self.t,
             "channels": dict(self.channels),
@@ -112,7 +112,7 @@ class Segment(Shown):
             "earlier": dict(self.earlier),
         }
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         for name, value in ({"earlier": {}} | state).items():
             object.__setattr__(self, name, value)
         self.__post_init__()
@@ -164,8 +164,9 @@ class Segment(Shown):
         """One channel (or numeric extra column), (N,), read-only. Raises `UnknownNameError`."""
         if name in self.channels:
             return self.channels[name]
-        if name in self.extra and self.extra[name].dtype.kind == "f":
-            return self.extra[name]
+        other = self.extra.get(name)
+        if other is not None and is_numeric(other):
+            return other
         raise UnknownNameError(
             "channel", name, [*self.channels, *self.extra], where=f"flight {self.flight}"
         )

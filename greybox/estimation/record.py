@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data import Dataset, Segment
+from greybox.data.raw import is_numeric
 from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
 from greybox.estimation.channel_pattern import Pattern, pattern_of
@@ -119,9 +120,7 @@ def make_record(engine: Engine, segment: Segment, start_seconds: float = START_S
     kinds = np.where(mask, 1.0 + _after_lost(mask, u, dynamics.window[0])[:, None], 0.0)
     patterns, pattern = np.unique(kinds, axis=0, return_inverse=True)
     few = max(3, round(start_seconds / segment.dt))
-    numbers = {n: v for n, v in segment.extra.items() if v.dtype.kind == "f"} | dict(
-        segment.channels
-    )
+    numbers = {n: v for n, v in segment.extra.items() if is_numeric(v)} | dict(segment.channels)
     start = {n: v[:few] for n, v in numbers.items()}
     start["t"] = segment.t[:few]
     x0, sigma = dynamics.initial_state(start)

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypedDict, Unpack
+from typing import Literal, TypedDict, Unpack
 
 import numpy as np
 
 from greybox.errors import DataError, UnknownNameError
 from greybox.estimation.options import chosen, says_choices
+from greybox.files import Json
 from greybox.linear.order import OrderChoice, choose_order
 from greybox.linear.pem import Settings, Solution, Status
 from greybox.linear.records import Record, Scaling, prepare
@@ -392,10 +393,10 @@ def _layout(given: Sequence[str | Signal] | None, count: int, letter: str) -> La
     return Layout([g if isinstance(g, Signal) else Signal(name=g, unit="1") for g in given])
 
 
-def to_dict(fit: LinearFit) -> dict[str, Any]:
+def to_dict(fit: LinearFit) -> dict[str, Json]:
     """Plain values of a fit (schema greybox.linear_fit/1 is built on this by the command line)."""
     poles, limits = fit.uncertainty.poles(), fit.uncertainty.predictor_poles()
-    value: dict[str, Any] = {
+    value: dict[str, Json] = {
         "order": fit.order,
         "status": {
             "name": fit.status.name.lower(),
@@ -421,9 +422,9 @@ def to_dict(fit: LinearFit) -> dict[str, Any]:
             )
         ],
         "noise_model_zeros": _complex_rows(limits.value, limits.covariance),
-        "singular_values": fit.singular_values,
+        "singular_values": fit.singular_values.tolist(),
         "records": [
-            {"name": n, "x0": x0, "offset": offset}
+            {"name": n, "x0": x0.tolist(), "offset": offset.tolist()}
             for n, x0, offset in zip(fit.records, fit.x0, fit.offsets)
         ],
         "warnings": list(fit.warnings),

@@ -3,15 +3,16 @@ what they say in words."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
 from greybox.data.channel import rotor_speed_names
 from greybox.data.drive import LATE_SPEEDS
 from greybox.estimation.lag_and_gain import LagAndGain
+from greybox.files import Json
 from greybox.linear.logs import ChannelSpec
 from greybox.runs import runs
 from greybox.shown import Cell, Shown
@@ -161,11 +162,11 @@ class Pair:
             )
         yield f"the model is {inside}"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> PairDocument:
         """Plain values, as in frf.json."""
         low, high = self.magnitude_band
         phase, half = self.phase, self.phase_half
-        out: dict[str, Any] = {
+        out: PairDocument = {
             "input": self.input.name,
             "output": self.output.name,
             "unit": self.unit,
@@ -192,6 +193,45 @@ class Pair:
                 "outside": self.outside.tolist(),
             }
         return out
+
+
+class PairDocument(TypedDict):
+    """One pair of frf.json: arrays over frequency; its schema says more."""
+
+    input: str
+    output: str
+    unit: str
+    real: list[float]
+    imaginary: list[float]
+    radius: list[float]
+    magnitude: list[float]
+    magnitude_lower: list[float]
+    magnitude_upper: list[float]
+    phase_deg: list[float]
+    phase_lower_deg: list[float]
+    phase_upper_deg: list[float]
+    coherence: list[float]
+    usable: list[bool]
+    form: dict[str, Json] | None
+    model: dict[str, list[float]] | None
+    lines: list[str]
+
+
+class ResponseDocument(TypedDict):
+    """frf.json without the command."""
+
+    schema: str
+    line: str
+    measured: bool
+    model: str | None
+    sample_time: float
+    flights: dict[str, Json]
+    references: list[str]
+    frequency: list[float]
+    averages: list[float]
+    window: list[float]
+    pairs: list[PairDocument]
+    warnings: list[str]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -267,7 +307,7 @@ class FrequencyResponse(Shown):
                     "usable": bool(p.usable[k]),
                 }
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> ResponseDocument:
         """Plain values of frf.json (without the command)."""
         return {
             "schema": SCHEMA,
@@ -284,7 +324,7 @@ class FrequencyResponse(Shown):
             "warnings": list(self.warnings),
         }
 
-    def plot(self, pair: str | None = None, *, ax: Any = None) -> list[Axes]:
+    def plot(self, pair: str | None = None, *, ax: Sequence[Axes] | None = None) -> list[Axes]:
         """Magnitude and phase with their bands, and coherence, of one pair (the first one);
         matplotlib axes (three, where they are given)."""
         from greybox.plots import Curve, panels

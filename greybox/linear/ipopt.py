@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -25,7 +24,7 @@ from greybox.linear.pem import Nuisance, Settings, Solution, Status, minimise, n
 from greybox.linear.predictor import from_full_vector, full_vector
 from greybox.linear.records import Record
 from greybox.model.matrices import spectral_radius
-from greybox.symbolic import FloatArray
+from greybox.symbolic import Expr, FloatArray
 
 REACH = 3.0
 """How far IPOPT may go in one chart, in standard errors of each direction, before the coordinates
@@ -84,7 +83,8 @@ def _solved(
         begin = x0 if settings.free_start else ca.DM(nuisance.x0)
         shift = offset if settings.offsets else ca.DM(nuisance.offset)
         errors.append(_innovations(point, record, base + directions @ theta, begin, shift))
-    e, x = ca.horzcat(*errors), ca.vertcat(*unknowns)
+    e: Expr = ca.horzcat(*errors)
+    x: Expr = ca.vertcat(*unknowns)
     samples, size = e.shape[1], x.shape[0]
     noise = e @ e.T / samples
     jacobian = ca.jacobian(ca.vec(e), x)
@@ -97,7 +97,7 @@ def _solved(
         [x, ca.MX.sym("p", 0), factor, ca.MX.sym("lam_g", 0)],
         [2.0 * factor * ca.triu(jacobian.T @ weighted)],
     )
-    options: dict[str, Any] = {
+    options: dict[str, ca.Function | bool | str | int | float] = {
         "hess_lag": hessian,
         "print_time": False,
         "show_eval_warnings": False,
@@ -131,7 +131,7 @@ def _unit(information: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.sqrt(np.maximum(values, 1e-6 * values[-1])) / scale[:, None])
 
 
-def _innovations(point: Free, record: Record, vector: Any, x0: Any, offset: Any) -> Any:
+def _innovations(point: Free, record: Record, vector: Expr, x0: Expr, offset: Expr) -> Expr:
     """Innovations (p, N) as an expression of the full vector, the initial state and the output
     offset."""
     n, m, p = point.system.sizes

@@ -17,7 +17,7 @@ from greybox.data.channel import channel, is_canonical
 from greybox.data.conditioning import condition
 from greybox.data.dataset import Flight
 from greybox.data.logs import read_possible
-from greybox.data.raw import RawLog
+from greybox.data.raw import RawLog, is_numeric
 from greybox.data.readers import LogMapping
 from greybox.data.segment import Segment
 from greybox.errors import DataError, UnknownNameError
@@ -202,7 +202,7 @@ def with_columns(
             fix = NAMES_COLUMNS if is_canonical(name) and not named else None
             raise UnknownNameError("column", name, known, where=where, fix=fix)
         column = raw.extra[name]
-        if column.dtype.kind != "f":
+        if not is_numeric(column):
             raise DataError(
                 f"column '{name}' is not numeric", where=where, fix="leave missing cells empty"
             )

@@ -5,16 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.stats import trim_mean, wilcoxon
 
 from greybox.errors import DataError, GreyboxError
+from greybox.files import Json
 from greybox.linear.pem import evaluate, start_nuisances
 from greybox.linear.records import Record
 from greybox.linear.search import Found, Options, sweep
 from greybox.statistics.whiteness import hosking
+from greybox.symbolic import FloatArray
 
 CRITERIA = ("aic", "aicc", "bic")
 ONE_ERROR = 0.16
@@ -54,15 +55,15 @@ class OrderChoice:
     rows: tuple[OrderRow, ...]
     reasons: tuple[str, ...]
     found: dict[int, Found]
-    singular_values: np.ndarray
+    singular_values: FloatArray
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values, without the fits."""
         return {
             "order": self.order,
             "rule": self.rule,
             "reasons": list(self.reasons),
-            "singular_values": self.singular_values,
+            "singular_values": self.singular_values.tolist(),
             "table": [vars(r) for r in self.rows],
         }
 

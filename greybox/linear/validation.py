@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from greybox.errors import GreyboxError
+from greybox.files import Json
 from greybox.linear.fit import LinearFit, to_dict
 from greybox.linear.pole_profile import Interval
 from greybox.linear.prediction import adapt, k_step
@@ -61,7 +61,7 @@ class Identified:
     outputs: tuple[int, ...]
     intervals: tuple[Interval, ...] = ()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values for fit.json."""
         return {
             "name": self.fit.model.name,
@@ -221,7 +221,7 @@ def _log_det(errors: Sequence[FloatArray]) -> float:
     return float(np.linalg.slogdet(total.T @ total / len(total))[1])
 
 
-def _interval(i: Interval) -> dict[str, Any]:
+def _interval(i: Interval) -> dict[str, Json]:
     """Plain values; an open end is None."""
     ends = [float(v) if np.isfinite(v) else None for v in (i.lower, i.upper)]
     return {

@@ -5,9 +5,10 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 from greybox.data.checks.view import View
+from greybox.files import Json
 from greybox.shown import Cell, Shown
 
 Severity = Literal["info", "warning", "blocking"]
@@ -131,7 +132,7 @@ class CheckReport(Shown):
         """The median of the `drifts` [samples]; 0 without any."""
         return statistics.median(self.drifts) if self.drifts else 0.0
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values for the result file, schema "greybox.check/1"."""
         return {
             "schema": SCHEMA,

@@ -8,7 +8,7 @@ import numpy as np
 from greybox.data.airframe import Airframe
 from greybox.data.channel import TIME, canonical_names, group_names, is_canonical, rotor_index
 from greybox.data.logs.table import Table, flight_name, text_error
-from greybox.data.raw import LARGEST, FloatArray, RawLog
+from greybox.data.raw import LARGEST, FloatArray, RawLog, is_numeric
 from greybox.errors import DataError
 
 
@@ -91,7 +91,7 @@ def _driving(table: Table, rotors: int) -> set[str]:
         n
         for n in (*commands, *speeds)
         if n in table.columns
-        and not (table.columns[n].dtype.kind == "f" and np.isnan(table.columns[n]).all())
+        and not (is_numeric(column := table.columns[n]) and np.isnan(column).all())
     }
     return speeds if held.isdisjoint(commands) and speeds <= held else commands
 
@@ -112,9 +112,9 @@ def _absent(name: str, table: Table, where: str) -> DataError:
 
 def _values(table: Table, name: str, where: str) -> FloatArray:
     column = table.columns[name]
-    if column.dtype.kind != "f":
+    if not is_numeric(column):
         raise text_error(table, name, name)
-    values: FloatArray = column
+    values = column
     infinite = np.flatnonzero(np.abs(values) > LARGEST)
     if infinite.size:
         raise DataError(

@@ -11,13 +11,13 @@ import os
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from greybox.data.logs.table import Table
 from greybox.data.memory import allowance
+from greybox.data.raw import Column
 from greybox.errors import DataError
 
 _GZIP_MAGIC = b"\x1f\x8b"
@@ -144,7 +144,7 @@ def _header(line: str, where: str, row: int) -> list[str]:
     return header
 
 
-def _numeric(body: list[str], header: list[str]) -> dict[str, npt.NDArray[Any]] | None:
+def _numeric(body: list[str], header: list[str]) -> dict[str, Column] | None:
     """The fast path: every cell is a number. None where it is not."""
     try:
         values = np.loadtxt(
@@ -179,11 +179,11 @@ def _cells(
 
 def _careful(
     body: list[str], header: list[str], rows: npt.NDArray[np.int64], where: str
-) -> dict[str, npt.NDArray[Any]]:
+) -> dict[str, Column]:
     """The slow path: empty cells become NaN, a column with text stays text, a ragged row is an
     error."""
     columns = zip(*_cells(body, len(header), rows, where), strict=True)
-    out: dict[str, npt.NDArray[Any]] = {}
+    out: dict[str, Column] = {}
     for name, cells in zip(header, columns, strict=True):
         try:
             out[name] = np.array([c or "nan" for c in cells], dtype=np.float64)

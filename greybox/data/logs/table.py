@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from greybox.data.raw import Column
 from greybox.errors import DataError, printable
 
 
@@ -24,7 +24,7 @@ class Table:
     columns whose type says that they are times.
     """
 
-    columns: Mapping[str, npt.NDArray[Any]]
+    columns: Mapping[str, Column]
     rows: npt.NDArray[np.int64]
     source: str
     sha256: str
@@ -45,7 +45,7 @@ def text_error(table: Table, column: str, name: str) -> DataError:
     )
 
 
-def _first_text(table: Table, column: npt.NDArray[Any]) -> tuple[int, str]:
+def _first_text(table: Table, column: Column) -> tuple[int, str]:
     for row, cell in zip(table.rows, column, strict=True):
         try:
             float(str(cell) or "nan")

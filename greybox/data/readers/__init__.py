@@ -8,7 +8,6 @@ as CSV. Libraries of a format are imported when a file of it is read (the extra 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 from greybox.data.logs.table import Table
@@ -101,7 +100,7 @@ def read_recording(path: str | os.PathLike[str], mapping: LogMapping | None = No
     if one.recording is not None:
         return one.recording(Path(path))
     assert one.table is not None
-    table: Table = one.table(path)
+    table = one.table(path)
     found = stream_of_table(table, mapping or LogMapping(), where=where)
     return Recording(
         format=one.name,
@@ -126,6 +125,6 @@ def read_columns(
         mapping = read_mapping(mapping)
     one = format_of(path)
     if one.table is not None:
-        read: Callable[..., Table] = one.table
-        return in_channels(read(path), mapping) if mapping else read(path)
+        table = one.table(path)
+        return in_channels(table, mapping) if mapping else table
     return assemble(read_recording(path, mapping), mapping)

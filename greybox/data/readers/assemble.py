@@ -10,14 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from greybox.data.channel import GROUPS, group_names, is_canonical, rotor_index
 from greybox.data.logs.table import Table, text_error
-from greybox.data.raw import FloatArray
+from greybox.data.raw import Column, FloatArray, is_numeric
 from greybox.data.readers.mapping import TABLE, TIME_UNITS, LogMapping
 from greybox.data.readers.placing import at_rows, commands_at
 from greybox.data.readers.recording import UNITS, Recording, Source, Stream
@@ -57,7 +55,7 @@ may be in any unit unless its type says so."""
 def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recording:
     """A log that is one table, as a recording of one stream. Raises `DataError` where no column is
     the time."""
-    numbers = {k: v for k, v in table.columns.items() if v.dtype.kind == "f"}
+    numbers = {k: v for k, v in table.columns.items() if is_numeric(v)}
     called = {k.lower(): k for k in reversed(numbers)}
     named = mapping.time_field
     if named not in table.columns and "time" in mapping.optional:
@@ -295,7 +293,7 @@ class _Grid:
         self.rows = base.t - self.early
         known = self.rows[np.isfinite(self.rows)]
         self.zero = float(known[0]) if known.size else 0.0
-        self.columns: dict[str, npt.NDArray[Any]] = {"t": self.rows - self.zero}
+        self.columns: dict[str, Column] = {"t": self.rows - self.zero}
         self.notes = list(recording.notes)
         self.noncausal: set[str] = set()
         self.attitude: tuple[FloatArray, FloatArray] | None = None
@@ -459,7 +457,7 @@ def in_channels(table: Table, mapping: LogMapping) -> Table:
     if table.rows.size < 2:
         return table  # refused later, as one without a mapping
     for name in {mapping.time_field or "t"} & set(table.columns):
-        if table.columns[name].dtype.kind != "f":
+        if not is_numeric(table.columns[name]):
             raise text_error(table, name, "t")
     recording = stream_of_table(table, mapping, where=table.source)
     stream = recording.streams[TABLE]

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
+from greybox.data.raw import FloatArray
 from greybox.data.readers.recording import (
     LogFormat,
     Recording,
@@ -38,6 +39,36 @@ LONGEST = 200_000_000
 craft."""
 
 
+Headers = Mapping[str, int | float | str | list[int]]
+"""The lines before the frames, as orangebox reads them."""
+Row = Sequence[int | float | str]
+"""The values of a frame; what is no number belongs to slow frames."""
+
+
+class _Kind(Protocol):
+    """Kind of a frame: I, P, ..."""
+
+    value: str
+
+
+class _Frame(Protocol):
+    """A frame of orangebox."""
+
+    type: _Kind
+    data: Row
+
+
+class _Parser(Protocol):
+    """What is used of the parser of orangebox."""
+
+    field_names: Sequence[str]
+    headers: Headers
+
+    def frames(self) -> Iterator[_Frame]:
+        """All frames in order."""
+        ...
+
+
 def read_betaflight(path: Path) -> Recording:
     """Read a blackbox file; of several flights in it the longest. Raises `DataError`."""
     where = str(path)
@@ -51,7 +82,7 @@ def read_betaflight(path: Path) -> Recording:
     library("orangebox", where=where, what="a blackbox file")
     logging.getLogger("orangebox").addHandler(logging.NullHandler())
     box = library("orangebox.parser", where=where, what="a blackbox file")
-    best: tuple[_Frames, Any, int] | None = None
+    best: tuple[_Frames, _Parser, int] | None = None
     with damaged(where, "a blackbox file"):
         count = box.Reader(where, allow_invalid_header=True).log_count
         for index in range(1, min(count, MOST_FLIGHTS) + 1):
@@ -73,7 +104,7 @@ def read_betaflight(path: Path) -> Recording:
         frames, parser, index = best
         names = list(parser.field_names)
         table = _numbers(frames.rows, len(names))
-        headers: Mapping[str, Any] = parser.headers
+        headers = parser.headers
     fields = {
         n: np.ascontiguousarray(table[:, j]) for j, n in enumerate(names) if j < table.shape[1]
     }
@@ -122,13 +153,13 @@ class _Frames:
     cannot get over; `before` counts P frames before it, which are differences to nothing; `whole`
     tells whether the parser came through."""
 
-    rows: list[Any]
+    rows: list[Row]
     before: int
     whole: bool
 
 
-def _frames(parser: Any) -> _Frames:
-    rows: list[Any] = []
+def _frames(parser: _Parser) -> _Frames:
+    rows: list[Row] = []
     before = 0
     try:
         for frame in parser.frames():
@@ -141,7 +172,7 @@ def _frames(parser: Any) -> _Frames:
     return _Frames(rows=rows, before=before, whole=True)
 
 
-def _numbers(rows: list[Any], width: int) -> Any:
+def _numbers(rows: list[Row], width: int) -> FloatArray:
     """Frames as a matrix (N, K) of the main fields (slow and GPS fields may follow in a row; a
     short row ends in NaN)."""
     width = min(width, max(len(r) for r in rows))
@@ -153,7 +184,7 @@ def _numbers(rows: list[Any], width: int) -> Any:
     return table
 
 
-def _info(headers: Mapping[str, Any]) -> dict[str, str]:
+def _info(headers: Headers) -> dict[str, str]:
     shown = {
         "Firmware revision": "firmware",
         "Craft name": "craft",
@@ -175,17 +206,15 @@ def _info(headers: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def _number(value: Any) -> float | None:
+def _number(value: object) -> float | None:
     return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 
-def _sources(
-    fields: Mapping[str, Any], headers: Mapping[str, Any]
-) -> tuple[list[Source], list[str]]:
+def _sources(fields: Mapping[str, FloatArray], headers: Headers) -> tuple[list[Source], list[str]]:
     return list(_found(fields, headers)), list(_warned(fields, headers))
 
 
-def _found(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Iterator[Source]:
+def _found(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[Source]:
     motors = tuple(f"motor[{i}]" for i in range(8) if f"motor[{i}]" in fields)
     limits = _limits(headers)
     if motors and limits:
@@ -227,7 +256,7 @@ def _found(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Iterator[So
         )
 
 
-def _warned(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Iterator[str]:
+def _warned(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[str]:
     if "motor[0]" in fields and not _limits(headers):
         yield (
             "the range of the motor outputs is not in the header; give [command] limits in a "
@@ -248,7 +277,7 @@ def _warned(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Iterator[s
         yield "motor_poles is not in the header; give [rotor_speed] scale in a mapping file"
 
 
-def _chirp(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Any:
+def _chirp(fields: Mapping[str, FloatArray], headers: Headers) -> FloatArray | None:
     """Sine of the chirp's phase (N,), 0 while there is none; None where debug[0] is not the phase
     (the number of debug_mode differs between versions, so that its values tell: a phase below a
     turn that only goes on)."""
@@ -267,7 +296,7 @@ def _chirp(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Any:
     return np.sin(phase)
 
 
-def _limits(headers: Mapping[str, Any]) -> tuple[float, float] | None:
+def _limits(headers: Headers) -> tuple[float, float] | None:
     """Range of the motor outputs: motorOutput (low, high), else minthrottle and maxthrottle."""
     both = headers.get("motorOutput")
     pair = (
@@ -279,10 +308,12 @@ def _limits(headers: Mapping[str, Any]) -> tuple[float, float] | None:
     return (low, high) if low is not None and high is not None and high > low else None
 
 
-def _gyro_scale(headers: Mapping[str, Any]) -> float:
+def _gyro_scale(headers: Headers) -> float:
     """Degrees per second per count. The header holds a float's bits: 1.0 (already deg/s), or rad/us
     (Cleanflight)."""
     raw = headers.get("gyro_scale", headers.get("gyro.scale"))
+    if isinstance(raw, list):
+        return 1.0
     try:
         bits = int(raw, 16) if isinstance(raw, str) else int(raw) if raw is not None else 0
         value = float(np.array([bits], dtype=np.uint32).view(np.float32)[0])
@@ -293,7 +324,7 @@ def _gyro_scale(headers: Mapping[str, Any]) -> float:
     return float(np.rad2deg(value * 1e6)) if value < 1e-5 else value
 
 
-def _major(headers: Mapping[str, Any]) -> int:
+def _major(headers: Headers) -> int:
     """Major version of Betaflight; 0 for other firmware. Versions named by year (2025.12) count as
     newer than 4."""
     match = re.match(r"Betaflight.*?(\d+)\.\d+", str(headers.get("Firmware revision", "")))

@@ -27,14 +27,14 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TypedDict, TypeVar
 
 from greybox.data.channel import GROUPS, group_names
 from greybox.data.readers.recording import FRAMES, UNITS, Source
 from greybox.errors import DataError, UnknownNameError
-from greybox.files import read_toml
+from greybox.files import Json, read_toml
 
 SCHEMA = "greybox.mapping/1"
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -44,6 +44,16 @@ TABLE = "table"
 _TIME_KEYS = ("field", "unit", "scale", "offset")
 _KEYS = ("stream", "fields", "unit", "frame", "scale", "offset", "delay", "limits", "causal", "use")
 _PER_ROTOR = ("command", "rotor_speed")
+
+
+T = TypeVar("T")
+
+
+class Changed(TypedDict, total=False):
+    """What a mapping changes of a source that the reader keeps."""
+
+    delay: float
+    causal: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +67,7 @@ class LogMapping:
 
     sources: Mapping[str, Source] = field(default_factory=dict)
     preferred: Mapping[str, str] = field(default_factory=dict)
-    changed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    changed: Mapping[str, Changed] = field(default_factory=dict)
     unused: frozenset[str] = frozenset()
     optional: frozenset[str] = frozenset()
     clock: str | None = None
@@ -93,11 +103,15 @@ class LogMapping:
         mine = self.groups
         kept = frozenset(g for g in mine if self._refines(other, g))
 
-        def rest(theirs: Mapping[str, Any]) -> dict[str, Any]:
+        def rest(theirs: Mapping[str, T]) -> dict[str, T]:
             return {k: v for k, v in theirs.items() if k not in mine or k in kept}
 
-        sources = {g: replace(s, **self.changed.get(g, {})) for g, s in rest(other.sources).items()}
-        changed = {g: {**rest(other.changed).get(g, {}), **c} for g, c in self.changed.items()}
+        sources = {
+            g: replace(s, **self.changed.get(g, Changed())) for g, s in rest(other.sources).items()
+        }
+        changed: dict[str, Changed] = {
+            g: {**rest(other.changed).get(g, Changed()), **c} for g, c in self.changed.items()
+        }
         own = (
             frozenset(sources) & kept
         )  # their groups have fields, so that nothing is left to the reader
@@ -151,9 +165,9 @@ class LogMapping:
             time_offset=other.time_offset if self.time_offset is None else self.time_offset,
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """The tables of its file, as plain values."""
-        out: dict[str, Any] = {} if self.clock is None else {"clock": self.clock}
+        out: dict[str, Json] = {} if self.clock is None else {"clock": self.clock}
         time = {
             "field": self.time_field,
             "unit": self.time_unit,
@@ -168,12 +182,19 @@ class LogMapping:
             elif group in self.sources:
                 out[group] = _entry(self.sources[group])
             elif group in self.groups:
-                stream = {"stream": self.preferred[group]} if group in self.preferred else {}
-                out[group] = {**stream, **self.changed.get(group, {})}
+                said: dict[str, Json] = {}
+                if group in self.preferred:
+                    said["stream"] = self.preferred[group]
+                changed = self.changed.get(group, Changed())
+                if "delay" in changed:
+                    said["delay"] = changed["delay"]
+                if "causal" in changed:
+                    said["causal"] = changed["causal"]
+                out[group] = said
         return out
 
 
-_DEFAULTS: Mapping[str, Any] = {
+_DEFAULTS: Mapping[str, object] = {
     "stream": TABLE,
     "unit": "",
     "frame": "",
@@ -185,9 +206,9 @@ _DEFAULTS: Mapping[str, Any] = {
 }
 
 
-def _entry(source: Source) -> dict[str, Any]:
+def _entry(source: Source) -> dict[str, Json]:
     """The table of a group, without what goes without saying."""
-    said: dict[str, Any] = {"fields": source.fields, "stream": source.stream, "unit": source.unit}
+    said: dict[str, Json] = {"fields": source.fields, "stream": source.stream, "unit": source.unit}
     said |= {
         "frame": source.frame,
         "scale": source.scale,
@@ -200,7 +221,7 @@ def _entry(source: Source) -> dict[str, Any]:
 
 
 def mapping_text(
-    content: Mapping[str, Any], *, prefix: str = "", comments: Mapping[str, str] | None = None
+    content: Mapping[str, Json], *, prefix: str = "", comments: Mapping[str, str] | None = None
 ) -> str:
     """`LogMapping.to_dict` as TOML, tables called `prefix` + group, a comment behind the last line
     of a group."""
@@ -212,14 +233,16 @@ def mapping_text(
     return "\n".join(lines) + "\n"
 
 
-def _toml(value: Any) -> str:
+def _toml(value: Json) -> str:
     """A value of TOML, whose strings have no surrogates and no bare DEL."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
-    if isinstance(value, list | tuple):
+    if isinstance(value, Sequence):
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, bool):
         return str(value).lower()
+    if value is None or isinstance(value, Mapping):
+        raise TypeError(f"{value!r} is no value of TOML")
     return f"{value:.0f}" if float(value).is_integer() and abs(value) < 1e15 else repr(value)
 
 
@@ -239,7 +262,7 @@ def read_mapping(path: str | os.PathLike[str]) -> LogMapping:
     return mapping_of({k: v for k, v in content.items() if k != "schema"}, where=where)
 
 
-def mapping_of(content: Mapping[str, Any], *, where: str, path: str = "") -> LogMapping:
+def mapping_of(content: Mapping[str, object], *, where: str, path: str = "") -> LogMapping:
     """The mapping that the tables of a file say; `path` is the dotted key of the table that holds
     them.
 
@@ -274,7 +297,9 @@ def mapping_of(content: Mapping[str, Any], *, where: str, path: str = "") -> Log
     return said
 
 
-def _with_group(said: LogMapping, group: str, table: Mapping[str, Any], place: str) -> LogMapping:
+def _with_group(
+    said: LogMapping, group: str, table: Mapping[str, object], place: str
+) -> LogMapping:
     """The mapping with what the table of one more group says."""
     if not _boolean(table, "use", place, True):
         return replace(said, unused=said.unused | {group})
@@ -287,7 +312,7 @@ def _with_group(said: LogMapping, group: str, table: Mapping[str, Any], place: s
             expected="the fields in the order of the channels",
             fix=f"fields = [...]  # {', '.join(group_names(group))}",
         )
-    changed: dict[str, Any] = {}
+    changed: Changed = {}
     if "delay" in table:
         changed["delay"] = _number(table["delay"], f"{place}.delay")
     if "causal" in table:
@@ -317,12 +342,13 @@ def _no_field_twice(said: LogMapping, where: str) -> None:
             taken[key] = group
 
 
-def _source(group: str, table: Mapping[str, Any], where: str) -> Source:
+def _source(group: str, table: Mapping[str, object], where: str) -> Source:
     fields = table["fields"]
-    named = isinstance(fields, list) and all(
-        isinstance(f, str) and (not f or f.strip("-")) for f in fields
-    )
-    if not named or not any(fields):
+    if (
+        not isinstance(fields, list)
+        or not any(fields)
+        or not all(isinstance(f, str) and (not f or f.strip("-")) for f in fields)
+    ):
         raise DataError(
             "fields", where=where, expected="a list of names in quotes", got=repr(fields)[:60]
         )
@@ -360,7 +386,7 @@ def _source(group: str, table: Mapping[str, Any], where: str) -> Source:
     )
 
 
-def _limits(group: str, table: Mapping[str, Any], where: str) -> tuple[float, float] | None:
+def _limits(group: str, table: Mapping[str, object], where: str) -> tuple[float, float] | None:
     limits = table.get("limits")
     if limits is None:
         return None
@@ -375,7 +401,7 @@ def _limits(group: str, table: Mapping[str, Any], where: str) -> tuple[float, fl
 
 
 def _each(
-    table: Mapping[str, Any],
+    table: Mapping[str, object],
     key: str,
     default: float,
     count: int,
@@ -402,8 +428,8 @@ def _factor(value: float, where: str) -> float:
 
 
 def _table(
-    content: Mapping[str, Any], key: str, known: tuple[str, ...], where: str, dot: str
-) -> Mapping[str, Any]:
+    content: Mapping[str, object], key: str, known: tuple[str, ...], where: str, dot: str
+) -> Mapping[str, object]:
     table = content.get(key, {})
     if not isinstance(table, Mapping):
         raise DataError(f"'{dot}{key}' is not a table", where=where, fix=f"write [{dot}{key}]")
@@ -413,7 +439,7 @@ def _table(
     return table
 
 
-def _text(table: Mapping[str, Any], key: str, where: str, default: str | None) -> str | None:
+def _text(table: Mapping[str, object], key: str, where: str, default: str | None) -> str | None:
     value = table.get(key, default)
     if value is not None and not isinstance(value, str):
         raise DataError(
@@ -422,7 +448,7 @@ def _text(table: Mapping[str, Any], key: str, where: str, default: str | None) -
     return value
 
 
-def _boolean(table: Mapping[str, Any], key: str, where: str, default: bool) -> bool:
+def _boolean(table: Mapping[str, object], key: str, where: str, default: bool) -> bool:
     value = table.get(key, default)
     if not isinstance(value, bool):
         raise DataError(
@@ -434,7 +460,7 @@ def _boolean(table: Mapping[str, Any], key: str, where: str, default: bool) -> b
     return value
 
 
-def _number(value: Any, where: str) -> float:
+def _number(value: object, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise DataError("a finite number is needed here", where=where, got=repr(value)[:60])
     return float(value)

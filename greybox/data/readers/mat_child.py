@@ -13,7 +13,6 @@ import json
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +25,7 @@ DEEPEST = 4
 
 
 def vectors(
-    values: Mapping[str, Any], prefix: str, depth: int
+    values: Mapping[str, object], prefix: str, depth: int
 ) -> Iterator[tuple[str, npt.NDArray[np.float64]]]:
     """Name and numbers of every vector and matrix, those inside structs under dotted names."""
     for name, value in values.items():

@@ -14,13 +14,13 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from greybox.data.logs.table import Table
 from greybox.data.memory import allowance
+from greybox.data.raw import Column
 from greybox.data.readers.recording import LogFormat, checked_file
 from greybox.errors import DataError
 
@@ -53,7 +53,7 @@ def read_mat(path: str | os.PathLike[str]) -> Table:
         )
     times = [k for k, v in vectors.items() if k.rpartition(".")[2].lower() in _TIMES and v.size > 1]
     n = max((vectors[k].size for k in times), default=max(set(lengths), key=lengths.count))
-    columns: dict[str, npt.NDArray[Any]] = {k: v for k, v in vectors.items() if v.size == n}
+    columns: dict[str, Column] = {k: v for k, v in vectors.items() if v.size == n}
     # A time inside a struct is the time of the table where no plain one is there.
     if times and not any(k.lower() in _TIMES for k in columns):
         own = next(k for k in times if vectors[k].size == n)

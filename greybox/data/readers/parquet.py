@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from greybox.data.logs.table import Table
 from greybox.data.memory import allowance
+from greybox.data.raw import Column
 from greybox.data.readers.recording import LogFormat, checked_file, damaged, library
 from greybox.errors import DataError
+
+if TYPE_CHECKING:
+    import pyarrow
 
 _MAGIC = b"PAR1"
 
@@ -35,7 +38,7 @@ def read_parquet(path: str | os.PathLike[str]) -> Table:
         # A thread that reads ahead would end the process where memory is short: nobody can catch
         # what it throws.
         content = parquet.read_table(where, memory_map=False, use_threads=False, pre_buffer=False)
-        columns: dict[str, npt.NDArray[Any]] = {}
+        columns: dict[str, Column] = {}
         for name, column in zip(content.column_names, content.columns, strict=True):
             columns.update(_column(str(name), column))
         timed = frozenset(
@@ -48,7 +51,7 @@ def read_parquet(path: str | os.PathLike[str]) -> Table:
     return Table(columns=columns, rows=rows, source=Path(path).name, sha256=digest, seconds=timed)
 
 
-def _column(name: str, column: Any) -> dict[str, npt.NDArray[Any]]:
+def _column(name: str, column: pyarrow.ChunkedArray) -> dict[str, Column]:
     import pyarrow as pa
 
     kind = column.type

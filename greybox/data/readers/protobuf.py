@@ -15,6 +15,10 @@ from typing import Any
 
 from greybox.errors import DataError
 
+Message = Mapping[str, Any]
+"""Field -> number, text, bytes, message or, of a repeated field, a list of these, as its type
+says."""
+
 _KINDS = {
     "double": 1,
     "float": 2,
@@ -132,7 +136,7 @@ _DESCRIPTIONS: Types = {
 """descriptor.proto, as far as it is read and written here."""
 
 
-def encode(types: Types, name: str, content: Mapping[str, Any]) -> bytes:
+def encode(types: Types, name: str, content: Message) -> bytes:
     """The bytes of a message of type `name`; fields that `content` does not have are left out."""
     out = bytearray()
     for f in types[name]:
@@ -153,7 +157,7 @@ def encode(types: Types, name: str, content: Mapping[str, Any]) -> bytes:
     return bytes(out)
 
 
-def decode(types: Types, name: str, data: bytes) -> dict[str, Any]:
+def decode(types: Types, name: str, data: bytes) -> Message:
     """A message of type `name`: numbers that are not in it are 0, messages and tracked numbers
     absent. Raises `DataError` for cut bytes."""
     by_number = {f.number: f for f in types[name]}
@@ -165,7 +169,10 @@ def decode(types: Types, name: str, data: bytes) -> dict[str, Any]:
         if f is None:
             continue
         # Repeated numbers may be packed into one part.
-        values = list(_packed(f, value)) if wire == 2 and f.wire != 2 else [_read(types, f, value)]
+        if isinstance(value, bytes) and wire == 2 and f.wire != 2:
+            values = list(_packed(f, value))
+        else:
+            values = [_read(types, f, value)]
         if f.many:
             out.setdefault(f.name, []).extend(values)
         elif values:
@@ -184,7 +191,7 @@ def describe(types: Types, name: str, enums: Enums | None = None) -> bytes:
             f.of.rpartition(".")[0] for f in types[n] if f.kind == "message"
         }
 
-    def message(n: str) -> dict[str, Any]:
+    def message(n: str) -> Message:
         listed = [
             {
                 "name": f.name,
@@ -224,7 +231,7 @@ def described(data: bytes) -> dict[str, tuple[Field, ...]]:
     """The message types of a FileDescriptorSet. Raises `DataError`."""
     found: dict[str, tuple[Field, ...]] = {}
 
-    def take(prefix: str, message: Mapping[str, Any], tracked: bool) -> None:
+    def take(prefix: str, message: Message, tracked: bool) -> None:
         name = f"{prefix}.{message['name']}" if prefix else str(message["name"])
         found[name] = tuple(
             Field(
@@ -267,7 +274,7 @@ def _varint(value: int) -> bytes:
     return bytes(out)
 
 
-def _parts(data: bytes) -> Iterator[tuple[int, int, Any]]:
+def _parts(data: bytes) -> Iterator[tuple[int, int, int | bytes]]:
     """(number, wire, value) of the parts of a message: int for varints, bytes for all else."""
     at = 0
     while at < len(data):
@@ -300,7 +307,7 @@ def _unvarint(data: bytes, at: int) -> tuple[int, int]:
     raise DataError("a number that ends early in a protocol buffer", got=f"{len(data)} bytes")
 
 
-def _read(types: Types, f: Field, value: Any) -> Any:
+def _read(types: Types, f: Field, value: int | bytes) -> Any:
     if f.kind in _FIXED:
         if not isinstance(value, bytes) or len(value) != struct.calcsize(_FIXED[f.kind]):
             raise DataError(f"field {f.name} of a protocol buffer has another size than its type")
@@ -318,11 +325,11 @@ def _read(types: Types, f: Field, value: Any) -> Any:
     return value.decode(errors="replace") if f.kind == "string" else value
 
 
-def _packed(f: Field, data: bytes) -> Iterator[Any]:
+def _packed(f: Field, data: bytes) -> Iterator[int | float]:
     at = 0
     size = struct.calcsize(_FIXED[f.kind]) if f.kind in _FIXED else 0
     while at < len(data):
-        value: Any
+        value: int | bytes
         if size:
             value, at = data[at : at + size], at + size
         else:

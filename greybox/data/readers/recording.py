@@ -10,11 +10,13 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib
+import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +26,9 @@ from greybox.data.raw import FloatArray
 from greybox.distribution import install_line
 from greybox.errors import DataError, GreyboxError
 from greybox.frames import GRAVITY
+
+if TYPE_CHECKING:
+    from greybox.data.logs.table import Table
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,6 +136,14 @@ class Recording:
     notes: tuple[str, ...] = ()
 
 
+class ReadTable(Protocol):
+    """What reads a file that is one table already."""
+
+    def __call__(self, path: str | os.PathLike[str]) -> Table:
+        """Raises `DataError`."""
+        ...
+
+
 @dataclass(frozen=True, kw_only=True)
 class LogFormat:
     """One log format: how its files are recognised, what reads them, and how to log more.
@@ -145,13 +158,13 @@ class LogFormat:
     title: str
     endings: tuple[str, ...]
     recognise: Callable[[Path, bytes], bool] = lambda path, head: False
-    table: Callable[..., Any] | None = None
+    table: ReadTable | None = None
     recording: Callable[[Path], Recording] | None = None
     libraries: tuple[str, ...] = ()
     advice: Mapping[str, str] = field(default_factory=dict)
 
 
-def library(name: str, *, where: str, what: str) -> Any:
+def library(name: str, *, where: str, what: str) -> ModuleType:
     """Import an optional library. Raises `DataError` with the way to install it."""
     try:
         return importlib.import_module(name)

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeGuard
 
 import numpy as np
 
@@ -112,7 +113,7 @@ class _Topic:
         self.unread: set[str] = set()
         self.n = 0
 
-    def add(self, received: float, message: Any) -> None:
+    def add(self, received: float, message: object) -> None:
         """Take one message."""
         self.received.append(received)
         stamp = np.nan
@@ -161,14 +162,16 @@ class _Topic:
         )
 
 
-def _leaves(value: Any, prefix: str, unread: set[str], depth: int) -> Iterator[tuple[str, float]]:
+def _leaves(
+    value: object, prefix: str, unread: set[str], depth: int
+) -> Iterator[tuple[str, float]]:
     """Numbers of a message, under dotted names; a header's stamp is one number."""
-    members: Mapping[str, Any] | None = None
+    members: Mapping[str, object] | None = None
     if isinstance(value, Mapping):
         members = value
-    elif hasattr(value, "__dataclass_fields__"):
+    elif is_dataclass(value):
         members = {
-            k: getattr(value, k) for k in value.__dataclass_fields__ if not k.startswith("__")
+            f: getattr(value, f) for f in value.__dataclass_fields__ if not f.startswith("__")
         }
     if members is not None:
         keys = set(members)
@@ -197,7 +200,7 @@ def _leaves(value: Any, prefix: str, unread: set[str], depth: int) -> Iterator[t
         unread.add(prefix)
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> TypeGuard[bool | int | float | np.number | np.bool_]:
     return isinstance(value, (bool, int, float, np.integer, np.floating, np.bool_))
 
 

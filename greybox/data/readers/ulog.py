@@ -13,7 +13,7 @@ import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from greybox.data.readers.recording import (
     library,
 )
 from greybox.errors import DataError
+
+if TYPE_CHECKING:
+    from pyulog import ULog
 
 _MAGIC = b"ULog\x01\x12\x35"
 
@@ -142,7 +145,7 @@ def _demand_small_formats(file: BinaryIO, where: str) -> None:
             )
 
 
-def _streams(log: Any) -> Iterator[tuple[str, Stream]]:
+def _streams(log: ULog) -> Iterator[tuple[str, Stream]]:
     """Every topic and instance: instance 0 under the topic's name, others as topic[1]."""
     for data in sorted(log.data_list, key=lambda d: (d.name, d.multi_id)):
         name = data.name if data.multi_id == 0 else f"{data.name}[{data.multi_id}]"
@@ -186,7 +189,7 @@ def _streams(log: Any) -> Iterator[tuple[str, Stream]]:
         )
 
 
-def _info(log: Any) -> dict[str, str]:
+def _info(log: ULog) -> dict[str, str]:
     known = log.msg_info_dict
     out = {}
     for key, label in (
