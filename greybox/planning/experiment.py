@@ -20,7 +20,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -30,6 +29,7 @@ from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import Fit, noise_of
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Problem, make_problem
+from greybox.files import Json
 from greybox.planning.manoeuvres import LIBRARY, SECONDS, Manoeuvre, flown_together, flying_model
 from greybox.statistics.evidence import CLEAR_LOG_RATIO
 from greybox.symbolic import FloatArray
@@ -56,7 +56,7 @@ class Separation:
             float("inf") if self.expected <= 0 else self.seconds * CLEAR_LOG_RATIO / self.expected
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """As in discovery.json."""
         return {
             "name": self.manoeuvre.name,
@@ -109,10 +109,16 @@ def separations(
     return sorted(out, key=lambda s: -s.expected)
 
 
-def separating_manoeuvre(rivals: Mapping[str, Fit], **options: Any) -> dict[str, Any] | None:
+def separating_manoeuvre(
+    rivals: Mapping[str, Fit],
+    *,
+    library: Sequence[Manoeuvre] = LIBRARY,
+    seconds: float = SECONDS,
+    say: Callable[[str], None] | None = None,
+) -> dict[str, Json] | None:
     """The most telling manoeuvre with its runners-up, as in discovery.json; None where none can be
     flown."""
-    found = separations(rivals, **options)
+    found = separations(rivals, library=library, seconds=seconds, say=say)
     if not found:
         return None
     # One amplitude of every manoeuvre is enough among the runners-up.

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
+from greybox.files import Json
 from greybox.model.vehicle import Vehicle
 from greybox.planning.manoeuvres import TILT
 from greybox.symbolic import BoolArray, FloatArray
@@ -96,7 +96,7 @@ class Limits:
         u = np.stack([v for n, v in c.items() if n[0] == "u" and n[1:].isdigit()])
         return np.asarray(((u < self.command[0]) | (u > self.command[1])).any(axis=0))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """As in plan.json."""
         return {
             "box_m": list(self.box),

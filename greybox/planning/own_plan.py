@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -19,6 +18,7 @@ from threadpoolctl import threadpool_limits
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import FitError, GreyboxError, ModelError, UnknownNameError
 from greybox.estimation.fit import noise_of
+from greybox.files import Json
 from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.parameter import Parameter
@@ -80,7 +80,7 @@ class OwnPlan:
         """Parameters of which the experiment says nothing."""
         return tuple(n for n, (std, _) in self.errors.items() if not np.isfinite(std))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """The content of plan.json (schema "greybox.own_plan/1")."""
         declared = self.subject.declared
         return {

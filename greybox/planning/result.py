@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from greybox.data import Dataset
 from greybox.estimation.identifiability import Combination
+from greybox.files import Json
 from greybox.model.identified import library_versions
 from greybox.planning.excitation_blocks import ExcitationBlock
 from greybox.planning.information import Information, Pair
@@ -54,7 +55,7 @@ class Plan(Shown):
         """Length of all flights [s]."""
         return sum(p.seconds for f in self.flights for p, _ in f)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """The content of plan.json (schema "greybox.plan/1")."""
         s = self.subject
         return {
@@ -94,11 +95,11 @@ class Plan(Shown):
             "versions": library_versions(),
         }
 
-    def _parameters(self) -> dict[str, dict[str, Any]]:
+    def _parameters(self) -> dict[str, dict[str, Json]]:
         """What is known of every parameter, before and after."""
         s = self.subject
         declared, known = s.declared, s.known_before
-        rows = {}
+        rows: dict[str, dict[str, Json]] = {}
         for n, (std, alone) in self.errors.items():
             d = declared[n]
             rows[n] = {
@@ -113,9 +114,9 @@ class Plan(Shown):
             }
         return rows
 
-    def _flights(self) -> list[dict[str, Any]]:
+    def _flights(self) -> list[dict[str, Json]]:
         """The manoeuvres of every flight, with their times."""
-        flights = []
+        flights: list[dict[str, Json]] = []
         for k, steps in enumerate(self.flights):
             starts = np.cumsum([0.0, *(p.seconds for p, _ in steps)])
             flights.append(

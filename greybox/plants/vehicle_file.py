@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vectors import Number
 
 _SENSORS = {
     "gyro": "gyro",
@@ -116,7 +117,7 @@ class _Nominal:
         self._errors, self._sigma = errors, sigma
         self._asked: set[str] = set()
 
-    def pair(self, name: str, true: Any) -> tuple[float, float]:
+    def pair(self, name: str, true: Number) -> tuple[float, float]:
         """Value and standard deviation to write."""
         self._asked |= {name, name.split(".")[0]}
         value = _number(true) * self._look(self._errors, name, 1.0)
@@ -152,17 +153,17 @@ def _known_effects(plant: Quadrotor, known: tuple[str, ...]) -> list[str]:
     return lines
 
 
-def _number(value: Any) -> float:
+def _number(value: Number) -> float:
     array = np.asarray(value, dtype=float)
     if array.size != 1:
         raise ValueError("a vehicle file holds one vehicle; this plant has a batch of values")
     return float(array.reshape(()))
 
 
-def _numbers(values: Iterable[Any]) -> list[float]:
+def _numbers(values: Iterable[Number]) -> list[float]:
     return [_number(v) for v in values]
 
 
-def _level(value: Any) -> float:
+def _level(value: npt.ArrayLike) -> float:
     """One sigma for a sensor: the root mean square over its axes."""
     return float(np.sqrt(np.mean(np.square(np.asarray(value, dtype=float)))))

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from greybox.errors import ModelError
+from greybox.files import Json
 from greybox.model.identified import IdentifiedModel
 from greybox.simulators.change import Change
 from greybox.simulators.craft import Craft
@@ -81,7 +81,7 @@ class Comparison:
         lines += [f"  + {n}" for n in self.added] + [f"  - {n}" for n in self.gone]
         return "\n".join([*lines, *(f"  {c.text}" for c in self.changes)])
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values (schema "greybox.twin_comparison/1")."""
         return {
             "schema": SCHEMA,

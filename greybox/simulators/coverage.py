@@ -12,24 +12,23 @@ values about the middle of ours: no band is honest below it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from greybox.data import Dataset, Flight, Segment
 from greybox.errors import DataError
 from greybox.estimation.filtering import Filter, Filtered
+from greybox.files import Json
 from greybox.model.identified import IdentifiedModel
 from greybox.model.noise import disturbances, gauss_markov
 from greybox.simulators.draws import Draws
 from greybox.simulators.targets.numpy_module import NumPyModule
-from greybox.symbolic import FloatArray
+from greybox.symbolic import FloatArray, IntArray
 from greybox.validation.adapt import Adaptation, adapt_to_flight
 
-IntArray = npt.NDArray[np.int64]
 HORIZONS = (0.1, 0.5, 1.0)
 """Seconds ahead."""
 LEVEL, BOX = 0.95, 0.3
@@ -69,7 +68,7 @@ class Covered:
     box_share: float
     needed: float
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values."""
         return dict(vars(self))
 
@@ -146,7 +145,20 @@ def adapted_draws(draws: Draws, adapted: Adaptation | None, seed: int) -> FloatA
     return np.asarray(values)
 
 
-def module_of(model: IdentifiedModel, draws: Draws) -> dict[str, Any]:
+class Simulate(TypedDict):
+    """Names of a written simulate.py; states (..., n_x), values (..., n_p)."""
+
+    STATES: Sequence[str]
+    OUTPUTS: Sequence[str]
+    VALUES: Sequence[float]
+    NOISE: Sequence[float]
+    PAST: int
+    FUTURE: int
+    step: Callable[..., FloatArray]
+    output: Callable[..., FloatArray]
+
+
+def module_of(model: IdentifiedModel, draws: Draws) -> Simulate:
     """The written module, loaded. Raises `DataError` for too few draws, and where the model does
     not carry position, velocity, attitude and rate."""
     if len(draws) < FEWEST_DRAWS:
@@ -156,17 +168,18 @@ def module_of(model: IdentifiedModel, draws: Draws) -> dict[str, Any]:
             got=str(len(draws)),
             fix="add --draws 200",
         )
-    space: dict[str, Any] = {"__name__": "simulate"}
+    space: dict[str, object] = {"__name__": "simulate"}
     exec(compile(NumPyModule().files(draws.craft)["simulate.py"], "simulate.py", "exec"), space)
+    module = cast(Simulate, space)
     states = tuple(model.dynamics.states.names)
-    if states != tuple(space["STATES"]):
+    if states != tuple(module["STATES"]):
         raise DataError(
             "the model does not carry the whole motion",
             expected="states of position, velocity, attitude and rate",
-            got=", ".join(s for s in space["STATES"] if s not in states) + " missing",
+            got=", ".join(s for s in module["STATES"] if s not in states) + " missing",
             fix="check on a model that was fitted with motion capture",
         )
-    return space
+    return module
 
 
 def _box(draws: Draws, seed: int, about: FloatArray) -> FloatArray:
@@ -234,7 +247,7 @@ class Seen:
 
 def ahead(
     model: IdentifiedModel,
-    module: Mapping[str, Any],
+    module: Simulate,
     values: FloatArray,
     levels: FloatArray | None,
     start: Start,
@@ -245,8 +258,8 @@ def ahead(
     random = np.random.default_rng([seed, 2])
     record, n = start.filtered.record, len(values)
     x = _first_states(model, start, n, random, levels)
-    step: Callable[..., FloatArray] = module["step"]
-    past, future = int(module["PAST"]), int(module["FUTURE"])
+    step = module["step"]
+    past, future = module["PAST"], module["FUTURE"]
     sigma = dict(zip(model.dynamics.innovations.names, model.sensor_noise, strict=True))
     ends = {round(h / record.dt): h for h in HORIZONS}
     # state k + 1 is the filter's; the step from there takes the command of k + 1
@@ -305,7 +318,7 @@ def _first_states(
 
 
 def _seen(
-    x: FloatArray, window: FloatArray, values: FloatArray, module: Mapping[str, Any]
+    x: FloatArray, window: FloatArray, values: FloatArray, module: Simulate
 ) -> dict[str, FloatArray]:
     """Group -> sensor values (m, n, axes); attitudes as Euler angles."""
     y = module["output"](x, window[:, None], values[None])

@@ -10,10 +10,8 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from greybox.errors import ModelError
 from greybox.model.effect import Effect
@@ -84,7 +82,7 @@ class Craft:
         """Raises `ModelError` where mass or inertia belong to no body."""
         if not self.mass > 0:
             raise ModelError(f"mass {self.mass:g} kg", expected="a positive mass")
-        moments = np.linalg.eigvalsh(self.inertia)
+        moments = np.asarray(np.linalg.eigvalsh(self.inertia))
         if not of_a_body(moments):
             said = ", ".join(f"{v:.3g}" for v in moments)
             raise ModelError(
@@ -251,7 +249,7 @@ class Craft:
         return np.array([self.sensor_noise[n] for n in names])
 
 
-def of_a_body(moments: npt.NDArray[np.floating[Any]]) -> BoolArray:
+def of_a_body(moments: FloatArray) -> BoolArray:
     """Whether principal moments (..., 3), smallest first, are positive and the largest is at most
     the sum of the other two, which it is for a flat body."""
     low, middle, high = (moments[..., k] for k in range(3))

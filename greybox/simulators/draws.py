@@ -13,7 +13,6 @@ that cannot hover.
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -22,6 +21,7 @@ import numpy as np
 
 from greybox.errors import DataError
 from greybox.model.identified import IdentifiedModel
+from greybox.residual.array_file import packed
 from greybox.residual.drawn_push import DrawnPush
 from greybox.residual.hybrid import HybridModel
 from greybox.simulators.command_text import EFFECTS as COMMANDS
@@ -82,15 +82,16 @@ class Draws:
         crazyflow.npz."""
         every = [self.one(i) for i in range(len(self))]
         files: dict[str, str | bytes] = {
-            "draws/draws.npz": _npz(
-                {"names": np.array(self.names), "values": self.values, "noise": self.levels}
+            "draws/draws.npz": packed(
+                {"names": np.array(self.names), "values": self.values, "noise": self.levels},
+                compressed=True,
             ),
             "draws/ranges.toml": self.ranges(),
         }
-        files["draws/mjx.npz"] = _npz(_mjx(every))
-        files["draws/isaac.npz"] = _npz(_isaac(every, self.craft.strength))
+        files["draws/mjx.npz"] = packed(_mjx(every), compressed=True)
+        files["draws/isaac.npz"] = packed(_isaac(every, self.craft.strength), compressed=True)
         if not self._apart:
-            files["draws/crazyflow.npz"] = _npz(_crazyflow(every))
+            files["draws/crazyflow.npz"] = packed(_crazyflow(every), compressed=True)
         return files
 
     @property
@@ -289,7 +290,7 @@ def _can_be(
             if name in names:
                 j[:, i, k] += values[:, names.index(name)] - craft.get(name)
                 j[:, k, i] = j[:, i, k]
-        good &= of_a_body(np.linalg.eigvalsh(j))
+        good &= of_a_body(np.asarray(np.linalg.eigvalsh(j)))
     if any(n in LIFT for n in drawn) and _rises(craft, {})[0]:
         good &= _rises(craft, {n: values[:, names.index(n)] for n in LIFT if n in names})
     return good
@@ -307,12 +308,6 @@ def _rises(craft: Craft, columns: Mapping[str, FloatArray]) -> BoolArray:
 
 
 # ---------------------------------------------------------------- under the names of simulators
-
-
-def _npz(arrays: Mapping[str, FloatArray]) -> bytes:
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
-    return stream.getvalue()
 
 
 def _mjx(every: list[Craft]) -> dict[str, FloatArray]:

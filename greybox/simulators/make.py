@@ -6,11 +6,10 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from greybox.data import Dataset
 from greybox.errors import DataError, ModelError
-from greybox.files import FileFormatError, OutputError, dump_json, read_json, write_atomic
+from greybox.files import FileFormatError, Json, OutputError, dump_json, read_json, write_atomic
 from greybox.model.identified import IdentifiedModel
 from greybox.shown import Cell, Shown
 from greybox.simulators.coverage import Covered, coverage, format_table
@@ -68,7 +67,7 @@ class Twin(Shown):
         table = [matrix(self.statements)] if len(self.statements) > 1 else []
         return "\n\n".join([*(s.text for s in self.statements), *table, *self.notes])
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values of twin.json (schema "greybox.twin/1")."""
         return {
             "schema": SCHEMA,

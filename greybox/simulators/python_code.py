@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
@@ -78,7 +77,7 @@ def _operations() -> Mapping[int, str]:
     return found
 
 
-def python_source(function: Any, name: str, arguments: tuple[str, ...]) -> str:
+def python_source(function: ca.Function, name: str, arguments: tuple[str, ...]) -> str:
     """`def name(arguments..., m)` that returns a list with the entries of the first output.
 
     Arguments are indexed by entry, column by column; `function` is one of scalars (SX) with a dense

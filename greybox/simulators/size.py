@@ -14,11 +14,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from greybox.files import Json
 from greybox.model.model import PhysicsModel
 from greybox.simulators.change import Change, changed
 from greybox.simulators.craft import Craft
@@ -42,7 +42,7 @@ class Size:
     position: float
     angle: float
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values."""
         return {**asdict(self), "thrust": list(self.thrust)}
 
@@ -128,7 +128,7 @@ def _points(craft: Craft, count: int) -> _States:
 
 
 @lru_cache(maxsize=64)
-def _acceleration_function(physics: PhysicsModel) -> Any:
+def _acceleration_function(physics: PhysicsModel) -> ca.Function:
     """(attitude, velocity, position, rate, inputs, p) -> specific force and angular acceleration,
     rotors at the speed that they settle at."""
     sizes = (4, 3, 3, 3, len(physics.inputs), len(physics.parameters))
@@ -191,7 +191,7 @@ def _thrust_at_hover(craft: Craft, other: Craft) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=64)
-def flight_function(physics: PhysicsModel, dt: float, steps: int) -> Any:
+def flight_function(physics: PhysicsModel, dt: float, steps: int) -> ca.Function:
     """(x0, inputs over past + steps + future, p) -> states (n_x, steps) of the noise-free model."""
     past, future = physics.window
     x, u = (

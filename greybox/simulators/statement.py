@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from greybox.files import Json
 from greybox.simulators.change import Change, changed
 from greybox.simulators.craft import Craft
 from greybox.simulators.size import Size, size_of
@@ -31,7 +31,7 @@ class Row:
         tail = f": {what}" if what else ""
         return f"{self.word.effect:24} {self.word.status.value:7} {self.word.how}{tail}"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values."""
         return {
             "effect": self.word.effect,
@@ -71,7 +71,7 @@ class Statement:
         ]
         return f"{', '.join(counts)}; together {self.whole.text}"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values."""
         return {
             "target": self.target,

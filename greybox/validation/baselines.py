@@ -16,11 +16,9 @@ import numpy.typing as npt
 
 from greybox.errors import DataError
 from greybox.frames import GRAVITY, numeric
-from greybox.symbolic import FloatArray
+from greybox.symbolic import FloatArray, IntArray
 from greybox.validation.groups import error_vectors
 from greybox.validation.samples import columns, complete_rows
-
-IntArray = npt.NDArray[np.int64]
 
 
 def persistence(

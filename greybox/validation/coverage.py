@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy.stats
 
 from greybox.errors import DataError
+from greybox.files import Json
 from greybox.symbolic import FloatArray
 from greybox.validation.bootstrap import Interval, block_bootstrap
 from greybox.validation.samples import columns
@@ -41,7 +41,7 @@ class Coverage:
         """Whether the nominal level lies inside the interval of the fraction."""
         return self.interval.low <= self.nominal <= self.interval.high
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values: nominal, fraction, n, missing, low, high, level, method, honest."""
         plain = {
             "nominal": self.nominal,

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +23,7 @@ import scipy.linalg
 import scipy.stats
 
 from greybox.errors import DataError
+from greybox.files import Json
 from greybox.statistics.correlation import centred, check_lags, lagged
 from greybox.symbolic import FloatArray
 from greybox.validation.samples import names_for, stretches
@@ -56,7 +56,7 @@ class CrossPair:
     dof: int
     p_value: float
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values under the names of the fields."""
         return {
             "innovation": self.innovation,
@@ -81,7 +81,7 @@ class CrossCorrelation:
     skipped: tuple[str, ...]
     note: str = NOTE
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values: level, max_lag, lags, pairs, skipped, note."""
         return {
             "level": self.level,

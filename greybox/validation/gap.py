@@ -12,19 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from greybox.data import Dataset, Flight, Segment
 from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
-from greybox.estimation.filtering import Filter
+from greybox.estimation.filtering import Filter, Filtered
+from greybox.files import Json
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.model.noise import sensor_parts
 from greybox.model.sensors import SENSORS
-from greybox.symbolic import FloatArray
+from greybox.symbolic import FloatArray, IntArray
 from greybox.validation.adapt import adapt_to_flight
 from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning
 from greybox.validation.groups import GROUPS, Groups, error_norms
@@ -89,7 +89,7 @@ class GapRow:
         much = self.after > (1 + TENTH) * self.before
         return self.opposed and much and self.horizon_s <= SOON
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """As in discovery.json."""
         return {
             "group": self.group,
@@ -317,9 +317,9 @@ def _collect(
     into: Squares,
     predicted: dict[str, FloatArray],
     references: dict[str, FloatArray],
-    origins: Any,
+    origins: IntArray,
     steps: Mapping[float, int],
-    second: Any,
+    second: IntArray,
     table: Groups,
 ) -> None:
     for (g, s), rows in into.items():
@@ -336,9 +336,9 @@ def _collect(
 def _floor(
     model: IdentifiedModel,
     segment: Segment,
-    filtered: Any,
+    filtered: Filtered,
     reader: GroupReader,
-    origins: Any,
+    origins: IntArray,
     steps: int,
     references: dict[str, FloatArray],
 ) -> dict[str, FloatArray] | None:

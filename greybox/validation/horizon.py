@@ -19,14 +19,13 @@ import numpy.typing as npt
 import scipy.stats
 
 from greybox.errors import DataError, UnknownNameError
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray, IntArray
 from greybox.validation.coverage import mahalanobis_squared
 from greybox.validation.groups import GROUPS, Group, Groups, error_vectors
 from greybox.validation.horizon_table import GroupErrors, HorizonTable
 from greybox.validation.predictive import LEVELS, gaussian_nlpd
 from greybox.validation.samples import complete_rows
 
-IntArray = npt.NDArray[np.int64]
 REQUIRED = 50
 """Steps that an origin must have ahead of it, and over which SimErr sums."""
 BLOCK_SECONDS = 2.0
@@ -68,12 +67,12 @@ def find_origins(
 
 
 def complete_origins(
-    present: npt.NDArray[np.bool_], origins: IntArray, *, required: int = REQUIRED
-) -> npt.NDArray[np.bool_]:
+    present: BoolArray, origins: IntArray, *, required: int = REQUIRED
+) -> BoolArray:
     """Which origins k (n,) have a reference at each of k..k+required, (n,), where `present` (N,)
     says what is there."""
     total = np.concatenate([[0], np.cumsum(present)])
-    complete: npt.NDArray[np.bool_] = total[origins + required + 1] - total[origins] == required + 1
+    complete: BoolArray = total[origins + required + 1] - total[origins] == required + 1
     return complete
 
 
@@ -191,7 +190,7 @@ class HorizonAccumulator:
             )
             self._sum(own, self.groups[name], predicted[keep], reference, starts[keep], covariance)
 
-    def _usable(self, present: npt.NDArray[np.bool_], starts: IntArray) -> npt.NDArray[np.bool_]:
+    def _usable(self, present: BoolArray, starts: IntArray) -> BoolArray:
         """Which origins count: the same ones for every predictor, so that rows of a table
         compare."""
         if self.missing == "step":

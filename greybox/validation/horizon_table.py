@@ -5,21 +5,41 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NotRequired, TypedDict
 
 import numpy as np
-import numpy.typing as npt
 
 from greybox.errors import DataError
 from greybox.plots import Curve, panels
 from greybox.shown import Cell, Shown
-from greybox.symbolic import FloatArray
+from greybox.symbolic import FloatArray, IntArray
 from greybox.validation.groups import GROUPS, Groups
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-IntArray = npt.NDArray[np.int64]
+
+HorizonCell = dict[str, float | str]
+"""Errors of one group at one horizon in a result file: mae, rmse, unit, n, and where they are there
+diverged, nlpd, coverage50 and the like."""
+
+
+class HorizonRow(TypedDict):
+    """One horizon in a result file."""
+
+    h: int
+    seconds: float
+    groups: dict[str, HorizonCell]
+
+
+class HorizonDocument(TypedDict):
+    """A table in a result file; only its rows and sums where nothing could be predicted."""
+
+    label: NotRequired[str]
+    origins: NotRequired[dict[str, dict[str, int]]]
+    horizons: list[HorizonRow]
+    simerr: dict[str, float]
+    per_flight: NotRequired[dict[str, HorizonDocument]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,9 +131,7 @@ class HorizonTable(Shown):
         """Mean absolute error at h = 1..H per group [unit of the group], for plots."""
         return {g: e.mae.tolist() for g, e in self.groups.items()}
 
-    def _rows(
-        self, groups: Mapping[str, GroupErrors], horizons: Iterable[int]
-    ) -> list[dict[str, Any]]:
+    def _rows(self, groups: Mapping[str, GroupErrors], horizons: Iterable[int]) -> list[HorizonRow]:
         return [
             {
                 "h": int(h),
@@ -127,7 +145,7 @@ class HorizonTable(Shown):
             for h in horizons
         ]
 
-    def to_dict(self, horizons: Sequence[int] | None = None) -> dict[str, Any]:
+    def to_dict(self, horizons: Sequence[int] | None = None) -> HorizonDocument:
         """Plain values: label, origins, horizons, simerr, per_flight {name: {horizons, simerr}}.
 
         `horizons` are the steps to list (default 1, 10, 50 as far as they are there; the whole
@@ -172,8 +190,8 @@ class HorizonTable(Shown):
         return format_tables([self, *others], horizons)
 
 
-def _cell(unit: str, errors: GroupErrors, i: int) -> dict[str, Any]:
-    cell: dict[str, Any] = {
+def _cell(unit: str, errors: GroupErrors, i: int) -> HorizonCell:
+    cell: HorizonCell = {
         "mae": float(errors.mae[i]),
         "rmse": float(errors.rmse[i]),
         "unit": unit,

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import DataError
+from greybox.files import Json
 from greybox.symbolic import FloatArray
 from greybox.validation.samples import pairs
 
@@ -109,7 +110,7 @@ class ChannelMetrics:
     fit: float | None
     vaf: float | None
 
-    def to_dict(self) -> dict[str, float | int | str | None]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values under the names of the fields."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 

@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from greybox.errors import DataError
 from greybox.estimation.filtering import Filtered
 from greybox.model.dynamics import Dynamics
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
 from greybox.validation.coverage import LEVELS, Coverage, interval_coverage
 from greybox.validation.cross_correlation import CrossCorrelation, cross_correlation
 from greybox.validation.metrics import ChannelMetrics, channel_metrics
@@ -34,7 +33,7 @@ class OneStep:
     inputs: list[FloatArray] = field(default_factory=list)
     flights: list[str] = field(default_factory=list)
 
-    def add(self, flight: str, filtered: Filtered, rows: npt.NDArray[np.bool_]) -> None:
+    def add(self, flight: str, filtered: Filtered, rows: BoolArray) -> None:
         """The samples `rows` (N,) of one segment."""
         record = filtered.record
         if rows.sum() < 2:

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from greybox.errors import FitError
 from greybox.estimation.engine import Engine
@@ -22,10 +20,9 @@ from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of, with_physics
 from greybox.model.sensors import SENSORS
-from greybox.symbolic import FloatArray, evaluate
+from greybox.symbolic import FloatArray, IntArray, evaluate
 from greybox.validation.groups import GROUPS, groups_of
 
-IntArray = npt.NDArray[np.int64]
 POSE = ("position", "velocity", "rotation")
 
 
@@ -88,7 +85,7 @@ class GroupReader:
 
 def _velocity_reading(
     model: IdentifiedModel,
-) -> tuple[Callable[[FloatArray], Any], list[int], list[int]] | None:
+) -> tuple[Callable[[FloatArray], ca.Function], list[int], list[int]] | None:
     """How the velocity sensor would read: (p -> function of some states and commands, those states,
     those commands).
 
@@ -112,7 +109,7 @@ def _velocity_reading(
         [i for i in range(s.numel()) if any(ca.which_depends(v, s[i], 1, False))] for s in (x, u)
     )
 
-    def at(values: FloatArray) -> Any:
+    def at(values: FloatArray) -> ca.Function:
         fixed = ca.substitute(v, p, ca.DM(values))
         return ca.Function("velocity", [ca.vertcat(x[rows], u[moves])], [fixed])
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -78,6 +78,20 @@ def pit(
     return np.asarray(counts / counts.sum(), dtype=np.float64)
 
 
+class ScoresDocument(TypedDict):
+    """Scores of one channel in a result file."""
+
+    n: int
+    mse: float
+    nlpd: float
+    crps: float
+    sharpness: float
+    coverage50: float
+    coverage68: float
+    coverage95: float
+    pit: list[float]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scores:
     """All scores of one channel. `coverage` maps the levels of `LEVELS` to shares; `pit` is a
@@ -91,16 +105,18 @@ class Scores:
     coverage: Mapping[float, float]
     pit: FloatArray
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> ScoresDocument:
         """Plain values; coverage50, coverage68, coverage95 as in the result files."""
-        covered = {f"coverage{round(100 * level)}": share for level, share in self.coverage.items()}
+        half, most, nearly_all = (self.coverage[level] for level in LEVELS)
         return {
             "n": self.n,
             "mse": self.mse,
             "nlpd": self.nlpd,
             "crps": self.crps,
             "sharpness": self.sharpness,
-            **covered,
+            "coverage50": half,
+            "coverage68": most,
+            "coverage95": nearly_all,
             "pit": self.pit.tolist(),
         }
 

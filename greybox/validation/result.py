@@ -5,16 +5,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict
 
 from greybox.data.dataset import FlightFacts
+from greybox.files import Json
 from greybox.model.verdict import NOT_JUDGED, Verdict
 from greybox.shown import Cell, Shown
 from greybox.validation.adapt import Adaptation
 from greybox.validation.advice import Hint
 from greybox.validation.coverage import Coverage
 from greybox.validation.cross_correlation import CrossCorrelation
-from greybox.validation.horizon_table import HorizonTable, format_tables, plot_tables
+from greybox.validation.horizon_table import (
+    HorizonDocument,
+    HorizonTable,
+    format_tables,
+    plot_tables,
+)
 from greybox.validation.metrics import ChannelMetrics
 from greybox.validation.usefulness import in_words, judge, standard_of
 from greybox.validation.whiteness import Whiteness
@@ -23,6 +29,33 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SCHEMA = "greybox.validate/1"
+
+
+class AdaptedOn(TypedDict):
+    """What was fitted to the first `seconds` of every flight: parameter -> value, std, unit."""
+
+    seconds: float
+    flights: dict[str, dict[str, dict[str, float | str]]]
+
+
+class ValidationDocument(HorizonDocument):
+    """validate.json, with the model's own table at its top level."""
+
+    schema: str
+    verdict: dict[str, Json] | None
+    model: dict[str, str | None]
+    flights: list[FlightFacts]
+    sample_time: float
+    persistence: HorizonDocument | None
+    dead_reckoning: HorizonDocument | None
+    measured_start: HorizonDocument | None
+    curves: dict[str, dict[str, list[float]]]
+    adapted_on: AdaptedOn | None
+    one_step: dict[str, dict[str, Json]]
+    whiteness: dict[str, Json] | None
+    cross_correlation: dict[str, Json] | None
+    coverage: dict[str, list[dict[str, Json]]]
+    warnings: list[str]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -93,18 +126,18 @@ class Validation(Shown):
         rows = (self.table, self.measured_start, self.persistence, self.dead_reckoning)
         return tuple(t for t in rows if t is not None)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> ValidationDocument:
         """Plain values, schema "greybox.validate/1"."""
-        own = (
+        own: HorizonDocument = (
             self.table.to_dict(self.horizons)
             if self.table is not None
             else {"horizons": [], "simerr": {}}
         )
 
-        def row(table: HorizonTable | None) -> dict[str, Any] | None:
+        def row(table: HorizonTable | None) -> HorizonDocument | None:
             return None if table is None else table.to_dict(self.horizons)
 
-        adapted = None
+        adapted: AdaptedOn | None = None
         if self.adapted_seconds is not None:
             adapted = {
                 "seconds": self.adapted_seconds,
@@ -114,7 +147,7 @@ class Validation(Shown):
             "schema": SCHEMA,
             "verdict": None if self.verdict is None else self.verdict.to_dict(),
             "model": {"name": self.model, "file": self.file},
-            "flights": [dict(f) for f in self.flights],
+            "flights": [f.copy() for f in self.flights],
             "sample_time": self.sample_time,
             **own,
             "persistence": row(self.persistence),

@@ -13,9 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import DataError
-from greybox.symbolic import FloatArray
-
-BoolArray = npt.NDArray[np.bool_]
+from greybox.symbolic import BoolArray, FloatArray
 
 
 def columns(values: npt.ArrayLike, *, what: str) -> FloatArray:

@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
 from greybox.estimation.feasible import margins
 from greybox.estimation.fit import Fit
+from greybox.files import Json
 from greybox.model.composition import acts_on_speeds
 from greybox.model.effects import CATALOGUE
 from greybox.model.layer import physics_of
@@ -129,7 +130,7 @@ class Sanity:
         """One line per finding."""
         return [f.line() for f in self.findings]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values."""
         return {"possible": self.possible, "findings": [asdict(f) for f in self.findings]}
 

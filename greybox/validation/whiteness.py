@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +20,7 @@ import scipy.stats
 
 from greybox.errors import DataError
 from greybox.estimation.predictor import Block
+from greybox.files import Json
 from greybox.statistics.correlation import check_lags, predictable_share
 from greybox.statistics.whiteness import (
     Portmanteau,
@@ -57,7 +57,7 @@ class ChannelWhiteness:
     periodogram_band: float
     test: Portmanteau
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values; the test's fields are on the same level."""
         plain = {
             "n": self.n,
@@ -91,7 +91,7 @@ class Whiteness:
     fitted: int
     level: float
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values: level, max_lag, fitted, channels {name: ...}, multivariate."""
         return {
             "level": self.level,

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from greybox.errors import VehicleError
+from greybox.files import Parsed
 from greybox.model.vehicle import Vehicle
 from greybox.simulators.sources import crazyflow, mjcf, px4, rotorpy, sdf, urdf
 from greybox.simulators.sources.found import Found
@@ -47,7 +46,7 @@ def read_craft(path: str, section: str | None = None) -> Found:
     raise VehicleError("not a simulator's file", where=path, expected=FORMATS)
 
 
-def vehicle_from_simulator(path: str, changes: Mapping[str, Any]) -> tuple[str, Found]:
+def vehicle_from_simulator(path: str, changes: Parsed) -> tuple[str, Found]:
     """(text of the vehicle file, what was found). `changes` may hold `section`, `mass`, `name`.
 
     The text is read back before it is returned. Raises `VehicleError`, `UnknownNameError`.

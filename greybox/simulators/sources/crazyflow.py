@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.errors import VehicleError
-from greybox.files import read_toml
+from greybox.files import Parsed, read_toml
 from greybox.simulators.sources.found import Found, used
 from greybox.simulators.targets.rotorpy import GRAVITY
 from greybox.symbolic import FloatArray
@@ -19,7 +19,7 @@ PER_MINUTE = 60.0 / (2.0 * math.pi)
 NEEDED = ("mass", "J", "L", "mixing_matrix", "rpm2thrust", "rpm2torque")
 
 
-def tables(path: Path) -> dict[str, dict[str, Any]]:
+def tables(path: Path) -> dict[str, Parsed]:
     """The sections of a file that have rpm2thrust. Raises `VehicleError` for what is no TOML."""
     data = read_toml(path, what="file of parameters", error=VehicleError, largest=LARGEST)
     return {k: v for k, v in data.items() if isinstance(v, dict) and "rpm2thrust" in v}
@@ -45,7 +45,7 @@ def read(path: Path, section: str | None = None) -> Found:
         raise VehicleError(f"wrong numbers: {error}", where=f"{where} [{section}]") from None
 
 
-def _craft(name: str, p: dict[str, Any]) -> Found:
+def _craft(name: str, p: Parsed) -> Found:
     mixing = np.array(p["mixing_matrix"], dtype=float)
     arms = np.stack([-mixing[1], mixing[0], 0 * mixing[0]], axis=1) * np.array(p["L"])[..., None]
     count = mixing.shape[1]
@@ -82,7 +82,7 @@ def _craft(name: str, p: dict[str, Any]) -> Found:
     )
 
 
-def _curve(value: Any, count: int) -> tuple[FloatArray, FloatArray]:
+def _curve(value: npt.ArrayLike, count: int) -> tuple[FloatArray, FloatArray]:
     """(powers of rpm (3,), strength of each rotor (count,)) of a curve or one per motor."""
     c = np.array(value, dtype=float)
     if c.ndim == 1:

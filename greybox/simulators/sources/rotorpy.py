@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from greybox.errors import VehicleError
-from greybox.files import read_limited
+from greybox.files import Parsed, read_limited
 from greybox.simulators.sources.found import Found, used
 from greybox.simulators.targets.rotorpy import GRAVITY
 
@@ -68,7 +68,7 @@ def read(path: Path) -> Found:
         raise VehicleError(f"quad_params: {error}", where=where) from None
 
 
-def _parameters(path: Path) -> dict[str, Any]:
+def _parameters(path: Path) -> Parsed:
     where = str(path)
     try:
         tree = ast.parse(read_limited(path, LARGEST).decode("utf-8"))
