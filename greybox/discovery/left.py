@@ -12,7 +12,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from greybox.model.noise import disturbances, without_parts
 from greybox.residual.discrepancy import discrepancy
 from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import Law, file_name, proposal_text, proposed
-from greybox.residual.laws.found import laws_of
+from greybox.residual.laws.found import AxisLaw, laws_of
 from greybox.residual.laws.responses import library
 from greybox.residual.laws.terms import Memory, wanted_features
 
@@ -121,7 +120,7 @@ def left_over(
         seen = discrepancy(model, data, names)
     except FitError:
         return Left(axes=())
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, AxisLaw] = {}
     wanted = [a for a, (_, needed) in gains.items() if needed]
     if wanted and laws:
         try:
@@ -138,8 +137,8 @@ def left_over(
             gain=gains[c.name][0],
             needed=gains[c.name][1],
             lasts=lasts[c.name.split(".")[0]],
-            lawful=is_law(found.get(c.name, {})),
-            **found.get(c.name, {}),
+            lawful=is_law(found.get(c.name, AxisLaw())),
+            **found.get(c.name, AxisLaw()),
         )
         for j, c in enumerate(seen.outputs)
     )
@@ -149,7 +148,7 @@ def left_over(
     return _raced(flights, at, axes, lawful, bar)
 
 
-def is_law(found: Mapping[str, Any]) -> bool:
+def is_law(found: AxisLaw) -> bool:
     """Whether terms were found that explain enough."""
     return bool(found.get("terms")) and bool(found["share"] >= RULES.law)
 

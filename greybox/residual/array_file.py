@@ -12,12 +12,12 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.errors import FileFormatError
-from greybox.files import checksum, read_json, to_plain, write_atomic, write_json
+from greybox.files import Parsed, checksum, read_json, to_plain, write_atomic, write_json
 from greybox.symbolic import FloatArray
 
 LARGEST_ARRAYS = 500 * 2**20
@@ -32,7 +32,7 @@ UNREADABLE: tuple[type[Exception], ...] = (
 def write_with_arrays(
     path: str | os.PathLike[str],
     schema: str,
-    plain: Mapping[str, Any],
+    plain: Mapping[str, object],
     arrays: Mapping[str, FloatArray],
 ) -> Path:
     """Write `plain` to `path` and `arrays` beside it, each atomically. Returns the path."""
@@ -44,15 +44,21 @@ def write_with_arrays(
         "arrays": beside.name,
         "arrays_sha256": _digest(arrays),
     }
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]
-    write_atomic(beside, buffer.getvalue())
+    write_atomic(beside, packed(arrays))
     return write_json(target, {**body, "checksum": checksum(body)})
+
+
+def packed(arrays: Mapping[str, npt.NDArray[np.generic]], *, compressed: bool = False) -> bytes:
+    """The bytes of an .npz file."""
+    buffer = io.BytesIO()
+    write = np.savez_compressed if compressed else np.savez
+    write(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
 
 
 def read_with_arrays(
     path: str | os.PathLike[str], schema: str
-) -> tuple[dict[str, Any], dict[str, FloatArray]]:
+) -> tuple[Parsed, dict[str, FloatArray]]:
     """What `write_with_arrays` wrote. Raises `FileFormatError` (schema, checksum, missing or
     foreign arrays)."""
     where = str(path)

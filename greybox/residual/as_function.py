@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import casadi as ca
 
@@ -35,12 +35,12 @@ class AsFunction:
         which: Iterable[str] = ("mean", "variance"),
         *,
         noise: bool | str = False,
-        symbol: Any = ca.MX,
+        symbol: type[ca.SX] | type[ca.MX] = ca.MX,
     ) -> ca.Function:
         """A CasADi function z -> the quantities in `which` (named in- and outputs); `symbol` is
         casadi.MX or casadi.SX."""
         names = list(which)
-        z = symbol.sym("z", len(self.inputs))
+        z: Expr = symbol.sym("z", len(self.inputs))
         values = self.expressions(z, names, noise=noise)
         return ca.Function(
             name or self.called, [z], [ca.densify(values[n]) for n in names], ["z"], names

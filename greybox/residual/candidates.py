@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,6 +21,7 @@ from greybox.residual.learners.learner import Features, is_centred, is_ensemble
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import place_points
 from greybox.residual.train import train_gp
+from greybox.residual.training_report import TrainingDocument
 from greybox.residual.weight_space import Candidate
 from greybox.symbolic import BoolArray, FloatArray, evaluate
 
@@ -38,11 +38,11 @@ Say = Callable[[str, float], None]
 
 def gp_candidates(
     sets: Mapping[str, Discrepancy], *, kernel: str, points: int | str, seed: int, say: Say
-) -> tuple[dict[str, GPPosterior], list[Mapping[str, Any]]]:
+) -> tuple[dict[str, GPPosterior], list[TrainingDocument]]:
     """Of every set of features a process by marginal likelihood and one with a broad kernel, and
     how they were trained."""
     found: dict[str, GPPosterior] = {}
-    reports: list[Mapping[str, Any]] = []
+    reports: list[TrainingDocument] = []
     for i, (label, seen) in enumerate(sets.items()):
         say(f"marginal likelihood: {label}", i / len(sets))
         trained = train_gp(

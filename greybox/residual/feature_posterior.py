@@ -11,16 +11,17 @@ the learner's name.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
+from greybox.files import Json, Parsed
 from greybox.model.expressions import read_function, write_function
 from greybox.residual.as_function import AsFunction
 from greybox.residual.posterior import QUANTITIES, Domain
@@ -199,7 +200,7 @@ class FeaturePosterior(AsFunction, Shown):
         """The same mean with `factor` > 0 times the standard deviation."""
         return replace(self, root=self.root * factor, prior=self.prior * factor**2)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """All of it as plain JSON values."""
         return {
             "schema": SCHEMA,
@@ -217,12 +218,12 @@ class FeaturePosterior(AsFunction, Shown):
         }
 
     @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> FeaturePosterior:
+    def from_dict(cls, value: Parsed) -> FeaturePosterior:
         """Inverse of `to_dict`. Raises `FileFormatError`."""
         if value.get("schema") != SCHEMA:
             raise FileFormatError("wrong schema", expected=SCHEMA, got=repr(value.get("schema")))
         try:
-            numbers: dict[str, Any] = {
+            numbers = {
                 n: np.asarray(value[n], dtype=np.float64) for n in (*_VECTORS, *_ARRAYS, "prior")
             }
             return cls(
@@ -231,7 +232,13 @@ class FeaturePosterior(AsFunction, Shown):
                 method=str(value["method"]),
                 phi=read_function("phi", value["features"]),
                 domain=Domain(**value["domain"]),
-                **numbers,
+                input_mean=numbers["input_mean"],
+                input_scale=numbers["input_scale"],
+                output_scale=numbers["output_scale"],
+                noise=numbers["noise"],
+                weights=numbers["weights"],
+                root=numbers["root"],
+                prior=numbers["prior"],
             )
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             if isinstance(error, GreyboxError) and not isinstance(error, ModelError):

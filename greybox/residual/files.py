@@ -12,10 +12,9 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from greybox.errors import FileFormatError, GreyboxError
-from greybox.files import checksum, read_json, write_json
+from greybox.files import Json, Parsed, checksum, read_json, write_json
 from greybox.model.effect import Effect
 from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
 from greybox.model.sensor import Sensor
@@ -30,13 +29,13 @@ def save_model(model: IdentifiedModel, path: str | os.PathLike[str]) -> Path:
     return write_json(path, model_to_dict(model))
 
 
-def model_to_dict(model: IdentifiedModel) -> dict[str, Any]:
+def model_to_dict(model: IdentifiedModel) -> dict[str, Json]:
     """Plain values of a model file of either kind. Raises `ModelError` for a model not made of
     catalogue parts."""
     dynamics = model.dynamics
     if not isinstance(dynamics, HybridModel):
         return model.to_dict()
-    body: dict[str, Any] = {
+    body: dict[str, Json] = {
         "schema": SCHEMA,
         "kind": "hybrid",
         "name": model.name,
@@ -57,7 +56,7 @@ def load_model(
     `ModelError`.
     """
     where = str(path)
-    data: Mapping[str, Any] = read_json(path, schema=SCHEMA)
+    data: Parsed = read_json(path, schema=SCHEMA)
     if data.get("kind") == "output-hybrid":
         raise FileFormatError(
             "a predictor of outputs, not a model of motion",
@@ -94,5 +93,5 @@ def _key(posterior: GPPosterior | FeaturePosterior) -> str:
     return "learned" if isinstance(posterior, FeaturePosterior) else "gp"
 
 
-def _checksum(body: Mapping[str, Any]) -> str:
+def _checksum(body: Mapping[str, Json]) -> str:
     return checksum({k: v for k, v in body.items() if k not in ("checksum", "versions")})

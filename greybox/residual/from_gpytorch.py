@@ -21,7 +21,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -141,18 +141,18 @@ def _stacked(
     for part in parts:
         latents += [replace(f, bases=tuple(q + len(bases) for q in f.bases)) for f in part.latents]
         bases += part.bases
-    joined: dict[str, Any] = {
-        n: np.concatenate([getattr(p, n) for p in parts])
-        for n in ("output_mean", "output_scale", "noise", "offset")
-    }
-    names = [f"f{i + 1}" for i in range(len(joined["noise"]))]
+    noise = np.concatenate([p.noise for p in parts])
+    names = [f"f{i + 1}" for i in range(len(noise))]
     whole = replace(
         first,
         bases=tuple(bases),
         latents=tuple(latents),
         mixing=block_diag(*(p.mixing for p in parts)),
         outputs=Layout([Signal(name=n, unit="1") for n in names]),
-        **joined,
+        output_mean=np.concatenate([p.output_mean for p in parts]),
+        output_scale=np.concatenate([p.output_scale for p in parts]),
+        noise=noise,
+        offset=np.concatenate([p.offset for p in parts]),
     )
     return _named(_scaled(whole, input_transform, output_transform), inputs, outputs)
 
@@ -238,8 +238,8 @@ def _reference(model: Model) -> tuple[FloatArray, FloatArray, FloatArray]:
     at a few points."""
     torch = sys.modules["torch"]
     inputs = getattr(model, "train_inputs", None)
-    outer: Any = getattr(model, "variational_strategy", None)
-    strategy: Any = getattr(outer, "base_variational_strategy", outer)
+    outer = getattr(model, "variational_strategy", None)
+    strategy: Model = getattr(outer, "base_variational_strategy", outer)
     seen = inputs[0] if inputs is not None else strategy.inducing_points
     batch = tuple(seen.shape[:-2]) if inputs is not None else ()
     x = numbers(seen)

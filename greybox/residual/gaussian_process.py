@@ -22,16 +22,21 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
+from greybox.files import Json, Parsed
 from greybox.residual.array_file import read_with_arrays, write_with_arrays
 from greybox.residual.as_function import AsFunction
-from greybox.residual.covariances.covariance import Covariance, covariance_from_dict, frozen
+from greybox.residual.covariances.covariance import (
+    Covariance,
+    Pullback,
+    covariance_from_dict,
+    frozen,
+)
 from greybox.residual.posterior import QUANTITIES, Domain
 from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, evaluate
@@ -262,7 +267,7 @@ class GaussianProcess(AsFunction, Shown):
         return out
 
     def _latent(
-        self, of: Latent, x: Expr, columns: Sequence[Any], wanted: set[str]
+        self, of: Latent, x: Expr, columns: Sequence[tuple[Expr, Pullback]], wanted: set[str]
     ) -> dict[str, Expr]:
         """Quantities of one latent process at the transformed column x."""
         k = ca.vertcat(*(columns[q][0] for q in of.bases))
@@ -329,7 +334,7 @@ class GaussianProcess(AsFunction, Shown):
 
     # -------------------- files
 
-    def parts(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
+    def parts(self) -> tuple[dict[str, Json], dict[str, FloatArray]]:
         """(plain JSON values, arrays by name)."""
         arrays = {f"support.{q}": base.support for q, base in enumerate(self.bases)}
         for i, latent in enumerate(self.latents):
@@ -363,9 +368,7 @@ class GaussianProcess(AsFunction, Shown):
         return plain, arrays
 
     @classmethod
-    def from_parts(
-        cls, plain: Mapping[str, Any], arrays: Mapping[str, FloatArray]
-    ) -> GaussianProcess:
+    def from_parts(cls, plain: Parsed, arrays: Mapping[str, FloatArray]) -> GaussianProcess:
         """Inverse of `parts`. Raises `FileFormatError` where something is missing or does not
         fit."""
         try:

@@ -11,16 +11,25 @@ Machine Learning 4(3) (2012)."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, qr, solve_triangular
 
 from greybox.errors import DataError, ModelError
 from greybox.residual.covariances import Covariance, Pick, read_module
-from greybox.residual.covariances.covariance import numbers
+from greybox.residual.covariances.covariance import numbers, same_forward
 from greybox.residual.gaussian_process import Base, Latent
 from greybox.symbolic import FloatArray
+
+if TYPE_CHECKING:
+    from gpytorch.distributions import MultivariateNormal as Normal
+    from gpytorch.kernels import Kernel
+    from gpytorch.likelihoods import Likelihood
+    from gpytorch.means import Mean
+    from gpytorch.models import GP
+    from gpytorch.variational import _VariationalStrategy as Strategy
+    from torch.nn import Module
 
 JITTERS = (0.0, 1e-8, 1e-7, 1e-6)
 
@@ -40,12 +49,12 @@ class Posterior:
     method: str
 
 
-def kinds(module: Any) -> set[str]:
+def kinds(module: object) -> set[str]:
     """Names of the classes that an object is an instance of."""
     return {c.__name__ for c in type(module).__mro__}
 
 
-def read_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
+def read_model(model: GP, likelihood: Likelihood, jitter: float) -> Posterior:
     """The posterior of an ExactGP or ApproximateGP. `jitter` is what GPyTorch adds to K(Z, Z) of a
     variational model of this precision. Raises `ModelError` for what is not supported, by name,
     and `DataError` without data."""
@@ -74,7 +83,7 @@ def read_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
     return _exact(model, likelihood, covar)
 
 
-def _module(model: Any, name: str) -> Any:
+def _module(model: GP, name: str) -> Module:
     if not hasattr(model, name):
         raise ModelError(
             f"{type(model).__name__} has no {name}",
@@ -87,12 +96,12 @@ def _module(model: Any, name: str) -> Any:
 # -------------------- parts
 
 
-def read_mean(module: Any, pick: Pick, n_in: int, where: str) -> tuple[float, FloatArray]:
+def read_mean(module: Mean, pick: Pick, n_in: int, where: str) -> tuple[float, FloatArray]:
     """(c, s) of the prior mean c + s'x. Raises `ModelError` that names another mean."""
-    own: Any = type(module)
+    own = type(module)
     for known in ("ZeroMean", "ConstantMean", "LinearMean"):
-        base: Any = next((c for c in own.__mro__ if c.__name__ == known), None)
-        if base is None or own.forward is not base.forward:
+        base = next((c for c in own.__mro__ if c.__name__ == known), None)
+        if base is None or not same_forward(own, base):
             continue
         if known == "ZeroMean":
             return 0.0, np.zeros(n_in)
@@ -106,7 +115,7 @@ def read_mean(module: Any, pick: Pick, n_in: int, where: str) -> tuple[float, Fl
     )
 
 
-def noise_matrix(likelihood: Any, n_out: int, samples: int) -> FloatArray:
+def noise_matrix(likelihood: Likelihood, n_out: int, samples: int) -> FloatArray:
     """Noise covariance (n_out, n_out) of one sample, or (samples, n_out) variances where they are
     fixed one by one.
 
@@ -142,7 +151,7 @@ def noise_matrix(likelihood: Any, n_out: int, samples: int) -> FloatArray:
     )
 
 
-def _factor(matrix: Any) -> FloatArray:
+def _factor(matrix: FloatArray) -> FloatArray:
     """Lower Cholesky factor, with the jitters that GPyTorch adds to a singular matrix (none, 1e-8,
     1e-7, 1e-6)."""
     for added in JITTERS:
@@ -165,7 +174,7 @@ def _positive(values: FloatArray) -> None:
         )
 
 
-def _batch(*modules: Any) -> int:
+def _batch(*modules: Module | None) -> int:
     """Size of the one batch dimension of the modules, 1 without."""
     sizes = {int(n) for m in modules for n in tuple(getattr(m, "batch_shape", ())) if int(n) != 1}
     if len(sizes) > 1:
@@ -176,7 +185,7 @@ def _batch(*modules: Any) -> int:
 # -------------------- exact
 
 
-def _data(model: Any, n_out: int) -> tuple[list[FloatArray], FloatArray]:
+def _data(model: GP, n_out: int) -> tuple[list[FloatArray], FloatArray]:
     """(inputs (N, n_in) per output, targets (N, n_out)) of an exact model: targets are (N,),
     (n_out, N) or (N, n_out)."""
     x, y = numbers(model.train_inputs[0]), numbers(model.train_targets)
@@ -201,7 +210,7 @@ def _data(model: Any, n_out: int) -> tuple[list[FloatArray], FloatArray]:
     return [many[j if len(many) > 1 else 0] for j in range(n_out)], targets
 
 
-def _exact(model: Any, likelihood: Any, covar: Any) -> Posterior:
+def _exact(model: GP, likelihood: Likelihood, covar: Kernel) -> Posterior:
     """Independent outputs: one, or a batch; each by its own data, exactly or on inducing points."""
     mean = _module(model, "mean_module")
     shape = tuple(model.train_targets.shape)
@@ -265,7 +274,7 @@ def _targets(shape: tuple[int, ...], x: FloatArray) -> int:
     return shape[-1] if shape[0] == len(x) else int(np.prod(shape[:-1]))
 
 
-def _member(mean: Any, j: int) -> Any:
+def _member(mean: Mean, j: int) -> Mean:
     """The mean of output j: MultitaskMean holds one per output."""
     return mean.base_means[j] if "MultitaskMean" in kinds(mean) else mean
 
@@ -308,7 +317,7 @@ def _inducing(
 # -------------------- several outputs
 
 
-def _term(member: Any, x: FloatArray, where: str) -> tuple[Base, FloatArray]:
+def _term(member: Kernel, x: FloatArray, where: str) -> tuple[Base, FloatArray]:
     """(k_q on the data, B_q) of one multitask kernel."""
     kernel = read_module(member.data_covar_module, Pick(), f"{where}.data_covar_module", whole=True)
     if getattr(member, "active_dims", None) is not None:
@@ -318,7 +327,7 @@ def _term(member: Any, x: FloatArray, where: str) -> tuple[Base, FloatArray]:
     return Base(covariance=kernel, support=x), numbers(dense)
 
 
-def _multitask(model: Any, likelihood: Any, covar: Any) -> Posterior:
+def _multitask(model: GP, likelihood: Likelihood, covar: Kernel) -> Posterior:
     """K((x, i), (x', j)) = sum_q B_q[i, j] k_q(x, x') (ICM with one term, LMC with more), all
     samples of all outputs."""
     many = "LCMKernel" in kinds(covar)
@@ -337,8 +346,7 @@ def _multitask(model: Any, likelihood: Any, covar: Any) -> Posterior:
         raise ModelError("FixedNoiseGaussianLikelihood with a multitask kernel is not supported")
     # Samples first, outputs inside: K_x (x) B.
     whole = sum(np.kron(base.covariance.matrix(x, x), b) for base, b in zip(bases, between))
-    whole = whole + np.kron(np.eye(n), own)
-    factor = _factor(whole)
+    factor = _factor(np.asarray(whole + np.kron(np.eye(n), own)))
     mean = _module(model, "mean_module")
     affine = [
         read_mean(_member(mean, j), Pick(index=j), x.shape[1], "mean_module") for j in range(n_out)
@@ -377,7 +385,7 @@ def _multitask(model: Any, likelihood: Any, covar: Any) -> Posterior:
 # -------------------- variational
 
 
-def _strategy(outer: Any) -> tuple[Any, FloatArray | None, int, float]:
+def _strategy(outer: Strategy) -> tuple[Strategy, FloatArray | None, int, float]:
     """(the inner strategy, LMC's mixing (n_out, n_f) or None, how often one process is repeated,
     the variance that LMC adds). Raises `ModelError` that names another strategy."""
     names, where = kinds(outer), "variational_strategy"
@@ -399,7 +407,7 @@ def _strategy(outer: Any) -> tuple[Any, FloatArray | None, int, float]:
     return inner, mixing, repeats, offset
 
 
-def _variational_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
+def _variational_model(model: GP, likelihood: Likelihood, jitter: float) -> Posterior:
     """q(u) on inducing points, whitened or not, alone, as a batch of independent outputs, or mixed
     (LMC)."""
     inner, mixing, repeats, offset = _strategy(model.variational_strategy)
@@ -449,7 +457,7 @@ def _variational_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
     )
 
 
-def _root(q: Any, strategy: Any) -> FloatArray:
+def _root(q: Normal, strategy: Strategy) -> FloatArray:
     """A factor R of cov(q) = R R' (..., M, M)."""
     own = strategy._variational_distribution
     if "DeltaVariationalDistribution" in kinds(own):

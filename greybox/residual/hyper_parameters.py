@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -54,7 +53,7 @@ class Hyper:
 
 def pack(kernel: Kernel, noise: FloatArray) -> FloatArray:
     """Logarithms of length-scales, variance, slopes (where there are any) and noises (n,)."""
-    parts: list[Any] = [kernel.lengthscales, [kernel.variance]]
+    parts = [kernel.lengthscales, np.array([kernel.variance])]
     if kernel.slopes is not None:
         parts.append(kernel.slopes)
     return np.log(np.concatenate([*parts, noise]))
@@ -102,26 +101,23 @@ def _search(
     """L-BFGS-B from one start. "converged" only if the projected gradient really is small."""
     bounds = _bounds(like, y.shape[1])
     function = _likelihood_of(x, y, like)
-    best: list[Any] = [
-        math.inf,
-        np.clip(start, bounds[:, 0], bounds[:, 1]),
-        np.full(start.shape, np.inf),
-    ]
+    first = np.clip(start, bounds[:, 0], bounds[:, 1])
+    best = math.inf, first, np.full(start.shape, np.inf)
     count = 0
 
     def value(theta: FloatArray) -> tuple[float, FloatArray]:
-        nonlocal count
+        nonlocal best, count
         count += 1
         f, g = function(theta)
         if f < best[0]:
-            best[:] = [f, theta.copy(), g.copy()]
+            best = f, theta.copy(), g.copy()
         return f, g
 
     status, message = "iteration limit", ""
     try:
         done = minimize(
             value,
-            best[1],
+            first,
             jac=True,
             method="L-BFGS-B",
             bounds=bounds,

@@ -11,12 +11,9 @@ function the variance that it really has. The noise of a single new sample stays
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft
 
-from greybox.symbolic import FloatArray
-
-IntArray = npt.NDArray[np.int64]
+from greybox.symbolic import FloatArray, IntArray
 
 
 def autocorrelation_time(e: FloatArray, place: IntArray, group: IntArray) -> float:

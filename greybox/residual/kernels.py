@@ -8,15 +8,14 @@ for Machine Learning (2006), chapter 4.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
+from greybox.files import Json, Parsed
 from greybox.symbolic import Expr, FloatArray, Namespace, Numeric
 
 FAMILIES = ("se", "matern32", "matern52")
@@ -140,7 +139,7 @@ class Kernel:
             fade * row - (row @ x) * fade**2 * (FADE_POWER * ca.DM(scale) * x ** (FADE_POWER - 1)).T
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain JSON values."""
         return {
             "family": self.family,
@@ -151,7 +150,7 @@ class Kernel:
         }
 
     @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> Kernel:
+    def from_dict(cls, value: Parsed) -> Kernel:
         """Inverse of `to_dict`. Raises `FileFormatError`."""
         try:
             return cls(**value)

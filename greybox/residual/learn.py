@@ -18,12 +18,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
 from greybox.data import Dataset, Flight
 from greybox.errors import ModelError
+from greybox.files import Json
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import LongerWindow, physics_of
 from greybox.progress import in_notebooks
@@ -36,11 +37,35 @@ from greybox.residual.kernels import split_name
 from greybox.residual.learners import GP, Learner, LooksBack, learner_for
 from greybox.residual.noise_levels import refit_noise
 from greybox.residual.open_loop_fit import OpenLoopFit, fit_open_loop
+from greybox.residual.training_report import TrainingDocument
 from greybox.residual.weight_space import Candidate
 from greybox.shown import Cell, Shown
 from greybox.validation.calibration import Calibration, calibrate_horizons
 
 Progress = Callable[[str, float], None]
+
+
+class LearnDocument(TypedDict):
+    """learn.json before it is judged; its schema says more."""
+
+    schema: str
+    model: str
+    kind: str
+    learner: str
+    null: bool
+    candidates: list[dict[str, str | float]]
+    chosen: str
+    features: list[str]
+    outputs: list[dict[str, str | bool]]
+    points: int
+    fit: dict[str, Json]
+    calibration: dict[str, Json]
+    training: list[TrainingDocument]
+    trained_on: list[str]
+    data_hash: str
+    seconds: float
+    warnings: list[str]
+    versions: dict[str, str]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -57,9 +82,9 @@ class Learned(Shown):
     chosen: str
     calibration: Calibration
     seconds: float
-    training: tuple[Mapping[str, Any], ...]
+    training: tuple[TrainingDocument, ...]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> LearnDocument:
         """As in learn.json, schema "greybox.learn/1"."""
         posterior = self.fit.posterior
         return {
@@ -96,7 +121,7 @@ class Learned(Shown):
                 "gain": self.calibration.gain,
                 "new_flight": self.calibration.new_flight,
             },
-            "training": [dict(t) for t in self.training],
+            "training": [t.copy() for t in self.training],
             "trained_on": list(self.model.trained_on),
             "data_hash": self.model.data_hash,
             "seconds": self.seconds,
@@ -296,7 +321,7 @@ class _Offered:
     """The candidates by name, how they were trained, and what makes them again from some rows."""
 
     found: Mapping[str, Candidate]
-    reports: tuple[Mapping[str, Any], ...] = ()
+    reports: tuple[TrainingDocument, ...] = ()
     maker: FeatureMaker | None = None
 
 

@@ -19,23 +19,22 @@ On disk: `<name>.json` (schema "greybox.gp/1", all but the large arrays, with a 
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
-from greybox.files import checksum, read_json, write_atomic, write_json
+from greybox.files import Json, Parsed, checksum, read_json, write_atomic, write_json
 from greybox.plots import Curve, panels
-from greybox.residual.array_file import load_arrays
+from greybox.residual.array_file import load_arrays, packed
 from greybox.residual.as_function import AsFunction
 from greybox.residual.kernels import Kernel
 from greybox.shown import Cell, Shown
@@ -442,7 +441,7 @@ class GPPosterior(AsFunction, Shown):
 
     # --------------------------------------------------------------------------------------- files
 
-    def parts(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
+    def parts(self) -> tuple[dict[str, Json], dict[str, FloatArray]]:
         """(plain JSON values, arrays by name): the triangular factors are packed, kernels that are
         shared are one."""
         unique: list[Kernel] = []
@@ -479,16 +478,14 @@ class GPPosterior(AsFunction, Shown):
         return plain, arrays
 
     @classmethod
-    def from_parts(
-        cls, plain: Mapping[str, Any], arrays: Mapping[str, npt.ArrayLike]
-    ) -> GPPosterior:
+    def from_parts(cls, plain: Parsed, arrays: Mapping[str, npt.ArrayLike]) -> GPPosterior:
         """Inverse of `parts`. Raises `FileFormatError` where something is missing or does not
         fit."""
         try:
             kernels = [Kernel.from_dict(k) for k in plain["kernels"]]
             m = int(plain["points"])
             n_out = len(plain["outputs"])
-            values: dict[str, Any] = {"support": arrays["support"], "weights": arrays["weights"]}
+            values = {n: np.asarray(arrays[n], dtype=np.float64) for n in ("support", "weights")}
             given = {
                 name: np.asarray(arrays[name], dtype=np.float64)
                 for name in ("explained", "uncertain")
@@ -529,13 +526,13 @@ class GPPosterior(AsFunction, Shown):
                 f"not a GP posterior: {error!r}", fix="pass what greybox wrote"
             ) from None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """All of it as plain JSON values, large arrays included (packed, row by row)."""
         plain, arrays = self.parts()
         return {"schema": SCHEMA, **plain, "arrays": {k: v.tolist() for k, v in arrays.items()}}
 
     @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> GPPosterior:
+    def from_dict(cls, value: Parsed) -> GPPosterior:
         """Inverse of `to_dict`, bit by bit. Raises `FileFormatError`."""
         if value.get("schema") != SCHEMA:
             raise FileFormatError("wrong schema", expected=SCHEMA, got=repr(value.get("schema")))
@@ -552,9 +549,7 @@ class GPPosterior(AsFunction, Shown):
             "arrays": target.with_suffix(".npz").name,
             "arrays_sha256": _digest(arrays),
         }
-        buffer = io.BytesIO()
-        np.savez(buffer, **arrays)  # type: ignore[arg-type]
-        write_atomic(target.with_suffix(".npz"), buffer.getvalue())
+        write_atomic(target.with_suffix(".npz"), packed(arrays))
         return write_json(target, {**body, "checksum": checksum(body)})
 
     @classmethod

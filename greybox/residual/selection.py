@@ -8,17 +8,18 @@ otherwise.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from greybox.files import Json
 from greybox.residual.kernels import Kernel
-from greybox.symbolic import BoolArray, FloatArray
+from greybox.symbolic import BoolArray, FloatArray, IntArray
 
-IntArray = npt.NDArray[np.int64]
+Given = TypeVar("Given")
+Result = TypeVar("Result")
 CANDIDATES = 4000
 """Samples among which support points are looked for."""
 SIZES = (10, 20, 30, 40, 50, 75, 100, 150, 200)
@@ -133,7 +134,7 @@ class Curve:
     trials: tuple[Trial, ...] = field(default_factory=tuple)
     chosen: int = 0
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain values."""
         return {"chosen": self.chosen, "trials": [asdict(t) for t in self.trials]}
 
@@ -194,8 +195,8 @@ def choose(
     return Curve(trials=tuple(trials), chosen=min(good))
 
 
-def timed(call: Any, *arguments: Any) -> tuple[Any, float]:
+def timed(call: Callable[[Given], Result], given: Given) -> tuple[Result, float]:
     """(result, seconds)."""
     start = time.perf_counter()
-    result = call(*arguments)
+    result = call(given)
     return result, time.perf_counter() - start

@@ -17,6 +17,7 @@ from typing import Any
 import gpytorch
 import numpy as np
 import torch
+from linear_operator import LinearOperator
 from linear_operator.utils.errors import NanError, NotPSDError
 from scipy.optimize import minimize
 
@@ -49,7 +50,7 @@ class _FadedLinear(gpytorch.kernels.LinearKernel):
     def _features(self, x: torch.Tensor) -> torch.Tensor:
         return x / (1.0 + ((x / self.reach) ** FADE_POWER).sum(-1, keepdim=True))
 
-    def forward(self, x1: torch.Tensor, x2: torch.Tensor, **kwargs: Any) -> Any:
+    def forward(self, x1: torch.Tensor, x2: torch.Tensor, **kwargs: Any) -> LinearOperator:
         """The covariance of GPyTorch's kernel protocol."""
         return super().forward(self._features(x1), self._features(x2), **kwargs)
 
@@ -89,12 +90,18 @@ def gpytorch_likelihood(noise: float) -> gpytorch.likelihoods.GaussianLikelihood
 class ExactModel(gpytorch.models.ExactGP):
     """GPyTorch's exact GP with zero mean and the given covariance module."""
 
-    def __init__(self, x: torch.Tensor, y: torch.Tensor, likelihood: Any, covariance: Any) -> None:
+    def __init__(
+        self,
+        x: torch.Tensor,
+        y: torch.Tensor,
+        likelihood: gpytorch.likelihoods.GaussianLikelihood,
+        covariance: gpytorch.kernels.Kernel,
+    ) -> None:
         super().__init__(x, y, likelihood)
         self.mean_module = gpytorch.means.ZeroMean()
         self.covar_module = covariance
 
-    def forward(self, x: torch.Tensor) -> Any:
+    def forward(self, x: torch.Tensor) -> gpytorch.distributions.MultivariateNormal:
         """Prior at x."""
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
 
@@ -103,7 +110,9 @@ class VariationalModel(gpytorch.models.ApproximateGP):
     """GPyTorch's SVGP (whitened) with zero mean, fixed inducing points and the given covariance
     module."""
 
-    def __init__(self, support: torch.Tensor, covariance: Any, jitter: float = 1e-8) -> None:
+    def __init__(
+        self, support: torch.Tensor, covariance: gpytorch.kernels.Kernel, jitter: float = 1e-8
+    ) -> None:
         q = gpytorch.variational.CholeskyVariationalDistribution(support.shape[0]).double()
         super().__init__(
             gpytorch.variational.VariationalStrategy(
@@ -113,7 +122,7 @@ class VariationalModel(gpytorch.models.ApproximateGP):
         self.mean_module = gpytorch.means.ZeroMean()
         self.covar_module = covariance
 
-    def forward(self, x: torch.Tensor) -> Any:
+    def forward(self, x: torch.Tensor) -> gpytorch.distributions.MultivariateNormal:
         """Prior at x."""
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
 
@@ -354,7 +363,7 @@ def train_svgp(
     return trained, float(likelihood.noise.item()), numbers, status
 
 
-def kernel_of(module: Any, like: Kernel) -> Kernel:
+def kernel_of(module: gpytorch.kernels.Kernel, like: Kernel) -> Kernel:
     """Read a module of `gpytorch_kernel(like)` back into plain numbers."""
     stationary = module if like.slopes is None else module.kernels[0]
     slopes = None if like.slopes is None else module.kernels[1].variance.detach().numpy().ravel()

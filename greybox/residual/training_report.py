@@ -4,8 +4,9 @@ and warnings."""
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TypedDict
 
+from greybox.files import Json
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.selection import Curve
 
@@ -40,6 +41,29 @@ class OutputReport:
     rmse_constant: float | None = None
 
 
+class TrainingDocument(TypedDict, total=False):
+    """How something was learned, in result files: a process tells all of the first lines,
+    another learner what it chose among; `left_out` per output, where left-out flights judged."""
+
+    candidate: str
+    method: str
+    kernel: str
+    points: int
+    subset: int
+    rows_used: int
+    rows_dropped: int
+    groups: int
+    held_out: list[str]
+    outputs: list[dict[str, Json]]
+    curve: dict[str, Json] | None
+    seconds: dict[str, float]
+    converged: bool
+    chosen: str
+    candidates: dict[str, float]
+    left_out: dict[str, dict[str, float]]
+    warnings: list[str]
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainingReport:
     """Training of all outputs. `seconds` by stage; `held_out` names the groups that judged (or
@@ -63,12 +87,22 @@ class TrainingReport:
         """Whether every output that was trained also converged."""
         return all(o.status in ("converged", "null") for o in self.outputs)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> TrainingDocument:
         """Plain values."""
         return {
-            **asdict(self),
-            "converged": self.converged,
+            "method": self.method,
+            "kernel": self.kernel,
+            "points": self.points,
+            "subset": self.subset,
+            "rows_used": self.rows_used,
+            "rows_dropped": self.rows_dropped,
+            "groups": self.groups,
+            "held_out": list(self.held_out),
+            "outputs": [asdict(o) for o in self.outputs],
             "curve": None if self.curve is None else self.curve.to_dict(),
+            "seconds": dict(self.seconds),
+            "warnings": list(self.warnings),
+            "converged": self.converged,
         }
 
 

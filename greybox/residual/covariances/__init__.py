@@ -5,12 +5,12 @@ A new one is a file here and a line in `COVARIANCES`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from greybox.errors import ModelError
 from greybox.residual.covariances.algebra import OnDims, Product, Scaled, Sum
 from greybox.residual.covariances.constant import Constant
-from greybox.residual.covariances.covariance import KINDS, Covariance, Pick
+from greybox.residual.covariances.covariance import KINDS, Covariance, Pick, same_forward
 from greybox.residual.covariances.linear import Linear
 from greybox.residual.covariances.matern import Matern
 from greybox.residual.covariances.periodic import Periodic
@@ -47,10 +47,10 @@ def read_module(
     `whole` the module's own active dimensions do not count, as inside GPyTorch's ScaleKernel and
     MultitaskKernel. Raises `ModelError` that names a module which is not supported and its place.
     """
-    own: Any = type(module)
-    known: Any = next((c for c in own.__mro__ if c.__name__ in _BY_MODULE), None)
+    own = type(module)
+    known = next((c for c in own.__mro__ if c.__name__ in _BY_MODULE), None)
     name = own.__name__
-    if known is None or own.forward is not known.forward:
+    if known is None or not same_forward(own, known):
         raise ModelError(
             f"{name} in {where} is not supported",
             expected=", ".join(sorted(_BY_MODULE)),

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
 from operator import mul
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError
+from greybox.files import Json, Parsed
 from greybox.residual.covariances.covariance import Covariance, Pullback, covariance_from_dict
 from greybox.symbolic import Expr, FloatArray, Namespace, Numeric
 
@@ -41,12 +40,12 @@ class Sum(Covariance):
         """dk(x, x)/dx."""
         return sum(part.variance_slope(x) for part in self.parts)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain JSON values."""
         return {"kind": self.kind, "parts": [part.to_dict() for part in self.parts]}
 
     @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
+    def from_dict(cls, value: Parsed) -> Covariance:
         """Inverse of `to_dict`."""
         return cls(parts=tuple(covariance_from_dict(part) for part in value["parts"]))
 
@@ -88,7 +87,7 @@ class Product(Covariance):
     to_dict = Sum.to_dict
 
     @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
+    def from_dict(cls, value: Parsed) -> Covariance:
         """Inverse of `to_dict`."""
         return cls(parts=tuple(covariance_from_dict(part) for part in value["parts"]))
 
@@ -121,12 +120,12 @@ class Scaled(Covariance):
         """dk(x, x)/dx."""
         return self.factor * self.inner.variance_slope(x)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain JSON values."""
         return {"kind": self.kind, "factor": self.factor, "inner": self.inner.to_dict()}
 
     @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
+    def from_dict(cls, value: Parsed) -> Covariance:
         """Inverse of `to_dict`."""
         return cls(factor=value["factor"], inner=covariance_from_dict(value["inner"]))
 
@@ -161,11 +160,11 @@ class OnDims(Covariance):
         """dk(x, x)/dx."""
         return self.inner.variance_slope(x[list(self.dims), :]) @ self._places(x.shape[0])
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain JSON values."""
         return {"kind": self.kind, "dims": list(self.dims), "inner": self.inner.to_dict()}
 
     @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
+    def from_dict(cls, value: Parsed) -> Covariance:
         """Inverse of `to_dict`."""
         return cls(dims=tuple(value["dims"]), inner=covariance_from_dict(value["inner"]))

@@ -12,9 +12,9 @@ Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), chapter 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -22,6 +22,7 @@ import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from greybox.errors import FileFormatError, GreyboxError, ModelError
+from greybox.files import Json, Parsed
 from greybox.symbolic import Expr, FloatArray, Namespace, Numeric
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class Covariance(ABC):
         """k(a, b) (N, M) of rows a (N, n) and b (M, n)."""
         return np.asarray(self.column(a, b.T, np)[0])
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain JSON values."""
         plain = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
         for name, value in plain.items():
@@ -63,7 +64,7 @@ class Covariance(ABC):
         return {"kind": self.kind, **plain}
 
     @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
+    def from_dict(cls, value: Parsed) -> Covariance:
         """Inverse of `to_dict` without its `kind`."""
         return cls(**value)
 
@@ -100,6 +101,11 @@ def numbers(tensor: torch.Tensor) -> FloatArray:
     """A PyTorch tensor as float64 numbers, without importing PyTorch."""
     value = tensor.detach().cpu() if hasattr(tensor, "detach") else tensor
     return np.asarray(value.numpy() if hasattr(value, "numpy") else value, dtype=np.float64)
+
+
+def same_forward(own: type[torch.nn.Module], known: type[torch.nn.Module]) -> bool:
+    """Whether a class of modules computes what the one that it is made from does."""
+    return bool(own.forward is known.forward)
 
 
 def frozen(values: npt.ArrayLike) -> FloatArray:
@@ -152,7 +158,7 @@ KINDS: dict[str, type[Covariance]] = {}
 """Covariances by their name in files; the package fills it with its members."""
 
 
-def covariance_from_dict(value: Mapping[str, Any]) -> Covariance:
+def covariance_from_dict(value: Parsed) -> Covariance:
     """Inverse of `Covariance.to_dict`. Raises `FileFormatError`."""
     try:
         return KINDS[value["kind"]].from_dict({k: v for k, v in value.items() if k != "kind"})

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
+from greybox.files import Json
 from greybox.residual.laws.terms import Memory
 
 
@@ -34,7 +34,7 @@ class Axis:
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", dict(self.terms or {}))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """As in discovery.json."""
         law = " + ".join(f"{c:.4g} {t}" for t, c in self.terms.items()) if self.lawful else ""
         return {

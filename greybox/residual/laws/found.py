@@ -8,12 +8,13 @@ its term is there from the start. How much a law explains is judged on stretches
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
 from greybox.residual.laws.responses import Library
 from greybox.residual.laws.selection import left_out, select, solve
+from greybox.residual.laws.terms import Memory
 
 TERMS = 6
 """Terms of an axis, at most."""
@@ -27,14 +28,22 @@ OWN: dict[str, tuple[str, tuple[str, ...]]] = {
 of these begin)."""
 
 
+class AxisLaw(TypedDict, total=False):
+    """The law of one axis as `Axis` takes it; empty where it has none."""
+
+    share: float
+    terms: dict[str, float]
+    codes: tuple[str, ...]
+    memories: tuple[tuple[Memory, float] | None, ...]
+    depends_on: tuple[str, ...]
+
+
 def _bent(axis: str, free: Iterable[str]) -> bool:
     """Whether the fit could bend what multiplies the rotors on this axis."""
     return any(n.startswith(OWN[axis][1]) for n in free)
 
 
-def laws_of(
-    offered: Library, samples: int, seed: int, free: Collection[str]
-) -> dict[str, dict[str, Any]]:
+def laws_of(offered: Library, samples: int, seed: int, free: Collection[str]) -> dict[str, AxisLaw]:
     """Axis -> what its law is made of, for axes that have one; `free` are the names of the
     parameters that the fit had."""
     labels = [axis for axis, _ in offered.columns]
@@ -52,7 +61,7 @@ def laws_of(
     c: dict[int, float] = {}
     if kept:
         c = dict(zip([*always, *kept], solve(*total, [*always, *kept]).tolist(), strict=True))
-    out: dict[str, dict[str, Any]] = {}
+    out: dict[str, AxisLaw] = {}
     for axis, normal in offered.smoothed.items():
         mine = [i for i in kept if labels[i] == axis]
         if not mine:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,18 @@ GATES = ("enter", "forget", "fresh", "leave")
 """In the order of their rows."""
 
 
+class Step(NamedTuple):
+    """One sample: input, earlier h, gates, earlier c (None at the oldest one) and tanh(c)."""
+
+    input: Numeric
+    output: Numeric | None
+    gates: tuple[Numeric, Numeric, Numeric, Numeric]
+    memory: Numeric | None
+    bent: Numeric
+
+
 @dataclass(frozen=True, kw_only=True)
-class Recurrence(SequenceNetwork):
+class Recurrence(SequenceNetwork[list[Step]]):
     """The memory is the last h[t]."""
 
     def memory_shapes(self) -> list[tuple[int, int]]:
@@ -43,12 +53,11 @@ class Recurrence(SequenceNetwork):
 
     def remembered(
         self, taps: Sequence[Numeric], w: Sequence[Numeric], tanh: Tanh
-    ) -> tuple[Numeric, Any]:
-        """Keeps input, earlier h, gates, earlier c and tanh(c) of every sample, the oldest
-        first."""
+    ) -> tuple[Numeric, list[Step]]:
+        """Keeps every sample, the oldest first."""
         h: Numeric | None = None
         c: Numeric | None = None
-        steps = []
+        steps: list[Step] = []
         for u in reversed(taps):
             sums = w[0] @ u + w[2] + (0.0 if h is None else w[1] @ h)
             parts = [sums[k * CHANNELS : (k + 1) * CHANNELS, :] for k in range(len(GATES))]
@@ -56,12 +65,12 @@ class Recurrence(SequenceNetwork):
             fresh = tanh(parts[2])
             after = enter * fresh + (0.0 if c is None else forget * c)
             bent = tanh(after)
-            steps.append((u, h, (enter, forget, fresh, leave), c, bent))
+            steps.append(Step(u, h, (enter, forget, fresh, leave), c, bent))
             h, c = leave * bent, after
         return h, steps
 
     def back(
-        self, kept: Any, into: FloatArray, w: Sequence[FloatArray], g: Sequence[FloatArray]
+        self, kept: list[Step], into: FloatArray, w: Sequence[FloatArray], g: Sequence[FloatArray]
     ) -> None:
         """From the present sample to the oldest one."""
         of_h, of_c = into, np.zeros_like(into)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Generic, Self, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -30,9 +30,12 @@ CHANNELS, MOST_UNITS = 8, 16
 """Channels of the memory, most units of the hidden layer."""
 Tanh = Callable[[Numeric], Numeric]
 
+Kept = TypeVar("Kept")
+"""What a memory keeps of its way forward for the way back."""
+
 
 @dataclass(frozen=True, kw_only=True)
-class SequenceNetwork:
+class SequenceNetwork(Generic[Kept]):
     """`taps`: per lag, newest first, the places of every sequence's sample among the inputs; `now`:
     those of the rest and of the newest samples. A memory says its `memory_shapes`, what it has
     `remembered`, and the slopes of that (`back`)."""
@@ -73,13 +76,13 @@ class SequenceNetwork:
 
     def remembered(
         self, taps: Sequence[Numeric], w: Sequence[Numeric], tanh: Tanh
-    ) -> tuple[Numeric, Any]:
+    ) -> tuple[Numeric, Kept]:
         """(summary (CHANNELS, N), what `back` needs) of `taps`, newest first, NumPy columns or
         expressions alike."""
         raise NotImplementedError
 
     def back(
-        self, kept: Any, into: FloatArray, w: Sequence[FloatArray], g: Sequence[FloatArray]
+        self, kept: Kept, into: FloatArray, w: Sequence[FloatArray], g: Sequence[FloatArray]
     ) -> None:
         """Adds the slopes of the memory's matrices to `g`, for that of its summary `into`
         (CHANNELS, N)."""
@@ -132,13 +135,13 @@ class SequenceNetwork:
         g[-1][:] = error @ hidden.T
         back = (w[-1].T @ error) * (1 - hidden**2)
         g[-3][:], g[-2][:] = back @ joined.T, back.sum(axis=1, keepdims=True)
-        if summary:
+        if kept is not None:
             self.back(kept, (w[-3].T @ back)[:CHANNELS], w, g)
         return float(np.sum(error**2) / n + DECAY * v @ v), 2 * slope / n + 2 * DECAY * v
 
     def _summary(
         self, taps: Sequence[Numeric], w: Sequence[Numeric], tanh: Tanh
-    ) -> tuple[list[Numeric], Any]:
+    ) -> tuple[list[Numeric], Kept | None]:
         if not self.memory_shapes():
             return [], None
         summary, kept = self.remembered(taps, w, tanh)

@@ -14,16 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from greybox.residual.learners.sequence import CHANNELS, SequenceLearner, SequenceNetwork, Tanh
 from greybox.symbolic import FloatArray, Numeric
 
+Layers = list[list[Numeric]]
+"""The sequence before and after every convolution, newest first."""
+
 
 @dataclass(frozen=True, kw_only=True)
-class Convolution(SequenceNetwork):
+class Convolution(SequenceNetwork[Layers]):
     """The memory is the last h[t] of the convolutions."""
 
     def memory_shapes(self) -> list[tuple[int, int]]:
@@ -36,7 +39,7 @@ class Convolution(SequenceNetwork):
 
     def remembered(
         self, taps: Sequence[Numeric], w: Sequence[Numeric], tanh: Tanh
-    ) -> tuple[Numeric, Any]:
+    ) -> tuple[Numeric, Layers]:
         """Keeps the sequence before and after every convolution, newest first."""
         layers = [list(taps)]
         while len(layers[-1]) > 1:
@@ -51,7 +54,7 @@ class Convolution(SequenceNetwork):
         return layers[-1][0], layers
 
     def back(
-        self, kept: Any, into: FloatArray, w: Sequence[FloatArray], g: Sequence[FloatArray]
+        self, kept: Layers, into: FloatArray, w: Sequence[FloatArray], g: Sequence[FloatArray]
     ) -> None:
         """From the last convolution to the first."""
         slopes = [into]
