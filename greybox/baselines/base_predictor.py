@@ -19,7 +19,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -36,11 +35,12 @@ from greybox.frames import numeric
 from greybox.linear.prediction import adapt
 from greybox.linear.predictor import predict
 from greybox.linear.records import Record, delayed
+from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
 from greybox.residual import features as model_features
 from greybox.residual.weight_space import Candidate
-from greybox.symbolic import FloatArray, Layout, Signal, evaluate
+from greybox.symbolic import BoolArray, FloatArray, IntArray, Layout, Signal, evaluate
 from greybox.validation.adapt import adapt_to_flight
 
 Base = LinearModel | IdentifiedModel
@@ -63,7 +63,7 @@ class Run:
 
     states: FloatArray
     mean: FloatArray
-    known: npt.NDArray[np.bool_]
+    known: BoolArray
     inputs: FloatArray
     p: FloatArray
     shift: FloatArray
@@ -97,7 +97,7 @@ class BasePredictor:
     # ----------------------------------------------------------------------------------- the model
 
     @property
-    def dynamics(self) -> Any:
+    def dynamics(self) -> Dynamics:
         """The model's equations."""
         return self.model.dynamics
 
@@ -344,7 +344,7 @@ class BasePredictor:
         past, future = self.dynamics.window
         return past, 1, future
 
-    def _told(self, names: tuple[str, ...], posterior: Candidate | None) -> Any:
+    def _told(self, names: tuple[str, ...], posterior: Candidate | None) -> ca.Function:
         """(x, window, given, last errors, p, shift) -> z; with `posterior` or no names what a step
         of `rolled` needs."""
         cache = self.__dict__.setdefault("_functions", {})
@@ -353,7 +353,7 @@ class BasePredictor:
             cache[key] = (self._build(names, posterior), posterior)
         return cache[key][0]
 
-    def _build(self, names: tuple[str, ...], posterior: Candidate | None) -> Any:
+    def _build(self, names: tuple[str, ...], posterior: Candidate | None) -> ca.Function:
         d, n_o = self.dynamics, len(self.outputs)
         x, p = ca.SX.sym("x", len(d.states)), ca.SX.sym("p", self._n_p)
         numbers = (
@@ -454,9 +454,9 @@ class BasePredictor:
         self,
         run: Run,
         given: FloatArray,
-        held: npt.NDArray[np.bool_],
+        held: BoolArray,
         errors: FloatArray,
-        k: npt.NDArray[np.int64],
+        k: IntArray,
         horizon: int,
         posterior: Candidate | None,
     ) -> tuple[FloatArray, FloatArray]:

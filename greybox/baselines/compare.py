@@ -29,28 +29,50 @@ training flights, where those of the other methods come from too.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import NotRequired, TypedDict
 
 import numpy as np
 
 from greybox.baselines.compare_bench import Bench, Outcome
 from greybox.baselines.compare_costs import expectation, expected
 from greybox.baselines.compare_methods import METHODS, pairs
-from greybox.baselines.compare_scores import one_step_scores
+from greybox.baselines.compare_scores import ChannelScores, one_step_scores
+from greybox.baselines.regressors import Point
 from greybox.data.channel import channel
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.model.identified import library_versions
 from greybox.residual.learners import GP, LEARNERS
+from greybox.symbolic import FloatArray
+from greybox.validation.horizon_table import HorizonDocument
 
 SCHEMA = "greybox.compare/1"
 SHOWN = 4.0
 """Seconds of the first test flight that the figure of predictions shows."""
 
 
+class MethodRow(TypedDict):
+    """One method in compare.json: an error where it failed, else its scores (`StepScores`) and
+    what it cost."""
+
+    method: str
+    status: str
+    error: NotRequired[str]
+    channels: NotRequired[dict[str, ChannelScores]]
+    mean: NotRequired[dict[str, float]]
+    multi_step: NotRequired[HorizonDocument | None]
+    curve: NotRequired[dict[str, list[float]] | None]
+    parameters: NotRequired[int]
+    train_seconds: NotRequired[float]
+    microseconds_per_sample: NotRequired[float]
+    search: NotRequired[list[Point]]
+    settings: NotRequired[Point]
+    series: NotRequired[dict[str, dict[str, FloatArray]]]
+
+
 def compare(
     bench: Bench, methods: Sequence[str] | None = None, *, learners: Sequence[str] = ()
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[dict[str, object]]:
     """Run the methods one after the other; yields the content of compare.json after each.
 
     `methods` (default: all of the table; pairs have names too), then every model with each of
@@ -78,7 +100,7 @@ def compare(
             )
         )
     )
-    rows: list[dict[str, Any]] = []
+    rows: list[MethodRow] = []
     for name in chosen:
         bench.say(f"{name} ...")
         began = time.perf_counter()
@@ -92,7 +114,7 @@ def compare(
         yield _content(bench, rows, [n for n in chosen if n not in {r["method"] for r in rows}])
 
 
-def _row(bench: Bench, name: str, found: Outcome) -> dict[str, Any]:
+def _row(bench: Bench, name: str, found: Outcome) -> MethodRow:
     measured, means, variances, inputs = [], [], [], []
     for s, rows, m, v in zip(bench.segments, bench.late, found.mean, found.variance, strict=True):
         if rows.any():
@@ -126,7 +148,7 @@ def _row(bench: Bench, name: str, found: Outcome) -> dict[str, Any]:
     }
 
 
-def _series(bench: Bench, found: Outcome) -> dict[str, Any]:
+def _series(bench: Bench, found: Outcome) -> dict[str, dict[str, FloatArray]]:
     """A few seconds of the first test segment for the figure: mean and standard deviation per
     channel."""
     i = 0
@@ -135,9 +157,7 @@ def _series(bench: Bench, found: Outcome) -> dict[str, Any]:
     return {n: {"mean": mean[:, j], "std": std[:, j]} for j, n in enumerate(bench.outputs)}
 
 
-def _content(
-    bench: Bench, rows: Sequence[Mapping[str, Any]], missing: Sequence[str]
-) -> dict[str, Any]:
+def _content(bench: Bench, rows: Sequence[MethodRow], missing: Sequence[str]) -> dict[str, object]:
     first = np.flatnonzero(bench.late[0])[: round(SHOWN / bench.dt)]
     segment = bench.segments[0]
     return {

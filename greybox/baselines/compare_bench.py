@@ -13,10 +13,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from greybox.baselines.base_predictor import RUN_IN, BasePredictor
 from greybox.baselines.compare_options import CompareOptions
@@ -24,7 +23,7 @@ from greybox.baselines.compare_scores import SPACING
 from greybox.baselines.decoupled import Terms, combined
 from greybox.baselines.kinematics import IMU, black_box_view, motion
 from greybox.baselines.output_residual import OutputHybrid
-from greybox.baselines.regressors import Predictor
+from greybox.baselines.regressors import Point, Predictor
 from greybox.data import Dataset, Segment
 from greybox.data.channel import channel
 from greybox.data.drive import drive_names
@@ -35,7 +34,7 @@ from greybox.linear.fit import LinearFit, fit_linear
 from greybox.linear.records import Record, split_at_missing
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
-from greybox.symbolic import FloatArray, Signal
+from greybox.symbolic import FloatArray, IntArray, Signal
 from greybox.validation.baselines import persistence
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import REQUIRED, HorizonAccumulator
@@ -56,6 +55,10 @@ AXES: Mapping[str, str] = {
     "az": "collective",
 }
 """Output -> its axis in the decoupled linear models."""
+
+
+Ahead = tuple[Mapping[str, FloatArray], Mapping[str, FloatArray] | None]
+"""Group -> predictions (m, H, dimension) and, where they are stated, covariances (m, H, d, d)."""
 
 
 class OneStep(Protocol):
@@ -87,8 +90,8 @@ class Outcome:
     parameters: int
     seconds: float
     microseconds: float
-    search: Sequence[Mapping[str, Any]] = ()
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    search: Sequence[Point] = ()
+    settings: Point = field(default_factory=dict)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -261,10 +264,10 @@ class Bench:
         return means, variances, 1e6 * spent / views[0].n
 
     def rolled(
-        self, label: str, ahead: Callable[[int, npt.NDArray[np.int64]], Any]
+        self, label: str, ahead: Callable[[int, IntArray], Ahead] | None
     ) -> HorizonTable | None:
         """The multi-step table of what `ahead(segment number, origins)` gives: groups, and
-        covariances or None."""
+        covariances or None. Without it every reference is held."""
         total = HorizonAccumulator(label=label, sample_time=self.dt, steps=self.steps)
         numbers = itertools.count()
         for flight in self.test:
@@ -284,7 +287,7 @@ class Bench:
                     continue
                 groups, stated = (
                     ahead(i, origins)
-                    if label != "persistence"
+                    if ahead is not None
                     else (persistence(references, origins, steps=self.steps), None)
                 )
                 kept = {g: v for g, v in groups.items() if g in references}
@@ -301,15 +304,15 @@ class Bench:
         *,
         views: bool,
         seconds: float,
-        search: Sequence[Mapping[str, Any]] = (),
-        settings: Mapping[str, Any] | None = None,
+        search: Sequence[Point] = (),
+        settings: Point | None = None,
     ) -> Outcome:
         """Everything of a predictor of channels; `views`: it sees those of black boxes."""
         seen = self.views if views else self.segments
         mean, variance, microseconds = self.channels_of(predictor, seen)
         gravity = float(self.vehicle.gravity)
 
-        def ahead(i: int, origins: npt.NDArray[np.int64]) -> Any:
+        def ahead(i: int, origins: IntArray) -> Ahead:
             m, v = predictor.free_run(seen[i], origins, self.steps)
             # A free run that diverges can lose the sign of its variance; it is never surer than one
             # step ahead.
@@ -327,7 +330,14 @@ class Bench:
             settings=settings or {},
         )
 
-    def physical(self, model: IdentifiedModel, seconds: float, **more: Any) -> Outcome:
+    def physical(
+        self,
+        model: IdentifiedModel,
+        seconds: float,
+        *,
+        search: Sequence[Point] = (),
+        settings: Point | None = None,
+    ) -> Outcome:
         """Everything of a model of motion: its filter one step ahead, `validate` further on."""
         base = BasePredictor(model=model, outputs=self.outputs, adapt=self.options.adapt)
         mean, variance, microseconds = self.channels_of(base, self.segments)
@@ -349,7 +359,8 @@ class Bench:
             parameters=base.parameters,
             seconds=seconds,
             microseconds=microseconds,
-            **more,
+            search=search,
+            settings=settings or {},
         )
 
     def level(self, base: BasePredictor) -> FloatArray:

@@ -14,25 +14,58 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
-from typing import Any
+from typing import TYPE_CHECKING, Protocol, TypedDict
 
 import numpy as np
-import numpy.typing as npt
 
 from greybox.baselines.base_predictor import BasePredictor
-from greybox.baselines.compare_bench import Bench, Outcome
+from greybox.baselines.compare_bench import Ahead, Bench, OneStep, Outcome
 from greybox.baselines.kinematics import BODY_VELOCITY, GRAVITY_DIRECTION, black_box_view
 from greybox.baselines.output_residual import (
     fit_output_residual,
     output_features,
     with_measured_noise,
 )
+from greybox.baselines.regressors import Choice, NetworkReport, Point, Predictor, Space
 from greybox.data import Segment
+from greybox.errors import DataError
 from greybox.estimation.record import hold_missing
 from greybox.residual.learn import learn
 from greybox.residual.learners import GP, learner_of
 from greybox.residual.weight_space import learned_numbers
-from greybox.symbolic import FloatArray
+from greybox.symbolic import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from greybox.baselines.narx import NARXModel
+
+
+class Network(Predictor, Protocol):
+    """A trained network, and how it was trained."""
+
+    @property
+    def report(self) -> NetworkReport:
+        """Of `descend`."""
+        ...
+
+
+class Schedule(TypedDict):
+    """Keywords that say how long a network is trained."""
+
+    batch: int
+    epochs: int
+    patience: int
+
+
+class Training(TypedDict):
+    """Keywords of every training of a network."""
+
+    train: Sequence[Segment]
+    validation: Sequence[Segment]
+    outputs: Sequence[str]
+    inputs: Sequence[str]
+    seed: int
+    progress: Callable[[str], None]
+
 
 KERNELS = ("se", "linear+se")
 POINTS = (100, 200)
@@ -62,7 +95,7 @@ def _persistence(bench: Bench) -> Outcome:
     moved = [np.diff(s.matrix(bench.outputs), axis=0) ** 2 for s in bench.train_segments]
     held = Persistence(outputs=bench.outputs, variance=np.nanmean(np.concatenate(moved), axis=0))
     mean, variance, microseconds = bench.channels_of(held, bench.segments)
-    table = bench.rolled("persistence", lambda _i, _k: None)
+    table = bench.rolled("persistence", None)
     return Outcome(
         mean=mean,
         variance=variance,
@@ -126,12 +159,12 @@ def _output_hybrid(
     """`base` + what is learned of its one-step errors; features, kernel and size by the error on
     the held-back flights."""
     began = time.perf_counter()
-    space: dict[str, Sequence[Any]] = {"points": FEATURES}
+    space: dict[str, Sequence[Choice]] = {"points": FEATURES}
     if learner == GP:
         space = {"kernel": KERNELS, "points": POINTS}
     points_tried = candidates(bench, {"features": tuple(choices), **space}, "features")
     own, judge = bench.split
-    tried: list[dict[str, Any]] = []
+    tried: list[Point] = []
     for point in points_tried:
         rest = {k: v for k, v in point.items() if k != "features"}
         hybrid = fit_output_residual(
@@ -165,7 +198,7 @@ def _output_hybrid(
 def _linear_hybrid(
     bench: Bench,
     *,
-    model: Callable[[Bench], tuple[BasePredictor, Any]],
+    model: Callable[[Bench], tuple[BasePredictor, object]],
     label: str,
     learner: str = GP,
 ) -> Outcome:
@@ -192,9 +225,7 @@ def _nonlinear_output(bench: Bench) -> Outcome:
     return _output_hybrid(bench, base, _choices(bench, state), "nonlinear PEM + output GP")
 
 
-def candidates(
-    bench: Bench, space: Mapping[str, Sequence[Any]], first: str
-) -> list[dict[str, Any]]:
+def candidates(bench: Bench, space: Space, first: str) -> list[Point]:
     """`bench.options.budget` points of the grid `space`, drawn without repetition; all values of
     `first` take turns."""
     grid = [dict(zip(space, values)) for values in itertools.product(*space.values())]
@@ -222,9 +253,9 @@ def _gp(bench: Bench) -> Outcome:
     began = time.perf_counter()
     own, judge, outputs = _black_box(bench)
     space = {**SPACE, "lags": NARX_LAGS}
-    tried: list[dict[str, Any]] = []
+    tried: list[Point] = []
 
-    def trained(views: Sequence[Segment], point: Mapping[str, Any]) -> Any:
+    def trained(views: Sequence[Segment], point: Point) -> NARXModel:
         rest = {k: v for k, v in point.items() if k != "lags"}
         lags = point["lags"]
         return fit_narx(
@@ -256,7 +287,7 @@ def _gp(bench: Bench) -> Outcome:
 def _lstm(bench: Bench) -> Outcome:
     from greybox.baselines.lstm_train import SPACE, LSTMSettings, train_lstm
 
-    def trained(point: Mapping[str, Any], given: Mapping[str, Any]) -> tuple[Any, float]:
+    def trained(point: Point, given: Training) -> tuple[Network, float]:
         rest = {k: v for k, v in point.items() if k != "window"}
         model = train_lstm(
             settings=LSTMSettings(
@@ -272,7 +303,7 @@ def _lstm(bench: Bench) -> Outcome:
 def _tcn(bench: Bench) -> Outcome:
     from greybox.baselines.tcn import SPACE, TCNSettings, train_tcn
 
-    def trained(point: Mapping[str, Any], given: Mapping[str, Any]) -> tuple[Any, float]:
+    def trained(point: Point, given: Training) -> tuple[Network, float]:
         model = train_tcn(settings=TCNSettings(**_schedule(given["train"]), **point), **given)
         return model, model.report["validation"]
 
@@ -288,8 +319,8 @@ def _on_physics(bench: Bench, *, label: str, space: str) -> Outcome:
     base = BasePredictor(model=model, outputs=bench.outputs, adapt=bench.options.adapt)
     physics = rn.PhysicsAlone(base)
     own, judge = (rn.known(base, part) for part in bench.parts)
-    tried: list[dict[str, Any]] = []
-    best: Any = None
+    tried: list[Point] = []
+    best: rn.ResidualNetwork | None = None
     for number, point in enumerate(candidates(bench, getattr(rn, space), "ahead")):
         found = rn.train_residual(
             physics,
@@ -304,12 +335,14 @@ def _on_physics(bench: Bench, *, label: str, space: str) -> Outcome:
         bench.say(f"{label}: candidate {number + 1} of {bench.options.budget}: {tried[-1]}")
         if best is None or found.error < best.error:
             best = found
+    assert best is not None
+    chosen = best
     seconds += time.perf_counter() - began
-    stated = rn.spread(rn.free_run_errors(best, judge, bench.steps))
+    stated = rn.spread(rn.free_run_errors(chosen, judge, bench.steps))
     runs = [base.run(s) for s in bench.segments]
 
-    def ahead(i: int, origins: npt.NDArray[np.int64]) -> Any:
-        told = best.rolled(runs[i], origins, bench.steps)
+    def ahead(i: int, origins: IntArray) -> Ahead:
+        told = chosen.rolled(runs[i], origins, bench.steps)
         return told, {
             g: np.broadcast_to(c, (len(origins), *c.shape)) for g, c in stated.items() if g in told
         }
@@ -319,7 +352,7 @@ def _on_physics(bench: Bench, *, label: str, space: str) -> Outcome:
         mean=mean,
         variance=[bench.level(base) * v for v in variance],
         table=bench.rolled(label, ahead),
-        parameters=base.parameters + best.parameters,
+        parameters=base.parameters + chosen.parameters,
         seconds=seconds,
         microseconds=microseconds,
         search=tried,
@@ -327,7 +360,7 @@ def _on_physics(bench: Bench, *, label: str, space: str) -> Outcome:
     )
 
 
-def _schedule(segments: Sequence[Segment]) -> dict[str, Any]:
+def _schedule(segments: Sequence[Segment]) -> Schedule:
     """Long logs get larger batches and fewer epochs, which are then as many steps."""
     few = sum(s.n for s in segments) < 5000
     return (
@@ -340,17 +373,17 @@ def _schedule(segments: Sequence[Segment]) -> dict[str, Any]:
 def _network(
     bench: Bench,
     label: str,
-    space: Mapping[str, Sequence[Any]],
-    trained: Callable[[Mapping[str, Any], Mapping[str, Any]], tuple[Any, float]],
+    space: Space,
+    trained: Callable[[Point, Training], tuple[Network, float]],
 ) -> Outcome:
     """The best of `bench.options.budget` networks; `trained(point of the space, keywords of every
     training)` gives one and its error on the held-back flights, which also stop the training."""
     began = time.perf_counter()
     own, judge, outputs = _black_box(bench)
-    tried: list[dict[str, Any]] = []
-    best: Any = None
+    tried: list[Point] = []
+    best: Network | None = None
     for number, point in enumerate(candidates(bench, space, "increments")):
-        given = {
+        given: Training = {
             "train": own,
             "validation": judge,
             "outputs": outputs,
@@ -364,13 +397,15 @@ def _network(
         bench.say(f"{label}: candidate {number + 1} of {bench.options.budget}: {tried[-1]}")
         if error <= min(t["validation"] for t in tried):
             best = model
+    if best is None:
+        raise DataError("no network predicts the held-back flights", fix="more --budget")
     seconds = time.perf_counter() - began
     used = min(tried, key=lambda t: t["validation"])
     return bench.outcome(label, best, views=True, seconds=seconds, search=tried, settings=used)
 
 
 def validation_error(
-    predictor: Any, segments: Sequence[Segment], names: Sequence[str], spread: FloatArray
+    predictor: OneStep, segments: Sequence[Segment], names: Sequence[str], spread: FloatArray
 ) -> float:
     """Mean over channels of the squared one-step error in units of the training variance."""
     at = [predictor.outputs.index(n) for n in names]

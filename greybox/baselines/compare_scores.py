@@ -9,7 +9,7 @@ over the channel).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Literal, TypedDict
 
 import numpy as np
 import scipy.stats
@@ -19,7 +19,7 @@ from greybox.linear.spectrum import spectral_error
 from greybox.symbolic import FloatArray
 from greybox.validation.cross_correlation import cross_correlation
 from greybox.validation.metrics import r_squared
-from greybox.validation.predictive import score
+from greybox.validation.predictive import ScoresDocument, score
 from greybox.validation.whiteness import whiteness
 
 SPACING = 0.1
@@ -28,8 +28,40 @@ SPACING = 0.1
 BINS, WIDEST = 16, 4.0
 """Bars of a histogram of errors, and where the outermost end, in root mean squares of the
 errors."""
-MEANS = ("mse", "r2", "spectral_error", "nlpd", "crps", "coverage50", "coverage68", "coverage95")
+Mean = Literal[
+    "mse", "r2", "spectral_error", "nlpd", "crps", "coverage50", "coverage68", "coverage95"
+]
+MEANS: tuple[Mean, ...] = (
+    "mse",
+    "r2",
+    "spectral_error",
+    "nlpd",
+    "crps",
+    "coverage50",
+    "coverage68",
+    "coverage95",
+)
 """What `one_step_scores` gives as means over channels."""
+
+
+class ChannelScores(ScoresDocument):
+    """Scores of one channel as `one_step_scores` explains them."""
+
+    unit: str
+    r2: float
+    spectral_error: float
+    whiteness: float | None
+    input_correlation: float | None
+    histogram: list[float]
+    sigma_error: float | None
+    sigma_manoeuvre: float | None
+
+
+class StepScores(TypedDict):
+    """Scores of every channel, and means over standardised channels."""
+
+    channels: dict[str, ChannelScores]
+    mean: dict[str, float]
 
 
 def one_step_scores(
@@ -42,7 +74,7 @@ def one_step_scores(
     units: Sequence[str],
     spread: FloatArray,
     dt: float,
-) -> dict[str, Any]:
+) -> StepScores:
     """Scores over stretches: arrays (N_i, n_c) each, NaN in `measured` = missing; `inputs` (N_i,
     n_u); `spread` (n_c,).
 
@@ -65,7 +97,7 @@ def one_step_scores(
     left = spectral_error(errors, list(measured), dt).share
     white, cross = _correlations(errors, inputs, names)
     away = np.concatenate([np.linalg.norm(u - np.nanmean(u, axis=0), axis=1) for u in inputs])
-    channels: dict[str, Any] = {}
+    channels: dict[str, ChannelScores] = {}
     for i, name in enumerate(names):
         y, m, v = (np.concatenate([a[:, i] for a in parts]) for parts in (measured, mean, variance))
         seen = np.isfinite(y)
@@ -81,7 +113,9 @@ def one_step_scores(
             "sigma_manoeuvre": _ranked(v[seen], away[seen]),
         }
     scale = dict(zip(names, spread, strict=True))
-    pooled = {key: float(np.mean([c[key] for c in channels.values()])) for key in MEANS}
+    pooled: dict[str, float] = {
+        key: float(np.mean([c[key] for c in channels.values()])) for key in MEANS
+    }
     pooled["mse"] = float(np.mean([c["mse"] / scale[n] ** 2 for n, c in channels.items()]))
     pooled["crps"] = float(np.mean([c["crps"] / scale[n] for n, c in channels.items()]))
     pooled["nlpd"] = float(np.mean([c["nlpd"] - np.log(scale[n]) for n, c in channels.items()]))

@@ -13,13 +13,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import scipy.signal
 
 from greybox.data import Segment
 from greybox.estimation.record import hold_missing
 from greybox.frames import numeric
-from greybox.symbolic import FloatArray
+from greybox.symbolic import FloatArray, IntArray
 
 IMU = ("p", "q", "r", "ax", "ay", "az")
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -69,7 +68,7 @@ def causal_velocity(segment: Segment) -> FloatArray | None:
 
 def motion(
     view: Segment,
-    origins: npt.NDArray[np.int64],
+    origins: IntArray,
     names: Sequence[str],
     mean: FloatArray,
     variance: FloatArray,

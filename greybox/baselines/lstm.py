@@ -13,23 +13,20 @@ lstm_train.py, which alone needs PyTorch.
 
 from __future__ import annotations
 
-import io
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from greybox.baselines.regressors import Lags
+from greybox.baselines.regressors import Lags, NetworkReport
 from greybox.data import Segment
 from greybox.errors import FileFormatError, ModelError
 from greybox.files import checksum, read_json, to_plain, write_atomic, write_json
-from greybox.residual.array_file import load_arrays
-from greybox.symbolic import FloatArray
+from greybox.residual.array_file import load_arrays, packed
+from greybox.symbolic import FloatArray, Namespace, Numeric
 
 SCHEMA = "greybox.lstm/1"
 BATCH = 8192
@@ -98,7 +95,7 @@ class LSTMModel(WindowedNetwork):
     head: tuple[FloatArray, FloatArray]
     variance: FloatArray
     train_seconds: float = 0.0
-    report: Mapping[str, Any] = field(default_factory=dict)
+    report: NetworkReport = field(default_factory=NetworkReport)
     dt: float | None = None
 
     def __post_init__(self) -> None:
@@ -138,18 +135,18 @@ class LSTMModel(WindowedNetwork):
             out[rows] = self._network(z[rows], np)
         return out
 
-    def function(self, name: str = "lstm") -> Any:
+    def function(self, name: str = "lstm") -> ca.Function:
         """CasADi function z (n_z,) -> mean (n_y,): the same network, for export."""
         z = ca.MX.sym("z", self.lags.width)
         return ca.Function(name, [z], [self._network(z.T, ca).T], ["z"], ["mean"])
 
-    def _network(self, z: Any, xp: Any) -> Any:
+    def _network(self, z: Numeric, xp: Namespace) -> Numeric:
         """Rows (N, n_z) -> (N, n_y), with xp NumPy or CasADi."""
 
-        def times(a: Any, b: FloatArray) -> Any:
+        def times(a: Numeric, b: FloatArray) -> Numeric:
             return a @ b if xp is np else ca.mtimes(a, ca.DM(b))
 
-        def row(b: FloatArray) -> Any:
+        def row(b: FloatArray) -> Numeric:
             return b if xp is np else ca.DM(b).T
 
         x = (z - row(self.input_mean)) / row(self.input_scale)
@@ -167,7 +164,7 @@ class LSTMModel(WindowedNetwork):
             first = n_a * n_y + (lag - 1) * n_u
             moved = x[:, first : first + n_u] if lag <= n_b and n_u else None
             steps.append((past, moved))
-        hidden: list[Any] = []
+        hidden: list[Numeric] = []
         for number, (w, r, b) in enumerate(self.layers):
             size, state, memory, states = r.shape[1], None, None, []
             for step in range(len(steps)):
@@ -204,11 +201,9 @@ class LSTMModel(WindowedNetwork):
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write `path` (JSON) and the arrays beside it (.npz), each atomically."""
-        buffer = io.BytesIO()
         arrays = self._arrays()
-        np.savez(buffer, **arrays)  # type: ignore[arg-type]
         target = Path(path)
-        write_atomic(target.with_suffix(".npz"), buffer.getvalue())
+        write_atomic(target.with_suffix(".npz"), packed(arrays))
         body = to_plain(
             {
                 "schema": SCHEMA,
@@ -217,7 +212,7 @@ class LSTMModel(WindowedNetwork):
                 "dt": self.dt,
                 "layers": len(self.layers),
                 "train_seconds": self.train_seconds,
-                "report": dict(self.report),
+                "report": {**self.report},
                 "arrays": {n: {"shape": a.shape, "sha256": checksum(a)} for n, a in arrays.items()},
             }
         )
@@ -264,5 +259,5 @@ class LSTMModel(WindowedNetwork):
             ) from None
 
 
-def _sigmoid(x: Any, xp: Any) -> Any:
+def _sigmoid(x: Numeric, xp: Namespace) -> Numeric:
     return 0.5 + 0.5 * xp.tanh(0.5 * x)

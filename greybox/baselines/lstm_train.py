@@ -12,13 +12,12 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 
 from greybox.baselines.lstm import LSTMModel, WindowedNetwork
-from greybox.baselines.regressors import Lags, segments_of
+from greybox.baselines.regressors import Descent, Lags, Space, segments_of
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError
 from greybox.symbolic import FloatArray
@@ -56,7 +55,7 @@ class LSTMSettings(Schedule):
     increments: bool = False
 
 
-SPACE: dict[str, tuple[Any, ...]] = {
+SPACE: Space = {
     "hidden": (32, 64),
     "learning_rate": (1e-3, 3e-3),
     "window": (5, 10),
@@ -218,22 +217,22 @@ class Network(torch.nn.Module):
         )
         self.head = torch.nn.Linear(s.hidden, n_y)
 
-    def forward(self, x: Any) -> Any:
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
         """(N, steps, width) -> (N, n_y)."""
         states, _ = self.lstm(x)
         return self.head(states[:, -1])
 
 
 def descend(
-    network: Any,
-    x: Any,
-    t: Any,
-    xv: Any,
-    tv: Any,
-    scales: Any,
+    network: torch.nn.Module,
+    x: torch.Tensor,
+    t: torch.Tensor,
+    xv: torch.Tensor,
+    tv: torch.Tensor,
+    scales: torch.Tensor,
     s: Schedule,
     progress: Callable[[str], None] | None,
-) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+) -> tuple[dict[str, FloatArray], Descent]:
     """Weights at the lowest validation error, and what happened: Adam on batches of rows x -> t;
     errors of xv -> tv, times `scales`, lower the learning rate and stop. Raises `DataError` where
     it diverges at once."""
@@ -305,7 +304,7 @@ def sequences(lags: Lags, x: FloatArray) -> FloatArray:
     return out
 
 
-def _single(values: FloatArray) -> Any:
+def _single(values: FloatArray) -> torch.Tensor:
     """Single precision: half the time, and far finer than what the noise lets a network learn."""
     return torch.from_numpy(values.astype(np.float32))
 

@@ -13,34 +13,45 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from greybox.baselines.regressors import Lags, segments_of
+from greybox.baselines.regressors import Choice, Lags, Point, Space, segments_of
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError, FileFormatError, ModelError
 from greybox.files import checksum, read_json, to_plain, write_json
 from greybox.residual.posterior import GPPosterior
+from greybox.residual.training_report import TrainingDocument
 from greybox.symbolic import FloatArray, evaluate
 
 SCHEMA = "greybox.narx/1"
 Data = Dataset | Segment | Sequence[Segment]
 CHUNK = 4096
 """Origins that are rolled out at once (bounds the memory)."""
-SPACE: dict[str, tuple[Any, ...]] = {
+SPACE: Space = {
     "lags": (2, 4),
     "kernel": ("se", "matern52"),
     "increments": (False, True),
     "points": (100, 200),
 }
 """What the search draws from; `lags` sets n_a and n_b."""
+
+
+class NARXReport(TypedDict, total=False):
+    """How a NARX model was trained and, of a search, all candidates; empty where nobody said."""
+
+    settings: dict[str, Choice]
+    seed: int
+    samples: int
+    training: TrainingDocument
+    search: list[Point]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +63,7 @@ class NARXModel:
     increments: bool
     posterior: GPPosterior
     train_seconds: float = 0.0
-    report: Mapping[str, Any] = field(default_factory=dict)
+    report: NARXReport = field(default_factory=NARXReport)
     dt: float | None = None
 
     def __post_init__(self) -> None:
@@ -137,7 +148,7 @@ class NARXModel:
         return mean, variance
 
     @cached_property
-    def _told(self) -> Any:
+    def _told(self) -> ca.Function:
         """z -> (mean, variance of the function, d mean / d past outputs column by column) in one
         vector."""
         z = ca.MX.sym("z", self.lags.width)
@@ -156,7 +167,7 @@ class NARXModel:
                 "increments": self.increments,
                 "dt": self.dt,
                 "train_seconds": self.train_seconds,
-                "report": dict(self.report),
+                "report": {**self.report},
                 "posterior": self.posterior.to_dict(),
             }
         )
@@ -217,7 +228,7 @@ def fit_narx(
         noise_inflation=1.0,
         prior_mean="constant",
     )
-    settings = {
+    settings: dict[str, Choice] = {
         "n_a": n_a,
         "n_b": n_b,
         "newest": newest,
@@ -265,7 +276,8 @@ def search_narx(
         np.concatenate([s.matrix(tuple(outputs)) for s in segments_of(train)]), axis=0
     )
     best: NARXModel | None = None
-    lowest, seconds, tried = float("inf"), 0.0, []
+    lowest, seconds = float("inf"), 0.0
+    tried: list[Point] = []
     for index in np.random.default_rng(seed).permutation(len(grid))[:budget]:
         point = dict(grid[index])
         lags = point.pop("lags")

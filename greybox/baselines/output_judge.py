@@ -4,22 +4,37 @@ without it."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
 from greybox.baselines.base_predictor import RUN_IN
-from greybox.baselines.compare_scores import SPACING, one_step_scores
+from greybox.baselines.compare_scores import SPACING, StepScores, one_step_scores
 from greybox.baselines.output_residual import OutputHybrid
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
 from greybox.validation.predictive import score
+
+
+class HorizonScores(TypedDict):
+    """Errors h samples ahead: channel -> rmse, unit, nlpd, coverage95, n."""
+
+    h: int
+    seconds: float
+    channels: dict[str, dict[str, float | str]]
+
+
+class Judged(TypedDict):
+    """One predictor, one step and further ahead."""
+
+    one_step: StepScores
+    horizons: list[HorizonScores]
 
 
 def judge(
     hybrid: OutputHybrid, data: Dataset, *, spread: FloatArray, horizons: Sequence[int]
-) -> dict[str, Any]:
+) -> dict[str, Judged]:
     """ "before" (the base model) and "after" (with its Gaussian process) on the flights of `data`,
      on the same samples.
 
@@ -31,7 +46,7 @@ def judge(
     rows = [_judged(hybrid, s) for s in data.segments]
     longest = max(horizons)
     units = [base.dynamics.outputs.signals[base.dynamics.outputs[n]].unit for n in base.outputs]
-    out: dict[str, Any] = {}
+    out: dict[str, Judged] = {}
     for label, predictor in (("before", base), ("after", hybrid)):
         measured, means, variances, inputs = [], [], [], []
         ahead: dict[int, list[tuple[FloatArray, FloatArray, FloatArray]]] = {
@@ -82,7 +97,7 @@ def judge(
     return out
 
 
-def _judged(hybrid: OutputHybrid, segment: Segment) -> Any:
+def _judged(hybrid: OutputHybrid, segment: Segment) -> BoolArray:
     """Samples (n,) that both predict, once a linear model has forgotten its start."""
     mean, _ = hybrid.one_step(segment)
     late = np.asarray(np.isfinite(mean).all(axis=1))
@@ -93,11 +108,13 @@ def _judged(hybrid: OutputHybrid, segment: Segment) -> Any:
 
 def _cell(
     parts: Sequence[tuple[FloatArray, FloatArray, FloatArray]], i: int, unit: str
-) -> dict[str, Any]:
+) -> dict[str, float | str]:
     y, mean, variance = (np.concatenate([p[k][:, i] for p in parts]) for k in range(3))
-    seen = score(y, mean, variance).to_dict()
+    seen = score(y, mean, variance)
     return {
-        "rmse": seen["mse"] ** 0.5,
+        "rmse": seen.mse**0.5,
         "unit": unit,
-        **{k: seen[k] for k in ("nlpd", "coverage95", "n")},
+        "nlpd": seen.nlpd,
+        "coverage95": seen.coverage[0.95],
+        "n": seen.n,
     }

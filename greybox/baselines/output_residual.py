@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Unpack
+from typing import TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +33,7 @@ from greybox.baselines.output_learner import fit_features
 from greybox.baselines.regressors import segments_of
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError, FileFormatError, GreyboxError, ModelError
-from greybox.files import checksum, read_json, to_plain, write_json
+from greybox.files import Json, checksum, read_json, to_plain, write_json
 from greybox.linear.logs import ChannelSpec, parse_channels
 from greybox.model.effect import Effect
 from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
@@ -45,12 +45,22 @@ from greybox.residual.learners import GP, Learner, LooksBack, learner_for
 from greybox.residual.left_out import judged_on_left_out
 from greybox.residual.options import GPChoices, GPOptions
 from greybox.residual.posterior import GPPosterior
+from greybox.residual.training_report import TrainingDocument
 from greybox.residual.weight_space import Candidate, learned_numbers
 from greybox.shown import Row, Shown
 from greybox.symbolic import FloatArray, Layout, Signal
 
 KIND = "output-hybrid"
 LINEAR_SCHEMAS = ("greybox.linear_model/1", "greybox.linear_models/1")
+
+
+class HybridReport(TypedDict, total=False):
+    """How an output residual was trained; empty where nobody said."""
+
+    settings: dict[str, Json]
+    seed: int
+    samples: int
+    training: TrainingDocument
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -65,7 +75,7 @@ class OutputHybrid(Shown):
     base: BasePredictor
     posterior: Candidate
     train_seconds: float = 0.0
-    report: Mapping[str, Any] = field(default_factory=dict)
+    report: HybridReport = field(default_factory=HybridReport)
 
     def __post_init__(self) -> None:
         if self.posterior.outputs.names != self.base.outputs:
@@ -139,23 +149,22 @@ class OutputHybrid(Shown):
         """Write one JSON file, atomically: schema "greybox.model/1", kind "output-hybrid". Raises
         `ModelError` for a base that is not made of catalogue parts."""
         base = self.base
-        body = to_plain(
-            {
-                "schema": SCHEMA,
-                "kind": KIND,
-                "name": self.name,
-                "base": base.model.to_dict(),
-                "channels": {n: [list(t) for t in terms] for n, terms in base.channels.items()},
-                "outputs": list(base.outputs),
-                "adapt": base.adapt,
-                "learned"
-                if isinstance(self.posterior, FeaturePosterior)
-                else "gp": self.posterior.to_dict(),
-                "train_seconds": self.train_seconds,
-                "base_seconds": base.train_seconds,
-                "report": dict(self.report),
-            }
-        )
+        content: dict[str, object] = {
+            "schema": SCHEMA,
+            "kind": KIND,
+            "name": self.name,
+            "base": base.model.to_dict(),
+            "channels": {n: [list(t) for t in terms] for n, terms in base.channels.items()},
+            "outputs": list(base.outputs),
+            "adapt": base.adapt,
+            "learned"
+            if isinstance(self.posterior, FeaturePosterior)
+            else "gp": self.posterior.to_dict(),
+            "train_seconds": self.train_seconds,
+            "base_seconds": base.train_seconds,
+            "report": {**self.report},
+        }
+        body = to_plain(content)
         return write_json(
             path, {**body, "versions": library_versions(), "checksum": checksum(body)}
         )
@@ -341,7 +350,7 @@ def fit_output_residual(
         posterior, training = _process(base, rows, options, progress)
     else:
         posterior, training = _learned(base, rows, other, options)
-    settings = {
+    settings: dict[str, Json] = {
         "features": list(names),
         "learner": GP if other is None else other.name,
         "points": options.points,
@@ -365,7 +374,7 @@ def _process(
     rows: Discrepancy,
     options: GPOptions,
     progress: Callable[[str, float], None] | None,
-) -> tuple[GPPosterior, dict[str, Any]]:
+) -> tuple[GPPosterior, TrainingDocument]:
     """A Gaussian process on the errors, judged, and how it was trained."""
     from greybox.residual.train import train_gp
 
@@ -380,18 +389,19 @@ def _process(
     )
     _, numbers = np.unique(rows.flights, return_inverse=True)
     posterior, scores = judged_on_left_out(trained.posterior, rows.z, rows.y, numbers, _own(base))
-    training = trained.report.to_dict()
-    training["left_out"] = dict(zip(base.outputs, scores, strict=True))
-    training["warnings"] = [
-        *training["warnings"],
-        *_refused(base.outputs, trained.posterior.active, posterior),
-    ]
-    return posterior, training
+    return posterior, {
+        **trained.report.to_dict(),
+        "left_out": dict(zip(base.outputs, scores, strict=True)),
+        "warnings": [
+            *trained.report.warnings,
+            *_refused(base.outputs, trained.posterior.active, posterior),
+        ],
+    }
 
 
 def _learned(
     base: BasePredictor, rows: Discrepancy, learner: Learner, options: GPOptions
-) -> tuple[FeaturePosterior, dict[str, Any]]:
+) -> tuple[FeaturePosterior, TrainingDocument]:
     """Another learner's features on the errors, judged, and how they were fitted."""
     found = fit_features(learner, rows, _own(base), points=int(options.points), seed=options.seed)
     return found.posterior, {

@@ -8,9 +8,9 @@ of t_k, so that in closed loop it gives their noise away.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,36 @@ from greybox.data.channel import channel, is_canonical
 from greybox.errors import DataError
 from greybox.symbolic import FloatArray, Layout, Signal
 
-IntArray = npt.NDArray[np.int64]
+Choice = bool | int | float | str
+Space = Mapping[str, Sequence[Choice]]
+"""What a search draws from: keyword of a training -> its values."""
+Point = Mapping[str, Any]
+"""What it drew: keywords of a training, as they are handed on, and how well they did."""
+
+
+class Descent(TypedDict):
+    """What happened while a network was trained: lowest validation error, epochs, why it ended,
+    errors of all epochs."""
+
+    validation: float
+    epochs: int
+    ended: str
+    history: list[float]
+
+
+class NetworkReport(TypedDict, total=False):
+    """`Descent` with what it began with and, of a search, all candidates; empty where nobody
+    said."""
+
+    validation: float
+    epochs: int
+    ended: str
+    history: list[float]
+    settings: dict[str, Choice]
+    seed: int
+    samples: int
+    seconds: float
+    search: list[dict[str, Choice]]
 
 
 class Predictor(Protocol):

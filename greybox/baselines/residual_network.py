@@ -18,13 +18,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 
 from greybox.baselines.base_predictor import BasePredictor, Run
 from greybox.baselines.lstm_train import LSTMSettings, Network, Schedule, descend
+from greybox.baselines.regressors import NetworkReport, Space
 from greybox.data import Dataset
 from greybox.errors import DataError
 from greybox.frames import numeric
@@ -37,12 +37,12 @@ JUDGED_STEPS, JUDGED_EVERY = 50, 5
 LEARNED_EVERY = 4
 """Samples between origins that are trained on: neighbours share all samples of the window but one."""
 TAUGHT = ("velocity", "rate")
-MLP_SPACE: dict[str, tuple[Any, ...]] = {
+MLP_SPACE: Space = {
     "hidden": (32, 64),
     "learning_rate": (1e-3, 3e-3),
     "ahead": (10, 1),
 }
-LSTM_SPACE: dict[str, tuple[Any, ...]] = {**MLP_SPACE, "window": (10, 20)}
+LSTM_SPACE: Space = {**MLP_SPACE, "window": (10, 20)}
 """What the search of a comparison draws from."""
 
 
@@ -140,7 +140,7 @@ class Perceptron(torch.nn.Module):
             torch.nn.Linear(hidden, n_y),
         )
 
-    def forward(self, x: Any) -> Any:
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Rows of the newest sample."""
         return self.layers(x[:, -1])
 
@@ -151,13 +151,13 @@ class ResidualNetwork:
     is that of the free run on the held-back flights; `report` says how it was trained."""
 
     physics: PhysicsAlone
-    network: Any
+    network: torch.nn.Module
     window: int
     middle: FloatArray
     scale: FloatArray
     size: FloatArray
     error: float
-    report: dict[str, Any]
+    report: NetworkReport
 
     @property
     def parameters(self) -> int:
@@ -233,7 +233,7 @@ def train_residual(
     try:
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            network: Any = (
+            network: torch.nn.Module = (
                 Perceptron(n_z, s.hidden, n_y)
                 if s.window == 1
                 else Network(n_z, LSTMSettings(hidden=s.hidden), n_y)

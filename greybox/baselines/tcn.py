@@ -14,7 +14,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +21,7 @@ import torch
 from greybox.baselines.kinematics import GRAVITY_DIRECTION, IMU
 from greybox.baselines.lstm import WindowedNetwork
 from greybox.baselines.lstm_train import Schedule, descend, residual_variance
-from greybox.baselines.regressors import Lags
+from greybox.baselines.regressors import Lags, NetworkReport, Space
 from greybox.data import Segment
 from greybox.errors import DataError
 from greybox.symbolic import FloatArray
@@ -34,7 +33,7 @@ JUDGED_STEPS, JUDGED_EVERY = 50, 5
 whatever `unroll` is."""
 MOST = 6000
 """Windows that training sees, evenly spaced: neighbours share all samples but one."""
-SPACE: dict[str, tuple[Any, ...]] = {
+SPACE: Space = {
     "channels": (32, 64),
     "learning_rate": (1e-3, 3e-3),
     "unroll": (10, 25),
@@ -121,7 +120,7 @@ class TCNModel(WindowedNetwork):
     scale: FloatArray
     variance: FloatArray
     train_seconds: float = 0.0
-    report: dict[str, Any] = field(default_factory=dict)
+    report: NetworkReport = field(default_factory=NetworkReport)
 
     @property
     def parameters(self) -> int:
