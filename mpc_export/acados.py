@@ -18,15 +18,19 @@ import ctypes
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from greybox.symbolic import Expr
+
 if TYPE_CHECKING:
+    from acados_template import AcadosModel, AcadosOcpSolver
+
     from mpc_export.exported import Exported
 
 MAX_ITERATIONS = 2
@@ -96,7 +100,7 @@ def acados_model(
     *,
     dynamics: Literal["discrete", "continuous"] = "discrete",
     second_order: bool = False,
-) -> Any:
+) -> AcadosModel:
     """An `acados_template.AcadosModel` inside a `session`; set `ocp.parameter_values =
     model.parameter_values` beside it.
 
@@ -129,7 +133,7 @@ def acados_model(
     return out
 
 
-def first_order(model: Exported) -> Any:
+def first_order(model: Exported) -> ca.Function:
     """f_d whose derivative is the analytic f_d_jac_raw, computed in one go, and whose second
     derivatives are NaN."""
     step, slopes = model["f_d"], model["f_d_jac_raw"]
@@ -178,9 +182,9 @@ def first_order(model: Exported) -> Any:
 
 
 def robust_solve(
-    solver: Any,
+    solver: AcadosOcpSolver,
     model: Exported,
-    limits: Any,
+    limits: ca.Function,
     upper: npt.ArrayLike,
     *,
     kappa: float,
@@ -188,7 +192,7 @@ def robust_solve(
     gain: npt.ArrayLike,
     rounds: int = 20,
     off: npt.ArrayLike | None = None,
-    slopes: Any = None,
+    slopes: ca.Function | None = None,
 ) -> tuple[int, npt.NDArray[np.float64]]:
     """Zero-order robust optimisation with an `AcadosOcpSolver`: (status, back-offs (N + 1, m)).
 
@@ -208,6 +212,7 @@ def robust_solve(
     """
     step, p = model["covariance_feedback"], model.parameter_values
     slope = limit_slopes(model, limits) if slopes is None else slopes
+    fixed = np.asarray(gain, dtype=float)
     steps, most = int(solver.N), np.atleast_1d(np.asarray(upper, dtype=float))
     if rounds < 1:
         raise ValueError(f"rounds must be at least 1, not {rounds}")
@@ -222,13 +227,13 @@ def robust_solve(
             c = slope(solver.get(k, "x")).full()
             off[k] = kappa * np.sqrt(np.maximum(np.diag(c @ spread @ c.T), 0.0))
             if k < steps:
-                spread = step(solver.get(k, "x"), solver.get(k, "u"), p, spread, gain).full()
+                spread = step(solver.get(k, "x"), solver.get(k, "u"), p, spread, fixed).full()
         if np.abs(off - before).max() <= SETTLED:
             return 0, before
     return MAX_ITERATIONS, before
 
 
-def limit_slopes(model: Exported, limits: Any) -> Any:
+def limit_slopes(model: Exported, limits: ca.Function) -> ca.Function:
     """x -> slopes (m, n_d) of `limits`, a function of x (n_x,), in the error of the state."""
     x, d = ca.MX.sym("x", len(model.states)), ca.MX.sym("d", len(model.error_states))
     moved = ca.jacobian(limits(model["boxplus"](x, d)), d)
@@ -273,7 +278,11 @@ def explicit_difference(model: Exported, points: int = 50, seed: int = 0) -> dic
 
 
 def _rk4(
-    slope: Any, x: npt.NDArray[np.float64], u: Any, p: Any, dt: float
+    slope: Callable[..., Expr],
+    x: npt.NDArray[np.float64],
+    u: npt.NDArray[np.float64],
+    p: npt.NDArray[np.float64],
+    dt: float,
 ) -> npt.NDArray[np.float64]:
     k1 = slope(x, u, p)
     k2 = slope(x + dt / 2 * k1, u, p)

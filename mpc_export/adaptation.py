@@ -32,7 +32,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -48,6 +48,10 @@ from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr, FloatArray, Layout
 from mpc_export.dense import cholesky
+
+if TYPE_CHECKING:
+    from greybox.model.linear import LinearModel
+    from mpc_export.predictors import PredictorModel
 
 UNBOUNDED = 1e30
 STEADY = 50
@@ -78,7 +82,7 @@ NOTHING = Adapted(
 )
 
 
-def flight_parameters(model: Any) -> tuple[str, ...]:
+def flight_parameters(model: IdentifiedModel | LinearModel | PredictorModel) -> tuple[str, ...]:
     """The parameters whose values differ from flight to flight. Raises `ModelError` for another
     kind of model."""
     if not isinstance(model, IdentifiedModel):
@@ -220,8 +224,12 @@ def authority(model: IdentifiedModel) -> dict[str, float]:
 
 
 def adapt_function(
-    functions: Mapping[str, Any], innovation: Any, own: Adapted, states: Layout, dt: float
-) -> Any:
+    functions: Mapping[str, ca.Function],
+    innovation: ca.Function,
+    own: Adapted,
+    states: Layout,
+    dt: float,
+) -> ca.Function:
     """adapt_step(x, u, p, y, there, V, memory) -> x_next, p_next, V_next, e, y_hat.
 
     `innovation` maps (y, y_hat, x) to e. `p_next` differs from p in what is adapted.
@@ -279,14 +287,14 @@ def adapt_function(
     )
 
 
-def _moved(boxplus: Any, n_own: int) -> Any:
+def _moved(boxplus: ca.Function, n_own: int) -> ca.Function:
     """(x, d (n_own,)) -> x moved by errors of the model's own states, the first ones."""
     x, d = ca.MX.sym("x", boxplus.numel_in(0)), ca.MX.sym("d", n_own)
     whole = ca.vertcat(d, ca.DM.zeros(boxplus.numel_in(1) - n_own))
     return ca.Function("moved", [x, d], [boxplus(x, whole)])
 
 
-def _slopes(innovation: Any, plus: Any, n_t: int) -> Any:
+def _slopes(innovation: ca.Function, plus: ca.Function, n_t: int) -> ca.Function:
     """(y, y_hat, x, dy_hat/dx raw, dy_hat/dtheta) -> psi (n_e, n_a), how the innovation falls
     with theta and the error of the state. It is not that at y = y_hat: a rotation that is some way
     off turns the slopes."""
@@ -302,7 +310,7 @@ def _slopes(innovation: Any, plus: Any, n_t: int) -> Any:
     return ca.Function("slopes", [y, seen, x, by_x, by_theta], [ca.densify(psi)])
 
 
-def _carried(plus: Any, minus: Any) -> Any:
+def _carried(plus: ca.Function, minus: ca.Function) -> ca.Function:
     """(x, d) -> slopes (n_own, n_own) of the error of x moved by d in the error of x, and in d."""
     n_own = plus.numel_in(1)
     x = ca.MX.sym("x", plus.numel_in(0))
@@ -313,7 +321,7 @@ def _carried(plus: Any, minus: Any) -> Any:
     return ca.Function("carried", [x, d], [ca.densify(v) for v in found])
 
 
-def _whitened(n: int, m: int) -> Any:
+def _whitened(n: int, m: int) -> ca.Function:
     """(Z (n, n), B (n, m + 1)) -> L^-1 B with L L' = Z."""
     z, b = ca.SX.sym("Z", n, n), ca.SX.sym("B", n, m + 1)
     low = cholesky(z)

@@ -19,25 +19,25 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import io
 import json
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path, PurePosixPath
-from typing import Any, Unpack
+from typing import Unpack
 
-import numpy as np
+import casadi as ca
 
 from greybox.errors import FileFormatError, ModelError
 from greybox.estimation.cache import cache_root
 from greybox.estimation.options import says_choices
 from greybox.files import (
     OutputError,
+    Parsed,
     checksum,
     file_sha256,
     read_json,
@@ -53,6 +53,7 @@ from greybox.model.linear import LinearModel
 from greybox.model.model import PhysicsModel
 from greybox.model.noise import Augmented
 from greybox.model.sensors import SENSORS
+from greybox.residual.array_file import packed
 from greybox.residual.files import model_to_dict
 from greybox.residual.hybrid import HybridModel
 from greybox.shown import Cell, Shown
@@ -61,9 +62,9 @@ from mpc_export.c_kernels import kernels_of
 from mpc_export.c_model import CModel, check_name
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.golden import Golden, golden_vectors
-from mpc_export.manifest import SCHEMA, Written, manifest_of
+from mpc_export.manifest import SCHEMA, Manifest, PortRow, Written, manifest_of
 from mpc_export.options import ExportChoices, ExportOptions
-from mpc_export.points import with_points
+from mpc_export.points import Reduction, with_points
 from mpc_export.predictors import Fitted, PredictorModel, predictor_model
 from mpc_export.readme import licences, readme
 from mpc_export.tape import write_tape
@@ -80,7 +81,7 @@ class ExportBundle(Shown):
     """A bundle on disk; `source` builds the functions of the model that it was written from."""
 
     folder: Path
-    manifest: Mapping[str, Any]
+    manifest: Manifest
     source: Callable[[], ModelFunctions] | None = None
     cached: bool = False
 
@@ -106,7 +107,7 @@ class ExportBundle(Shown):
     def _shown_rows(self) -> list[dict[str, Cell]]:
         """One row per function: what it takes and gives, with sizes."""
 
-        def ports(given: Sequence[Mapping[str, Any]]) -> str:
+        def ports(given: Sequence[PortRow]) -> str:
             return ", ".join(f"{p['name']} ({p['rows']}, {p['columns']})" for p in given)
 
         return [
@@ -155,7 +156,7 @@ class ExportBundle(Shown):
                 raise FileFormatError("missing or changed", where=str(path), fix="export again")
         return ExportBundle(folder=where, manifest=manifest)
 
-    def rebuild(self, names: Iterable[str] | None = None) -> dict[str, Any]:
+    def rebuild(self, names: Iterable[str] | None = None) -> dict[str, ca.Function]:
         """The CasADi functions by name, from the bundle's own numbers. The code is this package's,
         not the bundle's.
 
@@ -174,7 +175,7 @@ class ExportBundle(Shown):
             ) from None
 
 
-def _check_manifest(manifest: Mapping[str, Any], where: str) -> None:
+def _check_manifest(manifest: Parsed, where: str) -> None:
     """Raises `FileFormatError` where what becomes a path or a C symbol is not one."""
     try:
         check_name(manifest["name"])
@@ -232,7 +233,7 @@ def write_bundle(
     if key is not None and (found := _from_cache(key, place)) is not None:
         again = model if o.points is None else with_points(model, o.points)[0]
         return replace(found, source=lambda: _functions(again, o))
-    reduction: dict[str, Any] | None = None
+    reduction: Reduction | None = None
     if o.points is not None:
         model, reduction = with_points(model, o.points)
     functions = _functions(model, o)
@@ -267,9 +268,7 @@ def _write_parts(
     """Writes everything but the manifest and the README."""
     tape, arrays = write_tape(functions.functions.values())
     write_atomic(part / "python" / "functions.json", json.dumps(tape, separators=(",", ":")) + "\n")
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    write_atomic(part / "python" / "functions.npz", buffer.getvalue())
+    write_atomic(part / "python" / "functions.npz", packed(arrays, compressed=True))
     interpreter = (
         resources.files("mpc_export.rebuild").joinpath("rebuild.py").read_text(encoding="utf-8")
     )

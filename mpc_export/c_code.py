@@ -25,7 +25,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import casadi as ca
 import numpy as np
@@ -128,7 +128,7 @@ class CSource:
 
 
 def write_c(
-    functions: Sequence[Any],
+    functions: Sequence[ca.Function],
     folder: Path,
     *,
     prefix: str,
@@ -325,7 +325,7 @@ def _exported(text: str, symbols: Mapping[str, str]) -> str:
 # ------------------------------------------------------------------------------------ description
 
 
-def _port(name: str, sparsity: Any) -> Port:
+def _port(name: str, sparsity: ca.Sparsity) -> Port:
     return Port(
         name=name,
         rows=sparsity.size1(),
@@ -335,7 +335,7 @@ def _port(name: str, sparsity: Any) -> Port:
     )
 
 
-def _describe(f: Any, prefix: str, text: str) -> CFunction:
+def _describe(f: ca.Function, prefix: str, text: str) -> CFunction:
     name = f.name()
     start, end = _definition_of_work(text, name)
     sizes = {k: int(v) for k, v in re.findall(r"\*(sz_\w+) = (\d+);", text[start:end])}

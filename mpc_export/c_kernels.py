@@ -22,8 +22,8 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import qr
@@ -102,7 +102,7 @@ class GPKernel:
                 f"{self.name}: no quantity to compute", expected=f"some of {', '.join(QUANTITIES)}"
             )
 
-    def function(self) -> Any:
+    def function(self) -> ca.Function:
         """The CasADi function of z alone that this kernel stands for (weights constant, `silent`
         off)."""
         if self.weights is not None or self.silent:
@@ -536,7 +536,7 @@ static inline gb_v gb_sqrt(gb_v x) {
 """
 
 
-def kernels_of(functions: ModelFunctions) -> tuple[Any, ...]:
+def kernels_of(functions: ModelFunctions) -> tuple[GPKernel, ...]:
     """Kernels of our own for the functions of the learned part."""
     if not isinstance(functions.posterior, GPPosterior):
         return ()

@@ -11,9 +11,8 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -506,7 +505,7 @@ def _comment(text: str) -> str:
     return re.sub(r"\?(?=\?)", "? ", re.sub(r"/(?=\*)|\*(?=/)", lambda m: f"{m[0]} ", plain))
 
 
-def sizes_of(source: CSource) -> Mapping[str, Any]:
+def sizes_of(source: CSource) -> dict[str, dict[str, int]]:
     """Work sizes of every function, for the manifest."""
     return {
         f.name: {k: getattr(f, k) for k in ("sz_arg", "sz_res", "sz_iw", "sz_w")}

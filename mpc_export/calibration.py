@@ -26,7 +26,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -98,7 +97,7 @@ class Calibration:
 UNCALIBRATED = Calibration(sigma=np.zeros((0, 0)))
 
 
-def calibration(functions: Mapping[str, Any], stated: Stated, dt: float) -> Calibration:
+def calibration(functions: Mapping[str, ca.Function], stated: Stated, dt: float) -> Calibration:
     """Horizons at this sample time, and sigma from the covariance that the model states."""
     every = max(1, round(SPACING / dt))
     multiples = (0, *(k for k in MULTIPLES if k * every > 1))
@@ -121,7 +120,7 @@ class Stated:
     innovation: FloatArray
     theta: FloatArray
 
-    def errors(self, functions: Mapping[str, Any], longest: int) -> FloatArray:
+    def errors(self, functions: Mapping[str, ca.Function], longest: int) -> FloatArray:
         """Standard deviations (n_e, longest) of what is measured 1, 2, ... samples after the last
         measurement that was used. Errors of the learned part and of the parameters stay as they
         are, those of states and sensors are fresh."""
@@ -146,7 +145,9 @@ class Stated:
             p, b = a @ p @ a.T + self.process, a @ b + push
         return np.array(out).T
 
-    def _measured(self, functions: Mapping[str, Any], p: FloatArray, b: FloatArray) -> FloatArray:
+    def _measured(
+        self, functions: Mapping[str, ca.Function], p: FloatArray, b: FloatArray
+    ) -> FloatArray:
         """Covariance (n_e, n_e) of a measurement, where the state's is p + b b'."""
         if "output_consider" in functions:
             return np.asarray(functions["output_consider"](*self.point, p, b).full())
@@ -157,7 +158,9 @@ class Stated:
         return np.asarray(c @ (p + b @ b.T) @ c.T + np.diag(sensor))
 
 
-def forecast_function(functions: Mapping[str, Any], innovation: Any, own: Calibration) -> Any:
+def forecast_function(
+    functions: Mapping[str, ca.Function], innovation: ca.Function, own: Calibration
+) -> ca.Function:
     """forecast_step(x, x_next, u, p, y, there, F, clock) -> F_next, clock_next, E, seen.
 
     x is the filter's state before the sample's measurement y, x_next after it and one sample on. F
@@ -199,7 +202,7 @@ def forecast_function(functions: Mapping[str, Any], innovation: Any, own: Calibr
     )
 
 
-def calibrate_function(own: Calibration) -> Any:
+def calibrate_function(own: Calibration) -> ca.Function:
     """calibrate_step(theta, E, seen, sigma, level, gain) -> theta_next, scale.
 
     theta (n_e, n_l): logarithms of the scale by horizon, that in force and those of the updates

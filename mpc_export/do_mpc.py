@@ -9,16 +9,23 @@ functions.
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from mpc_export.exported import Exported
+    from do_mpc.controller import MPC
+    from do_mpc.model import Model
+    from do_mpc.simulator import Simulator
+
+    from mpc_export.exported import Exported, Expr
     from mpc_export.hover import Hover
 
 
-def do_mpc() -> Any:
+def do_mpc() -> ModuleType:
     """The package, without what it says of optional features that are not needed here."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -26,7 +33,7 @@ def do_mpc() -> Any:
     return package
 
 
-def do_mpc_model(model: Exported) -> Any:
+def do_mpc_model(model: Exported) -> Model:
     """A configured discrete model, set up: x_next = f_d(x, u, p), auxiliary y = h(x, u, p)."""
     out = do_mpc().model.Model("discrete", "MX")
     x = out.set_variable("_x", "x", shape=(len(model.states), 1))
@@ -42,7 +49,12 @@ def do_mpc_model(model: Exported) -> Any:
     return out
 
 
-def do_mpc_controller(model: Exported, problem: Hover, stage_cost: Any, final_cost: Any) -> Any:
+def do_mpc_controller(
+    model: Exported,
+    problem: Hover,
+    stage_cost: Callable[[Expr, Expr], Expr],
+    final_cost: Callable[[Expr], Expr],
+) -> MPC:
     """An `do_mpc.controller.MPC`, set up; the costs are functions (x, u) -> cost and x -> cost of
     the problem's horizon."""
     inner = do_mpc_model(model)
@@ -69,7 +81,7 @@ def do_mpc_controller(model: Exported, problem: Hover, stage_cost: Any, final_co
     return out
 
 
-def do_mpc_simulator(model: Exported, start: Any) -> Any:
+def do_mpc_simulator(model: Exported, start: npt.ArrayLike) -> Simulator:
     """A `do_mpc.simulator.Simulator` of the same model, set up, at `start` (n_x)."""
     out = do_mpc().simulator.Simulator(do_mpc_model(model))
     out.set_param(t_step=model.dt)

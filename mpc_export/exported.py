@@ -16,13 +16,18 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+if TYPE_CHECKING:
+    from mpc_export.functions import ModelFunctions
+
 Array = npt.NDArray[np.float64]
+Expr = Any
+"""A CasADi expression or numbers: CasADi has no type for both."""
 HISTORY = "history."
 
 
@@ -39,7 +44,7 @@ class Exported:
 
     name: str
     dt: float
-    functions: Mapping[str, Any]
+    functions: Mapping[str, ca.Function]
     states: tuple[str, ...]
     error_states: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -55,7 +60,7 @@ class Exported:
     state_scale: Array
     input_scale: Array
 
-    def __getitem__(self, name: str) -> Any:
+    def __getitem__(self, name: str) -> ca.Function:
         if name not in self.functions:
             raise ValueError(
                 f"{self.name} has no function {name}; it has {', '.join(self.functions)}"
@@ -65,7 +70,7 @@ class Exported:
     def __contains__(self, name: str) -> bool:
         return name in self.functions
 
-    def with_history(self, own: Any, u: Any) -> Any:
+    def with_history(self, own: Expr, u: Expr) -> Expr:
         """The state (n_x) whose own part is `own` and whose commands have all been `u` for long."""
         past = [
             self.inputs.index(n.removeprefix(HISTORY).rpartition(".")[0])
@@ -74,7 +79,7 @@ class Exported:
         return ca.vertcat(own, *(u[i] for i in past))
 
 
-def of(functions: Any, name: str) -> Exported:
+def of(functions: ModelFunctions, name: str) -> Exported:
     """The consumer's view of a `mpc_export.functions.ModelFunctions`."""
     layouts = (functions.states, functions.inputs, functions.outputs, functions.parameters)
     return Exported(

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
+import casadi as ca
 import numpy as np
 import scipy.linalg
 
@@ -64,7 +64,7 @@ def demand_flight(states: Layout, name: str) -> None:
 
 
 def hover(
-    functions: Mapping[str, Any],
+    functions: Mapping[str, ca.Function],
     states: Layout,
     start: tuple[FloatArray, FloatArray],
     p: FloatArray,

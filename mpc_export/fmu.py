@@ -19,18 +19,22 @@ import shutil
 import tempfile
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 
 from greybox.errors import ModelError
 from mpc_export.exported import Exported
 
+if TYPE_CHECKING:
+    from mpc_export.manifest import TargetPart
+
+
 EPOCH = (1980, 1, 1, 0, 0, 0)
 """Time of every entry of the archive: the same model gives the same bytes."""
 
 
-def write_fmu(model: Exported, path: Path) -> dict[str, Any]:
+def write_fmu(model: Exported, path: Path) -> TargetPart:
     """Write the FMU to `path`; returns {"file", "binary": whether one for this platform is inside}.
 
     Raises `ModelError` for a discrete model, and where CasADi has no exporter (before 3.8).
@@ -88,7 +92,7 @@ def _headers() -> Path | None:
     return folder if (folder / "fmi3Functions.h").is_file() else None
 
 
-def _builder(model: Exported) -> Any:
+def _builder(model: Exported) -> ca.DaeBuilder:
     """The model as a casadi.DaeBuilder."""
     dae = ca.DaeBuilder(model.name)
     dae.add("time", "independent", {})

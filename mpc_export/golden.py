@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -73,7 +72,7 @@ def golden_vectors(functions: ModelFunctions, points: int, seed: int = 0) -> lis
 
 
 def _arguments(
-    functions: ModelFunctions, function: Any, place: Mapping[str, FloatArray]
+    functions: ModelFunctions, function: ca.Function, place: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
     """What this function takes at a place; f and its Jacobian take the model's own states only."""
     out = {}

@@ -13,14 +13,14 @@ Disturbances and the command history are not steered: their weights are zero.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from mpc_export.exported import Exported
+    from mpc_export.exported import Exported, Expr
 
 Array = npt.NDArray[np.float64]
 ATTITUDE = 0.3
@@ -59,19 +59,19 @@ def hover(model: Exported, steps: int = 20) -> Hover:
     )
 
 
-def residual(model: Exported, x: Any, u: Any | None = None) -> Any:
+def residual(model: Exported, x: Expr, u: Expr | None = None) -> Expr:
     """r(x, u), or its state part for the last sample."""
     state = model["boxminus"](x, model.reference_state)
     return state if u is None else ca.vertcat(state, u - model.reference_inputs)
 
 
-def stage_cost(model: Exported, problem: Hover, x: Any, u: Any) -> Any:
+def stage_cost(model: Exported, problem: Hover, x: Expr, u: Expr) -> Expr:
     """Cost of one sample."""
     weights = np.concatenate([problem.state_weights, problem.input_weights])
     return 0.5 * model.dt * ca.dot(weights, residual(model, x, u) ** 2)
 
 
-def final_cost(model: Exported, problem: Hover, x: Any) -> Any:
+def final_cost(model: Exported, problem: Hover, x: Expr) -> Expr:
     """Cost of the last state."""
     return 0.5 * problem.final * ca.dot(problem.state_weights, residual(model, x) ** 2)
 
@@ -87,7 +87,7 @@ def solve(model: Exported, problem: Hover) -> tuple[Array, Array]:
     for k in range(n):
         cost += stage_cost(model, problem, states[k], inputs[k])
         gaps.append(states[k + 1] - model["f_d"](states[k], inputs[k], model.parameter_values))
-    options: dict[str, Any] = {
+    options: dict[str, Expr] = {
         "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "bound_relax_factor": 0.0},
         "print_time": False,
     }

@@ -4,15 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import NotRequired, Protocol, TypedDict, TypeVar
 
-from greybox.files import append_json_line, read_json, read_json_lines, write_json
+from greybox.files import Json, append_json_line, read_json, read_json_lines, write_json
 from greybox.progress import TimeLeft
 
-Row = dict[str, Any]
+
+class Row(TypedDict):
+    """What every flight says, and with `watch` a trace."""
+
+    controller: str
+    seed: int
+    key: str
+    trace: NotRequired[dict[str, Json]]
 
 
-class Campaign(Protocol):
+R = TypeVar("R", bound=Row)
+Made = TypeVar("Made", bound=Row, covariant=True)
+
+
+class Campaign(Protocol[Made]):
     """What flies: `out` is its folder."""
 
     out: Path
@@ -20,17 +31,17 @@ class Campaign(Protocol):
     def key(self, name: str) -> str:
         """What a row of a controller must have been flown with to count."""
 
-    def fly(self, name: str, seed: int, *, watch: bool = False) -> Row:
+    def fly(self, name: str, seed: int, *, watch: bool = False) -> Made:
         """One flight: controller, seed, key, and with `watch` a trace."""
 
 
 def kept(
-    campaign: Campaign, names: Sequence[str], seeds: Sequence[int], log: str = "flights.jsonl"
-) -> list[Row]:
+    campaign: Campaign[R], names: Sequence[str], seeds: Sequence[int], log: str = "flights.jsonl"
+) -> list[R]:
     """Rows of an earlier run that still count."""
     path = campaign.out / log
     keys = {n: campaign.key(n) for n in names}
-    rows = read_json_lines(path.read_text(encoding="utf-8")) if path.exists() else []
+    rows: list[R] = read_json_lines(path.read_text(encoding="utf-8")) if path.exists() else []
     good = {
         (r["controller"], r["seed"]): r
         for r in rows
@@ -39,20 +50,20 @@ def kept(
     return [good[n, s] for s in seeds for n in names if (n, s) in good]
 
 
-def trace_file(campaign: Campaign, name: str, seed: int) -> Path:
+def trace_file(campaign: Campaign[Row], name: str, seed: int) -> Path:
     """Where the animation's part of a flight is kept."""
     return campaign.out / "traces" / f"{name}_{seed}_{campaign.key(name)}.json"
 
 
 def flights(
-    campaign: Campaign,
+    campaign: Campaign[R],
     names: Sequence[str],
     seeds: Sequence[int],
     *,
     say: Callable[[str], None],
     log: str = "flights.jsonl",
     watched: Sequence[int] = (),
-) -> list[Row]:
+) -> list[R]:
     """Rows of all controllers and seeds, seed by seed; each is on the disk before the next flight
     begins."""
     rows = {(r["controller"], r["seed"]): r for r in kept(campaign, names, seeds, log)}
@@ -66,7 +77,8 @@ def flights(
     done = before = total - len(todo)
     left = TimeLeft()
     for row in _flown(campaign, todo, watched):
-        trace = row.pop("trace", None)
+        plain: Row = row
+        trace = plain.pop("trace", None)
         name, seed = row["controller"], row["seed"]
         if trace is not None:
             write_json(trace_file(campaign, name, seed), trace)
@@ -79,15 +91,15 @@ def flights(
 
 
 def _flown(
-    campaign: Campaign, todo: Sequence[tuple[str, int]], watched: Sequence[int]
-) -> Iterator[Row]:
+    campaign: Campaign[R], todo: Sequence[tuple[str, int]], watched: Sequence[int]
+) -> Iterator[R]:
     for name, seed in todo:
         yield campaign.fly(name, seed, watch=seed in watched)
 
 
 def read_traces(
-    campaign: Campaign, names: Sequence[str], seeds: Sequence[int]
-) -> dict[int, dict[str, Any]]:
+    campaign: Campaign[Row], names: Sequence[str], seeds: Sequence[int]
+) -> dict[int, dict[str, dict[str, Json]]]:
     """{seed: {controller: trace}} of the watched flights that were flown."""
     return {
         s: {

@@ -16,7 +16,7 @@ exported `--with nominal`.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -83,13 +83,13 @@ class LearnedResidual:
         """Indices into x of the residual's channels."""
         self.B = np.eye(self.sizes[0])[:, list(self.rows)]
         self._point = self._build(model)
-        self._horizon: dict[int, Any] = {}
+        self._horizon: dict[int, ca.Function] = {}
         self.current_prediction = self.current_mean = self.current_variance = np.zeros(
             (0, len(self.rows))
         )
         self.current_prediction_dy = np.zeros((len(self.rows), 0, sum(self.sizes)))
 
-    def _build(self, model: Exported) -> Any:
+    def _build(self, model: Exported) -> ca.Function:
         """(y, p) -> r (n_w, 1), dr/dy (n_w, n_x + n_u), variance (n_w, 1)."""
         nx, nu = self.sizes
         y, p = ca.MX.sym("y", nx + nu), ca.MX.sym("p", self.parameters.size)

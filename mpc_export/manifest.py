@@ -8,18 +8,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Literal, NotRequired, TypedDict
 
+import casadi as ca
+
+from greybox.files import Json
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import physics_of
 from greybox.model.linear import LinearModel
 from greybox.residual.posterior import GPPosterior
-from greybox.symbolic import Layout
+from greybox.symbolic import FloatArray, Layout
 from mpc_export.c_code import CSource
 from mpc_export.c_model import CODES, scale_of, sizes_of
 from mpc_export.calibration import GAIN, LEVEL
 from mpc_export.functions import ModelFunctions
 from mpc_export.golden import Golden
+from mpc_export.points import Reduction
 from mpc_export.predictors import PredictorModel
 
 SCHEMA = "greybox.bundle/1"
@@ -36,13 +40,150 @@ TOLERANCE = {"double": 1e-10, "float": 1e-4}
 """Largest allowed difference between C and CasADi, in units of an output's scale."""
 
 
+Column = Literal["scale", "reference", "lower", "upper", "value", "sensor_noise"]
+COLUMNS: tuple[Column, ...] = ("scale", "reference", "value", "lower", "upper", "sensor_noise")
+"""Numbers that a vector may have."""
+
+
+class SignalRow(TypedDict):
+    """One entry of a vector; what is not finite is None."""
+
+    index: int
+    name: str
+    unit: str
+    meaning: str
+    scale: NotRequired[float | None]
+    reference: NotRequired[float | None]
+    lower: NotRequired[float | None]
+    upper: NotRequired[float | None]
+    value: NotRequired[float | None]
+    sensor_noise: NotRequired[float | None]
+
+
+class PortRow(TypedDict):
+    """An argument or result of a function; results have a `scale`."""
+
+    name: str
+    rows: int
+    columns: int
+    scale: NotRequired[float]
+
+
+class FunctionRow(TypedDict):
+    """One function with all that it takes and gives."""
+
+    name: str
+    arguments: list[PortRow]
+    results: list[PortRow]
+
+
+class ModelPart(TypedDict):
+    """What was exported."""
+
+    name: str
+    kind: str
+    effects: list[str]
+    trained_on: list[str]
+
+
+class TargetPart(TypedDict, total=False):
+    """What a target says of itself: its example or its folder, and what it found out."""
+
+    example: str
+    f_expl_difference: dict[str, float]
+    file: str
+    binary: bool
+    folder: str
+    selftest: str
+    horizon: int
+    attempts: int
+    every_calls: int
+    interval_us: int
+    period_ns: int
+
+
+class CPart(TypedDict):
+    """What a caller of the C source must know."""
+
+    prefix: str
+    real: str
+    integer: str
+    source_bytes: int
+    kernels: list[str]
+    work: dict[str, int]
+    work_bytes: int
+    functions: dict[str, dict[str, int]]
+
+
+class DelayPart(TypedDict):
+    """How a delay of d seconds is in f_d, and that f has none."""
+
+    history: dict[str, int]
+    parameters: dict[str, float]
+    form: str
+    f_excludes_delay: bool
+
+
+class ReturnCode(TypedDict):
+    """What a function in C may return."""
+
+    code: int
+    name: str
+    meaning: str
+
+
+class Manifest(TypedDict):
+    """manifest.json; greybox/schemas/manifest.json says more."""
+
+    schema: str
+    name: str
+    model: ModelPart
+    sample_time: float
+    identified_sample_time: float
+    integrator: str
+    hold: str
+    delay: DelayPart
+    frames: dict[str, str]
+    sizes: dict[str, int]
+    states: list[SignalRow]
+    error_states: list[SignalRow]
+    inputs: list[SignalRow]
+    parameters: list[SignalRow]
+    outputs: list[SignalRow]
+    innovations: list[SignalRow]
+    features: list[SignalRow]
+    learned: list[SignalRow]
+    targets: list[SignalRow]
+    groups: list[str]
+    functions: list[FunctionRow]
+    values: dict[str, float]
+    flight_spread: dict[str, list[float]]
+    covariance: dict[str, Json]
+    adapted: dict[str, Json]
+    calibration: dict[str, Json]
+    noise: dict[str, Json]
+    domain: dict[str, Json]
+    c: CPart | None
+    abi: int | None
+    return_codes: list[ReturnCode]
+    thread_safety: str
+    tolerance: float
+    targets_written: dict[str, TargetPart]
+    notes: list[str]
+    data_hash: str
+    versions: dict[str, str]
+    reduction: NotRequired[Reduction | None]
+    files: NotRequired[dict[str, str]]
+    checksum: NotRequired[str]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Written:
     """What else was written: the C source and its work space by function, what each target says of
     itself, the number of the C interface."""
 
     c: tuple[CSource, Mapping[str, int]] | None
-    targets: Mapping[str, Any]
+    targets: Mapping[str, TargetPart]
     abi: int | None
 
 
@@ -54,7 +195,7 @@ def manifest_of(
     name: str,
     real: str,
     groups: Sequence[str],
-) -> dict[str, Any]:
+) -> Manifest:
     """Plain values of the manifest, without file checksums."""
     f, model = functions, functions.model
     frames = FRAMES if "attitude.w" in f.states else {k: FRAMES[k] for k in ("matrices",)}
@@ -90,14 +231,14 @@ def manifest_of(
         "flight_spread": {k: list(v) for k, v in model.flight_spread.items()}
         if isinstance(model, IdentifiedModel)
         else {},
-        "covariance": {"names": list(f.covariance_names), "matrix": f.covariance},
+        "covariance": {"names": list(f.covariance_names), "matrix": f.covariance.tolist()},
         "adapted": _adapted(f),
         "calibration": _calibration(f),
         "noise": {
-            "process": f.noise.process,
-            "gain": f.noise.gain,
-            "innovation": f.noise.innovation,
-            "predicted": f.noise.covariance,
+            "process": f.noise.process.tolist(),
+            "gain": f.noise.gain.tolist(),
+            "innovation": f.noise.innovation.tolist(),
+            "predicted": f.noise.covariance.tolist(),
         },
         "domain": _domain(f),
         "c": None if written.c is None else _c(*written.c, real),
@@ -115,31 +256,31 @@ def manifest_of(
     }
 
 
-def _adapted(f: ModelFunctions) -> dict[str, Any]:
+def _adapted(f: ModelFunctions) -> dict[str, Json]:
     """The parameters that the filter adapts in flight."""
     return {
         "names": list(f.adapted.names),
-        "covariance": f.adapted.covariance,
-        "lower": f.adapted.lower,
-        "upper": f.adapted.upper,
+        "covariance": f.adapted.covariance.tolist(),
+        "lower": f.adapted.lower.tolist(),
+        "upper": f.adapted.upper.tolist(),
         "state_limits": dict(f.adapted.limits),
     }
 
 
-def _calibration(f: ModelFunctions) -> dict[str, Any]:
+def _calibration(f: ModelFunctions) -> dict[str, Json]:
     """How the stated errors ahead are calibrated in flight."""
     return {
         "names": list(f.calibration.horizons.names),
         "samples": list(f.calibration.samples),
         "seconds": [n * f.dt for n in f.calibration.samples],
         "every": f.calibration.every,
-        "sigma": f.calibration.sigma,
+        "sigma": f.calibration.sigma.tolist(),
         "level": LEVEL,
         "gain": GAIN,
     }
 
 
-def _model(f: ModelFunctions) -> dict[str, Any]:
+def _model(f: ModelFunctions) -> ModelPart:
     model = f.model
     if isinstance(model, LinearModel):
         return {"name": model.name, "kind": "linear", "effects": [], "trained_on": []}
@@ -174,7 +315,7 @@ def _integrator(f: ModelFunctions) -> str:
     )
 
 
-def _delay(f: ModelFunctions) -> dict[str, Any]:
+def _delay(f: ModelFunctions) -> DelayPart:
     """How a delay of d seconds is in f_d, and that f has none."""
     seconds = {k: v for k, v in f.sampled.values.items() if k.endswith("delay.d")}
     return {
@@ -187,19 +328,21 @@ def _delay(f: ModelFunctions) -> dict[str, Any]:
     }
 
 
-def _signals(layout: Layout, **columns: Any) -> list[dict[str, Any]]:
+def _signals(layout: Layout, **columns: FloatArray) -> list[SignalRow]:
+    """`columns` are some of `COLUMNS`, (n,) each."""
     out = []
     for i, s in enumerate(layout):
-        row: dict[str, Any] = {"index": i, "name": s.name, "unit": s.unit, "meaning": s.meaning}
-        for key, values in columns.items():
-            value = float(values[i])
-            row[key] = value if math.isfinite(value) else None
+        row: SignalRow = {"index": i, "name": s.name, "unit": s.unit, "meaning": s.meaning}
+        for key in COLUMNS:
+            if key in columns:
+                value = float(columns[key][i])
+                row[key] = value if math.isfinite(value) else None
         out.append(row)
     return out
 
 
-def _function(function: Any, golden: Golden) -> dict[str, Any]:
-    def ports(kind: str) -> list[dict[str, Any]]:
+def _function(function: ca.Function, golden: Golden) -> FunctionRow:
+    def ports(kind: Literal["in", "out"]) -> list[PortRow]:
         count = getattr(function, f"n_{kind}")()
         names = [getattr(function, f"name_{kind}")(i) for i in range(count)]
         shapes = [getattr(function, f"size_{kind}")(i) for i in range(count)]
@@ -211,9 +354,9 @@ def _function(function: Any, golden: Golden) -> dict[str, Any]:
     return {"name": function.name(), "arguments": ports("in"), "results": results}
 
 
-def _domain(f: ModelFunctions) -> dict[str, Any]:
+def _domain(f: ModelFunctions) -> dict[str, Json]:
     channels = {} if isinstance(f.model, LinearModel) else f.model.domain
-    out: dict[str, Any] = {
+    out: dict[str, Json] = {
         "channels": {k: [float(v[0]), float(v[1])] for k, v in channels.items()},
         "learned": None,
     }
@@ -221,13 +364,13 @@ def _domain(f: ModelFunctions) -> dict[str, Any]:
         box = f.posterior.domain
         out["learned"] = {
             "inputs": list(f.posterior.inputs.names),
-            "lower": box.lower,
-            "upper": box.upper,
+            "lower": box.lower.tolist(),
+            "upper": box.upper.tolist(),
             "distance_quantiles": dict(zip(("50", "95", "99", "100"), box.distance)),
             "samples": box.samples,
             "points": f.posterior.points,
             "method": f.posterior.method,
-            "noise": f.posterior.noise,
+            "noise": f.posterior.noise.tolist(),
             "variance_factor": list(f.posterior.variance_factor)
             if isinstance(f.posterior, GPPosterior)
             else [],
@@ -235,7 +378,7 @@ def _domain(f: ModelFunctions) -> dict[str, Any]:
     return out
 
 
-def _c(source: CSource, work: Mapping[str, int], real: str) -> dict[str, Any]:
+def _c(source: CSource, work: Mapping[str, int], real: str) -> CPart:
     pointer, number, integer = (
         8,
         8 if real == "double" else 4,

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -102,7 +101,7 @@ def _square(matrix: FloatArray, extra: int) -> FloatArray:
     return np.asarray(np.pad(matrix, (0, extra)))
 
 
-def parameter_covariance(model: Any) -> tuple[tuple[str, ...], FloatArray]:
+def parameter_covariance(model: object) -> tuple[tuple[str, ...], FloatArray]:
     """(names, covariance) of the shared parameters of a fit and of those that were held although
     they are not exact: the ratio of thrust to a mass that was held is known better than either.
     Empty for a model without."""

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -64,7 +63,7 @@ LOWEST = 0.5
 
 
 def _parabola(
-    functions: Mapping[str, Any],
+    functions: Mapping[str, ca.Function],
     states: Layout,
     at_rest: tuple[FloatArray, FloatArray],
     p: FloatArray,
@@ -88,12 +87,12 @@ def _bent(up: FloatArray, down: FloatArray) -> FloatArray:
 
 
 def pilot_function(
-    functions: Mapping[str, Any],
+    functions: Mapping[str, ca.Function],
     layouts: tuple[Layout, Layout, Layout],
     name: str,
     point: tuple[FloatArray, FloatArray, FloatArray],
     limits: tuple[FloatArray, FloatArray],
-) -> tuple[Any, Pilot]:
+) -> tuple[ca.Function, Pilot]:
     """(pilot_step, its numbers) of a model with filter_step and target_step.
 
     layouts: states, error states, parameters; point: (x, u, p) to look for hover from; limits of the commands.
@@ -141,11 +140,11 @@ def pilot_function(
 
 
 def _step(
-    functions: Mapping[str, Any],
+    functions: Mapping[str, ca.Function],
     layouts: tuple[Layout, Layout],
     own: Pilot,
     limits: tuple[FloatArray, FloatArray],
-) -> Any:
+) -> ca.Function:
     states, errors = layouts
     names = ("x", "u", "p", "y", "there")
     arguments = [ca.MX.sym(n, functions["filter_step"].size1_in(i)) for i, n in enumerate(names)]

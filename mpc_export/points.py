@@ -11,7 +11,7 @@ points and inside the training box, and reported.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -29,9 +29,20 @@ from mpc_export.predictors import PredictorModel
 PROBES = 500
 
 
+class Reduction(TypedDict):
+    """What fewer support points cost: error of the mean in units of its spread, and by how much the
+    stated deviation grows, of every active output."""
+
+    points: int
+    of: int
+    outputs: list[str]
+    mean_error: list[float]
+    deviation_ratio: list[float]
+
+
 def with_points(
     model: IdentifiedModel | LinearModel | PredictorModel, points: int
-) -> tuple[IdentifiedModel, dict[str, Any] | None]:
+) -> tuple[IdentifiedModel, Reduction | None]:
     """The model with at most `points` support points in its learned part, and what that costs
     (None: nothing changed).
 
@@ -63,12 +74,14 @@ def with_points(
     (m1, v1), (m2, v2) = old.evaluate(probes), new.evaluate(probes)
     on = np.array(old.active)
     size = np.maximum(np.std(m1[:, on], axis=0), 1e-300)
-    report = {
+    error = np.sqrt(np.mean((m2 - m1)[:, on] ** 2, axis=0)) / size
+    wider = np.median(np.sqrt(v2[:, on] / np.maximum(v1[:, on], 1e-300)), axis=0)
+    report: Reduction = {
         "points": points,
         "of": old.points,
         "outputs": [n for n, a in zip(old.outputs.names, old.active) if a],
-        "mean_error": np.sqrt(np.mean((m2 - m1)[:, on] ** 2, axis=0)) / size,
-        "deviation_ratio": np.median(np.sqrt(v2[:, on] / np.maximum(v1[:, on], 1e-300)), axis=0),
+        "mean_error": error.tolist(),
+        "deviation_ratio": np.asarray(wider).tolist(),
     }
     return replace(model, dynamics=replace(model.dynamics, posterior=new)), report
 

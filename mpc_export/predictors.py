@@ -8,9 +8,9 @@ alone into one; `read_model` reads any file of a fitted thing.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -192,7 +192,7 @@ class PredictorModel:
 
 
 def predictor_model(
-    fitted: Any, *, dt: float | None = None, name: str | None = None
+    fitted: object, *, dt: float | None = None, name: str | None = None
 ) -> PredictorModel:
     """What is fitted as a `PredictorModel`; `dt` [s] is needed where the model does not know its
     own sample time.
@@ -352,7 +352,9 @@ def _alone(gp: GPPosterior | GaussianProcess, dt: float | None, name: str | None
 # -------------------- files
 
 
-def read_model(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) -> Any:
+def read_model(
+    path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()
+) -> Fitted | BasePredictor:
     """Any file of a fitted thing: what `write_bundle` takes. Raises `FileFormatError` for a file
     of another kind."""
     data = read_json(path)
@@ -369,7 +371,7 @@ def read_model(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) 
             if data.get("kind") == KIND
             else load_model(path, effects=effects)
         )
-    known = {
+    known: dict[str, Callable[[str | os.PathLike[str]], Fitted]] = {
         lstm.SCHEMA: LSTMModel.load,
         narx.SCHEMA: NARXModel.load,
         posterior.SCHEMA: GPPosterior.load,

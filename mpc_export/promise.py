@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import TypedDict
 
 import numpy as np
 from scipy.stats import binomtest
@@ -17,7 +17,35 @@ def exact(hits: int, total: int) -> tuple[float, float]:
     return float(found.low), float(found.high)
 
 
-def counted(hits: int, total: int) -> dict[str, Any]:
+class Counted(TypedDict):
+    """How many went beyond: `share` None of none, `interval` its 95 % interval."""
+
+    count: int
+    share: float | None
+    interval: tuple[float, float]
+
+
+class AnswerTimes(TypedDict):
+    """Median and 99 % of answer times [ms]; None without any."""
+
+    median: float | None
+    p99: float | None
+
+
+class Judged(TypedDict):
+    """What a controller's part of a result file says of its promise."""
+
+    beyond: Counted
+    p_value: float | None
+
+
+class Answered(TypedDict):
+    """What a row says of its answers: milliseconds of each."""
+
+    solve_ms: list[float]
+
+
+def counted(hits: int, total: int) -> Counted:
     """How many went beyond: `count`, `share` (None of none) and its 95 % `interval`."""
     return {
         "count": hits,
@@ -31,7 +59,7 @@ def p_value(hits: int, total: int, level: float) -> float | None:
     return float(binomtest(hits, total, level, alternative="greater").pvalue) if total else None
 
 
-def answer_times(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+def answer_times(rows: Sequence[Answered]) -> AnswerTimes:
     """Median and 99 % [ms] of all answers of some rows; None without any."""
     times = np.concatenate([r["solve_ms"] for r in rows]) if rows else np.zeros(0)
     if not times.size:
@@ -39,10 +67,11 @@ def answer_times(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
     return {"median": float(np.median(times)), "p99": float(np.quantile(times, 0.99))}
 
 
-def kept(who: str, found: Mapping[str, Any], total: int, level: float, may: str) -> str:
+def kept(who: str, found: Judged, total: int, level: float, may: str) -> str:
     """Whether `who` kept the promise, in a sentence without its end: `found` has `beyond` (see
     `counted`) and `p_value` of `total` runs, `may` is what at most a `level` of them may do."""
     low, high = (100 * v for v in found["beyond"]["interval"])
+    assert found["p_value"] is not None  # there are runs
     broke = found["p_value"] < 0.05
     begin = f"{who} broke its promise" if broke else f"{who} kept its promise"
     begin += "" if broke or high <= 100 * level else " so far"
@@ -52,7 +81,7 @@ def kept(who: str, found: Mapping[str, Any], total: int, level: float, may: str)
     )
 
 
-def left_open(found: Mapping[str, Any], level: float) -> bool:
+def left_open(found: Judged, level: float) -> bool:
     """Whether so few ran that the share may still be either side of the `level`."""
     low, high = found["beyond"]["interval"]
     return bool(low <= level < high)

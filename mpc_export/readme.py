@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 from greybox.errors import printable
+from mpc_export.manifest import Column, CPart, Manifest, PortRow, SignalRow
 
 LISTED = 60
 
@@ -73,7 +74,7 @@ def licences(with_c: bool) -> dict[str, str]:
     return out
 
 
-def readme(manifest: Mapping[str, Any]) -> str:
+def readme(manifest: Manifest) -> str:
     """README.md: what it is, how to check it, ordering tables, functions."""
     m, n = manifest, manifest["name"]
     lines = [
@@ -83,7 +84,7 @@ def readme(manifest: Mapping[str, Any]) -> str:
         f"{m['sample_time']:g} s a sample, "
         "as code. It needs nothing of greybox.",
         "",
-        *(_in_c(m) if m["c"] else ()),
+        *(_in_c(n, m["c"]) if m["c"] else ()),
         *IN_PYTHON,
         *_targets(m),
         *_order(m),
@@ -106,8 +107,7 @@ def readme(manifest: Mapping[str, Any]) -> str:
     return "\n".join([*lines, "Licences: LICENSES/.", ""])
 
 
-def _in_c(m: Mapping[str, Any]) -> list[str]:
-    n = m["name"]
+def _in_c(n: str, c: CPart) -> list[str]:
     return [
         "Build and run the self-test (any C99 compiler):",
         "",
@@ -121,8 +121,8 @@ def _in_c(m: Mapping[str, Any]) -> list[str]:
         "-ffp-contract=fast`, never "
         "`-ffast-math`.",
         "",
-        f"Source {m['c']['source_bytes'] / 1e3:.0f} kB, numbers in {m['c']['real']}, work "
-        f"space {m['c']['work_bytes']} "
+        f"Source {c['source_bytes'] / 1e3:.0f} kB, numbers in {c['real']}, work "
+        f"space {c['work_bytes']} "
         "bytes per thread (on a 64-bit machine). No malloc, no stdio, no variables that live "
         "between calls.",
         "",
@@ -147,7 +147,7 @@ IN_PYTHON = (
 )
 
 
-def _targets(m: Mapping[str, Any]) -> list[str]:
+def _targets(m: Manifest) -> list[str]:
     lines: list[str] = []
     for target, said in m["targets_written"].items():
         if "selftest" in said:
@@ -171,10 +171,23 @@ def _targets(m: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _order(m: Mapping[str, Any]) -> list[str]:
+Vector = Literal[
+    "states",
+    "error_states",
+    "inputs",
+    "parameters",
+    "outputs",
+    "innovations",
+    "features",
+    "learned",
+    "targets",
+]
+
+
+def _order(m: Manifest) -> list[str]:
     """What stands where in every vector."""
     lines = ["## Order", ""]
-    for letter, title, columns in (
+    vectors: tuple[tuple[Vector, str, tuple[Column, ...]], ...] = (
         ("states", "States x", ("scale", "reference")),
         ("error_states", "Error states (rows and columns of A, B, S, K, P)", ()),
         ("inputs", "Commands u", ("lower", "upper", "reference")),
@@ -184,7 +197,8 @@ def _order(m: Mapping[str, Any]) -> list[str]:
         ("features", "Inputs z of the learned part", ()),
         ("learned", "Learned outputs", ()),
         ("targets", "Targets r", ()),
-    ):
+    )
+    for letter, title, columns in vectors:
         if m[letter]:
             lines += _table(title, m[letter], columns)
     own = m["sizes"]["own_states"]
@@ -199,7 +213,7 @@ def _order(m: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _functions(m: Mapping[str, Any]) -> list[str]:
+def _functions(m: Manifest) -> list[str]:
     lines = ["## Functions", "", "| function | arguments | results |", "|---|---|---|"]
     for f in m["functions"]:
         given, got = (", ".join(_shape(p) for p in f[k]) for k in ("arguments", "results"))
@@ -223,7 +237,7 @@ def plain(text: str) -> str:
     return re.sub(r"([\\`|<>\[\]#])", r"\\\1", printable(text))
 
 
-def _table(title: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[str]:
+def _table(title: str, rows: Sequence[SignalRow], columns: Sequence[Column]) -> list[str]:
     lines = [
         f"{title}:",
         "",
@@ -245,7 +259,7 @@ def _table(title: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]
     return [*lines, ""]
 
 
-def _shape(port: Mapping[str, Any]) -> str:
+def _shape(port: PortRow) -> str:
     if port["columns"] == 1:
         return f"{port['name']}[{port['rows']}]"
     return f"{port['name']}[{port['rows']}x{port['columns']}]"

@@ -3,16 +3,22 @@ imported inside)."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from mpc_export.exported import Exported
+    from rockit import Ocp
+
+    from mpc_export.exported import Exported, Expr
     from mpc_export.hover import Hover
 
 
 def rockit_problem(
-    model: Exported, problem: Hover, stage_cost: Any, final_cost: Any
-) -> tuple[Any, Any, Any]:
+    model: Exported,
+    problem: Hover,
+    stage_cost: Callable[[Expr, Expr], Expr],
+    final_cost: Callable[[Expr], Expr],
+) -> tuple[Ocp, Expr, Expr]:
     """(ocp, x, u): `set_next` with f_d, bounds on the commands, the problem's start; the costs are
     functions of (x, u), x.
 

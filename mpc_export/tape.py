@@ -9,36 +9,47 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from typing import Any
 
+import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from greybox.errors import ModelError
-from greybox.symbolic import operation_names
+from greybox.files import Json
+from greybox.symbolic import Expr, FloatArray, operation_names
 from mpc_export.rebuild.rebuild import BINARY, SCHEMA, SHAPED, UNARY, WHOLE
 
 _SCALAR = {"INPUT", "OUTPUT", "CONST", *UNARY, *BINARY}
 _MATRIX = {*_SCALAR, "CALL", *WHOLE, *SHAPED}
 
 
-def write_tape(functions: Iterable[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def write_tape(functions: Iterable[ca.Function]) -> tuple[TapeDocument, dict[str, TapeArray]]:
     """(JSON value, arrays) of the functions and everything that they call. Raises `ModelError` for
     what has no tape."""
     return _Writer().write(list(functions))
+
+
+TapeArray = FloatArray | npt.NDArray[np.int32]
+"""An array of functions.npz."""
+Tape = dict[str, Json]
+"""One function: name, kind ("scalar" or "matrix"), whether it is public, its ports, and its
+instructions or the names of their arrays, as mpc_export/rebuild/rebuild.py reads them."""
+TapeDocument = dict[str, Json]
+"""functions.json: schema, names of operations, tapes."""
 
 
 class _Writer:
     """Collects tapes; functions and constants that occur twice are written once."""
 
     def __init__(self) -> None:
-        self.tapes: list[dict[str, Any]] = []
-        self.arrays: dict[str, Any] = {}
+        self.tapes: list[Tape] = []
+        self.arrays: dict[str, TapeArray] = {}
         self.operations: list[str] = []
         self.codes: dict[str, int] = {}
-        self.places: dict[int, tuple[Any, int]] = {}
+        self.places: dict[int, tuple[ca.Function, int]] = {}
         self.constants: dict[str, str] = {}
 
-    def write(self, functions: list[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    def write(self, functions: list[ca.Function]) -> tuple[TapeDocument, dict[str, TapeArray]]:
         for f in functions:
             self.tapes[self.place(f)]["public"] = True
         return {
@@ -47,7 +58,7 @@ class _Writer:
             "functions": self.tapes,
         }, self.arrays
 
-    def place(self, function: Any) -> int:
+    def place(self, function: ca.Function) -> int:
         """Index of a function's tape, written where it is not there yet."""
         key = function.__hash__()
         if key not in self.places:
@@ -65,7 +76,7 @@ class _Writer:
             self.places[key] = (function, len(self.tapes) - 1)
         return self.places[key][1]
 
-    def code(self, name: str, known: set[str], function: Any) -> int:
+    def code(self, name: str, known: set[str], function: ca.Function) -> int:
         if name not in known:
             raise ModelError(f"{function.name()} uses the operation {name}, which has no tape")
         if name not in self.codes:
@@ -73,8 +84,11 @@ class _Writer:
             self.operations.append(name)
         return self.codes[name]
 
-    def head(self, function: Any, kind: str) -> dict[str, Any]:
-        ports = {
+    def head(self, function: ca.Function, kind: str, rest: Tape) -> Tape:
+        return {
+            "name": function.name(),
+            "kind": kind,
+            "public": False,
             "in": [
                 _port(function.sparsity_in(i), function.name_in(i)) for i in range(function.n_in())
             ],
@@ -82,10 +96,10 @@ class _Writer:
                 _port(function.sparsity_out(i), function.name_out(i))
                 for i in range(function.n_out())
             ],
+            **rest,
         }
-        return {"name": function.name(), "kind": kind, "public": False, **ports}
 
-    def scalar(self, function: Any) -> dict[str, Any]:
+    def scalar(self, function: ca.Function) -> Tape:
         names = operation_names()
         n = function.n_instructions()
         op, to, a, b = (np.zeros(n, dtype=np.int32) for _ in range(4))
@@ -106,11 +120,11 @@ class _Writer:
         key = f"t{len(self.tapes)}_{function.name()}"
         for part, array in (("op", op), ("to", to), ("a", a), ("b", b), ("value", value)):
             self.arrays[f"{key}_{part}"] = array
-        return {**self.head(function, "scalar"), "work": int(function.sz_w()) + 1, "arrays": key}
+        return self.head(function, "scalar", {"work": int(function.sz_w()) + 1, "arrays": key})
 
-    def matrix(self, function: Any) -> dict[str, Any]:
+    def matrix(self, function: ca.Function) -> Tape:
         names = operation_names()
-        instructions = []
+        instructions: list[list[Json]] = []
         for k in range(function.n_instructions()):
             name = names[function.instruction_id(k)]
             code = self.code(name, _MATRIX, function)
@@ -119,7 +133,7 @@ class _Writer:
                 list(function.instruction_input(k)),
                 list(function.instruction_output(k)),
             )
-            extra: dict[str, Any] = {}
+            extra: dict[str, Json] = {}
             if name == "INPUT":
                 info = node.info()
                 arguments, extra = [], {"argument": int(info["ind"])}
@@ -147,9 +161,9 @@ class _Writer:
             instructions.append(
                 [code, [int(v) for v in arguments], [int(v) for v in results], extra]
             )
-        return {**self.head(function, "matrix"), "instructions": instructions}
+        return self.head(function, "matrix", {"instructions": instructions})
 
-    def constant(self, value: Any) -> str:
+    def constant(self, value: ca.DM) -> str:
         numbers = np.array(value.nonzeros(), dtype=np.float64)
         key = hashlib.sha256(numbers.tobytes()).hexdigest()
         if key not in self.constants:
@@ -158,7 +172,7 @@ class _Writer:
         return self.constants[key]
 
 
-def _offsets(node: Any, name: str) -> list[int]:
+def _offsets(node: Expr, name: str) -> list[int]:
     """Where the parts of a split begin, in rows or columns, with the end at last."""
     pieces = node.info()["output"]
     sizes = [
@@ -168,8 +182,8 @@ def _offsets(node: Any, name: str) -> list[int]:
     return [0, *np.cumsum(sizes).tolist()]
 
 
-def _port(sparsity: Any, name: str | None = None) -> dict[str, Any]:
-    out: dict[str, Any] = {} if name is None else {"name": name}
+def _port(sparsity: ca.Sparsity, name: str | None = None) -> dict[str, Json]:
+    out: dict[str, Json] = {} if name is None else {"name": name}
     out |= {"rows": int(sparsity.size1()), "columns": int(sparsity.size2())}
     if not sparsity.is_dense():
         out |= {

@@ -14,7 +14,6 @@ least-squares sense. A history of commands is at rest: every earlier command is 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -69,8 +68,8 @@ def _held(sampled: Sampled, targets: Layout, x: Expr, y: Expr) -> Expr:
 
 
 def target_function(
-    sampled: Sampled, functions: Mapping[str, Any], targets: Layout, n_p: int
-) -> Any:
+    sampled: Sampled, functions: Mapping[str, ca.Function], targets: Layout, n_p: int
+) -> ca.Function:
     """target_step(x, u, p, r) -> x_next, u_next, residual (a scalar: largest condition that x, u
     still miss, scaled).
 
@@ -146,7 +145,7 @@ def target_function(
     )
 
 
-def _least_squares(rows: int, columns: int) -> Any:
+def _least_squares(rows: int, columns: int) -> ca.Function:
     """(J, r) -> the least-squares solution of J d = r, rows balanced first, with a tiny ridge under
     it.
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal, cast
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.files import write_atomic
@@ -33,6 +33,10 @@ from mpc_export.functions import ModelFunctions
 from mpc_export.onboard import crazyflie_app, px4_module, ros2
 from mpc_export.onboard.flight import OnBoard, write_flight
 from mpc_export.tube.target import PLANNING, Planning, write_target_tube
+
+if TYPE_CHECKING:
+    from mpc_export.manifest import TargetPart
+
 
 COMMON = ("exported", "hover")
 MODULES = {
@@ -67,7 +71,7 @@ def write_target(
     name: str,
     real: Literal["double", "float"] = "double",
     plan: Planning = PLANNING,
-) -> dict[str, Any]:
+) -> TargetPart:
     """Add a target to the bundle in `folder`; `name` is the bundle's, `real` the precision of its
     C, `plan` what is chosen of the tube. Returns what the manifest says of it.
 
@@ -81,11 +85,11 @@ def write_target(
         return ONBOARD[target](board, folder)
     if target in TUBES:
         plan = replace(plan, linear=TUBES[target])
-        return write_target_tube(functions, folder, name, real, plan)
+        return cast("TargetPart", write_target_tube(functions, folder, name, real, plan))
     model = of(functions, name)
-    said: dict[str, Any] = {"example": f"examples/{EXAMPLES[target]}.py"}
+    said: TargetPart = {"example": f"examples/{EXAMPLES[target]}.py"}
     if target == "fmu":
-        said |= write_fmu(model, folder / "fmu" / f"{name}.fmu")
+        said.update(write_fmu(model, folder / "fmu" / f"{name}.fmu"))
     if target == "l4acados" and "f_d_nominal" not in model:
         raise ModelError(
             "the target l4acados is for a model with a learned part",

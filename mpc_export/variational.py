@@ -19,16 +19,17 @@ Jacobians are `f_d_jac` of `mpc_export.functions`.
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 
 from greybox.errors import ModelError
 from greybox.model.dynamics import Dynamics
 from greybox.residual.hybrid import HybridModel
+from greybox.symbolic import Expr
 
 
-def derivative(dynamics: Dynamics, *, name: str = "f_slope", learned: Any = None) -> Any:
+def derivative(
+    dynamics: Dynamics, *, name: str = "f_slope", learned: ca.Function | None = None
+) -> ca.Function:
     """CasADi function (x, u, p) -> dx (n_x), J (n_x, n_x + n_u), the derivative f and its slopes in
     x and u, all dense.
 
@@ -76,7 +77,7 @@ def derivative(dynamics: Dynamics, *, name: str = "f_slope", learned: Any = None
     return ca.Function(name, [mx, mu, mp], list(physics(mx, mu, mp, mean, mean_slope)), *names)
 
 
-def rk4(slope: Any, dt: float, *, name: str = "rk4", substeps: int = 1) -> Any:
+def rk4(slope: ca.Function, dt: float, *, name: str = "rk4", substeps: int = 1) -> ca.Function:
     """CasADi function (x, u, p) -> x_next (n_x), A (n_x, n_x), B (n_x, n_u) of Runge-Kutta 4 over
     dt [s] with u held.
 
@@ -90,8 +91,8 @@ def rk4(slope: Any, dt: float, *, name: str = "rk4", substeps: int = 1) -> Any:
         )
     x, u, p = (ca.MX.sym(k, slope.numel_in(i)) for i, k in enumerate("xup"))
     h = dt / substeps
-    after: Any = x
-    total: Any = ca.horzcat(ca.DM.eye(n), ca.DM.zeros(n, m))
+    after: Expr = x
+    total: Expr = ca.horzcat(ca.DM.eye(n), ca.DM.zeros(n, m))
     for step in range(substeps):
         k1, w1 = slope(after, u, p)
         k2, j2 = slope(after + h / 2 * k1, u, p)
@@ -106,7 +107,7 @@ def rk4(slope: Any, dt: float, *, name: str = "rk4", substeps: int = 1) -> Any:
             total = total + moved
         else:
             total = total + moved[:, :n] @ total + ca.horzcat(ca.MX(n, n), moved[:, n:])
-    results: list[Any] = [after, total[:, :n], total[:, n:]]
+    results: list[Expr] = [after, total[:, :n], total[:, n:]]
     return ca.Function(
         name, [x, u, p], [ca.densify(v) for v in results], ["x", "u", "p"], ["x_next", "A", "B"]
     )

@@ -27,8 +27,15 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+if TYPE_CHECKING:
+    import casadi as ca
+
+Manifest = Mapping[str, Any]
+"""The manifest of a bundle, or the part of it that belongs to one function: what a stranger wrote
+(greybox/schemas/manifest.json)."""
+Functions = Mapping[str, "ca.Function"]
 SCHEMA = "greybox.bundle/1"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 C_LIMIT = {"double": 1e-10, "float": 1e-4}
@@ -55,7 +62,7 @@ def say(text: str, *, error: bool = False) -> None:
     print(shown, file=sys.stderr if error else sys.stdout)
 
 
-def read_manifest(folder: Path) -> dict[str, Any]:
+def read_manifest(folder: Path) -> Manifest:
     """The manifest, checked by schema. Raises `VerifyError`."""
     try:
         path = folder / "manifest.json"
@@ -78,7 +85,7 @@ def size(path: Path, limit: int = LARGEST) -> int:
     return state.st_size
 
 
-def check_files(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
+def check_files(folder: Path, manifest: Manifest) -> list[str]:
     """Files of the folder that the manifest does not list. Raises `VerifyError` for what is no
     regular file (a link, a pipe), too many and too large ones."""
     there, total = [], 0
@@ -93,7 +100,7 @@ def check_files(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
     return sorted(n for n in own if not n.startswith("build/") and "__pycache__/" not in n)
 
 
-def check_names(manifest: Mapping[str, Any]) -> None:
+def check_names(manifest: Manifest) -> None:
     """Names that become paths and symbols lead nowhere else. Raises `VerifyError`."""
     for name in (manifest["name"], *(f["name"] for f in manifest["functions"])):
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
@@ -106,7 +113,7 @@ def check_names(manifest: Mapping[str, Any]) -> None:
             raise VerifyError(f"manifest.json: {name!r} is not a file of the bundle")
 
 
-def seal(manifest: Mapping[str, Any]) -> str:
+def seal(manifest: Manifest) -> str:
     """Checksum of a manifest: SHA-256 of its canonical JSON without the checksum. Raises
     `ValueError` for NaN."""
     rest = {k: v for k, v in manifest.items() if k != "checksum"}
@@ -115,7 +122,7 @@ def seal(manifest: Mapping[str, Any]) -> str:
     ).hexdigest()
 
 
-def changed_files(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
+def changed_files(folder: Path, manifest: Manifest) -> list[str]:
     """Files that are missing or not as they were written."""
     out = [] if manifest.get("checksum") == seal(manifest) else ["manifest.json"]
     for name, digest in manifest["files"].items():
@@ -125,7 +132,7 @@ def changed_files(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def golden(folder: Path, function: Mapping[str, Any]) -> Iterator[Point]:
+def golden(folder: Path, function: Manifest) -> Iterator[Point]:
     """(arguments, results) of every golden point, each a list of columns of numbers."""
     with open(
         folder / "golden" / f"{function['name']}.csv", newline="", encoding="utf-8"
@@ -145,7 +152,7 @@ def golden(folder: Path, function: Mapping[str, Any]) -> Iterator[Point]:
 
 
 def gap(
-    function: Mapping[str, Any], got: Sequence[Sequence[float]], want: Sequence[Sequence[float]]
+    function: Manifest, got: Sequence[Sequence[float]], want: Sequence[Sequence[float]]
 ) -> float:
     """Largest difference over the results of one call, in units of each output's scale; infinite
     where one is NaN."""
@@ -159,7 +166,7 @@ def gap(
     return worst
 
 
-def check_scales(folder: Path, manifest: Mapping[str, Any]) -> None:
+def check_scales(folder: Path, manifest: Manifest) -> None:
     """The scales by which differences are judged are those of the golden results. Raises
     `VerifyError`."""
     for function in manifest["functions"]:
@@ -214,7 +221,7 @@ def run(command: Sequence[str]) -> str:
     return done.stdout
 
 
-def build(folder: Path, manifest: Mapping[str, Any], compiler: Sequence[str], work: Path) -> Path:
+def build(folder: Path, manifest: Manifest, compiler: Sequence[str], work: Path) -> Path:
     """Strictly compiled shared library in `work`, after the self-test has passed. Raises
     `VerifyError`."""
     name, source = manifest["name"], folder / "c"
@@ -249,11 +256,13 @@ def build(folder: Path, manifest: Mapping[str, Any], compiler: Sequence[str], wo
 class CLibrary:
     """Functions of a compiled bundle, called through their own calling convention."""
 
-    def __init__(self, path: Path, manifest: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, manifest: Manifest) -> None:
         self.library = ctypes.CDLL(str(path))
         self.manifest = manifest
-        self.real: Any = ctypes.c_double if manifest["c"]["real"] == "double" else ctypes.c_float
-        self.integer: Any = (
+        self.real: type[ctypes.c_double | ctypes.c_float] = (
+            ctypes.c_double if manifest["c"]["real"] == "double" else ctypes.c_float
+        )
+        self.integer: type[ctypes.c_longlong | ctypes.c_int] = (
             ctypes.c_longlong if manifest["c"]["integer"].startswith("long") else ctypes.c_int
         )
         abi = getattr(self.library, f"{manifest['name']}_abi")
@@ -261,9 +270,7 @@ class CLibrary:
         if abi() != manifest["abi"]:
             raise VerifyError("the compiled library has another layout than the manifest")
 
-    def call(
-        self, function: Mapping[str, Any], arguments: Sequence[Sequence[float]]
-    ) -> list[list[float]]:
+    def call(self, function: Manifest, arguments: Sequence[Sequence[float]]) -> list[list[float]]:
         """Results as columns of numbers. Raises `VerifyError` where the function fails."""
         sizes = self.manifest["c"]["functions"][function["name"]]
         pointer = ctypes.POINTER(self.real)
@@ -281,9 +288,7 @@ class CLibrary:
         return [list(r)[:n] for r, n in zip(results, lengths, strict=True)]
 
 
-def verify_c(
-    folder: Path, manifest: Mapping[str, Any], compiler: Sequence[str]
-) -> dict[str, float]:
+def verify_c(folder: Path, manifest: Manifest, compiler: Sequence[str]) -> dict[str, float]:
     """Function -> largest difference between C and golden vectors."""
     with tempfile.TemporaryDirectory(prefix="verify-") as work:
         library = CLibrary(build(folder, manifest, compiler, Path(work)), manifest)
@@ -298,7 +303,7 @@ def verify_c(
 # ----------------------------------------------------------------------------------------- casadi
 
 
-def _columns(function: Any, arguments: Sequence[Sequence[float]]) -> list[list[float]]:
+def _columns(function: ca.Function, arguments: Sequence[Sequence[float]]) -> list[list[float]]:
     import casadi as ca
 
     given = [
@@ -308,9 +313,7 @@ def _columns(function: Any, arguments: Sequence[Sequence[float]]) -> list[list[f
     return [[float(v) for v in ca.densify(r).nonzeros()] for r in function.call(given)]
 
 
-def verify_functions(
-    folder: Path, manifest: Mapping[str, Any], functions: Mapping[str, Any]
-) -> dict[str, float]:
+def verify_functions(folder: Path, manifest: Manifest, functions: Functions) -> dict[str, float]:
     """Function -> largest difference between CasADi functions and golden vectors."""
     return {
         f["name"]: max(
@@ -320,7 +323,7 @@ def verify_functions(
     }
 
 
-def load_rebuild(folder: Path) -> dict[str, Any]:
+def load_rebuild(folder: Path) -> dict[str, ca.Function]:
     """The functions of python/, with the bundle's own interpreter."""
     path = folder / "python" / "rebuild.py"
     # The source itself: what Python may have cached beside it is no part of the bundle.
@@ -335,7 +338,7 @@ def load_rebuild(folder: Path) -> dict[str, Any]:
     return dict(names["load"](folder / "python"))
 
 
-def verify_casadi(folder: Path, manifest: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+def verify_casadi(folder: Path, manifest: Manifest) -> dict[str, dict[str, float]]:
     """Differences of the rebuild, and of the .casadi files where this CasADi wrote them; empty
     without casadi."""
     try:

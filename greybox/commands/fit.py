@@ -257,11 +257,10 @@ def _report(
             verdict = result.verdict
             pieces = verdict is not None and verdict.judged_on == LEFT_OUT
             where = "pieces of the training flights" if pieces else "the flights that were fitted"
-            checked.setdefault("warnings", []).insert(
-                0, f"validated on {where}: give --test flights"
-            )
+            checked["warnings"].insert(0, f"validated on {where}: give --test flights")
         write_json(out / "validate.json", checked)
-    adapted = ((checked or {}).get("adapted_on") or {}).get("flights", {})
+    on = None if checked is None else checked["adapted_on"]
+    adapted = {} if on is None else on["flights"]
     # The flight that judges is drawn; a fitted one where there is none.
     drawn = (Dataset(flights=()), test) if test.flights else (prepared.data,)
     drawing = series(result.model, *drawn, adapted=adapted)

@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
         no_overwriting(arguments.draft, "--draft", force=arguments.force)
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
     found = inspect_log(arguments.log, vehicle, mapping=arguments.mapping)
-    content = found.to_dict()
+    content: dict[str, Any] = {**found.to_dict()}
     content["effects"] = effects(found, vehicle)
     content["uses"] = uses(found)
     guesses, time = looks(found, named=bool(arguments.mapping))

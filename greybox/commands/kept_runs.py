@@ -5,11 +5,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from typing import Any
+from typing import TypedDict, TypeVar
 
 from greybox.commands.console import Console
 
-Content = dict[str, Any]
+
+class Judged(TypedDict):
+    """A result file that says in words what came out."""
+
+    verdict: str
+
+
+Content = TypeVar("Content", bound=Judged)
 
 
 def carried_out(

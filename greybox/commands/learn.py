@@ -199,13 +199,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _content(learned: Learned, model: IdentifiedModel, train: Dataset) -> dict[str, Any]:
     """learn.json before anything is judged."""
-    content = {**learned.to_dict(), "command": typed("learn")}
+    content = learned.to_dict()
     unseen = sorted(set(model.trained_on) - set(train.names))
     if unseen:
         content["warnings"].append(
             f"the model was also fitted to {', '.join(unseen)}, which were not given"
         )
-    return content
+    return {**content, "command": typed("learn")}
 
 
 def _points(text: str) -> int | str:

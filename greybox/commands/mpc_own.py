@@ -7,13 +7,16 @@ import argparse
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console
 from greybox.commands.kept_runs import carried_out
 from greybox.commands.model_options import numbers
 from greybox.commands.own_model import model_file_option, range_options
+
+if TYPE_CHECKING:
+    from mpc_export.outputs.campaign import OwnDocument
 
 COURSE_ONLY: dict[str, Any] = {
     "log": [],
@@ -142,7 +145,7 @@ def run(arguments: argparse.Namespace, content: Mapping[str, Any]) -> int:
     watched = seeds[:WATCHED]
     command = typed("mpc", f"greybox mpc {shlex.quote(arguments.subject)}")
 
-    def report() -> dict[str, Any]:
+    def report() -> OwnDocument:
         found = summary(own, kept(own, own.names, seeds), seeds, command)
         write_json(out / "mpc_own.json", found)
         traces = read_traces(own, own.names, watched)[watched[0]]

@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console
 from greybox.commands.kept_runs import carried_out
 from greybox.commands.mpc_own import COURSE_ONLY, OWN_ONLY, refuse
+
+if TYPE_CHECKING:
+    from mpc_export.rates.campaign import RatesDocument
 
 OTHERS: dict[str, Any] = {**COURSE_ONLY, "plant": None, "even_so": False}
 """Options of a model that flies a course."""
@@ -32,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     seeds = judging(arguments.flights, arguments.seed)
     watched = seeds[:WATCHED]
 
-    def report() -> dict[str, Any]:
+    def report() -> RatesDocument:
         content = summary(
             flown, kept(flown, list(TEXTS), seeds), seeds, typed("mpc", "greybox mpc rates")
         )

@@ -108,9 +108,11 @@ def run(arguments: argparse.Namespace) -> int:
         measured_start=arguments.measured_start,
         progress=progress,
     )
-    adapted = (result.to_dict().get("adapted_on") or {}).get("flights")
+    content = result.to_dict()
+    on = content["adapted_on"]
+    adapted = None if on is None else on["flights"]
     write_if_asked(arguments.mcap, model, dataset, adapted=adapted)
     if arguments.ulog is not None:
         write_ulog(arguments.ulog, model, dataset, adapted=adapted)
-    Console.of(arguments).result(result.to_dict(), result.format())
+    Console.of(arguments).result(content, result.format())
     return exit_code(result.verdict)

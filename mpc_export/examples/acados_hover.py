@@ -15,19 +15,22 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from acados_template import AcadosOcp
 
 BUNDLE = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(BUNDLE / "python"))
 
 from consumers.acados import acados_model, session  # noqa: E402
-from consumers.exported import load  # noqa: E402
-from consumers.hover import hover, residual, solve  # noqa: E402
+from consumers.exported import Exported, load  # noqa: E402
+from consumers.hover import Hover, hover, residual, solve  # noqa: E402
 
 
-def problem(model: Any, task: Any, home: Path, work: Path, optimise: str) -> Any:
+def problem(model: Exported, task: Hover, home: Path, work: Path, optimise: str) -> AcadosOcp:
     """The optimal control problem as an AcadosOcp."""
     from acados_template import AcadosOcp
 

@@ -14,20 +14,22 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 BUNDLE = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(BUNDLE / "python"))
 
-from consumers.exported import load  # noqa: E402
-from consumers.hover import hover, residual, solve  # noqa: E402
+from consumers.exported import Exported, load  # noqa: E402
+from consumers.hover import Hover, hover, residual, solve  # noqa: E402
 from consumers.l4acados import LearnedResidual, nominal  # noqa: E402
 
 
-def sequence(model: Any, task: Any, learned: Any, iterations: int = 100) -> tuple[Any, list[float]]:
+def sequence(
+    model: Exported, task: Hover, learned: LearnedResidual, iterations: int = 100
+) -> tuple[npt.NDArray[np.float64], list[float]]:
     """(U (N, n_u), largest change of every iteration): Gauss-Newton on nominal step + B r, states
     eliminated from the QP."""
     nx, nu, n = len(model.states), len(model.inputs), task.steps

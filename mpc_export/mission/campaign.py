@@ -16,11 +16,12 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
 from greybox.files import (
+    Json,
     OutputError,
     append_json_line,
     checksum,
@@ -35,7 +36,9 @@ from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
 from mpc_export.mission.flight import (
     Cascade,
+    FlightRow,
     Mission,
+    Plant,
     controller,
     fitting,
     flown_with,
@@ -44,6 +47,7 @@ from mpc_export.mission.flight import (
     mission,
     tightened,
 )
+from mpc_export.tube.controller import TubeController
 from mpc_export.tube.risk import kappa, kappa_rehearsed
 
 OBSTACLES = "mpc_export.mission:OBSTACLE_COURSE"
@@ -88,7 +92,7 @@ class Campaign:
         """Course and problem."""
         return mission(load_model(self.model), load_course(self.course), self.pace)
 
-    def open_plant(self) -> Any:
+    def open_plant(self) -> Plant:
         """The plant, checked against the model. Raises `PlantError`."""
         model = load_model(self.model)
         plant = flown_with(
@@ -136,9 +140,9 @@ class Hangar:
         self.task = campaign.mission()
         self.plant = campaign.open_plant()
         self.campaign = campaign
-        self._pilots: dict[str, Any] = {}
+        self._pilots: dict[str, TubeController | Cascade] = {}
 
-    def pilot(self, entry: Entry) -> Any:
+    def pilot(self, entry: Entry) -> TubeController | Cascade:
         """The controller of an entry; those of one model are one, tightened anew. Raises what
         `TubeController` raises."""
         cascade = entry.kind == "cascade"
@@ -149,11 +153,13 @@ class Hangar:
                 else controller(load_model(entry.model), self.task)
             )
         made = self._pilots[entry.model]
-        return made if cascade else tightened(made, self.task, kappa=entry.kappa, moved=entry.moved)
+        if isinstance(made, Cascade):
+            return made
+        return tightened(made, self.task, kappa=entry.kappa, moved=entry.moved)
 
     def fly(
         self, entry: Entry, seed: int, *, near: float | None = None, watch: bool = False
-    ) -> dict[str, Any]:
+    ) -> FlightRow:
         """One flight as a row, with its controller and key."""
         row = fly(self.pilot(entry), self.plant, self.task, seed, near=near, watch=watch)
         return {"controller": entry.name, "key": self.campaign.key(entry), **row}
@@ -169,7 +175,7 @@ def _begin(campaign: Campaign) -> None:
     _hangar = Hangar(campaign)
 
 
-def _flown(entry: Entry, seed: int, near: float | None, watch: bool) -> dict[str, Any]:
+def _flown(entry: Entry, seed: int, near: float | None, watch: bool) -> FlightRow:
     assert _hangar is not None
     return _hangar.fly(entry, seed, near=near, watch=watch)
 
@@ -184,7 +190,7 @@ def flights(
     near: float | None = None,
     watched: Sequence[int] = (),
     say: Callable[[str], None] = print,
-) -> list[dict[str, Any]]:
+) -> list[FlightRow]:
     """Rows of all entries and seeds, those of an earlier run among them; every row is on the disk
     before the next flight.
 
@@ -228,7 +234,7 @@ def kept(
     seeds: Sequence[int],
     *,
     log: str = "flights.jsonl",
-) -> list[dict[str, Any]]:
+) -> list[FlightRow]:
     """Rows on the disk that these entries flew with these seeds and settings, by entry and seed."""
     order = {e.name: i for i, e in enumerate(entries)}
     keys = {e.name: campaign.key(e) for e in entries}
@@ -241,7 +247,7 @@ def kept(
     return [found[k] for k in sorted(found)]
 
 
-def _rows(path: Path) -> list[dict[str, Any]]:
+def _rows(path: Path) -> list[FlightRow]:
     return read_json_lines(path.read_text(encoding="utf-8")) if path.exists() else []
 
 
@@ -261,7 +267,7 @@ def _run(
     jobs: int,
     near: float | None,
     watched: Sequence[int],
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[FlightRow]:
     if jobs <= 1 or len(todo) < 2:
         for entry, seed in todo:
             yield hangar.fly(entry, seed, near=near, watch=seed in watched)
@@ -271,7 +277,7 @@ def _run(
         jobs, mp_context=context, initializer=_begin, initargs=(hangar.campaign,)
     ) as pool:
         waiting = list(reversed(todo))
-        running: set[Future[dict[str, Any]]] = set()
+        running: set[Future[FlightRow]] = set()
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
@@ -284,7 +290,7 @@ def _run(
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def told(row: dict[str, Any]) -> str:
+def told(row: FlightRow) -> str:
     """A flight in a few words."""
     if row["crashed"]:
         return f"crashed after {row['seconds']:.1f} s"
@@ -301,9 +307,9 @@ def trace_path(campaign: Campaign, entry: Entry, seed: int) -> Path:
 
 def read_traces(
     campaign: Campaign, entries: Sequence[Entry], seeds: Sequence[int]
-) -> dict[int, dict[str, Any]]:
+) -> dict[int, dict[str, dict[str, Json]]]:
     """{seed: {controller: trace}} of what is there."""
-    found: dict[int, dict[str, Any]] = {}
+    found: dict[int, dict[str, dict[str, Json]]] = {}
     for seed in seeds:
         for entry in entries:
             path = trace_path(campaign, entry, seed)
@@ -312,7 +318,7 @@ def read_traces(
     return found
 
 
-def tuned(rows: Sequence[dict[str, Any]], level: float) -> dict[str, float]:
+def tuned(rows: Sequence[FlightRow], level: float) -> dict[str, float]:
     """What flights without tightening on training seeds ask for.
 
     `pairs` of limits touched in a flight, `boole`, the standard deviations that Boole's inequality
@@ -331,6 +337,14 @@ def tuned(rows: Sequence[dict[str, Any]], level: float) -> dict[str, float]:
     }
 
 
+class Rehearsal(TypedDict):
+    """How many of the rehearsed flights went beyond a limit at `kappa` standard deviations."""
+
+    kappa: float
+    flights: int
+    crossed: int
+
+
 def rehearsed(
     hangar: Hangar,
     plain: Entry,
@@ -340,7 +354,7 @@ def rehearsed(
     count: int,
     jobs: int,
     say: Callable[[str], None],
-) -> tuple[float, list[dict[str, Any]]]:
+) -> tuple[float, list[Rehearsal]]:
     """(standard deviations for `level`, what was rehearsed): `count` flights against the model
     itself at each of `tried`.
 
@@ -361,7 +375,7 @@ def rehearsed(
         sum(bool(r["crashed"] or r["crossings"]) for r in rows if r["controller"] == e.name)
         for e in entries
     ]
-    found = [
+    found: list[Rehearsal] = [
         {"kappa": k, "flights": count, "crossed": n} for k, n in zip(tried, beyond, strict=True)
     ]
     return kappa_rehearsed(level, tried, beyond, [count] * len(beyond)), found

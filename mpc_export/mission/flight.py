@@ -15,13 +15,14 @@ import os
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NotRequired, Protocol, TypedDict
 
 import numpy as np
 
 from greybox.errors import GreyboxError
-from greybox.files import to_plain
+from greybox.files import Json, to_plain
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
@@ -32,7 +33,7 @@ from mpc_export.mission.cascade import CascadeController
 from mpc_export.mission.course import Course, SampledPath
 from mpc_export.mission.model_plant import ModelPlant, RehearsedPlant
 from mpc_export.mission.trace import Trace
-from mpc_export.tube.controller import Event, TubeController
+from mpc_export.tube.controller import Event, Plan, TubeController
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.risk import touching
 
@@ -108,6 +109,25 @@ def mission(model: IdentifiedModel, course: Course, pace: float = 1.0) -> Missio
 # ----------------------------------------------------------------------------------------- plants
 
 
+class Plant(Protocol):
+    """What flies. `measure` may take the command that begins now; a plant may also have `states`
+    (true states by name), else they are in `truth()["states"]`."""
+
+    def reset(self, seed: int = 0, *, position: tuple[float, float, float] = ...) -> None:
+        """At rest at a place [m]."""
+
+    def step(self, u: FloatArray, dt: float | None = None) -> None:
+        """Hold the command u (n_u,) for dt seconds."""
+
+    def measure(self, u: FloatArray | None = None) -> Mapping[str, float]:
+        """Measurements now by column."""
+        ...
+
+    def truth(self) -> Mapping[str, Any]:
+        """What a log does not say."""
+        ...
+
+
 def named(option: str, name: str, example: str) -> Any:
     """What `module:attribute` names, importable from here. Raises `PlantError`."""
     module, _, attribute = name.partition(":")
@@ -156,7 +176,7 @@ def load_plant(name: str) -> Any:
     return plant
 
 
-def fitting(plant: Any, model: IdentifiedModel, start: tuple[float, ...]) -> None:
+def fitting(plant: Plant, model: IdentifiedModel, start: tuple[float, float, float, float]) -> None:
     """Whether the plant has what the model's controller asks for. Raises `PlantError`."""
     commands = [n for n in model.dynamics.inputs.names if n != "vbat"]
     rotors = getattr(plant, "rotors", len(commands))
@@ -184,12 +204,35 @@ def fitting(plant: Any, model: IdentifiedModel, start: tuple[float, ...]) -> Non
         )
 
 
-def truth(plant: Any) -> Any:
+def truth(plant: Plant) -> Mapping[str, float]:
     """True states of a plant by name."""
-    return plant.states() if hasattr(plant, "states") else plant.truth()["states"]
+    found: Mapping[str, float] = (
+        plant.states() if hasattr(plant, "states") else plant.truth()["states"]
+    )
+    return found
 
 
 # ------------------------------------------------------------------------------------ controllers
+
+
+class Pilot(Protocol):
+    """What flies a plant: `u` (n_u,) the present command, `plan` the last plan, if it makes any."""
+
+    u: FloatArray
+    plan: Plan | None
+    events: list[Event]
+
+    @property
+    def descending(self) -> bool:
+        """Whether the path was given up."""
+        ...
+
+    def start(self) -> None:
+        """Forget everything."""
+
+    def sample(self, time: float, seen: Mapping[str, float], /) -> FloatArray:
+        """The command from the next sample on."""
+        ...
 
 
 class CoursePlanes:
@@ -241,10 +284,11 @@ class Cascade:
     interface."""
 
     descending = False
+    plan: Plan | None = None
 
     def __init__(self, vehicle: Vehicle, task: Mission) -> None:
         self.inner = CascadeController(vehicle)
-        self.task, self.plan = task, None
+        self.task = task
         self.events: list[Event] = []
         self.start()
 
@@ -255,7 +299,7 @@ class Cascade:
         self._place: FloatArray | None = None
         self._velocity = np.zeros(3)
 
-    def sample(self, time_: float, seen: dict[str, float]) -> FloatArray:
+    def sample(self, time_: float, seen: Mapping[str, float]) -> FloatArray:
         """The command from the next sample on; velocity by filtered differences where none is
         measured."""
         goal = self.task.course.sample(np.array([time_ + self.task.dt]))
@@ -267,7 +311,7 @@ class Cascade:
                     place - self._place
                 ) / self.task.dt
             self._place = place
-            seen = seen | dict(zip(("vx", "vy", "vz"), map(float, self._velocity), strict=True))
+            seen = {**seen, **dict(zip(("vx", "vy", "vz"), self._velocity.tolist(), strict=True))}
         self.u = self.inner(seen, goal, self.task.dt)
         return self.u
 
@@ -275,15 +319,60 @@ class Cascade:
 # --------------------------------------------------------------------------------------- a flight
 
 
+class Crossing(TypedDict):
+    """Where a flight was deepest beyond a plane [m], and when [s]."""
+
+    plane: str
+    time: float
+    depth: float
+
+
+class EventRow(TypedDict):
+    """What the controller did at a time [s]."""
+
+    time: float
+    what: str
+
+
+class Scores(TypedDict):
+    """What every flight is judged by, as `fly` explains it."""
+
+    crashed: bool
+    margins: dict[str, float]
+    tilt: float
+    rmse: float
+    cost: float
+    late: int
+    samples: int
+    seconds: float
+    solve_ms: list[float]
+    events: list[EventRow]
+    event_count: int
+    event_kinds: dict[str, int]
+    descended: bool
+    nearest: list[float]
+    crossings: list[Crossing]
+
+
+class FlightRow(Scores):
+    """A flight as a row of plain values; `controller` and `key` once it belongs to a campaign."""
+
+    seed: int
+    pairs: NotRequired[int]
+    trace: NotRequired[dict[str, Json]]
+    controller: NotRequired[str]
+    key: NotRequired[str]
+
+
 def fly(
-    pilot: Any,
-    plant: Any,
+    pilot: Pilot,
+    plant: Plant,
     task: Mission,
     seed: int,
     *,
     near: float | None = None,
     watch: bool = False,
-) -> dict[str, Any]:
+) -> FlightRow:
     """One flight as a row of plain values; with `watch` also "trace", what an animation needs.
 
     near: also count the limits that plans touch, closer than this [m]. Keys: seed, crashed, margins
@@ -298,12 +387,12 @@ def fly(
         Trace(pilot, task.problem.horizon) if watch and isinstance(pilot, TubeController) else None
     )
     flown = _flown(pilot, plant, task, seed, near=near, trace=trace)
-    out = {"seed": seed, **_scores(flown, pilot, task, reference)}
+    out: dict[str, object] = {"seed": seed, **_scores(flown, pilot, task, reference)}
     if near is not None:
         out["pairs"] = flown.pairs
     if watch:
         out["trace"] = {**_shown(flown, task), "plans": trace.plans if trace is not None else []}
-    found: dict[str, Any] = to_plain(out)
+    found: FlightRow = to_plain(out)
     return found
 
 
@@ -325,7 +414,13 @@ def _times(task: Mission) -> FloatArray:
 
 
 def _flown(
-    pilot: Any, plant: Any, task: Mission, seed: int, *, near: float | None, trace: Trace | None
+    pilot: Pilot,
+    plant: Plant,
+    task: Mission,
+    seed: int,
+    *,
+    near: float | None,
+    trace: Trace | None,
 ) -> _Flown:
     """The loop itself: the command of a sample is held while the answer to it is computed."""
     course = task.course
@@ -334,7 +429,8 @@ def _flown(
     u = np.array(pilot.u)
     times = _times(task)
     reference = course.sample(times)
-    rows, commands, spent, solve, pairs, last = [], [], [], [], 0, None
+    rows, commands, spent, solve, pairs = [], [], [], [], 0
+    last: Plan | None = None
     takes_command = _takes_argument(plant.measure)
     crashed = False
     for k in range(len(times)):
@@ -353,9 +449,10 @@ def _flown(
         if pilot.plan is not None and pilot.plan is not last:
             last = pilot.plan
             solve.append(1e3 * last.outcome.seconds)
-            pairs += int(touching(pilot.solver, near)[:-1].sum()) if near is not None else 0
-            if trace is not None:
-                trace.look(pilot)
+            if isinstance(pilot, TubeController):
+                pairs += int(touching(pilot.solver, near)[:-1].sum()) if near is not None else 0
+                if trace is not None:
+                    trace.look(pilot)
     return _Flown(
         path=np.array(rows),
         commands=np.array(commands),
@@ -372,7 +469,7 @@ def _tilt(path: FloatArray) -> FloatArray:
     return np.arccos(np.clip(numeric("rotate", path[:, 6:10], up)[:, 2], -1, 1))
 
 
-def _scores(flown: _Flown, pilot: Any, task: Mission, reference: SampledPath) -> dict[str, Any]:
+def _scores(flown: _Flown, pilot: Pilot, task: Mission, reference: SampledPath) -> Scores:
     """The keys of `fly` that every flight has."""
     path, times = flown.path, _times(task)[: len(flown.path)]
     away = task.course.margins(path[:, :3])
@@ -426,7 +523,7 @@ def tracking_cost(
     return float(sum(0.5 * np.sum(v**2) for v in terms) / len(path))
 
 
-def _takes_argument(function: Any) -> bool:
+def _takes_argument(function: Callable[..., object]) -> bool:
     try:
         return len(inspect.signature(function).parameters) > 0
     except (TypeError, ValueError):
@@ -440,10 +537,8 @@ def _cells(times: FloatArray, nearest: FloatArray) -> list[float]:
     return [round(float(v), 4) if np.isfinite(v) else math.nan for v in least]
 
 
-def _crossings(
-    times: FloatArray, path: FloatArray, away: dict[str, FloatArray]
-) -> list[dict[str, Any]]:
-    found = []
+def _crossings(times: FloatArray, path: FloatArray, away: dict[str, FloatArray]) -> list[Crossing]:
+    found: list[Crossing] = []
     for name, margin in away.items():
         k = int(np.argmin(margin))
         if margin[k] < 0:
@@ -451,7 +546,7 @@ def _crossings(
     return found
 
 
-def flown_with(plant: str, model: IdentifiedModel, disturbances: list[FloatArray] | None) -> Any:
+def flown_with(plant: str, model: IdentifiedModel, disturbances: list[FloatArray] | None) -> Plant:
     """The plant of a name: "model" is the identified model itself, "rehearsal" the same with a
     learned part that errs, everything else `module:attribute`."""
     if plant == "rehearsal":

@@ -14,15 +14,16 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from greybox.data import Dataset
 from greybox.errors import ModelError
 from greybox.estimation.filtering import Filter
 from greybox.estimation.smoothing import smooth
+from greybox.files import Json
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
@@ -95,7 +96,7 @@ class DrawnModel:
         # As the tube allows for: what it tunes against must push as hard.
         self._levels = np.array(model.noise_ahead, dtype=float)
 
-    def _learned_push(self) -> Any:
+    def _learned_push(self) -> ca.Function | None:
         """(x, u, p) -> mean and standard deviation (n_g) of the learned part in its noise channels,
         or None."""
         f = self.functions
@@ -137,7 +138,7 @@ class DrawnModel:
             self._rng.standard_normal(len(self.model.sensor_noise)) * self.model.sensor_noise
         )
 
-    def moved(self, u: Any, dt: float | None) -> None:
+    def moved(self, u: npt.ArrayLike, dt: float | None) -> None:
         """Hold the command u (n,) for one sample. Raises `ModelError` for another length than the
         model's sample."""
         if dt is not None and abs(dt - self.sample_time) > 1e-9:
@@ -223,14 +224,14 @@ class ModelPlant(DrawnModel):
         self._x[self._slow] = self._queue[0]
         self._queue = self._queue[1:]
 
-    def step(self, u: Any, dt: float | None = None) -> None:
+    def step(self, u: npt.ArrayLike, dt: float | None = None) -> None:
         """Hold the command u (n,) for one sample. Raises `ModelError` for another length than the
         model's sample."""
         self.moved(u, dt)
         self._next_disturbance()
         self._draw()
 
-    def measure(self, u: Any | None = None) -> dict[str, float]:
+    def measure(self, u: npt.ArrayLike | None = None) -> dict[str, float]:
         """Measurements now by column, with noise; u: the command that begins now (default: the one
         before)."""
         command = self._u if u is None else np.asarray(u, dtype=float)
@@ -271,7 +272,7 @@ class ModelPlant(DrawnModel):
             }
         return found
 
-    def truth(self) -> dict[str, Any]:
+    def truth(self) -> dict[str, Json]:
         """What a log does not say: `parameters` of this flight, `effects`, `states`."""
         return {
             "parameters": self.values(),

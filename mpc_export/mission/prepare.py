@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypedDict
+from typing import Literal, TypedDict
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import SCHEMA as LINEAR
 from greybox.residual.files import load_model
 from greybox.residual.hybrid import HybridModel
+from greybox.symbolic import FloatArray
 from mpc_export.feedback import NEEDED
 from mpc_export.functions import model_functions
 from mpc_export.mission import TRAINING_SEEDS, judging
@@ -33,6 +34,7 @@ from mpc_export.mission.campaign import (
     Campaign,
     Entry,
     Hangar,
+    Rehearsal,
     flights,
     rehearsed,
     tuned,
@@ -64,6 +66,22 @@ class Demo:
     plant: str
 
 
+class What(TypedDict):
+    """What was flown, for the report."""
+
+    mode: Literal["demo", "plant", "model"]
+    subject: str
+    plant: str
+    plain: str
+    model: str
+    model_sha256: str
+    learned: list[str]
+    trained_on: list[str]
+    logs: list[str]
+    mass: float | None
+    disturbed_by: str
+
+
 @dataclass(frozen=True, kw_only=True)
 class Flown:
     """Everything that a report needs: the campaign's hangar, its controllers, what was tuned, and
@@ -72,7 +90,7 @@ class Flown:
     hangar: Hangar
     entries: tuple[Entry, ...]
     tuning: Tuning
-    what: dict[str, Any]
+    what: What
     seeds: tuple[int, ...]
     warnings: tuple[str, ...]
 
@@ -110,7 +128,7 @@ class Tuning(TypedDict):
     boole: float
     moved: float
     flights: int
-    rehearsed: list[dict[str, Any]]
+    rehearsed: list[Rehearsal]
     kappa: float
     risk: Risk
 
@@ -284,7 +302,7 @@ def _tightened(plain: Entry, tuning: Tuning, level: float) -> list[Entry]:
     ]
 
 
-def _what(subject: str, models: _Models, plant: str, o: MissionOptions) -> dict[str, Any]:
+def _what(subject: str, models: _Models, plant: str, o: MissionOptions) -> What:
     """What was flown, for the report."""
     model = models.model
     return {
@@ -340,7 +358,7 @@ def _readable(path: Path) -> IdentifiedModel:
     return model
 
 
-def _disturbances(model: IdentifiedModel, logs: Sequence[str]) -> list[Any]:
+def _disturbances(model: IdentifiedModel, logs: Sequence[str]) -> list[FloatArray]:
     from greybox.data.logs import read_logs
 
     return real_disturbances(

@@ -3,40 +3,98 @@ included."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
+from greybox.files import Json
 from greybox.model.identified import library_versions
+from greybox.symbolic import FloatArray
 from mpc_export.mission.campaign import Entry
-from mpc_export.mission.flight import Mission
-from mpc_export.promise import counted, p_value
+from mpc_export.mission.flight import FlightRow, Mission
+from mpc_export.promise import Counted, counted, p_value
 
-Row = dict[str, Any]
+if TYPE_CHECKING:
+    from mpc_export.mission.prepare import Tuning, What
 
 
-def crossed(row: Row) -> bool:
+class Controller(TypedDict):
+    """What the flights of one controller say together."""
+
+    text: str
+    kind: str
+    kappa: float
+    moved: float
+    flights: int
+    crossed: Counted
+    p_value: float | None
+    crashed: int
+    tilted: int
+    margins: dict[str, float | None]
+    crossed_planes: dict[str, int]
+    rmse: float | None
+    cost: float | None
+    solve_ms: dict[str, float | None]
+    late: dict[str, int]
+    events: dict[str, int]
+    event_count: int
+    descended: int
+
+
+class Difference(TypedDict):
+    """Cost of a controller minus that of the tube, with its standard error."""
+
+    mean: float
+    error: float | None
+    flights: int
+
+
+class MpcFound(TypedDict):
+    """mpc.json without its words."""
+
+    schema: str
+    command: str
+    what: What
+    level: float
+    tuning: Tuning
+    seeds: dict[str, int]
+    jobs: int
+    course: dict[str, Json]
+    controllers: dict[str, Controller]
+    differences: dict[str, Difference]
+
+
+class MpcDocument(MpcFound):
+    """mpc.json."""
+
+    verdict: str
+    next: list[str]
+    warnings: list[str]
+    versions: dict[str, str]
+
+
+def crossed(row: FlightRow) -> bool:
     """Whether the flight was beyond a limit of its position, or crashed."""
     return bool(row["crashed"] or row["crossings"])
 
 
 def summary(
     *,
-    what: dict[str, Any],
+    what: What,
     task: Mission,
     entries: Sequence[Entry],
-    rows: Sequence[Row],
+    rows: Sequence[FlightRow],
     level: float,
-    tuning: Mapping[str, object],
+    tuning: Tuning,
     seeds: Sequence[int],
     jobs: int,
     command: str,
     warnings: Sequence[str] = (),
-) -> dict[str, Any]:
+) -> MpcDocument:
     """The content of mpc.json, from rows of flights in any number."""
     per = {e.name: [r for r in rows if r["controller"] == e.name] for e in entries}
-    out: dict[str, Any] = {
+    out: MpcFound = {
         "schema": "greybox.mpc/1",
         "command": command,
         "what": what,
@@ -46,14 +104,18 @@ def summary(
         "jobs": jobs,
         "course": _course(task),
         "controllers": {e.name: _controller(e, per[e.name], task, level) for e in entries},
+        "differences": _differences(per),
     }
-    out["differences"] = _differences(per)
-    out["verdict"] = verdict(out)
-    out["next"] = advice(out)
-    return {**out, "warnings": list(warnings), "versions": library_versions()}
+    return {
+        **out,
+        "verdict": verdict(out),
+        "next": advice(out),
+        "warnings": list(warnings),
+        "versions": library_versions(),
+    }
 
 
-def _course(task: Mission) -> dict[str, Any]:
+def _course(task: Mission) -> dict[str, Json]:
     course = task.course
     times = np.asarray(np.arange(0.0, course.duration + 1e-9, 0.02 * task.pace))
     return {
@@ -79,7 +141,7 @@ def _course(task: Mission) -> dict[str, Any]:
     }
 
 
-def _controller(entry: Entry, rows: Sequence[Row], task: Mission, level: float) -> dict[str, Any]:
+def _controller(entry: Entry, rows: Sequence[FlightRow], task: Mission, level: float) -> Controller:
     n = len(rows)
     hits = sum(map(crossed, rows))
     tilted = sum(bool(r["crashed"] or r["tilt"] > task.course.tilt_max) for r in rows)
@@ -134,15 +196,15 @@ def _mean(values: Sequence[float]) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def _quantile(values: Any, share: float) -> float | None:
+def _quantile(values: FloatArray, share: float) -> float | None:
     return float(np.quantile(values, share)) if len(values) else None
 
 
-def _differences(per: dict[str, list[Row]]) -> dict[str, dict[str, Any]]:
+def _differences(per: dict[str, list[FlightRow]]) -> dict[str, Difference]:
     """Cost of every controller minus that of the tube, paired by seed; standard error of the
     mean."""
     base = {r["seed"]: r["cost"] for r in per.get("tube", [])}
-    out: dict[str, dict[str, Any]] = {}
+    out: dict[str, Difference] = {}
     for name, rows in per.items():
         away = np.array([r["cost"] - base[r["seed"]] for r in rows if r["seed"] in base])
         if name != "tube" and len(away):
@@ -151,7 +213,7 @@ def _differences(per: dict[str, list[Row]]) -> dict[str, dict[str, Any]]:
     return out
 
 
-def share(found: dict[str, Any]) -> str:
+def share(found: Controller) -> str:
     """Crossed flights in words."""
     low, high = found["crossed"]["interval"]
     return (
@@ -159,7 +221,7 @@ def share(found: dict[str, Any]) -> str:
     )
 
 
-def verdict(content: dict[str, Any]) -> str:
+def verdict(content: MpcFound) -> str:
     """One sentence or two: did the tube keep its promise, and would the same model without it
     have?"""
     tube, plain = (content["controllers"].get(n) for n in ("tube", content["what"]["plain"]))
@@ -169,6 +231,7 @@ def verdict(content: dict[str, Any]) -> str:
     low, high = tube["crossed"]["interval"]
     did = f"{tube['crossed']['count']} of {tube['flights']} did"
     span = f"{100 * low:.0f} to {100 * high:.0f} %"
+    assert tube["p_value"] is not None  # there are flights
     if tube["p_value"] < 0.05:
         first = (
             f"The tube broke its promise: at most {level} of flights were to go beyond a "
@@ -194,7 +257,7 @@ def verdict(content: dict[str, Any]) -> str:
     )
 
 
-def advice(content: dict[str, Any]) -> list[str]:
+def advice(content: MpcFound) -> list[str]:
     """What to do next, most important first."""
     found, level = content["controllers"], content["level"]
     tube = found.get("tube")
@@ -235,10 +298,11 @@ def advice(content: dict[str, Any]) -> list[str]:
     return out
 
 
-def _on_risk(content: dict[str, Any], tube: dict[str, Any], level: float) -> list[str]:
+def _on_risk(content: MpcFound, tube: Controller, level: float) -> list[str]:
     """Whether the tube crosses its limits as often as it was asked to."""
     out: list[str] = []
     n, (low, high) = tube["flights"], tube["crossed"]["interval"]
+    assert tube["p_value"] is not None  # there are flights
     if tube["crashed"]:
         out.append(
             "The tube crashed: look at its flights first. A course that is too fast for the model "
@@ -268,12 +332,12 @@ def _on_risk(content: dict[str, Any], tube: dict[str, Any], level: float) -> lis
     return out
 
 
-def _on_cost(content: dict[str, Any], tube: dict[str, Any]) -> list[str]:
+def _on_cost(content: MpcFound, tube: Controller) -> list[str]:
     """What the tube costs beside one constant back-off."""
     out: list[str] = []
     found = content["controllers"]
     other = content["differences"].get("constant")
-    if other and other["error"] is not None:
+    if other and other["error"] is not None and tube["cost"] is not None:
         size, error = other["mean"], other["error"]
         if abs(size) < 2 * error:
             out.append(

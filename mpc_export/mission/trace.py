@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from mpc_export.tube.controller import TubeController
@@ -22,7 +20,7 @@ class Trace:
         self.stages = np.unique(np.linspace(0, horizon, SHOWN_STAGES).round().astype(int))
         self.functions = pilot.functions
         self.learned = "gp_variance" in pilot.functions.functions
-        self.plans: list[dict[str, Any]] = []
+        self.plans: list[dict[str, object]] = []
         self.count = 0
 
     def look(self, pilot: TubeController) -> None:

@@ -12,12 +12,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from greybox.errors import ModelError
 from greybox.files import write_atomic
 from greybox.frames import GRAVITY
 from mpc_export.onboard.flight import OnBoard
+
+if TYPE_CHECKING:
+    from mpc_export.manifest import TargetPart
+
 
 TARGET = "crazyflie-app"
 LOOP = 1000.0
@@ -37,7 +41,7 @@ STATE = {
 }
 
 
-def write(board: OnBoard, folder: Path) -> dict[str, Any]:
+def write(board: OnBoard, folder: Path) -> TargetPart:
     """The app in folder/crazyflie. Raises `ModelError` for a model that a Crazyflie cannot fly, and
     for C in double: the Cortex-M4F emulates it in software, too slowly."""
     if board.real != "float":

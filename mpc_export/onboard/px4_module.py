@@ -9,10 +9,14 @@ its body FRD; the model's are ENU and FLU. `frames.hpp` is the one place where t
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from greybox.files import write_atomic
 from mpc_export.onboard.flight import OnBoard
+
+if TYPE_CHECKING:
+    from mpc_export.manifest import TargetPart
+
 
 TARGET = "px4-module"
 ROTORS = 12
@@ -23,7 +27,7 @@ DOUBLE = """
 This bundle computes in double, which some flight controllers emulate or do slowly: export it with `--float`."""
 
 
-def write(board: OnBoard, folder: Path) -> dict[str, Any]:
+def write(board: OnBoard, folder: Path) -> TargetPart:
     """The module in folder/px4. Raises `ModelError` for a model that PX4's motors cannot fly."""
     board.demand(TARGET, rotors=ROTORS, unit=True)
     f = board.functions

@@ -8,17 +8,21 @@ in body axes. A second node, in Python, flies the tube controller of greybox wit
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from greybox.errors import ModelError
 from greybox.files import write_atomic
 from mpc_export.onboard.flight import OnBoard
 
+if TYPE_CHECKING:
+    from mpc_export.manifest import TargetPart
+
+
 TARGET = "ros2"
 ROTORS = 64
 
 
-def write(board: OnBoard, folder: Path) -> dict[str, Any]:
+def write(board: OnBoard, folder: Path) -> TargetPart:
     """The package in folder/ros2. Raises `ModelError` for a name that ROS refuses."""
     board.demand(TARGET, rotors=ROTORS, unit=False)
     if board.name != board.name.lower() or "__" in board.name or board.name.endswith("_"):

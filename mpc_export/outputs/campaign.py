@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Literal, TypedDict
 
 import numpy as np
 
@@ -21,13 +21,14 @@ from greybox.errors import ModelError, UnknownNameError
 from greybox.files import checksum, file_sha256
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.residual.files import load_model
+from greybox.symbolic import FloatArray
 from mpc_export.functions import model_functions
 from mpc_export.kept_flights import Row, flights
 from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.noise import parameter_covariance
 from mpc_export.outputs.controller import OutputController, typical_problem
-from mpc_export.outputs.machine import Asked, machine_of, run
-from mpc_export.promise import answer_times, counted, kept, left_open, p_value
+from mpc_export.outputs.machine import Asked, Machine, Run, machine_of, run
+from mpc_export.promise import AnswerTimes, Judged, answer_times, counted, kept, left_open, p_value
 from mpc_export.tube.risk import kappa
 
 TEXTS = {
@@ -42,6 +43,13 @@ LONGEST = 100_000
 """Most samples of a run."""
 FORM = "no number is beyond, the first command in its range"
 """Of controller and judgement: runs of another form do not count with those of this one."""
+
+
+class RunRow(Row, Run):
+    """A run as it is kept."""
+
+
+What = Literal["excess", "rmse", "settled"]
 
 
 @dataclass(kw_only=True)
@@ -90,7 +98,9 @@ class OwnCampaign:
         )
 
     @staticmethod
-    def _bounds(given: Mapping[str, tuple[float, float]], names: Sequence[str]) -> tuple[Any, Any]:
+    def _bounds(
+        given: Mapping[str, tuple[float, float]], names: Sequence[str]
+    ) -> tuple[FloatArray, FloatArray]:
         pairs = np.array([given.get(n, (-math.inf, math.inf)) for n in names]).reshape(-1, 2)
         return pairs[:, 0], pairs[:, 1]
 
@@ -98,7 +108,7 @@ class OwnCampaign:
         """What a row must have been run with to count."""
         return checksum([self._key, name, self.kappa[name]])[:16]
 
-    def fly(self, name: str, seed: int, *, watch: bool = False) -> Row:
+    def fly(self, name: str, seed: int, *, watch: bool = False) -> RunRow:
         """One run of a controller."""
         self.controller.kappa = self.kappa[name]
         found = run(self.controller, self.machine, self.asked, seed, watch=watch)
@@ -120,7 +130,7 @@ class OwnCampaign:
         return list(TEXTS) if self.asked.limits else ["mean"]
 
 
-def sources(plant: str, machine: Any) -> list[str]:
+def sources(plant: str, machine: Machine) -> list[str]:
     """SHA-256 of the files of the module that `plant` names, and of the machine's class, where they
     are Python."""
     found = set()
@@ -134,7 +144,9 @@ def sources(plant: str, machine: Any) -> list[str]:
     return [file_sha256(p) for p in sorted(found)]
 
 
-def checked(asked: Asked, model: IdentifiedModel, bounds: tuple[Any, Any], horizon: int) -> Asked:
+def checked(
+    asked: Asked, model: IdentifiedModel, bounds: tuple[FloatArray, FloatArray], horizon: int
+) -> Asked:
     """`asked` with the range of every input, by default that of the training data (`bounds`), and a
     length, by default five horizons for every value. Raises `UnknownNameError`, `ModelError`."""
     inputs, outputs = model.dynamics.inputs.names, model.dynamics.outputs.names
@@ -193,12 +205,55 @@ def checked(asked: Asked, model: IdentifiedModel, bounds: tuple[Any, Any], horiz
     return replace(asked, ranges=ranges, seconds=seconds)
 
 
+class Controller(Judged):
+    """What the runs of one controller say together, by output."""
+
+    text: str
+    kappa: float
+    runs: int
+    samples_beyond: float
+    excess: dict[str, float | None]
+    rmse: dict[str, float | None]
+    settled: dict[str, float | None]
+    failures: int
+    solve_ms: AnswerTimes
+
+
+class OwnFound(TypedDict):
+    """mpc_own.json without its words."""
+
+    schema: str
+    command: str
+    level: float
+    plant: str
+    model: str
+    model_sha256: str
+    dt: float
+    seconds: float | None
+    horizon: int
+    held: dict[str, list[float]]
+    limits: dict[str, list[float | None]]
+    ranges: dict[str, list[float]]
+    units: dict[str, str]
+    seeds: dict[str, int]
+    tuning: dict[str, float]
+    controllers: dict[str, Controller]
+
+
+class OwnDocument(OwnFound):
+    """mpc_own.json."""
+
+    verdict: str
+    next: list[str]
+    versions: dict[str, str]
+
+
 def summary(
-    own: OwnCampaign, rows: Sequence[Row], seeds: Sequence[int], command: str
-) -> dict[str, Any]:
+    own: OwnCampaign, rows: Sequence[RunRow], seeds: Sequence[int], command: str
+) -> OwnDocument:
     """The content of mpc_own.json (greybox.mpc_own/1)."""
     a = own.asked
-    out: dict[str, Any] = {
+    out: OwnFound = {
         "schema": "greybox.mpc_own/1",
         "command": command,
         "level": own.level,
@@ -221,7 +276,7 @@ def summary(
     return {**out, "verdict": verdict(out), "next": advice(out), "versions": library_versions()}
 
 
-def _controller(name: str, rows: Sequence[Row], own: OwnCampaign) -> dict[str, Any]:
+def _controller(name: str, rows: Sequence[RunRow], own: OwnCampaign) -> Controller:
     n, hits = len(rows), sum(r["beyond"] > 0 for r in rows)
     held = list(own.asked.held)
     return {
@@ -232,21 +287,23 @@ def _controller(name: str, rows: Sequence[Row], own: OwnCampaign) -> dict[str, A
         "p_value": p_value(hits, n, own.level),
         "samples_beyond": sum(r["beyond"] for r in rows) / max(1, sum(r["samples"] for r in rows)),
         "excess": {o: max(_numbers(rows, "excess", o), default=None) for o in own.asked.limits},
-        **{
-            what: {o: fmean(v) if (v := _numbers(rows, what, o)) else None for o in held}
-            for what in ("rmse", "settled")
-        },
+        "rmse": _means(rows, "rmse", held),
+        "settled": _means(rows, "settled", held),
         "failures": sum(r["failures"] for r in rows),
         "solve_ms": answer_times(rows),
     }
 
 
-def _numbers(rows: Sequence[Row], what: str, output: str) -> list[float]:
+def _means(rows: Sequence[RunRow], what: What, held: Sequence[str]) -> dict[str, float | None]:
+    return {o: fmean(v) if (v := _numbers(rows, what, o)) else None for o in held}
+
+
+def _numbers(rows: Sequence[RunRow], what: What, output: str) -> list[float]:
     """Of the rows in which it is one: an output that was not finite has no error."""
-    return [r[what][output] for r in rows if r[what][output] is not None]
+    return [v for r in rows if (v := r[what][output]) is not None]
 
 
-def verdict(content: Mapping[str, Any]) -> str:
+def verdict(content: OwnFound) -> str:
     """One or two sentences: how well outputs were held, and whether the promise was kept."""
     found, units = content["controllers"], content["units"]
     name = "tube" if "tube" in found else "mean"
@@ -269,7 +326,7 @@ def _text(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def advice(content: Mapping[str, Any]) -> list[str]:
+def advice(content: OwnFound) -> list[str]:
     """What to do next."""
     out = []
     tube = content["controllers"].get("tube")
@@ -288,7 +345,7 @@ def advice(content: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def format_table(content: Mapping[str, Any]) -> str:
+def format_table(content: OwnFound) -> str:
     """The table for a terminal."""
     held = list(content["held"])
     lines = [

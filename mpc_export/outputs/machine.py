@@ -6,21 +6,54 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import NotRequired, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from greybox.files import to_plain
+from greybox.files import Json, to_plain
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from mpc_export.mission.flight import PlantError, load_plant
 from mpc_export.mission.model_plant import DrawnModel
 from mpc_export.outputs.controller import OutputController
+from mpc_export.promise import Answered
 
 NEAR = 0.02
 """A limit that the next sample of a plan comes closer to than this share of the output's typical
 size is touched."""
+
+
+class Machine(Protocol):
+    """What is controlled; u (n_u,) is the command that begins now, outputs are by name."""
+
+    def reset(self, seed: int = 0) -> None:
+        """Begin a run."""
+
+    def step(self, u: npt.ArrayLike, dt: float | None = None) -> None:
+        """Hold the command for dt seconds."""
+
+    def measure(self, u: npt.ArrayLike) -> Mapping[str, float]:
+        """Outputs with noise."""
+        ...
+
+    def truth(self, u: npt.ArrayLike) -> Mapping[str, float]:
+        """The same without noise."""
+        ...
+
+
+class Run(Answered):
+    """One run, as `run` explains it; None where an output was not finite."""
+
+    seed: int
+    beyond: int
+    samples: int
+    excess: dict[str, float | None]
+    rmse: dict[str, float | None]
+    settled: dict[str, float | None]
+    touched: int
+    failures: int
+    trace: NotRequired[dict[str, Json]]
 
 
 class ModelMachine(DrawnModel):
@@ -34,17 +67,17 @@ class ModelMachine(DrawnModel):
         self._error = self._rng.standard_normal(len(self._channels))
         self._draw()
 
-    def step(self, u: Any, dt: float | None = None) -> None:
+    def step(self, u: npt.ArrayLike, dt: float | None = None) -> None:
         """Hold the command u (n_u,) for one sample."""
         self.moved(u, dt)
         self._draw()
 
-    def measure(self, u: Any) -> dict[str, float]:
+    def measure(self, u: npt.ArrayLike) -> dict[str, float]:
         """Outputs now by name, with noise, under the command u that begins now."""
         clean = self.truth(u)
         return {n: v + float(e) for (n, v), e in zip(clean.items(), self._noise, strict=True)}
 
-    def truth(self, u: Any) -> dict[str, float]:
+    def truth(self, u: npt.ArrayLike) -> dict[str, float]:
         """The same without noise."""
         return self.seen(np.asarray(u, dtype=float), np.zeros(len(self._levels)))
 
@@ -73,7 +106,7 @@ class Asked:
         return np.asarray(np.arange(samples) * len(self.held[name]) % samples >= samples // 2)
 
 
-def machine_of(plant: str | None, model: IdentifiedModel) -> Any:
+def machine_of(plant: str | None, model: IdentifiedModel) -> Machine:
     """What is controlled: the plant that `module:attribute` names, or the model itself. Raises
     `PlantError`."""
     if plant is None:
@@ -82,8 +115,8 @@ def machine_of(plant: str | None, model: IdentifiedModel) -> Any:
 
 
 def run(
-    controller: OutputController, machine: Any, asked: Asked, seed: int, *, watch: bool = False
-) -> dict[str, Any]:
+    controller: OutputController, machine: Machine, asked: Asked, seed: int, *, watch: bool = False
+) -> Run:
     """One run. Keys: seed, beyond (samples with a true output beyond its limit or not finite, after
     they were all inside), samples, excess
     (largest, in units of the output), rmse and settled (of held outputs against what was asked, all
@@ -120,7 +153,7 @@ def run(
     begun = int(inside.argmax())
     over[:begun], inside[:begun] = 0.0, True
     error = dict(zip(names, (y - goals).T, strict=True))
-    row: dict[str, Any] = {
+    row: dict[str, object] = {
         "seed": seed,
         "beyond": int((~inside).sum()),
         "samples": samples,
@@ -142,11 +175,11 @@ def run(
             "planned": np.array([v for v, _ in plans]),
             "sigma": np.array([s for _, s in plans]),
         }
-    found: dict[str, Any] = to_plain(row)
+    found: Run = to_plain(row)
     return found
 
 
-def _values(found: Any, names: tuple[str, ...]) -> FloatArray:
+def _values(found: Mapping[str, float], names: tuple[str, ...]) -> FloatArray:
     try:
         return np.array([float(found[n]) for n in names])
     except (KeyError, TypeError, ValueError) as error:

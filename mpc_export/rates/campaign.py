@@ -13,10 +13,10 @@ Weights are one set for all, set by hand on training seeds. The vehicle file is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -26,10 +26,10 @@ from greybox.model.identified import library_versions
 from mpc_export.kept_flights import Row, flights
 from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.predictors import predictor_model
-from mpc_export.promise import answer_times, counted, kept, left_open, p_value
+from mpc_export.promise import AnswerTimes, Judged, answer_times, counted, kept, left_open, p_value
 from mpc_export.rates.controller import FORM, RateController, RateProblem
 from mpc_export.rates.craft import FLIGHTS, OUTPUTS, PLANT, Task, vehicle
-from mpc_export.rates.flight import Pilot, fly, outer_loops
+from mpc_export.rates.flight import Flight, Pilot, fly, outer_loops
 from mpc_export.rates.identify import identify, vehicle_card
 from mpc_export.tube.risk import kappa
 
@@ -46,6 +46,10 @@ TUNING = 4
 """Training flights on which they are."""
 WATCHED = 2
 """So many flights are kept for the animation."""
+
+
+class FlightRow(Row, Flight):
+    """A flight as it is kept."""
 
 
 @dataclass(kw_only=True)
@@ -79,7 +83,7 @@ class Rates:
         """What a row must have been flown with to count."""
         return checksum([self._key, name, self.kappa.get(name, 0.0)])[:16]
 
-    def fly(self, name: str, seed: int, *, watch: bool = False) -> Row:
+    def fly(self, name: str, seed: int, *, watch: bool = False) -> FlightRow:
         """One flight of a controller."""
         pilot = self._pilots[name]
         if pilot.inner is not None:
@@ -115,12 +119,53 @@ def prepare(out: Path, level: float, say: Callable[[str], None], task: Task | No
     return found
 
 
+class Controller(Judged):
+    """What the flights of one controller say together."""
+
+    text: str
+    kappa: float
+    flights: int
+    crashed: int
+    samples_beyond: float
+    worst: float | None
+    rmse: float | None
+    away: float | None
+    failures: int
+    solve_ms: AnswerTimes
+
+
+class RatesFound(TypedDict):
+    """mpc_rates.json without its words."""
+
+    schema: str
+    command: str
+    level: float
+    plant: str
+    model: str
+    model_sha256: str
+    features: list[str]
+    limit: float
+    seconds: float
+    outputs: list[str]
+    seeds: dict[str, int]
+    tuning: dict[str, dict[str, float]]
+    controllers: dict[str, Controller]
+
+
+class RatesDocument(RatesFound):
+    """mpc_rates.json."""
+
+    verdict: str
+    next: list[str]
+    versions: dict[str, str]
+
+
 def summary(
-    rates: Rates, rows: Sequence[Row], seeds: Sequence[int], command: str
-) -> dict[str, Any]:
+    rates: Rates, rows: Sequence[FlightRow], seeds: Sequence[int], command: str
+) -> RatesDocument:
     """The content of mpc_rates.json (greybox.mpc_rates/1)."""
     file = rates.out / "models" / "hybrid.json"
-    out: dict[str, Any] = {
+    out: RatesFound = {
         "schema": "greybox.mpc_rates/1",
         "command": command,
         "level": rates.level,
@@ -148,16 +193,13 @@ def summary(
     }
 
 
-def beyond(row: Mapping[str, Any]) -> bool:
+def beyond(row: Flight) -> bool:
     """Whether a true rate went beyond the limit, or the craft was lost."""
     return bool(row["crashed"] or row["beyond"])
 
 
-def _controller(name: str, rows: Sequence[Row], rates: Rates) -> dict[str, Any]:
+def _controller(name: str, rows: Sequence[FlightRow], rates: Rates) -> Controller:
     n, hits = len(rows), sum(map(beyond, rows))
-
-    def mean(what: str) -> float | None:
-        return float(np.mean([r[what] for r in rows])) if rows else None
 
     return {
         "text": TEXTS[name],
@@ -168,14 +210,18 @@ def _controller(name: str, rows: Sequence[Row], rates: Rates) -> dict[str, Any]:
         "crashed": sum(bool(r["crashed"]) for r in rows),
         "samples_beyond": sum(r["beyond"] for r in rows) / max(1, sum(r["samples"] for r in rows)),
         "worst": max((max(r["worst"]) for r in rows), default=None),
-        "rmse": mean("rmse"),
-        "away": mean("away"),
+        "rmse": _mean([r["rmse"] for r in rows]),
+        "away": _mean([r["away"] for r in rows]),
         "failures": sum(r["failures"] for r in rows),
         "solve_ms": answer_times(rows),
     }
 
 
-def verdict(content: Mapping[str, Any]) -> str:
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def verdict(content: RatesFound) -> str:
     """One or two sentences: was the promise kept, and what did the others do?"""
     found = content["controllers"]
     tube = found["tube"]
@@ -191,7 +237,7 @@ def verdict(content: Mapping[str, Any]) -> str:
     return f"{promise}. Beyond it went {others}."
 
 
-def advice(content: Mapping[str, Any], file: Path) -> list[str]:
+def advice(content: RatesFound, file: Path) -> list[str]:
     """What to do next."""
     tube = content["controllers"]["tube"]
     out = []
@@ -211,7 +257,7 @@ def advice(content: Mapping[str, Any], file: Path) -> list[str]:
     return out
 
 
-def format_table(content: Mapping[str, Any]) -> str:
+def format_table(content: RatesFound) -> str:
     """The table for a terminal."""
     lines = [
         f"{'controller':11s} {'flights':>7s} {'beyond':>6s} {'95 % interval':>14s} "

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import NotRequired
 
 import numpy as np
 
-from greybox.files import to_plain
+from greybox.files import Json, to_plain
 from greybox.frames import numeric
 from greybox.model.vehicle import Vehicle
+from greybox.plants.quadrotor import Quadrotor
 from greybox.symbolic import FloatArray
 from mpc_export.mission.cascade import CascadeController, Gains
 from mpc_export.mission.course import SampledPath
 from mpc_export.mission.flight import truth
+from mpc_export.promise import Answered
 from mpc_export.rates.controller import RateController
 from mpc_export.rates.craft import DT, OUTPUTS, Task
 
@@ -59,7 +61,22 @@ def outer_loops(card: Vehicle, task: Task) -> CascadeController:
     return CascadeController(card, Gains(rate_max=task.limit))
 
 
-def fly(pilot: Pilot, plant: Any, task: Task, seed: int, *, watch: bool = False) -> dict[str, Any]:
+class Flight(Answered):
+    """One flight, as `fly` explains it."""
+
+    seed: int
+    crashed: bool
+    worst: list[float]
+    beyond: int
+    samples: int
+    rmse: float
+    away: float
+    touched: int
+    failures: int
+    trace: NotRequired[dict[str, Json]]
+
+
+def fly(pilot: Pilot, plant: Quadrotor, task: Task, seed: int, *, watch: bool = False) -> Flight:
     """One flight. Keys: seed, crashed, worst (largest true |rate| of each axis [rad/s]), beyond
     (samples with a rate beyond the limit), samples, rmse (rates against what was asked [rad/s]),
     away (rms distance from the path [m]), touched (limits that plans touch), solve_ms, failures
@@ -103,7 +120,7 @@ def fly(pilot: Pilot, plant: Any, task: Task, seed: int, *, watch: bool = False)
     flown, asked = np.abs(np.array(rates)), np.array(asks)
     # What was asked at one sample can be there at the next.
     error = np.array(rates)[1 : len(asked) + 1] - asked[: len(rates) - 1]
-    row: dict[str, Any] = {
+    row: dict[str, object] = {
         "seed": seed,
         "crashed": crashed,
         "worst": flown.max(axis=0),
@@ -122,5 +139,5 @@ def fly(pilot: Pilot, plant: Any, task: Task, seed: int, *, watch: bool = False)
             "asked": np.round(asked[::THIN], 3),
             "plans": plans,
         }
-    found: dict[str, Any] = to_plain(row)
+    found: Flight = to_plain(row)
     return found

@@ -21,17 +21,23 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+Expr = Any
+"""A CasADi expression, SX or MX."""
+Tape = Mapping[str, Any]
+"""One function of functions.json, or a port or the settings of an instruction in it."""
+Arrays = Mapping[str, np.ndarray]
+"""What functions.npz holds."""
 SCHEMA = "greybox.tape/1"
 LARGEST, LARGEST_ARCHIVE = 4_000_000, 500_000_000
 """Entries of one matrix or slots of one tape, and bytes of functions.npz unpacked: what is larger
 was not exported."""
 
 
-def _if_else_zero(c: Any, x: Any) -> Any:
+def _if_else_zero(c: Expr, x: Expr) -> Expr:
     return ca.if_else(c, x, 0)
 
 
-UNARY: Mapping[str, Callable[[Any], Any]] = {
+UNARY: Mapping[str, Callable[[Expr], Expr]] = {
     "ASSIGN": lambda x: x,
     "NEG": lambda x: -x,
     "EXP": ca.exp,
@@ -61,7 +67,7 @@ UNARY: Mapping[str, Callable[[Any], Any]] = {
     "LOG1P": ca.log1p,
     "EXPM1": ca.expm1,
 }
-BINARY: Mapping[str, Callable[[Any, Any], Any]] = {
+BINARY: Mapping[str, Callable[[Expr, Expr], Expr]] = {
     "ADD": lambda x, y: x + y,
     "SUB": lambda x, y: x - y,
     "MUL": lambda x, y: x * y,
@@ -82,7 +88,7 @@ BINARY: Mapping[str, Callable[[Any, Any], Any]] = {
     "ATAN2": ca.atan2,
     "HYPOT": ca.hypot,
 }
-WHOLE: Mapping[str, Callable[..., Any]] = {
+WHOLE: Mapping[str, Callable[..., Expr]] = {
     "TRANSPOSE": lambda x: x.T,
     "DOT": ca.dot,
     "MTIMES": lambda z, x, y: ca.mac(x, y, z),
@@ -112,7 +118,9 @@ SHAPED = (
 )
 
 
-def load(folder: str | Path | None = None, names: Iterable[str] | None = None) -> dict[str, Any]:
+def load(
+    folder: str | Path | None = None, names: Iterable[str] | None = None
+) -> dict[str, ca.Function]:
     """Functions by name from `functions.json` and `functions.npz` in `folder` (default: where this
     file is).
 
@@ -129,9 +137,9 @@ def load(folder: str | Path | None = None, names: Iterable[str] | None = None) -
         arrays = {name: stored[name] for name in stored.files}
     tapes, operations = text["functions"], text["operations"]
     places = {tape["name"]: k for k, tape in enumerate(tapes) if tape["public"]}
-    built: dict[int, Any] = {}
+    built: dict[int, ca.Function] = {}
 
-    def build(place: int) -> Any:
+    def build(place: int) -> ca.Function:
         if place not in built:
             tape = tapes[place]
             if tape["kind"] == "scalar":
@@ -143,7 +151,7 @@ def load(folder: str | Path | None = None, names: Iterable[str] | None = None) -
     return {name: build(places[name]) for name in (places if names is None else names)}
 
 
-def sparsity(port: Mapping[str, Any]) -> Any:
+def sparsity(port: Tape) -> ca.Sparsity:
     """casadi.Sparsity of {rows, columns} (dense) or {rows, columns, colind, row}."""
     if not (0 <= port["rows"] <= LARGEST and 0 <= port["columns"] <= LARGEST):
         raise ValueError(f"a matrix of {port['rows']} x {port['columns']}")
@@ -154,15 +162,15 @@ def sparsity(port: Mapping[str, Any]) -> Any:
     return ca.Sparsity(port["rows"], port["columns"], port["colind"], port["row"])
 
 
-def _scalar(tape: Mapping[str, Any], names: list[str], arrays: Mapping[str, Any]) -> Any:
+def _scalar(tape: Tape, names: list[str], arrays: Arrays) -> ca.Function:
     """A function of scalars (SX): arrays of operation, result slot, two argument slots, and a
     constant."""
     inputs = [ca.SX.sym(port["name"], sparsity(port)) for port in tape["in"]]
     given = [x.nonzeros() for x in inputs]
-    results: list[list[Any]] = [[0.0] * sparsity(port).nnz() for port in tape["out"]]
+    results: list[list[Expr]] = [[0.0] * sparsity(port).nnz() for port in tape["out"]]
     if not 0 <= tape["work"] <= LARGEST:
         raise ValueError(f"{tape['name']}: {tape['work']} slots")
-    work: list[Any] = [None] * tape["work"]
+    work: list[Expr] = [None] * tape["work"]
     unary, binary = [UNARY.get(n) for n in names], [BINARY.get(n) for n in names]
     kinds = {n: i for i, n in enumerate(names)}
     constant, taken, put = (kinds.get(n, -1) for n in ("CONST", "INPUT", "OUTPUT"))
@@ -197,16 +205,16 @@ def _scalar(tape: Mapping[str, Any], names: list[str], arrays: Mapping[str, Any]
 
 
 def _matrix(
-    tape: Mapping[str, Any],
+    tape: Tape,
     names: list[str],
-    arrays: Mapping[str, Any],
-    build: Callable[[int], Any],
-) -> Any:
+    arrays: Arrays,
+    build: Callable[[int], ca.Function],
+) -> ca.Function:
     """A function of matrices (MX): a list of [operation, argument slots, result slots,
     settings]."""
     inputs = [ca.MX.sym(port["name"], sparsity(port)) for port in tape["in"]]
-    segments: list[dict[int, Any]] = [{} for _ in tape["out"]]
-    work: dict[int, Any] = {}
+    segments: list[dict[int, Expr]] = [{} for _ in tape["out"]]
+    work: dict[int, Expr] = {}
     for op, arguments, results, extra in tape["instructions"]:
         name = names[op]
         given = [work[i] for i in arguments if i >= 0]
@@ -262,21 +270,21 @@ def _matrix(
     )
 
 
-def _argument(x: Any, extra: Mapping[str, Any]) -> Any:
+def _argument(x: Expr, extra: Tape) -> Expr:
     if "first" not in extra:
         return x
     shape = sparsity(extra)
     return ca.MX(shape, x.nz[extra["first"] : extra["first"] + shape.nnz()])
 
 
-def _column(x: Any) -> Any:
+def _column(x: Expr) -> Expr:
     """The stored entries of a matrix as one dense column."""
     return (
         x if x.is_column() and x.is_dense() else ca.reshape(x.nz[:], x.nnz(), 1)
     )  # of a row the entries are a row
 
 
-def _shaped(name: str, given: list[Any], extra: Mapping[str, Any]) -> Any:
+def _shaped(name: str, given: list[Expr], extra: Tape) -> Expr:
     if name == "RESHAPE":
         return ca.reshape(given[0], sparsity(extra))
     if name == "PROJECT":
@@ -305,7 +313,7 @@ def _shaped(name: str, given: list[Any], extra: Mapping[str, Any]) -> Any:
         )
         return ca.MX(given[0].sparsity(), _column(given[0]) + ca.mtimes(into, source))
     order = dict(kept)  # the last one counts
-    whole = ca.vertcat(_column(given[0]), source)
+    whole: Expr = ca.vertcat(_column(given[0]), source)
     return ca.MX(
         given[0].sparsity(), whole.nz[[n + order[i] if i in order else i for i in range(n)]]
     )

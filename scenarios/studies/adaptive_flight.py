@@ -65,6 +65,7 @@ class InFlight:
     def microseconds(self, calls: int = 2000) -> float:
         """CPU of one call at the last arguments, the arrays made before."""
         m, real, pointer = self.manifest, self.library.real, ctypes.POINTER(self.library.real)
+        assert m["c"] is not None
         sizes = m["c"]["functions"]["adapt_step"]
         given = [(real * max(len(a), 1))(*a) for a in self.last]
         results = [(real * (r["rows"] * r["columns"]))() for r in self.entry["results"]]

@@ -204,7 +204,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         out = Path(options.out)
         save_model(result.base, out / "disturbed.json")
         save_model(result.model, out / "hybrid.json")
-        content: dict[str, Any] = result.to_dict()
+        content: dict[str, Any] = {**result.to_dict()}
         content["validation"] = {
             "before": checked["physics"].to_dict(),
             "after": checked["hybrid"].to_dict(),
