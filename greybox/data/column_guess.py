@@ -230,6 +230,28 @@ def _says(stem: str, words: str) -> bool:
     return bool(re.fullmatch(words, last) or re.fullmatch(words, re.sub(r"[\W_]+", "", stem)))
 
 
+def _unit_of_gravity(norm: float) -> str:
+    """The unit in which the middle length of a specific force is that of gravity; "" for none."""
+    units = (("m/s^2", GRAVITY), ("g", 1.0), ("mg", 1000.0))
+    return next((u for u, g in units if 0.7 < norm / g < 1.4), "")
+
+
+def _range_of_commands(low: float, high: float) -> tuple[float, float] | None:
+    """The customary range that commands from low to high are in; None for 0 to 1, or none."""
+    ranges = (
+        (0.0, 1.0),
+        (0.0, 100.0),
+        (0.0, 255.0),
+        (1000.0, 2000.0),
+        (0.0, 2047.0),
+        (0.0, 65535.0),
+    )
+    for least, most in ranges:
+        if high <= 1.05 * most and low >= least - 0.1 * (most - least):
+            return None if (least, most) == (0.0, 1.0) else (least, most)
+    return None
+
+
 def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]) -> Guess:
     """The guess with the unit that its numbers have."""
     values = np.column_stack([columns[n] for n in names])
@@ -243,30 +265,12 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         unit = "deg/s" if float(np.percentile(np.abs(values), 99)) > 25 else "rad/s"
     elif group == "specific_force":
         norm = float(np.median(np.linalg.norm(values, axis=1)))
-        unit = next(
-            (
-                u
-                for u, g in (("m/s^2", GRAVITY), ("g", 1.0), ("mg", 1000.0))
-                if 0.7 < norm / g < 1.4
-            ),
-            "",
-        )
+        unit = _unit_of_gravity(norm)
         why = f"middle length {norm:.3g}" + ("" if unit else ": of no known unit")
         if float(np.median(values[:, 2])) < -0.5 * norm:
             frame, why = "FRD", f"{why}, z negative: z is down"
     elif group == "command":
-        ranges = (
-            (0.0, 1.0),
-            (0.0, 100.0),
-            (0.0, 255.0),
-            (1000.0, 2000.0),
-            (0.0, 2047.0),
-            (0.0, 65535.0),
-        )
-        limits = next(
-            (r for r in ranges if high <= 1.05 * r[1] and low >= r[0] - 0.1 * (r[1] - r[0])), None
-        )
-        limits = None if limits == (0.0, 1.0) else limits
+        limits = _range_of_commands(low, high)
     elif group == "rotor_speed":
         unit = "rpm" if size > 4000 or "rpm" in names[0].lower() else "rad/s"
         if "erpm" in names[0].lower():

@@ -281,29 +281,18 @@ def _assemble(
     columns: _Columns,
 ) -> LinearFit:
     s: Solution = found.solution
-    sy, su = scaling.output_scale, scaling.input_scale
+    sy = scaling.output_scale
     samples = sum(len(r) for r in scaled)
     weights = np.array([len(r) for r in scaled], dtype=float)
     offsets = np.array([v.offset for v in s.nuisances]) * sy + scaling.output_offset
     noise = s.evaluation.noise * np.outer(sy, sy)
     free = s.tangent.shape[1]
-    fisher, rank = uncertainty(s.system, s.information, s.tangent)
     innovations = tuple(
         np.where(np.isfinite(r.y), q.e, np.nan) for r, q in zip(scaled, s.evaluation.predictions)
     )
     coloured = is_coloured(list(innovations))
-    scores = (
-        score_covariance(s, scaled, options.settings, correlation_window(innovations))
-        if coloured
-        else None
-    )
-    robust = None if scores is None else uncertainty(s.system, s.information, s.tangent, scores)[0]
-    # Lambda is estimated with as many degrees of freedom as samples; the covariance uses the
-    # unbiased scale.
-    seen = sum(int(np.isfinite(r.y).sum()) for r in scaled)
-    unbiased = seen / max(seen - free, 1)
-    fisher = _in_units(fisher, unbiased, su, sy)
-    robust = None if robust is None else _in_units(robust, unbiased, su, sy)
+    window = correlation_window(innovations) if coloured else None
+    fisher, robust, rank = _uncertainties(s, scaled, scaling, options, window)
     jumps = 2 * float(sum(np.isfinite(r.y).sum(axis=0) @ np.log(sy) for r in scaled))
     status = s.status if options.polish else Status.NOT_RUN
     model = LinearModel(
@@ -339,6 +328,24 @@ def _assemble(
         records=tuple(r.name for r in scaled),
         warnings=tuple(_warnings(s, rank, free, scaled, model, coloured and robust is None)),
     )
+
+
+def _uncertainties(
+    s: Solution, scaled: Sequence[Record], scaling: Scaling, options: Options, window: int | None
+) -> tuple[Uncertainty, Uncertainty | None, int]:
+    """(by Fisher information, robust to innovations that are correlated over `window` samples,
+    rank), in the units of the data; not robust where `window` is None or the records are too
+    short."""
+    fisher, rank = uncertainty(s.system, s.information, s.tangent)
+    scores = None if window is None else score_covariance(s, scaled, options.settings, window)
+    robust = None if scores is None else uncertainty(s.system, s.information, s.tangent, scores)[0]
+    # Lambda is estimated with as many degrees of freedom as samples; the covariance uses the
+    # unbiased scale.
+    seen = sum(int(np.isfinite(r.y).sum()) for r in scaled)
+    unbiased = seen / max(seen - s.tangent.shape[1], 1)
+    sy, su = scaling.output_scale, scaling.input_scale
+    fisher = _in_units(fisher, unbiased, su, sy)
+    return fisher, None if robust is None else _in_units(robust, unbiased, su, sy), rank
 
 
 def _in_units(

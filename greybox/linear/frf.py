@@ -7,7 +7,7 @@ The estimate itself is in `greybox.statistics.spectra`.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -121,25 +121,8 @@ def frf(
         & (r.shared < TOGETHER)[:, None, :]
     )
     beside = None if model is None else _of_model(model, c, f)
-    pairs, half, radius = {}, band_of(r), circle(r)
-    for i, j in product(range(len(c.y)), range(len(c.u))):
-        n = INTEGRATORS.get(c.outputs[i].name)
-        form = lag_and_gain(f, r.value[:, i, j], r.error[:, i, j], usable[:, i, j], n)
-        pair = Pair(
-            output=c.outputs[i],
-            input=c.inputs[j],
-            frequency=f,
-            value=r.value[:, i, j],
-            half=half[:, i, j],
-            radius=radius[:, i, j],
-            coherence=r.coherence[:, i, j],
-            usable=usable[:, i, j],
-            form=form,
-            model=None if beside is None else beside[:, i, j],
-        )
-        pairs[pair.name] = pair
     return FrequencyResponse(
-        pairs=pairs,
+        pairs={p.name: p for p in _pairs(c, f, r, usable, beside)},
         frequency=f,
         averages=s.averages,
         window=s.window,
@@ -149,6 +132,28 @@ def frf(
         model=None if model is None else model.name,
         warnings=tuple(_warnings(c, used, r, usable, data, model)),
     )
+
+
+def _pairs(
+    c: _Channels, f: FloatArray, r: Response, usable: BoolArray, beside: ComplexArray | None
+) -> Iterator[Pair]:
+    """Every output over every input, at the frequencies f (K,) [Hz]; `beside` (K, n_y, n_u): what
+    the model says."""
+    half, radius = band_of(r), circle(r)
+    for i, j in product(range(len(c.y)), range(len(c.u))):
+        n = INTEGRATORS.get(c.outputs[i].name)
+        yield Pair(
+            output=c.outputs[i],
+            input=c.inputs[j],
+            frequency=f,
+            value=r.value[:, i, j],
+            half=half[:, i, j],
+            radius=radius[:, i, j],
+            coherence=r.coherence[:, i, j],
+            usable=usable[:, i, j],
+            form=lag_and_gain(f, r.value[:, i, j], r.error[:, i, j], usable[:, i, j], n),
+            model=None if beside is None else beside[:, i, j],
+        )
 
 
 def _channels(

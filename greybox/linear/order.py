@@ -114,32 +114,9 @@ def choose_order(
     order = by_rule
     if cross_validate:
         rows = _held_out(rows, records, options)
-        scored = [r for r in rows if np.isfinite(r.held_out)]
-        if scored:
-            best = min(scored, key=lambda r: r.held_out)
-            enough = min(r.order for r in scored if r.held_out_p > ONE_ERROR)
-            reasons.append(
-                f"on held-out data order {best.order} predicts best and order {enough} is not "
-                "worse by more than chance (one standard error)"
-            )
-            if enough < order:
-                order = enough
-                reasons.append(
-                    f"order {enough} is taken: the larger orders do not predict unseen data better"
-                )
-    chosen = next(r for r in rows if r.order == order)
-    if np.isfinite(chosen.whiteness):
-        verdict = "white" if chosen.whiteness > 0.01 else "not white"
-        reasons.append(
-            f"innovations at order {order} are {verdict} (joint portmanteau p = "
-            f"{chosen.whiteness:.2g})"
-        )
-        if chosen.whiteness <= 0.01:
-            reasons.append(
-                "what is left is structure that more states do not remove cheaply: nonlinearity, "
-                "time variation, "
-                "unmeasured inputs or clock jitter"
-            )
+        order, told = _by_held_out(rows, order)
+        reasons += told
+    reasons += _left(next(r for r in rows if r.order == order))
     if order == max(found) and len(found) == largest:
         reasons.append(f"order {order} is the largest tried: raise `largest`")
     return OrderChoice(
@@ -150,6 +127,42 @@ def choose_order(
         found=found,
         singular_values=found[order].singular_values,
     )
+
+
+def _by_held_out(rows: Sequence[OrderRow], order: int) -> tuple[int, list[str]]:
+    """The smallest order that predicts unseen data no worse than by chance, where that is below
+    `order`, and why."""
+    scored = [r for r in rows if np.isfinite(r.held_out)]
+    if not scored:
+        return order, []
+    best = min(scored, key=lambda r: r.held_out)
+    enough = min(r.order for r in scored if r.held_out_p > ONE_ERROR)
+    reasons = [
+        f"on held-out data order {best.order} predicts best and order {enough} is not "
+        "worse by more than chance (one standard error)"
+    ]
+    if enough >= order:
+        return order, reasons
+    why = f"order {enough} is taken: the larger orders do not predict unseen data better"
+    return enough, [*reasons, why]
+
+
+def _left(chosen: OrderRow) -> list[str]:
+    """What the innovations of the chosen order still hold."""
+    if not np.isfinite(chosen.whiteness):
+        return []
+    white = chosen.whiteness > 0.01
+    first = (
+        f"innovations at order {chosen.order} are {'white' if white else 'not white'} "
+        f"(joint portmanteau p = {chosen.whiteness:.2g})"
+    )
+    if white:
+        return [first]
+    return [
+        first,
+        "what is left is structure that more states do not remove cheaply: nonlinearity, "
+        "time variation, unmeasured inputs or clock jitter",
+    ]
 
 
 def _affordable(records: Sequence[Record], largest: int) -> int:

@@ -20,7 +20,7 @@ from greybox.model.dynamics import Dynamics
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
 from greybox.model.parameter import ParameterValues, nominal_values
-from greybox.symbolic import Expr, FloatArray, Layout
+from greybox.symbolic import BoolArray, Expr, FloatArray, Layout
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,25 +79,40 @@ def trim(
         weight = np.where(s > 1e-10 * max(s[0], 1e-300), s / (s**2 + damping * s[0] ** 2), 0.0)
         step = np.zeros(nd + nu)
         step[move] = -right.T @ (weight * (left.T @ change[rows]))
-        scale = 1.0
-        for _ in range(30):
-            there = np.asarray(function["move"](x, scale * step[:nd])).ravel()
-            u_there = u + scale * step[nd:]
-            change_there, jacobian_there = _evaluated(function, there, u_there)
-            if np.isfinite(change_there).all() and np.abs(change_there[rows]).max() < size:
-                x, u, change, jacobian = there, u_there, change_there, jacobian_there
-                damping = damping / 10 if damping > 1e-12 else 0.0
-                break
-            scale *= 0.5
-        else:
-            if damping > 1.0:
-                break
-            damping = max(damping * 10, 1e-6)
+        better = _nearer(function, x, u, step, rows, size)
+        if better is not None:
+            x, u, change, jacobian = better
+            damping = damping / 10 if damping > 1e-12 else 0.0
+            continue
+        if damping > 1.0:
+            break
+        damping = max(damping * 10, 1e-6)
     raise ModelError(
         f"{model.name}: no trim point found (the state still changes by "
         f"{np.abs(change[rows]).max():.3g} per sample)",
         fix="start nearer, free more states or commands, or let drifting states be ignored",
     )
+
+
+def _nearer(
+    function: Mapping[str, ca.Function],
+    x: FloatArray,
+    u: FloatArray,
+    step: FloatArray,
+    rows: BoolArray,
+    size: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+    """(x, u, change, Jacobian) after the step, or the half of it and so on, whose largest change
+    in `rows` is less than `size`; None for none."""
+    scale, nd = 1.0, len(step) - len(u)
+    for _ in range(30):
+        there = np.asarray(function["move"](x, scale * step[:nd])).ravel()
+        u_there = u + scale * step[nd:]
+        change, jacobian = _evaluated(function, there, u_there)
+        if np.isfinite(change).all() and np.abs(change[rows]).max() < size:
+            return there, u_there, change, jacobian
+        scale *= 0.5
+    return None
 
 
 def linearise(

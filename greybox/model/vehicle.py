@@ -523,7 +523,8 @@ def _names_own_sensor(key: str) -> bool:
     return not begins and not any(abs(len(n) - len(key)) <= LETTERS for n in near)
 
 
-def _vehicle(top: TomlTable) -> Vehicle:
+def _schema(top: TomlTable) -> str:
+    """The schema of a file, whose keys are known. Raises `VehicleError`, `UnknownNameError`."""
     schema = top.get("schema")
     if schema not in SCHEMAS:
         expected = " or ".join(f'"{s}"' for s in SCHEMAS)
@@ -550,6 +551,22 @@ def _vehicle(top: TomlTable) -> Vehicle:
             *((ASSUMED,) if schema == SCHEMA else ()),
         )
     )
+    return str(schema)
+
+
+def _effects(top: TomlTable, silent: _Silent) -> dict[str, Mapping[str, Quantity]]:
+    table = top.table("effects", {})
+    effects: dict[str, Mapping[str, Quantity]] = {}
+    for name in table.value:
+        one = table.table(name)
+        effects[name] = MappingProxyType(
+            {k: _quantity(one, k, v, f"{name}.{k}", silent) for k, v in one.value.items()}
+        )
+    return effects
+
+
+def _vehicle(top: TomlTable) -> Vehicle:
+    schema = _schema(top)
     rotors = _rotors(top)
     labelled = [str(name) for name in top.array(ASSUMED, None, [])]
     silent = _Silent(schema, _arm_length(rotors), labelled)
@@ -559,13 +576,7 @@ def _vehicle(top: TomlTable) -> Vehicle:
             "mass", "must be positive", got=f"{mass.value:g}", fix="weigh the craft, in kg"
         )
     inertia, inertia_sigma = _inertia(top, silent)
-    effects_table = top.table("effects", {})
-    effects = {}
-    for name in effects_table.value:
-        one = effects_table.table(name)
-        effects[name] = MappingProxyType(
-            {k: _quantity(one, k, v, f"{name}.{k}", silent) for k, v in one.value.items()}
-        )
+    effects = _effects(top, silent)
     noise = top.table("noise", {})
     noise.known((*NOISES, *(k for k in noise.value if _names_own_sensor(k))))
     battery = top.table("battery", {})

@@ -24,6 +24,13 @@ SIZED = ("x", "plus")
 AXES = "xyz"
 Tree = dict[str, Any]
 """A parsed template, which is changed in place: its keys are known, as it comes along."""
+PARTS = {
+    "inertia": [f"{a}{b}" for i, a in enumerate(AXES) for b in AXES[i:]],
+    "thrust": ["c0", "c1", "c2"],
+    "torque": ["c0", "c1", "c2"],
+    "center_of_mass": list(AXES),
+}
+"""Keys of the file that are arrays, and how their entries are called."""
 SIZES = ("mass", "arm", "hover")
 _TABLE = re.compile(r"^\s*(\[\[?)\s*([^\]]+?)\s*\]\]?")
 _KEY = re.compile(r"^(\s*)([A-Za-z_]\w*)(\s*=\s*)")
@@ -157,44 +164,42 @@ def _scale(
         notes[prefix + k] = note
 
 
+def _assign_part(data: Tree, key: str, number: float, notes: dict[str, str]) -> None:
+    """Set one of `PARTS` or, with .sigma behind it, its sigma; a value alone keeps its relative
+    sigma."""
+    head, _, tail = key.removesuffix(".sigma").partition(".")
+    table, prefix = (data["actuator"], "actuator.") if head in ("thrust", "torque") else (data, "")
+    i = PARTS[head].index(tail) if head != "inertia" else AXES.index(tail[0])
+    silent = [default_sigma(f"{head}.{t}", 0.0, _arm(data)) for t in PARTS[head][:3]]
+    sigmas = table.setdefault(f"{head}_sigma", silent)
+    if key.endswith(".sigma"):
+        if head == "inertia" and tail[0] != tail[1]:
+            raise VehicleError(
+                "products of inertia have no sigma", where=f"--set {key}", fix="leave it out"
+            )
+        sigmas[i] = number
+    elif head == "inertia":
+        j = AXES.index(tail[1])
+        if i == j:
+            sigmas[i] = _round(sigmas[i] * number / table[head][i][i])
+        table[head][i][j] = table[head][j][i] = number
+    else:
+        sigmas[i] = _round(sigmas[i] * number / table[head][i]) if table[head][i] else sigmas[i]
+        table[head][i] = number
+    notes[f"{prefix}{head}"] = notes[f"{prefix}{head}_sigma"] = f"{tail} given"
+
+
 def _assign(data: Tree, key: str, value: object, notes: dict[str, str]) -> None:
     """Set one key that is no size. Parameter names first, then keys of the file."""
     wants_sigma = key.endswith(".sigma")
     base = key.removesuffix(".sigma")
     head, _, tail = base.partition(".")
-    unit = {
-        "inertia": [f"{a}{b}" for i, a in enumerate(AXES) for b in AXES[i:]],
-        "thrust": ["c0", "c1", "c2"],
-        "torque": ["c0", "c1", "c2"],
-        "center_of_mass": list(AXES),
-    }
-    if head in unit and tail:
-        if tail not in unit[head]:
+    if head in PARTS and tail:
+        if tail not in PARTS[head]:
             raise UnknownNameError(
-                "parameter", base, [f"{head}.{t}" for t in unit[head]], where="--set"
+                "parameter", base, [f"{head}.{t}" for t in PARTS[head]], where="--set"
             )
-        table, prefix = (
-            (data["actuator"], "actuator.") if head in ("thrust", "torque") else (data, "")
-        )
-        number = _number(key, value)
-        i = unit[head].index(tail) if head != "inertia" else AXES.index(tail[0])
-        silent = [default_sigma(f"{head}.{t}", 0.0, _arm(data)) for t in unit[head][:3]]
-        sigmas = table.setdefault(f"{head}_sigma", silent)
-        if wants_sigma:
-            if head == "inertia" and tail[0] != tail[1]:
-                raise VehicleError(
-                    "products of inertia have no sigma", where=f"--set {key}", fix="leave it out"
-                )
-            sigmas[i] = number
-        elif head == "inertia":
-            j = AXES.index(tail[1])
-            if i == j:
-                sigmas[i] = _round(sigmas[i] * number / table[head][i][i])
-            table[head][i][j] = table[head][j][i] = number
-        else:
-            sigmas[i] = _round(sigmas[i] * number / table[head][i]) if table[head][i] else sigmas[i]
-            table[head][i] = number
-        notes[f"{prefix}{head}"] = notes[f"{prefix}{head}_sigma"] = f"{tail} given"
+        _assign_part(data, key, _number(key, value), notes)
         return
     *path, last = base.split(".")
     table = data

@@ -155,24 +155,11 @@ def plan_own(
     """
     subject = _subject(model, free, values, noise, sample_time)
     _demand_ranges(subject.dynamics, ranges, limits or {})
-    if not 0 < piece <= seconds < np.inf or piece < 20 * subject.sample_time:
-        raise GreyboxError(
-            "too short an experiment",
-            expected="20 samples <= --piece <= --seconds",
-            got=f"{piece:g} s and {seconds:g} s",
-            fix="--seconds 60 --piece 5",
-        )
+    _demand_length(seconds, piece, subject.sample_time)
     count, n = int(seconds / piece + 1e-9), round(piece / subject.sample_time)
     run = _Runner(subject, ranges, limits or {})
     with threadpool_limits(limits=1):
-        candidates: dict[str, tuple[FloatArray, float]] = {}
-        for name, shape in _shapes(list(ranges), n, seed):
-            if (share := run.fitting([shape])) is not None:
-                candidates[name] = (shape, share)
-        if not candidates:
-            raise FitError(
-                "no input signal keeps the limits", fix="wider --limit, or smaller --range"
-            )
+        candidates = _fitting(run, list(ranges), n, seed)
         told = {
             name: information(subject, run.record([s], a)) for name, (s, a) in candidates.items()
         }
@@ -201,6 +188,30 @@ def plan_own(
         efficiency=efficiency(subject, found, naive),
         warnings=tuple(warnings),
     )
+
+
+def _demand_length(seconds: float, piece: float, sample_time: float) -> None:
+    if not 0 < piece <= seconds < np.inf or piece < 20 * sample_time:
+        raise GreyboxError(
+            "too short an experiment",
+            expected="20 samples <= --piece <= --seconds",
+            got=f"{piece:g} s and {seconds:g} s",
+            fix="--seconds 60 --piece 5",
+        )
+
+
+def _fitting(
+    run: _Runner, inputs: Sequence[str], n: int, seed: int
+) -> dict[str, tuple[FloatArray, float]]:
+    """Name -> (signal (n, n_u), the share of it that keeps the limits). Raises `FitError` for
+    none."""
+    found: dict[str, tuple[FloatArray, float]] = {}
+    for name, shape in _shapes(list(inputs), n, seed):
+        if (share := run.fitting([shape])) is not None:
+            found[name] = (shape, share)
+    if not found:
+        raise FitError("no input signal keeps the limits", fix="wider --limit, or smaller --range")
+    return found
 
 
 def _subject(

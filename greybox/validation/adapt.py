@@ -89,12 +89,7 @@ def adapt_to_flight(
     `riccati` is that of the model's filter, where it is at hand. Raises `DataError` for a flight
     that has no samples there, or is not sampled at the model's rate.
     """
-    if not seconds > 0:
-        raise DataError(f"adaptation on {seconds:g} s", expected="a positive number of seconds")
-    begin = float(flight.segments[0].t[0])
-    window = flight.between(begin, begin + seconds - 1e-9)
-    if window is None or window.segments[0].t[0] > begin:
-        raise DataError(f"no samples in the first {seconds:g} s", where=f"flight {flight.name}")
+    window = _first(flight, seconds)
     declared = {d.name: d for d in model.dynamics.parameters}
     names = [n for n in declared if n in model.flight_spread]
     # A parameter that did not vary between the training flights keeps its mean.
@@ -138,6 +133,17 @@ def adapt_to_flight(
         x0_sigma=_spread(problem, std, gain),
         warnings=tuple(warnings),
     )
+
+
+def _first(flight: Flight, seconds: float) -> Flight:
+    """The first seconds of a flight. Raises `DataError` where it has no samples there."""
+    if not seconds > 0:
+        raise DataError(f"adaptation on {seconds:g} s", expected="a positive number of seconds")
+    begin = float(flight.segments[0].t[0])
+    window = flight.between(begin, begin + seconds - 1e-9)
+    if window is None or window.segments[0].t[0] > begin:
+        raise DataError(f"no samples in the first {seconds:g} s", where=f"flight {flight.name}")
+    return window
 
 
 def _beyond_the_filter(problem: Problem, gain: Riccati) -> Problem:

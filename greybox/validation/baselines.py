@@ -153,17 +153,7 @@ def dead_reckoning(
     match.
     """
     starts = np.asarray(origins, dtype=np.int64).ravel()
-    for what, value, width in (
-        ("attitude", attitude, 4),
-        ("velocity", velocity, 3),
-        ("position", position, 3),
-    ):
-        if value is not None and np.shape(value) != (len(starts), width):
-            raise DataError(
-                f"dead reckoning: {what}",
-                expected=f"({len(starts)}, {width})",
-                got=str(np.shape(value)),
-            )
+    _demand_shapes(len(starts), attitude, velocity, position)
     offset = ImuBias.zero() if bias is None else bias
     rate, force = imu.rate - offset.gyro, imu.specific_force - offset.accelerometer
     last, dt = len(rate) - 1, imu.sample_time
@@ -203,6 +193,20 @@ def dead_reckoning(
             if name in out:
                 out[name][inside, h] = state.T[inside]
     return out
+
+
+def _demand_shapes(
+    n: int, attitude: FloatArray, velocity: FloatArray | None, position: FloatArray | None
+) -> None:
+    for what, value, width in (
+        ("attitude", attitude, 4),
+        ("velocity", velocity, 3),
+        ("position", position, 3),
+    ):
+        if value is not None and np.shape(value) != (n, width):
+            raise DataError(
+                f"dead reckoning: {what}", expected=f"({n}, {width})", got=str(np.shape(value))
+            )
 
 
 def _world_acceleration(force: FloatArray, attitude: FloatArray, gravity: float) -> FloatArray:

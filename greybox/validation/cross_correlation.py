@@ -162,12 +162,7 @@ def cross_correlation(
     flights are long enough). `level` is that of the bands (0.99). Raises `DataError` for arrays
     that do not match, too few samples, or when no input moves.
     """
-    e, u = stretches(innovations, what="innovations"), stretches(inputs, what="inputs")
-    lengths = [len(a) for a in e], [len(b) for b in u]
-    if lengths[0] != lengths[1]:
-        raise DataError(
-            "innovations and inputs differ in length", got=f"{lengths[0]} and {lengths[1]}"
-        )
+    e, u = _alike(innovations, inputs)
     labels = names_for(names, e[0].shape[1], what="e")
     heads = names_for(input_names, u[0].shape[1], what="u")
     if not 0.0 < level < 1.0:
@@ -214,6 +209,20 @@ def cross_correlation(
             )
     skipped = tuple(h for j, h in enumerate(heads) if j not in moving)
     return CrossCorrelation(pairs=tuple(pairs), max_lag=max_lag, level=level, skipped=skipped)
+
+
+def _alike(
+    innovations: Sequence[npt.ArrayLike] | npt.ArrayLike,
+    inputs: Sequence[npt.ArrayLike] | npt.ArrayLike,
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Both as stretches of the same lengths. Raises `DataError`."""
+    e, u = stretches(innovations, what="innovations"), stretches(inputs, what="inputs")
+    lengths = [len(a) for a in e], [len(b) for b in u]
+    if lengths[0] != lengths[1]:
+        raise DataError(
+            "innovations and inputs differ in length", got=f"{lengths[0]} and {lengths[1]}"
+        )
+    return e, u
 
 
 def _finite(records: Sequence[FloatArray], column: int) -> list[FloatArray]:

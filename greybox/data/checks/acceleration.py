@@ -10,7 +10,7 @@ adds is set aside first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -70,26 +70,7 @@ def streams(view: View) -> Streams | str:
         same = world if moving else smoothed(world, half)
         return Reading(text=text, fix=fix, y=change, x=centred(increments(same, dt, n)))
 
-    fix = "log ax, ay, az as the accelerometer measures them, in body axes (forward, left, up)"
-    quaternion = (
-        "put a minus sign before qx, qy, qz in [columns.attitude]: the quaternion turns "
-        "body into world"
-    )
-    readings = [
-        reading("", "", turned("rotate", quaternions, force)),
-        reading(
-            "the quaternion turns world into body",
-            quaternion,
-            turned("rotate_inverse", quaternions, force),
-        ),
-    ]
-    if measured:
-        readings.append(reading("the specific force is in world axes", fix, force))
-        for text, matrix in ABOUT_THRUST.items():
-            other = np.column_stack([force[:, :2] @ np.array(matrix).T, force[:, 2]])
-            readings.append(
-                reading(f"the accelerometer's {text}", fix, turned("rotate", quaternions, other))
-            )
+    readings = [reading(*r) for r in _worlds(quaternions, force, measured)]
     if moving:
         world = turned("rotate", quaternions, velocity)
         body = "rotate vx, vy, vz into the world before logging, or log the velocity in world axes"
@@ -111,6 +92,27 @@ def streams(view: View) -> Streams | str:
         where=f"{'vx, vy, vz' if moving else 'x, y, z'} against {'ax..az' if measured else 'u1..'} "
         "with qw..qz",
     )
+
+
+def _worlds(
+    quaternions: FloatArray, force: FloatArray, measured: bool
+) -> Iterator[tuple[str, str, FloatArray]]:
+    """(what is wrong, its fix, specific force in the world (N, 3)) of every reading of quaternions
+    (N, 4) and force (N, 3), the right one first; the axes of a force that was not `measured` are
+    those of the thrust."""
+    yield "", "", turned("rotate", quaternions, force)
+    yield (
+        "the quaternion turns world into body",
+        "put a minus sign before qx, qy, qz in [columns.attitude]: the quaternion turns body into "
+        "world",
+        turned("rotate_inverse", quaternions, force),
+    )
+    if measured:
+        fix = "log ax, ay, az as the accelerometer measures them, in body axes (forward, left, up)"
+        yield "the specific force is in world axes", fix, force
+        for text, matrix in ABOUT_THRUST.items():
+            other = np.column_stack([force[:, :2] @ np.array(matrix).T, force[:, 2]])
+            yield f"the accelerometer's {text}", fix, turned("rotate", quaternions, other)
 
 
 def _body_axes(quaternions: FloatArray) -> list[FloatArray]:

@@ -63,33 +63,8 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         )
         yield _finding(view, "blocking", text, fix, {**evidence, "straightness": straight}, where)
         return
-    share = size / GRAVITY
-    if 1 / GRAVITY / 2 < share < 2 / GRAVITY:
-        fix = "set unit = 'g' in [columns.specific_force]"
-        yield _finding(
-            view,
-            "blocking",
-            f"the specific force is in g (median size {size:.3g})",
-            fix,
-            evidence,
-            where,
-        )
-    elif GRAVITY / 2 < share < GRAVITY * 2:
-        text = f"the specific force was scaled from g twice (median size {size:.3g})"
-        yield _finding(
-            view,
-            "blocking",
-            text,
-            "drop the unit or scale in [columns.specific_force]",
-            evidence,
-            where,
-        )
-    elif not 0.6 < share < 1.6:
-        text = f"the median specific force in flight is {size:.3g} m/s^2"
-        severity = "blocking" if not 0.3 < share < 3 else "warning"
-        yield _finding(
-            view, severity, text, "check the unit in [columns.specific_force]", evidence, where
-        )
+    if (wrong := _wrong_unit(size)) is not None:
+        yield _finding(view, *wrong, evidence, where)
     axis = int(np.argmax(np.abs(mean)))
     if axis != 2 or mean[2] < 0:
         shown = f"{'-' if mean[axis] < 0 else '+'}{'xyz'[axis]}"
@@ -104,6 +79,22 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         yield _finding(view, "blocking", text, fix, evidence, where)
         return
     yield from _up(view, force, evidence)
+
+
+def _wrong_unit(size: float) -> tuple[str, str, str] | None:
+    """(severity, message, fix) for a median specific force [m/s^2] that is not that of gravity."""
+    share = size / GRAVITY
+    if 1 / GRAVITY / 2 < share < 2 / GRAVITY:
+        message = f"the specific force is in g (median size {size:.3g})"
+        return "blocking", message, "set unit = 'g' in [columns.specific_force]"
+    if GRAVITY / 2 < share < GRAVITY * 2:
+        message = f"the specific force was scaled from g twice (median size {size:.3g})"
+        return "blocking", message, "drop the unit or scale in [columns.specific_force]"
+    if not 0.6 < share < 1.6:
+        message = f"the median specific force in flight is {size:.3g} m/s^2"
+        severity = "blocking" if not 0.3 < share < 3 else "warning"
+        return severity, message, "check the unit in [columns.specific_force]"
+    return None
 
 
 def _below_the_ground(view: View) -> float | None:

@@ -48,14 +48,7 @@ def to_channels(table: Table, vehicle: Airframe | None, *, where: str) -> RawLog
             continue
         channels[name] = values
     t = channels.pop(TIME)
-    missing = np.flatnonzero(np.isnan(t))
-    if missing.size:
-        raise DataError(
-            f"{missing.size} time stamp(s) missing",
-            where=f"{where}, row {table.rows[missing[0]]}, column "
-            f"'{table.origins.get(TIME, TIME)}'",
-            fix="delete the rows without a time",
-        )
+    _demand_times(t, table, where)
     extra = {
         name: column
         for name, column in table.columns.items()
@@ -75,6 +68,17 @@ def to_channels(table: Table, vehicle: Airframe | None, *, where: str) -> RawLog
         empty=tuple(empty),
         notes=tuple(notes),
     )
+
+
+def _demand_times(t: FloatArray, table: Table, where: str) -> None:
+    missing = np.flatnonzero(np.isnan(t))
+    if missing.size:
+        raise DataError(
+            f"{missing.size} time stamp(s) missing",
+            where=f"{where}, row {table.rows[missing[0]]}, column "
+            f"'{table.origins.get(TIME, TIME)}'",
+            fix="delete the rows without a time",
+        )
 
 
 def _wanted(table: Table, vehicle: Airframe | None) -> tuple[str, ...]:

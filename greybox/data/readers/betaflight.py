@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Protocol
 
 import numpy as np
@@ -82,26 +83,9 @@ def read_betaflight(path: Path) -> Recording:
     library("orangebox", where=where, what="a blackbox file")
     logging.getLogger("orangebox").addHandler(logging.NullHandler())
     box = library("orangebox.parser", where=where, what="a blackbox file")
-    best: tuple[_Frames, _Parser, int] | None = None
     with damaged(where, "a blackbox file"):
         count = box.Reader(where, allow_invalid_header=True).log_count
-        for index in range(1, min(count, MOST_FLIGHTS) + 1):
-            try:
-                parser = box.Parser.load(where, index, allow_invalid_header=True)
-            except (RuntimeError, ValueError, TypeError, IndexError, KeyError, AttributeError):
-                if count == 1:
-                    raise
-                continue  # a damaged flight beside good ones
-            frames = _frames(parser)
-            if best is None or len(frames.rows) > len(best[0].rows):
-                best = (frames, parser, index)
-        if best is None or len(best[0].rows) < 2:
-            raise DataError(
-                "no frames in it",
-                where=where,
-                fix="copy the log again; log from arming to disarming",
-            )
-        frames, parser, index = best
+        frames, parser, index = _longest(box, where, count)
         names = list(parser.field_names)
         table = _numbers(frames.rows, len(names))
         headers = parser.headers
@@ -141,6 +125,26 @@ def read_betaflight(path: Path) -> Recording:
         excitation=_chirp(fields, headers),
         notes=(*notes, *said),
     )
+
+
+def _longest(box: ModuleType, where: str, count: int) -> tuple[_Frames, _Parser, int]:
+    """The longest of `count` flights with its parser and number. Raises `DataError`."""
+    best: tuple[_Frames, _Parser, int] | None = None
+    for index in range(1, min(count, MOST_FLIGHTS) + 1):
+        try:
+            parser = box.Parser.load(where, index, allow_invalid_header=True)
+        except (RuntimeError, ValueError, TypeError, IndexError, KeyError, AttributeError):
+            if count == 1:
+                raise
+            continue  # a damaged flight beside good ones
+        frames = _frames(parser)
+        if best is None or len(frames.rows) > len(best[0].rows):
+            best = (frames, parser, index)
+    if best is None or len(best[0].rows) < 2:
+        raise DataError(
+            "no frames in it", where=where, fix="copy the log again; log from arming to disarming"
+        )
+    return best
 
 
 PHASE = 5000.0

@@ -59,6 +59,17 @@ def _stopped(low: float, high: float) -> Callable[[FloatArray], FloatArray]:
     return lambda values: np.asarray(np.maximum((values - low) / (high - low), 0.0))
 
 
+ATTITUDES = {
+    "vehicle_attitude": "PX4's estimate",
+    "vehicle_mocap_odometry": "external pose",
+    "vehicle_visual_odometry": "external pose",
+    "att_pos_mocap": "external pose",
+    "vehicle_vision_attitude": "external pose",
+    "vehicle_attitude_groundtruth": "simulator",
+}
+"""Topics with an attitude, in order of preference, and where it comes from."""
+
+
 def sources_of(
     streams: Mapping[str, Stream], parameters: Mapping[str, float], factor: float, rotors: int
 ) -> Iterator[Source]:
@@ -73,31 +84,18 @@ def sources_of(
         if stream.kind == "battery_status":
             for key in ("voltage_v", "voltage_filtered_v"):
                 yield Source(group="battery", stream=name, fields=(key,), unit="V")
-    for topic in ("vehicle_attitude",):
-        yield Source(
-            group="attitude",
-            stream=topic,
-            fields=QUATERNION,
-            frame="FRD/NED",
-            note="PX4's estimate",
-        )
-    for topic in (
-        "vehicle_mocap_odometry",
-        "vehicle_visual_odometry",
-        "att_pos_mocap",
-        "vehicle_vision_attitude",
-    ):
-        yield Source(
-            group="attitude", stream=topic, fields=QUATERNION, frame="FRD/NED", note="external pose"
-        )
-    yield Source(
-        group="attitude",
-        stream="vehicle_attitude_groundtruth",
-        fields=QUATERNION,
-        frame="FRD/NED",
-        note="simulator",
-    )
-    yield from _imu(streams)
+    for topic, note in ATTITUDES.items():
+        yield Source(group="attitude", stream=topic, fields=QUATERNION, frame="FRD/NED", note=note)
+    yield from _integrals(streams)
+    yield from _filtered(streams)
+    yield from _places(streams)
+    for topic in ("trajectory_setpoint", "vehicle_local_position_setpoint"):
+        for fields in (("position[0]", "position[1]", "position[2]"), ("x", "y", "z")):
+            yield Source(group="setpoint", stream=topic, fields=fields, frame="NED")
+
+
+def _places(streams: Mapping[str, Stream]) -> Iterator[Source]:
+    """Position and velocity: PX4's estimate, external poses, the simulator's."""
     local = "vehicle_local_position"
     poses = (
         ("vehicle_mocap_odometry", "external pose"),
@@ -127,9 +125,6 @@ def sources_of(
     yield Source(
         group="velocity", stream=truth, fields=("vx", "vy", "vz"), frame="NED", note="simulator"
     )
-    for topic in ("trajectory_setpoint", "vehicle_local_position_setpoint"):
-        for fields in (("position[0]", "position[1]", "position[2]"), ("x", "y", "z")):
-            yield Source(group="setpoint", stream=topic, fields=fields, frame="NED")
 
 
 def _velocity_frame(stream: Stream | None) -> str:
@@ -150,10 +145,8 @@ def _half_interval(span: FloatArray | None) -> float:
     return 0.5 * seconds if 0.0 < seconds < 0.05 else 0.0
 
 
-def _imu(streams: Mapping[str, Stream]) -> Iterator[Source]:
-    """Gyro and accelerometer. sensor_combined and vehicle_imu are means over the time before the
-    stamp; the filtered topics come after them because their low-pass adds a delay.
-    """
+def _integrals(streams: Mapping[str, Stream]) -> Iterator[Source]:
+    """Gyro and accelerometer as means over the time before the stamp."""
     combined = streams.get("sensor_combined")
     delay = {}
     for group, key in (
@@ -185,6 +178,10 @@ def _imu(streams: Mapping[str, Stream]) -> Iterator[Source]:
                 frame="FRD",
                 delay=_half_interval(streams[name].fields.get(f"delta_{part}_dt")),
             )
+
+
+def _filtered(streams: Mapping[str, Stream]) -> Iterator[Source]:
+    """Gyro and accelerometer behind a low-pass, which adds a delay, and raw ones."""
     filtered = "low-pass filtered by PX4"
     yield Source(
         group="rate",

@@ -177,7 +177,13 @@ def inertia(c: Craft) -> Iterator[Implausible]:
 
 
 def thrust(c: Craft) -> Iterator[Implausible]:
-    """Thrust to weight, the hover command and the shape of the thrust map."""
+    """Thrust to weight, the shape of the thrust map and the hover command."""
+    yield from _thrust_to_weight(c)
+    yield from _thrust_map(c)
+    yield from _hover_command(c)
+
+
+def _thrust_to_weight(c: Craft) -> Iterator[Implausible]:
     ratio = float(c.lift[-1]) / c.weight
     if ratio < 1 or ratio > 40:
         slip = _slip(ratio, 1.3, 12, FORCE_UNITS)
@@ -203,6 +209,9 @@ def thrust(c: Craft) -> Iterator[Implausible]:
             f"{ratio:.3g}",
             "give the thrust of one rotor at u_max in N",
         )
+
+
+def _thrust_map(c: Craft) -> Iterator[Implausible]:
     rise = np.diff(c.rotor)
     if (rise < 0).any():
         at = float(c.u[int(np.argmin(rise))])
@@ -224,7 +233,10 @@ def thrust(c: Craft) -> Iterator[Implausible]:
             f"{c.rotor.min():.3g} N",
             "raise u_min or c0",
         )
-    if c.hover is None and ratio >= 1:
+
+
+def _hover_command(c: Craft) -> Iterator[Implausible]:
+    if c.hover is None and float(c.lift[-1]) / c.weight >= 1:
         yield Implausible(
             "blocking",
             "actuator",
