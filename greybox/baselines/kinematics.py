@@ -92,13 +92,7 @@ def motion(
     groups["rate"], stated["rate"] = mean[..., rows], _diagonal(variance[..., rows])
     if not _has(view, QUATERNION):
         return groups, stated
-    rate = np.concatenate([view.matrix(IMU[:3])[origins][:, None], groups["rate"]], axis=1)
-    q = view.matrix(QUATERNION)[origins]
-    attitude = np.empty((m, steps + 1, 4))
-    attitude[:, 0] = q / np.linalg.norm(q, axis=1, keepdims=True)
-    for h in range(steps):
-        turn = 0.5 * view.dt * (rate[:, h] + rate[:, h + 1])
-        attitude[:, h + 1] = numeric("multiply", attitude[:, h], numeric("exp", turn))
+    attitude = _attitude(view, origins, groups["rate"])
     groups["rotation"] = attitude[:, 1:]
     start = causal_velocity(view)
     if start is None:
@@ -130,6 +124,18 @@ def motion(
             view.matrix(POSITION)[origins][:, None] + _integral(velocity, view.dt)
         )[:, 1:]
     return groups, stated
+
+
+def _attitude(view: Segment, origins: IntArray, rate: FloatArray) -> FloatArray:
+    """Attitude (m, H + 1, 4) at the origins and at the predicted rates (m, H, 3) after them."""
+    rate = np.concatenate([view.matrix(IMU[:3])[origins][:, None], rate], axis=1)
+    q = view.matrix(QUATERNION)[origins]
+    attitude = np.empty((*rate.shape[:2], 4))
+    attitude[:, 0] = q / np.linalg.norm(q, axis=1, keepdims=True)
+    for h in range(rate.shape[1] - 1):
+        turn = 0.5 * view.dt * (rate[:, h] + rate[:, h + 1])
+        attitude[:, h + 1] = numeric("multiply", attitude[:, h], numeric("exp", turn))
+    return attitude
 
 
 def _integral(values: FloatArray, dt: float) -> FloatArray:

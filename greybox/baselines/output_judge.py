@@ -8,13 +8,16 @@ from typing import TypedDict
 
 import numpy as np
 
-from greybox.baselines.base_predictor import RUN_IN
+from greybox.baselines.base_predictor import RUN_IN, BasePredictor
 from greybox.baselines.compare_scores import SPACING, StepScores, one_step_scores
 from greybox.baselines.output_residual import OutputHybrid
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError
 from greybox.symbolic import BoolArray, FloatArray
 from greybox.validation.predictive import score
+
+Ahead = tuple[FloatArray, FloatArray, FloatArray]
+"""Measured values (m, n_o), their means and variances foretold."""
 
 
 class HorizonScores(TypedDict):
@@ -44,39 +47,22 @@ def judge(
     """
     base = hybrid.base
     rows = [_judged(hybrid, s) for s in data.segments]
-    longest = max(horizons)
     units = [base.dynamics.outputs.signals[base.dynamics.outputs[n]].unit for n in base.outputs]
+    late = [(s, r) for s, r in zip(data.segments, rows, strict=True) if r.any()]
+    if not late:
+        raise DataError(
+            "no flight is long enough to judge the model on",
+            fix="longer flights, or fewer --adapt seconds",
+        )
     out: dict[str, Judged] = {}
     for label, predictor in (("before", base), ("after", hybrid)):
-        measured, means, variances, inputs = [], [], [], []
-        ahead: dict[int, list[tuple[FloatArray, FloatArray, FloatArray]]] = {
-            h: [] for h in horizons
-        }
-        for segment, late in zip(data.segments, rows, strict=True):
-            if not late.any():
-                continue
-            y = segment.matrix(base.outputs)
-            mean, variance = predictor.one_step(segment)
-            measured.append(y[late])
-            means.append(mean[late])
-            variances.append(variance[late])
-            inputs.append(segment.matrix(base.commands)[late])
-            origins = np.flatnonzero(late)
-            origins = origins[origins < segment.n - longest][:: max(1, round(SPACING / segment.dt))]
-            if origins.size:
-                far, spread_ahead = predictor.free_run(segment, origins, longest)
-                for h in horizons:
-                    ahead[h].append((y[origins + h], far[:, h - 1], spread_ahead[:, h - 1]))
-        if not measured:
-            raise DataError(
-                "no flight is long enough to judge the model on",
-                fix="longer flights, or fewer --adapt seconds",
-            )
+        told = [predictor.one_step(s) for s, _ in late]
+        ahead = _ahead(predictor, late, horizons)
         scored = one_step_scores(
-            measured,
-            means,
-            variances,
-            inputs,
+            [s.matrix(base.outputs)[r] for s, r in late],
+            [mean[r] for (_, r), (mean, _) in zip(late, told, strict=True)],
+            [variance[r] for (_, r), (_, variance) in zip(late, told, strict=True)],
+            [s.matrix(base.commands)[r] for s, r in late],
             names=base.outputs,
             units=units,
             spread=spread,
@@ -97,6 +83,25 @@ def judge(
     return out
 
 
+def _ahead(
+    predictor: BasePredictor | OutputHybrid,
+    late: Sequence[tuple[Segment, BoolArray]],
+    horizons: Sequence[int],
+) -> dict[int, list[Ahead]]:
+    """Horizon [samples] -> what was measured and foretold, segment by segment."""
+    found: dict[int, list[Ahead]] = {h: [] for h in horizons}
+    longest = max(horizons)
+    for segment, rows in late:
+        origins = np.flatnonzero(rows)
+        origins = origins[origins < segment.n - longest][:: max(1, round(SPACING / segment.dt))]
+        if origins.size:
+            y = segment.matrix(predictor.outputs)
+            far, spread = predictor.free_run(segment, origins, longest)
+            for h in horizons:
+                found[h].append((y[origins + h], far[:, h - 1], spread[:, h - 1]))
+    return found
+
+
 def _judged(hybrid: OutputHybrid, segment: Segment) -> BoolArray:
     """Samples (n,) that both predict, once a linear model has forgotten its start."""
     mean, _ = hybrid.one_step(segment)
@@ -106,9 +111,7 @@ def _judged(hybrid: OutputHybrid, segment: Segment) -> BoolArray:
     return late
 
 
-def _cell(
-    parts: Sequence[tuple[FloatArray, FloatArray, FloatArray]], i: int, unit: str
-) -> dict[str, float | str]:
+def _cell(parts: Sequence[Ahead], i: int, unit: str) -> dict[str, float | str]:
     y, mean, variance = (np.concatenate([p[k][:, i] for p in parts]) for k in range(3))
     seen = score(y, mean, variance)
     return {

@@ -330,28 +330,14 @@ def fit_output_residual(
         if not isinstance(model, (LinearModel, IdentifiedModel)):
             model, given = combined(model, given)
         base = BasePredictor(model=model, outputs=tuple(outputs), channels=given, adapt=adapt)
-    segments = segments_of(train)
-    common = (
-        [n for n in segments[0].names if all(n in s.channels for s in segments)] if segments else []
-    )
-    names = tuple(features) if features is not None else output_features(base, common, other)
-    inputs = base.feature_layout(names)
-    z, r, flights = residual_rows(base, segments, names)
-    units = {s.name: s.unit for s in base.dynamics.outputs}
-    rows = Discrepancy(
-        inputs=inputs,
-        outputs=Layout([Signal(name=n, unit=units[n]) for n in base.outputs]),
-        z=z,
-        y=r,
-        flights=tuple(flights.tolist()),
-    )
+    rows = _errors(base, segments_of(train), features, other)
     posterior: Candidate
     if other is None:
         posterior, training = _process(base, rows, options, progress)
     else:
         posterior, training = _learned(base, rows, other, options)
     settings: dict[str, Json] = {
-        "features": list(names),
+        "features": list(rows.inputs.names),
         "learner": GP if other is None else other.name,
         "points": options.points,
     }
@@ -363,9 +349,32 @@ def fit_output_residual(
         report={
             "settings": settings,
             "seed": options.seed,
-            "samples": len(z),
+            "samples": len(rows.z),
             "training": training,
         },
+    )
+
+
+def _errors(
+    base: BasePredictor,
+    segments: Sequence[Segment],
+    features: Sequence[str] | None,
+    learner: Learner | None,
+) -> Discrepancy:
+    """One-step errors of `base` over its features, by default those that all segments have."""
+    common = (
+        [n for n in segments[0].names if all(n in s.channels for s in segments)] if segments else []
+    )
+    names = tuple(features) if features is not None else output_features(base, common, learner)
+    inputs = base.feature_layout(names)
+    z, r, flights = residual_rows(base, segments, names)
+    units = {s.name: s.unit for s in base.dynamics.outputs}
+    return Discrepancy(
+        inputs=inputs,
+        outputs=Layout([Signal(name=n, unit=units[n]) for n in base.outputs]),
+        z=z,
+        y=r,
+        flights=tuple(flights.tolist()),
     )
 
 

@@ -55,21 +55,7 @@ def plan(
     o = PlanOptions.of(options, choices)
     count = _pieces(o)
     with threadpool_limits(limits=1):
-        wish, limits, notes = _hovering(
-            lambda assumed: planning_case(
-                vehicle,
-                model,
-                effects=o.effects,
-                free=o.free,
-                values=o.values,
-                noise=o.noise,
-                sensors=o.sensors,
-                sample_time=o.sample_time,
-                assumed=assumed,
-            ),
-            o.limits,
-            o.piece,
-        )
+        wish, limits, notes = _hovering(_case(vehicle, model, o), o.limits, o.piece)
         candidates, left_out = _flyable(wish, limits, o.piece, o.seed, o.setpoints_only, say)
         split = _chosen(wish, candidates, count, o.flights, say)
         split, log = _kept(wish, limits, split)
@@ -103,6 +89,23 @@ def plan(
             *notes,
         ),
         seed=o.seed,
+    )
+
+
+def _case(
+    vehicle: Vehicle | None, model: IdentifiedModel | None, o: PlanOptions
+) -> Callable[[float], PlanningCase]:
+    """Size of the effects that are assumed -> what is planned for."""
+    return lambda assumed: planning_case(
+        vehicle,
+        model,
+        effects=o.effects,
+        free=o.free,
+        values=o.values,
+        noise=o.noise,
+        sensors=o.sensors,
+        sample_time=o.sample_time,
+        assumed=assumed,
     )
 
 

@@ -170,15 +170,7 @@ def fly(
             else np.column_stack([np.broadcast_to(c, (plant.batch or 1,)) for c in command])
         )
         if k >= lead:
-            row = plant.measure(u)
-            if "clean" in record:
-                row |= {
-                    CLEAN + name: value
-                    for name, value in plant.measure(u, noise=False).items()
-                    if name != "t"
-                }
-            if "truth" in record:
-                row |= {TRUTH + name: value for name, value in plant.states().items()}
+            row = _row(plant, u, record)
             if not names:
                 names = list(row)
             kept.append(list(row.values()))
@@ -186,6 +178,20 @@ def fly(
     log = {name: np.array([row[j] for row in kept], dtype=float) for j, name in enumerate(names)}
     log["t"] = time[:rows].copy()
     return log
+
+
+def _row(plant: Plant, u: Sequence[Number] | Array, record: Collection[str]) -> dict[str, Number]:
+    """What the log says of this instant, under the command u that begins now."""
+    row = plant.measure(u)
+    if "clean" in record:
+        row |= {
+            CLEAN + name: value
+            for name, value in plant.measure(u, noise=False).items()
+            if name != "t"
+        }
+    if "truth" in record:
+        row |= {TRUTH + name: value for name, value in plant.states().items()}
+    return row
 
 
 def member(log: Mapping[str, Array], index: int) -> Log:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from greybox.plants.airframe import Airframe
 from greybox.plants.quadrotor import Quadrotor
 from greybox.plants.vectors import Number
 
@@ -67,6 +68,27 @@ def write_vehicle(
         f"center_of_mass = {_numbers(frame.center_of_mass)!r}",
         f"imu_position = {_numbers(frame.imu_position)!r}",
     ]
+    lines += _drives(frame, speed)
+    for name, pairs in (("thrust", thrust), ("torque", torque)):
+        lines += [f"{name} = {[v for v, _ in pairs]!r}", *_sigmas(name, pairs, schema)]
+    lines += _known_effects(plant, tuple(known))
+    if frame.nominal_voltage is not None:
+        lines += ["", "[battery]", f"nominal_voltage = {frame.nominal_voltage!r}"]
+    if noise:
+        levels = {key: _level(getattr(plant.sensors, field)) for key, field in _SENSORS.items()}
+        lines += [
+            "",
+            "[noise]",
+            *(f"{key} = {value!r}" for key, value in levels.items() if value > 0.0),
+        ]
+    path = Path(path)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def _drives(frame: Airframe, speed: bool) -> list[str]:
+    """The lines of the rotors and of the actuator up to its maps."""
+    lines: list[str] = []
     for rotor in frame.rotors:
         lines += [
             "",
@@ -85,21 +107,7 @@ def write_vehicle(
         lines.append(f"rotor_radius = {frame.rotor_radius!r}")
     if frame.speed_max is not None and speed:
         lines.append(f"speed_max = {frame.speed_max!r}")
-    for name, pairs in (("thrust", thrust), ("torque", torque)):
-        lines += [f"{name} = {[v for v, _ in pairs]!r}", *_sigmas(name, pairs, schema)]
-    lines += _known_effects(plant, tuple(known))
-    if frame.nominal_voltage is not None:
-        lines += ["", "[battery]", f"nominal_voltage = {frame.nominal_voltage!r}"]
-    if noise:
-        levels = {key: _level(getattr(plant.sensors, field)) for key, field in _SENSORS.items()}
-        lines += [
-            "",
-            "[noise]",
-            *(f"{key} = {value!r}" for key, value in levels.items() if value > 0.0),
-        ]
-    path = Path(path)
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+    return lines
 
 
 def _sigmas(name: str, pairs: Sequence[tuple[float, float]], schema: str) -> list[str]:

@@ -515,11 +515,7 @@ def fit_open_loop(
         outputs = next(iter(candidates.values())).outputs.names
         blocks = 1 if len({r.flight for r in paths.records}) >= FEW else BLOCKS
         kinds = paths.kinds(next(iter(bases.values())))
-        owners = [
-            str(kinds[i]) if blocks == 1 else f"{i} {b}"
-            for i in range(len(paths.records))
-            for b in range(blocks)
-        ]
+        owners = _owners(kinds, blocks)
         folds = folds_of(owners)
         parts = paths.all_normal(bases, blocks, lambda text, share: say(text, 0.6 * share))
         found = {
@@ -556,6 +552,16 @@ def fit_open_loop(
                 left_out=_left_out(paths, bases[best], theta, chosen, owners, blocks),
             )
     return result, best, gains
+
+
+def _owners(kinds: Sequence[int], blocks: int) -> list[str]:
+    """Of every block of every record whose it is, of which all is left out together: of a kind of
+    flight, or of its own where flights are cut."""
+    return [
+        str(kind) if blocks == 1 else f"{i} {b}"
+        for i, kind in enumerate(kinds)
+        for b in range(blocks)
+    ]
 
 
 def _judged_apart(

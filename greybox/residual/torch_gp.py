@@ -311,16 +311,9 @@ def train_svgp(
     closed = sparse.collapsed(
         kernel, support.T, x.T, y, noise * tau, correction=False, jitter=SVGP_JITTER
     )
-    factor, _ = sparse.safe_cholesky(kernel.covariance(support.T, support.T), SVGP_JITTER)
-    inverse_root = closed.uncertain @ factor
     covariance, likelihood = gpytorch_kernel(kernel), gpytorch_likelihood(noise)
-    model = VariationalModel(torch.tensor(support), covariance, SVGP_JITTER)
+    model = _at_closed_form(kernel, support, closed, covariance)
     q = model.variational_strategy._variational_distribution
-    q.variational_mean.data = torch.tensor(factor.T @ closed.weights)
-    q.chol_variational_covar.data = torch.tensor(
-        sparse.safe_cholesky(inverse_root.T @ inverse_root)[0]
-    )
-    model.variational_strategy.variational_params_initialized.fill_(1)
     model.train()
     bound = gpytorch.mlls.VariationalELBO(likelihood, model, num_data=len(y) / tau)
     parameters = [*model.parameters(), *likelihood.parameters()]
@@ -328,7 +321,6 @@ def train_svgp(
     inputs, targets = torch.tensor(x), torch.tensor(y)
     draw = np.random.default_rng(seed)
     history: list[float] = []
-    status = "iteration limit"
     for epoch in range(epochs):
         for group in optimiser.param_groups:
             group["lr"] = rate * 0.5 * (1.0 + math.cos(math.pi * epoch / epochs))
@@ -348,19 +340,37 @@ def train_svgp(
         history.append(total / steps)
         if not math.isfinite(history[-1]) or history[-1] > history[0] + 1.0:
             return kernel, noise, closed, "diverged"
-    # With the step size gone to zero, an unchanged bound means an optimum rather than a pause.
-    if (
-        len(history) > 2
-        and abs(history[-1] - history[-2]) < 1e-3
-        and history[-1] <= history[0] + 1e-3
-    ):
-        status = "converged"
     trained = kernel_of(covariance, kernel)
     root = torch.tril(q.chol_variational_covar).detach().numpy()
     numbers = sparse.variational(
         trained, support.T, q.variational_mean.detach().numpy(), root, jitter=SVGP_JITTER
     )
-    return trained, float(likelihood.noise.item()), numbers, status
+    return trained, float(likelihood.noise.item()), numbers, _status(history)
+
+
+def _status(history: Sequence[float]) -> str:
+    """With the step size gone to zero, an unchanged bound means an optimum rather than a pause."""
+    still = len(history) > 2 and abs(history[-1] - history[-2]) < 1e-3
+    return "converged" if still and history[-1] <= history[0] + 1e-3 else "iteration limit"
+
+
+def _at_closed_form(
+    kernel: Kernel,
+    support: FloatArray,
+    closed: sparse.Numbers,
+    covariance: gpytorch.kernels.Kernel,
+) -> VariationalModel:
+    """The model with the q(u) of the closed form."""
+    factor, _ = sparse.safe_cholesky(kernel.covariance(support.T, support.T), SVGP_JITTER)
+    inverse_root = closed.uncertain @ factor
+    model = VariationalModel(torch.tensor(support), covariance, SVGP_JITTER)
+    q = model.variational_strategy._variational_distribution
+    q.variational_mean.data = torch.tensor(factor.T @ closed.weights)
+    q.chol_variational_covar.data = torch.tensor(
+        sparse.safe_cholesky(inverse_root.T @ inverse_root)[0]
+    )
+    model.variational_strategy.variational_params_initialized.fill_(1)
+    return model
 
 
 def kernel_of(module: gpytorch.kernels.Kernel, like: Kernel) -> Kernel:

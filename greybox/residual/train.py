@@ -111,27 +111,9 @@ def train_gp(
         seconds = {} if judged is None else judged.seconds
         seconds = {**seconds, "on all data": time.perf_counter() - tick}
     report("done", 1.0)
-    null = np.zeros(len(outputs), dtype=bool) if start is None else start.constant
-    scores = {} if judged is None else judged.scores
     return TrainedGP(
         posterior=final.posterior,
-        report=TrainingReport(
-            method=settings.method,
-            kernel=settings.kernel,
-            points=final.posterior.points,
-            subset=final.subset,
-            rows_used=len(rows.z),
-            rows_dropped=dropped,
-            groups=len(names),
-            held_out=() if judged is None else judged.flights,
-            curve=None if judged is None else judged.curve,
-            seconds=seconds,
-            warnings=tuple(_warnings(task, rows, final, null)),
-            outputs=tuple(
-                _report_output(final.posterior, j, o, bool(null[j]), scores.get(j, {}))
-                for j, o in enumerate(final.outputs)
-            ),
-        ),
+        report=replace(_report(task, rows, final, judged), rows_dropped=dropped, seconds=seconds),
     )
 
 
@@ -146,6 +128,29 @@ class _Judged:
     curve: Curve | None
     flights: tuple[str, ...]
     seconds: dict[str, float]
+
+
+def _report(task: Task, rows: Rows, final: Trained, judged: _Judged | None) -> TrainingReport:
+    """What the training on `rows` did, without its times and without the rows that were
+    dropped."""
+    null = np.zeros(len(task.outputs), dtype=bool) if judged is None else judged.start.constant
+    scores = {} if judged is None else judged.scores
+    return TrainingReport(
+        method=task.options.method,
+        kernel=task.options.kernel,
+        points=final.posterior.points,
+        subset=final.subset,
+        rows_used=len(rows.z),
+        rows_dropped=0,
+        groups=len(task.flights),
+        held_out=() if judged is None else judged.flights,
+        curve=None if judged is None else judged.curve,
+        warnings=tuple(_warnings(task, rows, final, null)),
+        outputs=tuple(
+            _report_output(final.posterior, j, o, bool(null[j]), scores.get(j, {}))
+            for j, o in enumerate(final.outputs)
+        ),
+    )
 
 
 def _judged(task: Task, rows: Rows) -> _Judged:

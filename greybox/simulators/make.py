@@ -14,7 +14,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.shown import Cell, Shown
 from greybox.simulators.coverage import Covered, coverage, format_table
 from greybox.simulators.craft import Craft
-from greybox.simulators.draws import draw
+from greybox.simulators.draws import Draws, draw
 from greybox.simulators.matrix import matrix
 from greybox.simulators.push_levels import with_push_levels
 from greybox.simulators.push_text import push_text
@@ -161,15 +161,11 @@ def twin(
         for name, text in _texts(target, craft, said, pushes).items():
             files[f"{target.name}/{name}"] = text
         files[f"{target.name}/sensors.toml"] = sensors
-    drawn = None if draws is None else draw(model, draws, seed)
     covered: tuple[Covered, ...] = ()
-    if drawn is not None and train is not None:
-        drawn = with_push_levels(model, drawn, train, seed=seed)
-        others = [n for n in train.names if model.trained_on and n not in model.trained_on]
-        notes += [_not_of_the_fit(others, model)] if others else []
-    if drawn is not None:
+    if draws is not None:
+        drawn, told = _drawn(model, draws, seed, train)
         files |= drawn.files()
-        notes += [drawn.summary(), *drawn.notes]
+        notes += [*told, drawn.summary(), *drawn.notes]
         if check is not None:
             covered = coverage(model, drawn, check, seed=seed)
             notes.append(format_table(covered))
@@ -184,6 +180,19 @@ def twin(
     if out is not None:
         made.save(out, force=force)
     return made
+
+
+def _drawn(
+    model: IdentifiedModel, count: int, seed: int, train: Dataset | None
+) -> tuple[Draws, list[str]]:
+    """So many craft, pushed about as on the flights of `train`, and what is to be said of
+    these."""
+    drawn = draw(model, count, seed)
+    if train is None:
+        return drawn, []
+    others = [n for n in train.names if model.trained_on and n not in model.trained_on]
+    notes = [_not_of_the_fit(others, model)] if others else []
+    return with_push_levels(model, drawn, train, seed=seed), notes
 
 
 def _texts(

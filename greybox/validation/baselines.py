@@ -164,9 +164,7 @@ def dead_reckoning(
             out["position"] = np.full((len(starts), steps, 3), np.nan)
     if not len(starts) or last < 1:
         return out
-    # The turn of a step is that of its two samples, whatever the attitude.
-    turns = 0.5 * dt * (rate[:-1] + rate[1:]) + dt * dt / 12.0 * np.cross(rate[:-1], rate[1:])
-    steps_of = np.ascontiguousarray(numeric("exp", turns).T)
+    steps_of = _turns(rate, dt)
     force = np.ascontiguousarray(force.T)
     down = np.array([[0.0], [0.0], [gravity]])
     world = (
@@ -193,6 +191,13 @@ def dead_reckoning(
             if name in out:
                 out[name][inside, h] = state.T[inside]
     return out
+
+
+def _turns(rate: FloatArray, dt: float) -> FloatArray:
+    """Quaternions (4, N - 1) of the steps between samples of rate (N, 3): the turn of a step is
+    that of its two samples, whatever the attitude."""
+    turns = 0.5 * dt * (rate[:-1] + rate[1:]) + dt * dt / 12.0 * np.cross(rate[:-1], rate[1:])
+    return np.ascontiguousarray(numeric("exp", turns).T)
 
 
 def _demand_shapes(

@@ -186,29 +186,42 @@ def cross_correlation(
     r = c / (e_scale[:, None] * u_scale)
     r_e = [_auto([a[:, i : i + 1] for a in e], memory) for i in range(len(labels))]
     r_u = [_auto([b[:, j : j + 1] for b in inputs_kept], memory) for j in range(len(moving))]
-    z = float(scipy.stats.norm.ppf(0.5 + level / 2.0))
-    pairs = []
-    for i, name in enumerate(labels):
-        for j, column in enumerate(moving):
-            n = float(count[max_lag, i, j])
-            positive = r[max_lag + 1 :, i, j]
-            q, dof, row = _joint(positive, r_e[i], r_u[j], n)
-            band = z * float(np.sqrt(row[0] / n))
-            pairs.append(
-                CrossPair(
-                    innovation=name,
-                    input=heads[column],
-                    n=int(n),
-                    r=r[:, i, j],
-                    band=band,
-                    outside=float(np.mean(np.abs(positive) > band)),
-                    q=q,
-                    dof=dof,
-                    p_value=float(scipy.stats.chi2.sf(q, dof)),
-                )
-            )
-    skipped = tuple(h for j, h in enumerate(heads) if j not in moving)
-    return CrossCorrelation(pairs=tuple(pairs), max_lag=max_lag, level=level, skipped=skipped)
+    return CrossCorrelation(
+        pairs=tuple(
+            _pair((name, heads[column]), r[:, i, j], r_e[i], r_u[j], count[max_lag, i, j], level)
+            for i, name in enumerate(labels)
+            for j, column in enumerate(moving)
+        ),
+        max_lag=max_lag,
+        level=level,
+        skipped=tuple(h for j, h in enumerate(heads) if j not in moving),
+    )
+
+
+def _pair(
+    names: tuple[str, str],
+    r: FloatArray,
+    r_e: FloatArray,
+    r_u: FloatArray,
+    count: float,
+    level: float,
+) -> CrossPair:
+    """The test of one innovation and input from their cross-correlation r (2 max_lag + 1,), the
+    autocorrelations of both and the number of samples."""
+    positive = r[len(r) // 2 + 1 :]
+    q, dof, row = _joint(positive, r_e, r_u, float(count))
+    band = float(scipy.stats.norm.ppf(0.5 + level / 2.0)) * float(np.sqrt(row[0] / float(count)))
+    return CrossPair(
+        innovation=names[0],
+        input=names[1],
+        n=int(count),
+        r=r,
+        band=band,
+        outside=float(np.mean(np.abs(positive) > band)),
+        q=q,
+        dof=dof,
+        p_value=float(scipy.stats.chi2.sf(q, dof)),
+    )
 
 
 def _alike(

@@ -232,22 +232,13 @@ def predict_ahead(
     states = model.dynamics.states.names
     silent = [i for i, n in enumerate(states) if n.startswith("disturbance.") and not unnamed]
     for flight in data:
-        p = model.flight_vector(flight.name)
-        begin = float(flight.segments[0].t[0])
-        if adapt is not None:
-            # The same seconds are judged whether this model has something to adapt or not.
-            begin += adapt
-            if model.flight_spread:
-                p = model.parameter_vector(
-                    adapt_to_flight(model, flight, adapt, riccati=runner.riccati).values
-                )
+        p = _adapted(model, flight, adapt, runner)
+        # The same seconds are judged whether this model has something to adapt or not.
+        begin = float(flight.segments[0].t[0]) + (adapt or 0.0)
         for segment in flight.segments:
             # What was commanded before a segment is not known, nor is its state.
-            known = (
-                max(begin, float(segment.t[0]) + (_start(segment) if blind else 0.0))
-                + START_SECONDS * second
-            )
-            late = np.flatnonzero(segment.t >= known)
+            known = max(begin, float(segment.t[0]) + (_start(segment) if blind else 0.0))
+            late = np.flatnonzero(segment.t >= known + START_SECONDS * second)
             origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE * second / dt))]
             if not origins.size:
                 continue
@@ -276,6 +267,16 @@ def predict_ahead(
         second=second,
         units={g: reader.table[g].unit for g in groups},
     )
+
+
+def _adapted(
+    model: IdentifiedModel, flight: Flight, adapt: float | None, runner: Filter
+) -> FloatArray:
+    """p of a flight, with what differs from flight to flight adapted on its first `adapt` s."""
+    if adapt is None or not model.flight_spread:
+        return model.flight_vector(flight.name)
+    found = adapt_to_flight(model, flight, adapt, riccati=runner.riccati)
+    return model.parameter_vector(found.values)
 
 
 def readings(model: IdentifiedModel) -> dict[str, float]:

@@ -99,18 +99,7 @@ def proposal_text(law: Law, number: int, taken: Collection[str] = ()) -> str:
     imports = ["Effect", *(["Needs"] if needs else []), *(["Remembered"] if past else [])]
     return "\n".join(
         [
-            f'"""Proposed by greybox discover: a law of {law.channel} [{unit}] that no effect of '
-            "the catalogue explains.",
-            "",
-            f"    {law.channel} = " + " + ".join(f"{c:.4g} {text}" for (text, c), _ in rows),
-            "",
-            f"It explains {100 * law.share:.0f} % of the smoothed discrepancy on flights that were "
-            "left out. Terms are",
-            "sums that describe; what the physics is, you may know: copy this file, rename the "
-            "effect, keep the terms that",
-            "make sense, and offer it with --effects-file.",
-            '"""',
-            "",
+            *_head(law),
             "import casadi as ca",
             "",
             f"from greybox.model.effect import {', '.join(imports)}",
@@ -136,6 +125,24 @@ def proposal_text(law: Law, number: int, taken: Collection[str] = ()) -> str:
             "",
         ]
     )
+
+
+def _head(law: Law) -> list[str]:
+    """The docstring of the file."""
+    return [
+        f'"""Proposed by greybox discover: a law of {law.channel} [{law.unit}] that no effect of '
+        "the catalogue explains.",
+        "",
+        f"    {law.channel} = " + " + ".join(f"{c:.4g} {text}" for text, c in law.terms.items()),
+        "",
+        f"It explains {100 * law.share:.0f} % of the smoothed discrepancy on flights that were "
+        "left out. Terms are",
+        "sums that describe; what the physics is, you may know: copy this file, rename the "
+        "effect, keep the terms that",
+        "make sense, and offer it with --effects-file.",
+        '"""',
+        "",
+    ]
 
 
 def _past(law: Law) -> tuple[dict[int, int], list[str], list[str]]:

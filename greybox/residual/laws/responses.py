@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.data import Dataset
+from greybox.data import Dataset, Segment
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.gain import Linearisation, linearisation_anywhere
 from greybox.model.identified import IdentifiedModel
@@ -108,28 +108,12 @@ def library(
     The innovations are those of `model`: a filter with disturbance states takes most of a slow law
     for noise.
     """
-    plain, runner = Filter(model), Filter(disturbed)
-    lin = linearisation_anywhere(model.dynamics)
-    look = feature_function(disturbed.dynamics, names)
-    rows = [disturbed.dynamics.states.names.index(f"disturbance.{axis}") for axis in axes]
+    plain, lin = Filter(model), linearisation_anywhere(model.dynamics)
     segments = [(f.name, s) for f in data for s in f.segments]
     longest = max(SAMPLES // len(segments), 2)
     segments = [(name, s.rows(0, longest) if s.n > longest else s) for name, s in segments]
-    z, wrench = list[FloatArray](), list[FloatArray]()
-    for _, segment in segments:
-        states, features = smoothed_features(runner, segment, look)
-        z.append(features)
-        wrench.append(states[:, rows])
-    every, physics = np.concatenate(z), physics_of(model.dynamics)
-    if physics is None:
-        shared, slopes = own_terms(model.dynamics, names, every), own_slopes(model, names, every)
-        columns = [(axis, t) for axis in axes for t in (*slopes.get(axis, ()), *shared)]
-    else:
-        vehicle = physics.vehicle
-        ends = np.cumsum([0, *map(len, z)])
-        flown = [slice(a, b) for a, b in itertools.pairwise(ends.tolist())]
-        past = remembered_terms(names, every, vehicle, flown, model.sample_time) if memory else []
-        columns = [(axis, t) for axis in axes for t in (*terms(axis, names, every, vehicle), *past)]
+    z, wrench = _smoothed(disturbed, [s for _, s in segments], names, axes)
+    columns = _columns(model, z, names, axes, memory=memory)
     places = [model.dynamics.noises[axis] for axis in (*(axis for axis, _ in columns), *axes)]
     blocks = sum(len(stretches(len(own), len(segments))) for own in wrench)
     seen, follows, owners, at, number = (
@@ -171,6 +155,43 @@ def library(
     return Library(
         columns=columns, innovations=Normal.joined(list(seen.values()), names_of), smoothed=smoothed
     )
+
+
+def _smoothed(
+    disturbed: IdentifiedModel,
+    segments: Sequence[Segment],
+    names: Sequence[str],
+    axes: Sequence[str],
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """(features (N_i, n), smoothed disturbances (N_i, axes)) of every segment."""
+    runner, look = Filter(disturbed), feature_function(disturbed.dynamics, names)
+    rows = [disturbed.dynamics.states.names.index(f"disturbance.{axis}") for axis in axes]
+    z, wrench = list[FloatArray](), list[FloatArray]()
+    for segment in segments:
+        states, features = smoothed_features(runner, segment, look)
+        z.append(features)
+        wrench.append(states[:, rows])
+    return z, wrench
+
+
+def _columns(
+    model: IdentifiedModel,
+    z: Sequence[FloatArray],
+    names: Sequence[str],
+    axes: Sequence[str],
+    *,
+    memory: bool,
+) -> list[tuple[str, Term]]:
+    """Axis and term, axis by axis, evaluated at features z (N_i, n) of all segments together."""
+    every, physics = np.concatenate(z), physics_of(model.dynamics)
+    if physics is None:
+        shared, slopes = own_terms(model.dynamics, names, every), own_slopes(model, names, every)
+        return [(axis, t) for axis in axes for t in (*slopes.get(axis, ()), *shared)]
+    vehicle = physics.vehicle
+    ends = np.cumsum([0, *map(len, z)])
+    flown = [slice(a, b) for a, b in itertools.pairwise(ends.tolist())]
+    past = remembered_terms(names, every, vehicle, flown, model.sample_time) if memory else []
+    return [(axis, t) for axis in axes for t in (*terms(axis, names, every, vehicle), *past)]
 
 
 def responses(
