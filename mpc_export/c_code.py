@@ -154,14 +154,7 @@ def write_c(
     if double:
         raise ModelError(f"functions given twice: {', '.join(double)}")
     integer = "long long int" if real == "double" else "int"
-    generator = ca.CodeGenerator(
-        f"{prefix}.c",
-        {"verbose": False, "casadi_real": real, "casadi_int": integer, "with_header": False},
-    )
-    for f in functions:
-        generator.add(f)
-    text = str(generator.dump())
-    text, used = _with_kernels(text, kernels, real)
+    text, used = _with_kernels(_generated(functions, prefix, real, integer), kernels, real)
     for name, body in PRODUCTS.items():
         if f"#define {name} " in text:
             text = _replaced(text, name, body)
@@ -189,6 +182,17 @@ def write_c(
         functions=described,
         kernels=used,
     )
+
+
+def _generated(functions: Sequence[ca.Function], prefix: str, real: Real, integer: str) -> str:
+    """What CasADi writes."""
+    generator = ca.CodeGenerator(
+        f"{prefix}.c",
+        {"verbose": False, "casadi_real": real, "casadi_int": integer, "with_header": False},
+    )
+    for f in functions:
+        generator.add(f)
+    return str(generator.dump())
 
 
 def single_precision(text: str) -> str:

@@ -205,27 +205,15 @@ def _assembled(parts: ModelParts, groups: set[str]) -> ModelFunctions:
     add_domain(parts)
     x, u, p = _reference(parts)
     noise = _noise(parts, (x, u, p), (slopes.noise, noise_output))
-    targets, own, forecasts, pilot = Layout([]), NOTHING, UNCALIBRATED, UNPILOTED
     if "covariance" in groups:
         add_covariance(parts, noise, noise_output)
     if "filter" in groups:
         add_filter(parts, noise)
-    if "adapt" in groups:
-        own = _add_adaptation(parts, noise, p)
+    own = _add_adaptation(parts, noise, p) if "adapt" in groups else NOTHING
+    forecasts = UNCALIBRATED
     if "calibrate" in groups:
         forecasts = _add_calibration(parts, noise, (x, u, p))
-    if groups & {"target", "pilot"}:
-        targets = tracked(parts.sampled)
-        parts.functions["target_step"] = target_function(
-            parts.sampled, parts.functions, targets, len(parts.parameters)
-        )
-    if "pilot" in groups:
-        layouts = (parts.sampled.states, parts.sampled.error_states, parts.parameters)
-        parts.functions["pilot_step"], pilot = pilot_function(
-            parts.functions, layouts, _name(parts), (x, u, p), command_limits(parts)
-        )
-        if "target" not in groups:  # by far the largest; no pilot calls it
-            del parts.functions["target_step"]
+    targets, pilot = _add_steering(parts, groups, (x, u, p))
     if "hessian" in groups:
         add_hessian(parts)
     parts.functions.pop(f"{parts.prefix}_features_own", None)
@@ -264,6 +252,26 @@ def _assembled(parts: ModelParts, groups: set[str]) -> ModelFunctions:
         model=parts.model,
         sampled=s,
     )
+
+
+def _add_steering(
+    parts: ModelParts, groups: set[str], point: tuple[FloatArray, FloatArray, FloatArray]
+) -> tuple[Layout, Pilot]:
+    """The functions of the groups target and pilot; (targets, the pilot's numbers)."""
+    if not groups & {"target", "pilot"}:
+        return Layout([]), UNPILOTED
+    targets, pilot = tracked(parts.sampled), UNPILOTED
+    parts.functions["target_step"] = target_function(
+        parts.sampled, parts.functions, targets, len(parts.parameters)
+    )
+    if "pilot" in groups:
+        layouts = (parts.sampled.states, parts.sampled.error_states, parts.parameters)
+        parts.functions["pilot_step"], pilot = pilot_function(
+            parts.functions, layouts, _name(parts), point, command_limits(parts)
+        )
+        if "target" not in groups:  # by far the largest; no pilot calls it
+            del parts.functions["target_step"]
+    return targets, pilot
 
 
 def _name(parts: ModelParts) -> str:

@@ -132,7 +132,21 @@ class ReturnCode(TypedDict):
     meaning: str
 
 
-class Manifest(TypedDict):
+class Vectors(TypedDict):
+    """What stands where in every vector."""
+
+    states: list[SignalRow]
+    error_states: list[SignalRow]
+    inputs: list[SignalRow]
+    parameters: list[SignalRow]
+    outputs: list[SignalRow]
+    innovations: list[SignalRow]
+    features: list[SignalRow]
+    learned: list[SignalRow]
+    targets: list[SignalRow]
+
+
+class Manifest(Vectors):
     """manifest.json; greybox/schemas/manifest.json says more."""
 
     schema: str
@@ -145,15 +159,6 @@ class Manifest(TypedDict):
     delay: DelayPart
     frames: dict[str, str]
     sizes: dict[str, int]
-    states: list[SignalRow]
-    error_states: list[SignalRow]
-    inputs: list[SignalRow]
-    parameters: list[SignalRow]
-    outputs: list[SignalRow]
-    innovations: list[SignalRow]
-    features: list[SignalRow]
-    learned: list[SignalRow]
-    targets: list[SignalRow]
     groups: list[str]
     functions: list[FunctionRow]
     values: dict[str, float]
@@ -210,21 +215,7 @@ def manifest_of(
         "delay": _delay(f),
         "frames": dict(frames),
         "sizes": {**f.sizes, "own_states": f.own_states, "own_error_states": f.own_error_states},
-        "states": _signals(f.states, scale=f.scales[0], reference=f.reference[0]),
-        "error_states": _signals(f.error_states),
-        "inputs": _signals(
-            f.inputs,
-            scale=f.scales[1],
-            reference=f.reference[1],
-            lower=f.bounds[0],
-            upper=f.bounds[1],
-        ),
-        "parameters": _signals(f.parameters, value=f.parameter_values),
-        "outputs": _signals(f.outputs, scale=f.scales[2]),
-        "innovations": _signals(f.innovations, sensor_noise=f.noise.sensor),
-        "features": _signals(f.features),
-        "learned": _signals(f.learned),
-        "targets": _signals(f.targets),
+        **_vectors(f),
         "groups": list(groups),
         "functions": [_function(fn, g) for fn, g in zip(f.functions.values(), golden, strict=True)],
         "values": {k: float(v) for k, v in sorted(f.sampled.values.items())},
@@ -253,6 +244,26 @@ def manifest_of(
         "notes": _notes(f),
         "data_hash": model.data_hash if isinstance(model, IdentifiedModel) else "",
         "versions": library_versions(),
+    }
+
+
+def _vectors(f: ModelFunctions) -> Vectors:
+    return {
+        "states": _signals(f.states, scale=f.scales[0], reference=f.reference[0]),
+        "error_states": _signals(f.error_states),
+        "inputs": _signals(
+            f.inputs,
+            scale=f.scales[1],
+            reference=f.reference[1],
+            lower=f.bounds[0],
+            upper=f.bounds[1],
+        ),
+        "parameters": _signals(f.parameters, value=f.parameter_values),
+        "outputs": _signals(f.outputs, scale=f.scales[2]),
+        "innovations": _signals(f.innovations, sensor_noise=f.noise.sensor),
+        "features": _signals(f.features),
+        "learned": _signals(f.learned),
+        "targets": _signals(f.targets),
     }
 
 

@@ -17,12 +17,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from greybox.data import dataset_from_arrays
+from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import MissingExtraError
 from greybox.estimation.fit import fit
 from greybox.excitation.injection import rich_excitation
 from greybox.excitation.waypoints import RandomWaypoints
 from greybox.files import read_json, write_json
+from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
 from greybox.model.vehicle import read_vehicle
 from greybox.plants.flight_log import fly, write_log
@@ -122,27 +123,28 @@ def identify(out: Path, say: Callable[[str], None] = print) -> dict[str, Path]:
         fixed=HELD,
     )
     save_model(fitted.model, files["pem"])
+    try:
+        save_model(_learned(fitted.model, data, say), files["hybrid"])
+    except MissingExtraError as error:
+        say(f"the tube flies on the fitted physics: {error}")
+        return {n: files[n] for n in ("nominal", "pem")}
+    write_json(done, settings)
+    return files
+
+
+def _learned(model: IdentifiedModel, data: Dataset, say: Callable[[str], None]) -> IdentifiedModel:
+    """The fitted physics with a Gaussian process on what is left. Raises `MissingExtraError`."""
     say("learning what is left")
     left = TimeLeft()
 
     def learning(text: str, share: float) -> None:
         say(f"{100 * share:3.0f} %  {text}{left.after(share)}")
 
-    try:
-        learned = learn(
-            fitted.model, data, features=FEATURES, points=POINTS, seed=0, progress=learning
-        ).model
-        say("noise levels of what was learned")
-        # the tube's noise is the filter's own: what is calibrated for horizons is so on the flight
-        # that was learned from
-        save_model(
-            replace(refit_noise(learned, data, each=True), horizon_noise=None), files["hybrid"]
-        )
-    except MissingExtraError as error:
-        say(f"the tube flies on the fitted physics: {error}")
-        return {n: files[n] for n in ("nominal", "pem")}
-    write_json(done, settings)
-    return files
+    learned = learn(model, data, features=FEATURES, points=POINTS, seed=0, progress=learning).model
+    say("noise levels of what was learned")
+    # the tube's noise is the filter's own: what is calibrated for horizons is so on the flight
+    # that was learned from
+    return replace(refit_noise(learned, data, each=True), horizon_noise=None)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

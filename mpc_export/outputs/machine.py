@@ -147,21 +147,11 @@ def run(
         machine.step(u, dt)
         u = after
     y = np.array(true)
-    over = np.maximum(np.maximum(y - upper, lower - y), 0.0)
-    inside = ((over == 0) & np.isfinite(y)).all(axis=1)
-    # A run that begins beyond a limit counts from when it is inside.
-    begun = int(inside.argmax())
-    over[:begun], inside[:begun] = 0.0, True
-    error = dict(zip(names, (y - goals).T, strict=True))
     row: dict[str, object] = {
         "seed": seed,
-        "beyond": int((~inside).sum()),
         "samples": samples,
-        "excess": dict(zip(asked.limits, over.max(axis=0)[[names.index(n) for n in asked.limits]])),
-        "rmse": {n: float(np.sqrt(np.mean(error[n] ** 2))) for n in asked.held},
-        "settled": {
-            n: float(np.sqrt(np.mean(error[n][asked.settled(n, samples)] ** 2))) for n in asked.held
-        },
+        **_beyond(y, lower, upper, names, asked),
+        **_away(y - goals, names, asked),
         "touched": touched,
         "solve_ms": np.round(spent, 2),
         "failures": controller.failures,
@@ -177,6 +167,34 @@ def run(
         }
     found: Run = to_plain(row)
     return found
+
+
+def _beyond(
+    y: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    names: tuple[str, ...],
+    asked: Asked,
+) -> dict[str, object]:
+    """In how many samples, and how far at most, true outputs y (n, n_y) were beyond a limit; a run
+    that begins beyond one counts from when it is inside."""
+    over = np.maximum(np.maximum(y - upper, lower - y), 0.0)
+    inside = ((over == 0) & np.isfinite(y)).all(axis=1)
+    begun = int(inside.argmax())
+    over[:begun], inside[:begun] = 0.0, True
+    most = over.max(axis=0)[[names.index(n) for n in asked.limits]]
+    return {"beyond": int((~inside).sum()), "excess": dict(zip(asked.limits, most))}
+
+
+def _away(error: FloatArray, names: tuple[str, ...], asked: Asked) -> dict[str, object]:
+    """Root mean squares of the errors (n, n_y) of held outputs, at all times and once settled."""
+    of = dict(zip(names, error.T, strict=True))
+    return {
+        "rmse": {n: float(np.sqrt(np.mean(of[n] ** 2))) for n in asked.held},
+        "settled": {
+            n: float(np.sqrt(np.mean(of[n][asked.settled(n, len(error))] ** 2))) for n in asked.held
+        },
+    }
 
 
 def _values(found: Mapping[str, float], names: tuple[str, ...]) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import NotRequired
 
 import numpy as np
 
+from greybox.excitation.trajectory import Trajectory
 from greybox.files import Json, to_plain
 from greybox.frames import numeric
 from greybox.model.vehicle import Vehicle
@@ -76,6 +77,17 @@ class Flight(Answered):
     trace: NotRequired[dict[str, Json]]
 
 
+def _at(path: Trajectory, k: int) -> SampledPath:
+    """One sample of a path."""
+    return SampledPath(
+        position=path.position[k : k + 1],
+        velocity=path.velocity[k : k + 1],
+        acceleration=path.acceleration[k : k + 1],
+        yaw=path.yaw[k : k + 1],
+        yaw_rate=path.yaw_rate[k : k + 1],
+    )
+
+
 def fly(pilot: Pilot, plant: Quadrotor, task: Task, seed: int, *, watch: bool = False) -> Flight:
     """One flight. Keys: seed, crashed, worst (largest true |rate| of each axis [rad/s]), beyond
     (samples with a rate beyond the limit), samples, rmse (rates against what was asked [rad/s]),
@@ -96,14 +108,7 @@ def fly(pilot: Pilot, plant: Quadrotor, task: Task, seed: int, *, watch: bool = 
         if not gaps[-1] <= task.lost**2:
             crashed = True
             break
-        ahead = slice(k + 1, k + 2)
-        goal = SampledPath(
-            position=path.position[ahead],
-            velocity=path.velocity[ahead],
-            acceleration=path.acceleration[ahead],
-            yaw=path.yaw[ahead],
-            yaw_rate=path.yaw_rate[ahead],
-        )
+        goal = _at(path, k + 1)
         began = time.perf_counter()
         after, wanted = pilot.sample(seen, goal)
         spent.append(1e3 * (time.perf_counter() - began))

@@ -251,16 +251,7 @@ def _matrix(
             raise ValueError(
                 f"{tape['name']}: {name} makes a matrix of more than {LARGEST} entries"
             )
-    outputs = []
-    for port, parts in zip(tape["out"], segments, strict=True):
-        shape = sparsity(port)
-        if not parts:
-            outputs.append(ca.MX(port["rows"], port["columns"]))
-        elif len(parts) == 1 and parts[0].sparsity() == shape:
-            outputs.append(parts[0])
-        else:
-            column = ca.vertcat(*(_column(parts[k]) for k in sorted(parts)))
-            outputs.append(ca.MX(shape, column))
+    outputs = [_joined(*pair) for pair in zip(tape["out"], segments, strict=True)]
     return ca.Function(
         tape["name"],
         inputs,
@@ -268,6 +259,16 @@ def _matrix(
         [q["name"] for q in tape["in"]],
         [q["name"] for q in tape["out"]],
     )
+
+
+def _joined(port: Tape, parts: Mapping[int, Expr]) -> Expr:
+    """A result from its segments."""
+    shape = sparsity(port)
+    if not parts:
+        return ca.MX(port["rows"], port["columns"])
+    if len(parts) == 1 and parts[0].sparsity() == shape:
+        return parts[0]
+    return ca.MX(shape, ca.vertcat(*(_column(parts[k]) for k in sorted(parts))))
 
 
 def _argument(x: Expr, extra: Tape) -> Expr:
