@@ -21,13 +21,18 @@ LAST = 4
 """Iterations from which the rate of convergence is read."""
 
 
-def in_words(seconds: float) -> str:
+def about(seconds: float) -> str:
     """About how long, rounded as a person would."""
     if seconds < 90:
-        return f"about {max(10, round(seconds, -1)):.0f} s left"
+        return f"about {max(10, round(seconds, -1)):.0f} s"
     if seconds < 5400:
-        return f"about {seconds / 60:.0f} min left"
-    return f"about {seconds / 3600:.1f} h left"
+        return f"about {seconds / 60:.0f} min"
+    return f"about {seconds / 3600:.1f} h"
+
+
+def in_words(seconds: float) -> str:
+    """About how long is left."""
+    return f"{about(seconds)} left"
 
 
 class TimeLeft:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from greybox.progress import in_words
+from greybox.progress import about
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +67,6 @@ def expected(
 def expectation(seconds: Mapping[str, float | None]) -> str:
     """The expected `seconds` by method as a line."""
     known = {n: s for n, s in seconds.items() if s is not None}
-    parts = [
-        f"{n} {'not known' if s is None else in_words(s).removesuffix(' left')}"
-        for n, s in seconds.items()
-    ]
-    whole = in_words(sum(known.values())).removesuffix(" left")
+    parts = [f"{n} {'not known' if s is None else about(s)}" for n, s in seconds.items()]
+    whole = about(sum(known.values()))
     return f"CPU that is usual for this: {', '.join(parts)}; in all {whole}"

@@ -5,17 +5,14 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.mpc_own import OWN_ONLY, add_options, is_own, refuse
 from greybox.commands.mpc_own import run as run_own
-
-if TYPE_CHECKING:
-    from mpc_export.mission.summary import MpcDocument
 
 
 def add(subparsers: Any) -> None:
@@ -227,7 +224,7 @@ def _report(
     watched: Sequence[int],
     command: str,
     warnings: Sequence[str],
-) -> MpcDocument:
+) -> Mapping[str, Any]:
     """Write mpc.json, report.html and the recording of what was flown so far; the content of the
     first."""
     from greybox.files import write_atomic, write_json

@@ -7,16 +7,13 @@ import argparse
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console
 from greybox.commands.kept_runs import carried_out
 from greybox.commands.model_options import numbers
 from greybox.commands.own_model import model_file_option, range_options
-
-if TYPE_CHECKING:
-    from mpc_export.outputs.campaign import OwnDocument
 
 COURSE_ONLY: dict[str, Any] = {
     "log": [],
@@ -100,7 +97,7 @@ def run(arguments: argparse.Namespace, content: Mapping[str, Any]) -> int:
     from greybox.report.mpc_own_report import mpc_own_report
     from mpc_export.kept_flights import flights, kept, read_traces
     from mpc_export.mission import judging
-    from mpc_export.outputs.campaign import WATCHED, OwnCampaign, format_table, summary
+    from mpc_export.outputs.campaign import WATCHED, OwnCampaign, OwnDocument, format_table, summary
     from mpc_export.outputs.machine import Asked
 
     refuse(arguments, COURSE_ONLY, "a vehicle that flies a course", "a model of your own")

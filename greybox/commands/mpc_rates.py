@@ -5,15 +5,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console
 from greybox.commands.kept_runs import carried_out
 from greybox.commands.mpc_own import COURSE_ONLY, OWN_ONLY, refuse
-
-if TYPE_CHECKING:
-    from mpc_export.rates.campaign import RatesDocument
 
 OTHERS: dict[str, Any] = {**COURSE_ONLY, "plant": None, "even_so": False}
 """Options of a model that flies a course."""
@@ -27,7 +24,14 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.report.rates_report import rates_report
     from mpc_export.kept_flights import flights, kept, read_traces
     from mpc_export.mission import judging
-    from mpc_export.rates.campaign import TEXTS, WATCHED, format_table, prepare, summary
+    from mpc_export.rates.campaign import (
+        TEXTS,
+        WATCHED,
+        RatesDocument,
+        format_table,
+        prepare,
+        summary,
+    )
     from mpc_export.rates.craft import DT
 
     console, out = Console.of(arguments), Path(arguments.out)

@@ -152,18 +152,25 @@ def _saved(fold: Judged, every: FloatArray, channels: int, members: int) -> Floa
 def _solved(hessian: FloatArray, prior: FloatArray, slope: FloatArray) -> FloatArray:
     """(H + diag(prior))^-1 slope for a Hessian (P, P); by Cholesky, where rounding leaves it
     positive definite."""
-    matrix = hessian.copy()
-    matrix.flat[:: len(matrix) + 1] += prior
     try:
         found = scipy.linalg.cho_solve(
-            # The transpose is the same matrix as LAPACK keeps it.
-            scipy.linalg.cho_factor(matrix.T, lower=True, overwrite_a=True, check_finite=False),
+            # The transpose is the same matrix as LAPACK keeps it, so that it is factored in place.
+            scipy.linalg.cho_factor(
+                _loaded(hessian, prior).T, lower=True, overwrite_a=True, check_finite=False
+            ),
             slope,
             check_finite=False,
         )
     except np.linalg.LinAlgError:
-        found = np.linalg.solve(hessian + np.diag(prior), slope)
+        found = np.linalg.solve(_loaded(hessian, prior), slope)
     return np.asarray(found, dtype=np.float64)
+
+
+def _loaded(hessian: FloatArray, prior: FloatArray) -> FloatArray:
+    """H + diag(prior)."""
+    matrix = hessian.copy()
+    matrix.flat[:: len(matrix) + 1] += prior
+    return matrix
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

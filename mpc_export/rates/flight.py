@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NotRequired
 
 import numpy as np
 
-from greybox.excitation.trajectory import Trajectory
 from greybox.files import Json, to_plain
 from greybox.frames import numeric
 from greybox.model.vehicle import Vehicle
-from greybox.plants.quadrotor import Quadrotor
 from greybox.symbolic import FloatArray
 from mpc_export.mission.cascade import CascadeController, Gains
 from mpc_export.mission.course import SampledPath
-from mpc_export.mission.flight import truth
+from mpc_export.mission.flight import Plant, truth
 from mpc_export.promise import Answered
 from mpc_export.rates.controller import RateController
 from mpc_export.rates.craft import DT, OUTPUTS, Task
@@ -43,7 +42,7 @@ class Pilot:
             self.inner.start(u)
         return u
 
-    def sample(self, seen: dict[str, float], goal: SampledPath) -> tuple[FloatArray, FloatArray]:
+    def sample(self, seen: Mapping[str, float], goal: SampledPath) -> tuple[FloatArray, FloatArray]:
         """(command from the next sample on, body rates that were asked for)."""
         if self.inner is None:
             before = self.outer.place.copy()
@@ -77,7 +76,7 @@ class Flight(Answered):
     trace: NotRequired[dict[str, Json]]
 
 
-def _at(path: Trajectory, k: int) -> SampledPath:
+def _at(path: SampledPath, k: int) -> SampledPath:
     """One sample of a path."""
     return SampledPath(
         position=path.position[k : k + 1],
@@ -88,14 +87,27 @@ def _at(path: Trajectory, k: int) -> SampledPath:
     )
 
 
-def fly(pilot: Pilot, plant: Quadrotor, task: Task, seed: int, *, watch: bool = False) -> Flight:
+def _sampled(task: Task, times: FloatArray, seed: int) -> SampledPath:
+    """The path of a flight at the times (n,) [s]."""
+    drawn = task.path.sample(times, np.random.default_rng([seed, 1]))
+    return SampledPath(
+        position=drawn.position,
+        velocity=drawn.velocity,
+        acceleration=drawn.acceleration,
+        yaw=drawn.yaw,
+        yaw_rate=drawn.yaw_rate,
+    )
+
+
+def fly(pilot: Pilot, plant: Plant, task: Task, seed: int, *, watch: bool = False) -> Flight:
     """One flight. Keys: seed, crashed, worst (largest true |rate| of each axis [rad/s]), beyond
     (samples with a rate beyond the limit), samples, rmse (rates against what was asked [rad/s]),
     away (rms distance from the path [m]), touched (limits that plans touch), solve_ms, failures
     (plans without a solution), and with `watch` a trace."""
     times = np.asarray(DT * np.arange(round(task.seconds / DT) + 1), dtype=float)
-    path = task.path.sample(times, np.random.default_rng([seed, 1]))
-    plant.reset(seed, position=tuple(path.position[0]))
+    path = _sampled(task, times, seed)
+    x, y, z = path.position[0]
+    plant.reset(seed, position=(x, y, z))
     u = pilot.start()
     rates, asks, gaps, spent, touched, plans = [], [], [], [], 0, []
     crashed = False
