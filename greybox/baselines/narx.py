@@ -207,8 +207,7 @@ def fit_narx(
     points: int = 100,
     seed: int = 0,
 ) -> NARXModel:
-    """A sparse GP (SGPR) on the regressors of `train`. Raises `DataError`; `MissingExtraError`
-    without the extra `gp`."""
+    """A sparse GP (SGPR) on the regressors of `train`. Raises `DataError`."""
     from greybox.residual.train import train_gp
 
     began = time.perf_counter()

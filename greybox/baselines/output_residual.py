@@ -317,8 +317,8 @@ def fit_output_residual(
     `outputs`, `channels` and `adapt` are those of `BasePredictor`; `features` default to
     `output_features`; the choices (`kernel`, `points`, `seed`, `hold_out`, ...) are those of
     `train_gp`, of which another `learner` (as in `greybox.residual.learn.learn`) knows `points` and
-    `seed`. Raises `DataError`, `UnknownNameError`, `ModelError`, and `MissingExtraError` without
-    the extra `gp`.
+    `seed`. Raises `DataError`, `UnknownNameError`, `ModelError`; svgp and polish
+    `MissingExtraError` without the extra `gp`.
     """
     options = GPOptions.of(GPOptions(noise_inflation=1.0), choices)
     other = learner_for(learner, options.points, options.kernel)

@@ -133,10 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.report.learn_report import learn_report
     from greybox.residual.files import save_model
     from greybox.residual.learn import learn
-    from greybox.residual.train import check_extra
 
-    if arguments.learner == "gp":
-        check_extra()
     demand_adapt(arguments)
     points = _points(arguments.points)
     need_mcap(arguments.mcap)

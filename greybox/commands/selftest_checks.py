@@ -232,14 +232,15 @@ def examples(_: Bench) -> str:
 
 
 def torch(_: Bench) -> str:
-    """A Gaussian process is trained on a sine and evaluated between its points."""
+    """A Gaussian process is trained on a sine, polished by PyTorch, and evaluated between its
+    points."""
     from greybox.residual.train import check_extra, train_gp
     from greybox.symbolic import Layout, Signal
 
     try:
         check_extra()
     except MissingExtraError:
-        raise Missing("greybox learn and compare need it", fix=install_line("gp")) from None
+        raise Missing("networks of greybox compare need it", fix=install_line("gp")) from None
     x = np.linspace(-3.0, 3.0, 60)[:, None]
     trained = train_gp(
         x,
@@ -248,6 +249,7 @@ def torch(_: Bench) -> str:
         outputs=Layout([Signal(name="y", unit="1")]),
         points=12,
         hold_out=0.0,
+        polish=True,
     )
     at = np.array([[-1.23], [0.4], [2.1]])
     mean, _variance = trained.posterior.evaluate(at)

@@ -221,8 +221,8 @@ def learn(
     room). kernel: "se", "matern32", "matern52", or "linear+" one of these. `points`: number of
     support points, or "auto". `learner`: what is learned, "gp" or another name of
     `greybox.residual.learners`, a file of the user's own ("own.py:Name", which is run), or a
-    `Learner`; `points` are then its features. Raises `MissingExtraError` without the extra `gp`,
-    `UnknownNameError`, `DataError`, `ModelError` (a learner that returns what is not finite, too).
+    `Learner`; `points` are then its features. Raises `UnknownNameError`, `DataError`,
+    `ModelError` (a learner that returns what is not finite, too).
     """
     began = time.perf_counter()
     say = progress or (lambda _text, _share: None)

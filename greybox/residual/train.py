@@ -36,8 +36,8 @@ from greybox.symbolic import BoolArray, Layout
 
 
 def check_extra() -> None:
-    """Whether a GP can be trained here: asked before hours of other work, and without importing
-    torch. Raises `MissingExtraError`."""
+    """Whether what needs PyTorch can run here, asked without importing it: polish of support points,
+    svgp. Raises `MissingExtraError`."""
     missing = [n for n in ("torch", "gpytorch") if importlib.util.find_spec(n) is None]
     if missing:
         raise _missing(f"no {' and no '.join(missing)}")
@@ -45,15 +45,15 @@ def check_extra() -> None:
 
 def _missing(why: object) -> MissingExtraError:
     return MissingExtraError(
-        f"training a GP needs PyTorch and GPyTorch ({why})", fix=install_line("gp")
+        f"svgp and polish need PyTorch and GPyTorch ({why})", fix=install_line("gp")
     )
 
 
 def _one_thread(options: GPOptions) -> AbstractContextManager[None]:
-    """PyTorch on one thread, where it takes part."""
-    check_extra()
+    """PyTorch on one thread, where it takes part. Raises `MissingExtraError`."""
     if not options.polish and options.method != "svgp":
         return nullcontext()
+    check_extra()
     try:
         from greybox.residual.torch_gp import one_thread
     except ImportError as error:
@@ -91,7 +91,7 @@ def train_gp(
     to the full GP's (`sparse.variance_guard`); else it is the posterior's own.
 
     Rows with a NaN are dropped and counted. Raises `ModelError` (shapes, too few rows),
-    `UnknownNameError`, `FitError`, and `MissingExtraError` without the extra `gp`.
+    `UnknownNameError`, `FitError`; svgp and polish `MissingExtraError` without the extra `gp`.
     """
     settings = GPOptions.of(options, choices)
     rows, names, dropped = complete_rows(Z, Y, groups, inputs, outputs)

@@ -18,7 +18,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from greybox.data import Dataset, dataset_from_arrays
-from greybox.errors import MissingExtraError
 from greybox.estimation.fit import fit
 from greybox.excitation.injection import rich_excitation
 from greybox.excitation.waypoints import RandomWaypoints
@@ -83,8 +82,8 @@ def identify(out: Path, say: Callable[[str], None] = print) -> dict[str, Path]:
     """Files of the demo's models, nominal, pem and hybrid, from one flight; those of an earlier run
     are taken as they are.
 
-    Without PyTorch, which trains the Gaussian process, there is no hybrid. Also writes the vehicle
-    file and the flight, so that `greybox fit` and `learn` can be run on them by hand.
+    Also writes the vehicle file and the flight, so that `greybox fit` and `learn` can be run on
+    them by hand.
     """
     files = {n: out / f"{n}.json" for n in ("nominal", "pem", "hybrid")}
     settings = {
@@ -123,17 +122,13 @@ def identify(out: Path, say: Callable[[str], None] = print) -> dict[str, Path]:
         fixed=HELD,
     )
     save_model(fitted.model, files["pem"])
-    try:
-        save_model(_learned(fitted.model, data, say), files["hybrid"])
-    except MissingExtraError as error:
-        say(f"the tube flies on the fitted physics: {error}")
-        return {n: files[n] for n in ("nominal", "pem")}
+    save_model(_learned(fitted.model, data, say), files["hybrid"])
     write_json(done, settings)
     return files
 
 
 def _learned(model: IdentifiedModel, data: Dataset, say: Callable[[str], None]) -> IdentifiedModel:
-    """The fitted physics with a Gaussian process on what is left. Raises `MissingExtraError`."""
+    """The fitted physics with a Gaussian process on what is left."""
     say("learning what is left")
     left = TimeLeft()
 

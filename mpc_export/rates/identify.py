@@ -17,7 +17,6 @@ from greybox.linear.records import Record
 from greybox.model.vehicle import Vehicle, read_vehicle
 from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
-from greybox.residual.train import check_extra
 from greybox.symbolic import FloatArray
 from mpc_export.mission.campaign import make_folder
 from mpc_export.rates.craft import (
@@ -40,7 +39,7 @@ ERRORS = {"inertia": 1.1, "thrust.c2": 0.92, "torque.c2": 1.1}
 
 def identify(out: Path, say: Callable[[str], None]) -> OutputHybrid:
     """The hybrid in `out`/hybrid.json, from an earlier run where it was made the same way; training
-    flights and vehicle file stand beside it. Raises `MissingExtraError` without PyTorch."""
+    flights and vehicle file stand beside it."""
     settings = {
         "schema": "greybox.study/1",
         "seconds": SECONDS,
@@ -54,7 +53,6 @@ def identify(out: Path, say: Callable[[str], None]) -> OutputHybrid:
     done, file = out / "identified.json", out / "hybrid.json"
     if all(f.exists() for f in (done, file, out / "vehicle.toml")) and read_json(done) == settings:
         return OutputHybrid.load(file)
-    check_extra()
     make_folder(out)
     write_vehicle(out / "vehicle.toml", vehicle(), errors=ERRORS)
     say(f"flying {FLIGHTS} training flights of {SECONDS:g} s")

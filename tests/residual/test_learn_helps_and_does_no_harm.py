@@ -22,7 +22,6 @@ from greybox.residual.learn import Learned, learn
 from greybox.validation.calibration import calibrate_horizons
 from tests.residual.hybrid_cases import pendulum_model, swings
 
-pytest.importorskip("gpytorch")
 HIDDEN = 0.35
 HORIZONS = (5, 20, 50)
 

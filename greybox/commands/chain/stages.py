@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from greybox.commands.chain.choice import best, best_physics, verdict_of
 from greybox.commands.chain.request import Skip, SoFar, Stage, Work
-from greybox.distribution import install_line
 from greybox.files import read_json
-
-TO_LEARN = ("torch", "gpytorch")
-"""Packages of the extra `gp`."""
 
 
 def _inspect(so_far: SoFar) -> Work | Skip:
@@ -94,9 +89,6 @@ def _refit(so_far: SoFar) -> Work | Skip:
 
 
 def _learn(so_far: SoFar) -> Work | Skip:
-    missing = [n for n in TO_LEARN if importlib.util.find_spec(n) is None]
-    if missing:
-        return Skip(reason=f"{', '.join(missing)} not installed ({install_line('gp')})")
     if (closed := _closed(so_far)) is not None:
         return closed
     request, folder, chosen = so_far.request, so_far.folders["learn"], best_physics(so_far)

@@ -63,16 +63,12 @@ def learner_of(name: str) -> Learner | None:
 
 
 def learner_for(learner: str | Learner, points: int | str, kernel: str) -> Learner | None:
-    """The learner by name or as it is; None for the Gaussian process, which needs the extra `gp`.
+    """The learner by name or as it is; None for the Gaussian process.
 
-    Raises as `learner_of`, `ModelError` for choices that only a Gaussian process has,
-    `MissingExtraError`.
+    Raises as `learner_of`, `ModelError` for choices that only a Gaussian process has.
     """
     other = learner_of(learner) if isinstance(learner, str) else learner
     if other is None:
-        from greybox.residual.train import check_extra
-
-        check_extra()
         return None
     if points == "auto":
         raise ModelError(
