@@ -26,12 +26,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from greybox.symbolic import Expr
-
 if TYPE_CHECKING:
     from acados_template import AcadosModel, AcadosOcpSolver
 
-    from mpc_export.exported import Exported
+    from mpc_export.exported import Exported, Expr
 
 MAX_ITERATIONS = 2
 """acados' status for iterations that were used up."""
