@@ -19,7 +19,6 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-import scipy.stats
 
 from greybox.automatic.facts import Facts
 from greybox.automatic.filters import (
@@ -57,6 +56,7 @@ from greybox.model.model import PhysicsModel, build_model, input_of
 from greybox.model.noise import Coloured, LowPass, part_named
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
+from greybox.statistics.distributions import chi_square_tail
 from greybox.statistics.evidence import CLEAR as CLEAR_EVIDENCE
 from greybox.statistics.evidence import FELT
 
@@ -729,6 +729,4 @@ def _differ(values: np.ndarray, errors: np.ndarray) -> tuple[float, float]:
     weights = errors**-2
     middle = float((weights * values).sum() / weights.sum())
     chi2 = float((weights * (values - middle) ** 2).sum())
-    return float(scipy.stats.chi2.sf(chi2, len(values) - 1)), float(
-        values.std(ddof=1) / abs(middle)
-    )
+    return float(chi_square_tail(chi2, len(values) - 1)), float(values.std(ddof=1) / abs(middle))

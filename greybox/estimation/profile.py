@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.interpolate
-import scipy.stats
 
 from greybox.errors import UnknownNameError
 from greybox.estimation.problem import Problem, Unknown, Value
 from greybox.estimation.solver import Solver
 from greybox.plots import Curve, panels
 from greybox.shown import Cell, Shown
+from greybox.statistics.distributions import chi_square_quantile
 from greybox.symbolic import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def profile(
     u = problem.unknowns[place]
     logarithmic = u.kind == "noise"
     best = problem.evaluate(theta)
-    threshold = 0.5 * float(scipy.stats.chi2.ppf(level, 1))
+    threshold = 0.5 * float(chi_square_quantile(level, 1))
     centre = float(theta[place])
     walk = _Walk(problem, solver, place, {centre: (best.cost, True)})
     if grid is not None:

@@ -18,7 +18,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
-from scipy.stats import chi2
 
 from greybox.errors import DataError, GreyboxError
 from greybox.linear.fit import LinearFit
@@ -27,6 +26,7 @@ from greybox.linear.pem import Nuisance, Settings, Solution, minimise
 from greybox.linear.predictor import from_full_vector, full_vector
 from greybox.linear.records import Record, prepare
 from greybox.model.matrices import Matrices
+from greybox.statistics.distributions import chi_square_quantile
 from greybox.symbolic import FloatArray
 
 Quantity = Literal["real", "imag", "magnitude", "angle"]
@@ -165,7 +165,7 @@ class PoleProfile:
         pole.
         """
         pole, std = self._pole(index, quantity)
-        quantile = float(np.sqrt(chi2.ppf(level, 1)))
+        quantile = float(np.sqrt(chi_square_quantile(level, 1)))
         at = measured(pole, quantity)
         lower, upper = (
             at + side * self._distance(pole, quantity, side, std, quantile) for side in (-1.0, 1.0)

@@ -16,6 +16,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from greybox.model.matrices import Matrices
+from greybox.statistics.distributions import chi_square_quantile
 from greybox.symbolic import BoolArray, FloatArray
 
 STRONG = 25.0
@@ -314,6 +315,5 @@ def _two_by_two(spread: np.ndarray) -> FloatArray:
 
 
 def _chi2(level: float, freedom: int) -> float:
-    from scipy.stats import chi2
 
-    return float(chi2.ppf(level, freedom))
+    return float(chi_square_quantile(level, freedom))

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import scipy.stats
 
 from greybox.report import figures
 from greybox.report.html import Cell, Report, Tag
+from greybox.statistics.distributions import chi_square_quantile
 
 
 def profile_report(content: Mapping[str, Any]) -> str:
@@ -56,7 +56,7 @@ def profile_report(content: Mapping[str, Any]) -> str:
         "from the symmetric one, "
         "it is the one to believe.",
     )
-    limit = float(scipy.stats.chi2.ppf(level, 1))
+    limit = float(chi_square_quantile(level, 1))
     panels = []
     for p in content["profiles"]:
         cost = np.asarray(p["cost"], dtype=np.float64)

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.stats
 
+from greybox.statistics.distributions import fisher_tail
 from greybox.symbolic import FloatArray
 
 LAGS = 20
@@ -55,7 +55,7 @@ def follows(stretches: Sequence[FloatArray], signal: int, others: Sequence[int])
         return None
     extra, dof = wide - 1 - LAGS, n - wide
     f = (alone - full) / extra / (full / dof)
-    return bool(scipy.stats.f.sf(f, extra, dof) < 1e-4 and (alone - full) / alone > LEAST_SHARE)
+    return bool(fisher_tail(f, extra, dof) < 1e-4 and (alone - full) / alone > LEAST_SHARE)
 
 
 def _past(s: FloatArray) -> FloatArray:

@@ -17,9 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.signal
-import scipy.stats
 
+from greybox.statistics.distributions import fisher_quantile, student_quantile
 from greybox.symbolic import FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -164,13 +163,13 @@ def response(
 def band(r: Response, level: float = 0.95) -> FloatArray:
     """Half width (K, p, q) of the interval of the magnitude at `level`, from Student's t; that of
     the phase is arcsin(half width / magnitude)."""
-    t = scipy.stats.t.ppf(0.5 + level / 2, 2 * r.dof)
+    t = student_quantile(0.5 + level / 2, 2 * r.dof)
     return np.asarray(t[:, None, None] * r.error)
 
 
 def circle(r: Response, level: float = 0.95) -> FloatArray:
     """Radius (K, p, q) of the circle that holds the complex response at `level`, from F."""
-    radius = np.sqrt(2 * scipy.stats.f.ppf(level, 2, 2 * r.dof))
+    radius = np.sqrt(2 * fisher_quantile(level, 2, 2 * r.dof))
     return np.asarray(radius[:, None, None] * r.error)
 
 
@@ -189,12 +188,12 @@ def _welch(
     stretches: Sequence[FloatArray], dt: float, frequency: FloatArray, n: int
 ) -> tuple[ComplexArray, float]:
     """Spectra (K, c, c) with windows of `n` samples, and how many independent averages."""
-    taper = scipy.signal.windows.hann(n, sym=False)
+    taper = np.hanning(n + 1)[:n]
     turn = np.exp(-2j * np.pi * np.outer(frequency, np.arange(n) * dt)) * taper
     total, pieces = np.zeros((), dtype=np.complex128), 0
     for s in stretches:
         for start in range(0, len(s) - n + 1, n // 2):
-            x = turn @ scipy.signal.detrend(s[start : start + n], axis=0)
+            x = turn @ _detrended(s[start : start + n])
             total = total + x[:, :, None] * x[:, None, :].conj()
             pieces += 1
     scale = 2 * dt / (np.sum(taper**2) * max(pieces, 1))
@@ -210,3 +209,10 @@ def _inverse(m: ComplexArray) -> ComplexArray:
     d = np.sqrt(np.maximum(np.einsum("kii->ki", m).real, 1e-300))
     unit = m / (d[:, :, None] * d[:, None, :]) + 1e-10 * np.eye(m.shape[1])
     return np.asarray(np.linalg.inv(unit) / (d[:, :, None] * d[:, None, :]))
+
+
+def _detrended(x: FloatArray) -> FloatArray:
+    """Columns (n, k) less the straight line that is nearest to each."""
+    t = np.linspace(-1.0, 1.0, len(x))
+    line = np.stack([np.ones_like(t), t], axis=1)
+    return np.asarray(x - line @ np.linalg.lstsq(line, x, rcond=None)[0])

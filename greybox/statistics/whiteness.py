@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
 
 from greybox.errors import DataError
 from greybox.statistics.correlation import centred, lagged
+from greybox.statistics.distributions import chi_square_tail, kolmogorov_quantile
 from greybox.symbolic import FloatArray
 
 
@@ -101,9 +101,7 @@ def cumulated_periodogram(
         ordinates += len(power)
     if not pieces > 0:
         return share, float("inf")
-    return share / pieces, float(scipy.stats.kstwobign.ppf(level)) / float(
-        np.sqrt(max(ordinates, 1))
-    )
+    return share / pieces, float(kolmogorov_quantile(level)) / float(np.sqrt(max(ordinates, 1)))
 
 
 def ljung_box(seen: Autocorrelation, *, fitted: int = 0) -> Portmanteau:
@@ -174,4 +172,4 @@ def _degrees(total: int, fitted: int) -> int:
 
 
 def _test(q: float, dof: int, n: int) -> Portmanteau:
-    return Portmanteau(q=q, dof=dof, p_value=float(scipy.stats.chi2.sf(q, dof)), n=n)
+    return Portmanteau(q=q, dof=dof, p_value=float(chi_square_tail(q, dof)), n=n)

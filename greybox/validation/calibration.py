@@ -26,7 +26,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 import scipy.optimize
-import scipy.stats
 
 from greybox.data import Dataset
 from greybox.errors import DataError, FitError
@@ -35,6 +34,7 @@ from greybox.estimation.propagation import Propagator, run_together
 from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import learned_push_of
+from greybox.statistics.distributions import chi_square_quantile
 from greybox.symbolic import FloatArray
 from greybox.validation.new_flight import GRID, new_flight_factor
 from greybox.validation.predictive import gaussian_nlpd
@@ -250,7 +250,7 @@ def _density(errors: _Errors, squares: FloatArray) -> float:
 def _inside(errors: _Errors, squares: FloatArray) -> FloatArray:
     """Share (n,) of the errors inside the region of probability `LEVEL` for each row of squared
     factors (n, G)."""
-    edge = scipy.stats.chi2.ppf(LEVEL, errors.e.shape[1])
+    edge = chi_square_quantile(LEVEL, errors.e.shape[1])
     shares = []
     for row in squares:
         covariance = errors.base + np.einsum("g,gnij->nij", row, errors.parts)

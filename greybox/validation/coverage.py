@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.stats
 
 from greybox.errors import DataError
 from greybox.files import Json
+from greybox.statistics.distributions import beta_quantile, chi_square_quantile
 from greybox.symbolic import FloatArray
 from greybox.validation.bootstrap import Interval, block_bootstrap
 from greybox.validation.samples import columns
@@ -82,8 +82,8 @@ def binomial_interval(inside: int, n: int, level: float = 0.95) -> Interval:
     if not 0 <= inside <= n or n < 1:
         raise DataError(f"no fraction: {inside} of {n}")
     tail = (1.0 - level) / 2.0
-    low = 0.0 if inside == 0 else float(scipy.stats.beta.ppf(tail, inside, n - inside + 1))
-    high = 1.0 if inside == n else float(scipy.stats.beta.ppf(1.0 - tail, inside + 1, n - inside))
+    low = 0.0 if inside == 0 else float(beta_quantile(tail, inside, n - inside + 1))
+    high = 1.0 if inside == n else float(beta_quantile(1.0 - tail, inside + 1, n - inside))
     return Interval(low=low, high=high, level=level, method="binomial (Clopper-Pearson)")
 
 
@@ -104,7 +104,7 @@ def coverage_of_distances(
     """
     if not 0.0 < nominal < 1.0:
         raise DataError(f"coverage level {nominal:g}", expected="between 0 and 1")
-    limit = float(scipy.stats.chi2.ppf(nominal, dimension))
+    limit = float(chi_square_quantile(nominal, dimension))
     parts = [np.asarray(d, dtype=np.float64).ravel() for d in distances]
     seen = [p[~np.isnan(p)] for p in parts]
     n = sum(len(p) for p in seen)

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
-import scipy.stats
 
 from greybox.errors import DataError
 from greybox.files import Json
 from greybox.statistics.correlation import centred, check_lags, lagged
+from greybox.statistics.distributions import chi_square_tail, normal_quantile
 from greybox.symbolic import FloatArray
 from greybox.validation.samples import names_for, stretches
 
@@ -210,7 +210,7 @@ def _pair(
     autocorrelations of both and the number of samples."""
     positive = r[len(r) // 2 + 1 :]
     q, dof, row = _joint(positive, r_e, r_u, float(count))
-    band = float(scipy.stats.norm.ppf(0.5 + level / 2.0)) * float(np.sqrt(row[0] / float(count)))
+    band = float(normal_quantile(0.5 + level / 2.0)) * float(np.sqrt(row[0] / float(count)))
     return CrossPair(
         innovation=names[0],
         input=names[1],
@@ -220,7 +220,7 @@ def _pair(
         outside=float(np.mean(np.abs(positive) > band)),
         q=q,
         dof=dof,
-        p_value=float(scipy.stats.chi2.sf(q, dof)),
+        p_value=float(chi_square_tail(q, dof)),
     )
 
 

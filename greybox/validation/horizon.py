@@ -16,9 +16,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-import scipy.stats
 
 from greybox.errors import DataError, UnknownNameError
+from greybox.statistics.distributions import chi_square_quantile
 from greybox.symbolic import BoolArray, FloatArray, IntArray
 from greybox.validation.coverage import mahalanobis_squared
 from greybox.validation.groups import GROUPS, Group, Groups, error_vectors
@@ -236,7 +236,7 @@ class HorizonAccumulator:
             own.judged += stated.sum(axis=0)
             own.density += density.sum(axis=0)
             for level in LEVELS:
-                limit = scipy.stats.chi2.ppf(level, kind.error_dimension)
+                limit = chi_square_quantile(level, kind.error_dimension)
                 own.covered[level] += (stated & (distance <= limit)).sum(axis=0)
 
     def table(self) -> HorizonTable:

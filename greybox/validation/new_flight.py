@@ -13,8 +13,8 @@ Gaussian: scale and coverage are read off the share that each flight's own error
 from __future__ import annotations
 
 import numpy as np
-import scipy.stats
 
+from greybox.statistics.distributions import student_quantile
 from greybox.symbolic import FloatArray
 
 GRID = np.log(4.0) * np.linspace(-1.0, 1.0, 57)
@@ -40,7 +40,7 @@ def new_flight_factor(inside: FloatArray, level: float = 0.95) -> float:
     around = np.mean(
         [np.interp(GRID + at, GRID, row) for at, row in zip(own, inside, strict=True)], axis=0
     )
-    nodes = scipy.stats.t.ppf((np.arange(NODES) + 0.5) / NODES, n - 1)
+    nodes = student_quantile((np.arange(NODES) + 0.5) / NODES, n - 1)
     scale = own.mean() + own.std(ddof=1) * np.sqrt(1.0 + 1.0 / n) * nodes
     expected = np.array([np.interp(at - scale, GRID, around).mean() for at in GRID])
     enough = np.flatnonzero(expected >= level)

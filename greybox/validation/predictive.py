@@ -15,9 +15,9 @@ from typing import TypedDict
 import numpy as np
 import numpy.typing as npt
 import scipy.special
-import scipy.stats
 
 from greybox.errors import DataError
+from greybox.statistics.distributions import normal_quantile
 from greybox.symbolic import FloatArray
 
 LEVELS = (0.50, 0.68, 0.95)
@@ -60,7 +60,7 @@ def crps(y: npt.ArrayLike, mean: npt.ArrayLike, variance: npt.ArrayLike) -> floa
 def coverage(y: npt.ArrayLike, mean: npt.ArrayLike, variance: npt.ArrayLike, level: float) -> float:
     """Share of the samples inside the central interval of probability `level`."""
     _, _, z = _seen(y, mean, variance)
-    return float(np.mean(np.abs(z) <= scipy.stats.norm.ppf(0.5 + level / 2)))
+    return float(np.mean(np.abs(z) <= normal_quantile(0.5 + level / 2)))
 
 
 def sharpness(y: npt.ArrayLike, mean: npt.ArrayLike, variance: npt.ArrayLike) -> float:

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.stats
 
 from greybox.errors import DataError
 from greybox.estimation.predictor import Block
 from greybox.files import Json
 from greybox.statistics.correlation import check_lags, predictable_share
+from greybox.statistics.distributions import normal_quantile
 from greybox.statistics.whiteness import (
     Portmanteau,
     autocorrelation,
@@ -147,7 +147,7 @@ def whiteness(
             "whiteness: fitted >= 0 and 0 < level < 1 are needed",
             got=f"fitted={fitted}, level={level:g}",
         )
-    z = float(scipy.stats.norm.ppf(0.5 + level / 2.0))
+    z = float(normal_quantile(0.5 + level / 2.0))
     channels = []
     for j, name in enumerate(labels):
         column = [r[:, j : j + 1] for r in records]
