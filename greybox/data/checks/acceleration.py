@@ -4,13 +4,14 @@ specific force, turned into the world by the attitude, less gravity.
 It sees a world frame that is turned, mirrored or upside down against the attitude, and an
 accelerometer in world or other body axes. Without an accelerometer the thrust that the commands
 give stands for it, up to its size; without a velocity the position does. A point of the craft that
-is off its centre of mass moves with every turn, too, which is no other frame: what such a lever arm
-adds is set aside first.
+is off its centre of mass moves with every turn, too, which is no other frame: another reading must
+also be better where what such a lever arm adds is set aside.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -60,11 +61,7 @@ def streams(view: View) -> Streams | str:
     half = max(1, round(HALF_WINDOW / dt))
     moving = view.has("velocity")
     velocity = view.group("velocity") if moving else derivative(view.group("position"), dt, half)
-    told = centred(increments(turned("rotate", quaternions, force), dt, n))
-    arms = [derivative(a, dt, 1 if moving else half) for a in _body_axes(quaternions)]
-    change = _without_lever_arm(
-        centred(velocity[n:] - velocity[:-n]), told, [a[n:] - a[:-n] for a in arms], half
-    )
+    change = centred(velocity[n:] - velocity[:-n])
 
     def reading(text: str, fix: str, world: FloatArray) -> Reading:
         same = world if moving else smoothed(world, half)
@@ -83,8 +80,16 @@ def streams(view: View) -> Streams | str:
                 x=given.x,
             )
         )
+
+    def apart() -> tuple[Reading, ...]:
+        arms = [derivative(a, dt, 1 if moving else half) for a in _body_axes(quaternions)]
+        added = [a[n:] - a[:-n] for a in arms]
+        y = _without_lever_arm(change, readings[0].x, added, half)
+        return tuple(replace(r, y=y) if r.y is change else r for r in readings)
+
     return Streams(
         readings=tuple(readings),
+        apart=apart,
         axes=("the world's x", "y", "z"),
         span=n,
         power=-1.0 if moving else -2.0,

@@ -42,7 +42,8 @@ LATE = 0.05
 class Streams:
     """Two streams of a flight in all readings, the one given first. `axes` names those of x, `span`
     [samples] of the increments. A clock that runs c times as fast makes y c ** `power` times as
-    large against x; `scaled` is False where sizes mean nothing."""
+    large against x; `scaled` is False where sizes mean nothing. `apart` gives the readings with
+    what a craft may have besides set aside: another reading must be better there, too."""
 
     readings: tuple[Reading, ...]
     axes: tuple[str, str, str]
@@ -50,6 +51,7 @@ class Streams:
     power: float = -1.0
     scaled: bool = True
     where: str = ""
+    apart: Callable[[], tuple[Reading, ...]] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,13 +76,15 @@ class Relation:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Related:
     """One relation in one flight (or in several): sums of every reading and of the given one
-    without a delay, and the size of the motion."""
+    without a delay, and the size of the motion. `apart` tries the readings of `Streams.apart`; none
+    where there are none."""
 
     streams: Streams
     tried: tuple[Tried, ...]
     prompt: Moments | None
     size: float
     sample: float
+    apart: Callable[[], tuple[Tried, ...]] | None = None
 
     @property
     def given(self) -> Moments:
@@ -100,20 +104,34 @@ def related(relation: Relation, view: View) -> Related | str:
     size = max(_moved(first.y), _moved(first.x))
     if size < relation.least:
         return f"the craft hardly moves ({size:.2g} per {streams.span * view.dt:.2g} s)"
+    tried = _tried(streams.readings, view.dt, streams.span)
+    if not tried:
+        return "too short"
+    other = streams.apart
+    return Related(
+        streams=streams,
+        tried=tried,
+        prompt=moments(first, view.dt, streams.span, 0.0),
+        size=size,
+        sample=view.dt,
+        apart=None if other is None else lambda: _tried(other(), view.dt, streams.span),
+    )
+
+
+def _tried(readings: Sequence[Reading], dt: float, span: int) -> tuple[Tried, ...]:
+    """Readings with their sums; none where that of the first has too few rows."""
     tried: list[Tried] = []
-    for reading in streams.readings:
+    for reading in readings:
         if tried and _share(tried[0].sums) > WHOLE:
             break
-        found = moments(reading, view.dt, streams.span, REACH)
+        found = moments(reading, dt, span, REACH)
         if found is not None:
-            between = (
-                mixed(first, reading, view.dt, streams.span, tried[0].sums.lag) if tried else None
-            )
+            lag = tried[0].sums.lag if tried else 0.0
+            between = mixed(readings[0], reading, dt, span, lag) if tried else None
             tried.append(Tried(text=reading.text, fix=reading.fix, sums=found, mixed=between))
         elif not tried:
-            return "too short"
-    prompt = moments(first, view.dt, streams.span, 0.0)
-    return Related(streams=streams, tried=tuple(tried), prompt=prompt, size=size, sample=view.dt)
+            break
+    return tuple(tried)
 
 
 def _moved(stream: FloatArray) -> float:
@@ -124,25 +142,35 @@ def _moved(stream: FloatArray) -> float:
 
 def together(parts: Sequence[Related]) -> Related:
     """Several flights as one, with the readings that all have."""
-    texts = [
-        t.text for t in parts[0].tried if all(t.text in [s.text for s in p.tried] for p in parts)
-    ]
-    tried = []
-    for text in texts:
-        found = [next(s for s in p.tried if s.text == text) for p in parts]
-        between = [f.mixed for f in found if f.mixed is not None]
-        tried.append(
-            Tried(
-                text=text,
-                fix=found[0].fix,
-                sums=joined([f.sums for f in found]),
-                mixed=mixture.joined(between) if between else None,
-            )
-        )
+    sets = [p.apart for p in parts if p.apart is not None]
     size = float(np.sqrt(np.mean([p.size**2 for p in parts])))
     return Related(
-        streams=parts[0].streams, tried=tuple(tried), prompt=None, size=size, sample=parts[0].sample
+        streams=parts[0].streams,
+        tried=_common([p.tried for p in parts]),
+        prompt=None,
+        size=size,
+        sample=parts[0].sample,
+        apart=None if len(sets) < len(parts) else lambda: _common([s() for s in sets]),
     )
+
+
+def _common(parts: Sequence[tuple[Tried, ...]]) -> tuple[Tried, ...]:
+    """The readings that all flights have, with the sums of all."""
+    tried = []
+    for first in parts[0] if parts else ():
+        found = [next((s for s in p if s.text == first.text), None) for p in parts]
+        every = [f for f in found if f is not None]
+        if len(every) == len(parts):
+            between = [f.mixed for f in every if f.mixed is not None]
+            tried.append(
+                Tried(
+                    text=first.text,
+                    fix=first.fix,
+                    sums=joined([f.sums for f in every]),
+                    mixed=mixture.joined(between) if between else None,
+                )
+            )
+    return tuple(tried)
 
 
 def judge(relation: Relation, views: Sequence[View]) -> tuple[list[Outcome], dict[str, Related]]:
@@ -179,7 +207,12 @@ def _share(sums: Moments) -> float:
 
 
 def _better(relation: Relation, found: Related) -> Better | None:
-    return better_reading(found.tried, found.streams.axes, relation.fix)
+    """A better reading that does not only stand for what a craft may have besides."""
+    better = better_reading(found.tried, found.streams.axes, relation.fix)
+    if better is None or found.apart is None:
+        return better
+    apart = found.apart()
+    return better_reading(apart, found.streams.axes, relation.fix) if apart else better
 
 
 def _misread(
