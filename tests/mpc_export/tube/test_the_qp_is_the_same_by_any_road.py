@@ -100,3 +100,14 @@ def test_with_one_attempt_the_next_call_begins_at_flown_commands():
     assert one.solve().status == two.solve().status == 0
     assert float(one.data["failed"]) == 0.0
     assert np.abs(one.data["u"] - two.data["u"]).max() < 1e-9
+
+
+def test_a_function_of_the_model_that_fails_is_not_a_qp_that_does():
+    """A NaN among the model's numbers was called an unsolved QP."""
+    own = solver("condensed")
+    own.reset()
+    own.data["p"][:] = np.nan
+    own.data["ref"][2, 0] = np.nan
+    outcome = own.solve()
+    assert outcome.status == 1
+    assert outcome.qp_status == -1  # none was tried
