@@ -66,13 +66,14 @@ class Circle:
 def flights(
     pilot: TubeController, folder: Path, many: int, seconds: float, linear: bool = False
 ) -> dict[str, Any]:
-    """Float and double on the same measurements."""
+    """Float and double on the same measurements; of the linear tube also each flying the model
+    itself: where nothing flies back, its integral action lets rounding grow."""
     made = {}
     for real in ("double", "float"):
         (folder / real).mkdir()
         made[real] = TubeInC(pilot, folder / real, real=real, linear=linear)
     steps = round(seconds / pilot.model.sample_time)
-    worst, beyond, failed, plans = [], 0, 0, 0
+    worst, apart, beyond, failed, plans = [], [], 0, 0, 0
     for seed in range(many):
         path = Circle(seed)
         pilot.reference, pilot.planes = path, path.planes
@@ -88,12 +89,24 @@ def flights(
                     for k, row in enumerate(y)
                 ]
             )
+        if linear:
+            own = [flight(pilot, steps, seed, m)["commands"] for m in made.values()]
+            apart.append(np.abs(own[1] - own[0]).max(axis=1))
         off = np.abs(commands["float"] - commands["double"]).max(axis=1)
         worst.append(float(off.max()))
         beyond += int((off > 1e-3).sum())
         failed += sum(s & 256 > 0 for s in made["float"].said)
         plans += steps // pilot.every
+    closed = (
+        {
+            "largest difference in closed loops": float(np.max(apart)),
+            "samples beyond 1e-3 in closed loops": int((np.array(apart) > 1e-3).sum()),
+        }
+        if apart
+        else {}
+    )
     return {
+        **closed,
         "flights": many,
         "seconds each": seconds,
         "largest difference": max(worst),

@@ -222,6 +222,21 @@ static int tube(tube_solver *s, tube_data *d) {
   return 0;
 }
 
+static int finite(const tube_real *v, int n) {
+  tube_real sum = 0;
+  UNROLLED
+  for (int i = 0; i < n; i++) sum += 0 * v[i];
+  return sum == 0;
+}
+
+/* Whether what the model's functions said of the plan is finite: else they failed, and not the QP that is made of it. */
+static int sound(const tube_solver *s, const tube_data *d) {
+  const tube_qp *q = &s->qp;
+  return finite(q->A[0], N * TUBE_PLAN_NONZEROS) && finite(q->B[0], N * NK * NU) && finite(q->b[0], N * NK) &&
+         finite(q->g[0], N * NV) && finite(q->g_end, NK) && finite(s->value[0], (N + 1) * NL) &&
+         finite(q->G[0], (N + 1) * NL * NK) && finite(d->backoff[0], (N + 1) * NL) && finite(&d->cost, 1);
+}
+
 /* Cost and dynamics of stage k of the QP. */
 static int stage(tube_solver *s, tube_data *d, int k) {
   tube_real value;
@@ -331,6 +346,7 @@ static int iterated(tube_solver *s, tube_data *d) {
       if (limits(s, d, k) || stage(s, d, k)) return 1;
     t1 = now();
     if (it < (int)d->tube_updates_max && tube(s, d)) return 1;
+    if (!sound(s, d)) return 1;
     for (int k = 0; k <= N; k++) bounds(s, d, k);
     t2 = now();
     d->seconds_linear += (tube_real)(t1 - t0);
@@ -372,8 +388,8 @@ static int simulated(tube_solver *s, tube_data *d) {
 }
 
 /* Iterates from the plan in d; where that fails or its steps grow, also from its commands flown by the model, and takes
-   the better; with attempts_max = 1 the call after a failure begins there. Returns 0; 1 where a function of the model failed or the plan is not finite; 2 where the QP was
-   not solved; 3 where Newton's steps grow. After 1 to 3 the plan is the one from before the call, to the last bit. After 0
+   the better; with attempts_max = 1 the call after a failure begins there. Returns 0; 1 where a function of the model failed or
+   the plan is not finite; 2 where the QP was not solved; 3 where Newton's steps grow. After 1 to 3 the plan is the one from before the call, to the last bit. After 0
    its commands keep their limits and rates exactly; qp_status 1 or 2 then says that the QP was not solved to the end,
    though it met dynamics and limits to primal_tolerance. d->kkt <= d->tolerance says that the iterations converged. */
 TUBE_SOLVE int tube_solve(tube_solver *s, tube_data *d) {

@@ -80,9 +80,7 @@ def write_library(
     )
     words = _words(pilot, own, name, real)
     if linear:
-        words |= {"memory": linear_library.MEMORY}
-        words["qp_iterations"] = repr(linear_library.QP_ITERATIONS)
-        words["qp_tolerance"] = repr(QP_TOLERANCE["float"])
+        words |= linear_library.WORDS
     write_atomic(folder / f"{name}_tube.h", filled_with("tube/tube.h", words))
     text = _linear(pilot, model, words) if linear else _nonlinear(pilot, model, words)
     text = single_precision(text) if real == "float" else text
@@ -129,11 +127,87 @@ def matrix(values: Any) -> str:
 
 
 def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[str, str]:
+    """What stands in the templates for their @words@."""
+    coarse = COARSE if real == "float" else 1.0
+    words: dict[str, Any] = {"NAME": name, "UPPER": name.upper(), "real": real, "memory": MEMORY}
+    words |= _limits(pilot) | _sizes(pilot) | _states(pilot) | _sensors(pilot)
+    words |= _filter(pilot, own) | _rules(pilot)
+    words |= {
+        "tolerance": 1e-6 * coarse,
+        "near_steady": NEAR_STEADY * coarse,
+        "qp_tolerance": QP_TOLERANCE[real],
+        "primal_tolerance": PRIMAL,
+        "qp_iterations": QP_ITERATIONS,
+    }
+    return {k: v if isinstance(v, str) else repr(v) for k, v in words.items()}
+
+
+def _limits(pilot: TubeController) -> dict[str, Any]:
+    """Of commands and tilt, and by how much they are tightened."""
+    problem, kappa = pilot.problem, np.zeros(pilot.problem.planes + 1)
+    kappa[: len(pilot.kappa)] = pilot.kappa
+    return {
+        "kappa": braced(kappa),
+        "kappa_u": float(pilot.kappa_u),
+        "low": problem.command_min,
+        "high": problem.command_max,
+        "rate": problem.rate_max,
+        "tilt_max": problem.tilt_max,
+        "penalty": problem.penalty,
+        "penalty_square": problem.penalty_square,
+    }
+
+
+def _sizes(pilot: TubeController) -> dict[str, Any]:
+    """Names and numbers of columns and states, times."""
+    f, problem = pilot.filter, pilot.problem
+    return {
+        "outputs": " ".join(f.outputs.names),
+        "inputs": " ".join(f.inputs.names),
+        "states": " ".join(f.states.names),
+        "n_y": len(f.outputs),
+        "n_u": len(f.inputs),
+        "n_e": len(f.sampled.dynamics.innovation_columns),
+        "n_x": len(f.states),
+        "own": f.own_states,
+        "sensors": len(pilot.gate.sensors),
+        "lags": len(pilot.past) + 1,
+        "sample": pilot.model.sample_time,
+        "dt": problem.dt,
+        "every": pilot.every,
+        "horizon": problem.horizon,
+        "planes": problem.planes,
+        "attempts": problem.attempts,
+    }
+
+
+def _states(pilot: TubeController) -> dict[str, Any]:
+    """Where blocks begin, hover, and the history of commands."""
     f, plan, problem = pilot.filter, pilot.functions, pilot.problem
-    step = own.functions[0]
-    groups = f.sampled.dynamics.innovation_columns
     x, u = pilot.solver.stages.steady
-    sensors = pilot.gate.sensors
+    # the command in force at the start, whatever the pilot has flown since
+    held = np.clip(u, problem.command_min, problem.command_max)
+    extended = f.sampled.extended(x[: f.own_states], pilot._column(held))[0]
+    past = [n.split(".") for n in plan.states.names[plan.own_states :]]
+    places = {f"at_{v}": block(plan, v)[0] for v in ("position", "velocity", "attitude", "rate")}
+    errors = {f"d_{v}": block(plan, v, error=True)[0] for v in ("position", "velocity")}
+    return {
+        **places,
+        **errors,
+        "hover_x": braced(x),
+        "hover_u": braced(u),
+        "lag_of": braced([*(int(n[2]) - 1 for n in past), 0]),
+        "command_of": braced([*(f.inputs[n[1]] for n in past), 0]),
+        "filter_past": braced([*extended[f.own_states :], 0.0]),
+        "parameters": braced([*plan.parameter_values] or [0.0]),
+        "most": braced([*pilot.most, 0.0]),
+    }
+
+
+def _sensors(pilot: TubeController) -> dict[str, Any]:
+    """Which columns make an innovation, which innovations a sensor, and where an estimate begins."""
+    f = pilot.filter
+    groups, sensors = f.sampled.dynamics.innovation_columns, pilot.gate.sensors
     sensor_of = np.zeros(len(groups), dtype=int)
     for k, (_, rows) in enumerate(sensors):
         sensor_of[rows] = k
@@ -145,42 +219,7 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         for i, c in enumerate(columns)
         if set(columns) <= set(f.outputs.names)
     ]
-    past = [n.split(".") for n in plan.states.names[plan.own_states :]]
-    # the command in force at the start, whatever the pilot has flown since
-    held = np.clip(u, problem.command_min, problem.command_max)
-    extended = f.sampled.extended(x[: f.own_states], pilot._column(held))[0]
-    single = real == "float"
-    kappa = np.zeros(problem.planes + 1)
-    kappa[: len(pilot.kappa)] = pilot.kappa
-    words: dict[str, Any] = {
-        "NAME": name,
-        "UPPER": name.upper(),
-        "real": real,
-        "outputs": " ".join(f.outputs.names),
-        "inputs": " ".join(f.inputs.names),
-        "states": " ".join(f.states.names),
-        "kappa": braced(kappa),
-        "kappa_u": float(pilot.kappa_u),
-        "low": problem.command_min,
-        "high": problem.command_max,
-        "rate": problem.rate_max,
-        "penalty": problem.penalty,
-        "penalty_square": problem.penalty_square,
-        "sample": pilot.model.sample_time,
-        "dt": problem.dt,
-        "every": pilot.every,
-        "horizon": problem.horizon,
-        "planes": problem.planes,
-        "n_y": len(f.outputs),
-        "n_u": len(f.inputs),
-        "n_e": len(groups),
-        "n_x": len(f.states),
-        "own": f.own_states,
-        "sensors": len(sensors),
-        "n_starts": len(start),
-        "lags": len(pilot.past) + 1,
-        "hover_x": braced(x),
-        "hover_u": braced(u),
+    return {
         "columns": matrix([[int(c in names) for c in f.outputs.names] for names in groups]),
         "sensor_of": braced(sensor_of),
         "of_pose": braced([int(k in poses) for k in range(len(sensors))]),
@@ -189,44 +228,38 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
         "attitude_columns": braced(
             [f.outputs.names.index(c) for c in attitude] if len(attitude) == 4 else [-1] * 4
         ),
+        "n_starts": len(start),
         "start_from": "{" + ", ".join(f"{{{a}, {b}}}" for a, b in [*start, (0, 0)]) + "}",
-        "lag_of": braced([*(int(n[2]) - 1 for n in past), 0]),
-        "command_of": braced([*(f.inputs[n[1]] for n in past), 0]),
-        "at_position": block(plan, "position")[0],
-        "at_velocity": block(plan, "velocity")[0],
-        "at_attitude": block(plan, "attitude")[0],
-        "at_rate": block(plan, "rate")[0],
-        "d_position": block(plan, "position", error=True)[0],
-        "d_velocity": block(plan, "velocity", error=True)[0],
+    }
+
+
+def _filter(pilot: TubeController, own: CSource) -> dict[str, Any]:
+    """Memory of the filter's function, and when its estimate counts."""
+    step = own.functions[0]
+    return {
         "filter_iw": max(1, step.sz_iw),
         "filter_w": max(1, step.sz_w),
         "filter_arg": max(5, step.sz_arg),
         "filter_res": max(3, step.sz_res),
-        "most": braced([*pilot.most, 0.0]),
-        "filter_past": braced([*extended[f.own_states :], 0.0]),
-        "tolerance": 1e-6 * (COARSE if single else 1.0),
-        "qp_tolerance": QP_TOLERANCE[real],
-        "primal_tolerance": PRIMAL,
-        "qp_iterations": QP_ITERATIONS,
-        "attempts": problem.attempts,
-        "parameters": braced([*pilot.functions.parameter_values] or [0.0]),
-        "near_steady": NEAR_STEADY * (COARSE if single else 1.0),
-        "near_position": NEAR["position"],
-        "near_velocity": NEAR["velocity"],
-        "rounding": ROUNDING,
-        "failures": FAILURES,
         "blind": pilot.blind,
-        "turning": braced(pilot._turning),
-        "turned": pilot._turned,
-        "near_heading": near_heading(problem),
         "clearly": CLEARLY,
         "believed": BELIEVED,
-        "held": HELD,
-        "most_turn": TURN,
-        "tilt_max": problem.tilt_max,
-        "memory": MEMORY,
     }
-    return {k: v if isinstance(v, str) else repr(v) for k, v in words.items()}
+
+
+def _rules(pilot: TubeController) -> dict[str, Any]:
+    """Of the fallback, the heading and what is said."""
+    return {
+        "near_position": NEAR["position"],
+        "near_velocity": NEAR["velocity"],
+        "near_heading": near_heading(pilot.problem),
+        "turning": braced(pilot._turning),
+        "turned": pilot._turned,
+        "most_turn": TURN,
+        "held": HELD,
+        "rounding": ROUNDING,
+        "failures": FAILURES,
+    }
 
 
 class Pilot(Protocol):

@@ -7,7 +7,7 @@
 static const int plan_by_row[NK + 1] = TUBE_PLAN_BY_ROW, plan_row_column[TUBE_PLAN_NONZEROS] = TUBE_PLAN_ROW_COLUMN;
 static const int plan_row_at[TUBE_PLAN_NONZEROS] = TUBE_PLAN_ROW_AT;
 
-/* out = (A) in for NU columns that stand row by row */
+/* out = A in: NU columns, that stand row by row */
 static void qp_forward(const tube_real *A, tube_real in[NK][NU], tube_real out[NK][NU]) {
   for (int i = 0; i < NK; i++) {
     tube_real sum[NU] = {0};
@@ -19,7 +19,7 @@ static void qp_forward(const tube_real *A, tube_real in[NK][NU], tube_real out[N
   }
 }
 
-/* out = A' in + Q x: columns as before; Q by its nonzeros, or all of it */
+/* out = A' in: columns as before */
 static void qp_back(const tube_real *A, tube_real in[NK][NU], tube_real out[NK][NU]) {
   for (int i = 0; i < NK; i++) {
     tube_real sum[NU] = {0};
@@ -31,7 +31,7 @@ static void qp_back(const tube_real *A, tube_real in[NK][NU], tube_real out[NK][
   }
 }
 
-/* on += the Hessian of stage k in d, times x */
+/* on += the Hessian of stage k in d, times x: by its nonzeros, at the end all of it */
 static void qp_curved(const tube_qp *q, int k, tube_real x[NK][NU], tube_real on[NK][NU]) {
   if (k == N) {
     for (int i = 0; i < NK; i++)
@@ -46,7 +46,7 @@ static void qp_curved(const tube_qp *q, int k, tube_real x[NK][NU], tube_real on
   }
 }
 
-/* What the command of stage j moves, its part of C and its columns of H. */
+/* What the command of stage j moves, its columns of C, and of H those on and below the diagonal, for d alone. */
 static void qp_column(qp_steps *s, const tube_qp *q, int j) {
   tube_real next[NK][NU];
   for (int i = 0; i < NK; i++)
@@ -55,9 +55,9 @@ static void qp_column(qp_steps *s, const tube_qp *q, int j) {
   for (int k = j + 1; k <= N; k++)
     for (int l = 0; l < NL; l++) {
       tube_real sum[NU] = {0};
+      /* zeros are not left out: with that branch GCC 12 forgets sums here (-O3 -march=znver3) */
       for (int i = 0; i < NK; i++) {
-        tube_real a = q->G[k][i * NL + l];
-        if (a == 0) continue;
+        const tube_real a = q->G[k][i * NL + l];
         for (int m = 0; m < NU; m++) sum[m] += a * s->moved[k][i][m];
       }
       for (int m = 0; m < NU; m++) s->C[(k - 1) * NL + l][j * NU + m] = sum[m];

@@ -8,9 +8,7 @@ typedef struct {
   tube_real C[ROWS][ALL], c[ROWS];                /* soft limits: C w + c */
   tube_real heavy[ROWS][ALL], L[ALL][ALL], inverse[ALL]; /* C with its weights; the factor, 1 / its diagonal */
   tube_real slope[ALL];
-#ifdef TUBE_PLAN_NONZEROS
   tube_real d[N + 1][NK], moved[N + 1][NK][NU], on[NK][NU]; /* for condensing */
-#endif
 } qp_steps;
 
 /* Values of the soft limits, stage by stage; moved: of a change */

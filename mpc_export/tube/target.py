@@ -20,6 +20,7 @@ from mpc_export.tube.controller import TubeController
 from mpc_export.tube.in_process import TubeInC
 from mpc_export.tube.library import Still, braced, filled_with, flight, matrix, write_library
 from mpc_export.tube.problem import TubeProblem
+from mpc_export.tube.trusted import TRUSTED
 
 AGREE: dict[Real, float] = {"double": 1e-5, "float": 1e-3}
 """Largest difference of commands from Python's in the self-test."""
@@ -27,9 +28,18 @@ SAMPLES = 60
 """Samples of the self-test."""
 SAID = {
     False: ("tube MPC", "Python's", "the one before with the ancillary gain"),
-    True: ("linear tube MPC", "those in double", "the gain about the path"),
+    True: (
+        "linear tube MPC",
+        "those in double",
+        "what was found, clipped to its limits, or the gain about the path",
+    ),
 }
 """Of the README: what it is, whose commands it is compared with, what flies without a plan."""
+FAR = (
+    f"\n`{{}}_TUBE_FAR_FROM_HOVER` says when tilt, speed and rate take the prediction more than {TRUSTED:g}\n"
+    "standard deviation of the tube away from the model's own: then limits are not kept as stated.\n"
+)
+"""Of the README of the linear tube."""
 STEP, KAPPA = 0.02, 2.81
 """Of the target: sample time of the plan, to whole samples of the model [s]; standard deviations of
 the tube (10 % a flight that touches 40 limits)."""
@@ -121,6 +131,7 @@ def write_tube(
     files, words = write_library(pilot, folder, name=name, real=real, linear=linear)
     words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE[real])}
     words |= dict(zip(("kind", "whose", "instead"), SAID[linear], strict=True))
+    words["range"] = FAR.format(name.upper()) if linear else ""
     selftest = folder / f"{name}_tube_selftest.c"
     write_atomic(selftest, _selftest(pilot, words, real, linear))
     write_atomic(folder / "README.md", filled_with("tube/README.md", words))

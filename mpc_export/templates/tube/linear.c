@@ -2,11 +2,15 @@
    not change was computed before: the QP's Hessian, what commands move, the tube. linear.py says how. */
 
 static const tube_real transition[ND * ND] = TUBE_TRANSITION, responses[N * (N + 1) / 2 * NK * NU] = TUBE_RESPONSES;
-static const tube_real hessian[N * NU][N * NU] = TUBE_HESSIAN, terminal[NK][N * NU] = TUBE_TERMINAL;
+static const tube_real terminal[NK][N * NU] = TUBE_TERMINAL;
+static const tube_real felt[N][6][N * NU] = TUBE_FELT; /* responses of place and attitude in the coordinates of the QP */
 static const tube_real steady[NK + NU][NFREE1] = TUBE_STEADY, gain[NU][ND] = TUBE_GAIN;
 static const tube_real tracking[NK] = TUBE_TRACKING, on_command = TUBE_ON_COMMAND, on_change = TUBE_ON_CHANGE;
 static const tube_real place_spread[N + 1][3][3] = TUBE_PLACE_SPREAD, tilt_spread[N + 1][2][2] = TUBE_TILT_SPREAD;
 static const tube_real command_spread[N][NU] = TUBE_COMMAND_SPREAD;
+static const tube_real level[2] = TUBE_LEVEL; /* hover's own tilt */
+/* tilt, speed and rate away from hover, each alone, at which the prediction misses by @trusted@ standard deviations of the tube */
+static const tube_real trusted[3] = TUBE_TRUSTED;
 static const int keep[NK] = TUBE_KEEP, pushed_at[NFREE1] = TUBE_PUSHED;
 enum { K_POSITION = TUBE_K_POSITION, K_VELOCITY = TUBE_K_VELOCITY, K_ATTITUDE = TUBE_K_ATTITUDE, K_RATE = TUBE_K_RATE };
 
@@ -23,9 +27,8 @@ int @NAME@_tube_start(const tube_real place[4]) {
   if (!all_finite(place, 4)) return 0;
   begin(place, x);
   @NAME@_tube_kappa((const tube_real[NL])@kappa@, @kappa_u@);
-  memcpy(c.solver.steps.H, hessian, sizeof hessian);
-  c.qp.penalty = penalty;
-  c.qp.penalty_square = penalty_square;
+  c.qp.penalty = fmax(penalty, 1e-6);
+  c.qp.penalty_square = fmax(penalty_square, 1e-3 * c.qp.penalty); /* a slack without a square has no end */
   for (int j = 0; j < NU; j++) c.qp.rate_max[j] = rate_max;
   return 1;
 }
@@ -82,8 +85,9 @@ static void asked(const @NAME@_tube_path *path, int k, tube_real R[3][3], const 
 /* The soft limits of stage k about the response w to no command, and what the tube takes off them. planes: of the stage. */
 static void limited(const tube_real *planes, int k, tube_real R[3][3], const tube_real *origin, tube_real d[NK]) {
   for (int l = 0; l < NL; l++) {
-    tube_real normal[3] = {0, 0, 0}, most = @tilt_max@, spread = 0, value = 0, *row = c.solver.steps.C[(k - 1) * NL + l];
+    tube_real normal[3] = {0, 0, 0}, most = @tilt_max@, spread = 0, value = 0, *row = c.solver.soft[(k - 1) * NL + l];
     int at = l < NPL ? K_POSITION : K_ATTITUDE;
+    const tube_real(*moved)[N * NU] = felt[k - 1] + (l < NPL ? 0 : 3);
     if (l < NPL) {
       most = 1;
       if (planes) {
@@ -98,16 +102,15 @@ static void limited(const tube_real *planes, int k, tube_real R[3][3], const tub
       tube_real size = fmax(norm(c.tilt[k], 2), 0.3 * most);
       normal[0] = c.tilt[k][0] / size;
       normal[1] = c.tilt[k][1] / size;
-      for (int i = 0; i < 2; i++)
+      for (int i = 0; i < 2; i++) {
+        value += normal[i] * level[i];
         for (int j = 0; j < 2; j++) spread += normal[i] * tilt_spread[k][i][j] * normal[j];
-    }
-    for (int j = 0; j < k; j++)
-      for (int m = 0; m < NU; m++) {
-        const tube_real *moved = response(k, j) + at * NU + m;
-        row[j * NU + m] = normal[0] * moved[0] + normal[1] * moved[NU] + normal[2] * moved[2 * NU];
       }
+    }
+    for (int j = 0; j < k * NU; j++) row[j] = normal[0] * moved[0][j] + normal[1] * moved[1][j] + normal[2] * moved[2][j];
     for (int i = 0; i < 3; i++) value += normal[i] * d[at + i];
-    c.solver.steps.c[(k - 1) * NL + l] = value;
+    c.solver.size[(k - 1) * NL + l] = qp_dot(row, row, k * NU);
+    c.solver.c[(k - 1) * NL + l] = value;
     c.qp.most[k][l] = most - c.kappa[l] * sqrt(spread > 0 ? spread : 0);
   }
 }
@@ -132,7 +135,7 @@ static void bounded(int k, const tube_real *rest) {
 
 /* g += G' (what stage k is away from its goal, weighed) */
 static void drawn(int k, const tube_real *d, const tube_real *goal) {
-  tube_real *g = c.solver.steps.g, away[NK];
+  tube_real *g = c.solver.g, away[NK];
   for (int i = 0; i < NK; i++) away[i] = d[keep[i]] - goal[i];
   if (k == N) {
     for (int i = 0; i < NK; i++)
@@ -164,30 +167,58 @@ static void held(const tube_real *d, const tube_real *goal, const tube_real *res
 /* The tilt that the plan before leads to, stage by stage, from the response d of stage k to hover's command. */
 static void tilting(int k, const tube_real *d) {
   for (int i = 0; i < 2; i++) {
-    tube_real sum = d[keep[K_ATTITUDE + i]];
+    tube_real sum = level[i] + d[keep[K_ATTITUDE + i]];
     for (int j = 0; j < k; j++)
       for (int m = 0; m < NU; m++) sum += response(k, j)[(K_ATTITUDE + i) * NU + m] * c.before[j][m];
     c.tilt[k][i] = sum;
   }
 }
 
-static unsigned decided(const @NAME@_tube_path *path, const tube_real *planes, int stages, tube_real *u) {
-  tube_real R[3][3], d[ND], next[ND], rest[NK + NU] = {0}, goal[NK], kept[NK], first[ND], residual = 0;
-  unsigned said = 0;
-  int failed = placed(path->position, d, R);
-  for (int k = 0; k < stages && k < N; k++) {
-    memmove(c.before[0], c.before[1], (N - 1) * sizeof c.before[0]);
-  }
-  for (int i = 0; i < NK + NU; i++)
-    for (int j = 0; j < NFREE; j++) rest[i] += steady[i][j] * d[pushed_at[j]];
-  for (int j = 0; j < NU; j++)
-    if (hover_u[j] + rest[NK + j] > command_max) said |= @UPPER@_TUBE_WEAK;
-  memcpy(first, d, sizeof first);
-  memset(c.solver.steps.g, 0, sizeof c.solver.steps.g);
+/* Whether the craft is so far from hover that the prediction cannot be trusted; linear.py says what that is. */
+static int far_from_hover(const tube_real *d) {
+  tube_real tilt = norm(d + keep[K_ATTITUDE], 2) / trusted[0], speed = norm(d + keep[K_VELOCITY], 3) / trusted[1];
+  tube_real rate = norm(d + keep[K_RATE], 3) / trusted[2];
+  return !(tilt * tilt + speed * speed + rate * rate <= 1);
+}
+
+/* By how much the plan misses limits of commands or their rates. */
+static tube_real beyond(void) {
+  tube_real most = 0;
+  for (int k = 0; k < N; k++)
+    for (int j = 0; j < NU; j++) {
+      tube_real v = c.solver.w[k][j];
+      most = larger(most, larger(v - c.qp.upper[k][j], c.qp.lower[k][j] - v));
+      if (k > 0) most = larger(most, fabs(v - c.solver.w[k - 1][j]) - rate_max);
+    }
+  return most;
+}
+
+/* The plan within its limits and, which comes first, its rates: cut off, limits that are still to be added are missed. */
+static void clipped(void) {
+  for (int k = 0; k < N; k++)
+    for (int j = 0; j < NU; j++) {
+      tube_real v = clip(c.solver.w[k][j], c.qp.lower[k][j], c.qp.upper[k][j]), before = k > 0 ? c.solver.w[k - 1][j] : v;
+      c.solver.w[k][j] = clip(v, before - rate_max, before + rate_max);
+    }
+}
+
+/* Without a plan: u within its limits. */
+static unsigned unplanned(int status, tube_real *u) {
+  c.known.plan_status = status;
+  memset(c.before, 0, sizeof c.before);
+  for (int j = 0; j < NU; j++) u[j] = allowed(all_finite(u + j, 1) ? u[j] : c.u[j], c.u[j]);
+  return @UPPER@_TUBE_NO_SOLUTION;
+}
+
+/* Gradient and limits, from the error states d to hover's command. */
+static void stated(const @NAME@_tube_path *path, const tube_real *planes, tube_real R[3][3], const tube_real *rest, tube_real *d) {
+  tube_real next[ND], goal[NK], kept[NK];
+  memset(c.solver.g, 0, sizeof c.solver.g);
   for (int k = 0; k <= N; k++) {
     if (k < N) {
       bounded(k, rest);
-      for (int j = 0; j < NU; j++) c.solver.steps.g[k * NU + j] -= on_command * rest[NK + j] + (k == 0 ? on_change * (c.u[j] - hover_u[j]) : 0);
+      for (int j = 0; j < NU; j++) c.solver.g[k * NU + j] -= on_command * rest[NK + j];
+      for (int j = 0; k == 0 && j < NU; j++) c.solver.g[j] -= on_change * (c.u[j] - hover_u[j]);
     }
     if (k > 0) {
       asked(path, k, R, rest, goal);
@@ -200,29 +231,39 @@ static unsigned decided(const @NAME@_tube_path *path, const tube_real *planes, i
       next[i] = 0;
       for (int m = 0; m < ND; m++) next[i] += transition[i * ND + m] * d[m];
     }
-    memcpy(d, next, sizeof d);
+    memcpy(d, next, sizeof next);
   }
-  int status = failed ? 3 : qp_iterated(&c.solver, &c.qp, @qp_tolerance@, @qp_iterations@, &c.known.qp_iterations);
-  for (int k = 0; k < N; k++)
-    for (int j = 0; j < NU; j++) {
-      tube_real v = c.solver.w[k][j];
-      residual = larger(residual, larger(v - c.qp.upper[k][j], c.qp.lower[k][j] - v));
-    }
-  /* A method that broke down before its first step has found nothing. */
-  const int nothing = status == 2 && c.known.qp_iterations == 0;
-  c.known.plan_status = status > 2 || nothing || !(residual <= @primal_tolerance@) ? 2 : 0;
-  if (c.known.plan_status) {
+}
+
+static unsigned decided(const @NAME@_tube_path *path, const tube_real *planes, int stages, tube_real *u) {
+  tube_real R[3][3], d[ND], rest[NK + NU] = {0}, first[ND];
+  unsigned said = 0;
+  c.known.qp_iterations = 0;
+  if (placed(path->position, d, R)) {
+    memcpy(u, hover_u, sizeof hover_u);
+    c.solver.active = 0;
+    return unplanned(1, u);
+  }
+  if (far_from_hover(d)) said |= @UPPER@_TUBE_FAR_FROM_HOVER;
+  for (int k = 0; k < stages && k < N; k++) memmove(c.before[0], c.before[1], (N - 1) * sizeof c.before[0]);
+  for (int i = 0; i < NK + NU; i++)
+    for (int j = 0; j < NFREE; j++) rest[i] += steady[i][j] * d[pushed_at[j]];
+  for (int j = 0; j < NU; j++)
+    if (hover_u[j] + rest[NK + j] > command_max) said |= @UPPER@_TUBE_WEAK;
+  memcpy(first, d, sizeof first);
+  stated(path, planes, R, rest, d);
+  int status = qp_iterated(&c.solver, &c.qp, stages, @qp_tolerance@, @qp_iterations@, &c.known.qp_iterations);
+  if (status > 1) c.solver.active = 0; /* cut off, the next goes on from there */
+  if (status == 1) clipped();
+  if (status > 1 || !(beyond() <= @primal_tolerance@)) {
+    tube_real goal[NK];
     asked(path, 0, R, rest, goal);
     held(first, goal, rest, u);
-    for (int j = 0; j < NU; j++) {
-      u[j] = allowed(all_finite(u + j, 1) ? u[j] : c.u[j], c.u[j]);
-      for (int k = 0; k < N; k++) c.before[k][j] = 0;
-    }
-    return said | @UPPER@_TUBE_NO_SOLUTION;
+    return said | unplanned(2, u);
   }
   if (status) said |= @UPPER@_TUBE_NOT_BEST;
+  c.known.plan_status = 0;
   memcpy(c.before, c.solver.w, sizeof c.before);
   for (int j = 0; j < NU; j++) u[j] = allowed(hover_u[j] + c.solver.w[0][j], c.u[j]);
   return said;
 }
-

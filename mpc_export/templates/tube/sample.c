@@ -69,6 +69,7 @@ static void begin(const tube_real place[4], tube_real *x) {
   memcpy(c.known.estimate, x, OWN * sizeof *place);
   memcpy(c.known.estimate + OWN, (const tube_real[NF - OWN + 1])@filter_past@, (NF - OWN) * sizeof *place);
   for (int i = OWN; i < NX; i++) x[i] = c.past[lag_of[i - OWN]][command_of[i - OWN]];
+  c.known.plan_status = -1;
   c.begun = 1;
 }
 

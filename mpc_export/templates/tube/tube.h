@@ -37,7 +37,8 @@ enum {
   @UPPER@_TUBE_CLIPPED = 1024,        /* commands of the plan were moved by their limits */
   @UPPER@_TUBE_BEYOND_LIMITS = 2048,  /* a command was not finite, or moved by its limits */
   @UPPER@_TUBE_WEAK = 4096,           /* no steady command within the limits holds the place: come down */
-  @UPPER@_TUBE_BLIND = 8192           /* no pose for longer than the filter may carry on: come down */
+  @UPPER@_TUBE_BLIND = 8192,          /* no pose for longer than the filter may carry on: come down */
+  @UPPER@_TUBE_FAR_FROM_HOVER = 16384 /* the linear tube: so tilted or fast that its plan is not to be trusted */
 };
 
 /* The reference at one time [s, m, rad]. */
@@ -49,7 +50,9 @@ typedef struct {
 typedef struct {
   @NAME@_tube_real estimate[@n_x@]; /* for the next sample: @states@ */
   @NAME@_tube_real seconds_since_pose;
-  int qp_iterations, plan_status; /* status: 0 solved, 1 a model function, 2 the QP, 3 Newton's steps grow */
+  /* status of the last plan: -1 there was none yet, 0 found, 1 a function of the model is not finite, 2 the QP, 3 Newton's
+     steps grow. From 1 on the command is a safe one, and NO_SOLUTION is said. */
+  int qp_iterations, plan_status;
 } @NAME@_tube_known;
 
 /* Forget everything: at rest at place = (x, y, z, heading). Returns 0, and does nothing, for a place that is not finite. */
