@@ -61,6 +61,8 @@ def test_every_kind_of_model_with_a_tree_of_kernels_is_gpytorchs_own(model):
     agrees(model, "tree")
 
 
+# Of a kernel of low rank GPyTorch says that it adds jitter to the inducing points' covariance.
+@pytest.mark.filterwarnings("ignore:A not p.d., added jitter")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "name"), [pair for pair in REST if pair not in REFUSED_BY_GPYTORCH]
