@@ -195,7 +195,9 @@ def _log_es(
         sharp, most = (log_mean([bounds[j] for bounds, _ in rows]) for j in range(2))
         most = most if np.isfinite(most) else np.inf  # else a fit says nothing
         out.append((sharp - half if r.instead else sharp, most))
-        if r.instead and not (sharp >= bar + half or most < 0 or half <= sharp <= most < bar):
+        unfit = not (r.instead or np.isfinite(sharp))  # there the supremum is all that there is
+        clear = sharp >= bar + half or most < 0 or half <= sharp <= most < bar
+        if unfit or (r.instead and not clear):
             strict[i] = []
     for k, split in enumerate(judges):
         now = [(rivals[i].fitted, *told[i][k][1]) for i in strict]

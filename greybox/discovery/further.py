@@ -93,7 +93,7 @@ def further(
     kept = [e for e in effects if e["status"] != "not certified"]
     lost = [
         {k: e[k] for k in ("name", "status", "log10_e", "against", "worth", "further")}
-        | {"reason": f"further flights speak against it: {e['log10_e']:.1f}"}
+        | {"reason": f"with further flights log10 e {e['log10_e']:.1f} of {bar:.1f}"}
         for e in effects
         if e["status"] == "not certified"
     ]

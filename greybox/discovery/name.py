@@ -37,12 +37,6 @@ class Name:
     reason: str = ""
     kept: bool = False
 
-    @property
-    def claim(self) -> float:
-        """Log e-value that it, or what looks like it, is there; -inf where it cannot be."""
-        no = self.status == "impossible"
-        return -np.inf if no else self.certificate.rivals.get((), -np.inf)
-
     def to_dict(self) -> dict[str, Any]:
         """What discovery.json says of it besides its estimates."""
         w, worth = self.worth, None

@@ -333,7 +333,7 @@ class _Run:
         while self.needed < before:  # fits near a lower bar are carried on, and more may pass it
             before = self.needed
             found = certificates(at, rivals, judges, before)
-            possible = [c.rivals.get((), -np.inf) for n, c in found.items() if not odd[n]]
+            possible = [c.log_e for n, c in found.items() if not odd[n]]
             self.needed = min(bar_of_several(possible, self.bar), before)
         for name, certificate in found.items():
             without = next(r.fitted for r in rivals[name] if not r.instead)
@@ -355,19 +355,11 @@ class _Run:
         there = [n.name for n in names if n.name in written.structure]
         asked = [n for n in there if search.doubted(written, n)]
         judges = splits(self.flights, self.test)
-        beside = certificates_beside(self.flights, written, asked, judges, self.needed)
-        claims, before = {n.name: n.claim for n in names}, self.needed
-        left = {n: min(e, beside[n].log_e) if n in beside else e for n, e in claims.items()}
-        self.needed = bar_of_several(list(left.values()), self.bar)
-        gone = {
-            n for n, e in left.items() if e < self.needed and (n in beside or claims[n] >= before)
-        }
+        beside = certificates_beside(self.flights, written, asked, judges, self.bar)
+        gone = {n for n, c in beside.items() if c.log_e < self.bar}
         if not gone:
             return names, at
-        names = [
-            n if n.name not in gone else unneeded(n, beside.get(n.name, n.certificate), self.needed)
-            for n in names
-        ]
+        names = [n if n.name not in gone else unneeded(n, beside[n.name], self.bar) for n in names]
         return names, self.flights.fit(at.structure - gone, [at.known])
 
     def _left(self, at: Fitted, found: Fit) -> Left:

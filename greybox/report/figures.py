@@ -208,7 +208,8 @@ def autocorrelations(
     for y, colour in zip(every, SERIES, strict=False):
         axes.plot(x, y, color=colour, linewidth=1.2)
     axes.axhline(0.0, color=MUTED, linewidth=0.7)
-    sizes = np.nan_to_num(np.concatenate([1.3 * np.abs(y) for y in every] + [2.0 * width, [1e-3]]))
+    sizes = np.concatenate([1.3 * np.abs(y) for y in every] + [2.0 * width, [1e-3]])
+    sizes = sizes[np.isfinite(sizes)]
     axes.set_ylim(-float(sizes.max()), float(sizes.max()))
     axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_formatter(_SHORT)

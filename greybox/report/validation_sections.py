@@ -3,7 +3,7 @@ residual tests."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,9 @@ ORDER = (
     Key(text="second", colour="c2"),
     Key(text="third", colour="c3"),
 )
+
+
+BANDS = ("band", "periodogram_band")
 
 
 def first_line(report: Report, verdict: Mapping[str, Any] | None) -> None:
@@ -355,13 +358,16 @@ def _spectra(report: Report, whiteness: Mapping[str, Any], sample_time: float | 
     )
 
 
-def _together(names: Iterable[str]) -> dict[str, list[str]]:
-    """Title -> channels that one figure shows: those of one sensor, at most three."""
+def _together(channels: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]:
+    """Title -> channels that one figure shows: those of one sensor with the same bands, at most
+    three."""
     found: list[list[str]] = []
-    for name in names:
+    for name, own in channels.items():
         group = name.rpartition(".")[0] or group_of(name)
         last = found[-1][-1] if found else ""
         same = group is not None and group == (last.rpartition(".")[0] or group_of(last))
+        bands = [own.get(k) == channels[last].get(k) for k in BANDS] if last else []
+        same = same and all(bands)
         if same and len(found[-1]) < len(ORDER):
             found[-1].append(name)
         else:

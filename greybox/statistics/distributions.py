@@ -27,7 +27,7 @@ def chi_square_quantile(level: npt.ArrayLike, dof: npt.ArrayLike) -> FloatArray:
 
 def chi_square_tail(statistic: npt.ArrayLike, dof: npt.ArrayLike) -> FloatArray:
     """P(chi-square of `dof` degrees of freedom > statistic)."""
-    return np.asarray(scipy.special.chdtrc(dof, statistic))
+    return np.asarray(scipy.special.chdtrc(dof, np.maximum(statistic, 0.0)))
 
 
 def fisher_quantile(level: npt.ArrayLike, above: npt.ArrayLike, below: npt.ArrayLike) -> FloatArray:
@@ -37,7 +37,7 @@ def fisher_quantile(level: npt.ArrayLike, above: npt.ArrayLike, below: npt.Array
 
 def fisher_tail(statistic: npt.ArrayLike, above: npt.ArrayLike, below: npt.ArrayLike) -> FloatArray:
     """P(F of `above` and `below` degrees of freedom > statistic)."""
-    return np.asarray(scipy.special.fdtrc(above, below, statistic))
+    return np.asarray(scipy.special.fdtrc(above, below, np.maximum(statistic, 0.0)))
 
 
 def beta_quantile(level: npt.ArrayLike, a: npt.ArrayLike, b: npt.ArrayLike) -> FloatArray:

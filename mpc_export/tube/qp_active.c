@@ -216,10 +216,21 @@ static void qp_shifted(qp_solver *s, const tube_qp *q, int stages) {
   }
 }
 
+/* Whether all soft limits are numbers: one that is not would bind nothing. */
+static int qp_sound(const qp_solver *s, const tube_qp *q) {
+  for (int r = 0; r < ROWS; r++) {
+    tube_real left = s->c[r] - q->most[r / NL + 1][r % NL] + s->size[r];
+    if (left != left) return 0;
+  }
+  return 1;
+}
+
 /* Iterates from the limits that were active `stages` stages ago: 0 solved, 1 cut off after `most` systems, 2 a factor broke
    down, 3 NaN. */
 static int qp_iterated(qp_solver *s, const tube_qp *q, int stages, tube_real tolerance, int most, int *iterations) {
   int from = 0;
+  *iterations = 0;
+  if (!qp_sound(s, q)) return 3;
   for (int i = 0; i < ALL; i++) s->v[i] = qp_dot(inverse_root[i] + i, s->g + i, ALL - i);
   qp_shifted(s, q, stages);
   for (*iterations = 1;; ++*iterations) {

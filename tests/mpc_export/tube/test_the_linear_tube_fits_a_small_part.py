@@ -252,6 +252,18 @@ def test_a_function_that_is_not_finite_is_no_plan_and_no_missing_one(tmp_path, m
     assert u == pytest.approx(own.solver.stages.steady[1], abs=1e-6)
 
 
+@pytest.mark.slow
+def test_a_wall_that_is_no_number_is_no_plan(tmp_path, monkeypatch):
+    """It bound nothing, and the plan counted as solved."""
+    made = Opened(pilot(), tmp_path, monkeypatch, real="float")
+    made.start()
+    made.planes = lambda times: np.full((len(np.atleast_1d(times)), 2, 4), np.nan)
+    for k in range(5):
+        u = made.sample(k * made.dt, {})
+    assert made.plan()[-1] != 0
+    assert np.isfinite(u).all()
+
+
 def test_a_hover_that_cannot_be_planned_is_refused(monkeypatch):
     own = pilot()
     failed = own.solver.solve()
