@@ -167,9 +167,9 @@ def certificates_beside(
     flights: Flights, written: Fitted, names: Iterable[str], judges: Sequence[Split], bar: float
 ) -> dict[str, Certificate]:
     """Certificates of names next to laws, of the structure `written` with both on `flights`."""
-    left, rough = {n: written.structure - {n} for n in names}, flights.effort.rough
-    fits = {n: flights.fit(s, [written.known], within=rough) for n, s in left.items()}
-    rivals = {n: [Rival(instead=(), share=0.0, fitted=f)] for n, f in fits.items()}
+    asked = {n: (written.structure - {n}, [written.known]) for n in names}
+    fits = flights.fits(list(asked.values()), [flights.effort.rough] * len(asked))
+    rivals = {n: [Rival(instead=(), share=0.0, fitted=f)] for n, f in zip(asked, fits, strict=True)}
     return certificates(written, rivals, judges, bar)
 
 

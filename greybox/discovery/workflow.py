@@ -339,8 +339,8 @@ class _Run:
             without = next(r.fitted for r in rivals[name] if not r.instead)
             old, new = self.held_out(without), self.held_out(at)
             good = None if old is None or new is None else worth(old, new)
-            alpha, odds = self.options.alpha, odd[name]
-            names.append(judged(certificate, good, odds, self.needed, alpha, self.bar))
+            alpha, not_possible = self.options.alpha, odd[name]
+            names.append(judged(certificate, good, not_possible, self.needed, alpha, self.bar))
         keep = {"certified", "supported", "one of these", *["trace"] * self.options.trace}
         doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
         self.warnings += [doubt for doubt in doubts if doubt]

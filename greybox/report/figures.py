@@ -172,10 +172,7 @@ def correlogram(
     stand out."""
     figure, axes = _panel(1.9)
     x, y = np.asarray(lags, dtype=np.float64), np.asarray(r, dtype=np.float64)
-    width = np.array(
-        [np.nan if b is None else float(b) for b in np.atleast_1d(np.asarray(band, dtype=object))]
-    )
-    width = np.broadcast_to(width, y.shape)
+    width = np.broadcast_to(np.asarray(band, dtype=np.float64), y.shape)
     axes.fill_between(x, -width, width, color=SERIES[3], alpha=0.22, linewidth=0)
     out = np.abs(y) > width
     for chosen, colour in ((~out, SERIES[0]), (out, SERIES[1])):

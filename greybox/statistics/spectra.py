@@ -190,10 +190,12 @@ def _welch(
     """Spectra (K, c, c) with windows of `n` samples, and how many independent averages."""
     taper = np.hanning(n + 1)[:n]
     turn = np.exp(-2j * np.pi * np.outer(frequency, np.arange(n) * dt)) * taper
+    line = np.linalg.qr(np.stack([np.ones(n), np.linspace(-1.0, 1.0, n)], axis=1))[0]
+    turn = turn - (turn @ line) @ line.T  # a straight line in a window counts as nothing
     total, pieces = np.zeros((), dtype=np.complex128), 0
     for s in stretches:
         for start in range(0, len(s) - n + 1, n // 2):
-            x = turn @ _detrended(s[start : start + n])
+            x = turn @ s[start : start + n]
             total = total + x[:, :, None] * x[:, None, :].conj()
             pieces += 1
     scale = 2 * dt / (np.sum(taper**2) * max(pieces, 1))
@@ -209,10 +211,3 @@ def _inverse(m: ComplexArray) -> ComplexArray:
     d = np.sqrt(np.maximum(np.einsum("kii->ki", m).real, 1e-300))
     unit = m / (d[:, :, None] * d[:, None, :]) + 1e-10 * np.eye(m.shape[1])
     return np.asarray(np.linalg.inv(unit) / (d[:, :, None] * d[:, None, :]))
-
-
-def _detrended(x: FloatArray) -> FloatArray:
-    """Columns (n, k) less the straight line that is nearest to each."""
-    t = np.linspace(-1.0, 1.0, len(x))
-    line = np.stack([np.ones_like(t), t], axis=1)
-    return np.asarray(x - line @ np.linalg.lstsq(line, x, rcond=None)[0])
