@@ -67,26 +67,32 @@ def retired(path: Path = RETIRED) -> set[tuple[str, int]]:
     return {(pair[0], int(pair[1])) for pair in pairs if pair}
 
 
-def search(folder: Path, greybox: str, limit: float) -> tuple[Said | None, dict[str, Any]]:
-    """Run the plain command on a folder: what it said (None without a result), and how it went."""
+def run(folder: Path, command: str, limit: float) -> dict[str, Any]:
+    """Run a command line of discover on the logs of a folder, within `limit` seconds of CPU: how it
+    went."""
     train = sorted((p.name for p in folder.glob("train*.csv")), key=lambda n: (len(n), n))
     test = sorted(p.name for p in folder.glob("test*.csv"))
-    command = [*shlex.split(greybox), "discover", "--vehicle", "vehicle.toml", "--train", *train]
-    command += ["--test", *test, "--out", "found"]
+    line = [*shlex.split(command), "--vehicle", "vehicle.toml", "--train", *train]
+    line += ["--test", *test, "--out", "found"]
     (folder / "found" / "discovery.json").unlink(missing_ok=True)
     began = time.monotonic()
     with (folder / "said.txt").open("w", encoding="utf-8") as stream:
-        process = subprocess.Popen(command, cwd=folder, stdout=stream, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(line, cwd=folder, stdout=stream, stderr=subprocess.STDOUT)
         resource.prlimit(process.pid, resource.RLIMIT_CPU, (math.ceil(limit),) * 2)
         _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
-    how = {
+    return {
         "code": process.returncode,
         "seconds": round(used.ru_utime + used.ru_stime, 2),
         "elapsed": round(time.monotonic() - began, 1),
     }
+
+
+def search(folder: Path, greybox: str, limit: float) -> tuple[Said | None, dict[str, Any]]:
+    """Run the plain command on a folder: what it said (None without a result), and how it went."""
+    how = run(folder, f"{greybox} discover", limit)
     try:
-        said = Said.read(folder / "found" / "discovery.json") if process.returncode == 0 else None
+        said = Said.read(folder / "found" / "discovery.json") if how["code"] == 0 else None
     except (OSError, ValueError):
         said = None
     return said, how

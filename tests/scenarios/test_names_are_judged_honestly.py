@@ -12,8 +12,9 @@ import pytest
 from greybox.model.vehicle import read_vehicle
 from scenarios.foreign.hidden import CATALOGUED
 from scenarios.foreign.naming import main, retired
-from scenarios.foreign.naming_cells import case_of, cells, fly_case, vehicle_file
+from scenarios.foreign.naming_cells import air_of, case_of, cells, fly_case, vehicle_file
 from scenarios.foreign.naming_summary import summary
+from scenarios.foreign.opened import lines, opened, twin
 from scenarios.foreign.power import power
 from scenarios.foreign.verdicts import Said, judge, judge_outside, speed_error
 
@@ -271,3 +272,36 @@ def test_evidence_for_the_truth_is_shown_against_the_number_of_flights():
     ]
     assert "power, 4 flights: named 1 of 1" in summary(rows)
     assert "log10 E of the true cause 4.0" in summary(rows)
+
+
+def test_what_an_effect_opens_is_told_by_the_same_gusts_without_it():
+    case = next(c for s in range(900, 960) if (c := case_of("outside:fluid", s)).gusts)
+    base = twin(case)
+    assert case.own == "fluid" and base.own is None and base.effects == ()
+    assert air_of(case) == air_of(base) and air_of(case).push > 0
+
+
+def test_the_share_that_is_closed_leaves_out_what_no_law_foretells():
+    def row(group, before, after, laws=None, floor=1.0, horizon=0.5):
+        return {
+            "group": group,
+            "horizon_s": horizon,
+            "before": before,
+            "after": after,
+            "floor": floor,
+            "with_proposals": laws,
+        }
+
+    base = [row("position", 3.0, 3.0), row("rotation", 5.0, 5.0), row("rate", 2.0, 2.0)]
+    found = [row("position", 5.0, 4.0), row("rotation", 5.2, 1.0), row("rate", 4.0, 4.0)]
+    assert opened(found, base) == {"group": "rate", "ratio": 4.0, "closed": 0.0}
+    assert opened(found[:2], base)["closed"] == pytest.approx((25 - 16) / (25 - 9))
+    with_laws = [row("position", 5.0, 4.0, laws=0.5)]
+    assert opened(with_laws, base)["closed"] == pytest.approx(0.5 * (25 - 1) / (25 - 9))
+    assert opened(found[1:2], base)["closed"] is None
+    rows = [{"gusts": g, "closed": c} for g, c in ((True, 0.5), (True, None), (False, 0.9))]
+    assert lines(rows) == [
+        "all: 2 of 3 open a gap, closed 0.70 (median)",
+        "gusts: 1 of 2 open a gap, closed 0.50 (median)",
+        "still air: 1 of 1 open a gap, closed 0.90 (median)",
+    ]
