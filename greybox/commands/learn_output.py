@@ -12,6 +12,7 @@ from greybox.commands.command_line import typed
 from greybox.commands.console import Console
 
 if TYPE_CHECKING:
+    from greybox.baselines.compare_scores import StepScores
     from greybox.baselines.output_residual import OutputHybrid
     from greybox.data import Dataset
     from greybox.linear.logs import ChannelSpec
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 RESULTS = ("report.html", "learn.json", "hybrid.json")
 """Files of the command."""
+GREW = 1.01
+"""Ratio of a squared error to that of the model alone above which it is called worse."""
 
 
 def is_linear(path: str) -> bool:
@@ -81,7 +84,9 @@ def run_output(arguments: argparse.Namespace) -> int:
     write_json(out / "learn.json", content)
     console.share("validate", 1.0)
     try:
-        content["validation"] = judge(hybrid, judged, spread=spread, horizons=horizons)
+        content["validation"] = checked = judge(hybrid, judged, spread=spread, horizons=horizons)
+        if test.flights:
+            warnings.extend(_worse(checked["before"]["one_step"], checked["after"]["one_step"]))
     except GreyboxError as error:
         warnings.append(f"no validation: {error}")
     write_json(out / "learn.json", content)
@@ -111,6 +116,18 @@ def _warnings(
     if not test.flights:
         warnings.append("validated on the flights that were learned from: give --test flights")
     return warnings
+
+
+def _worse(before: StepScores, after: StepScores) -> list[str]:
+    """Which channels are foretold worse with what was learned."""
+    pairs = [(n, before["channels"][n]["mse"], e) for n, e in after["channels"].items()]
+    return [
+        f"{n} is worse on the test flights with what was learned (RMSE {old**0.5:.4g} -> "
+        f"{new['mse'] ** 0.5:.4g} {new['unit']}): keep the linear model, or learn from flights "
+        "like these"
+        for n, old, new in pairs
+        if new["mse"] > GREW * old
+    ]
 
 
 def _content(
