@@ -348,7 +348,7 @@ def _add_calibration(
         innovation=noise.innovation,
         theta=parts.theta_covariance,
     )
-    own = calibration(parts.functions, stated, parts.dt)
+    own = calibration(parts.functions, stated, parts.sampled.dynamics.innovations, parts.dt)
     parts.functions["forecast_step"] = forecast_function(parts.functions, parts.innovation, own)
     parts.functions["calibrate_step"] = calibrate_function(own)
     return own

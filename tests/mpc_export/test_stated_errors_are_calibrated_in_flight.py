@@ -10,7 +10,15 @@ import pytest
 from scipy.stats import norm
 
 from mpc_export.bundle import write_bundle
-from mpc_export.calibration import COLUMNS, GAIN, LEVEL, WIDEST, Calibration, calibrate_function
+from mpc_export.calibration import (
+    BURST,
+    COLUMNS,
+    GAIN,
+    LEVEL,
+    WIDEST,
+    Calibration,
+    calibrate_function,
+)
 from mpc_export.functions import model_functions
 from mpc_export.verify import main as verify
 from tests.mpc_export import cases, compiled
@@ -21,6 +29,14 @@ HALF = norm.ppf(0.5 + 0.5 * LEVEL)
 OWN = Calibration(every=1, multiples=(0, 5), sigma=np.ones((20, 2)), dt=0.01)
 """Twenty outputs at two horizons: the next sample, and one whose scales are four updates old when
 they are judged."""
+TRIPLES = Calibration(
+    every=1,
+    multiples=(0, 5),
+    sigma=np.ones((60, 2)),
+    dt=0.01,
+    axes=tuple(tuple(range(i, i + 3)) for i in range(0, 60, 3)),
+)
+"""The same of twenty sensors with three axes."""
 
 
 def calibrated(errors, samples, own=OWN):
@@ -41,7 +57,8 @@ def calibrated(errors, samples, own=OWN):
 def bound(own, samples):
     """Of the docstring of the file, by horizon."""
     steps = GAIN / np.sqrt(np.maximum(own.multiples, 1))
-    return (math.log(WIDEST) + (np.array(own.delays) + 1) * steps) / (steps * samples)
+    ends = math.log(WIDEST) + (math.log(BURST) if own.axes else 0.0)
+    return (ends + (np.array(own.delays) + 1) * steps) / (steps * samples)
 
 
 def adversary(k, issued):
@@ -62,6 +79,59 @@ def test_no_sequence_of_errors_takes_the_coverage_beyond_its_bound():
         off = np.abs(missed.mean(axis=0) - (1 - LEVEL))
         assert (off <= bound(OWN, samples) + 1e-12).all()
         assert off.max() > 0.2 * bound(OWN, samples).max(), "the sequences are hard"
+
+
+def test_axes_that_move_together_keep_each_ones_bound():
+    """Sensors 0 to 4 have one axis of every kind that the adversary knows, so that each axis is
+    led astray by the others; on 5 to 9 two axes are as small as may be and one misses always."""
+
+    def errors(k, issued):
+        rows = np.resize(np.arange(20), 60)
+        e = np.empty_like(issued)
+        order = np.argsort(rows, kind="stable")
+        for part in np.split(order, 3):
+            e[part] = adversary(k, issued[part])
+        e[15:30] = 1.001 * HALF / WIDEST
+        e[15:30:3] = np.minimum(1.001 * HALF * issued[15:30:3], 0.999 * WIDEST * HALF)
+        return e
+
+    for samples in (500, 3000):
+        missed, _ = calibrated(errors, samples, TRIPLES)
+        off = np.abs(missed.mean(axis=0) - (1 - LEVEL))
+        assert (off <= bound(TRIPLES, samples) + 1e-12).all()
+        assert off.max() > 0.2 * bound(TRIPLES, samples).max(), "the sequences are hard"
+
+
+def test_axes_that_grow_together_are_held_sooner_and_cost_little():
+    rng = np.random.default_rng(4)
+
+    def errors(k, issued):
+        return (2.0 if k >= 500 else 1.0) * rng.standard_normal(issued.shape)
+
+    apart = Calibration(every=1, multiples=(0, 5), sigma=np.ones((60, 2)), dt=0.01)
+    (alone, width), (both, wide) = (calibrated(errors, 600, own) for own in (apart, TRIPLES))
+    for now, when in ((alone, "apart"), (both, "together")):
+        assert now[300:500].mean() == pytest.approx(1 - LEVEL, abs=0.01), when
+    assert (wide[300:500].mean(axis=(0, 1)) <= 1.05 * width[300:500].mean(axis=(0, 1))).all()
+    late = slice(540, 600)
+    assert (
+        both[late].mean(axis=(0, 1)) - 0.05 < 0.5 * (alone[late].mean(axis=(0, 1)) - 0.05)
+    ).all()
+
+
+def test_an_axis_that_grows_alone_is_held_no_later_than_apart():
+    rng = np.random.default_rng(5)
+
+    def errors(k, issued):
+        e = rng.standard_normal(issued.shape)
+        if k >= 300:
+            e[::3] *= 2.0
+        return e
+
+    apart = Calibration(every=1, multiples=(0, 5), sigma=np.ones((60, 2)), dt=0.01)
+    alone, both = (calibrated(errors, 900, own)[0][:, ::3] for own in (apart, TRIPLES))
+    for late in (slice(320, 400), slice(400, 600), slice(600, 900)):
+        assert both[late].mean() <= alone[late].mean() + 0.01
 
 
 def test_gaussian_errors_as_stated_keep_their_width_and_level():
@@ -92,7 +162,9 @@ def test_errors_that_triple_are_held_again_within_150_samples():
 
 def test_what_is_not_measured_changes_nothing_and_what_is_no_number_has_missed():
     step = calibrate_function(OWN)
-    theta = 0.1 * np.random.default_rng(0).standard_normal(OWN.start()["theta"].shape)
+    own = 0.1 * np.random.default_rng(0).standard_normal((20, 1))
+    theta = np.tile(own, (1, OWN.remembered))
+    theta[:, [at - 1 for at in OWN.first]] = 0.0
     wild = np.full((20, 2), np.nan)
     after, scale = step(theta, wild, np.zeros((20, 2)), OWN.sigma, LEVEL, GAIN)
     np.testing.assert_array_equal(after, theta)
