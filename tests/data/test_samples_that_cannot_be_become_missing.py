@@ -12,6 +12,7 @@ from hypothesis import given, settings
 
 from greybox.automatic.fit import prepare
 from greybox.data import read_logs
+from greybox.data.checks import check
 from greybox.data.impossible import MARGIN, OVERSPEED, RISE, without_impossible
 from greybox.linear.logs import parse_channels, read_records
 from tests.automatic.craft import flown, raw, vehicle, with_channel
@@ -50,6 +51,20 @@ def test_rotor_speeds_far_beyond_the_top_speed_are_missing_and_counted(log, spik
     for name in log.channels:
         if name != "omega2":
             assert clean.channels[name] is log.channels[name]
+
+
+def test_a_rotor_at_rest_may_read_a_little_below_zero(log):
+    """Noise of either sign: neither a fault nor an impossible sample. Speeds that carry the sense
+    of rotation as a sign are one."""
+    rng = np.random.default_rng(0)
+    at_rest = np.abs(log.channels["omega1"])
+    at_rest[100:150] = 4.0 * rng.standard_normal(50)
+    assert (at_rest < 0).sum() > 10
+    still = with_channel(log, omega1=at_rest)
+    assert without_impossible(still, vehicle()).removed == ()
+    assert not [f for f in check([still], vehicle()).of("ranges") if f.severity != "info"]
+    signed = with_channel(log, omega1=-np.abs(log.channels["omega1"]))
+    assert any(f.severity == "blocking" for f in check([signed], vehicle()).of("ranges"))
 
 
 def test_a_rotor_a_little_beyond_its_top_speed_stays(log):
