@@ -30,7 +30,7 @@ de Heide and Koolen 2024, JRSS B 86(5)).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -117,7 +117,11 @@ def splits(train: Flights, test: Dataset | None) -> list[Split]:
 
 
 def certificates(
-    at: Fitted, rivals: Mapping[str, Sequence[Rival]], judges: Sequence[Split], bar: float
+    at: Fitted,
+    rivals: Mapping[str, Sequence[Rival]],
+    judges: Sequence[Split],
+    bar: float,
+    say: Callable[[str, float], None] = lambda _text, _share: None,
 ) -> dict[str, Certificate]:
     """Name -> certificate, of every name of `rivals` in the structure `at`: each of the four fits
     behind an e-value no nearer than what decides, and the e-value less what they may still gain."""
@@ -129,7 +133,11 @@ def certificates(
         behind = at.log_evidence - f.log_evidence  # of others a regret rests on where they are
         stakes[f.structure] = max(share * behind, effort.rough)
     found: dict[str, dict[Instead, float]] = {name: {} for name in rivals}
-    for within in (stakes, dict.fromkeys(stakes, effort.rough), dict.fromkeys(stakes, 0.0)):
+    tiers = stakes, dict.fromkeys(stakes, effort.rough), dict.fromkeys(stakes, 0.0)
+    for k, within in enumerate(tiers):
+        if asked:
+            closer = ", more closely" if k else ""
+            say(f"certificates: {len(asked)} rivals{closer}", 0.6 + 0.06 * k)
         logs = _log_es(at, [r for _, r in asked], judges, bar, within) if asked else []
         every, asked = list(zip(asked, logs, strict=True)), []
         for (name, rival), (least, most) in every:
@@ -164,13 +172,18 @@ def _whole(at: Fitted, name: str, rival: Rival, judges: Sequence[Split]) -> Whol
 
 
 def certificates_beside(
-    flights: Flights, written: Fitted, names: Iterable[str], judges: Sequence[Split], bar: float
+    flights: Flights,
+    written: Fitted,
+    names: Iterable[str],
+    judges: Sequence[Split],
+    bar: float,
+    say: Callable[[str, float], None] = lambda _text, _share: None,
 ) -> dict[str, Certificate]:
     """Certificates of names next to laws, of the structure `written` with both on `flights`."""
     asked = {n: (written.structure - {n}, [written.known]) for n in names}
     fits = flights.fits(list(asked.values()), [flights.effort.rough] * len(asked))
     rivals = {n: [Rival(instead=(), share=0.0, fitted=f)] for n, f in zip(asked, fits, strict=True)}
-    return certificates(written, rivals, judges, bar)
+    return certificates(written, rivals, judges, bar, say)
 
 
 def _log_es(

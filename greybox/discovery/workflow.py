@@ -234,7 +234,6 @@ class _Run:
         )
         null = self.flights.fit(causes.base)
         at = search.run(null)
-        self.say("certificates", 0.6)
         if more := search.crowded_out(at):
             more_said = f"{', '.join(more)} would make the flights likelier, too: --max-effects"
             self.warnings.append(f"as many effects as were asked for ({search.most}); {more_said}")
@@ -332,7 +331,7 @@ class _Run:
         names, before, self.needed = [], np.inf, self.bar
         while self.needed < before:  # fits near a lower bar are carried on, and more may pass it
             before = self.needed
-            found = certificates(at, rivals, judges, before)
+            found = certificates(at, rivals, judges, before, self.say)
             possible = [c.log_e for n, c in found.items() if not odd[n]]
             self.needed = min(bar_of_several(possible, self.bar), before)
         for name, certificate in found.items():
@@ -355,7 +354,7 @@ class _Run:
         there = [n.name for n in names if n.name in written.structure]
         asked = [n for n in there if search.doubted(written, n)]
         judges = splits(self.flights, self.test)
-        beside = certificates_beside(self.flights, written, asked, judges, self.bar)
+        beside = certificates_beside(self.flights, written, asked, judges, self.bar, self.say)
         gone = {n for n, c in beside.items() if c.log_e < self.bar}
         if not gone:
             return names, at
