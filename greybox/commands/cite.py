@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console
 
 SCHEMA = "greybox.cite/1"
@@ -56,7 +57,7 @@ class Work:
     text: str
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "cite",

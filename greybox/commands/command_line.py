@@ -1,9 +1,17 @@
-"""The command line that a result keeps, so that it can be made again."""
+"""The command line: what commands declare their options with, and what a result keeps of it, so
+that it can be made again."""
 
 from __future__ import annotations
 
+import argparse
 import shlex
 import sys
+from typing import TypeAlias
+
+Subcommands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+"""What a command adds its parser to; argparse has no public name for it."""
+Options: TypeAlias = argparse._ActionsContainer
+"""A parser or a group of its options; argparse has no public name for both."""
 
 
 def typed(command: str, otherwise: str | None = None) -> str:

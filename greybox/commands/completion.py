@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Any
+
+from greybox.commands.command_line import Subcommands
 
 SHELLS = ("bash", "zsh", "tcsh")
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "completion",

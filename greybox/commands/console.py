@@ -9,8 +9,10 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from greybox.commands.command_line import Options
 
-def json_option(p: Any, content: str) -> None:
+
+def json_option(p: Options, content: str) -> None:
     """Declare --json, which hands `content` (fit.json, "the statement") to programs."""
     p.add_argument(
         "--json",

@@ -7,10 +7,11 @@ import argparse
 import shlex
 import time
 from pathlib import Path
-from typing import Any
+
+from greybox.commands.command_line import Subcommands
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "demo",

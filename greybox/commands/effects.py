@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Any
 
+from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console
 from greybox.commands.effect_stages import STAGES
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "effects",

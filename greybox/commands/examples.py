@@ -4,10 +4,11 @@ vehicle file."""
 from __future__ import annotations
 
 import argparse
-from typing import Any
+
+from greybox.commands.command_line import Subcommands
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "examples",

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
 from greybox.commands.own_model import model_file_option
 
@@ -26,7 +27,7 @@ TARGETS = (
 GROUPS = ("covariance", "filter", "target", "hessian", "nominal", "adapt", "calibrate", "pilot")
 
 
-def add(commands: Any) -> None:
+def add(commands: Subcommands) -> None:
     """Add the subcommand."""
     p = commands.add_parser(
         "export",

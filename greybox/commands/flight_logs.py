@@ -5,14 +5,16 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
+
+from greybox.commands.command_line import Options
 
 if TYPE_CHECKING:
     from greybox.data import Dataset
     from greybox.data.airframe import Airframe
 
 
-def flight_log_options(p: Any) -> None:
+def flight_log_options(p: Options) -> None:
     """Declare how logs are read."""
     p.add_argument(
         "--mapping",

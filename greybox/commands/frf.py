@@ -7,9 +7,9 @@ import csv
 import io
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from greybox.commands.command_line import typed
+from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.model_options import names
@@ -31,7 +31,7 @@ CHIRP = "chirp"
 WRITTEN = ("frf.json", "frf.csv", "report.html")
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "frf",

@@ -7,15 +7,14 @@ import argparse
 import shlex
 import sys
 from pathlib import Path
-from typing import Any
 
-from greybox.commands.command_line import typed
+from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.judgement import accept_option, accepted
 from greybox.commands.model_options import names
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "identify",

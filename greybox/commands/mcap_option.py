@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.command_line import Options
 
-def mcap_option(p: Any) -> None:
+
+def mcap_option(p: Options) -> None:
     """Declare --mcap."""
     p.add_argument(
         "--mcap",

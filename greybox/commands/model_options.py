@@ -10,6 +10,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any, Literal
 
+from greybox.commands.command_line import Options
+
 if TYPE_CHECKING:
     from greybox.automatic.decide import Given
     from greybox.data import Dataset
@@ -60,7 +62,7 @@ def values(text: str) -> dict[str, float]:
     return out
 
 
-def model_options(p: Any) -> None:
+def model_options(p: Options) -> None:
     """Declare what says how the model is built and fitted. All are open (None) unless they are
     said."""
     p.add_argument(
@@ -96,7 +98,7 @@ def model_options(p: Any) -> None:
     )
 
 
-def _unknown_options(p: argparse.ArgumentParser) -> None:
+def _unknown_options(p: Options) -> None:
     """Which numbers are unknown."""
     p.add_argument(
         "--disturbance", type=names, default=None, metavar="force,torque", help="disturbance states"
@@ -137,7 +139,7 @@ def _unknown_options(p: argparse.ArgumentParser) -> None:
     )
 
 
-def _method_options(p: argparse.ArgumentParser) -> None:
+def _method_options(p: Options) -> None:
     """By which method they are found."""
     p.add_argument(
         "--predictor",
@@ -153,7 +155,7 @@ def _method_options(p: argparse.ArgumentParser) -> None:
     )
 
 
-def _noise_options(p: argparse.ArgumentParser) -> None:
+def _noise_options(p: Options) -> None:
     """Where they start, and which noise levels are held."""
     p.add_argument(
         "--noise",

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
+from greybox.commands.command_line import Options
 from greybox.commands.model_options import numbers
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from greybox.model.vehicle import Vehicle
 
 
-def model_file_option(p: Any, *, read: bool = True) -> None:
+def model_file_option(p: Options, *, read: bool = True) -> None:
     """Declare --model-file. `read`: the command reads a fitted model, which holds the equations."""
     more = "; a model.json holds the equations, so that this only checks it" if read else ""
     p.add_argument(
@@ -36,7 +37,7 @@ def range_of(text: str) -> tuple[str, tuple[float, float]]:
     return name, (ends[0], ends[1])
 
 
-def range_options(p: Any, *, inputs: str, outputs: str) -> None:
+def range_options(p: Options, *, inputs: str, outputs: str) -> None:
     """Declare --range and --limit, whose help is `inputs` and `outputs`."""
     for name, what, metavar, text in (
         ("range", "ranges", "u=LO,HI", inputs),

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from greybox.model.vehicle import Vehicle
     from greybox.planning.result import Plan
 
-from greybox.commands.command_line import typed
+from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.model_options import names, noise_levels, numbers, values
 from greybox.commands.own_model import loaded, model_file_option, range_options
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "plan",

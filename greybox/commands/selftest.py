@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import argparse
 import time
-from typing import Any
+
+from greybox.commands.command_line import Subcommands
 
 LABELS = {"works": "works  ", "missing": "missing", "broken": "BROKEN "}
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "selftest",

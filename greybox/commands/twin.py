@@ -7,6 +7,7 @@ import argparse
 import sys
 from typing import Any
 
+from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
 
 NAMES = (
@@ -26,7 +27,7 @@ NAMES = (
 )
 
 
-def add(commands: Any) -> None:
+def add(commands: Subcommands) -> None:
     """Add the subcommand."""
     p = commands.add_parser(
         "twin",

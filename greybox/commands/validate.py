@@ -6,8 +6,8 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
-from typing import Any
 
+from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import (
@@ -21,7 +21,7 @@ from greybox.commands.mcap_option import mcap_option, need_mcap, need_ulog, writ
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
 
 
-def add(commands: Any) -> None:
+def add(commands: Subcommands) -> None:
     """Add the subcommand."""
     p = commands.add_parser(
         "validate",

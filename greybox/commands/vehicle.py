@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
 
 TEMPLATES = {
@@ -30,7 +31,7 @@ QUESTIONS = (
 """What is asked on a terminal: key, question, type. An empty answer keeps the template's number."""
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command and its two subcommands."""
     parser = subparsers.add_parser(
         "vehicle",
