@@ -4,23 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NotRequired, Protocol, TypedDict, TypeVar
+from typing import Any, Generic, NotRequired, Protocol, TypedDict, TypeVar
 
-from greybox.files import Json, append_json_line, read_json, read_json_lines, write_json
+from greybox.files import append_json_line, read_json, read_json_lines, write_json
 from greybox.progress import TimeLeft
 
+Shown = TypeVar("Shown")
 
-class Row(TypedDict):
+
+class Row(TypedDict, Generic[Shown]):
     """What every flight says, and with `watch` a trace."""
 
     controller: str
     seed: int
     key: str
-    trace: NotRequired[dict[str, Json]]
+    trace: NotRequired[Shown]
 
 
-R = TypeVar("R", bound=Row)
-Made = TypeVar("Made", bound=Row, covariant=True)
+R = TypeVar("R", bound=Row[Any])
+Made = TypeVar("Made", covariant=True)
 
 
 class Campaign(Protocol[Made]):
@@ -50,7 +52,7 @@ def kept(
     return [good[n, s] for s in seeds for n in names if (n, s) in good]
 
 
-def trace_file(campaign: Campaign[Row], name: str, seed: int) -> Path:
+def trace_file(campaign: Campaign[object], name: str, seed: int) -> Path:
     """Where the animation's part of a flight is kept."""
     return campaign.out / "traces" / f"{name}_{seed}_{campaign.key(name)}.json"
 
@@ -77,7 +79,7 @@ def flights(
     done = before = total - len(todo)
     left = TimeLeft()
     for row in _flown(campaign, todo, watched):
-        plain: Row = row
+        plain: Row[Any] = row
         trace = plain.pop("trace", None)
         name, seed = row["controller"], row["seed"]
         if trace is not None:
@@ -98,8 +100,8 @@ def _flown(
 
 
 def read_traces(
-    campaign: Campaign[Row], names: Sequence[str], seeds: Sequence[int]
-) -> dict[int, dict[str, dict[str, Json]]]:
+    campaign: Campaign[Row[Shown]], names: Sequence[str], seeds: Sequence[int]
+) -> dict[int, dict[str, Shown]]:
     """{seed: {controller: trace}} of the watched flights that were flown."""
     return {
         s: {

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypedDict
 
 import numpy as np
 from scipy.stats import binomtest
+
+from greybox.report.mpc_documents import Answered, AnswerTimes, Counted, Judged
 
 
 def exact(hits: int, total: int) -> tuple[float, float]:
@@ -15,34 +16,6 @@ def exact(hits: int, total: int) -> tuple[float, float]:
         return 0.0, 1.0
     found = binomtest(hits, total).proportion_ci(method="exact")
     return float(found.low), float(found.high)
-
-
-class Counted(TypedDict):
-    """How many went beyond: `share` None of none, `interval` its 95 % interval."""
-
-    count: int
-    share: float | None
-    interval: tuple[float, float]
-
-
-class AnswerTimes(TypedDict):
-    """Median and 99 % of answer times [ms]; None without any."""
-
-    median: float | None
-    p99: float | None
-
-
-class Judged(TypedDict):
-    """What a controller's part of a result file says of its promise."""
-
-    beyond: Counted
-    p_value: float | None
-
-
-class Answered(TypedDict):
-    """What a row says of its answers: milliseconds of each."""
-
-    solve_ms: list[float]
 
 
 def counted(hits: int, total: int) -> Counted:

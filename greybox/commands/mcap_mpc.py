@@ -10,17 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from greybox.commands.mcap_out import WARNING, WORLD, Recording, pose_of, recording, rows_of
+from greybox.report.mpc_documents import FlightRow, FlightTrace
 
-_LEVEL = (1.0, 0.0, 0.0, 0.0)
+_LEVEL = [1.0, 0.0, 0.0, 0.0]
 """Attitude of the places of a plan, which has none of its own here."""
 MARGIN = "greybox.Margin"
 
 
 def write_mpc_mcap(
-    path: str | Path, rows: Sequence[Mapping[str, Any]], traces: Mapping[int, Mapping[str, Any]]
+    path: str | Path,
+    rows: Sequence[FlightRow],
+    traces: Mapping[int, Mapping[str, FlightTrace]],
 ) -> None:
     """`rows` of flights and {seed: {controller: trace}}, as the campaign keeps them."""
     by_flight = {(r["controller"], r["seed"]): r for r in rows}
@@ -28,10 +30,10 @@ def write_mpc_mcap(
         out.declare(rows_of(MARGIN, ("value",), ("nearest", "tilt")))
         for seed, runs in traces.items():
             for name, trace in runs.items():
-                _flight(out, f"/flight_{seed}/{name}", trace, by_flight.get((name, seed), {}))
+                _flight(out, f"/flight_{seed}/{name}", trace, by_flight.get((name, seed)))
 
 
-def _flight(out: Recording, root: str, trace: Mapping[str, Any], row: Mapping[str, Any]) -> None:
+def _flight(out: Recording, root: str, trace: FlightTrace, row: FlightRow | None) -> None:
     # Traces of earlier versions have no attitude.
     attitude = trace.get("attitude") or [_LEVEL] * len(trace["path"])
     poses = [pose_of((*p, *q)) for p, q in zip(trace["path"], attitude, strict=True)]
@@ -55,8 +57,10 @@ def _flight(out: Recording, root: str, trace: Mapping[str, Any], row: Mapping[st
             plan["time"],
             {"frame_id": WORLD, "poses": places},
         )
-    for event in row.get("events", ()):
+    if row is None:
+        return
+    for event in row["events"]:
         out.log(f"{root}/events", event["time"], event["what"])
-    for crossing in row.get("crossings", ()):
+    for crossing in row["crossings"]:
         text = f"{1e3 * crossing['depth']:.0f} mm beyond {crossing['plane']}"
         out.log(f"{root}/crossings", crossing["time"], text, level=WARNING)

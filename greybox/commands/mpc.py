@@ -5,17 +5,20 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from greybox.commands.command_line import typed
+from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.mpc_own import OWN_ONLY, add_options, is_own, refuse
 from greybox.commands.mpc_own import run as run_own
 
+if TYPE_CHECKING:
+    from greybox.report.mpc_documents import MpcDocument
 
-def add(subparsers: Any) -> None:
+
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "mpc",
@@ -224,7 +227,7 @@ def _report(
     watched: Sequence[int],
     command: str,
     warnings: Sequence[str],
-) -> Mapping[str, Any]:
+) -> MpcDocument:
     """Write mpc.json, report.html and the recording of what was flown so far; the content of the
     first."""
     from greybox.files import write_atomic, write_json

@@ -7,15 +7,15 @@ import argparse
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-from greybox.commands.command_line import typed
+from greybox.commands.command_line import Options, typed
 from greybox.commands.console import Console
 from greybox.commands.kept_runs import carried_out
 from greybox.commands.model_options import numbers
 from greybox.commands.own_model import model_file_option, range_options
+from greybox.files import Parsed
 
-COURSE_ONLY: dict[str, Any] = {
+COURSE_ONLY: Mapping[str, object] = {
     "log": [],
     "course": "mpc_export.mission:OBSTACLE_COURSE",
     "pace": None,
@@ -24,7 +24,7 @@ COURSE_ONLY: dict[str, Any] = {
     "mcap": None,
 }
 """Options of a model that flies a course, with the values that they have where nobody gave them."""
-OWN_ONLY: dict[str, Any] = {
+OWN_ONLY: Mapping[str, object] = {
     "hold": [],
     "limits": [],
     "ranges": [],
@@ -43,7 +43,7 @@ def held_of(text: str) -> tuple[str, tuple[float, ...]]:
     return name, numbers(values)
 
 
-def add_options(p: Any) -> None:
+def add_options(p: Options) -> None:
     """Declare what a model of the user's own is asked."""
     g = p.add_argument_group("a model of your own (docs/own_model.md)")
     model_file_option(g)
@@ -72,7 +72,7 @@ def add_options(p: Any) -> None:
     )
 
 
-def refuse(arguments: argparse.Namespace, options: Mapping[str, Any], of: str, got: str) -> None:
+def refuse(arguments: argparse.Namespace, options: Mapping[str, object], of: str, got: str) -> None:
     """Raise `GreyboxError` for an option that was given and belongs to another kind of model."""
     from greybox.errors import GreyboxError
 
@@ -82,22 +82,23 @@ def refuse(arguments: argparse.Namespace, options: Mapping[str, Any], of: str, g
             raise GreyboxError(f"--{option} belongs to {of}", got=got, fix="leave it out")
 
 
-def is_own(content: Mapping[str, Any]) -> bool:
+def is_own(content: Parsed) -> bool:
     """Whether a model file holds a model of the user's own, or a hybrid on one."""
     base = content.get("base")
     return "own" in (content.get("kind"), base.get("kind") if isinstance(base, dict) else None)
 
 
-def run(arguments: argparse.Namespace, content: Mapping[str, Any]) -> int:
+def run(arguments: argparse.Namespace, content: Parsed) -> int:
     """Prepare, run, report; what ran is reported even when interrupted. Returns 0, or 1 where it
     refuses."""
     from greybox.commands.judgement import gate
     from greybox.errors import GreyboxError
     from greybox.files import write_atomic, write_json
+    from greybox.report.mpc_documents import OwnDocument
     from greybox.report.mpc_own_report import mpc_own_report
     from mpc_export.kept_flights import flights, kept, read_traces
     from mpc_export.mission import judging
-    from mpc_export.outputs.campaign import WATCHED, OwnCampaign, OwnDocument, format_table, summary
+    from mpc_export.outputs.campaign import WATCHED, OwnCampaign, format_table, summary
     from mpc_export.outputs.machine import Asked
 
     refuse(arguments, COURSE_ONLY, "a vehicle that flies a course", "a model of your own")

@@ -4,15 +4,15 @@ process."""
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console
 from greybox.commands.kept_runs import carried_out
 from greybox.commands.mpc_own import COURSE_ONLY, OWN_ONLY, refuse
 
-OTHERS: dict[str, Any] = {**COURSE_ONLY, "plant": None, "even_so": False}
+OTHERS: Mapping[str, object] = {**COURSE_ONLY, "plant": None, "even_so": False}
 """Options of a model that flies a course."""
 
 
@@ -21,13 +21,13 @@ def run(arguments: argparse.Namespace) -> int:
     refuse(arguments, OWN_ONLY, "a model of your own", "rates")
     refuse(arguments, OTHERS, "a model that flies a course", "rates")
     from greybox.files import write_atomic, write_json
+    from greybox.report.mpc_documents import RatesDocument
     from greybox.report.rates_report import rates_report
     from mpc_export.kept_flights import flights, kept, read_traces
     from mpc_export.mission import judging
     from mpc_export.rates.campaign import (
         TEXTS,
         WATCHED,
-        RatesDocument,
         format_table,
         prepare,
         summary,

@@ -8,13 +8,22 @@ covariance and, in the distance, its back-off.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import Any
+from typing import TypeAlias, TypedDict
 
-from greybox.report.html import embedded_json
+from greybox.report.html import Colour, Stroke, embedded_json
+from greybox.report.mpc_documents import (
+    Crossing,
+    FlightRow,
+    FlightTrace,
+    MpcDocument,
+    PlaneRow,
+    PlanPath,
+)
 
-LOOKS: Mapping[str, tuple[str, str]] = {
+Look: TypeAlias = tuple[Colour, Stroke]
+LOOKS: Mapping[str, Look] = {
     "tube": ("c1", "line"),
     "hybrid": ("c2", "line"),
     "mean": ("c2", "line"),
@@ -72,25 +81,73 @@ CSS = """
 """
 
 
-def look(name: str) -> tuple[str, str]:
+class ControllerShown(TypedDict):
+    """A controller beside the box that shows or hides it."""
+
+    name: str
+    text: str
+    colour: Colour
+    stroke: Stroke
+
+
+class RunShown(TypedDict):
+    """A flight of one controller: path (n, 3) and distance to the nearest limit (n,) [m]."""
+
+    path: list[list[float]]
+    near: list[float | None]
+    crossings: list[Crossing]
+    crashed: bool
+
+
+class FlightShown(TypedDict):
+    """A flight of every controller, and the plans of the tube."""
+
+    seed: int
+    runs: dict[str, RunShown]
+    plans: list[PlanPath]
+
+
+class CourseShown(TypedDict):
+    """Limits and the path in equal steps [s]."""
+
+    planes: list[PlaneRow]
+    path: list[list[float]]
+    step: float
+
+
+class Animation(TypedDict):
+    """What mpc_animation.js reads: seconds between samples, a plan's length and the times of its
+    stages [s], the controller without tightening."""
+
+    step: float
+    ahead: float
+    times: list[float]
+    stages: int
+    plain: str
+    course: CourseShown
+    controllers: list[ControllerShown]
+    flights: list[FlightShown]
+
+
+def look(name: str) -> Look:
     """(colour, stroke) of a controller."""
     return LOOKS.get(name, ("c4", "dash"))
 
 
 def packed(
-    content: Mapping[str, Any],
-    rows: Sequence[Mapping[str, Any]],
-    traces: Mapping[int, Mapping[str, Any]],
-) -> dict[str, Any]:
+    content: MpcDocument,
+    rows: Sequence[FlightRow],
+    traces: Mapping[int, Mapping[str, FlightTrace]],
+) -> Animation:
     """Numbers of the animation from mpc.json, rows of flights and {seed: {controller: trace}};
     positions in metres."""
     course = content["course"]
     by_flight = {(r["controller"], r["seed"]): r for r in rows}
-    flights: list[dict[str, Any]] = []
+    flights: list[FlightShown] = []
     times, step = [0.0], course["plan_time"]
     for seed, runs in traces.items():
-        found: dict[str, Any] = {}
-        plans: list[dict[str, Any]] = []
+        found: dict[str, RunShown] = {}
+        plans: list[PlanPath] = []
         for name, trace in runs.items():
             row = by_flight.get((name, seed))
             if row is None or len(trace["time"]) < 2:
@@ -104,7 +161,13 @@ def packed(
             }
             if name == "tube":
                 plans = [
-                    {k: p[k] for k in ("time", "place", "spread", "left", "backoff")}
+                    {
+                        "time": p["time"],
+                        "place": p["place"],
+                        "spread": p["spread"],
+                        "left": p["left"],
+                        "backoff": p["backoff"],
+                    }
                     for p in trace["plans"]
                 ]
         if found:
@@ -137,7 +200,7 @@ def packed(
     }
 
 
-def who_flies(controllers: Sequence[Mapping[str, Any]], said: str) -> str:
+def who_flies(controllers: Sequence[ControllerShown], said: str) -> str:
     """Items of a list: a box, the stroke, and the place `said`-NAME for the words of every
     controller."""
     return "".join(
@@ -149,19 +212,19 @@ def who_flies(controllers: Sequence[Mapping[str, Any]], said: str) -> str:
     )
 
 
-def which_flight(flights: Sequence[Mapping[str, Any]]) -> str:
-    """Options of a choice, one for every flight."""
+def which_flight(seeds: Iterable[int]) -> str:
+    """Options of a choice, one for the flight of every seed."""
     return "".join(
-        f'<option value="{i}">Flight {i + 1} (seed {f["seed"]})</option>'
-        for i, f in enumerate(flights)
+        f'<option value="{i}">Flight {i + 1} (seed {seed})</option>' for i, seed in enumerate(seeds)
     )
 
 
-def markup(data: Mapping[str, Any]) -> str:
+def markup(data: Animation) -> str:
     """The animation's frame with its data; shown by the script alone, so that without one the
     figures below stand for it."""
     text = embedded_json(data)
-    who, choices = who_flies(data["controllers"], "said"), which_flight(data["flights"])
+    who = who_flies(data["controllers"], "said")
+    choices = which_flight(f["seed"] for f in data["flights"])
     views = "".join(
         f'<div><h4>{title}</h4><svg id="{name}" role="img" aria-label="{label}"></svg></div>'
         for name, title, label in (

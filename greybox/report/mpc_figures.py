@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +21,7 @@ from greybox.report.figures import (
     _label,
     _panel,
 )
+from greybox.report.mpc_documents import PlaneRow
 from greybox.report.svg import INK, MUTED, SERIES
 from greybox.report.words import number
 
@@ -95,7 +95,7 @@ def solve_times(times: Mapping[str, tuple[npt.ArrayLike, str, str]], deadline: f
 def paths(
     runs: Sequence[tuple[npt.ArrayLike, str, str]],
     wanted: npt.ArrayLike,
-    plane: Mapping[str, Any],
+    plane: PlaneRow,
     *,
     title: str,
 ) -> Figure:

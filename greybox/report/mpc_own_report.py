@@ -3,23 +3,24 @@ the traces of its first run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Literal, TypeAlias
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from greybox.report import figures
-from greybox.report.html import Cell, Key, Report
+from greybox.report.html import Cell, Colour, Key, Report
+from greybox.report.mpc_documents import OwnDocument, RunTrace
 from greybox.report.svg import INK, MUTED, SERIES
 from greybox.report.words import number
 
-LOOKS: Mapping[str, tuple[str, str]] = {"tube": ("c1", SERIES[0]), "mean": ("c2", SERIES[1])}
+LOOKS: Mapping[str, tuple[Colour, str]] = {"tube": ("c1", SERIES[0]), "mean": ("c2", SERIES[1])}
 """Colour of a controller, on the page and in figures."""
-Traces = Mapping[str, Mapping[str, Any]]
+Traces: TypeAlias = Mapping[str, RunTrace]
 
 
-def mpc_own_report(content: Mapping[str, Any], traces: Traces) -> str:
+def mpc_own_report(content: OwnDocument, traces: Traces) -> str:
     """The page; `traces` of the controllers in one run may be few or none (an interrupted run)."""
     found = content["controllers"]
     best = found.get("tube", found["mean"])
@@ -28,7 +29,8 @@ def mpc_own_report(content: Mapping[str, Any], traces: Traces) -> str:
         f"{sum(c['runs'] for c in found.values())} runs of {content['seconds']:g} s, held: "
         f"{', '.join(content['held'])}",
     )
-    good = bool(best["runs"]) and ("tube" not in found or best["p_value"] >= 0.05)
+    chance = best["p_value"]
+    good = chance is not None and ("tube" not in found or chance >= 0.05)
     report.first_line(content["verdict"], good=good)
     with report.headline():
         if traces:
@@ -55,12 +57,12 @@ def mpc_own_report(content: Mapping[str, Any], traces: Traces) -> str:
 
 def _key(traces: Traces) -> list[Key]:
     return [
-        *(Key(text=n, colour=LOOKS[n][0], stroke="line") for n in traces),  # type: ignore[arg-type]
+        *(Key(text=n, colour=LOOKS[n][0], stroke="line") for n in traces),
         Key(text="asked", colour="ink", stroke="dots"),
     ]
 
 
-def _panels(content: Mapping[str, Any], traces: Traces) -> list[tuple[Figure, str]]:
+def _panels(content: OwnDocument, traces: Traces) -> list[tuple[Figure, str]]:
     """One panel per output that is held or limited, and one per input."""
     names = list(content["units"])
     inputs = list(content["ranges"])
@@ -68,7 +70,9 @@ def _panels(content: Mapping[str, Any], traces: Traces) -> list[tuple[Figure, st
     any_trace = next(iter(traces.values()))
     times = any_trace["step"] * np.arange(len(any_trace["outputs"]))
     panels = []
-    for what, order in (("outputs", outputs), ("commands", inputs)):
+    shown: tuple[tuple[Literal["outputs", "commands"], list[str]], ...]
+    shown = ("outputs", outputs), ("commands", inputs)
+    for what, order in shown:
         for i, name in enumerate(order):
             ends = content["ranges"].get(name) or content["limits"].get(name)
             if ends is None and name not in content["held"]:
@@ -89,7 +93,7 @@ def _panels(content: Mapping[str, Any], traces: Traces) -> list[tuple[Figure, st
     return panels
 
 
-def _table(report: Report, content: Mapping[str, Any]) -> None:
+def _table(report: Report, content: OwnDocument) -> None:
     report.section("All runs")
     held, body = list(content["held"]), []
     for name, c in content["controllers"].items():
@@ -97,9 +101,9 @@ def _table(report: Report, content: Mapping[str, Any]) -> None:
         row: list[Cell] = [name, c["text"], f"{c['beyond']['count']} of {c['runs']}"]
         row += [f"{low:.0f} .. {high:.0f} %", f"{100 * c['samples_beyond']:.1f} %"]
         row += [
-            None if c[what][o] is None else number(c[what][o], 3)
+            None if size is None else number(size, 3)
             for o in held
-            for what in ("settled", "rmse")
+            for size in (c["settled"][o], c["rmse"][o])
         ]
         t = c["solve_ms"]
         row.append("" if t["median"] is None else f"{t['median']:.1f} / {t['p99']:.1f}")
@@ -117,11 +121,11 @@ def _table(report: Report, content: Mapping[str, Any]) -> None:
     )
 
 
-def _what(report: Report, content: Mapping[str, Any]) -> None:
+def _what(report: Report, content: OwnDocument) -> None:
     report.section("What was run")
     units, tuning = content["units"], content["tuning"]
 
-    def pair(name: str, ends: Any) -> str:
+    def pair(name: str, ends: Sequence[float | None]) -> str:
         low, high = ("none" if e is None else number(e, 4) for e in ends)
         return f"{name} {low} .. {high} {units[name]}"
 

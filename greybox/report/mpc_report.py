@@ -4,19 +4,28 @@ one HTML page."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from greybox.report import figures, mpc_figures
 from greybox.report.html import Cell, Key, Report, script
-from greybox.report.mpc_animation import CSS, look, markup, packed
+from greybox.report.mpc_animation import CSS, Animation, look, markup, packed
+from greybox.report.mpc_documents import (
+    Counted,
+    FlightRow,
+    FlightTrace,
+    MpcDocument,
+    PlanTrace,
+    Tuning,
+)
 from greybox.report.mpc_figures import COLOURS
 from greybox.report.words import number
+from greybox.symbolic import FloatArray
 
-Row = Mapping[str, Any]
-Traces = Mapping[int, Mapping[str, Any]]
+Traces: TypeAlias = Mapping[int, Mapping[str, FlightTrace]]
+"""{seed: {controller: trace}}"""
 AXES = ("c1", "c2", "c3")
 """Colours of x, y and z."""
 MARGIN_KEY = (
@@ -27,7 +36,7 @@ CELL = 0.1
 """Length of the cells of a row's `nearest` [s]."""
 
 
-def mpc_report(content: Mapping[str, Any], rows: Sequence[Row], traces: Traces) -> str:
+def mpc_report(content: MpcDocument, rows: Sequence[FlightRow], traces: Traces) -> str:
     """The page. `content` follows schemas/mpc.json; rows and traces may be few or none (an
     interrupted run)."""
     what, found = content["what"], content["controllers"]
@@ -63,18 +72,20 @@ def mpc_report(content: Mapping[str, Any], rows: Sequence[Row], traces: Traces) 
     return report.html()
 
 
-def _names(content: Mapping[str, Any]) -> list[str]:
+def _names(content: MpcDocument) -> list[str]:
     return [n for n, c in content["controllers"].items() if c["flights"]]
 
 
-def _kept(content: Mapping[str, Any]) -> bool:
+def _kept(content: MpcDocument) -> bool:
     """Whether the tube kept the limits as often as was asked for."""
-    tube = content["controllers"].get("tube", {})
-    return bool(tube.get("flights")) and tube["p_value"] >= 0.05 and not tube["crashed"]
+    tube = content["controllers"].get("tube")
+    if tube is None or tube["p_value"] is None:  # there are no flights
+        return False
+    return tube["p_value"] >= 0.05 and not tube["crashed"]
 
 
 def _flight(
-    report: Report, content: Mapping[str, Any], rows: Sequence[Row], traces: Traces
+    report: Report, content: MpcDocument, rows: Sequence[FlightRow], traces: Traces
 ) -> None:
     data = packed(content, rows, traces)
     if not data["flights"]:
@@ -94,7 +105,7 @@ def _flight(
     _passages(report, content, data)
 
 
-def _passages(report: Report, content: Mapping[str, Any], data: Mapping[str, Any]) -> None:
+def _passages(report: Report, content: MpcDocument, data: Animation) -> None:
     """What the animation shows, for paper: paths past every limit."""
     runs = [
         (name, run["path"])
@@ -114,9 +125,7 @@ def _passages(report: Report, content: Mapping[str, Any], data: Mapping[str, Any
         key=[
             Key(text=c["name"], colour=c["colour"], stroke=c["stroke"])
             for c in data["controllers"]
-            if not all(
-                f["runs"].get(c["name"], {"crashed": True})["crashed"] for f in data["flights"]
-            )
+            if any(name == c["name"] for name, _ in runs)
         ],
         caption=f"Paths past every limit in {count} flight{'s' * (count != 1)}, crashed ones left "
         "out; the "
@@ -125,12 +134,12 @@ def _passages(report: Report, content: Mapping[str, Any], data: Mapping[str, Any
     )
 
 
-def _counted(hits: Mapping[str, Any]) -> str:
+def _counted(hits: Counted) -> str:
     low, high = hits["interval"]
     return f"{100 * low:.0f} .. {100 * high:.0f} %"
 
 
-def _cost(name: str, content: Mapping[str, Any]) -> str | None:
+def _cost(name: str, content: MpcDocument) -> str | None:
     """Cost beyond that of the tube, in percent, with one standard error."""
     base, other = content["controllers"].get("tube"), content["differences"].get(name)
     if not base or not base["cost"] or not other:
@@ -144,13 +153,14 @@ def _cost(name: str, content: Mapping[str, Any]) -> str | None:
     return f"{scale * other['mean']:+.1f}".replace("-", "\N{MINUS SIGN}") + f"{spread} %"
 
 
-def _table(report: Report, content: Mapping[str, Any]) -> None:
+def _table(report: Report, content: MpcDocument) -> None:
     report.section("All flights")
     body: list[list[Cell]] = []
     for name, c in content["controllers"].items():
         if not c["flights"]:
             body.append([name, c["text"], "0 of 0", None, None, None, None, None, None])
             continue
+        assert c["rmse"] is not None  # there are flights
         body.append(
             [
                 name,
@@ -185,8 +195,13 @@ def _table(report: Report, content: Mapping[str, Any]) -> None:
         "weights, 100 for a "
         "crash; against the tube: paired by seed, with one standard error.",
     )
+    _planes(report, content)
+
+
+def _planes(report: Report, content: MpcDocument) -> None:
+    """How near every controller came to every limit."""
     planes = [p["name"] for p in content["course"]["planes"]]
-    body = []
+    body: list[list[Cell]] = []
     for name in _names(content):
         c = content["controllers"][name]
         cells: list[Cell] = [name]
@@ -211,7 +226,7 @@ def _table(report: Report, content: Mapping[str, Any]) -> None:
         )
 
 
-def _what(report: Report, content: Mapping[str, Any]) -> None:
+def _what(report: Report, content: MpcDocument) -> None:
     report.section("What was flown")
     what, course, tuning = content["what"], content["course"], content["tuning"]
     plants = {
@@ -271,7 +286,7 @@ def _what(report: Report, content: Mapping[str, Any]) -> None:
     report.facts(rows)
 
 
-def _tightened(tuning: Mapping[str, Any]) -> str:
+def _tightened(tuning: Tuning) -> str:
     """Where the tube's back-off comes from."""
     touched = (
         f"{number(tuning['pairs'], 3)} limits that a flight without tightening touches "
@@ -292,7 +307,7 @@ def _tightened(tuning: Mapping[str, Any]) -> str:
     )
 
 
-def _margins(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> None:
+def _margins(report: Report, content: MpcDocument, rows: Sequence[FlightRow]) -> None:
     panels = _margin_panels(content, rows, _names(content))
     if not panels:
         return
@@ -307,7 +322,7 @@ def _margins(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) ->
 
 
 def _margin_panels(
-    content: Mapping[str, Any], rows: Sequence[Row], names: Sequence[str]
+    content: MpcDocument, rows: Sequence[FlightRow], names: Sequence[str]
 ) -> list[tuple[Figure, str]]:
     """Distance to the nearest limit over time of those of the controllers that flew."""
     panels: list[tuple[Figure, str]] = []
@@ -322,36 +337,19 @@ def _margin_panels(
     return panels
 
 
-def _first(content: Mapping[str, Any], traces: Traces, name: str) -> Mapping[str, Any] | None:
+def _first(traces: Traces, name: str) -> FlightTrace | None:
     return next((runs[name] for runs in traces.values() if name in runs), None)
 
 
-def _unsure(report: Report, content: Mapping[str, Any], traces: Traces) -> None:
-    tube = _first(content, traces, "tube")
+def _unsure(report: Report, content: MpcDocument, traces: Traces) -> None:
+    tube = _first(traces, "tube")
     if tube is None or len(tube["plans"]) < 2:
         return
     report.section("Where the model was unsure")
-    plans, what = tube["plans"], content["what"]
+    plans = tube["plans"]
     times = np.array([p["time"] for p in plans])
-    rows: dict[str, Sequence[figures.Line]] = {}
-    for kind, unit, scale in (("force", "N", 1.0), ("torque", "mN m", 1e3)):
-        at = [k for k, n in enumerate(what["learned"]) if n.startswith(f"{kind}.")]
-        sd = scale * np.array([[p["unsure"][k] for k in at] for p in plans])
-        if sd.any():
-            looks = [COLOURS[AXES["xyz".index(what["learned"][k][-1])]] for k in at]
-            rows[f"{kind} [{unit}]"] = [
-                figures.Line(values=v, colour=c, width=1.3)
-                for v, c in zip(sd.T, looks, strict=True)
-                if v.any()
-            ]
     wide = 100 * np.sqrt([[s[0], s[3], s[5]] for s in (p["spread"][-1] for p in plans)])
-    rows["plan's end [cm]"] = [
-        figures.Line(values=v, colour=COLOURS[c], width=1.3)
-        for v, c in zip(wide.T, AXES, strict=True)
-    ]
-    rows["outside data"] = [
-        figures.Line(values=[p["outside"] for p in plans], colour=COLOURS["ink"], width=1.1)
-    ]
+    rows = _unsure_rows(plans, content["what"]["learned"], wide)
     figure = figures.time_series(times, rows, title="First flight of the tube")
     place = np.array([p["place"][0] for p in plans])
     above = mpc_figures.sureness(
@@ -394,15 +392,41 @@ def _unsure(report: Report, content: Mapping[str, Any], traces: Traces) -> None:
     )
 
 
-def _limits(report: Report, content: Mapping[str, Any], traces: Traces) -> None:
+def _unsure_rows(
+    plans: Sequence[PlanTrace], learned: Sequence[str], wide: FloatArray
+) -> dict[str, Sequence[figures.Line]]:
+    """Curves by row: standard deviations of the learned force and torque where a plan begins, those
+    of the position at its end, `wide` (n, 3) [cm], and how far outside the data it begins."""
+    rows: dict[str, Sequence[figures.Line]] = {}
+    for kind, unit, scale in (("force", "N", 1.0), ("torque", "mN m", 1e3)):
+        at = [k for k, n in enumerate(learned) if n.startswith(f"{kind}.")]
+        sd = scale * np.array([[p["unsure"][k] for k in at] for p in plans])
+        if sd.any():
+            looks = [COLOURS[AXES["xyz".index(learned[k][-1])]] for k in at]
+            rows[f"{kind} [{unit}]"] = [
+                figures.Line(values=v, colour=c, width=1.3)
+                for v, c in zip(sd.T, looks, strict=True)
+                if v.any()
+            ]
+    rows["plan's end [cm]"] = [
+        figures.Line(values=v, colour=COLOURS[c], width=1.3)
+        for v, c in zip(wide.T, AXES, strict=True)
+    ]
+    rows["outside data"] = [
+        figures.Line(values=[p["outside"] for p in plans], colour=COLOURS["ink"], width=1.1)
+    ]
+    return rows
+
+
+def _limits(report: Report, content: MpcDocument, traces: Traces) -> None:
     plain = content["what"]["plain"]
-    names = [n for n in ("tube", plain) if _first(content, traces, n) is not None]
+    names = [n for n in ("tube", plain) if _first(traces, n) is not None]
     if not names:
         return
     report.section("Tilt and commands, with their limits")
     course, panels = content["course"], []
     for name in names:
-        trace = _first(content, traces, name)
+        trace = _first(traces, name)
         assert trace is not None
         times = np.asarray(trace["time"], dtype=float)
         one = np.ones(len(times))
@@ -410,7 +434,7 @@ def _limits(report: Report, content: Mapping[str, Any], traces: Traces) -> None:
         commands = np.asarray(trace["commands"], dtype=float)
         looks = ("c1", "c2", "c3", "c5", "c4", "muted", "ink", "ink")
 
-        def edge(height: float, one: Any = one) -> figures.Line:
+        def edge(height: float, one: FloatArray = one) -> figures.Line:
             return figures.Line(values=one * height, colour=COLOURS["ink"], style="--", width=0.8)
 
         rows: dict[str, Sequence[figures.Line]] = {
@@ -439,7 +463,7 @@ def _limits(report: Report, content: Mapping[str, Any], traces: Traces) -> None:
     )
 
 
-def _times(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> None:
+def _times(report: Report, content: MpcDocument, rows: Sequence[FlightRow]) -> None:
     names = [n for n in _names(content) if content["controllers"][n]["solve_ms"]["count"]]
     if not names:
         return
@@ -453,7 +477,7 @@ def _times(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> N
     if times:
         report.figure(
             mpc_figures.solve_times(times, deadline),
-            key=[Key(text=n, colour=look(n)[0], stroke=look(n)[1]) for n in times],  # type: ignore[arg-type]
+            key=[Key(text=n, colour=look(n)[0], stroke=look(n)[1]) for n in times],
             caption="One plan in C: linearisation, tube, quadratic programme. The deadline is one "
             "sample of the filter.",
             alt="Distribution of solution times",
@@ -485,10 +509,10 @@ def _times(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> N
     )
 
 
-def _events(report: Report, content: Mapping[str, Any]) -> None:
+def _events(report: Report, content: MpcDocument) -> None:
     """What was not as usual, and what was done; nothing where nothing happened."""
     found = content["controllers"]
-    body = [
+    body: list[list[Cell]] = [
         [n, what, count, f"{found[n].get('descended', 0)} of {found[n]['flights']}"]
         for n in _names(content)
         for what, count in sorted(found[n]["events"].items(), key=lambda item: -item[1])
@@ -508,14 +532,14 @@ def _events(report: Report, content: Mapping[str, Any]) -> None:
     )
 
 
-def _reproduce(report: Report, content: Mapping[str, Any]) -> None:
+def _reproduce(report: Report, content: MpcDocument) -> None:
     report.section("How to reproduce this")
     report.code(content["command"])
     facts = [("Model file", content["what"]["model_sha256"])]
     report.facts([*facts, *((k, str(v)) for k, v in content["versions"].items())])
 
 
-def format_table(content: Mapping[str, Any]) -> str:
+def format_table(content: MpcDocument) -> str:
     """The table for a terminal."""
     lines = [
         f"{'controller':10s} {'flights':>7s} {'beyond':>6s} {'95 % interval':>14s} {'crashed':>7s} "
@@ -529,6 +553,7 @@ def format_table(content: Mapping[str, Any]) -> str:
         t = c["solve_ms"]
         speed = f"{t['median']:.1f}/{t['p99']:.1f}" if t["count"] else "-"
         low, high = c["crossed"]["interval"]
+        assert c["rmse"] is not None  # there are flights
         lines.append(
             f"{name:10s} {c['flights']:7d} {c['crossed']['count']:6d} {100 * low:5.0f} "
             f"..{100 * high:4.0f} % "

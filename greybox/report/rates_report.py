@@ -4,17 +4,18 @@ their traces."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TypeAlias, TypedDict
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from greybox.report import figures
 from greybox.report.html import Cell, Key, Report, embedded_json, script
-from greybox.report.mpc_animation import CSS, which_flight, who_flies
+from greybox.report.mpc_animation import CSS, ControllerShown, Look, which_flight, who_flies
+from greybox.report.mpc_documents import RatesDocument, RatesPlan, RatesTrace
 from greybox.report.mpc_figures import COLOURS
 
-LOOKS = {
+LOOKS: Mapping[str, Look] = {
     "tube": ("c1", "line"),
     "hybrid": ("c2", "line"),
     "linear-tube": ("c3", "line"),
@@ -25,10 +26,38 @@ LOOKS = {
 STYLES = {"line": "-", "dash": "--", "dots": ":"}
 AHEAD = 15
 """Stages of a plan."""
-Traces = Mapping[int, Mapping[str, Any]]
+Traces: TypeAlias = Mapping[int, Mapping[str, RatesTrace]]
 
 
-def rates_report(content: Mapping[str, Any], traces: Traces, *, stage: float) -> str:
+class RunShown(TypedDict):
+    """A flight of one controller: rates (n, 3), what was asked [rad/s], and the plans of the
+    tube."""
+
+    rates: list[list[float]]
+    asked: list[list[float]]
+    plans: list[RatesPlan]
+
+
+class FlightShown(TypedDict):
+    """A flight of every controller."""
+
+    seed: int
+    runs: dict[str, RunShown]
+
+
+class Animation(TypedDict):
+    """What rates_animation.js reads: seconds between samples and between stages, and of a plan."""
+
+    limit: float
+    axes: list[str]
+    step: float
+    stage: float
+    ahead: float
+    controllers: list[ControllerShown]
+    flights: list[FlightShown]
+
+
+def rates_report(content: RatesDocument, traces: Traces, *, stage: float) -> str:
     """The page; `stage` [s] lies between the stages of a plan. Traces may be few or none (an
     interrupted run)."""
     found = content["controllers"]
@@ -41,7 +70,7 @@ def rates_report(content: Mapping[str, Any], traces: Traces, *, stage: float) ->
     )
     report.first_line(
         content["verdict"],
-        good=bool(tube["flights"]) and tube["p_value"] >= 0.05 and not tube["crashed"],
+        good=tube["p_value"] is not None and tube["p_value"] >= 0.05 and not tube["crashed"],
     )
     with report.headline():
         panels = _panels(content, traces)
@@ -78,12 +107,12 @@ def rates_report(content: Mapping[str, Any], traces: Traces, *, stage: float) ->
     return report.html()
 
 
-def _key(content: Mapping[str, Any]) -> list[Key]:
+def _key(content: RatesDocument) -> list[Key]:
     names = [n for n, c in content["controllers"].items() if c["flights"]]
-    return [Key(text=n, colour=LOOKS[n][0], stroke=LOOKS[n][1]) for n in names]  # type: ignore[arg-type]
+    return [Key(text=n, colour=LOOKS[n][0], stroke=LOOKS[n][1]) for n in names]
 
 
-def _panels(content: Mapping[str, Any], traces: Traces) -> list[tuple[Figure, str]]:
+def _panels(content: RatesDocument, traces: Traces) -> list[tuple[Figure, str]]:
     """Rates about x and y of the first flight, two seconds about the highest of any controller."""
     runs = next((r for r in traces.values() if r), {})
     if not runs:
@@ -117,13 +146,12 @@ def _panels(content: Mapping[str, Any], traces: Traces) -> list[tuple[Figure, st
     return panels
 
 
-def _packed(content: Mapping[str, Any], traces: Traces, stage: float) -> dict[str, Any]:
-    flights: list[dict[str, Any]] = [
-        {"seed": s, "runs": dict(runs)} for s, runs in traces.items() if runs
-    ]
-    step = next((t["step"] for f in flights for t in f["runs"].values()), 1.0)
+def _packed(content: RatesDocument, traces: Traces, stage: float) -> Animation:
+    flights = {seed: runs for seed, runs in traces.items() if runs}
+    step = next((t["step"] for runs in flights.values() for t in runs.values()), 1.0)
     stages = next(
-        (len(t["plans"][0]["y"]) for f in flights for t in f["runs"].values() if t["plans"]), AHEAD
+        (len(t["plans"][0]["y"]) for runs in flights.values() for t in runs.values() if t["plans"]),
+        AHEAD,
     )
     return {
         "limit": content["limit"],
@@ -134,30 +162,31 @@ def _packed(content: Mapping[str, Any], traces: Traces, stage: float) -> dict[st
         "controllers": [
             {"name": n, "text": c["text"], "colour": LOOKS[n][0], "stroke": LOOKS[n][1]}
             for n, c in content["controllers"].items()
-            if any(n in f["runs"] for f in flights)
+            if any(n in runs for runs in flights.values())
         ],
         "flights": [
             {
-                "seed": f["seed"],
+                "seed": seed,
                 "runs": {
                     n: {
                         "rates": t["rates"],
                         "asked": t["asked"],
                         "plans": t["plans"] if n == "tube" else [],
                     }
-                    for n, t in f["runs"].items()
+                    for n, t in runs.items()
                 },
             }
-            for f in flights
+            for seed, runs in flights.items()
         ],
     }
 
 
-def _markup(data: Mapping[str, Any]) -> str:
+def _markup(data: Animation) -> str:
     """The frame with its data; the script shows it, so that without one the figure above stands for
     it."""
     text = embedded_json(data)
-    who, choices = who_flies(data["controllers"], "rates-said"), which_flight(data["flights"])
+    who = who_flies(data["controllers"], "rates-said")
+    choices = which_flight(f["seed"] for f in data["flights"])
     strips = "".join(
         f'<h4>{n} [rad/s]</h4><svg id="rates-{n}" role="img" aria-label="Rate {n} over time, its '
         'limits and the plan"></svg>'
@@ -182,7 +211,7 @@ def _markup(data: Mapping[str, Any]) -> str:
     )
 
 
-def _table(report: Report, content: Mapping[str, Any]) -> None:
+def _table(report: Report, content: RatesDocument) -> None:
     report.section("All flights")
     body: list[list[Cell]] = []
     for name, c in content["controllers"].items():
@@ -225,7 +254,7 @@ def _table(report: Report, content: Mapping[str, Any]) -> None:
     )
 
 
-def _what(report: Report, content: Mapping[str, Any]) -> None:
+def _what(report: Report, content: RatesDocument) -> None:
     report.section("What was flown")
     report.paragraph(
         "The plant is an independent simulated vehicle: thrust with the square of rotor speed, "

@@ -16,12 +16,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypedDict
 
 import numpy as np
 
 from greybox.files import (
-    Json,
     OutputError,
     append_json_line,
     checksum,
@@ -32,11 +30,11 @@ from greybox.files import (
     write_json,
 )
 from greybox.progress import TimeLeft
+from greybox.report.mpc_documents import FlightRow, FlightTrace, Rehearsal
 from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
 from mpc_export.mission.flight import (
     Cascade,
-    FlightRow,
     Mission,
     Plant,
     controller,
@@ -307,9 +305,9 @@ def trace_path(campaign: Campaign, entry: Entry, seed: int) -> Path:
 
 def read_traces(
     campaign: Campaign, entries: Sequence[Entry], seeds: Sequence[int]
-) -> dict[int, dict[str, dict[str, Json]]]:
+) -> dict[int, dict[str, FlightTrace]]:
     """{seed: {controller: trace}} of what is there."""
-    found: dict[int, dict[str, dict[str, Json]]] = {}
+    found: dict[int, dict[str, FlightTrace]] = {}
     for seed in seeds:
         for entry in entries:
             path = trace_path(campaign, entry, seed)
@@ -335,14 +333,6 @@ def tuned(rows: Sequence[FlightRow], level: float) -> dict[str, float]:
         "boole": kappa(level, max(pairs, 1.0)),
         "moved": round(float(depth[allowed]), 5),
     }
-
-
-class Rehearsal(TypedDict):
-    """How many of the rehearsed flights went beyond a limit at `kappa` standard deviations."""
-
-    kappa: float
-    flights: int
-    crossed: int
 
 
 def rehearsed(

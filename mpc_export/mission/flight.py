@@ -17,15 +17,16 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NotRequired, Protocol, TypedDict
+from typing import Any, Protocol
 
 import numpy as np
 
 from greybox.errors import GreyboxError
-from greybox.files import Json, to_plain
+from greybox.files import to_plain
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
+from greybox.report.mpc_documents import Crossing, FlightRow, Scores
 from greybox.symbolic import FloatArray
 from mpc_export.adaptation import flight_parameters
 from mpc_export.feedback import Weights
@@ -317,51 +318,6 @@ class Cascade:
 
 
 # --------------------------------------------------------------------------------------- a flight
-
-
-class Crossing(TypedDict):
-    """Where a flight was deepest beyond a plane [m], and when [s]."""
-
-    plane: str
-    time: float
-    depth: float
-
-
-class EventRow(TypedDict):
-    """What the controller did at a time [s]."""
-
-    time: float
-    what: str
-
-
-class Scores(TypedDict):
-    """What every flight is judged by, as `fly` explains it."""
-
-    crashed: bool
-    margins: dict[str, float]
-    tilt: float
-    rmse: float
-    cost: float
-    late: int
-    samples: int
-    seconds: float
-    solve_ms: list[float]
-    events: list[EventRow]
-    event_count: int
-    event_kinds: dict[str, int]
-    descended: bool
-    nearest: list[float]
-    crossings: list[Crossing]
-
-
-class FlightRow(Scores):
-    """A flight as a row of plain values; `controller` and `key` once it belongs to a campaign."""
-
-    seed: int
-    pairs: NotRequired[int]
-    trace: NotRequired[dict[str, Json]]
-    controller: NotRequired[str]
-    key: NotRequired[str]
 
 
 def fly(

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypedDict
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from greybox.errors import ModelError
 from greybox.files import file_sha256, read_json
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import SCHEMA as LINEAR
+from greybox.report.mpc_documents import Risk, Tuning, What
 from greybox.residual.files import load_model
 from greybox.residual.hybrid import HybridModel
 from greybox.symbolic import FloatArray
@@ -34,7 +34,6 @@ from mpc_export.mission.campaign import (
     Campaign,
     Entry,
     Hangar,
-    Rehearsal,
     flights,
     rehearsed,
     tuned,
@@ -45,7 +44,6 @@ from mpc_export.mission.headroom import headroom
 from mpc_export.mission.model_plant import ModelPlant, real_disturbances
 
 Say = Callable[[str], None]
-Risk = Literal["rehearsal", "boole"]
 TEXTS = {
     "nominal": "the data sheet's model",
     "pem": "fitted physics, no tightening",
@@ -64,22 +62,6 @@ class Demo:
 
     identify: Callable[[Path, Say], Mapping[str, Path]]
     plant: str
-
-
-class What(TypedDict):
-    """What was flown, for the report."""
-
-    mode: Literal["demo", "plant", "model"]
-    subject: str
-    plant: str
-    plain: str
-    model: str
-    model_sha256: str
-    learned: list[str]
-    trained_on: list[str]
-    logs: list[str]
-    mass: float | None
-    disturbed_by: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,20 +99,6 @@ class MissionOptions:
     """Share of the flights that may go beyond a limit."""
     seed: int = 0
     """Seed of the flights that judge."""
-
-
-class Tuning(TypedDict):
-    """How the back-offs were chosen: limits touched in a training flight (`pairs`), standard
-    deviations that Boole's inequality asks for, and that are flown with (`kappa`), the constant
-    back-off `moved` [m], and every rehearsal."""
-
-    pairs: float
-    boole: float
-    moved: float
-    flights: int
-    rehearsed: list[Rehearsal]
-    kappa: float
-    risk: Risk
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,74 +4,24 @@ included."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
-from greybox.files import Json
 from greybox.model.identified import library_versions
+from greybox.report.mpc_documents import (
+    CourseController,
+    CoursePart,
+    Difference,
+    FlightRow,
+    MpcDocument,
+    MpcFound,
+    Tuning,
+    What,
+)
 from greybox.symbolic import FloatArray
 from mpc_export.mission.campaign import Entry
-from mpc_export.mission.flight import FlightRow, Mission
-from mpc_export.promise import Counted, counted, p_value
-
-if TYPE_CHECKING:
-    from mpc_export.mission.prepare import Tuning, What
-
-
-class Controller(TypedDict):
-    """What the flights of one controller say together."""
-
-    text: str
-    kind: str
-    kappa: float
-    moved: float
-    flights: int
-    crossed: Counted
-    p_value: float | None
-    crashed: int
-    tilted: int
-    margins: dict[str, float | None]
-    crossed_planes: dict[str, int]
-    rmse: float | None
-    cost: float | None
-    solve_ms: dict[str, float | None]
-    late: dict[str, int]
-    events: dict[str, int]
-    event_count: int
-    descended: int
-
-
-class Difference(TypedDict):
-    """Cost of a controller minus that of the tube, with its standard error."""
-
-    mean: float
-    error: float | None
-    flights: int
-
-
-class MpcFound(TypedDict):
-    """mpc.json without its words."""
-
-    schema: str
-    command: str
-    what: What
-    level: float
-    tuning: Tuning
-    seeds: dict[str, int]
-    jobs: int
-    course: dict[str, Json]
-    controllers: dict[str, Controller]
-    differences: dict[str, Difference]
-
-
-class MpcDocument(MpcFound):
-    """mpc.json."""
-
-    verdict: str
-    next: list[str]
-    warnings: list[str]
-    versions: dict[str, str]
+from mpc_export.mission.flight import Mission
+from mpc_export.promise import counted, p_value
 
 
 def crossed(row: FlightRow) -> bool:
@@ -115,7 +65,7 @@ def summary(
     }
 
 
-def _course(task: Mission) -> dict[str, Json]:
+def _course(task: Mission) -> CoursePart:
     course = task.course
     times = np.asarray(np.arange(0.0, course.duration + 1e-9, 0.02 * task.pace))
     return {
@@ -141,7 +91,9 @@ def _course(task: Mission) -> dict[str, Json]:
     }
 
 
-def _controller(entry: Entry, rows: Sequence[FlightRow], task: Mission, level: float) -> Controller:
+def _controller(
+    entry: Entry, rows: Sequence[FlightRow], task: Mission, level: float
+) -> CourseController:
     n = len(rows)
     hits = sum(map(crossed, rows))
     tilted = sum(bool(r["crashed"] or r["tilt"] > task.course.tilt_max) for r in rows)
@@ -213,7 +165,7 @@ def _differences(per: dict[str, list[FlightRow]]) -> dict[str, Difference]:
     return out
 
 
-def share(found: Controller) -> str:
+def share(found: CourseController) -> str:
     """Crossed flights in words."""
     low, high = found["crossed"]["interval"]
     return (
@@ -298,7 +250,7 @@ def advice(content: MpcFound) -> list[str]:
     return out
 
 
-def _on_risk(content: MpcFound, tube: Controller, level: float) -> list[str]:
+def _on_risk(content: MpcFound, tube: CourseController, level: float) -> list[str]:
     """Whether the tube crosses its limits as often as it was asked to."""
     out: list[str] = []
     n, (low, high) = tube["flights"], tube["crossed"]["interval"]
@@ -332,7 +284,7 @@ def _on_risk(content: MpcFound, tube: Controller, level: float) -> list[str]:
     return out
 
 
-def _on_cost(content: MpcFound, tube: Controller) -> list[str]:
+def _on_cost(content: MpcFound, tube: CourseController) -> list[str]:
     """What the tube costs beside one constant back-off."""
     out: list[str] = []
     found = content["controllers"]

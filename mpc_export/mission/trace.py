@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from greybox.report.mpc_documents import PlanTrace
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.stages import block
 
@@ -20,7 +21,7 @@ class Trace:
         self.stages = np.unique(np.linspace(0, horizon, SHOWN_STAGES).round().astype(int))
         self.functions = pilot.functions
         self.learned = "gp_variance" in pilot.functions.functions
-        self.plans: list[dict[str, object]] = []
+        self.plans: list[PlanTrace] = []
         self.count = 0
 
     def look(self, pilot: TubeController) -> None:

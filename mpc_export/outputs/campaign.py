@@ -13,13 +13,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
-from typing import Literal, TypedDict
+from typing import Literal
 
 import numpy as np
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.files import checksum, file_sha256
 from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.report.mpc_documents import OwnController, OwnDocument, OwnFound, RunTrace
 from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
 from mpc_export.functions import model_functions
@@ -28,7 +29,7 @@ from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.noise import parameter_covariance
 from mpc_export.outputs.controller import OutputController, typical_problem
 from mpc_export.outputs.machine import Asked, Machine, Run, machine_of, run
-from mpc_export.promise import AnswerTimes, Judged, answer_times, counted, kept, left_open, p_value
+from mpc_export.promise import answer_times, counted, kept, left_open, p_value
 from mpc_export.tube.risk import kappa
 
 TEXTS = {
@@ -45,7 +46,7 @@ FORM = "no number is beyond, the first command in its range"
 """Of controller and judgement: runs of another form do not count with those of this one."""
 
 
-class RunRow(Row, Run):
+class RunRow(Row[RunTrace], Run):
     """A run as it is kept."""
 
 
@@ -205,49 +206,6 @@ def checked(
     return replace(asked, ranges=ranges, seconds=seconds)
 
 
-class Controller(Judged):
-    """What the runs of one controller say together, by output."""
-
-    text: str
-    kappa: float
-    runs: int
-    samples_beyond: float
-    excess: dict[str, float | None]
-    rmse: dict[str, float | None]
-    settled: dict[str, float | None]
-    failures: int
-    solve_ms: AnswerTimes
-
-
-class OwnFound(TypedDict):
-    """mpc_own.json without its words."""
-
-    schema: str
-    command: str
-    level: float
-    plant: str
-    model: str
-    model_sha256: str
-    dt: float
-    seconds: float | None
-    horizon: int
-    held: dict[str, list[float]]
-    limits: dict[str, list[float | None]]
-    ranges: dict[str, list[float]]
-    units: dict[str, str]
-    seeds: dict[str, int]
-    tuning: dict[str, float]
-    controllers: dict[str, Controller]
-
-
-class OwnDocument(OwnFound):
-    """mpc_own.json."""
-
-    verdict: str
-    next: list[str]
-    versions: dict[str, str]
-
-
 def summary(
     own: OwnCampaign, rows: Sequence[RunRow], seeds: Sequence[int], command: str
 ) -> OwnDocument:
@@ -276,7 +234,7 @@ def summary(
     return {**out, "verdict": verdict(out), "next": advice(out), "versions": library_versions()}
 
 
-def _controller(name: str, rows: Sequence[RunRow], own: OwnCampaign) -> Controller:
+def _controller(name: str, rows: Sequence[RunRow], own: OwnCampaign) -> OwnController:
     n, hits = len(rows), sum(r["beyond"] > 0 for r in rows)
     held = list(own.asked.held)
     return {

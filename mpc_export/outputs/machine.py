@@ -11,13 +11,13 @@ from typing import NotRequired, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from greybox.files import Json, to_plain
+from greybox.files import to_plain
 from greybox.model.identified import IdentifiedModel
+from greybox.report.mpc_documents import Answered, ByOutput, RunTrace
 from greybox.symbolic import FloatArray
 from mpc_export.mission.flight import PlantError, load_plant
 from mpc_export.mission.model_plant import DrawnModel
 from mpc_export.outputs.controller import OutputController
-from mpc_export.promise import Answered
 
 NEAR = 0.02
 """A limit that the next sample of a plan comes closer to than this share of the output's typical
@@ -42,18 +42,15 @@ class Machine(Protocol):
         ...
 
 
-class Run(Answered):
-    """One run, as `run` explains it; None where an output was not finite."""
+class Run(Answered, ByOutput):
+    """One run, as `run` explains it."""
 
     seed: int
     beyond: int
     samples: int
-    excess: dict[str, float | None]
-    rmse: dict[str, float | None]
-    settled: dict[str, float | None]
     touched: int
     failures: int
-    trace: NotRequired[dict[str, Json]]
+    trace: NotRequired[RunTrace]
 
 
 class ModelMachine(DrawnModel):

@@ -16,17 +16,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypedDict
 
 import numpy as np
 
 from greybox.baselines.output_residual import OutputHybrid
 from greybox.files import checksum, file_sha256
 from greybox.model.identified import library_versions
+from greybox.report.mpc_documents import RatesController, RatesDocument, RatesFound, RatesTrace
 from mpc_export.kept_flights import Row, flights
 from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.predictors import predictor_model
-from mpc_export.promise import AnswerTimes, Judged, answer_times, counted, kept, left_open, p_value
+from mpc_export.promise import answer_times, counted, kept, left_open, p_value
 from mpc_export.rates.controller import FORM, RateController, RateProblem
 from mpc_export.rates.craft import FLIGHTS, OUTPUTS, PLANT, Task, vehicle
 from mpc_export.rates.flight import Flight, Pilot, fly, outer_loops
@@ -48,7 +48,7 @@ WATCHED = 2
 """So many flights are kept for the animation."""
 
 
-class FlightRow(Row, Flight):
+class FlightRow(Row[RatesTrace], Flight):
     """A flight as it is kept."""
 
 
@@ -119,47 +119,6 @@ def prepare(out: Path, level: float, say: Callable[[str], None], task: Task | No
     return found
 
 
-class Controller(Judged):
-    """What the flights of one controller say together."""
-
-    text: str
-    kappa: float
-    flights: int
-    crashed: int
-    samples_beyond: float
-    worst: float | None
-    rmse: float | None
-    away: float | None
-    failures: int
-    solve_ms: AnswerTimes
-
-
-class RatesFound(TypedDict):
-    """mpc_rates.json without its words."""
-
-    schema: str
-    command: str
-    level: float
-    plant: str
-    model: str
-    model_sha256: str
-    features: list[str]
-    limit: float
-    seconds: float
-    outputs: list[str]
-    seeds: dict[str, int]
-    tuning: dict[str, dict[str, float]]
-    controllers: dict[str, Controller]
-
-
-class RatesDocument(RatesFound):
-    """mpc_rates.json."""
-
-    verdict: str
-    next: list[str]
-    versions: dict[str, str]
-
-
 def summary(
     rates: Rates, rows: Sequence[FlightRow], seeds: Sequence[int], command: str
 ) -> RatesDocument:
@@ -198,7 +157,7 @@ def beyond(row: Flight) -> bool:
     return bool(row["crashed"] or row["beyond"])
 
 
-def _controller(name: str, rows: Sequence[FlightRow], rates: Rates) -> Controller:
+def _controller(name: str, rows: Sequence[FlightRow], rates: Rates) -> RatesController:
     n, hits = len(rows), sum(map(beyond, rows))
 
     return {

@@ -9,14 +9,14 @@ from typing import NotRequired
 
 import numpy as np
 
-from greybox.files import Json, to_plain
+from greybox.files import to_plain
 from greybox.frames import numeric
 from greybox.model.vehicle import Vehicle
+from greybox.report.mpc_documents import Answered, RatesTrace
 from greybox.symbolic import FloatArray
 from mpc_export.mission.cascade import CascadeController, Gains
 from mpc_export.mission.course import SampledPath
 from mpc_export.mission.flight import Plant, truth
-from mpc_export.promise import Answered
 from mpc_export.rates.controller import RateController
 from mpc_export.rates.craft import DT, OUTPUTS, Task
 
@@ -73,7 +73,7 @@ class Flight(Answered):
     away: float
     touched: int
     failures: int
-    trace: NotRequired[dict[str, Json]]
+    trace: NotRequired[RatesTrace]
 
 
 def _at(path: SampledPath, k: int) -> SampledPath:
