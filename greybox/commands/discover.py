@@ -8,11 +8,12 @@ import itertools
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from greybox.data import Dataset
     from greybox.data.checks import CheckReport
+    from greybox.discovery.document import DiscoveryDocument
     from greybox.discovery.options import DiscoverChoices
     from greybox.discovery.result import Discovery
     from greybox.model.dynamics import StateSpaceModel
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import Vehicle
 
-from greybox.commands.command_line import typed
+from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.judgement import accept_option, accepted, adapt_option, demand_adapt
@@ -46,7 +47,7 @@ def _set_aside_laws(out: Path, laws: Mapping[str, str]) -> None:
             set_aside(old)
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "discover",
@@ -174,13 +175,13 @@ def _search_options(p: argparse.ArgumentParser) -> None:
 
 
 class _Search:
-    """The folder of a search: what it wrote so far (`content` of discovery.json), rewritten after
+    """The folder of a search: what it wrote so far (`written`: discovery.json), rewritten after
     every step."""
 
     def __init__(
-        self, out: Path, title: str, offered: Mapping[str, Sequence[Any]], faults: CheckReport
+        self, out: Path, title: str, offered: Mapping[str, Sequence[Effect]], faults: CheckReport
     ) -> None:
-        self.content: dict[str, Any] = {}
+        self.written: DiscoveryDocument | None = None
         self._out, self._title, self._offered, self.faults = out, title, offered, faults
         self._began = False
 
@@ -190,8 +191,7 @@ class _Search:
         from greybox.discovery.result import WITH_LAWS
         from greybox.files import withdraw, write_atomic, write_json
 
-        out, content = self._out, self.content
-        content.update(found.to_dict())
+        out, content = self._out, found.to_dict()
         accepted_faults = (f"accepted: {f.flight}: {f.message}" for f in self.faults.overruled)
         content["warnings"] = [*accepted_faults, *content["warnings"]]
         content["command"] = typed("discover")
@@ -199,6 +199,7 @@ class _Search:
         content["effects_files"] = [
             path for path, effects in self._offered.items() if {e.name for e in effects} & set(has)
         ]
+        self.written = content
         withdraw(out, "report.html")
         if found.fit is None:
             write_json(out / "discovery.json", content)
@@ -216,6 +217,12 @@ class _Search:
         else:
             withdraw(out, WITH_LAWS)
         write_json(out / "discovery.json", content)
+
+    @property
+    def content(self) -> DiscoveryDocument:
+        """discovery.json as it was written last."""
+        assert self.written is not None
+        return self.written
 
     def page(self) -> None:
         """Write report.html of what is found so far."""
@@ -364,7 +371,7 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             found = _searched(subject, train, test, asked, search, console, arguments.executor)
         except KeyboardInterrupt:
-            if search.content:
+            if search.written is not None:
                 search.page()
                 arguments.kept = search.kept()
             raise
@@ -452,7 +459,7 @@ def _go_on(arguments: argparse.Namespace) -> int:
     folder, logs = Path(arguments.folder), [*arguments.train, *arguments.test]
     if not logs:
         raise GreyboxError("--continue needs further flights", fix="--train LOGS or --test LOGS")
-    content = read_json(folder / "discovery.json")
+    content: DiscoveryDocument = read_json(folder / "discovery.json")
     files = [*content.get("effects_files", ()), *arguments.effects_file]
     own = [e for path in files for e in load_effects(path)]
     model = IdentifiedModel.load(folder / "model.json", effects=own)

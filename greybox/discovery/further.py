@@ -14,14 +14,14 @@ clear.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable
 
 from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import offer, sensor_cause
+from greybox.discovery.document import DiscoveryDocument, NamedRow, UnnamedRow
 from greybox.discovery.evidence import Flights, Structure
 from greybox.discovery.name import LOG10
 from greybox.errors import DataError
@@ -36,8 +36,8 @@ from greybox.statistics.betting import bar_of_several
 
 @threadpool_limits.wrap(limits=1)
 def further(
-    content: Mapping[str, Any], model: IdentifiedModel, data: Dataset, own: Iterable[Effect] = ()
-) -> dict[str, Any]:
+    content: DiscoveryDocument, model: IdentifiedModel, data: Dataset, own: Iterable[Effect] = ()
+) -> DiscoveryDocument:
     """The `content` of discovery.json with the evidence of new flights `data` multiplied to that of
     its names; `model` is the one beside it, `own` are effects besides the catalogue.
 
@@ -83,7 +83,7 @@ def further(
     alone = content.get("alone_log10_e", content["bar_log10_e"])
     totals = [e["log10_e"] + new for e, new in zip(content["effects"], told_now, strict=True)]
     bar = bar_of_several([LOG10 * t for t in totals], LOG10 * alone) / LOG10
-    effects = []
+    effects: list[NamedRow] = []
     for effect, new, total in zip(content["effects"], told_now, totals, strict=True):
         enough = total >= bar
         status = "certified" if enough else effect["status"]
@@ -91,9 +91,16 @@ def further(
             status = "not certified"
         effects.append({**effect, "log10_e": total, "status": status, "further": new})
     kept = [e for e in effects if e["status"] != "not certified"]
-    lost = [
-        {k: e[k] for k in ("name", "status", "log10_e", "against", "worth", "further")}
-        | {"reason": f"with further flights log10 e {e['log10_e']:.1f} of {bar:.1f}"}
+    lost: list[UnnamedRow] = [
+        {
+            "name": e["name"],
+            "status": e["status"],
+            "log10_e": e["log10_e"],
+            "against": e["against"],
+            "worth": e["worth"],
+            "further": e["further"],
+            "reason": f"with further flights log10 e {e['log10_e']:.1f} of {bar:.1f}",
+        }
         for e in effects
         if e["status"] == "not certified"
     ]
@@ -108,16 +115,14 @@ def further(
     }
 
 
-def _rivals(
-    structure: Structure, effect: Mapping[str, Any], offered: Iterable[str]
-) -> list[Structure]:
+def _rivals(structure: Structure, effect: NamedRow, offered: Iterable[str]) -> list[Structure]:
     """The structures that do without a name: dropped, or its strongest rival in its place."""
     left = structure - {effect["name"]}
     instead = frozenset(str(effect["against"]).split(" + "))
     return [left, left | instead] if instead <= set(offered) else [left]
 
 
-def _verdict(content: Mapping[str, Any], kept: Iterable[Mapping[str, Any]]) -> str:
+def _verdict(content: DiscoveryDocument, kept: Iterable[NamedRow]) -> str:
     """As of a search: the first of named, ambiguous and unnamed that there is."""
     if any(e["status"] in ("certified", "supported") for e in kept):
         return "named"
@@ -126,6 +131,6 @@ def _verdict(content: Mapping[str, Any], kept: Iterable[Mapping[str, Any]]) -> s
     return "unnamed" if content["unnamed"] else "nothing_missing"
 
 
-def _line(kept: Iterable[Mapping[str, Any]]) -> str:
+def _line(kept: Iterable[NamedRow]) -> str:
     said = [f"{e['name']} (log10 e {e['log10_e']:.1f})" for e in kept]
     return "MISSING: " + "; ".join(said) if said else "no name holds on the further flights"

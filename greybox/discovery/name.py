@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from greybox.discovery.certificate import UNKNOWN, Certificate, Instead
+from greybox.discovery.document import Grounds, WorthRow
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.worth import Worth
 from greybox.errors import GreyboxError
 from greybox.model.parameter import Parameter
-from greybox.planning.experiment import separating_manoeuvre
+from greybox.planning.experiment import Manoeuvres, separating_manoeuvre
 
 Status = Literal["certified", "supported", "one of these", "trace", "impossible", "not certified"]
 LOG10 = float(np.log(10.0))
@@ -37,12 +38,17 @@ class Name:
     reason: str = ""
     kept: bool = False
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Grounds:
         """What discovery.json says of it besides its estimates."""
         w, worth = self.worth, None
         if w is not None:
-            worth = {"share": w.share, "group": w.group, "horizon_s": w.horizon}
-            worth |= {"log10_e": w.log_e / LOG10, "seconds": w.seconds}
+            worth = WorthRow(
+                share=w.share,
+                group=w.group,
+                horizon_s=w.horizon,
+                log10_e=w.log_e / LOG10,
+                seconds=w.seconds,
+            )
         return {
             "name": self.name,
             "status": self.status,
@@ -151,7 +157,7 @@ def impossible(at: Fitted, flights: Flights, name: str) -> str:
     return ""
 
 
-def separating(flights: Flights, at: Fitted, name: Name) -> Mapping[str, Any] | None:
+def separating(flights: Flights, at: Fitted, name: Name) -> Manoeuvres | None:
     """The manoeuvre that tells a set apart, as in discovery.json; None where none does."""
     fits, left = {name.name: flights.settled(at)}, at.structure - {name.name}
     for other in list(name.shares)[1:]:

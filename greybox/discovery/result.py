@@ -5,17 +5,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from greybox.discovery.document import (
+    AmbiguousRow,
+    DiscoveryDocument,
+    Estimate,
+    LeftRow,
+    LocationRow,
+    NamedRow,
+    SearchSettings,
+    StepRow,
+    UnnamedRow,
+    WorthRow,
+)
 from greybox.discovery.left import Left
 from greybox.discovery.name import LOG10, Name
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
+from greybox.estimation.noise_table import SensorRow
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import physics_of
+from greybox.planning.experiment import Manoeuvres
 from greybox.plots import bars
 from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import file_name
@@ -60,11 +74,11 @@ class Discovery(Shown):
     warnings: tuple[str, ...] = ()
     omega_known: bool
     seconds: float
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: SearchSettings = field(default_factory=SearchSettings)
     tested_on: tuple[str, ...] = ()
-    separating: Mapping[str, Mapping[str, Any] | None] = field(default_factory=dict)
-    steps: tuple[Mapping[str, Any], ...] = ()
-    sensors: tuple[Mapping[str, Any], ...] = ()
+    separating: Mapping[str, Manoeuvres | None] = field(default_factory=dict)
+    steps: tuple[StepRow, ...] = ()
+    sensors: tuple[SensorRow, ...] = ()
     base: tuple[str, ...] = ()
     lawful: IdentifiedModel | None = None
 
@@ -108,23 +122,27 @@ class Discovery(Shown):
         """Names of some status, in the order of the catalogue."""
         return [n for n in self.names if n.status in status]
 
-    def effects(self) -> list[dict[str, Any]]:
+    def effects(self) -> list[NamedRow]:
         """Certified and supported effects with the estimates of the final fit."""
         return [
-            n.to_dict() | {"stage": self._stage(n.name), "parameters": self._parameters(n.name)}
+            {
+                **n.to_dict(),
+                "stage": self._stage(n.name),
+                "parameters": self._parameters(n.name),
+            }
             for n in self.said("certified", "supported")
         ]
 
-    def traces(self) -> list[dict[str, Any]]:
+    def traces(self) -> list[UnnamedRow]:
         """What is certain but worth nothing, or of a size that no craft has, with the reason."""
-        return [n.to_dict() | {"reason": n.reason} for n in self.said("trace", "impossible")]
+        return [{**n.to_dict(), "reason": n.reason} for n in self.said("trace", "impossible")]
 
     def _stage(self, name: str) -> str:
         if physics_of(self.model.dynamics) is None:
             return "own"
         return next((e.stage for e in self.final_effects if e.name == name), "wrench")
 
-    def _parameters(self, name: str) -> dict[str, Any]:
+    def _parameters(self, name: str) -> dict[str, Estimate]:
         assert self.fit is not None
         own = {n: e for n, e in self.fit.parameters.items() if n.split(".")[0] == name}
         std = {n: e.std if np.isfinite(e.std) else None for n, e in own.items()}
@@ -139,14 +157,15 @@ class Discovery(Shown):
         physics = physics_of(self.model.dynamics)
         return () if physics is None else tuple(physics.effects)
 
-    def unnamed(self) -> list[dict[str, Any]]:
+    def unnamed(self) -> list[LeftRow]:
         """Axes that hold something no effect explains; where it has a law, with its file."""
         if self.left is None:
             return []
         numbers = {law.channel: n for n, law in enumerate(self.left.laws, 1)}
         return [
-            a.to_dict()
-            | ({"file": file_name(numbers[a.channel])} if a.channel in numbers else NO_LAW)
+            {**a.to_dict(), "file": file_name(numbers[a.channel])}
+            if a.channel in numbers
+            else {**a.to_dict(), "file": None, "proposal": None, "depends_on": []}
             for a in self.left.unnamed
         ]
 
@@ -154,12 +173,12 @@ class Discovery(Shown):
         """File name -> text, one for every law of what is left."""
         return {} if self.left is None else self.left.files
 
-    def locations(self) -> list[dict[str, Any]]:
+    def locations(self) -> list[LocationRow]:
         """Axes of force and torque: RMS of the discrepancy before and after the names."""
         after = {} if self.left is None else {a.channel: a.rms for a in self.left.axes}
-        return [a.to_dict() | {"rms_after": after.get(a.channel)} for a in self.before]
+        return [{**a.to_dict(), "rms_after": after.get(a.channel)} for a in self.before]
 
-    def ambiguous(self) -> list[dict[str, Any]]:
+    def ambiguous(self) -> list[AmbiguousRow]:
         """Sets of causes that the flights cannot tell apart."""
         return [
             {
@@ -171,7 +190,7 @@ class Discovery(Shown):
             for n in self.said("one of these")
         ]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> DiscoveryDocument:
         """discovery.json, schema "greybox.discovery/2"."""
         fitted = self.fit is not None
         return {
@@ -186,21 +205,21 @@ class Discovery(Shown):
             "ambiguous": self.ambiguous() if fitted else [],
             "unnamed": self.unnamed(),
             "not_certified": [
-                n.to_dict() | {"reason": n.reason, "in_model": n.kept}
+                {**n.to_dict(), "reason": n.reason, "in_model": n.kept}
                 for n in self.said("not certified")
             ],
             "model_with_laws": None if self.lawful is None else WITH_LAWS,
             "base": [{"name": n, "parameters": self._parameters(n)} for n in self.base if fitted],
-            "sensors": [dict(s) for s in self.sensors],
+            "sensors": [s.copy() for s in self.sensors],
             "locations": self.locations(),
-            "steps": [dict(s) for s in self.steps],
+            "steps": [s.copy() for s in self.steps],
             "gap": [r.to_dict() for r in self.gap],
             "gap_on": self.gap_on,
             "minimum_detectable": {n: dict(v) for n, v in self.minimum_detectable.items()},
             "not_judged": dict(self.unjudged),
             "faults": list(self.faults),
             "warnings": list(self.warnings),
-            "settings": dict(self.settings),
+            "settings": self.settings.copy(),
             "trained_on": list(self.fit.model.trained_on) if self.fit is not None else [],
             "tested_on": list(self.tested_on),
             "data_hash": self.fit.data_hash if self.fit is not None else None,
@@ -213,7 +232,7 @@ class Discovery(Shown):
         """What a pilot wants to know, in one line."""
         if self.verdict in ("bad_data", "stopped"):
             return f"{self.verdict.replace('_', ' ').upper()}: {SAYS[self.verdict]}"
-        found = [_in_words(e) for e in self.effects()]
+        found = [_in_words(e["name"], e["parameters"]) for e in self.effects()]
         found += [
             "one of " + " / ".join(c["name"] for c in a["candidates"]) for a in self.ambiguous()
         ]
@@ -240,7 +259,9 @@ class Discovery(Shown):
         if self.fit is None:
             return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
         for e in self.effects():
-            lines.append(f"  {_in_words(e)}: {e['status']}, log10 e {e['log10_e']:.1f}{_worth(e)}")
+            words = _in_words(e["name"], e["parameters"])
+            told = f"{e['status']}, log10 e {e['log10_e']:.1f}{_worth(e['worth'])}"
+            lines.append(f"  {words}: {told}")
             odds = "    rather than {name}: log10 odds {log10_odds:.1f}, log10 e {log10_e:.1f}"
             lines += [odds.format(**u) for u in e["unlikely"]]
         for a in self.ambiguous():
@@ -254,7 +275,7 @@ class Discovery(Shown):
             lines.append(f"  not certified{', in the model' * n.kept}: {n.name} ({n.reason})")
         if self.base:
             drift = ", noise between attitude and gyro" * bool(self.settings.get("kinematic_noise"))
-            level = _in_words({"name": LEVEL, "parameters": self._parameters(LEVEL)})
+            level = _in_words(LEVEL, self._parameters(LEVEL))
             lines.append(f"  in every model: {', '.join(self.base)}{drift}".replace(LEVEL, level))
         for kind in dict.fromkeys(s["kind"] for s in self.sensors if s["kind"] != "white"):
             channels = [s["channel"] for s in self.sensors if s["kind"] == kind]
@@ -267,19 +288,15 @@ class Discovery(Shown):
         return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
 
 
-NO_LAW: dict[str, Any] = {"file": None, "proposal": None, "depends_on": []}
-
-
-def _in_words(effect: Mapping[str, Any]) -> str:
+def _in_words(name: str, parameters: Mapping[str, Estimate]) -> str:
     numbers = ", ".join(
         f"{n} = {v['value']:.4g}" + (f" +- {v['std']:.2g}" if v["std"] else "") + f" {v['unit']}"
-        for n, v in effect["parameters"].items()
+        for n, v in parameters.items()
     )
-    return f"{effect['name']} ({numbers})"
+    return f"{name} ({numbers})"
 
 
-def _worth(effect: Mapping[str, Any]) -> str:
-    w = effect["worth"]
+def _worth(w: WorthRow | None) -> str:
     if w is None:
         return ""
     ahead = f"{w['horizon_s']:g} s" if w["horizon_s"] else "one sample"
@@ -301,5 +318,5 @@ def _closing(rows: Sequence[GapRow]) -> list[str]:
     return out
 
 
-def _size(axis: Mapping[str, Any]) -> str:
+def _size(axis: LeftRow) -> str:
     return f"{axis['rms']:.2g} {axis['unit']} that lasts {axis['lasts_s']:.2g} s"

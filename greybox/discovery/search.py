@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from greybox.discovery.document import StepRow
 from greybox.discovery.evidence import Fitted, Flights, Structure
 from greybox.discovery.left import axis_gains
 from greybox.discovery.propose import (
@@ -51,7 +52,7 @@ class Search:
     most: int
     say: Callable[[str, float], None]
     interim: Callable[[Fitted], None] = lambda _fit: None
-    steps: list[dict[str, object]] = field(default_factory=list)
+    steps: list[StepRow] = field(default_factory=list)
     scores: Scores | None = None
     tried: set[tuple[Structure, Structure]] = field(default_factory=set)
     lost: dict[tuple[Structure, Structure], bool] = field(default_factory=dict)
@@ -279,7 +280,7 @@ class Search:
         gained = -np.inf if best is None else self.score(best) - self.score(at)
         if scores is not None:
             tried = [(sorted(f.structure - at.structure), f) for f in fits]
-            step: dict[str, object] = {
+            step: StepRow = {
                 "structure": self.named(at.structure),
                 "log_evidence": at.log_evidence,
                 "predicted": {n: scores.gain(n) for n in scores.absent},

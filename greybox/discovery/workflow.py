@@ -9,7 +9,7 @@ import concurrent.futures
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -21,13 +21,14 @@ from greybox.data.halves import demand_apart
 from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import Causes, offer
 from greybox.discovery.certificate import certificates, certificates_beside, splits
+from greybox.discovery.document import SearchSettings
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.left import Left, left_over
 from greybox.discovery.name import Name, held, impossible, judged, separating, unneeded
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
 from greybox.discovery.own_cause import offer_own
 from greybox.discovery.result import Discovery
-from greybox.discovery.search import Search
+from greybox.discovery.search import Rival, Search
 from greybox.discovery.worth import worth
 from greybox.errors import DataError, GreyboxError, ModelError, UnknownNameError
 from greybox.estimation.fit import Fit
@@ -39,9 +40,18 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.known import known_numbers, since
 from greybox.model.layer import physics_of
 from greybox.model.vehicle import Vehicle
+from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks
 from greybox.statistics.betting import bar_of_several
-from greybox.validation.gap import HeldOutErrors, gap, outgrown, predict_ahead, worsened
+from greybox.validation.gap import (
+    GapRow,
+    HeldOutErrors,
+    Squares,
+    gap,
+    outgrown,
+    predict_ahead,
+    worsened,
+)
 
 SHORTEST_FLIGHT = 0.6
 """Seconds without an interruption: the first tenth tells only its commands."""
@@ -121,9 +131,15 @@ def discover(
     return run.carried_out()
 
 
-def _settings(options: DiscoverOptions) -> dict[str, Any]:
-    said = "alpha", "seed", "max_effects", "adapt", "kinematic_noise", "hold_sensor_noise", "trace"
-    return {n: getattr(options, n) for n in said} | {
+def _settings(options: DiscoverOptions) -> SearchSettings:
+    return {
+        "alpha": options.alpha,
+        "seed": options.seed,
+        "max_effects": options.max_effects,
+        "adapt": options.adapt,
+        "kinematic_noise": options.kinematic_noise,
+        "hold_sensor_noise": options.hold_sensor_noise,
+        "trace": options.trace,
         "per_flight": list(options.per_flight),
         "fixed": sorted(options.fixed),
         "since": None if options.since is None else options.since.data_hash,
@@ -175,7 +191,7 @@ def refused(
     faults: CheckReport,
     vehicle: Vehicle,
     *,
-    settings: Mapping[str, Any] | None = None,
+    settings: SearchSettings | None = None,
     seconds: float = 0.0,
 ) -> Discovery:
     """The answer "bad_data": faults that block would be read as physics."""
@@ -185,7 +201,7 @@ def refused(
         faults=tuple(f"{f.flight}: {f.message}" for f in blocking),
         omega_known=vehicle.actuator.speed_max is not None,
         seconds=seconds,
-        settings=dict(settings or {}),
+        settings=settings or {},
     )
 
 
@@ -208,7 +224,7 @@ class _Run:
     test: Dataset | None
     judges: Dataset
     options: DiscoverOptions
-    settings: dict[str, Any]
+    settings: SearchSettings
     say: Progress
     save: Callable[[Discovery], None]
     began: float
@@ -323,7 +339,7 @@ class _Run:
     # ---------------------------------------------------------------- judging
 
     def _named(
-        self, search: Search, at: Fitted, rivals: Mapping[str, Sequence[Any]]
+        self, search: Search, at: Fitted, rivals: Mapping[str, Sequence[Rival]]
     ) -> tuple[list[Name], Fitted]:
         """What is said of every cause of the structure, and the structure of what is said."""
         judges = splits(self.flights, self.test)
@@ -368,15 +384,15 @@ class _Run:
             self.warnings.append(f"what is left could not be looked at: {error}")
             return Left(axes=())
 
-    def _separated(self, names: Sequence[Name], at: Fitted) -> dict[str, Mapping[str, Any] | None]:
-        out: dict[str, Mapping[str, Any] | None] = {}
+    def _separated(self, names: Sequence[Name], at: Fitted) -> dict[str, Manoeuvres | None]:
+        out: dict[str, Manoeuvres | None] = {}
         for name in names:
             if name.status == "one of these":
                 self.say(f"what separates {' and '.join(name.shares)}", 0.97)
                 out[name.name] = separating(self.flights, at, name)
         return out
 
-    def _gap(self, null: Fitted, at: Fitted, lawful: IdentifiedModel | None) -> list[Any]:
+    def _gap(self, null: Fitted, at: Fitted, lawful: IdentifiedModel | None) -> list[GapRow]:
         if self.test is None:
             self.warnings.append(
                 "without --test flights the causes were chosen on the flights that judge them, by "
@@ -412,14 +428,14 @@ class _Run:
             )
         return rows
 
-    def _judged(self, what: str, model: IdentifiedModel, unnamed: bool = False) -> Any:
+    def _judged(self, what: str, model: IdentifiedModel, unnamed: bool = False) -> Squares | None:
         try:
             return self._ahead(model, unnamed).own
         except GreyboxError as error:
             self.warnings.append(f"{what} could not be judged: {error}")
             return None
 
-    def _learned(self, null: Fitted) -> Any:
+    def _learned(self, null: Fitted) -> Squares | None:
         """Errors of the bare model with a Gaussian process that learned what it misses."""
         from greybox.residual.learn import learn
 

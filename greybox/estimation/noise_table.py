@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TypedDict
 
 from greybox.estimation.fit import Fit
 from greybox.model.layer import physics_of
 from greybox.model.noise import sensor_parts
 
 
-def sensor_table(found: Fit) -> list[dict[str, Any]]:
+class SensorRow(TypedDict):
+    """One channel and kind of noise: what it is made of, by name."""
+
+    channel: str
+    kind: str
+    parameters: Mapping[str, float | None]
+
+
+def sensor_table(found: Fit) -> list[SensorRow]:
     """One entry per channel and kind of noise, as in discovery.json: {channel, kind, parameters}.
 
     `parameters`: `sigma` of the white part; what `SensorPart.described` says of the others.
@@ -17,7 +26,7 @@ def sensor_table(found: Fit) -> list[dict[str, Any]]:
     noise = {n: v for n, (v, _, _) in found.noise.items()}
     values, dt = found.model.values, found.model.sample_time
     physics = physics_of(found.model.dynamics)
-    out: list[dict[str, Any]] = []
+    out: list[SensorRow] = []
     if physics is None:
         names = found.model.dynamics.innovations.names
         sigma = {c: {"sigma": noise.get(f"noise.sensor.{c}")} for c in names}

@@ -20,6 +20,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NotRequired, TypedDict
 
 import numpy as np
 
@@ -29,13 +30,31 @@ from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import Fit, noise_of
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Problem, make_problem
-from greybox.files import Json
 from greybox.planning.manoeuvres import LIBRARY, SECONDS, Manoeuvre, flown_together, flying_model
 from greybox.statistics.evidence import CLEAR_LOG_RATIO
 from greybox.symbolic import FloatArray
 
 OTHERS = 3
 """How many runners-up are listed."""
+
+
+class ManoeuvreRow(TypedDict):
+    """A manoeuvre as in discovery.json: `seconds_to_bic_10` is None where the rivals predict the
+    same."""
+
+    name: str
+    text: str
+    amplitude: float
+    unit: str
+    seconds: float
+    expected_log_likelihood_ratio: float
+    seconds_to_bic_10: float | None
+
+
+class Manoeuvres(ManoeuvreRow):
+    """The most telling one, and those that follow."""
+
+    runners_up: NotRequired[list[ManoeuvreRow]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +75,7 @@ class Separation:
             float("inf") if self.expected <= 0 else self.seconds * CLEAR_LOG_RATIO / self.expected
         )
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> ManoeuvreRow:
         """As in discovery.json."""
         return {
             "name": self.manoeuvre.name,
@@ -115,7 +134,7 @@ def separating_manoeuvre(
     library: Sequence[Manoeuvre] = LIBRARY,
     seconds: float = SECONDS,
     say: Callable[[str], None] | None = None,
-) -> dict[str, Json] | None:
+) -> Manoeuvres | None:
     """The most telling manoeuvre with its runners-up, as in discovery.json; None where none can be
     flown."""
     found = separations(rivals, library=library, seconds=seconds, say=say)
@@ -130,7 +149,7 @@ def separating_manoeuvre(
         )
     ]
     best.sort(key=lambda s: -s.expected)
-    return best[0].to_dict() | {"runners_up": [s.to_dict() for s in best[1 : 1 + OTHERS]]}
+    return {**best[0].to_dict(), "runners_up": [s.to_dict() for s in best[1 : 1 + OTHERS]]}
 
 
 def divergence(fitted: Fit, log: Dataset, known: Mapping[str, Mapping[str, float]]) -> float:

@@ -6,10 +6,12 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Literal
 
 from matplotlib.figure import Figure
 
+from greybox.discovery.document import DiscoveryDocument, LeftRow, NamedRow, WorthRow
+from greybox.planning.experiment import Manoeuvres
 from greybox.report import figures
 from greybox.report.discover_figures import evidence, paired_bars
 from greybox.report.discover_sections import sensors_section
@@ -18,7 +20,7 @@ from greybox.report.svg import SERIES
 from greybox.report.validation_sections import headline_groups
 from greybox.report.words import number, rounded
 from greybox.shown import in_degrees
-from greybox.validation.gap import closed_in_words
+from greybox.validation.gap import GapDocument, closed_in_words
 
 ANSWERS = {
     "bad_data": "The data have faults that block the search. They would be read as physics, so "
@@ -34,7 +36,7 @@ BARS = 14
 """Candidates that a bar chart shows; the table has all."""
 
 
-def discover_report(content: Mapping[str, Any], *, title: str | None = None) -> str:
+def discover_report(content: DiscoveryDocument, *, title: str | None = None) -> str:
     """The page of a discovery. `content` follows schemas/discovery.json. Raises `KeyError` where a
     required field is missing."""
     report = Report(title or "What the model misses", _subtitle(content))
@@ -58,7 +60,7 @@ def discover_report(content: Mapping[str, Any], *, title: str | None = None) -> 
     return report.html()
 
 
-def _subtitle(content: Mapping[str, Any]) -> str:
+def _subtitle(content: DiscoveryDocument) -> str:
     count = len(content["trained_on"])
     return f"searched in {count} flight{'s' * (count != 1)}" if count else "not searched"
 
@@ -67,7 +69,7 @@ def _list(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)
 
 
-def _numbers(effect: Mapping[str, Any]) -> str:
+def _numbers(effect: NamedRow) -> str:
     parts = []
     for name, e in effect["parameters"].items():
         value, std = rounded(e["value"], e["std"])
@@ -76,7 +78,7 @@ def _numbers(effect: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def _answer(report: Report, content: Mapping[str, Any]) -> None:
+def _answer(report: Report, content: DiscoveryDocument) -> None:
     texts = [f"data fault: {f}" for f in content["faults"]]
     texts += [f"{e['name']}: {_numbers(e)}, {e['status']}" for e in content["effects"]]
     texts += [
@@ -94,24 +96,26 @@ def _answer(report: Report, content: Mapping[str, Any]) -> None:
         texts.append(
             "share of the gap that closed half a second ahead: "
             + ", ".join(
-                f"{g.replace('_', ' ')} {closed_in_words(r['closed'])}" for g, r in best.items()
+                f"{g.replace('_', ' ')} {closed_in_words(share)}" for g, share in best.items()
             )
         )
     report.bullets(texts)
 
 
-def _lawless(axis: Mapping[str, Any]) -> str:
+def _lawless(axis: LeftRow) -> str:
     size = f"{axis['channel']}, {number(axis['rms'], 2)} {axis['unit']}"
     lasts = axis.get("lasts_s")
     return size + (f" that lasts {number(lasts, 2)} s" if lasts is not None else "")
 
 
-def _closed(content: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Group -> row of the gap half a second ahead, where there was one to close."""
+def _closed(content: DiscoveryDocument) -> dict[str, float]:
+    """Group -> share that closed of the gap half a second ahead, where there was one to close."""
     if not content["effects"] and not content["ambiguous"]:
         return {}
     rows = content["gap"]
-    return {r["group"]: r for r in rows if r["horizon_s"] == 0.5 and r["closed"] is not None}
+    return {
+        r["group"]: r["closed"] for r in rows if r["horizon_s"] == 0.5 and r["closed"] is not None
+    }
 
 
 def _percent(value: float) -> str:
@@ -122,7 +126,7 @@ def _float(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def _worth(worth: Mapping[str, Any] | None) -> str:
+def _worth(worth: WorthRow | None) -> str:
     if worth is None:
         return "not known"
     ahead = f"{worth['horizon_s']:g} s" if worth["horizon_s"] else "one sample"
@@ -130,7 +134,7 @@ def _worth(worth: Mapping[str, Any] | None) -> str:
     return f"{_percent(worth['share'])} of {group}, {ahead} ahead"
 
 
-def _names(report: Report, content: Mapping[str, Any]) -> None:
+def _names(report: Report, content: DiscoveryDocument) -> None:
     if not content["effects"]:
         return
     report.section("What has a name")
@@ -184,7 +188,7 @@ def _names(report: Report, content: Mapping[str, Any]) -> None:
         report.figures(panels, caption="95 % intervals; the dashed line is no effect.")
 
 
-def _alike(report: Report, content: Mapping[str, Any]) -> None:
+def _alike(report: Report, content: DiscoveryDocument) -> None:
     for a in content["ambiguous"]:
         report.section(f"One of {len(a['candidates'])}")
         report.paragraph(
@@ -198,7 +202,7 @@ def _alike(report: Report, content: Mapping[str, Any]) -> None:
             _manoeuvre(report, fly)
 
 
-def _manoeuvre(report: Report, fly: Mapping[str, Any]) -> None:
+def _manoeuvre(report: Report, fly: Manoeuvres) -> None:
     """What to fly so that the candidates part."""
     report.paragraph(
         "What tells them apart: every manoeuvre below was flown in simulation with each candidate "
@@ -220,7 +224,7 @@ def _manoeuvre(report: Report, fly: Mapping[str, Any]) -> None:
     report.table(heads, rows, numeric=(2, 3, 4))
 
 
-def _no_name(report: Report, content: Mapping[str, Any]) -> None:
+def _no_name(report: Report, content: DiscoveryDocument) -> None:
     rows: list[list[Cell]] = [
         [
             r["name"],
@@ -235,7 +239,7 @@ def _no_name(report: Report, content: Mapping[str, Any]) -> None:
         report.table(["effect", "status", "log10 e", "why"], rows, numeric=(2,))
 
 
-def _where(report: Report, content: Mapping[str, Any]) -> None:
+def _where(report: Report, content: DiscoveryDocument) -> None:
     rows = content["locations"]
     if not rows:
         return
@@ -265,7 +269,7 @@ def _where(report: Report, content: Mapping[str, Any]) -> None:
     )
 
 
-def _which(report: Report, content: Mapping[str, Any]) -> None:
+def _which(report: Report, content: DiscoveryDocument) -> None:
     steps = [
         s for s in content["steps"] if any(v > 0 for v in s["predicted"].values()) or s["tried"]
     ]
@@ -300,7 +304,7 @@ def _which(report: Report, content: Mapping[str, Any]) -> None:
             report.table(["step", "added", "gain in log evidence"], rows, numeric=(0, 2))
 
 
-def _gap(report: Report, content: Mapping[str, Any]) -> None:
+def _gap(report: Report, content: DiscoveryDocument) -> None:
     rows = content["gap"]
     if not rows:
         return
@@ -329,20 +333,24 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
 
 
 def _closing(
-    report: Report, content: Mapping[str, Any], groups: Sequence[str], caption: str = ""
+    report: Report, content: DiscoveryDocument, groups: Sequence[str], caption: str = ""
 ) -> None:
     """Error against horizon of some groups: before, after, floor. Nothing where there is no
     group."""
     rows = content["gap"]
     first = float(content["settings"].get("sample_time", 0.01))
-    looks = (("before", SERIES[3], "--"), ("after", SERIES[0], "-"), ("floor", SERIES[2], ":"))
+    looks: tuple[tuple[Literal["before", "after", "floor"], str, str], ...] = (
+        ("before", SERIES[3], "--"),
+        ("after", SERIES[0], "-"),
+        ("floor", SERIES[2], ":"),
+    )
     panels: list[tuple[Figure, str]] = []
     for g in groups:
         own = [r for r in rows if r["group"] == g]
         unit, factor = in_degrees(own[0]["unit"])
         seconds = [r["horizon_s"] or first for r in own]
-        curves = {
-            n: ([None if r[n] is None else factor * r[n] for r in own], colour, style)
+        curves: dict[str, tuple[list[float | None], str, str]] = {
+            n: ([None if v is None else factor * v for v in (r[n] for r in own)], colour, style)
             for n, colour, style in looks
         }
         curves = {n: c for n, c in curves.items() if any(v is not None for v in c[0])}
@@ -368,10 +376,10 @@ def _closing(
     )
 
 
-def _gap_table(report: Report, rows: Sequence[Mapping[str, Any]]) -> None:
+def _gap_table(report: Report, rows: Sequence[GapDocument]) -> None:
     body: list[list[Cell]] = []
     words = functools.partial(closed_in_words, floor=any(r["floor"] is not None for r in rows))
-    more = {
+    more: dict[Literal["with_proposals", "attainable"], str] = {
         "with_proposals": "closed with the proposed laws",
         "attainable": "closed by a learned part alone",
     }
@@ -379,7 +387,7 @@ def _gap_table(report: Report, rows: Sequence[Mapping[str, Any]]) -> None:
     for r in rows:
         unit, factor = in_degrees(r["unit"])
         before, after, floor = (
-            number(None if r[k] is None else factor * r[k]) for k in ("before", "after", "floor")
+            number(None if v is None else factor * v) for v in (r["before"], r["after"], r["floor"])
         )
         interval = "" if r["ci95"] is None else " .. ".join(_percent(v) for v in r["ci95"])
         body.append(
@@ -392,7 +400,7 @@ def _gap_table(report: Report, rows: Sequence[Mapping[str, Any]]) -> None:
                 unit,
                 None if r["closed"] is None else words(r["closed"]),
                 interval,
-                *(None if r.get(k) is None else words(r[k]) for k in more),
+                *(None if v is None else words(v) for v in (r.get(k) for k in more)),
             ]
         )
     heads = [
@@ -417,7 +425,7 @@ def _gap_table(report: Report, rows: Sequence[Mapping[str, Any]]) -> None:
     )
 
 
-def _power(report: Report, content: Mapping[str, Any]) -> None:
+def _power(report: Report, content: DiscoveryDocument) -> None:
     sizes = [(n, p, v) for n, ps in content["minimum_detectable"].items() for p, v in ps.items()]
     if sizes:
         report.section("What would have been seen")
@@ -435,7 +443,7 @@ def _power(report: Report, content: Mapping[str, Any]) -> None:
         report.table(["effect", "why"], [[n, why] for n, why in content["not_judged"].items()])
 
 
-def _next(report: Report, content: Mapping[str, Any]) -> None:
+def _next(report: Report, content: DiscoveryDocument) -> None:
     report.heading("What to do next")
     verdict, texts = content["verdict"], []
     if verdict == "bad_data":
@@ -479,11 +487,11 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
     report.bullets(texts)
 
 
-def _next_with_laws(content: Mapping[str, Any]) -> list[str]:
+def _next_with_laws(content: DiscoveryDocument) -> list[str]:
     """What to do with the laws that were found, and with what follows none."""
     texts: list[str] = []
     own = list(content.get("effects_files", ()))
-    files = [u["file"] for u in content["unnamed"] if u.get("file")]
+    files = [file for u in content["unnamed"] if (file := u.get("file"))]
     flown = all(r["channel"].split(".")[0] in WRENCH for r in content["locations"])
     if files and not flown:
         texts.append(
@@ -520,7 +528,7 @@ def _next_with_laws(content: Mapping[str, Any]) -> list[str]:
     return texts
 
 
-def _reproduce(report: Report, content: Mapping[str, Any]) -> None:
+def _reproduce(report: Report, content: DiscoveryDocument) -> None:
     report.section("How to reproduce this")
     if content.get("command"):
         report.code(str(content["command"]))

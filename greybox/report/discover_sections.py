@@ -3,9 +3,10 @@ flight says alone."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
+from greybox.discovery.document import DiscoveryDocument
+from greybox.estimation.noise_table import SensorRow
 from greybox.report.html import Cell, Report
 from greybox.report.words import number
 
@@ -34,7 +35,7 @@ ADVICE = {
 }
 
 
-def sensors_section(report: Report, content: Mapping[str, Any]) -> None:
+def sensors_section(report: Report, content: DiscoveryDocument) -> None:
     """One row per sensor and kind of `content["sensors"]` that is not white; nothing where all
     are."""
     rows = [s for s in content.get("sensors", ()) if s["kind"] != "white"]
@@ -47,7 +48,7 @@ def sensors_section(report: Report, content: Mapping[str, Any]) -> None:
         "channel that the motion couples. They are part of the noise that the names above were "
         "tested against."
     )
-    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    groups: dict[tuple[str, str], list[SensorRow]] = {}
     for s in rows:
         groups.setdefault((s["channel"].split(".")[0], s["kind"]), []).append(s)
     cells: list[list[Cell]] = [
@@ -58,16 +59,15 @@ def sensors_section(report: Report, content: Mapping[str, Any]) -> None:
     report.bullets([f"{KINDS[k]}: {ADVICE[k]}" for k in dict.fromkeys(s["kind"] for s in rows)])
 
 
-def _numbers(members: Sequence[Mapping[str, Any]]) -> str:
+def _numbers(members: Sequence[SensorRow]) -> str:
     out = []
     for key, (word, unit) in UNITS.items():
-        values = [
-            float(s["parameters"][key]) for s in members if s["parameters"].get(key) is not None
-        ]
+        found = (s["parameters"].get(key) for s in members)
+        values = [float(v) for v in found if v is not None]
         if values:
             low, high = number(min(values), 3), number(max(values), 3)
             out.append(f"{word} {low if low == high else f'{low} to {high}'} {unit}")
-    sizes = [float(s["parameters"]["sigma"]) for s in members if s["parameters"].get("sigma")]
+    sizes = [float(v) for s in members if (v := s["parameters"].get("sigma"))]
     if sizes:
         low, high = number(min(sizes), 3), number(max(sizes), 3)
         out.append(f"standard deviation {low if low == high else f'{low} to {high}'}")

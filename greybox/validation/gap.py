@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NotRequired, TypedDict
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from greybox.data import Dataset, Flight, Segment
 from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
 from greybox.estimation.filtering import Filter, Filtered
-from greybox.files import Json
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.model.noise import sensor_parts
@@ -51,6 +51,22 @@ is, and at 100 Hz these are `SECONDS`."""
 UNITS = {n: g.unit for n, g in GROUPS.items()}
 Start = tuple[FloatArray | None, FloatArray | None]
 Squares = dict[tuple[str, float], list[FloatArray]]
+
+
+class GapDocument(TypedDict):
+    """A `GapRow` as in discovery.json; files of earlier versions lack the last."""
+
+    group: str
+    unit: str
+    horizon_s: float
+    before: float
+    after: float
+    floor: float | None
+    closed: float | None
+    ci95: list[float] | None
+    with_proposals: NotRequired[float | None]
+    attainable: NotRequired[float | None]
+    filtered: NotRequired[float | None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,7 +105,7 @@ class GapRow:
         much = self.after > (1 + TENTH) * self.before
         return self.opposed and much and self.horizon_s <= SOON
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> GapDocument:
         """As in discovery.json."""
         return {
             "group": self.group,

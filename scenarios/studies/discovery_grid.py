@@ -133,7 +133,7 @@ def _outcome(found: Discovery, truth: Sequence[str]) -> dict[str, Any]:
         "not_judged": {n: why for n, why in content["not_judged"].items() if n in truth},
         "faults": content["faults"],
         "warnings": content["warnings"],
-        "closed": None if most is None else [most["group"], most["closed"], *most["ci95"]],
+        "closed": None if most is None else [most["group"], most["closed"], *(most["ci95"] or ())],
         "took": found.seconds,
     }
 

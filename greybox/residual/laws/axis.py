@@ -4,9 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NotRequired, TypedDict
 
-from greybox.files import Json
 from greybox.residual.laws.terms import Memory
+
+
+class AxisRow(TypedDict):
+    """An axis as in discovery.json; `proposal`: its law in words. Files of earlier versions have no
+    `lasts_s`."""
+
+    channel: str
+    depends_on: list[str]
+    share: float
+    rms: float
+    unit: str
+    proposal: str | None
+    gain: float
+    lasts_s: NotRequired[float]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +48,7 @@ class Axis:
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", dict(self.terms or {}))
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> AxisRow:
         """As in discovery.json."""
         law = " + ".join(f"{c:.4g} {t}" for t, c in self.terms.items()) if self.lawful else ""
         return {
