@@ -5,23 +5,25 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from greybox.automatic.fit import Prepared
     from greybox.data import Dataset
     from greybox.data.checks import CheckReport
     from greybox.data.raw import RawLog
+    from greybox.estimation.document import FitDocument
     from greybox.estimation.result import Fit
     from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import Vehicle
     from greybox.model.verdict import Verdict
+    from greybox.validation.options import HorizonChoices
     from greybox.validation.result import Validation
 
-from greybox.commands.command_line import typed
+from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import (
@@ -36,7 +38,7 @@ from greybox.commands.model_options import fit_with, given, model_options
 from greybox.commands.own_model import model_file_option
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "fit",
@@ -119,7 +121,7 @@ def run(arguments: argparse.Namespace) -> int:
     say_vehicle(vehicle, console.say)
     console.say(f"{prepared.data}")
 
-    def save(found: Fit) -> dict[str, Any]:
+    def save(found: Fit) -> FitDocument:
         content = _content(arguments, found, prepared, test, warnings)
         write_json(out / "fit.json", content)
         found.model.save(out / "model.json")
@@ -183,9 +185,9 @@ def _content(
     prepared: Prepared,
     test: Dataset,
     warnings: Sequence[str],
-) -> dict[str, Any]:
+) -> FitDocument:
     """fit.json, with the commands that do the same."""
-    content: dict[str, Any] = result.to_dict()
+    content = result.to_dict()
     content["warnings"] = [*warnings, *content["warnings"]]
     content["command"] = typed("fit")
     if "explicit" in content:
@@ -236,7 +238,7 @@ def _like(
 def _report(
     arguments: argparse.Namespace,
     result: Fit,
-    content: Mapping[str, Any],
+    content: FitDocument,
     seen: Validation | None,
     prepared: Prepared,
     test: Dataset,
@@ -265,7 +267,7 @@ def _report(
     drawn = (Dataset(flights=()), test) if test.flights else (prepared.data,)
     drawing = series(result.model, *drawn, adapted=adapted)
     # What physics says on the terminal stands on the page, too.
-    said = {**content, "warnings": [*_sanity_lines(result), *content["warnings"]]}
+    said: FitDocument = {**content, "warnings": [*_sanity_lines(result), *content["warnings"]]}
     answers = responses(result.model, prepared.data, test)
     title = f"Fit of {result.model.physics.vehicle.name}"
     report = write_atomic(
@@ -275,7 +277,7 @@ def _report(
     return f"{', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name}"
 
 
-def _lines(result: Fit, table: str, content: Mapping[str, Any]) -> list[str]:
+def _lines(result: Fit, table: str, content: FitDocument) -> list[str]:
     """The verdict and what physics says, the decisions with their reasons, the estimates, the
     explicit command."""
     first, *rest = result.summary().splitlines()
@@ -375,7 +377,7 @@ def _decided(
 
 def _pieces(
     arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, result: Fit
-) -> tuple[Any, Dataset] | None:
+) -> tuple[IdentifiedModel, Dataset] | None:
     """(model of the first parts of the flights, pieces left out) by the recipe of the fit; None
     where nothing can be left out, and of a fit that did not arrive."""
     from greybox.automatic.fit import on_pieces
@@ -391,7 +393,7 @@ def _validated(
     prepared: Prepared,
     test: Dataset,
     faults: CheckReport | None,
-    horizons: Mapping[str, Any],
+    horizons: HorizonChoices,
 ) -> tuple[Validation, Verdict | None]:
     """(on test flights where there are any (`faults`: what their checks said), else on pieces left
     out, else on the flights that were fitted; the verdict on the pieces, where there are any)."""

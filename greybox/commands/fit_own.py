@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console
 
 if TYPE_CHECKING:
     from greybox.data import Dataset
+    from greybox.estimation.document import FitDocument
     from greybox.estimation.result import Fit
+    from greybox.validation.options import HorizonChoices
     from greybox.validation.result import Validation
 
 RESULTS = ("report.html", "validate.json", "fit.json", "model.json")
@@ -100,11 +102,11 @@ def _refuse_vehicles(arguments: argparse.Namespace) -> None:
             )
 
 
-def _save(found: Fit, warnings: list[str], out: Path) -> dict[str, Any]:
+def _save(found: Fit, warnings: list[str], out: Path) -> FitDocument:
     """Write fit.json and model.json; the content of the first."""
     from greybox.files import write_json
 
-    content = {**found.to_dict(), "command": typed("fit")}
+    content: FitDocument = {**found.to_dict(), "command": typed("fit")}
     content["warnings"] = [*warnings, *content["warnings"]]
     write_json(out / "fit.json", content)
     found.model.save(out / "model.json")
@@ -113,7 +115,7 @@ def _save(found: Fit, warnings: list[str], out: Path) -> dict[str, Any]:
 
 def _page(
     found: Fit,
-    content: dict[str, Any],
+    content: FitDocument,
     seen: Validation | None,
     train: Dataset,
     test: Dataset,
@@ -132,7 +134,7 @@ def _page(
     )
 
 
-def _judged(found: Fit, data: Dataset, adapt: float | None, horizons: dict[str, Any]) -> Validation:
+def _judged(found: Fit, data: Dataset, adapt: float | None, horizons: HorizonChoices) -> Validation:
     from greybox.validation.advice import Hint, Symptom
     from greybox.validation.validate import validate
 

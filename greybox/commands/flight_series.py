@@ -4,7 +4,6 @@ seconds ahead."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from greybox.model.layer import physics_of
 from greybox.report.flight_section import ChannelSeries, FlightSeries
 from greybox.report.replay import ORIGINS, SECONDS, STEP, Replay
 from greybox.symbolic import FloatArray
+from greybox.validation.adapt import AdaptedRow
 
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Outputs that say where a craft is."""
@@ -23,7 +23,7 @@ POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 def series(
     model: IdentifiedModel,
     *datasets: Dataset,
-    adapted: Mapping[str, Mapping[str, Any]] | None = None,
+    adapted: Mapping[str, Mapping[str, AdaptedRow]] | None = None,
     ahead_seconds: float = 0.5,
     limit: int = 1,
 ) -> dict[str, FlightSeries]:
@@ -58,7 +58,9 @@ def series(
     return out
 
 
-def flight_parameters(model: IdentifiedModel, own: Mapping[str, Any] | None) -> FloatArray | None:
+def flight_parameters(
+    model: IdentifiedModel, own: Mapping[str, AdaptedRow] | None
+) -> FloatArray | None:
     """The parameter vector of a flight with values of its own ({name: {value: ...}}), None where
     there are none."""
     if not own:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from greybox.commands.command_line import Options
 
 if TYPE_CHECKING:
+    from greybox.files import Parsed
     from greybox.model.verdict import Verdict
+    from greybox.validation.options import HorizonChoices
 
 
 def accept_option(p: argparse.ArgumentParser) -> None:
@@ -25,7 +28,7 @@ def accept_option(p: argparse.ArgumentParser) -> None:
     )
 
 
-def adapt_option(p: Any) -> None:
+def adapt_option(p: Options) -> None:
     """Declare --adapt."""
     p.add_argument(
         "--adapt",
@@ -51,7 +54,7 @@ def accepted(text: str) -> tuple[str, ...]:
     return tuple(n.strip() for n in text.split(",") if n.strip())
 
 
-def horizon_options(p: Any) -> None:
+def horizon_options(p: Options) -> None:
     """Declare --horizons (seconds) and --horizons-samples."""
     from greybox.validation.horizons import HORIZONS, SAMPLES
 
@@ -71,7 +74,7 @@ def horizon_options(p: Any) -> None:
     )
 
 
-def given_horizons(arguments: argparse.Namespace, *, own: bool = False) -> dict[str, Any]:
+def given_horizons(arguments: argparse.Namespace, *, own: bool = False) -> HorizonChoices:
     """`horizons` and `horizon_samples` as `validate` takes them, None where nothing was said. A
     model of the user's `own` has no longest horizon. Raises `DataError` for what is neither."""
     from greybox.validation.horizons import LONGEST, parse_samples, parse_seconds
@@ -121,7 +124,7 @@ class Gate:
             print(f"greybox {command}: {self.line}", file=sys.stderr)
 
 
-def gate(content: Mapping[str, Any], path: str, *, even_so: bool) -> Gate:
+def gate(content: Parsed, path: str, *, even_so: bool) -> Gate:
     """Judge a model file (`content`, read from `path`) by the verdict that it carries.
 
     Closed where it says NOT USABLE and nobody said `even_so`. A file without a verdict (an older

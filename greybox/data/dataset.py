@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, NotRequired, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -23,12 +23,14 @@ if TYPE_CHECKING:
 
 
 class FlightFacts(TypedDict):
-    """A flight as fit.json and validate.json tell it; `seconds` without its gaps."""
+    """A flight as fit.json and validate.json tell it; `seconds` without its gaps, `sha256` of the
+    log where it is told."""
 
     name: str
     samples: int
     seconds: float
     notes: list[str]
+    sha256: NotRequired[str]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -16,6 +16,7 @@ from greybox.data import Dataset
 from greybox.estimation.build import trouble
 from greybox.estimation.considered import Considered, considered
 from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
+from greybox.estimation.document import FitSettings
 from greybox.estimation.feasible import wall
 from greybox.estimation.few_samples import too_short_for_errors
 from greybox.estimation.identifiability import Combination, marginal_information, unidentified
@@ -122,7 +123,7 @@ def concluded(
     )
 
 
-def _settings(problem: Problem, options: FitOptions) -> dict[str, Any]:
+def _settings(problem: Problem, options: FitOptions) -> FitSettings:
     """The choices as in fit.json."""
     return {
         "predictor": problem.predictor.name,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from greybox.data.dataset import FlightFacts
 from greybox.errors import UnknownNameError
 from greybox.estimation.covariance import Covariance
+from greybox.estimation.document import FitDocument, FitSettings, HistoryPart, LagPart, ParameterRow
 from greybox.estimation.identifiability import Combination
 from greybox.estimation.problem import Problem
 from greybox.estimation.recipe import Decision, Recipe
@@ -51,7 +52,7 @@ class Estimate:
     at_bound: bool
     per_flight: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> ParameterRow:
         """As in fit.json."""
         return {
             "value": self.value,
@@ -115,7 +116,7 @@ class Provenance:
 
     problem: Problem
     flights: tuple[FlightFacts, ...]
-    settings: Mapping[str, Any]
+    settings: FitSettings
     data_hash: str
     n_samples: int
     n_parameters: int
@@ -312,7 +313,7 @@ class Fit(Shown):
         return self.provenance.flights
 
     @property
-    def settings(self) -> Mapping[str, Any]:
+    def settings(self) -> FitSettings:
         """Choices of the fit, as in fit.json."""
         return self.provenance.settings
 
@@ -353,11 +354,10 @@ class Fit(Shown):
         1978)."""
         return -2 * self.loglik + self.n_parameters * float(np.log(max(self.n_samples, 1)))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> FitDocument:
         """The content of fit.json (schema "greybox.fit/1")."""
         d = self.model.dynamics
         physics = physics_of(d)
-        lag = self.model.effective_lag
         return {
             "schema": SCHEMA,
             "verdict": None if self.verdict is None else self.verdict.to_dict(),
@@ -370,7 +370,7 @@ class Fit(Shown):
                 "sample_time": self.model.sample_time,
                 "omega_known": physics is None or physics.omega_known,
             },
-            "settings": dict(self.settings),
+            "settings": self.settings.copy(),
             "status": self.status.to_dict(),
             "cost": {
                 "negative_log_posterior": self.cost,
@@ -382,7 +382,7 @@ class Fit(Shown):
             },
             "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
             "derived": {k: {"value": v, "std": s} for k, (v, s) in self.derived.items()},
-            **({} if lag is None else {"effective_lag": {**lag.to_dict(), "line": lag.line}}),
+            **self._lag(),
             "noise": {k: {"value": v, "std": s, "unit": u} for k, (v, s, u) in self.noise.items()},
             "std_kind": "sandwich" if self.coloured and self.covariance.enough else "fisher",
             "correlations": {
@@ -390,14 +390,29 @@ class Fit(Shown):
                 "matrix": self.correlations.tolist(),
             },
             "unidentifiable": [c.text for c in self.unidentifiable],
-            "flights": [dict(f) for f in self.flights],
+            "flights": [f.copy() for f in self.flights],
             "warnings": list(self.warnings),
             "data_hash": self.data_hash,
             "versions": library_versions(),
             **self._history(),
         }
 
-    def _history(self) -> dict[str, Any]:
+    def _lag(self) -> LagPart:
+        """Lag and delays as one number, as in fit.json."""
+        lag = self.model.effective_lag
+        if lag is None:
+            return {}
+        parts = dict(lag.parts)
+        return {
+            "effective_lag": {
+                "value": lag.value,
+                "std": lag.std,
+                "parts": parts,
+                "line": lag.line,
+            }
+        }
+
+    def _history(self) -> HistoryPart:
         """Decisions and recipe of an automatic fit, as in fit.json."""
         recipe = self.provenance.recipe
         if recipe is None:

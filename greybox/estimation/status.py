@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict
 
 
 class Code(enum.Enum):
@@ -50,6 +50,18 @@ class Interrupted(KeyboardInterrupt):
         self.kept = kept
 
 
+class StatusRow(TypedDict):
+    """A `Status` in a result file; `code` by its name."""
+
+    converged: bool
+    code: str
+    advice: str
+    iterations: int
+    evaluations: int
+    decrement: float
+    seconds: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class Status:
     """How a fit ended. `decrement` is the decrease of the cost that one more full step promises."""
@@ -71,7 +83,7 @@ class Status:
         """One or two sentences for the user."""
         return self.code.value + (f" ({self.detail})" if self.detail else "")
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> StatusRow:
         """Plain values for fit.json."""
         return {
             "converged": self.converged,

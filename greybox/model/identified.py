@@ -20,7 +20,7 @@ import numpy as np
 
 from greybox.distribution import VERSION
 from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
-from greybox.files import Json, Parsed, checksum, read_json, write_json
+from greybox.files import Json, Parsed, checksum, read_json, to_plain, write_json
 from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.effect import Effect
 from greybox.model.effective_lag import EffectiveLag, effective_lag
@@ -250,7 +250,7 @@ class IdentifiedModel(Shown):
             "domain": {k: list(v) for k, v in self.domain.items()},
             "data_hash": self.data_hash,
             "trained_on": list(self.trained_on),
-            **({} if self.verdict is None else {"verdict": self.verdict.to_dict()}),
+            **({} if self.verdict is None else {"verdict": to_plain(self.verdict.to_dict())}),
             "versions": library_versions(),
         }
         return {**body, "checksum": checksum({k: v for k, v in body.items() if k != "versions"})}

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from typing import TypedDict
 
-from greybox.files import Json, Parsed
+from greybox.files import Parsed
 
 NOT_JUDGED = (
     "NOT JUDGED: this model was not compared with holding the last value; `greybox validate` does"
@@ -25,6 +26,35 @@ class Outcome(enum.Enum):
     NOT_USABLE = "not usable"
     TOO_CALM = "too calm"
     PARTLY_JUDGED = "partly judged"
+
+
+class GroupSkillRow(TypedDict):
+    """A `GroupSkill` in a file."""
+
+    name: str
+    unit: str
+    seconds: float
+    error: float | None
+    last_value: float | None
+    measured_imu: float | None
+    covered: float | None
+    worse_from: float | None
+    calm: bool
+
+
+class VerdictDocument(TypedDict):
+    """A `Verdict` in a file."""
+
+    outcome: str
+    line: str
+    useful_seconds: float
+    judged_seconds: float
+    judged_on: str
+    flights: list[str]
+    groups: list[GroupSkillRow]
+    reason: str
+    action: str
+    anchor: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +78,24 @@ class GroupSkill:
     covered: float
     worse_from: float | None
     calm: bool
+
+    def to_dict(self) -> GroupSkillRow:
+        """Plain values under the names of the fields; null for a number that is not finite."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "seconds": self.seconds,
+            "error": _finite(self.error),
+            "last_value": _finite(self.last_value),
+            "measured_imu": _finite(self.measured_imu),
+            "covered": _finite(self.covered),
+            "worse_from": _finite(self.worse_from),
+            "calm": self.calm,
+        }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,20 +129,19 @@ class Verdict:
         """0 usable, partly judged or too calm to tell, 1 not usable."""
         return 1 if self.refused else 0
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> VerdictDocument:
         """Plain values under the names of the fields; null for a number that is not finite."""
-        fields = asdict(self)
         return {
-            **fields,
             "outcome": self.outcome.value,
+            "line": self.line,
+            "useful_seconds": self.useful_seconds,
+            "judged_seconds": self.judged_seconds,
+            "judged_on": self.judged_on,
             "flights": list(self.flights),
-            "groups": [
-                {
-                    k: None if isinstance(v, float) and not math.isfinite(v) else v
-                    for k, v in asdict(g).items()
-                }
-                for g in self.groups
-            ],
+            "groups": [g.to_dict() for g in self.groups],
+            "reason": self.reason,
+            "action": self.action,
+            "anchor": self.anchor,
         }
 
     @staticmethod

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
+from greybox.estimation.document import FitDocument, NoiseRow, ParameterRow
 from greybox.report import figures
 from greybox.report.flight_section import FlightSeries, flight_section
 from greybox.report.html import Cell, Key, Report, Share, Span, Tag
@@ -18,6 +18,7 @@ from greybox.report.validation_sections import (
     residual_section,
 )
 from greybox.report.words import interval, number, rounded, strong_correlations, whiteness_verdict
+from greybox.validation.result import ValidationDocument
 
 _SHOWN = 40
 _BESIDE = 4
@@ -26,9 +27,9 @@ desk."""
 
 
 def fit_report(
-    fit: Mapping[str, Any],
+    fit: FitDocument,
     flights: Mapping[str, FlightSeries] | None = None,
-    validation: Mapping[str, Any] | None = None,
+    validation: ValidationDocument | None = None,
     *,
     responses: Responses | None = None,
     title: str | None = None,
@@ -51,15 +52,15 @@ def fit_report(
     with report.headline():
         if validation:
             headline_figure(report, validation)
-            if validation.get("whiteness"):
-                report.paragraph(f"What is missing: {whiteness_verdict(validation['whiteness'])}")
+            if whiteness := validation.get("whiteness"):
+                report.paragraph(f"What is missing: {whiteness_verdict(whiteness)}")
         _next(report, fit, validation)
     if not status["converged"]:
         report.warning(f"The fit did not converge: {status['advice']}")
     texts = [
         *fit.get("warnings", []),
         *fit.get("unidentifiable", []),
-        *(validation or {}).get("warnings", []),
+        *(validation.get("warnings", []) if validation else []),
     ]
     for text in dict.fromkeys(texts):
         report.warning(text)
@@ -77,7 +78,7 @@ def fit_report(
     return report.html()
 
 
-def _what(report: Report, fit: Mapping[str, Any]) -> None:
+def _what(report: Report, fit: FitDocument) -> None:
     model, status, cost = fit["model"], fit["status"], fit.get("cost", {})
     report.section("What was fitted")
     if status["converged"]:
@@ -92,9 +93,13 @@ def _what(report: Report, fit: Mapping[str, Any]) -> None:
         "initialisation": "Started from",
     }
     rows = [("Model", model["name"]), ("Effects", ", ".join(model.get("effects", [])) or "none")]
-    for key, label in (("states", "States"), ("inputs", "Inputs"), ("outputs", "Outputs")):
-        if model.get(key):
-            rows.append((label, ", ".join(model[key])))
+    for label, signals in (
+        ("States", model.get("states")),
+        ("Inputs", model.get("inputs")),
+        ("Outputs", model.get("outputs")),
+    ):
+        if signals:
+            rows.append((label, ", ".join(signals)))
     rows += [
         (names.get(k, k.replace("_", " ").capitalize()), _plain(v)) for k, v in settings.items()
     ]
@@ -122,7 +127,7 @@ def _what(report: Report, fit: Mapping[str, Any]) -> None:
     report.table(["flight", "samples", "seconds", "notes"], body, numeric=(1, 2))
 
 
-def _plain(value: Any) -> str:
+def _plain(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
@@ -134,7 +139,7 @@ def _plain(value: Any) -> str:
     return "none" if value is None else str(value)
 
 
-def _prior(parameter: Mapping[str, Any]) -> str:
+def _prior(parameter: ParameterRow) -> str:
     prior = parameter.get("prior")
     if not prior:
         return "none"
@@ -148,11 +153,13 @@ def _prior(parameter: Mapping[str, Any]) -> str:
     )
 
 
-def _span(parameter: Mapping[str, Any], std: float | None) -> Cell:
+def _span(parameter: ParameterRow, std: float | None) -> Cell:
     """Estimate and prior on one scale; nothing where either has no spread."""
-    prior = parameter.get("prior") or {}
+    prior = parameter.get("prior")
+    if std is None or not prior:
+        return None
     value, middle, sigma = parameter["value"], prior.get("value"), prior.get("sigma")
-    if std is None or middle is None or sigma is None or not sigma > 0:
+    if middle is None or sigma is None or not sigma > 0:
         return None
     if not all(math.isfinite(v) for v in (value, std, middle, sigma)):
         return None
@@ -162,7 +169,7 @@ def _span(parameter: Mapping[str, Any], std: float | None) -> Cell:
     return Span(low=low, high=high, prior=(middle - 1.96 * sigma, middle + 1.96 * sigma), text=text)
 
 
-def _notes(parameter: Mapping[str, Any]) -> Cell:
+def _notes(parameter: ParameterRow) -> Cell:
     if parameter.get("at_bound"):
         return Tag(text="at bound")
     if (parameter.get("prior_influence") or 0.0) >= 0.5:
@@ -170,7 +177,7 @@ def _notes(parameter: Mapping[str, Any]) -> Cell:
     return "per flight" if parameter.get("per_flight") else None
 
 
-def _parameters(report: Report, fit: Mapping[str, Any]) -> None:
+def _parameters(report: Report, fit: FitDocument) -> None:
     report.section("Parameters")
     body: list[list[Cell]] = []
     for name, p in fit["parameters"].items():
@@ -222,21 +229,22 @@ def _parameters(report: Report, fit: Mapping[str, Any]) -> None:
     )
     if lag := fit.get("effective_lag"):
         report.paragraph(f"As one number: {lag['line']}.")
-    noise = fit.get("noise") or {}
-    if noise:
-        with report.details(f"Noise levels ({len(noise)})"):
-            rows: list[list[Cell]] = []
-            for name, p in noise.items():
-                value, spread = rounded(p["value"], p.get("std"))
-                rows.append(
-                    [name, value, spread, interval(p["value"], p.get("std")), p.get("unit", "")]
-                )
-            report.table(
-                ["noise", "estimate", "std", "95 % interval", "unit"], rows, numeric=(1, 2, 3)
+    if noise := fit.get("noise"):
+        _noise(report, noise)
+
+
+def _noise(report: Report, noise: Mapping[str, NoiseRow]) -> None:
+    with report.details(f"Noise levels ({len(noise)})"):
+        rows: list[list[Cell]] = []
+        for name, p in noise.items():
+            value, spread = rounded(p["value"], p.get("std"))
+            rows.append(
+                [name, value, spread, interval(p["value"], p.get("std")), p.get("unit", "")]
             )
+        report.table(["noise", "estimate", "std", "95 % interval", "unit"], rows, numeric=(1, 2, 3))
 
 
-def _per_flight(report: Report, fit: Mapping[str, Any]) -> None:
+def _per_flight(report: Report, fit: FitDocument) -> None:
     chosen = {n: p for n, p in fit["parameters"].items() if p.get("per_flight")}
     flights = list(dict.fromkeys(f for p in chosen.values() for f in p["per_flight"]))
     if len(flights) < 2:  # of one flight the table of all parameters says the same
@@ -246,8 +254,10 @@ def _per_flight(report: Report, fit: Mapping[str, Any]) -> None:
     for name, p in list(chosen.items())[:_SHOWN]:
         names = list(p["per_flight"])
         values = [v["value"] for v in p["per_flight"].values()]
-        stds = [math.nan if v.get("std") is None else v["std"] for v in p["per_flight"].values()]
-        mark = p["prior"]["value"] if p.get("prior") else None
+        errors = [v.get("std") for v in p["per_flight"].values()]
+        stds = [math.nan if std is None else std for std in errors]
+        prior = p.get("prior")
+        mark = prior["value"] if prior else None
         figure = figures.dot_plot(
             names, values, stds, title=name, unit=p.get("unit", ""), mark=mark
         )
@@ -275,7 +285,7 @@ def _per_flight(report: Report, fit: Mapping[str, Any]) -> None:
             report.table(["parameter", *part], rows, numeric=range(1, len(part) + 1))
 
 
-def _identifiability(report: Report, fit: Mapping[str, Any]) -> None:
+def _identifiability(report: Report, fit: FitDocument) -> None:
     report.section("What the data can and cannot tell")
     texts = list(fit.get("unidentifiable", []))
     bound = [n for n, p in fit["parameters"].items() if p.get("at_bound")]
@@ -308,7 +318,7 @@ def _identifiability(report: Report, fit: Mapping[str, Any]) -> None:
         )
 
 
-def _next(report: Report, fit: Mapping[str, Any], validation: Mapping[str, Any] | None) -> None:
+def _next(report: Report, fit: FitDocument, validation: ValidationDocument | None) -> None:
     report.heading("What to do next")
     parameters = fit["parameters"]
     bound = [n for n, p in parameters.items() if p.get("at_bound")]
@@ -318,8 +328,8 @@ def _next(report: Report, fit: Mapping[str, Any], validation: Mapping[str, Any] 
         if (p.get("prior_influence") or 0.0) >= 0.5 and not p.get("at_bound")
     ]
     texts = []
-    verdict = fit.get("verdict") or {}
-    if verdict.get("action"):
+    verdict = fit.get("verdict")
+    if verdict and verdict.get("action"):
         reason = verdict["reason"]
         texts.append(
             f"{reason[:1].upper()}{reason[1:]}. Next: {verdict['action']} ({verdict['anchor']})."
@@ -354,7 +364,7 @@ def _next(report: Report, fit: Mapping[str, Any], validation: Mapping[str, Any] 
     report.bullets(texts)
 
 
-def _reproduce(report: Report, fit: Mapping[str, Any]) -> None:
+def _reproduce(report: Report, fit: FitDocument) -> None:
     report.section("How to reproduce this")
     if fit.get("command"):
         report.code(str(fit["command"]))

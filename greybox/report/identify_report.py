@@ -8,6 +8,7 @@ from typing import Any
 from greybox.model.verdict import Outcome
 from greybox.report.html import Cell, Report, Tag
 from greybox.report.validation_sections import headline_figure
+from greybox.validation.result import ValidationDocument
 
 
 def identify_report(
@@ -15,7 +16,7 @@ def identify_report(
     about: Mapping[str, str],
     *,
     links: Mapping[str, Sequence[tuple[str, str]]],
-    validation: Mapping[str, Any] | None = None,
+    validation: ValidationDocument | None = None,
 ) -> str:
     """The page. `content` follows schemas/identify.json; `about` says of every stage by name what
     it is for, and `links` which files beside the page belong to it, (text, path) each. `validation`

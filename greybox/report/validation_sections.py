@@ -4,19 +4,23 @@ residual tests."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from greybox.data.channel import group_of
-from greybox.model.verdict import NOT_JUDGED, Outcome, Verdict
+from greybox.model.verdict import NOT_JUDGED, Outcome, Verdict, VerdictDocument
 from greybox.report import figures
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.words import cross_verdict, number, p_value, whiteness_verdict
 from greybox.shown import in_degrees
+from greybox.validation.cross_correlation import CrossDocument
+from greybox.validation.horizon_table import HorizonDocument
+from greybox.validation.result import ValidationDocument
 from greybox.validation.usefulness import in_words
+from greybox.validation.whiteness import ChannelWhitenessRow, WhitenessDocument
 
 ROWS = (
     ("model", "model", SERIES[0], "-", Key(text="model", colour="c1")),
@@ -51,10 +55,12 @@ ORDER = (
 )
 
 
-BANDS = ("band", "periodogram_band")
+BESIDE: tuple[Literal["measured_start", "persistence", "dead_reckoning"], ...]
+BESIDE = "measured_start", "persistence", "dead_reckoning"
+"""Rows beside that of the model."""
 
 
-def first_line(report: Report, verdict: Mapping[str, Any] | None) -> None:
+def first_line(report: Report, verdict: VerdictDocument | None) -> None:
     """The verdict on a model (as in model.json) as the first line of its report; that there is none
     where there is none."""
     if verdict is None:
@@ -63,22 +69,24 @@ def first_line(report: Report, verdict: Mapping[str, Any] | None) -> None:
         report.first_line(verdict["line"], good=verdict["outcome"] == Outcome.USABLE.value)
 
 
-def skill_in_words(report: Report, verdict: Mapping[str, Any] | None) -> None:
+def skill_in_words(report: Report, verdict: VerdictDocument | None) -> None:
     """What the model covers of the way from the last value to the measured IMU, a sentence per
     group."""
     if verdict is not None:
         report.bullets(in_words(Verdict.from_dict(verdict)))
 
 
-def _tables(validation: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+def _tables(validation: ValidationDocument) -> dict[str, HorizonDocument]:
     """Multi-step tables by row name, the model's first."""
-    found: dict[str, Mapping[str, Any]] = {"model": validation}
-    found.update({k: validation[k] for k, *_ in ROWS[1:] if validation.get(k)})
+    found: dict[str, HorizonDocument] = {"model": validation}
+    for row in BESIDE:
+        if table := validation.get(row):
+            found[row] = table
     return found
 
 
 def _curve(
-    validation: Mapping[str, Any], row: str, group: str
+    validation: ValidationDocument, row: str, group: str
 ) -> tuple[list[float], list[float | None]]:
     """(seconds, mean absolute error) of one row: the full curve where it was kept, else the listed
     horizons."""
@@ -108,14 +116,14 @@ def headline_groups(groups: Sequence[str]) -> list[str]:
     ] or unique[:3]
 
 
-def headline_figure(report: Report, validation: Mapping[str, Any]) -> None:
+def headline_figure(report: Report, validation: ValidationDocument) -> None:
     """Error against horizon between ceiling and floor. Nothing where no group was judged."""
     panels, key = _growth(validation, headline_groups(_groups(validation)))
     if panels:
         report.figures(panels, key=key)
 
 
-def horizon_section(report: Report, validation: Mapping[str, Any]) -> None:
+def horizon_section(report: Report, validation: ValidationDocument) -> None:
     """Error against horizon for every group, with persistence as ceiling and dead reckoning as
     floor, and the table."""
     report.section("How far ahead it predicts")
@@ -151,12 +159,12 @@ def horizon_section(report: Report, validation: Mapping[str, Any]) -> None:
     _one_step(report, validation)
 
 
-def _groups(validation: Mapping[str, Any]) -> list[str]:
+def _groups(validation: ValidationDocument) -> list[str]:
     """Channel groups that were judged, in order."""
     return list(dict.fromkeys(g for h in validation["horizons"] for g in h["groups"]))
 
 
-def _units(validation: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
+def _units(validation: ValidationDocument) -> dict[str, tuple[str, float]]:
     """Group -> (unit as it is shown, factor to it)."""
     return {
         g: in_degrees(e["unit"]) for h in validation["horizons"] for g, e in h["groups"].items()
@@ -164,7 +172,7 @@ def _units(validation: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
 
 
 def _growth(
-    validation: Mapping[str, Any], groups: Sequence[str]
+    validation: ValidationDocument, groups: Sequence[str]
 ) -> tuple[list[tuple[Figure, str]], list[Key]]:
     """(panels of error against horizon with their alt texts, their key)."""
     tables, units = _tables(validation), _units(validation)
@@ -197,7 +205,7 @@ def _growth(
     return panels, [r[4] for r in rows]
 
 
-def _horizon_tables(report: Report, validation: Mapping[str, Any], groups: list[str]) -> None:
+def _horizon_tables(report: Report, validation: ValidationDocument, groups: list[str]) -> None:
     tables, units = _tables(validation), _units(validation)
     horizons = [h["h"] for h in validation["horizons"]]
     for g in groups:
@@ -207,7 +215,7 @@ def _horizon_tables(report: Report, validation: Mapping[str, Any], groups: list[
             if not any(listed.values()):
                 continue
             factor = units[g][1]
-            errors = [listed[h]["mae"] if listed.get(h) else None for h in horizons]
+            errors = [cell["mae"] if (cell := listed.get(h)) else None for h in horizons]
             cells: list[Cell] = [
                 number(None if e is None else factor * e) if listed.get(h) else None
                 for h, e in zip(horizons, errors, strict=True)
@@ -224,7 +232,7 @@ def _horizon_tables(report: Report, validation: Mapping[str, Any], groups: list[
         report.table(heads, body, numeric=range(1, len(heads)))
 
 
-def _one_step(report: Report, validation: Mapping[str, Any]) -> None:
+def _one_step(report: Report, validation: ValidationDocument) -> None:
     metrics = validation.get("one_step") or {}
     coverage = validation.get("coverage") or {}
     if not metrics:
@@ -263,7 +271,7 @@ def _one_step(report: Report, validation: Mapping[str, Any]) -> None:
     report.table(heads, body, numeric=range(2, len(heads)), caption=caption)
 
 
-def residual_section(report: Report, validation: Mapping[str, Any], *, worst: int = 6) -> None:
+def residual_section(report: Report, validation: ValidationDocument, *, worst: int = 6) -> None:
     """Autocorrelation with bands, correlation with past inputs, and the tests; nothing where none
     was computed."""
     whiteness, cross = validation.get("whiteness"), validation.get("cross_correlation")
@@ -307,7 +315,7 @@ def residual_section(report: Report, validation: Mapping[str, Any], *, worst: in
         ]
         joint = whiteness.get("multivariate")
         if joint:
-            joint_cells = [number(joint["q"]), joint["dof"], p_value(joint["p_value"])]
+            joint_cells: list[Cell] = [number(joint["q"]), joint["dof"], p_value(joint["p_value"])]
             body.append(["all together", joint["n"], None, None, None, *joint_cells])
         heads = [
             "innovation",
@@ -332,7 +340,7 @@ def residual_section(report: Report, validation: Mapping[str, Any], *, worst: in
         _cross(report, cross, worst)
 
 
-def _spectra(report: Report, whiteness: Mapping[str, Any], sample_time: float | None) -> None:
+def _spectra(report: Report, whiteness: WhitenessDocument, sample_time: float | None) -> None:
     """Cumulated periodograms; nothing where they were not kept."""
     kept = {
         n: c
@@ -358,7 +366,7 @@ def _spectra(report: Report, whiteness: Mapping[str, Any], sample_time: float | 
     )
 
 
-def _together(channels: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]:
+def _together(channels: Mapping[str, ChannelWhitenessRow]) -> dict[str, list[str]]:
     """Title -> channels that one figure shows: those of one sensor with the same bands, at most
     three."""
     found: list[list[str]] = []
@@ -366,8 +374,7 @@ def _together(channels: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]
         group = name.rpartition(".")[0] or group_of(name)
         last = found[-1][-1] if found else ""
         same = group is not None and group == (last.rpartition(".")[0] or group_of(last))
-        bands = [own.get(k) == channels[last].get(k) for k in BANDS] if last else []
-        same = same and all(bands)
+        same = same and (not last or _bands(own) == _bands(channels[last]))
         if same and len(found[-1]) < len(ORDER):
             found[-1].append(name)
         else:
@@ -375,7 +382,11 @@ def _together(channels: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]
     return {", ".join(some): some for some in found}
 
 
-def _cross(report: Report, cross: Mapping[str, Any], worst: int) -> None:
+def _bands(channel: ChannelWhitenessRow) -> tuple[list[float] | None, float | None]:
+    return channel.get("band"), channel.get("periodogram_band")
+
+
+def _cross(report: Report, cross: CrossDocument, worst: int) -> None:
     report.heading("Innovations against inputs")
     text = cross_verdict(cross)
     (report.verdict if text.startswith("Past inputs explain no") else report.paragraph)(text)

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+
+from greybox.validation.cross_correlation import CrossDocument
+from greybox.validation.whiteness import WhitenessDocument
 
 MINUS = "\N{MINUS SIGN}"
 _EXPONENT = re.compile(r"e([+-])0*(\d+)")
@@ -92,7 +94,7 @@ def strong_correlations(
     return lines
 
 
-def whiteness_verdict(whiteness: Mapping[str, Any]) -> str:
+def whiteness_verdict(whiteness: WhitenessDocument) -> str:
     """What the whiteness test says, in words with an effect size."""
     channels = whiteness["channels"]
     limit = 0.01 / max(1, len(channels))
@@ -118,7 +120,7 @@ def whiteness_verdict(whiteness: Mapping[str, Any]) -> str:
     )
 
 
-def cross_verdict(cross: Mapping[str, Any]) -> str:
+def cross_verdict(cross: CrossDocument) -> str:
     """What the test of innovations against inputs says, in words."""
     pairs = cross["pairs"]
     limit = 0.01 / max(1, len(pairs))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 
@@ -17,6 +18,15 @@ from greybox.errors import DataError
 from greybox.statistics.correlation import centred, lagged
 from greybox.statistics.distributions import chi_square_tail, kolmogorov_quantile
 from greybox.symbolic import FloatArray
+
+
+class PortmanteauRow(TypedDict):
+    """A `Portmanteau` in a result file."""
+
+    q: float
+    dof: int
+    p_value: float
+    n: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +39,7 @@ class Portmanteau:
     p_value: float
     n: int
 
-    def to_dict(self) -> dict[str, float | int]:
+    def to_dict(self) -> PortmanteauRow:
         """Plain values under the names of the fields."""
         return {"q": self.q, "dof": self.dof, "p_value": self.p_value, "n": self.n}
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import final
+from typing import TypedDict, final
 
 import numpy as np
 
@@ -32,6 +32,14 @@ KNOWN = 1e-3
 """Share of a start's spread that is left where the filter itself knows no more than that."""
 
 
+class AdaptedRow(TypedDict):
+    """A parameter that was fitted to the beginning of a flight."""
+
+    value: float
+    std: float
+    unit: str
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Adaptation:
     """What the first `seconds` of a flight said: `values` and `std` of its per-flight parameters,
@@ -49,7 +57,7 @@ class Adaptation:
     x0_sigma: FloatArray | None = None
     warnings: tuple[str, ...] = ()
 
-    def to_dict(self) -> dict[str, dict[str, float | str]]:
+    def to_dict(self) -> dict[str, AdaptedRow]:
         """Name -> value, std, unit."""
         return {
             n: {"value": v, "std": self.std[n], "unit": self.units[n]}

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,15 @@ import numpy.typing as npt
 from greybox.errors import DataError
 from greybox.symbolic import FloatArray
 from greybox.validation.samples import stretches
+
+
+class IntervalRow(TypedDict):
+    """An `Interval` in a result file."""
+
+    low: float
+    high: float
+    level: float
+    method: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +41,7 @@ class Interval:
     level: float
     method: str
 
-    def to_dict(self) -> dict[str, float | str]:
+    def to_dict(self) -> IntervalRow:
         """Plain values under the names of the fields."""
         return {"low": self.low, "high": self.high, "level": self.level, "method": self.method}
 

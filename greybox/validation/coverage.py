@@ -15,14 +15,23 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import DataError
-from greybox.files import Json
 from greybox.statistics.distributions import beta_quantile, chi_square_quantile
 from greybox.symbolic import FloatArray
-from greybox.validation.bootstrap import Interval, block_bootstrap
+from greybox.validation.bootstrap import Interval, IntervalRow, block_bootstrap
 from greybox.validation.samples import columns
 
 LEVELS = (0.68, 0.95)
 """The levels of coverage that tables and reports show."""
+
+
+class CoverageRow(IntervalRow):
+    """A `Coverage` in a result file."""
+
+    nominal: float
+    fraction: float
+    n: int
+    missing: int
+    honest: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,15 +50,16 @@ class Coverage:
         """Whether the nominal level lies inside the interval of the fraction."""
         return self.interval.low <= self.nominal <= self.interval.high
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> CoverageRow:
         """Plain values: nominal, fraction, n, missing, low, high, level, method, honest."""
-        plain = {
+        return {
             "nominal": self.nominal,
             "fraction": self.fraction,
             "n": self.n,
             "missing": self.missing,
+            **self.interval.to_dict(),
+            "honest": self.honest,
         }
-        return {**plain, **self.interval.to_dict(), "honest": self.honest}
 
 
 def mahalanobis_squared(errors: npt.ArrayLike, covariance: npt.ArrayLike) -> FloatArray:

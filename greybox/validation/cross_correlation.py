@@ -16,13 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
 from greybox.errors import DataError
-from greybox.files import Json
 from greybox.statistics.correlation import centred, check_lags, lagged
 from greybox.statistics.distributions import chi_square_tail, normal_quantile
 from greybox.symbolic import FloatArray
@@ -35,6 +35,31 @@ NOTE = (
     "are not white, "
     "feedback reaches positive lags as well; read this test after the whiteness test."
 )
+
+
+class CrossPairRow(TypedDict):
+    """A `CrossPair` in a result file."""
+
+    innovation: str
+    input: str
+    n: int
+    band: float
+    outside: float
+    q: float
+    dof: int
+    p_value: float
+    r: list[float]
+
+
+class CrossDocument(TypedDict):
+    """A `CrossCorrelation` in a result file."""
+
+    level: float
+    max_lag: int
+    lags: list[int]
+    pairs: list[CrossPairRow]
+    skipped: list[str]
+    note: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +81,7 @@ class CrossPair:
     dof: int
     p_value: float
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> CrossPairRow:
         """Plain values under the names of the fields."""
         return {
             "innovation": self.innovation,
@@ -81,7 +106,7 @@ class CrossCorrelation:
     skipped: tuple[str, ...]
     note: str = NOTE
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> CrossDocument:
         """Plain values: level, max_lag, lags, pairs, skipped, note."""
         return {
             "level": self.level,

@@ -19,9 +19,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-HorizonCell = dict[str, float | str]
-"""Errors of one group at one horizon in a result file: mae, rmse, unit, n, and where they are there
-diverged, nlpd, coverage50 and the like."""
+class HorizonCell(TypedDict):
+    """Errors of one group at one horizon in a result file; `coverage50`, ...: shares of the error
+    vectors in the regions that were stated."""
+
+    mae: float
+    rmse: float
+    unit: str
+    n: int
+    diverged: NotRequired[int]
+    coverage50: NotRequired[float]
+    coverage68: NotRequired[float]
+    coverage95: NotRequired[float]
+    nlpd: NotRequired[float]
 
 
 class HorizonRow(TypedDict):
@@ -200,7 +210,9 @@ def _cell(unit: str, errors: GroupErrors, i: int) -> HorizonCell:
     if errors.diverged[i]:
         cell["diverged"] = int(errors.diverged[i])
     if errors.coverage is not None and errors.nlpd is not None and np.isfinite(errors.nlpd[i]):
-        cell |= {f"coverage{100 * level:g}": float(c[i]) for level, c in errors.coverage.items()}
+        cell["coverage50"] = float(errors.coverage[0.50][i])
+        cell["coverage68"] = float(errors.coverage[0.68][i])
+        cell["coverage95"] = float(errors.coverage[0.95][i])
         cell["nlpd"] = float(errors.nlpd[i])
     return cell
 

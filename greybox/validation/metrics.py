@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import DataError
-from greybox.files import Json
 from greybox.symbolic import FloatArray
 from greybox.validation.samples import pairs
 
@@ -90,6 +90,21 @@ def vaf(measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike | None = N
     return 100.0 * (1.0 - float(np.sum((error - error.mean(axis=0)) ** 2)) / _spread(y))
 
 
+class MetricsRow(TypedDict):
+    """A `ChannelMetrics` in a result file."""
+
+    n: int
+    missing: int
+    unit: str
+    mse: float
+    rmse: float
+    mae: float
+    bias: float
+    r2: float | None
+    fit: float | None
+    vaf: float | None
+
+
 @dataclass(frozen=True, kw_only=True)
 class ChannelMetrics:
     """All error measures of one channel (or of one vector of channels). `r2`, `fit`, `vaf` are None
@@ -110,9 +125,20 @@ class ChannelMetrics:
     fit: float | None
     vaf: float | None
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> MetricsRow:
         """Plain values under the names of the fields."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return {
+            "n": self.n,
+            "missing": self.missing,
+            "unit": self.unit,
+            "mse": self.mse,
+            "rmse": self.rmse,
+            "mae": self.mae,
+            "bias": self.bias,
+            "r2": self.r2,
+            "fit": self.fit,
+            "vaf": self.vaf,
+        }
 
 
 def channel_metrics(

@@ -11,11 +11,16 @@ from greybox.estimation.options import chosen
 from greybox.validation.advice import Hint
 
 
-class ValidateChoices(TypedDict, total=False):
-    """The keywords of `validate`: the fields of `ValidateOptions`, which says what they mean."""
+class HorizonChoices(TypedDict, total=False):
+    """Those of `ValidateChoices` that say how far ahead."""
 
     horizons: Sequence[float] | None
     horizon_samples: Sequence[int] | None
+
+
+class ValidateChoices(HorizonChoices, total=False):
+    """The keywords of `validate`: the fields of `ValidateOptions`, which says what they mean."""
+
     adapt: float | None
     measured_start: bool
     every: int | None

@@ -8,22 +8,21 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, TypedDict
 
 from greybox.data.dataset import FlightFacts
-from greybox.files import Json
-from greybox.model.verdict import NOT_JUDGED, Verdict
+from greybox.model.verdict import NOT_JUDGED, Verdict, VerdictDocument
 from greybox.shown import Cell, Shown
-from greybox.validation.adapt import Adaptation
+from greybox.validation.adapt import Adaptation, AdaptedRow
 from greybox.validation.advice import Hint
-from greybox.validation.coverage import Coverage
-from greybox.validation.cross_correlation import CrossCorrelation
+from greybox.validation.coverage import Coverage, CoverageRow
+from greybox.validation.cross_correlation import CrossCorrelation, CrossDocument
 from greybox.validation.horizon_table import (
     HorizonDocument,
     HorizonTable,
     format_tables,
     plot_tables,
 )
-from greybox.validation.metrics import ChannelMetrics
+from greybox.validation.metrics import ChannelMetrics, MetricsRow
 from greybox.validation.usefulness import in_words, judge, standard_of
-from greybox.validation.whiteness import Whiteness
+from greybox.validation.whiteness import Whiteness, WhitenessDocument
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,17 +31,17 @@ SCHEMA = "greybox.validate/1"
 
 
 class AdaptedOn(TypedDict):
-    """What was fitted to the first `seconds` of every flight: parameter -> value, std, unit."""
+    """What was fitted to the first `seconds` of every flight: flight -> parameter -> value."""
 
     seconds: float
-    flights: dict[str, dict[str, dict[str, float | str]]]
+    flights: dict[str, dict[str, AdaptedRow]]
 
 
 class ValidationDocument(HorizonDocument):
     """validate.json, with the model's own table at its top level."""
 
     schema: str
-    verdict: dict[str, Json] | None
+    verdict: VerdictDocument | None
     model: dict[str, str | None]
     flights: list[FlightFacts]
     sample_time: float
@@ -51,10 +50,10 @@ class ValidationDocument(HorizonDocument):
     measured_start: HorizonDocument | None
     curves: dict[str, dict[str, list[float]]]
     adapted_on: AdaptedOn | None
-    one_step: dict[str, dict[str, Json]]
-    whiteness: dict[str, Json] | None
-    cross_correlation: dict[str, Json] | None
-    coverage: dict[str, list[dict[str, Json]]]
+    one_step: dict[str, MetricsRow]
+    whiteness: WhitenessDocument | None
+    cross_correlation: CrossDocument | None
+    coverage: dict[str, list[CoverageRow]]
     warnings: list[str]
 
 

@@ -13,17 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NotRequired, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import DataError
 from greybox.estimation.predictor import Block
-from greybox.files import Json
 from greybox.statistics.correlation import check_lags, predictable_share
 from greybox.statistics.distributions import normal_quantile
 from greybox.statistics.whiteness import (
     Portmanteau,
+    PortmanteauRow,
     autocorrelation,
     cumulated_periodogram,
     hosking,
@@ -31,6 +32,31 @@ from greybox.statistics.whiteness import (
 )
 from greybox.symbolic import FloatArray
 from greybox.validation.samples import names_for, stretches
+
+
+class ChannelWhitenessRow(PortmanteauRow):
+    """A `ChannelWhiteness` in a result file; files of earlier versions have no periodogram and no
+    std."""
+
+    missing: int
+    mean: float
+    std: NotRequired[float]
+    r: list[float]
+    band: list[float]
+    outside: float
+    predictable: float
+    periodogram: NotRequired[list[float]]
+    periodogram_band: NotRequired[float]
+
+
+class WhitenessDocument(TypedDict):
+    """A `Whiteness` in a result file."""
+
+    level: float
+    max_lag: int
+    fitted: int
+    channels: dict[str, ChannelWhitenessRow]
+    multivariate: PortmanteauRow | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,26 +83,20 @@ class ChannelWhiteness:
     periodogram_band: float
     test: Portmanteau
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> ChannelWhitenessRow:
         """Plain values; the test's fields are on the same level."""
-        plain = {
+        return {
             "n": self.n,
             "missing": self.missing,
             "mean": self.mean,
             "std": self.std,
             "outside": self.outside,
             "predictable": self.predictable,
-        }
-        spectrum = {
-            "periodogram": self.periodogram.tolist(),
-            "periodogram_band": self.periodogram_band,
-        }
-        return {
-            **plain,
             **self.test.to_dict(),
             "r": self.r.tolist(),
             "band": self.band.tolist(),
-            **spectrum,
+            "periodogram": self.periodogram.tolist(),
+            "periodogram_band": self.periodogram_band,
         }
 
 
@@ -91,7 +111,7 @@ class Whiteness:
     fitted: int
     level: float
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> WhitenessDocument:
         """Plain values: level, max_lag, fitted, channels {name: ...}, multivariate."""
         return {
             "level": self.level,

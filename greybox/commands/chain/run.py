@@ -13,7 +13,7 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
@@ -29,6 +29,7 @@ from greybox.files import checksum, file_sha256, read_json, write_atomic
 from greybox.model.verdict import NOT_JUDGED
 from greybox.progress import in_words
 from greybox.report.identify_report import identify_report
+from greybox.validation.result import ValidationDocument
 
 Say = Callable[[str], None]
 FIRST_LINES = 4
@@ -233,11 +234,14 @@ class _Chain:
             verdict=None if verdict is None else verdict.to_dict(),
         )
 
-    def _validation(self, model: Path) -> Mapping[str, object] | None:
+    def _validation(self, model: Path) -> ValidationDocument | None:
         """Errors ahead of the model that came out: of its own stage, else as its fit saw them."""
         ran = self.so_far.ran("validate")
         found = (self.folders["validate"] if ran else model.parent) / "validate.json"
-        return read_json(found) if found.exists() else None
+        if not found.exists():
+            return None
+        content: ValidationDocument = read_json(found)
+        return content
 
     def _end(self, outcome: Outcome) -> Result:
         """Write the record and the page, whatever happened."""
