@@ -9,12 +9,14 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
 from greybox.commands.judgement import given_horizons, horizon_options, horizon_steps
 
 if TYPE_CHECKING:
+    from greybox.linear.document import ChannelRow, LinearDocument, LogRow
     from greybox.linear.fit import LinearFit
     from greybox.linear.logs import ChannelSpec, Logs
     from greybox.linear.records import Record
@@ -24,7 +26,7 @@ Group = tuple[tuple[int, ...], tuple[int, ...]]
 """Columns of the inputs and of the outputs of one model."""
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "linear",
@@ -288,16 +290,16 @@ def _content(
     asked: _Asked,
     logs: tuple[Logs, Logs | None],
     results: Sequence[Identified],
-) -> dict[str, Any]:
+) -> LinearDocument:
     """What fit.json holds."""
     train, test = logs
 
-    def channels(of: Sequence[ChannelSpec]) -> list[dict[str, Any]]:
+    def channels(of: Sequence[ChannelSpec]) -> list[ChannelRow]:
         return [
             {"name": s.name, "unit": s.signal.unit, "terms": [list(t) for t in s.terms]} for s in of
         ]
 
-    def flights(of: Logs | None) -> list[dict[str, Any]]:
+    def flights(of: Logs | None) -> list[LogRow]:
         return [] if of is None else [{"name": f.name, "sha256": f.sha256} for f in of.flights]
 
     return {
@@ -317,7 +319,7 @@ def _content(
 
 def _write(
     out: Path,
-    content: dict[str, Any],
+    content: LinearDocument,
     results: Sequence[Identified],
     logs: tuple[Logs, Logs | None],
 ) -> str:

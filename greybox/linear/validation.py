@@ -10,6 +10,7 @@ import numpy as np
 
 from greybox.errors import GreyboxError
 from greybox.files import Json
+from greybox.linear.document import JudgedModel
 from greybox.linear.fit import LinearFit, to_dict
 from greybox.linear.pole_profile import Interval
 from greybox.linear.prediction import adapt, k_step
@@ -61,7 +62,7 @@ class Identified:
     outputs: tuple[int, ...]
     intervals: tuple[Interval, ...] = ()
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> JudgedModel:
         """Plain values for fit.json."""
         return {
             "name": self.fit.model.name,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from greybox.linear.order import OrderRow
 from greybox.linear.uncertainty import ComplexEstimate
 from greybox.report.figures import (
     _BOTTOM,
@@ -39,12 +39,16 @@ def singular_values(values: npt.ArrayLike, order: int) -> Figure:
     return figure
 
 
-def criteria(table: Sequence[Mapping[str, Any]], order: int) -> Figure:
+def criteria(table: Sequence[OrderRow], order: int) -> Figure:
     """AIC, AICc and BIC against the order, each minus its smallest value plus one, logarithmic."""
     figure, axes = _panel(2.2)
-    n = [r["order"] for r in table]
-    for name, colour in (("aic", SERIES[1]), ("aicc", SERIES[2]), ("bic", SERIES[0])):
-        v = np.array([r[name] for r in table], dtype=float)
+    n = [r.order for r in table]
+    for values, colour in (
+        ([r.aic for r in table], SERIES[1]),
+        ([r.aicc for r in table], SERIES[2]),
+        ([r.bic for r in table], SERIES[0]),
+    ):
+        v = np.array(values, dtype=float)
         axes.semilogy(
             n, v - np.nanmin(v) + 1.0, marker="o", color=colour, markersize=4, linewidth=1.2
         )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from greybox.linear.document import LinearDocument
 from greybox.linear.fit import LinearFit
 from greybox.linear.order import OrderChoice
 from greybox.linear.prediction import adapt, simulate
@@ -15,12 +16,12 @@ from greybox.linear.spectrum import SpectralError
 from greybox.linear.validation import Identified
 from greybox.model.matrices import spectral_radius
 from greybox.report import figures, linear_figures
-from greybox.report.html import Key, Report
+from greybox.report.html import Cell, Key, Report
 from greybox.report.words import p_value
 
 
 def linear_report(
-    content: Mapping[str, Any],
+    content: LinearDocument,
     results: Sequence[Identified],
     train: Sequence[Record],
     test: Sequence[Record],
@@ -96,7 +97,6 @@ def _model(report: Report, r: Identified) -> None:
 def _order(report: Report, fit: LinearFit, choice: OrderChoice) -> None:
     report.heading("Why this order")
     report.bullets(list(choice.reasons))
-    table = [vars(row) for row in choice.rows]
     report.table(
         [
             "order",
@@ -110,16 +110,16 @@ def _order(report: Report, fit: LinearFit, choice: OrderChoice) -> None:
         ],
         [
             [
-                f"{row['order']}" + (" (chosen)" if row["order"] == choice.order else ""),
-                row["criterion"],
-                row["parameters"],
-                row["aic"],
-                row["aicc"],
-                row["bic"],
-                p_value(_none(row["whiteness"])),
-                _none(row["held_out"]),
+                f"{row.order}" + (" (chosen)" if row.order == choice.order else ""),
+                row.criterion,
+                row.parameters,
+                row.aic,
+                row.aicc,
+                row.bic,
+                p_value(_none(row.whiteness)),
+                _none(row.held_out),
             ]
-            for row in table
+            for row in choice.rows
         ],
         caption="held-out: e' Lambda^-1 e + log det Lambda on data that the compared fit did "
         "not see (trimmed mean)",
@@ -127,7 +127,7 @@ def _order(report: Report, fit: LinearFit, choice: OrderChoice) -> None:
     report.figures(
         [
             (linear_figures.singular_values(fit.singular_values, fit.order), "singular values"),
-            (linear_figures.criteria(table, choice.order), "criteria against order"),
+            (linear_figures.criteria(choice.rows, choice.order), "criteria against order"),
         ],
         key=[
             Key(text="BIC", colour="c1"),
@@ -141,7 +141,7 @@ def _poles(report: Report, r: Identified) -> None:
     fit = r.fit
     report.heading("Poles and zeros")
     poles, zeros = fit.uncertainty.poles(), fit.uncertainty.zeros()
-    rows: list[list[Any]] = []
+    rows: list[list[Cell]] = []
     strengths, sure = fit.uncertainty.pole_strengths(), fit.uncertainty.well_determined()
     for value, cov, strength, believed in zip(poles.value, poles.covariance, strengths, sure):
         if value.imag < 0:
@@ -195,7 +195,7 @@ def _bode(report: Report, fit: LinearFit) -> None:
     nyquist = 0.5 / fit.model.dt
     f = np.geomspace(nyquist / 500, 0.99 * nyquist, 120)
     data = fit.uncertainty.bode(f, fit.model.dt)
-    panels: list[Any] = []
+    panels: list[tuple[Figure, str]] = []
     for i, output in enumerate(fit.model.outputs.names):
         for j, name in enumerate(fit.model.inputs.names):
             if len(panels) < 12:
@@ -285,9 +285,9 @@ def _test(report: Report, r: Identified, test: Sequence[Record]) -> None:
     headers = ["log", "horizon"]
     for n in fit.model.outputs.names:
         headers += [f"{n} RMSE", "fit [%]", "persistence"]
-    rows: list[list[Any]] = []
+    rows: list[list[Cell]] = []
     for t in r.rows:
-        cells: list[Any] = [t.record, f"{t.horizon}" if t.horizon else "free run"]
+        cells: list[Cell] = [t.record, f"{t.horizon}" if t.horizon else "free run"]
         for i in range(len(fit.model.outputs)):
             cells += [float(t.rmse[i]), float(t.fit[i]), float(t.persistence[i])]
         rows.append(cells)
