@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from greybox.commands.command_line import typed
+from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import (
@@ -26,10 +25,12 @@ if TYPE_CHECKING:
     from greybox.data import Dataset
     from greybox.model.identified import IdentifiedModel
     from greybox.model.verdict import Verdict
+    from greybox.residual.document import BeforeAfter, LearnDocument
     from greybox.residual.learn import Learned
+    from greybox.validation.options import HorizonChoices
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "learn",
@@ -182,8 +183,11 @@ def run(arguments: argparse.Namespace) -> int:
     report = write_atomic(
         out / "report.html", learn_report(content, title=f"What {model.name} misses")
     )
-    adapted = ((content["validation"].get("after") or {}).get("adapted_on") or {}).get("flights")
-    write_if_asked(arguments.mcap, hybrid, train, test, adapted=adapted)
+    after = content["validation"].get("after")
+    on = None if after is None else after["adapted_on"]
+    write_if_asked(
+        arguments.mcap, hybrid, train, test, adapted=None if on is None else on["flights"]
+    )
     console.result(
         content,
         NOT_JUDGED if verdict is None else verdict.line,
@@ -194,7 +198,7 @@ def run(arguments: argparse.Namespace) -> int:
     return exit_code(verdict)
 
 
-def _content(learned: Learned, model: IdentifiedModel, train: Dataset) -> dict[str, Any]:
+def _content(learned: Learned, model: IdentifiedModel, train: Dataset) -> LearnDocument:
     """learn.json before anything is judged."""
     content = learned.to_dict()
     unseen = sorted(set(model.trained_on) - set(train.names))
@@ -252,23 +256,25 @@ def _demand_options(arguments: argparse.Namespace, *, linear: bool) -> None:
 def _validated(
     arguments: argparse.Namespace,
     console: Console,
-    content: dict[str, Any],
+    content: LearnDocument,
     models: tuple[IdentifiedModel, IdentifiedModel],
     judged: Dataset,
-    horizons: Mapping[str, Any],
+    horizons: HorizonChoices,
 ) -> Verdict | None:
     """Verdict of the second of `models` (before and after); puts the validation of both into
     `content`."""
     from greybox.errors import GreyboxError
+    from greybox.residual.document import HALVES
     from greybox.validation.validate import validate
 
-    content["validation"] = {}
+    validation: BeforeAfter = {}
+    content["validation"] = validation
     verdict = None
-    for label, model in zip(("before", "after"), models):
+    for label, model in zip(HALVES, models):
         console.share(f"validate {label}", 1.0)
         try:
             seen = validate(model, judged, **horizons, adapt=arguments.adapt)
-            content["validation"][label], verdict = seen.to_dict(), seen.verdict
+            validation[label], verdict = seen.to_dict(), seen.verdict
         except GreyboxError as error:
             content["warnings"].append(f"no validation {label}: {error}")
             verdict = None

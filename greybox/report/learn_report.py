@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
@@ -13,7 +12,10 @@ from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.validation_sections import first_line, headline_groups
 from greybox.report.words import number
+from greybox.residual.document import HALVES, BeforeAfter, Half, LearnDocument
 from greybox.shown import in_degrees
+from greybox.validation.horizon_table import HorizonCell
+from greybox.validation.result import ValidationDocument
 
 HONEST = (0.88, 0.99)
 """Coverage of a 95 % region that passes without a mark: few flights, whose errors are alike within
@@ -37,7 +39,7 @@ BEYOND = (
 )
 
 
-def learn_report(content: Mapping[str, Any], *, title: str | None = None) -> str:
+def learn_report(content: LearnDocument, *, title: str | None = None) -> str:
     """The page of a learned model. `content` follows schemas/learn.json; `validation` may be
     missing, empty or partial.
 
@@ -45,18 +47,19 @@ def learn_report(content: Mapping[str, Any], *, title: str | None = None) -> str
     """
     report = Report(title or f"What {content['model']} misses", _subtitle(content))
     first_line(report, content.get("verdict"))
-    validation = content.get("validation") or {}
+    validation: BeforeAfter = content.get("validation") or {}
     with report.headline():
         _answer(report, content)
-        after = validation.get("after") or {}
-        _curves(
-            report,
-            validation,
-            headline_groups([g for h in after.get("horizons", []) for g in h["groups"]]),
-        )
+        after = _cells(validation.get("after"))
+        _curves(report, validation, headline_groups([g for g, _ in after]))
         _next(report, content, validation)
     texts = [*content.get("warnings", [])]
-    texts += [f"{label}: {w}" for label, v in validation.items() for w in v.get("warnings", [])]
+    texts += [
+        f"{half}: {w}"
+        for half in HALVES
+        if (judged := validation.get(half))
+        for w in judged.get("warnings", [])
+    ]
     texts += [
         f"{t['candidate']}: {w}" for t in content.get("training", []) for w in t.get("warnings", [])
     ]
@@ -71,28 +74,27 @@ def learn_report(content: Mapping[str, Any], *, title: str | None = None) -> str
     return report.html()
 
 
-def learned_by(content: Mapping[str, Any]) -> str:
+def learned_by(learner: str) -> str:
     """The learner of a result, as the beginning of a sentence."""
-    learner = content.get("learner", "gp")
     return LEARNED.get(learner, f"The learner {learner}")
 
 
-def _subtitle(content: Mapping[str, Any]) -> str:
+def _subtitle(content: LearnDocument) -> str:
     count = len(content.get("trained_on", []))
     return (
         f"learned from {count} flight{'s' * (count != 1)}, {content['points']} {_counted(content)}"
     )
 
 
-def _counted(content: Mapping[str, Any]) -> str:
+def _counted(content: LearnDocument) -> str:
     return "support points" if content.get("learner", "gp") == "gp" else "features"
 
 
-def _channels(content: Mapping[str, Any], learned: bool) -> list[str]:
+def _channels(content: LearnDocument, learned: bool) -> list[str]:
     return [o["name"] for o in content["outputs"] if o["learned"] is learned]
 
 
-def _answer(report: Report, content: Mapping[str, Any]) -> None:
+def _answer(report: Report, content: LearnDocument) -> None:
     """What was learned, in a sentence or two."""
     if content["null"]:
         report.paragraph(
@@ -108,7 +110,7 @@ def _answer(report: Report, content: Mapping[str, Any]) -> None:
         else ""
     )
     report.paragraph(
-        f"{learned_by(content)} of {', '.join(content['features'])} adds to "
+        f"{learned_by(content.get('learner', 'gp'))} of {', '.join(content['features'])} adds to "
         f"{', '.join(_channels(content, True))}. It "
         f"saves {number(100 * content['fit']['held_out_gain'], 3)} % of the squared multi-step "
         "errors of flights that were "
@@ -116,7 +118,7 @@ def _answer(report: Report, content: Mapping[str, Any]) -> None:
     )
 
 
-def _learned(report: Report, content: Mapping[str, Any]) -> None:
+def _learned(report: Report, content: LearnDocument) -> None:
     report.section("What was learned")
     fit, learner = content["fit"], content.get("learner", "gp")
     if not content["null"]:
@@ -144,9 +146,10 @@ def _learned(report: Report, content: Mapping[str, Any]) -> None:
     )
 
 
-def _candidates(report: Report, content: Mapping[str, Any]) -> None:
+def _candidates(report: Report, content: LearnDocument) -> None:
     report.section("What competed")
-    dt = ((content.get("validation") or {}).get("after") or {}).get("sample_time")
+    after = (content.get("validation") or BeforeAfter()).get("after")
+    dt = after.get("sample_time") if after else None
     ahead = (
         f"{number(2 * dt)} to {number(50 * dt)} s ahead"
         if dt
@@ -169,15 +172,15 @@ def _candidates(report: Report, content: Mapping[str, Any]) -> None:
     )
 
 
-def _cells(validation: Mapping[str, Any], label: str) -> dict[tuple[str, int], Mapping[str, Any]]:
+def _cells(judged: ValidationDocument | None) -> dict[tuple[str, int], HorizonCell]:
     """(group, horizon) -> errors of the model."""
-    rows = validation.get(label, {}).get("horizons", [])
+    rows = judged.get("horizons", []) if judged else []
     return {(g, h["h"]): e for h in rows for g, e in h["groups"].items()}
 
 
-def _ahead(report: Report, validation: Mapping[str, Any]) -> None:
+def _ahead(report: Report, validation: BeforeAfter) -> None:
     report.section("How far ahead it predicts, before and after")
-    after, before = _cells(validation, "after"), _cells(validation, "before")
+    after, before = _cells(validation.get("after")), _cells(validation.get("before"))
     if not after:
         report.paragraph("Not validated. Give flights that were not used here with --test.")
         return
@@ -237,23 +240,27 @@ def _ahead(report: Report, validation: Mapping[str, Any]) -> None:
     )
 
 
-def _curves(report: Report, validation: Mapping[str, Any], groups: Sequence[str]) -> None:
-    looks = (("before", "physics", SERIES[3], "--"), ("after", "learned", SERIES[0], "-"))
+def _curves(report: Report, validation: BeforeAfter, groups: Sequence[str]) -> None:
+    looks: tuple[tuple[Half, str, str, str], ...] = (
+        ("before", "physics", SERIES[3], "--"),
+        ("after", "learned", SERIES[0], "-"),
+    )
     if not groups:
         return
     panels: list[tuple[Figure, str]] = []
     dt = validation["after"].get("sample_time")
     for g in groups:
         curves = {}
-        for label, name, colour, style in looks:
-            own = validation.get(label, {}).get("curves", {}).get("model", {}).get(g)
+        for half, name, colour, style in looks:
+            judged = validation.get(half)
+            own = judged.get("curves", {}).get("model", {}).get(g) if judged else None
             if own:
                 curves[name] = (own, colour, style)
         if not curves or not dt:
             continue
         steps = max(len(v) for v, *_ in curves.values())
         unit, factor = in_degrees(
-            next(e["unit"] for (n, _), e in _cells(validation, "after").items() if n == g)
+            next(e["unit"] for (n, _), e in _cells(validation.get("after")).items() if n == g)
         )
         shown = {
             n: ([None if v is None else factor * v for v in own], colour, style)
@@ -285,7 +292,7 @@ def _share(value: float | None, honest: tuple[float, float]) -> Cell:
     return text if honest[0] <= value <= honest[1] else Tag(text=text)
 
 
-def _uncertainty(report: Report, content: Mapping[str, Any], validation: Mapping[str, Any]) -> None:
+def _uncertainty(report: Report, content: LearnDocument, validation: BeforeAfter) -> None:
     report.section("How sure it says it is")
     factors = content["calibration"]["factors"]
     report.paragraph(
@@ -320,7 +327,7 @@ def _uncertainty(report: Report, content: Mapping[str, Any], validation: Mapping
             f"Errors of {', '.join(small)} grow more slowly than one-step errors say: much of that "
             "noise averages out."
         )
-    cells = _cells(validation, "after")
+    cells = _cells(validation.get("after"))
     stated = {k: e["coverage95"] for k, e in cells.items() if e.get("coverage95") is not None}
     outside = [
         f"{g} at {h} samples ({100 * v:.0f} %)"
@@ -338,7 +345,7 @@ def _uncertainty(report: Report, content: Mapping[str, Any], validation: Mapping
         )
 
 
-def _training(report: Report, content: Mapping[str, Any]) -> None:
+def _training(report: Report, content: LearnDocument) -> None:
     body: list[list[Cell]] = []
     for t in content.get("training", []):
         for o in t["outputs"]:
@@ -365,10 +372,10 @@ def _training(report: Report, content: Mapping[str, Any]) -> None:
         report.table(heads, body, numeric=(2, 3, 4))
 
 
-def _next(report: Report, content: Mapping[str, Any], validation: Mapping[str, Any]) -> None:
+def _next(report: Report, content: LearnDocument, validation: BeforeAfter) -> None:
     report.heading("What to do next")
     texts = []
-    after, before = _cells(validation, "after"), _cells(validation, "before")
+    after, before = _cells(validation.get("after")), _cells(validation.get("before"))
     worse = [
         f"{g} at {h} samples"
         for (g, h), e in after.items()
@@ -400,7 +407,7 @@ def _next(report: Report, content: Mapping[str, Any], validation: Mapping[str, A
     report.bullets(texts)
 
 
-def _reproduce(report: Report, content: Mapping[str, Any]) -> None:
+def _reproduce(report: Report, content: LearnDocument) -> None:
     report.section("How to reproduce this")
     if content.get("command"):
         report.code(str(content["command"]))

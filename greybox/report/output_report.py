@@ -30,7 +30,7 @@ def output_report(content: Mapping[str, Any]) -> str:
     learned = [o["name"] for o in content["outputs"] if o["learned"]]
     if learned:
         report.verdict(
-            f"{learned_by(content)} of {', '.join(content['features'])} foretells the one-step "
+            f"{learned_by(content.get('learner', 'gp'))} of {', '.join(content['features'])} foretells the one-step "
             "errors of "
             f"{', '.join(learned)}."
         )

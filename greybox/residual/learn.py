@@ -18,18 +18,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypedDict
 
 import numpy as np
 
 from greybox.data import Dataset, Flight
 from greybox.errors import ModelError
-from greybox.files import Json
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import LongerWindow, physics_of
 from greybox.progress import in_notebooks
 from greybox.residual.candidates import FeatureMaker, gp_candidates
 from greybox.residual.discrepancy import Discrepancy, discrepancy, disturbed_model
+from greybox.residual.document import LearnDocument
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import available, default_features, feature_layout, reach, with_lags
 from greybox.residual.hybrid import HybridModel
@@ -43,29 +42,6 @@ from greybox.shown import Cell, Shown
 from greybox.validation.calibration import Calibration, calibrate_horizons
 
 Progress = Callable[[str, float], None]
-
-
-class LearnDocument(TypedDict):
-    """learn.json before it is judged; its schema says more."""
-
-    schema: str
-    model: str
-    kind: str
-    learner: str
-    null: bool
-    candidates: list[dict[str, str | float]]
-    chosen: str
-    features: list[str]
-    outputs: list[dict[str, str | bool]]
-    points: int
-    fit: dict[str, Json]
-    calibration: dict[str, Json]
-    training: list[TrainingDocument]
-    trained_on: list[str]
-    data_hash: str
-    seconds: float
-    warnings: list[str]
-    versions: dict[str, str]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

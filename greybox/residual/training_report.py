@@ -3,12 +3,34 @@ and warnings."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import TypedDict
 
 from greybox.files import Json
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.selection import Curve
+
+
+class OutputRow(TypedDict):
+    """An `OutputReport` in a result file."""
+
+    name: str
+    status: str
+    message: str
+    log_likelihood: float
+    evaluations: int
+    at_bound: tuple[str, ...]
+    lengthscales: tuple[float, ...]
+    signal_std: float
+    noise_std: float
+    noise_inflation: float
+    noise_per_group: bool
+    nlpd: float | None
+    nlpd_constant: float | None
+    gain: float | None
+    gain_error: float | None
+    rmse: float | None
+    rmse_constant: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +62,28 @@ class OutputReport:
     rmse: float | None = None
     rmse_constant: float | None = None
 
+    def to_dict(self) -> OutputRow:
+        """Plain values under the names of the fields."""
+        return {
+            "name": self.name,
+            "status": self.status,
+            "message": self.message,
+            "log_likelihood": self.log_likelihood,
+            "evaluations": self.evaluations,
+            "at_bound": self.at_bound,
+            "lengthscales": self.lengthscales,
+            "signal_std": self.signal_std,
+            "noise_std": self.noise_std,
+            "noise_inflation": self.noise_inflation,
+            "noise_per_group": self.noise_per_group,
+            "nlpd": self.nlpd,
+            "nlpd_constant": self.nlpd_constant,
+            "gain": self.gain,
+            "gain_error": self.gain_error,
+            "rmse": self.rmse,
+            "rmse_constant": self.rmse_constant,
+        }
+
 
 class TrainingDocument(TypedDict, total=False):
     """How something was learned, in result files: a process tells all of the first lines,
@@ -54,7 +98,7 @@ class TrainingDocument(TypedDict, total=False):
     rows_dropped: int
     groups: int
     held_out: list[str]
-    outputs: list[dict[str, Json]]
+    outputs: list[OutputRow]
     curve: dict[str, Json] | None
     seconds: dict[str, float]
     converged: bool
@@ -98,7 +142,7 @@ class TrainingReport:
             "rows_dropped": self.rows_dropped,
             "groups": self.groups,
             "held_out": list(self.held_out),
-            "outputs": [asdict(o) for o in self.outputs],
+            "outputs": [o.to_dict() for o in self.outputs],
             "curve": None if self.curve is None else self.curve.to_dict(),
             "seconds": dict(self.seconds),
             "warnings": list(self.warnings),
