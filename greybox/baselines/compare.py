@@ -30,49 +30,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from typing import NotRequired, TypedDict
 
 import numpy as np
 
 from greybox.baselines.compare_bench import Bench, Outcome
 from greybox.baselines.compare_costs import expectation, expected
 from greybox.baselines.compare_methods import METHODS, pairs
-from greybox.baselines.compare_scores import ChannelScores, one_step_scores
-from greybox.baselines.regressors import Point
+from greybox.baselines.compare_scores import one_step_scores
+from greybox.baselines.document import CompareDocument, MethodRow, SeriesRow
 from greybox.data.channel import channel
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.model.identified import library_versions
 from greybox.residual.learners import GP, LEARNERS
-from greybox.symbolic import FloatArray
-from greybox.validation.horizon_table import HorizonDocument
 
 SCHEMA = "greybox.compare/1"
 SHOWN = 4.0
 """Seconds of the first test flight that the figure of predictions shows."""
 
 
-class MethodRow(TypedDict):
-    """One method in compare.json: an error where it failed, else its scores (`StepScores`) and
-    what it cost."""
-
-    method: str
-    status: str
-    error: NotRequired[str]
-    channels: NotRequired[dict[str, ChannelScores]]
-    mean: NotRequired[dict[str, float]]
-    multi_step: NotRequired[HorizonDocument | None]
-    curve: NotRequired[dict[str, list[float]] | None]
-    parameters: NotRequired[int]
-    train_seconds: NotRequired[float]
-    microseconds_per_sample: NotRequired[float]
-    search: NotRequired[list[Point]]
-    settings: NotRequired[Point]
-    series: NotRequired[dict[str, dict[str, FloatArray]]]
-
-
 def compare(
     bench: Bench, methods: Sequence[str] | None = None, *, learners: Sequence[str] = ()
-) -> Iterator[dict[str, object]]:
+) -> Iterator[CompareDocument]:
     """Run the methods one after the other; yields the content of compare.json after each.
 
     `methods` (default: all of the table; pairs have names too), then every model with each of
@@ -148,16 +126,19 @@ def _row(bench: Bench, name: str, found: Outcome) -> MethodRow:
     }
 
 
-def _series(bench: Bench, found: Outcome) -> dict[str, dict[str, FloatArray]]:
+def _series(bench: Bench, found: Outcome) -> dict[str, SeriesRow]:
     """A few seconds of the first test segment for the figure: mean and standard deviation per
     channel."""
     i = 0
     rows = np.flatnonzero(bench.late[i])[: round(SHOWN / bench.dt)]
     mean, std = found.mean[i][rows], np.sqrt(found.variance[i][rows])
-    return {n: {"mean": mean[:, j], "std": std[:, j]} for j, n in enumerate(bench.outputs)}
+    return {
+        n: {"mean": mean[:, j].tolist(), "std": std[:, j].tolist()}
+        for j, n in enumerate(bench.outputs)
+    }
 
 
-def _content(bench: Bench, rows: Sequence[MethodRow], missing: Sequence[str]) -> dict[str, object]:
+def _content(bench: Bench, rows: Sequence[MethodRow], missing: Sequence[str]) -> CompareDocument:
     first = np.flatnonzero(bench.late[0])[: round(SHOWN / bench.dt)]
     segment = bench.segments[0]
     return {
@@ -186,8 +167,8 @@ def _content(bench: Bench, rows: Sequence[MethodRow], missing: Sequence[str]) ->
         "not_run": list(missing),
         "measured": {
             "flight": segment.flight,
-            "t": segment.t[first],
-            "channels": {n: segment.column(n)[first] for n in bench.outputs},
+            "t": segment.t[first].tolist(),
+            "channels": {n: segment.column(n)[first].tolist() for n in bench.outputs},
         },
         "versions": library_versions(),
     }

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from greybox.commands.command_line import typed
+from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.judgement import adapt_option, demand_adapt, horizon_options
@@ -15,12 +15,13 @@ from greybox.commands.model_options import model_options, names
 
 if TYPE_CHECKING:
     from greybox.baselines.compare_bench import Bench
+    from greybox.baselines.document import CompareDocument
     from greybox.data import Dataset
     from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import Vehicle
 
 
-def add(subparsers: Any) -> None:
+def add(subparsers: Subcommands) -> None:
     """Declare the command."""
     p = subparsers.add_parser(
         "compare",
@@ -107,10 +108,9 @@ def run(arguments: argparse.Namespace) -> int:
     bench = _bench(arguments, vehicle, train, test, console)
     out = Path(arguments.out)
     command = typed("compare")
-    content: dict[str, Any] = {}
     for partial in compare(bench, arguments.methods, learners=learners):
         # What is done stays done, whatever happens to the next method.
-        content = {**partial, "command": command}
+        content: CompareDocument = {**partial, "command": command}
         write_json(out / "compare.json", content)
         write_atomic(out / "report.html", compare_report(content))
         done = len(content["methods"])

@@ -13,6 +13,7 @@ from greybox.estimation.options import says_choices
 from greybox.progress import in_notebooks
 
 if TYPE_CHECKING:
+    from greybox.baselines.document import CompareDocument
     from greybox.baselines.output_residual import OutputHybrid
     from greybox.data import Dataset
     from greybox.data.airframe import Airframe
@@ -79,7 +80,7 @@ def compare(
     fit: Callable[[], Fit] | None = None,
     say: Callable[[str], None] = lambda text: None,
     **choices: Unpack[CompareChoices],
-) -> dict[str, Any]:
+) -> CompareDocument:
     """Run methods on the same flights and judge them on the same samples, as `greybox compare`
     does.
 

@@ -4,12 +4,14 @@ table as text."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from greybox.baselines.compare_scores import Mean
+from greybox.baselines.document import CompareDocument, MethodRow
 from greybox.files import to_plain
 from greybox.report import figures
 from greybox.report.figures import _TOP, MUTED, SERIES, WIDTH, _axes, _figure, _label, _panel
@@ -39,10 +41,18 @@ BANDS = (
     "TCN",
 )
 """Rows whose intervals are drawn."""
-FOLLOWS, WIDEST = ("sigma_error", "sigma_manoeuvre"), 4.0
+FOLLOWS: tuple[Literal["sigma_error", "sigma_manoeuvre"], ...] = ("sigma_error", "sigma_manoeuvre")
+WIDEST = 4.0
 """What is shown of the stated deviation, and where histograms of errors end
 (schemas/compare.json)."""
-COLUMNS: tuple[tuple[str, str, str], ...] = (
+PER_CHANNEL: tuple[tuple[Mean, str], ...] = (
+    ("mse", "MSE"),
+    ("r2", "R\N{SUPERSCRIPT TWO}"),
+    ("nlpd", "NLPD [nat]"),
+    ("coverage95", "share inside 95 %"),
+)
+"""What is shown of every channel."""
+COLUMNS: tuple[tuple[Mean, str, str], ...] = (
     ("mse", "MSE, standardised", ".4g"),
     ("r2", "R\N{SUPERSCRIPT TWO}", ".4f"),
     ("spectral_error", "spectral error", ".4f"),
@@ -54,7 +64,7 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
 )
 
 
-def format_table(content: Mapping[str, Any]) -> str:
+def format_table(content: CompareDocument) -> str:
     """The one-step and multi-step tables as text."""
     width = max(len(m["method"]) for m in content["methods"])
     heads = "".join(f"{title.split(',')[0]:>15}" for _, title, _ in COLUMNS)
@@ -83,12 +93,12 @@ def format_table(content: Mapping[str, Any]) -> str:
 
 
 def _ahead(
-    content: Mapping[str, Any],
+    content: CompareDocument,
 ) -> list[tuple[str, str, list[tuple[str, list[float | None]]]]]:
     """(group, unit, [(row, mean absolute error at every horizon)]) of the multi-step tables."""
-    tables = {m["method"]: m["multi_step"] for m in content["methods"] if m.get("multi_step")}
-    if content.get("dead_reckoning"):
-        tables["dead reckoning"] = content["dead_reckoning"]
+    tables = {m["method"]: t for m in content["methods"] if (t := m.get("multi_step"))}
+    if floor := content.get("dead_reckoning"):
+        tables["dead reckoning"] = floor
     out = []
     for g in GROUPS:
         rows, unit = [], ""
@@ -104,7 +114,7 @@ def _ahead(
     return out
 
 
-def compare_report(content: Mapping[str, Any]) -> str:
+def compare_report(content: CompareDocument) -> str:
     """The page. `content` follows schemas/compare.json. Raises `KeyError` where a required field is
     missing."""
     content = to_plain(dict(content))
@@ -127,9 +137,7 @@ def compare_report(content: Mapping[str, Any]) -> str:
     return report.html()
 
 
-def _one_step(
-    report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]
-) -> None:
+def _one_step(report: Report, content: CompareDocument, done: Sequence[MethodRow]) -> None:
     report.section("One step ahead")
     body: list[list[Cell]] = []
     for m in done:
@@ -160,13 +168,12 @@ def _one_step(
         "includes every candidate. "
         "Time in Python over a whole flight, many samples at once; exported C has its own.",
     )
+    _per_channel(report, content, done)
+
+
+def _per_channel(report: Report, content: CompareDocument, done: Sequence[MethodRow]) -> None:
     names = content["channels"]
-    for key, title in (
-        ("mse", "MSE"),
-        ("r2", "R\N{SUPERSCRIPT TWO}"),
-        ("nlpd", "NLPD [nat]"),
-        ("coverage95", "share inside 95 %"),
-    ):
+    for key, title in PER_CHANNEL:
         with report.details(f"{title} per channel", open=key == "mse"):
             heads = [f"{n} [{content['units'][n]}]" for n in names]
             rows: list[list[Cell]] = [
@@ -177,11 +184,8 @@ def _one_step(
         rows = [
             [
                 m["method"],
-                *(
-                    number(m["channels"][n][k], 2)
-                    for k in ("whiteness", "input_correlation")
-                    for n in names
-                ),
+                *(number(m["channels"][n]["whiteness"], 2) for n in names),
+                *(number(m["channels"][n]["input_correlation"], 2) for n in names),
             ]
             for m in done
         ]
@@ -195,9 +199,7 @@ def _one_step(
         )
 
 
-def _multi_step(
-    report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]
-) -> None:
+def _multi_step(report: Report, content: CompareDocument, done: Sequence[MethodRow]) -> None:
     tables = _ahead(content)
     if not tables:
         return
@@ -208,9 +210,9 @@ def _multi_step(
         "their rates, velocity from their body velocity or specific force, position by integrating "
         "that."
     )
-    curves = {m["method"]: m["curve"] for m in done if m["curve"]}
-    if content["dead_reckoning_curve"]:
-        curves["dead reckoning"] = content["dead_reckoning_curve"]
+    curves = {m["method"]: curve for m in done if (curve := m["curve"])}
+    if floor := content["dead_reckoning_curve"]:
+        curves["dead reckoning"] = floor
     shown = [n for n in LOOK if n in curves]
     panels: list[tuple[Figure, str]] = []
     for g, unit, _ in tables:
@@ -243,15 +245,17 @@ def _multi_step(
     _stated(report, content, done)
 
 
-def _stated(report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]) -> None:
+def _stated(report: Report, content: CompareDocument, done: Sequence[MethodRow]) -> None:
     """Coverage and density of the stated uncertainty ahead."""
     rows: list[list[Cell]] = []
     for m in done:
-        for h in (m["multi_step"] or {"horizons": []})["horizons"]:
+        table = m["multi_step"]
+        for h in table["horizons"] if table else []:
             for g, cell in h["groups"].items():
                 if cell.get("coverage95") is not None:
                     inside: list[Cell] = [
-                        f"{cell[f'coverage{level}']:.0%}" for level in (50, 68, 95)
+                        f"{share:.0%}"
+                        for share in (cell["coverage50"], cell["coverage68"], cell["coverage95"])
                     ]
                     rows.append(
                         [
@@ -271,9 +275,7 @@ def _stated(report: Report, content: Mapping[str, Any], done: Sequence[Mapping[s
             )
 
 
-def _uncertainty(
-    report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]
-) -> None:
+def _uncertainty(report: Report, content: CompareDocument, done: Sequence[MethodRow]) -> None:
     report.section("Can the stated uncertainty be trusted?")
     panels = []
     for m in done:
@@ -312,7 +314,7 @@ def _uncertainty(
             )
 
 
-def _errors(report: Report, done: Sequence[Mapping[str, Any]]) -> None:
+def _errors(report: Report, done: Sequence[MethodRow]) -> None:
     """Histograms of the errors, and whether the stated deviation follows them; of results that have
     them."""
     done = [m for m in done if all("histogram" in c for c in m["channels"].values())]
@@ -353,12 +355,12 @@ def _errors(report: Report, done: Sequence[Mapping[str, Any]]) -> None:
         )
 
 
-def _rate(m: Mapping[str, Any]) -> Cell:
+def _rate(m: MethodRow) -> Cell:
     """Predicted samples per millisecond."""
     return number(1e3 / m["microseconds_per_sample"], 3) if m["microseconds_per_sample"] else None
 
 
-def _search(report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]) -> None:
+def _search(report: Report, content: CompareDocument, done: Sequence[MethodRow]) -> None:
     report.section("What was tried")
     report.paragraph(
         f"Every method with choices had {content['budget']} candidates, judged on the training "
@@ -379,7 +381,7 @@ def _search(report: Report, content: Mapping[str, Any], done: Sequence[Mapping[s
                 )
 
 
-def _how(report: Report, content: Mapping[str, Any]) -> None:
+def _how(report: Report, content: CompareDocument) -> None:
     report.section("How to reproduce")
     adapt = content["adapt"]
     report.facts(
@@ -398,7 +400,7 @@ def _how(report: Report, content: Mapping[str, Any]) -> None:
         report.code(content["command"])
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     if isinstance(value, float):
         return number(value)
     if isinstance(value, dict):
