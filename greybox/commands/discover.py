@@ -170,7 +170,7 @@ def _search_options(p: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--attainable",
         action="store_true",
-        help="also learn, without a name, what could be closed (extra gp)",
+        help="also learn, without a name, what could be closed",
     )
 
 

@@ -51,7 +51,7 @@ class DiscoverOptions:
     hold_sensor_noise: bool = False
     """Whether the sensors' noise levels stay at those of the vehicle file."""
     attainable: bool = False
-    """Whether a Gaussian process learns what the bare model misses (extra `gp`), for comparison."""
+    """Whether a Gaussian process learns what the bare model misses, for comparison."""
     trace: bool = False
     """Whether what is certain but worth nothing stays in the model."""
     since: IdentifiedModel | None = None

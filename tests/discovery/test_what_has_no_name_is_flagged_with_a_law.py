@@ -23,7 +23,6 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def found() -> Discovery:
-    pytest.importorskip("gpytorch", reason="the attainable line needs the extra gp")
     with pytest.MonkeyPatch.context() as patch:
         shorten(patch)
         return discover(
