@@ -7,13 +7,14 @@ import argparse
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from greybox.model.dynamics import StateSpaceModel
     from greybox.model.effect import Effect
     from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import Vehicle
+    from greybox.planning.document import PlanDocument
     from greybox.planning.result import Plan
 
 from greybox.commands.command_line import Subcommands, typed
@@ -264,7 +265,7 @@ def _subject(
     return vehicle, model
 
 
-def _write(found: Plan, content: dict[str, Any], gravity: float, out: Path) -> int:
+def _write(found: Plan, content: PlanDocument, gravity: float, out: Path) -> int:
     """Flights to fly and to expect, picture, page and plan.json. Returns the number of flights."""
     from greybox.files import write_atomic, write_json
     from greybox.planning.setpoints import csv, setpoints

@@ -10,8 +10,8 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
-from greybox.files import Json
 from greybox.model.vehicle import Vehicle
+from greybox.planning.document import LimitsPart, UsedPart
 from greybox.planning.manoeuvres import TILT
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -58,7 +58,7 @@ class Limits:
         """Where every manoeuvre starts and ends."""
         return 0.0, 0.0, 0.5 * (self.floor + self.box[2])
 
-    def used(self, data: Dataset) -> dict[str, float]:
+    def used(self, data: Dataset) -> UsedPart:
         """The most that noise-free flights took: m, m/s, rad, share of the samples with a command
         outside its range."""
         c = _columns(data)
@@ -96,7 +96,7 @@ class Limits:
         u = np.stack([v for n, v in c.items() if n[0] == "u" and n[1:].isdigit()])
         return np.asarray(((u < self.command[0]) | (u > self.command[1])).any(axis=0))
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> LimitsPart:
         """As in plan.json."""
         return {
             "box_m": list(self.box),

@@ -11,8 +11,8 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.estimation.identifiability import Combination
-from greybox.files import Json
 from greybox.model.identified import library_versions
+from greybox.planning.document import FlightRow, PlanDocument, PlannedRow
 from greybox.planning.excitation_blocks import ExcitationBlock
 from greybox.planning.information import Information, Pair
 from greybox.planning.limits import Limits
@@ -55,7 +55,7 @@ class Plan(Shown):
         """Length of all flights [s]."""
         return sum(p.seconds for f in self.flights for p, _ in f)
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> PlanDocument:
         """The content of plan.json (schema "greybox.plan/1")."""
         s = self.subject
         return {
@@ -95,11 +95,11 @@ class Plan(Shown):
             "versions": library_versions(),
         }
 
-    def _parameters(self) -> dict[str, dict[str, Json]]:
+    def _parameters(self) -> dict[str, PlannedRow]:
         """What is known of every parameter, before and after."""
         s = self.subject
         declared, known = s.declared, s.known_before
-        rows: dict[str, dict[str, Json]] = {}
+        rows: dict[str, PlannedRow] = {}
         for n, (std, alone) in self.errors.items():
             d = declared[n]
             rows[n] = {
@@ -114,9 +114,9 @@ class Plan(Shown):
             }
         return rows
 
-    def _flights(self) -> list[dict[str, Json]]:
+    def _flights(self) -> list[FlightRow]:
         """The manoeuvres of every flight, with their times."""
-        flights: list[dict[str, Json]] = []
+        flights: list[FlightRow] = []
         for k, steps in enumerate(self.flights):
             starts = np.cumsum([0.0, *(p.seconds for p, _ in steps)])
             flights.append(

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from greybox.planning.document import FlightRow, PairRow, PlanDocument
 from greybox.report import figures
 from greybox.report.figures import Line
 from greybox.report.html import Cell, Key, Report, Tag
@@ -22,7 +22,7 @@ from greybox.symbolic import FloatArray
 Columns = Mapping[str, FloatArray]
 
 
-def plan_report(content: Mapping[str, Any], flights: Sequence[tuple[Columns, Columns]]) -> str:
+def plan_report(content: PlanDocument, flights: Sequence[tuple[Columns, Columns]]) -> str:
     """The page for plan.json and per flight (setpoints, expected log)."""
     report = Report(
         f"Flight plan for {content['vehicle']}",
@@ -53,12 +53,13 @@ def plan_report(content: Mapping[str, Any], flights: Sequence[tuple[Columns, Col
     return report.html()
 
 
-def _parameters(report: Report, content: Mapping[str, Any]) -> None:
+def _parameters(report: Report, content: PlanDocument) -> None:
     """What is known of every parameter before and after."""
     rows: list[list[Cell]] = []
     for n, p in content["parameters"].items():
         alone: Cell = "" if finite(p["std_flights_alone"]) else Tag(text="not by itself")
-        spreads = [p[k] if finite(p[k]) else None for k in ("std_before", "std", "std_naive")]
+        errors = p["std_before"], p["std"], p["std_naive"]
+        spreads = [e if finite(e) else None for e in errors]
         rows.append([n, p["value"], *spreads, p["unit"], alone])
     report.table(
         ["parameter", "taken for true", "std before", "std after", "std naive", "unit", "seen"],
@@ -72,7 +73,7 @@ def _parameters(report: Report, content: Mapping[str, Any]) -> None:
     )
 
 
-def _pairs(report: Report, pairs: Sequence[Mapping[str, Any]]) -> None:
+def _pairs(report: Report, pairs: Sequence[PairRow]) -> None:
     report.heading("Which effects it separates")
     table: list[list[Cell]] = []
     for p in pairs:
@@ -93,7 +94,7 @@ def _pairs(report: Report, pairs: Sequence[Mapping[str, Any]]) -> None:
     )
 
 
-def _room(report: Report, content: Mapping[str, Any]) -> None:
+def _room(report: Report, content: PlanDocument) -> None:
     """What of the limits the flights use."""
     use, room = content["used"], content["limits"]
     box, tilts = room["box_m"], np.degrees([use["tilt"], room["tilt_rad"]])
@@ -120,7 +121,7 @@ def _room(report: Report, content: Mapping[str, Any]) -> None:
     )
 
 
-def _next(report: Report, content: Mapping[str, Any]) -> None:
+def _next(report: Report, content: PlanDocument) -> None:
     report.section("What to do next")
     report.bullets(
         [
@@ -143,7 +144,7 @@ def finite(value: float | None) -> bool:
     return value is not None and bool(np.isfinite(value))
 
 
-def _flight(report: Report, flight: Mapping[str, Any], sent: Columns, seen: Columns) -> None:
+def _flight(report: Report, flight: FlightRow, sent: Columns, seen: Columns) -> None:
     report.heading(str(flight["file"]))
     report.table(
         ["start [s]", "seconds", "manoeuvre", "amplitude", "injected"],
@@ -202,7 +203,7 @@ def _commands(seen: Columns) -> FloatArray:
     return np.stack([v for n, v in seen.items() if n[0] == "u" and n[1:].isdigit()])
 
 
-def plan_picture(content: Mapping[str, Any], flights: Sequence[tuple[Columns, Columns]]) -> bytes:
+def plan_picture(content: PlanDocument, flights: Sequence[tuple[Columns, Columns]]) -> bytes:
     """The plan as a PNG: the path from above, height, injected signals and commands over time, one
     row per flight."""
     figure = Figure(figsize=(11, 2.9 * len(flights) + 0.3), dpi=110, layout="constrained")
