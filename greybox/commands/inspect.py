@@ -6,13 +6,14 @@ import argparse
 import shlex
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
 
 if TYPE_CHECKING:
     from greybox.data.column_guess import Guess
+    from greybox.data.document import Allowed, Findings, Uses
     from greybox.data.inspection import Inspection
     from greybox.model.vehicle import Vehicle
 
@@ -73,21 +74,24 @@ def run(arguments: argparse.Namespace) -> int:
         no_overwriting(arguments.draft, "--draft", force=arguments.force)
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
     found = inspect_log(arguments.log, vehicle, mapping=arguments.mapping)
-    content: dict[str, Any] = {**found.to_dict()}
-    content["effects"] = effects(found, vehicle)
-    content["uses"] = uses(found)
     guesses, time = looks(found, named=bool(arguments.mapping))
-    content["looks_like"] = [
-        {
-            "group": g.group,
-            "fields": list(g.fields),
-            "unit": g.unit,
-            "frame": g.frame,
-            "limits": g.limits,
-            "why": g.why,
-        }
-        for g in guesses
-    ]
+    content: Findings = {
+        **found.to_dict(),
+        "effects": effects(found, vehicle),
+        "uses": uses(found),
+        "looks_like": [
+            {
+                "group": g.group,
+                "fields": list(g.fields),
+                "unit": g.unit,
+                "frame": g.frame,
+                "limits": g.limits,
+                "why": g.why,
+            }
+            for g in guesses
+        ],
+        "next": [],
+    }
     content["next"] = advice(
         found, content, arguments, beside(arguments.log, found) if vehicle is None else None
     )
@@ -143,7 +147,7 @@ def beside(log: str, found: Inspection) -> str | None:
 
 
 def advice(
-    found: Inspection, content: dict[str, Any], arguments: argparse.Namespace, known: str | None
+    found: Inspection, content: Findings, arguments: argparse.Namespace, known: str | None
 ) -> list[str]:
     """What to do next, in the order in which to try it."""
     log, has = (
@@ -192,7 +196,7 @@ def _sensors(found: Inspection) -> tuple[str, ...]:
     return tuple(s.name for s in SENSORS if measured.get(s.group, s.group) in groups)
 
 
-def uses(found: Inspection) -> dict[str, Any]:
+def uses(found: Inspection) -> Uses:
     """Which sensors of the model the log feeds, and what can be fitted: commands or rotor speeds,
     and a sensor."""
     from greybox.model.sensors import USUAL
@@ -216,7 +220,7 @@ def uses(found: Inspection) -> dict[str, Any]:
     }
 
 
-def effects(found: Inspection, vehicle: Vehicle | None) -> dict[str, Any]:
+def effects(found: Inspection, vehicle: Vehicle | None) -> Allowed:
     """Effects of the catalogue that the log allows, and what the others lack. Facts of a vehicle
     file count if given. Where rotor speeds drive the model, what shapes a command lacks it."""
     from greybox.model.composition import acts_on_speeds
@@ -226,7 +230,8 @@ def effects(found: Inspection, vehicle: Vehicle | None) -> dict[str, Any]:
     groups = {g.group for g in found.groups}
     of_speeds = "rotor_speed" in groups and "command" not in groups
     columns = [c for g in found.groups for c in g.channels]
-    possible, lacking = [], {}
+    possible: list[str] = []
+    lacking: dict[str, list[str]] = {}
     for effect in CATALOGUE:
         lacks = effect.missing(vehicle, sensors, columns)
         if vehicle is None:
@@ -240,7 +245,7 @@ def effects(found: Inspection, vehicle: Vehicle | None) -> dict[str, Any]:
     return {"possible": possible, "lacking": lacking}
 
 
-def text(content: dict[str, Any], *, every: bool = False) -> str:
+def text(content: Findings, *, every: bool = False) -> str:
     """The result for a terminal."""
     problem = content["problem"]
     lines = [f"{content['log']}: {content['title']}", f"  {content['verdict']}"]
@@ -255,13 +260,13 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
         lines += ["", f"HOW TO LOG  {content['advice']}"]
     if content["rotors"]:
         lines += _rotors(content)
-    for title in ("notes", "next"):
-        if content[title]:
-            lines += ["", title.upper(), *(f"  {n}" for n in content[title])]
+    for title, said in (("NOTES", content["notes"]), ("NEXT", content["next"])):
+        if said:
+            lines += ["", title, *(f"  {n}" for n in said)]
     return "\n".join(lines)
 
 
-def _holds(content: dict[str, Any], every: bool) -> list[str]:
+def _holds(content: Findings, every: bool) -> list[str]:
     """The streams of the log, all of them or those that are used."""
     used = {c["from"].partition(": ")[2].partition(" [")[0] for c in content["channels"]}
     used |= {o.split(": ")[2].partition(" [")[0] for o in content["other_sources"]}
@@ -297,7 +302,7 @@ def _holds(content: dict[str, Any], every: bool) -> list[str]:
     return lines
 
 
-def _usable(content: dict[str, Any]) -> list[str]:
+def _usable(content: Findings) -> list[str]:
     """What greybox takes of them, and what it can fit."""
     lines = ["", f"GREYBOX CAN USE  {content['rows']} rows over {content['duration']:.2f} s"]
     for c in content["channels"]:
@@ -314,7 +319,10 @@ def _usable(content: dict[str, Any]) -> list[str]:
     lines.append(
         "  fits: "
         + (
-            (", ".join(k for k in ("rotation", "translation") if good[k]) or none)
+            (
+                ", ".join(["rotation"] * good["rotation"] + ["translation"] * good["translation"])
+                or none
+            )
             if whole
             else none
             if content["looks_like"]
@@ -332,7 +340,7 @@ def _usable(content: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _looks_like(content: dict[str, Any]) -> list[str]:
+def _looks_like(content: Findings) -> list[str]:
     """What columns with names of their own may be."""
     lines = ["", "LOOKS LIKE  a guess from names and sizes; nothing of it is used by itself"]
     for g in content["looks_like"]:
@@ -342,7 +350,7 @@ def _looks_like(content: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _missing(content: dict[str, Any]) -> list[str]:
+def _missing(content: Findings) -> list[str]:
     """Channels that are not there, what for, and how to log them."""
     guessed = {g["group"] for g in content["looks_like"]}
     lines = ["", "MISSING"]
@@ -359,7 +367,7 @@ def _missing(content: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _rotors(content: dict[str, Any]) -> list[str]:
+def _rotors(content: Findings) -> list[str]:
     """The rotors that the log states, as a vehicle file has them."""
     lines = ["", "ROTORS of the log, for the vehicle file"]
     for r in content["rotors"]:

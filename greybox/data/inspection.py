@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from greybox.data.airframe import Airframe
 from greybox.data.channel import GROUPS, channel, group_names
+from greybox.data.document import InspectDocument, StreamRow
 from greybox.data.fitness import unfit
 from greybox.data.logs import mapping_for
 from greybox.data.logs.canonical import to_channels
@@ -29,7 +30,6 @@ from greybox.data.readers.mapping import TABLE
 from greybox.data.readers.recording import Source, Stream
 from greybox.data.resampling import STRETCH
 from greybox.errors import GreyboxError
-from greybox.files import Json
 from greybox.shown import Cell, Shown
 
 SCHEMA = "greybox.inspect/1"
@@ -149,7 +149,7 @@ class Inspection(Shown):
             if m.group not in seen
         ]
 
-    def to_dict(self) -> dict[str, Json]:
+    def to_dict(self) -> InspectDocument:
         """Plain values (schema "greybox.inspect/1")."""
         return {
             "schema": SCHEMA,
@@ -335,7 +335,7 @@ def _missing(groups: tuple[ChannelGroup, ...], form: LogFormat) -> list[MissingG
     return out
 
 
-def stream_facts(stream: Stream) -> dict[str, Json]:
+def stream_facts(stream: Stream) -> StreamRow:
     """Samples, rate [Hz], span [s], jitter, gaps and fields of a stream."""
     t = stream.t[np.isfinite(stream.t)]
     steps = np.diff(t)
