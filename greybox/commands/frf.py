@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from greybox.data import Dataset
     from greybox.data.airframe import Airframe
-    from greybox.linear.frf_result import FrequencyResponse
+    from greybox.linear.frf_result import FrequencyResponse, ResponseDocument
     from greybox.linear.logs import ChannelSpec
     from greybox.model.identified import IdentifiedModel
     from greybox.model.linear import LinearModel
@@ -132,7 +132,7 @@ def run(arguments: argparse.Namespace) -> int:
         band=arguments.band,
         window=arguments.window,
     )
-    content = {**found.to_dict(), "command": typed("frf")}
+    content: ResponseDocument = {**found.to_dict(), "command": typed("frf")}
     out = Path(arguments.out)
     page, table = frf_report(content), _table(found)
     withdraw(out, *WRITTEN)

@@ -10,6 +10,7 @@ delays, rotor lag and filters in one number, which flights tell better than its 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,19 @@ GUESSES = np.arange(-0.1, 0.3, 0.004)
 """Lags [s] to start from: the one that straightens the phase tells which turns belong to it."""
 
 
+class LagAndGainRow(TypedDict):
+    """A `LagAndGain` in a result file."""
+
+    lag: float
+    lag_std: float
+    gain: float
+    gain_std: float
+    corner: float
+    integrators: int
+    low: float
+    high: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class LagAndGain:
     """`lag` [s] and `gain` (output unit / s^integrators per input unit, with its sign) with their
@@ -44,6 +58,19 @@ class LagAndGain:
     integrators: int
     low: float
     high: float
+
+    def to_dict(self) -> LagAndGainRow:
+        """Plain values under the names of the fields."""
+        return {
+            "lag": self.lag,
+            "lag_std": self.lag_std,
+            "gain": self.gain,
+            "gain_std": self.gain_std,
+            "corner": self.corner,
+            "integrators": self.integrators,
+            "low": self.low,
+            "high": self.high,
+        }
 
 
 def lag_and_gain(

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, NotRequired, TypedDict
 
 import numpy as np
 
 from greybox.data.channel import rotor_speed_names
 from greybox.data.drive import LATE_SPEEDS
-from greybox.estimation.lag_and_gain import LagAndGain
-from greybox.files import Json
+from greybox.estimation.lag_and_gain import LagAndGain, LagAndGainRow
 from greybox.linear.logs import ChannelSpec
 from greybox.runs import runs
 from greybox.shown import Cell, Shown
@@ -181,7 +180,7 @@ class Pair:
             "phase_upper_deg": (phase + half).tolist(),
             "coherence": self.coherence.tolist(),
             "usable": self.usable.tolist(),
-            "form": None if self.form is None else vars(self.form),
+            "form": None if self.form is None else self.form.to_dict(),
             "model": None,
             "lines": [line.strip() for line in self.lines()],
         }
@@ -193,6 +192,14 @@ class Pair:
                 "outside": self.outside.tolist(),
             }
         return out
+
+
+class ModelPart(TypedDict):
+    """The model's response, and where (K,) it lies outside the measured band."""
+
+    magnitude: list[float]
+    phase_deg: list[float]
+    outside: list[bool]
 
 
 class PairDocument(TypedDict):
@@ -212,26 +219,27 @@ class PairDocument(TypedDict):
     phase_upper_deg: list[float]
     coherence: list[float]
     usable: list[bool]
-    form: dict[str, Json] | None
-    model: dict[str, list[float]] | None
+    form: LagAndGainRow | None
+    model: ModelPart | None
     lines: list[str]
 
 
 class ResponseDocument(TypedDict):
-    """frf.json without the command."""
+    """frf.json; the command once there is one."""
 
     schema: str
     line: str
     measured: bool
     model: str | None
     sample_time: float
-    flights: dict[str, Json]
+    flights: dict[str, float]
     references: list[str]
     frequency: list[float]
     averages: list[float]
     window: list[float]
     pairs: list[PairDocument]
     warnings: list[str]
+    command: NotRequired[str]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Sequence
 
+from greybox.linear.frf_result import PairDocument, ResponseDocument
 from greybox.report.html import Cell, Key, Report
 from greybox.report.response_section import MEASURED, PALE, bode_with_coherence
 
@@ -12,7 +12,7 @@ MOST = 12
 """Responses that are drawn, at most."""
 
 
-def frf_report(content: Mapping[str, Any]) -> str:
+def frf_report(content: ResponseDocument) -> str:
     """The page for frf.json."""
     flights = content["flights"]
     seconds = sum(flights.values())
@@ -75,7 +75,7 @@ def frf_report(content: Mapping[str, Any]) -> str:
     return report.html()
 
 
-def _gains(report: Report, pairs: list[Mapping[str, Any]]) -> None:
+def _gains(report: Report, pairs: Sequence[PairDocument]) -> None:
     rows: list[list[Cell]] = []
     for p in pairs:
         form = p["form"]

@@ -3,15 +3,14 @@ responses of the model."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from greybox.linear.frf_result import TRUSTED
+from greybox.linear.frf_result import TRUSTED, PairDocument, ResponseDocument
 from greybox.report.figures import (
     _BOTTOM,
     _LEFT,
@@ -57,7 +56,7 @@ class Responses:
     none, and `why` not."""
 
     steps: Sequence[Step]
-    measured: Mapping[str, Any] | None = None
+    measured: ResponseDocument | None = None
     why: str = ""
 
 
@@ -92,7 +91,7 @@ def response_section(report: Report, responses: Responses | None) -> None:
         )
 
 
-def _measured(report: Report, content: Mapping[str, Any]) -> None:
+def _measured(report: Report, content: ResponseDocument) -> None:
     pairs = [p for p in content["pairs"] if any(p["usable"])]
     seconds = sum(content["flights"].values())
     count = len(content["flights"])
@@ -129,34 +128,55 @@ def _measured(report: Report, content: Mapping[str, Any]) -> None:
         report.paragraph(f"Too low a coherence at every frequency (highest): {', '.join(rest)}.")
 
 
-def bode_with_coherence(frequency: Sequence[float], p: Mapping[str, Any]) -> Figure:
+@dataclass(frozen=True, kw_only=True)
+class _Row:
+    """A quantity over frequency (K,), the ends of its band and the model's, where there are any."""
+
+    label: str
+    values: Sequence[float]
+    band: tuple[Sequence[float], Sequence[float]] | None = None
+    model: Sequence[float] | None = None
+
+
+def _rows(p: PairDocument) -> tuple[_Row, _Row, _Row]:
+    model = p["model"]
+    return (
+        _Row(
+            label=f"magnitude [{p['unit']}]",
+            values=p["magnitude"],
+            band=(p["magnitude_lower"], p["magnitude_upper"]),
+            model=None if model is None else model["magnitude"],
+        ),
+        _Row(
+            label="phase [deg]",
+            values=p["phase_deg"],
+            band=(p["phase_lower_deg"], p["phase_upper_deg"]),
+            model=None if model is None else model["phase_deg"],
+        ),
+        _Row(label="coherence", values=p["coherence"]),
+    )
+
+
+def bode_with_coherence(frequency: Sequence[float], p: PairDocument) -> Figure:
     """Magnitude (logarithmic), phase and coherence of a pair of frf.json over `frequency` [Hz], one
     above the other."""
     heights, space = (1.5, 1.2, 0.8), 0.14
     figure = _figure(_TOP + _BOTTOM + sum(heights) + 2 * space)
     f, good = np.asarray(frequency), np.asarray(p["usable"], dtype=bool)
     bottom = _BOTTOM + sum(heights) + 2 * space
-    for i, (what, unit, height) in enumerate(
-        zip(("magnitude", "phase_deg", "coherence"), (p["unit"], "deg", "1"), heights, strict=True)
-    ):
+    for i, (row, height) in enumerate(zip(_rows(p), heights, strict=True)):
         bottom -= height
         axes = _axes(figure, _LEFT, bottom, WIDTH - _LEFT - _RIGHT, height)
         bottom -= space
-        values = np.array(p[what], dtype=float)
+        values = np.array(row.values, dtype=float)
         axes.plot(f, values, color=SERIES[0], linewidth=0.8, alpha=1.0 if i == 2 else 0.3)
-        if i < 2:
-            name, _, end = what.partition("_")
-            low, high = (
-                np.array(p["_".join(x for x in (name, s, end) if x)], dtype=float)
-                for s in ("lower", "upper")
-            )
+        if row.band is not None:
+            low, high = (np.array(end, dtype=float) for end in row.band)
             shown = np.where(good, values, np.nan)
             axes.plot(f, shown, color=SERIES[0], linewidth=1.4, marker="o", markersize=2)
             axes.fill_between(f, low, high, where=good, color=SERIES[0], alpha=0.25, linewidth=0)
-            if p["model"] is not None:
-                axes.plot(
-                    f, np.array(p["model"][what], dtype=float), color=SERIES[1], linewidth=1.3
-                )
+            if row.model is not None:
+                axes.plot(f, np.array(row.model, dtype=float), color=SERIES[1], linewidth=1.3)
             if i == 0:
                 axes.set_yscale("log")
                 axes.yaxis.set_major_locator(LogLocator(numticks=5))
@@ -174,11 +194,10 @@ def bode_with_coherence(frequency: Sequence[float], p: Mapping[str, Any]) -> Fig
         axes.xaxis.set_minor_formatter(NullFormatter())
         if i < 2:
             axes.tick_params(labelbottom=False)
-        label = f"{what.partition('_')[0]} [{unit}]" if unit != "1" or i == 0 else what
         _label(
             axes,
             x="frequency [Hz]" if i == 2 else "",
-            y=label,
+            y=row.label,
             title=f"{p['output']} over {p['input']}" if i == 0 else "",
         )
     return figure
