@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from greybox.model.verdict import Outcome
 from greybox.report.html import Cell, Report, Tag
+from greybox.report.identify_document import IdentifyDocument, OutcomeRow, StageRow
 from greybox.report.validation_sections import headline_figure
 from greybox.validation.result import ValidationDocument
 
 
 def identify_report(
-    content: Mapping[str, Any],
+    content: IdentifyDocument,
     about: Mapping[str, str],
     *,
     links: Mapping[str, Sequence[tuple[str, str]]],
@@ -22,6 +22,7 @@ def identify_report(
     it is for, and `links` which files beside the page belong to it, (text, path) each. `validation`
     (schemas/validate.json) is that of the model that came out."""
     outcome = content["outcome"]
+    assert outcome is not None  # it is at its end
     report = Report("From flights to a model", content["command"])
     verdict = outcome["verdict"]
     usable = verdict is not None and verdict["outcome"] == Outcome.USABLE.value
@@ -56,15 +57,15 @@ def identify_report(
     return report.html()
 
 
-def _next(outcome: Mapping[str, Any], command: str) -> list[str]:
-    verdict = outcome["verdict"] or {}
+def _next(outcome: OutcomeRow, command: str) -> list[str]:
+    verdict = outcome["verdict"]
     if outcome["stopped"]:
         return [
             "Mend what the first line says; then the same command goes on with that stage: "
             f"{command}"
         ]
     texts = []
-    if verdict.get("action"):
+    if verdict and verdict.get("action"):
         texts.append(
             f"{verdict['reason'][:1].upper()}{verdict['reason'][1:]}. Next: {verdict['action']}."
         )
@@ -78,7 +79,7 @@ def _next(outcome: Mapping[str, Any], command: str) -> list[str]:
     return texts
 
 
-def _row(stage: Mapping[str, Any], about: str) -> tuple[Cell, ...]:
+def _row(stage: StageRow, about: str) -> tuple[Cell, ...]:
     if stage["skipped"]:
         return stage["name"], about, "skipped", None, None
     code = stage["exit_code"]

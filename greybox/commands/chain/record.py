@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from greybox.errors import FileFormatError
 from greybox.files import read_json, write_json
+from greybox.model.verdict import VerdictDocument
+from greybox.report.identify_document import IdentifyDocument, OutcomeRow, StageRow
 
 SCHEMA = "greybox.identify/1"
 FILE = "identify.json"
@@ -33,6 +35,21 @@ class StageRecord:
     def finished(self) -> bool:
         """Whether it ended by itself: 0 done, 1 done and the answer is no."""
         return self.exit_code in (0, 1)
+
+    def to_dict(self) -> StageRow:
+        """Plain values under the names of the fields."""
+        return {
+            "name": self.name,
+            "folder": self.folder,
+            "commands": list(self.commands),
+            "key": self.key,
+            "exit_code": self.exit_code,
+            "seconds": self.seconds,
+            "cpu_seconds": self.cpu_seconds,
+            "lines": list(self.lines),
+            "writes": list(self.writes),
+            "skipped": self.skipped,
+        }
 
     @staticmethod
     def from_dict(data: Mapping[str, object]) -> StageRecord:
@@ -66,19 +83,32 @@ class Outcome:
     exit_code: int
     model: str = ""
     why: str = ""
-    verdict: Mapping[str, object] | None = None
+    verdict: VerdictDocument | None = None
     stopped: str = ""
+
+    def to_dict(self) -> OutcomeRow:
+        """Plain values under the names of the fields."""
+        return {
+            "line": self.line,
+            "exit_code": self.exit_code,
+            "model": self.model,
+            "why": self.why,
+            "verdict": self.verdict,
+            "stopped": self.stopped,
+        }
 
 
 def write_record(
     out: Path, outcome: Outcome | None, stages: Mapping[str, StageRecord], command: str
 ) -> None:
     """Write identify.json. Raises `OutputError`."""
-    content = {"schema": SCHEMA, "command": command}
-    state = None if outcome is None else asdict(outcome)
-    write_json(
-        out / FILE, {**content, "outcome": state, "stages": [asdict(s) for s in stages.values()]}
-    )
+    content: IdentifyDocument = {
+        "schema": SCHEMA,
+        "command": command,
+        "outcome": None if outcome is None else outcome.to_dict(),
+        "stages": [s.to_dict() for s in stages.values()],
+    }
+    write_json(out / FILE, content)
 
 
 def read_record(out: Path) -> dict[str, StageRecord]:
