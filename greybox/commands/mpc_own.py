@@ -7,13 +7,16 @@ import argparse
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Options, typed
 from greybox.commands.console import Console
 from greybox.commands.kept_runs import carried_out
 from greybox.commands.model_options import numbers
 from greybox.commands.own_model import model_file_option, range_options
-from greybox.files import Parsed
+
+if TYPE_CHECKING:
+    from greybox.files import Parsed
 
 COURSE_ONLY: Mapping[str, object] = {
     "log": [],
