@@ -265,7 +265,7 @@ def reader(one: LogFormat, bench: Bench) -> str:
         try:
             importlib.import_module(library)
         except ImportError as error:
-            name = (getattr(error, "name", None) or library).split(".")[0]
+            name = (error.name or library).split(".")[0]
             raise Missing(
                 f"{one.title} needs the library {name}", fix=install_line("logs")
             ) from None

@@ -35,7 +35,7 @@ def load_effects(path: str | os.PathLike[str]) -> tuple[Effect, ...]:
     except FileNotFoundError:
         raise ModelError("no such effects file", where=str(path), fix="check the path") from None
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not a text file"
+        reason = (isinstance(error, OSError) and error.strerror) or "not a text file"
         raise ModelError(
             f"cannot read: {reason}", where=str(path), fix="name a Python file"
         ) from None

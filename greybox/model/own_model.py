@@ -85,7 +85,7 @@ def _module(path: str) -> ModuleType:
     except FileNotFoundError:
         raise ModelError("no such model program", where=path, fix="check the path") from None
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not a text file"
+        reason = (isinstance(error, OSError) and error.strerror) or "not a text file"
         raise ModelError(f"cannot read: {reason}", where=path, fix="name a Python file") from None
     name = f"greybox_model_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
     if name in sys.modules:

@@ -95,6 +95,9 @@ class TubeSolver:
     is not with CasADi, `ModelError` from `stages`.
     """
 
+    _solver: int | None = None
+    """Where it lies in memory, once it is made."""
+
     def __init__(
         self,
         model: ModelFunctions,
@@ -146,7 +149,7 @@ class TubeSolver:
         self.reset()
 
     def __del__(self) -> None:
-        if getattr(self, "_solver", None):
+        if self._solver:
             self._library.tube_free(self._solver)
             self._solver = None
 

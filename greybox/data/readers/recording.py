@@ -169,7 +169,7 @@ def library(name: str, *, where: str, what: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        missing = getattr(error, "name", None) or name
+        missing = error.name or name
         raise DataError(
             f"{what} needs the library '{missing.split('.')[0]}', which is not installed",
             where=where,
