@@ -91,6 +91,21 @@ def is_own(content: Parsed) -> bool:
     return "own" in (content.get("kind"), base.get("kind") if isinstance(base, dict) else None)
 
 
+def _named_once(arguments: argparse.Namespace) -> None:
+    """Raise `GreyboxError` for a name that is asked two things."""
+    from greybox.errors import GreyboxError
+
+    for option, given in (
+        ("hold", arguments.hold),
+        ("limit", arguments.limits),
+        ("range", arguments.ranges),
+    ):
+        names = [pair[0] for pair in given]
+        for name in names:
+            if names.count(name) > 1:
+                raise GreyboxError(f"--{option} names {name} more than once", fix="name it once")
+
+
 def run(arguments: argparse.Namespace, content: Parsed) -> int:
     """Prepare, run, report; what ran is reported even when interrupted. Returns 0, or 1 where it
     refuses."""
@@ -115,15 +130,7 @@ def run(arguments: argparse.Namespace, content: Parsed) -> int:
         return 1
     if arguments.model_file:
         _same_program(arguments)
-    for option, given in (
-        ("hold", arguments.hold),
-        ("limit", arguments.limits),
-        ("range", arguments.ranges),
-    ):
-        names = [pair[0] for pair in given]
-        for name in names:
-            if names.count(name) > 1:
-                raise GreyboxError(f"--{option} names {name} more than once", fix="name it once")
+    _named_once(arguments)
     asked = Asked(
         held=dict(arguments.hold),
         limits=dict(arguments.limits),

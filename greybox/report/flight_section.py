@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from greybox.frames import numeric
 from greybox.report import figures
@@ -142,6 +143,15 @@ def _liveliest(flight: FlightSeries, seconds: float) -> slice:
     return slice(start, start + width)
 
 
+def _figures(flight: FlightSeries, window: slice, buckets: int) -> Iterator[tuple[str, Figure]]:
+    """(title, curves over the window) of every panel."""
+    for title, members in _panels(list(flight.channels)).items():
+        rows = {
+            f"{m} [{flight.channels[m].unit}]": _lines(flight.channels[m], window) for m in members
+        }
+        yield title, figures.time_series(flight.t[window], rows, title=title, buckets=buckets)
+
+
 def flight_section(
     report: Report,
     flights: Mapping[str, FlightSeries],
@@ -187,22 +197,13 @@ def flight_section(
                 ("the liveliest seconds", part),
                 ("the whole flight", slice(0, len(flight.t))),
             ):
-                panels = []
-                for title, members in _panels(list(flight.channels)).items():
-                    rows = {
-                        f"{m} [{flight.channels[m].unit}]": _lines(flight.channels[m], window)
-                        for m in members
-                    }
-                    figure = figures.time_series(
-                        flight.t[window], rows, title=title, buckets=buckets
+                panels = [
+                    (
+                        figure,
+                        f"{title} of flight {name} against time, {what}: measured and predicted",
                     )
-                    panels.append(
-                        (
-                            figure,
-                            f"{title} of flight {name} against time, {what}: measured and "
-                            "predicted",
-                        )
-                    )
+                    for title, figure in _figures(flight, window, buckets)
+                ]
                 report.figures(panels, caption=f"{name}, {what}.", key=key)
                 if window.stop - window.start == len(flight.t):
                     break

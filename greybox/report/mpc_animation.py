@@ -20,6 +20,7 @@ from greybox.report.mpc_documents import (
     MpcDocument,
     PlaneRow,
     PlanPath,
+    PlanTrace,
 )
 
 Look: TypeAlias = tuple[Colour, Stroke]
@@ -160,16 +161,7 @@ def packed(
                 "crashed": row["crashed"],
             }
             if name == "tube":
-                plans = [
-                    {
-                        "time": p["time"],
-                        "place": p["place"],
-                        "spread": p["spread"],
-                        "left": p["left"],
-                        "backoff": p["backoff"],
-                    }
-                    for p in trace["plans"]
-                ]
+                plans = [_path(p) for p in trace["plans"]]
         if found:
             flights.append({"seed": seed, "runs": found, "plans": plans})
         if plans:
@@ -197,6 +189,17 @@ def packed(
             for n in names
         ],
         "flights": flights,
+    }
+
+
+def _path(plan: PlanTrace) -> PlanPath:
+    """The part of a plan that is drawn."""
+    return {
+        "time": plan["time"],
+        "place": plan["place"],
+        "spread": plan["spread"],
+        "left": plan["left"],
+        "backoff": plan["backoff"],
     }
 
 

@@ -300,44 +300,48 @@ def residual_section(report: Report, validation: ValidationDocument, *, worst: i
             key=ORDER,
         )
         _spectra(report, whiteness, validation.get("sample_time"))
-        body: list[list[Cell]] = [
-            [
-                name,
-                c["n"],
-                f"{c['std']:.2f}" if "std" in c else None,
-                f"{100 * c['outside']:.0f} %",
-                f"{100 * c['predictable']:.1f} %",
-                number(c["q"]),
-                c["dof"],
-                p_value(c["p_value"]),
-            ]
-            for name, c in whiteness["channels"].items()
-        ]
-        joint = whiteness.get("multivariate")
-        if joint:
-            joint_cells: list[Cell] = [number(joint["q"]), joint["dof"], p_value(joint["p_value"])]
-            body.append(["all together", joint["n"], None, None, None, *joint_cells])
-        heads = [
-            "innovation",
-            "samples",
-            "normalised std",
-            "lags outside",
-            "predictable",
-            "Q",
-            "dof",
-            "p",
-        ]
-        report.table(
-            heads,
-            body,
-            numeric=range(1, len(heads)),
-            caption="Ljung-Box test per channel, Hosking's for all channels. The normalised "
-            "standard deviation is 1 "
-            "for the right noise model; 'predictable' is the share of variance that the past of "
-            "the channel explains.",
-        )
+        _whiteness_table(report, whiteness)
     if cross:
         _cross(report, cross, worst)
+
+
+def _whiteness_table(report: Report, whiteness: WhitenessDocument) -> None:
+    body: list[list[Cell]] = [
+        [
+            name,
+            c["n"],
+            f"{c['std']:.2f}" if "std" in c else None,
+            f"{100 * c['outside']:.0f} %",
+            f"{100 * c['predictable']:.1f} %",
+            number(c["q"]),
+            c["dof"],
+            p_value(c["p_value"]),
+        ]
+        for name, c in whiteness["channels"].items()
+    ]
+    joint = whiteness.get("multivariate")
+    if joint:
+        joint_cells: list[Cell] = [number(joint["q"]), joint["dof"], p_value(joint["p_value"])]
+        body.append(["all together", joint["n"], None, None, None, *joint_cells])
+    heads = [
+        "innovation",
+        "samples",
+        "normalised std",
+        "lags outside",
+        "predictable",
+        "Q",
+        "dof",
+        "p",
+    ]
+    report.table(
+        heads,
+        body,
+        numeric=range(1, len(heads)),
+        caption="Ljung-Box test per channel, Hosking's for all channels. The normalised "
+        "standard deviation is 1 "
+        "for the right noise model; 'predictable' is the share of variance that the past of "
+        "the channel explains.",
+    )
 
 
 def _spectra(report: Report, whiteness: WhitenessDocument, sample_time: float | None) -> None:
