@@ -16,6 +16,7 @@ from greybox.commands.own_model import loaded, model_file_option, read_flights_o
 if TYPE_CHECKING:
     from greybox.estimation.profile import Profile
     from greybox.estimation.result import Fit
+    from greybox.report.profile_report import ProfileDocument, ProfileRow
 
 KEPT = ("predictor", "criterion", "solver", "per_flight", "fixed", "estimate_noise")
 """Choices of the fit that are taken from its fit.json."""
@@ -93,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
         console.share(f"{name} ({k + 1} of {len(arguments.of)})", k / len(arguments.of))
         profiles.append(profile(found, name, level=arguments.level))
     out = Path(arguments.out)
-    content = {
+    content: ProfileDocument = {
         "schema": "greybox.profile/1",
         "command": typed("profile"),
         "model": found.model.name,
@@ -145,7 +146,7 @@ def _fitted(arguments: argparse.Namespace) -> Fit:
     return found
 
 
-def _plain(p: Profile, found: Fit) -> dict[str, Any]:
+def _plain(p: Profile, found: Fit) -> ProfileRow:
     std = found.parameters[p.name].std if p.name in found.parameters else found.noise[p.name][1]
     return {
         "name": p.name,

@@ -3,8 +3,7 @@ that it gives."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -13,12 +12,46 @@ from greybox.report.html import Cell, Report, Tag
 from greybox.statistics.distributions import chi_square_quantile
 
 
-def profile_report(content: Mapping[str, Any]) -> str:
+class ProfileRow(TypedDict):
+    """The profile of one unknown: estimate with standard error, ends of its interval (not finite, or
+    null in the file, where there is none), which of them are its bounds, and the cost (K,) over a
+    grid (K,)."""
+
+    name: str
+    unit: str
+    estimate: float
+    std: float | None
+    lower: float | None
+    upper: float | None
+    at_bound: list[str]
+    grid: list[float]
+    cost: list[float]
+    converged: list[bool]
+
+
+class ProfileDocument(TypedDict):
+    """profile.json."""
+
+    schema: str
+    command: str
+    model: str
+    level: float
+    profiles: list[ProfileRow]
+
+
+def profile_report(content: ProfileDocument) -> str:
     """The page for profile.json."""
-    level = float(content["level"])
     report = Report(
         f"Profile likelihood of {content['model']}", f"{len(content['profiles'])} unknown(s)"
     )
+    _intervals(report, content)
+    _curves(report, content)
+    report.section("How to get this again")
+    report.code(content["command"])
+    return report.html()
+
+
+def _intervals(report: Report, content: ProfileDocument) -> None:
     report.section("Intervals")
     rows: list[list[Cell]] = []
     for p in content["profiles"]:
@@ -29,11 +62,8 @@ def profile_report(content: Mapping[str, Any]) -> str:
             else f"{p['estimate'] - 1.96 * std:.4g} .. {p['estimate'] + 1.96 * std:.4g}"
         )
         notes = [f"{side} end is its bound" for side in p["at_bound"]]
-        notes += [
-            f"no {side} end"
-            for side in ("lower", "upper")
-            if p[side] is None or not np.isfinite(p[side])
-        ]
+        ends = ("lower", p["lower"]), ("upper", p["upper"])
+        notes += [f"no {side} end" for side, end in ends if end is None or not np.isfinite(end)]
         note: Cell = Tag(text=", ".join(notes)) if notes else ""
         rows.append(
             [
@@ -50,13 +80,16 @@ def profile_report(content: Mapping[str, Any]) -> str:
         ["unknown", "estimate", "lower", "upper", "unit", "estimate ± 1.96 std", ""],
         rows,
         numeric=(1, 2, 3),
-        caption=f"The {100 * level:g} % interval: values at which twice the negative log "
+        caption=f"The {100 * content['level']:g} % interval: values at which twice the negative log "
         "likelihood, all other unknowns "
         "fitted again, lies less than a quantile of chi-square above its minimum. Where it differs "
         "from the symmetric one, "
         "it is the one to believe.",
     )
-    limit = float(chi_square_quantile(level, 1))
+
+
+def _curves(report: Report, content: ProfileDocument) -> None:
+    limit = float(chi_square_quantile(content["level"], 1))
     panels = []
     for p in content["profiles"]:
         cost = np.asarray(p["cost"], dtype=np.float64)
@@ -82,9 +115,6 @@ def profile_report(content: Mapping[str, Any]) -> str:
             )
         )
     report.figures(panels, caption="Dashed: the level. Dotted: estimate and ends of the interval.")
-    report.section("How to get this again")
-    report.code(content["command"])
-    return report.html()
 
 
 def _end(value: float | None) -> Cell:
