@@ -7,10 +7,13 @@ import argparse
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console
+
+if TYPE_CHECKING:
+    from greybox.files import Parsed
 
 SCHEMA = "greybox.cite/1"
 
@@ -91,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def works(model: Mapping[str, Any], *, where: str = "model") -> tuple[Work, ...]:
+def works(model: Parsed, *, where: str = "model") -> tuple[Work, ...]:
     """What to cite for the values of a model file; a work with several reasons comes once, with all
     of them.
 
@@ -136,7 +139,7 @@ def works(model: Mapping[str, Any], *, where: str = "model") -> tuple[Work, ...]
     return tuple(Work(reason=", ".join(r), text=t) for t, r in reasons.items())
 
 
-def data_sets(model: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+def data_sets(model: Parsed) -> tuple[tuple[str, str], ...]:
     """(name, reference) of the data sets that the model names in `data_sets` or by its vehicle.
 
     An entry of `data_sets` that is no known name is itself taken as the reference.

@@ -6,9 +6,9 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator
-from typing import Any
 
 from greybox.commands.effect_stages import STAGES
+from greybox.files import Json
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
 from greybox.model.example import example_vehicle
@@ -17,13 +17,13 @@ from greybox.model.parameter import Parameter
 SCHEMA = "greybox.effects/1"
 
 
-def catalogue(effects: tuple[Effect, ...] = CATALOGUE) -> dict[str, Any]:
+def catalogue(effects: tuple[Effect, ...] = CATALOGUE) -> dict[str, Json]:
     """Plain values of the declarations (schema "greybox.effects/1"). A bound that is not there is
     null."""
     return {"schema": SCHEMA, "effects": [_plain(e) for e in effects]}
 
 
-def _plain(effect: Effect) -> dict[str, Any]:
+def _plain(effect: Effect) -> dict[str, Json]:
     return {
         "name": effect.name,
         "stage": effect.stage,

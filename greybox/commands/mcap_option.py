@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Options
+
+if TYPE_CHECKING:
+    from greybox.data import Dataset
+    from greybox.model.identified import IdentifiedModel
+    from greybox.validation.adapt import AdaptedRow
 
 
 def mcap_option(p: Options) -> None:
@@ -51,7 +57,12 @@ def need_ulog(path: str | None) -> None:
         )
 
 
-def write_if_asked(path: str | None, model: Any, *datasets: Any, adapted: Any = None) -> None:
+def write_if_asked(
+    path: str | None,
+    model: IdentifiedModel,
+    *datasets: Dataset,
+    adapted: Mapping[str, Mapping[str, AdaptedRow]] | None = None,
+) -> None:
     """Write the recording of flights beside a model, where one was asked for."""
     if path is not None:
         from greybox.commands.mcap_out import write_mcap

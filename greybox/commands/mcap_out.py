@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -25,7 +25,9 @@ from greybox.distribution import VERSION
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.smoothing import smooth
 from greybox.files import write_atomic
+from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
+from greybox.validation.adapt import AdaptedRow
 
 AHEAD = 0.5
 """Seconds that `ahead` looks ahead, as the curves of a page."""
@@ -33,6 +35,8 @@ BAND = 1.96
 """Half width of the band of force and torque in standard deviations: 95 % of a normal
 distribution."""
 WORLD = "world"
+Pose: TypeAlias = Mapping[str, Mapping[str, float]]
+"""Position and orientation by their components."""
 
 
 def _message(name: str, of: str, number: int, *, many: bool = False) -> Field:
@@ -142,7 +146,7 @@ class Recording:
             data=encode(self._types, kind, {"timestamp": stamp, **content}),
         )
 
-    def pose(self, root: str, t: float, pose: Mapping[str, Any], *, craft: str) -> None:
+    def pose(self, root: str, t: float, pose: Pose, *, craft: str) -> None:
         """A pose at a time, and the same as the frame `craft`, which a 3D view moves."""
         self.message(f"{root}/pose", "foxglove.PoseInFrame", t, {"frame_id": WORLD, "pose": pose})
         place = {
@@ -177,7 +181,10 @@ def recording(path: str | Path) -> Iterator[Recording]:
 
 
 def write_mcap(
-    path: str | Path, model: Any, *datasets: Dataset, adapted: Mapping[str, Any] | None = None
+    path: str | Path,
+    model: IdentifiedModel,
+    *datasets: Dataset,
+    adapted: Mapping[str, Mapping[str, AdaptedRow]] | None = None,
 ) -> None:
     """All flights of the data sets beside what `model` says of them. `adapted` are per-flight
     values by flight."""
@@ -261,7 +268,7 @@ def _pushes(out: Recording, root: str, runner: Filter, found: Filtered, times: F
             out.message(f"{root}/{kind}", title, t, content)
 
 
-def pose_of(row: Sequence[float] | FloatArray) -> dict[str, dict[str, float]]:
+def pose_of(row: Sequence[float] | FloatArray) -> Pose:
     """A pose of Foxglove from (x, y, z, qw, qx, qy, qz)."""
     x, y, z, *q = (float(v) for v in row)
     size = math.hypot(*q) or 1.0

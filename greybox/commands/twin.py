@@ -5,10 +5,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Any
+from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
+
+if TYPE_CHECKING:
+    from greybox.data import Dataset
+    from greybox.model.identified import IdentifiedModel
 
 NAMES = (
     "numpy",
@@ -144,7 +148,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _model(path: str, effects_files: list[str], *, even_so: bool) -> Any:
+def _model(path: str, effects_files: list[str], *, even_so: bool) -> IdentifiedModel | None:
     """A model of a vehicle, or None where it was judged not usable, or a vehicle file is of no
     craft that flies (which is said)."""
     from greybox.commands.judgement import gate
@@ -171,7 +175,7 @@ def _model(path: str, effects_files: list[str], *, even_so: bool) -> Any:
     return model if judged.open else None
 
 
-def _flights(model: Any, logs: list[str], known: tuple[str, ...]) -> Any:
+def _flights(model: IdentifiedModel, logs: list[str], known: tuple[str, ...]) -> Dataset:
     """Logs of the model's vehicle at its rate, of flights that are not `known`."""
     from greybox.data.logs import read_logs
     from greybox.errors import DataError
@@ -194,12 +198,12 @@ def _compare(arguments: argparse.Namespace) -> int:
         from greybox.errors import DataError
 
         raise DataError("--compare takes two models and nothing else", fix="leave out MODEL, --out")
-    models = [
+    old, new = (
         _model(path, arguments.effects_file, even_so=arguments.even_so)
         for path in arguments.compare
-    ]
-    if any(m is None for m in models):
+    )
+    if old is None or new is None:
         return 1
-    found = compare(*models)
+    found = compare(old, new)
     Console.of(arguments).result(found.to_dict(), found.summary())
     return 0

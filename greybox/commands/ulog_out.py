@@ -11,7 +11,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,7 +24,9 @@ from greybox.distribution import VERSION
 from greybox.errors import DataError
 from greybox.estimation.filtering import Filter
 from greybox.files import write_atomic
+from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
+from greybox.validation.adapt import AdaptedRow
 
 PAUSE = 1.0
 """Seconds between two stretches of flight."""
@@ -113,7 +114,11 @@ def _micro(t: float) -> int:
 
 
 def write_ulog(
-    path: str | Path, model: Any, dataset: Dataset, *, adapted: Mapping[str, Any] | None = None
+    path: str | Path,
+    model: IdentifiedModel,
+    dataset: Dataset,
+    *,
+    adapted: Mapping[str, Mapping[str, AdaptedRow]] | None = None,
 ) -> None:
     """All flights of a data set beside what `model` says of them. `adapted` are per-flight values
     by flight."""
@@ -153,7 +158,7 @@ def write_ulog(
     write_atomic(path, bytes(out))
 
 
-def need_topic(model: Any) -> None:
+def need_topic(model: IdentifiedModel) -> None:
     """Raises `DataError` where Flight Review has no topic for any output of a model: before any
     work."""
     names = model.dynamics.outputs.names
