@@ -1,11 +1,15 @@
-"""What compare.json (greybox.compare/1) holds: written by a comparison, read by its page."""
+"""What compare.json (greybox.compare/1) holds, and learn.json of an output residual
+(greybox.output_residual/1): written where they are made, read by their pages."""
 
 from __future__ import annotations
 
 from typing import NotRequired, TypedDict
 
 from greybox.baselines.compare_scores import ChannelScores
+from greybox.baselines.output_judge import BothJudged
 from greybox.baselines.regressors import Point
+from greybox.residual.document import LearnedRow
+from greybox.residual.training_report import TrainingDocument
 from greybox.validation.horizon_table import HorizonDocument
 
 
@@ -68,3 +72,31 @@ class CompareDocument(TypedDict):
     measured: Measured
     versions: dict[str, str]
     command: NotRequired[str]
+
+
+class OutputDocument(TypedDict):
+    """learn.json of an output residual; `kernel` of a Gaussian process alone, `validation` once it
+    was judged."""
+
+    schema: str
+    kind: str
+    command: str
+    model: str
+    features: list[str]
+    outputs: list[LearnedRow]
+    null: bool
+    learner: str
+    kernel: str | None
+    points: int
+    adapt: float | None
+    parameters: int
+    seconds: float
+    seed: int
+    samples: int
+    training: TrainingDocument
+    trained_on: list[str]
+    judged_on: list[str]
+    data_hash: str
+    validation: BothJudged | None
+    warnings: list[str]
+    versions: dict[str, str]

@@ -20,12 +20,22 @@ Ahead = tuple[FloatArray, FloatArray, FloatArray]
 """Measured values (m, n_o), their means and variances foretold."""
 
 
+class ChannelAhead(TypedDict):
+    """Errors of one channel, and how far their stated spread holds."""
+
+    rmse: float
+    unit: str
+    nlpd: float
+    coverage95: float
+    n: int
+
+
 class HorizonScores(TypedDict):
-    """Errors h samples ahead: channel -> rmse, unit, nlpd, coverage95, n."""
+    """Errors h samples ahead, by channel."""
 
     h: int
     seconds: float
-    channels: dict[str, dict[str, float | str]]
+    channels: dict[str, ChannelAhead]
 
 
 class Judged(TypedDict):
@@ -35,9 +45,16 @@ class Judged(TypedDict):
     horizons: list[HorizonScores]
 
 
+class BothJudged(TypedDict):
+    """The base model, and the same with what was learned."""
+
+    before: Judged
+    after: Judged
+
+
 def judge(
     hybrid: OutputHybrid, data: Dataset, *, spread: FloatArray, horizons: Sequence[int]
-) -> dict[str, Judged]:
+) -> BothJudged:
     """ "before" (the base model) and "after" (with its Gaussian process) on the flights of `data`,
      on the same samples.
 
@@ -54,8 +71,8 @@ def judge(
             "no flight is long enough to judge the model on",
             fix="longer flights, or fewer --adapt seconds",
         )
-    out: dict[str, Judged] = {}
-    for label, predictor in (("before", base), ("after", hybrid)):
+    found: list[Judged] = []
+    for predictor in (base, hybrid):
         told = [predictor.one_step(s) for s, _ in late]
         ahead = _ahead(predictor, late, horizons)
         scored = one_step_scores(
@@ -68,19 +85,24 @@ def judge(
             spread=spread,
             dt=base.dt,
         )
-        out[label] = {
-            "one_step": scored,
-            "horizons": [
-                {
-                    "h": h,
-                    "seconds": float(f"{h * base.dt:.9g}"),
-                    "channels": {n: _cell(parts, i, units[i]) for i, n in enumerate(base.outputs)},
-                }
-                for h, parts in ahead.items()
-                if parts
-            ],
-        }
-    return out
+        found.append(
+            {
+                "one_step": scored,
+                "horizons": [
+                    {
+                        "h": h,
+                        "seconds": float(f"{h * base.dt:.9g}"),
+                        "channels": {
+                            n: _cell(parts, i, units[i]) for i, n in enumerate(base.outputs)
+                        },
+                    }
+                    for h, parts in ahead.items()
+                    if parts
+                ],
+            }
+        )
+    before, after = found
+    return {"before": before, "after": after}
 
 
 def _ahead(
@@ -111,7 +133,7 @@ def _judged(hybrid: OutputHybrid, segment: Segment) -> BoolArray:
     return late
 
 
-def _cell(parts: Sequence[Ahead], i: int, unit: str) -> dict[str, float | str]:
+def _cell(parts: Sequence[Ahead], i: int, unit: str) -> ChannelAhead:
     y, mean, variance = (np.concatenate([p[k][:, i] for p in parts]) for k in range(3))
     seen = score(y, mean, variance)
     return {

@@ -6,13 +6,14 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import typed
 from greybox.commands.console import Console
 
 if TYPE_CHECKING:
     from greybox.baselines.compare_scores import StepScores
+    from greybox.baselines.document import OutputDocument
     from greybox.baselines.output_residual import OutputHybrid
     from greybox.data import Dataset
     from greybox.linear.logs import ChannelSpec
@@ -80,7 +81,7 @@ def run_output(arguments: argparse.Namespace) -> int:
     spread = np.nanstd(np.concatenate([s.matrix(hybrid.outputs) for s in train.segments]), axis=0)
     warnings = _warnings(hybrid, trained_on, train, test)
     judged = test if test.flights else train
-    content = {**_content(arguments, hybrid, train, judged), "warnings": warnings}
+    content = _content(arguments, hybrid, train, judged, warnings)
     write_json(out / "learn.json", content)
     console.share("validate", 1.0)
     try:
@@ -131,9 +132,13 @@ def _worse(before: StepScores, after: StepScores) -> list[str]:
 
 
 def _content(
-    arguments: argparse.Namespace, hybrid: OutputHybrid, train: Dataset, judged: Dataset
-) -> dict[str, Any]:
-    """learn.json without its validation and warnings, schema "greybox.output_residual/1"."""
+    arguments: argparse.Namespace,
+    hybrid: OutputHybrid,
+    train: Dataset,
+    judged: Dataset,
+    warnings: list[str],
+) -> OutputDocument:
+    """learn.json without its validation, schema "greybox.output_residual/1"."""
     from greybox.model.identified import library_versions
     from greybox.residual.learners import GP
 
@@ -150,7 +155,7 @@ def _content(
             )
         ],
         "null": not any(hybrid.posterior.active),
-        "learner": hybrid.report["settings"]["learner"],
+        "learner": str(hybrid.report["settings"]["learner"]),
         "kernel": arguments.kernel if arguments.learner == GP else None,
         "points": hybrid.posterior.points,
         "adapt": arguments.adapt,
@@ -163,7 +168,7 @@ def _content(
         "judged_on": list(judged.names),
         "data_hash": train.hash,
         "validation": None,
-        "warnings": [],
+        "warnings": warnings,
         "versions": library_versions(),
     }
 
@@ -203,7 +208,7 @@ def _flights(
     return Dataset(flights=tuple(flights))
 
 
-def _summary(content: dict[str, Any]) -> str:
+def _summary(content: OutputDocument) -> str:
     learned = [o["name"] for o in content["outputs"] if o["learned"]]
     lines = [
         f"learned the one-step errors of {', '.join(learned)} from {', '.join(content['features'])}"

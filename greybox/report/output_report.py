@@ -3,11 +3,10 @@ page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
+from greybox.baselines.document import OutputDocument
+from greybox.baselines.output_judge import BothJudged
 from greybox.files import to_plain
 from greybox.report.compare_report import pit_histogram
 from greybox.report.html import Cell, Report
@@ -15,7 +14,7 @@ from greybox.report.learn_report import learned_by
 from greybox.report.words import number
 
 
-def output_report(content: Mapping[str, Any]) -> str:
+def output_report(content: OutputDocument) -> str:
     """The page. `content` follows schemas/output_residual.json. Raises `KeyError` where a required
     field is missing."""
     content = to_plain(dict(content))
@@ -55,8 +54,11 @@ def output_report(content: Mapping[str, Any]) -> str:
             ("Parameters", str(content["parameters"])),
         ]
     )
-    if content["validation"]:
-        _validation(report, content)
+    if validation := content["validation"]:
+        report.section("Before and after")
+        report.paragraph(f"Judged on {', '.join(content['judged_on'])}.")
+        _one_step(report, validation)
+        _free_runs(report, validation)
     report.section("How to reproduce this")
     report.code(content["command"])
     report.facts(
@@ -66,15 +68,14 @@ def output_report(content: Mapping[str, Any]) -> str:
     return report.html()
 
 
-def _validation(report: Report, content: Mapping[str, Any]) -> None:
-    report.section("Before and after")
-    report.paragraph(f"Judged on {', '.join(content['judged_on'])}.")
-    before, after = content["validation"]["before"], content["validation"]["after"]
+def _one_step(report: Report, validation: BothJudged) -> None:
+    before, after = validation["before"], validation["after"]
     body: list[list[Cell]] = []
     for name, new in after["one_step"]["channels"].items():
         old = before["one_step"]["channels"][name]
         pair: list[Cell] = [number(v) for c in (old, new) for v in (c["mse"] ** 0.5, c["nlpd"])]
-        inside: list[Cell] = [f"{new[f'coverage{level}']:.1%}" for level in (50, 68, 95)]
+        shares = new["coverage50"], new["coverage68"], new["coverage95"]
+        inside: list[Cell] = [f"{share:.1%}" for share in shares]
         body.append(
             [
                 f"{name} [{new['unit']}]",
@@ -101,6 +102,10 @@ def _validation(report: Report, content: Mapping[str, Any]) -> None:
         body,
         numeric=range(1, 9),
     )
+
+
+def _free_runs(report: Report, validation: BothJudged) -> None:
+    before, after = validation["before"], validation["after"]
     rows: list[list[Cell]] = []
     for old, new in zip(before["horizons"], after["horizons"], strict=True):
         for name, cell in new["channels"].items():
