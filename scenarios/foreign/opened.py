@@ -11,7 +11,7 @@ flies the same plans in the same gusts without the effect, and the base model is
     closed = (E_before^2 - E_after^2) / (E_before^2 - E_twin^2),
 
 in the channel group in which the effect opens most, where it opens any gap worth the name
-(`greybox.validation.gap.NOTHING`). DIR/opened.jsonl keeps one row per log.
+(`OPENS`). DIR/opened.jsonl keeps one row per log.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from greybox.validation.gap import NOTHING
 from scenarios.foreign.naming import GREYBOX, LIMIT, append_row, read_rows, run
 from scenarios.foreign.naming_cells import Case, case_of, write
 from scenarios.foreign.verdicts import AHEAD
 
 Row = dict[str, Any]
+OPENS = 1.2
+"""Ratio of squared errors, with the effect over without it, below which it opens no gap."""
 
 
 def twin(case: Case) -> Case:
@@ -48,7 +49,7 @@ def opened(found: Iterable[Mapping[str, Any]], base: Iterable[Mapping[str, Any]]
         if row["horizon_s"] != AHEAD or row["group"] not in without:
             continue
         before, twin_ = float(row["before"]) ** 2, without[row["group"]]
-        if before < NOTHING * twin_ or before / twin_ <= (best["ratio"] or 0.0):
+        if before < OPENS * twin_ or before / twin_ <= (best["ratio"] or 0.0):
             continue
         after = min(float(row["after"]) ** 2, _with_laws(row, before))
         closed = (before - after) / (before - twin_)
