@@ -11,21 +11,23 @@ output and horizon.
 It is the online quantile of adaptive conformal inference (Gibbs and Candes 2021, NeurIPS 34) on log
 |E| / sigma: no distribution is assumed, and one wild error counts no more than any that missed. The
 scale that counts for an error is the one in force when its forecast began (delays: Angelopoulos,
-Candes and Tibshirani 2023, NeurIPS 36), so the coverage is that of intervals as they were stated.
+Candes and Tibshirani 2023, NeurIPS 36), so the coverage is that of intervals as they were stated,
+of what is measured every time; else of those stated as many measurements before.
 
 What makes errors larger, gusts or a worse pose, mostly comes on all axes of a sensor together. Their
-mean tells so with a third of the noise, and may be followed by larger steps. `common` is a
+mean tells so with a third of the noise, and may be followed by larger steps; one axis that grows
+alone takes its neighbours along, up to BURST, until their own part has come down. `common` is a
 scorecaster in the sense of the second paper: whatever it says within 1 / BURST and BURST, sums of
-(missed - (1 - level)) are differences of an axis's `own`, hence, whatever happens,
+(missed - (1 - level)) are differences of an axis's `own`, hence, whatever happens, from the start
 
     | share missed in T errors - (1 - level) |  <=  (log WIDEST + log BURST + (delay + 1) step) / (step T)
 
-as long as |E| / (z sigma) lies between 1 / WIDEST and WIDEST. Beyond, an error is missed; below, it
-is covered: the scale has ends, so that memory and the way back are bounded. A sensor of one axis
-has no `common`, and no log BURST. A horizon of j times `every` sees each disturbance j times; its
-step is gain / sqrt(j), between the delay of a small step and the noise of a large one. With errors
-that are Gaussian as stated the mean width is 1 % above nominal at the default gain, 3 to 4 % with
-three axes.
+as long as the gain stays and |E| / (z sigma) lies between 1 / WIDEST and WIDEST. Beyond, an error is
+missed; below, it is covered: the scale has ends, so that memory and the way back are bounded. A
+sensor of one axis has no `common`, and no log BURST. A horizon of j times `every` sees each
+disturbance j times; its step is gain / sqrt(j), between the delay of a small step and the noise of
+a large one. With errors that are Gaussian as stated the mean width is 1 % above nominal at the
+default gain, 3 to 4 % with three axes that err independently.
 """
 
 from __future__ import annotations
@@ -49,10 +51,11 @@ MULTIPLES = (1, 2, 5, 10)
 COLUMNS = MULTIPLES[-1]
 WIDEST = 100.0
 """Largest scale, and the inverse of the smallest."""
-BURST = 10.0
-"""The same of the part that axes have in common."""
+BURST = 3.0
+"""The same of the part that axes have in common: gusts that double errors are within it."""
 TOGETHER = 5.0
-"""Step of that part in units of an axis's own: the mean of three axes then adds no more noise."""
+"""Step of that part in units of an axis's own. The scale of three axes then varies by about 1.7
+times as much as one alone does."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,7 +64,8 @@ class Calibration:
 
     `every` samples a forecast begins; `multiples` (n_h,) of it are the horizons, 0 for the next
     sample; `sigma` (n_e, n_h) are standard deviations of the errors at the model's reference point,
-    in flight under known commands; `axes` are rows of it that have a part of their scale in common.
+    in flight under known commands; `axes` are its rows that belong to one sensor and have a part of
+    their scale in common.
     """
 
     every: int = 1
@@ -110,20 +114,19 @@ UNCALIBRATED = Calibration(sigma=np.zeros((0, 0)))
 
 
 def calibration(
-    functions: Mapping[str, ca.Function], stated: Stated, innovations: Layout, dt: float
+    functions: Mapping[str, ca.Function], stated: Stated, sensors: Sequence[str], dt: float
 ) -> Calibration:
-    """Horizons at this sample time, and sigma from the covariance that the model states. Axes of
-    one unit belong together."""
+    """Horizons at this sample time, and sigma from the covariance that the model states. `sensors`:
+    that of every innovation; empty where nobody knows what outputs share."""
     every = max(1, round(SPACING / dt))
     multiples = (0, *(k for k in MULTIPLES if k * every > 1))
     made = Calibration(every=every, multiples=multiples, sigma=np.zeros((0, 0)), dt=dt)
     spread = stated.errors(functions, max(made.samples))
-    units = [s.unit for s in innovations]
-    rows = [tuple(i for i, v in enumerate(units) if v == unit) for unit in dict.fromkeys(units)]
+    rows = [[i for i, s in enumerate(sensors) if s == one] for one in dict.fromkeys(sensors)]
     return replace(
         made,
         sigma=spread[:, [n - 1 for n in made.samples]],
-        axes=tuple(r for r in rows if len(r) > 1),
+        axes=tuple(tuple(r) for r in rows if len(r) > 1),
     )
 
 
@@ -232,7 +235,8 @@ def calibrate_function(own: Calibration) -> ca.Function:
     theta = ca.SX.sym("theta", n_e, own.remembered)
     error, seen, sigma = (ca.SX.sym(n, n_e, n_h) for n in ("E", "seen", "sigma"))
     level, gain = ca.SX.sym("level"), ca.SX.sym("gain")
-    z, widest, burst = normal_half_width(level), math.log(WIDEST), math.log(BURST)
+    z, widest, burst = normal_half_width(level), math.log(WIDEST), ca.SX.zeros(n_e)
+    burst[[i for rows in own.axes for i in rows]] = math.log(BURST)
     columns, scales = [], []
     for h, (k, delay, at) in enumerate(zip(own.multiples, own.delays, own.first, strict=True)):
         step = gain / math.sqrt(max(k, 1))

@@ -48,6 +48,7 @@ import numpy as np
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import physics_of
 from greybox.model.linear import LinearModel
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.posterior import GPPosterior
@@ -348,7 +349,9 @@ def _add_calibration(
         innovation=noise.innovation,
         theta=parts.theta_covariance,
     )
-    own = calibration(parts.functions, stated, parts.sampled.dynamics.innovations, parts.dt)
+    physics = physics_of(parts.sampled.dynamics)
+    sensors = () if physics is None else physics.channel_groups
+    own = calibration(parts.functions, stated, sensors, parts.dt)
     parts.functions["forecast_step"] = forecast_function(parts.functions, parts.innovation, own)
     parts.functions["calibrate_step"] = calibrate_function(own)
     return own

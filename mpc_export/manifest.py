@@ -286,6 +286,7 @@ def _calibration(f: ModelFunctions) -> dict[str, Json]:
         "seconds": [n * f.dt for n in f.calibration.samples],
         "every": f.calibration.every,
         "sigma": f.calibration.sigma.tolist(),
+        "axes": [list(rows) for rows in f.calibration.axes],
         "level": LEVEL,
         "gain": GAIN,
     }

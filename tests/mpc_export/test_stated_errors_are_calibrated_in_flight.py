@@ -134,6 +134,45 @@ def test_an_axis_that_grows_alone_is_held_no_later_than_apart():
         assert both[late].mean() <= alone[late].mean() + 0.01
 
 
+def test_neighbours_of_an_axis_that_misses_for_good_widen_to_the_burst_at_most():
+    """As an axis whose errors are no numbers does; one that only grew lets them go sooner."""
+    rng = np.random.default_rng(6)
+
+    def errors(k, issued):
+        e = rng.standard_normal(issued.shape)
+        if k >= 200:
+            e[::3] = np.nan
+        return e
+
+    with np.errstate(invalid="ignore"):
+        _, widths = calibrated(errors, 1200, TRIPLES)
+    beside = widths[:, [i for i in range(60) if i % 3]]
+    assert beside[300:].max() < 1.6 * BURST
+    assert beside[-100:, :, 0].mean() < beside[300:600, :, 0].mean()
+
+
+def test_a_scale_comes_back_from_its_end_as_fast_as_it_would_alone():
+    """An axis alone is not wound up beyond the largest scale."""
+    alone = Calibration(every=1, multiples=(0, 5), sigma=np.ones((2, 2)), dt=0.01)
+
+    def errors(k, issued):
+        return np.full(issued.shape, 1e4 if k < 2000 else 0.0)
+
+    _, widths = calibrated(errors, 2300, alone)
+    assert widths[1999].min() == pytest.approx(WIDEST)
+    back = np.argmax(widths[2000:, 0] < 0.99 * WIDEST, axis=0)
+    assert (back > 0).all() and back[0] <= 30 and back[1] <= 130
+
+
+def test_axes_of_a_vehicles_sensor_belong_together_and_outputs_of_other_models_do_not():
+    own = model_functions(cases.disturbed(), with_=("calibrate",))
+    names = own.innovations.names
+    together = [{names[i] for i in rows} for rows in own.calibration.axes]
+    assert {"position.x", "position.y", "position.z"} in together
+    assert {"p", "q", "r"} in together
+    assert model_functions(cases.linear(), with_=("calibrate",)).calibration.axes == ()
+
+
 def test_gaussian_errors_as_stated_keep_their_width_and_level():
     rng = np.random.default_rng(0)
     missed, scales = calibrated(lambda k, s: rng.standard_normal(s.shape), 4000)
