@@ -51,8 +51,10 @@ MULTIPLES = (1, 2, 5, 10)
 COLUMNS = MULTIPLES[-1]
 WIDEST = 100.0
 """Largest scale, and the inverse of the smallest."""
-BURST = 3.0
-"""The same of the part that axes have in common: gusts that double errors are within it."""
+BURST = 10.0
+"""The same of the part that axes have in common. With 3, of the errors three to six seconds after
+gusts of 2 m/s more (six development flights of `scenarios.studies.shocks`) 91 % were held, with 10
+there were 94 %."""
 TOGETHER = 5.0
 """Step of that part in units of an axis's own. The scale of three axes then varies by about 1.7
 times as much as one alone does."""
