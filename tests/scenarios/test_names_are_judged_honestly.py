@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from greybox.model.vehicle import read_vehicle
-from scenarios.foreign.hidden import CATALOGUED
+from scenarios.foreign.hidden import CATALOGUED, OUTSIDE, OWN
 from scenarios.foreign.naming import main, retired
 from scenarios.foreign.naming_cells import air_of, case_of, cells, fly_case, vehicle_file
 from scenarios.foreign.naming_summary import summary
@@ -274,34 +274,41 @@ def test_evidence_for_the_truth_is_shown_against_the_number_of_flights():
     assert "log10 E of the true cause 4.0" in summary(rows)
 
 
-def test_what_an_effect_opens_is_told_by_the_same_gusts_without_it():
-    case = next(c for s in range(900, 960) if (c := case_of("outside:fluid", s)).gusts)
+@pytest.mark.parametrize("which", [*OUTSIDE, *OWN])
+def test_the_twin_of_a_log_lacks_the_effect_and_nothing_else(which):
+    case = case_of(f"outside:{which}", 905)
     base = twin(case)
-    assert case.own == "fluid" and base.own is None and base.effects == ()
-    assert air_of(case) == air_of(base) and air_of(case).push > 0
+    assert base.own is None and base.effects == () and base.base.fitted is None
+    assert (case.own, bool(case.effects)) == ((which, False) if which in OWN else (None, True))
+    assert (case.own == "rotor_law") == (case.base.fitted is not None)
+    assert air_of(case) == air_of(base) and case.base.craft == base.base.craft
 
 
 def test_the_share_that_is_closed_leaves_out_what_no_law_foretells():
-    def row(group, before, after, laws=None, floor=1.0, horizon=0.5):
-        return {
-            "group": group,
-            "horizon_s": horizon,
-            "before": before,
-            "after": after,
-            "floor": floor,
-            "with_proposals": laws,
-        }
+    def file(*rows, laws=False):
+        names = ("group", "before", "after", "with_proposals")
+        gap = [dict(zip(names, r, strict=True), horizon_s=0.5, floor=1.0) for r in rows]
+        return {"gap": gap, "model_with_laws": "model_with_laws.json" if laws else None}
 
-    base = [row("position", 3.0, 3.0), row("rotation", 5.0, 5.0), row("rate", 2.0, 2.0)]
-    found = [row("position", 5.0, 4.0), row("rotation", 5.2, 1.0), row("rate", 4.0, 4.0)]
-    assert opened(found, base) == {"group": "rate", "ratio": 4.0, "closed": 0.0}
-    assert opened(found[:2], base)["closed"] == pytest.approx((25 - 16) / (25 - 9))
-    with_laws = [row("position", 5.0, 4.0, laws=0.5)]
-    assert opened(with_laws, base)["closed"] == pytest.approx(0.5 * (25 - 1) / (25 - 9))
-    assert opened(found[1:2], base)["closed"] is None
-    rows = [{"gusts": g, "closed": c} for g, c in ((True, 0.5), (True, None), (False, 0.9))]
+    none = (None,)
+    base = file(*((g, e, e, *none) for g, e in (("position", 3.0), ("rotation", 5.0))))
+    found = ("position", 5.0, 4.0, *none), ("rotation", 5.2, 1.0, *none)
+    assert opened(file(*found), base)["closed"] == pytest.approx((25 - 16) / (25 - 9))
+    assert opened(file(found[1]), base)["closed"] is None, "gusts turned it all, and no effect"
+    lawful = ("position", 5.0, 4.0, 0.5)
+    assert opened(file(lawful, laws=True), base)["closed"] == pytest.approx(0.5 * 24 / 16)
+    assert opened(file(lawful), base)["closed"] == opened(file(found[0]), base)["closed"]
+    rows = [
+        {"gusts": gusts, "closed": closed, "failed": failed}
+        for gusts, closed, failed in (
+            (True, 0.5, None),
+            (True, None, "bad_data"),
+            (True, None, None),
+            (False, 0.9, None),
+        )
+    ]
     assert lines(rows) == [
-        "all: 2 of 3 open a gap, closed 0.70 (median)",
-        "gusts: 1 of 2 open a gap, closed 0.50 (median)",
+        "all: 2 of 4 open a gap, 1 without a result, closed 0.50 (median)",
+        "gusts: 1 of 3 open a gap, 1 without a result, closed 0.25 (median)",
         "still air: 1 of 1 open a gap, closed 0.90 (median)",
     ]
