@@ -67,6 +67,18 @@ class TimeLeft:
         return f", {in_words((now - then) * (low - math.log(ARRIVED)) / (high - low))}"
 
 
+def onward(say: Callable[[str, float], None]) -> Callable[[str, float], None]:
+    """`say` with shares that never fall: a search comes back to what it did before."""
+    most = 0.0
+
+    def said(text: str, share: float) -> None:
+        nonlocal most
+        most = max(most, share)
+        say(text, most)
+
+    return said
+
+
 OFTEN = 0.2
 """[s] A line of a notebook moves no more often."""
 

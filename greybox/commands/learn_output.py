@@ -120,12 +120,12 @@ def _warnings(
 
 
 def _worse(before: StepScores, after: StepScores) -> list[str]:
-    """Which channels are foretold worse with what was learned."""
+    """Which channels are foretold worse one step ahead with what was learned."""
     pairs = [(n, before["channels"][n]["mse"], e) for n, e in after["channels"].items()]
     return [
-        f"{n} is worse on the test flights with what was learned (RMSE {old**0.5:.4g} -> "
-        f"{new['mse'] ** 0.5:.4g} {new['unit']}): keep the linear model, or learn from flights "
-        "like these"
+        f"{n} is worse one step ahead on the test flights with what was learned (RMSE "
+        f"{old**0.5:.4g} -> {new['mse'] ** 0.5:.4g} {new['unit']}): keep the linear model, or learn "
+        "from flights like these"
         for n, old, new in pairs
         if new["mse"] > GREW * old
     ]

@@ -29,9 +29,6 @@ class Channel:
 
 
 TIME = "t"
-AT_REST = 50.0
-"""Rotor speed [rad/s] that lifts nothing: the reading of a rotor at rest has noise of either
-sign."""
 
 _FIXED = {
     "battery": (("vbat", "V", 1.0, 100.0, "battery voltage"),),
@@ -93,7 +90,7 @@ def channel(name: str) -> Channel:
             name=name,
             unit="rad/s",
             group="rotor_speed",
-            lower=-AT_REST,
+            lower=0.0,
             upper=2e4,
             meaning="rotor speed",
         )

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.airframe import Airframe, ThrustMap, TopSpeed, Weighed
-from greybox.data.channel import channel
+from greybox.data.channel import Channel, channel
 from greybox.data.raw import RawLog, Removed
 from greybox.data.resampling import continuous_signs
 from greybox.symbolic import BoolArray, FloatArray
@@ -32,6 +32,9 @@ ATTITUDE = ("qw", "qx", "qy", "qz")
 FORCE, BATTERY = ("ax", "ay", "az"), ("vbat",)
 
 OUTSIDE = "outside its range"
+AT_REST = 0.05
+"""Share of the largest rotor speed of a log that a rotor at rest may read below zero: noise has
+either sign, and so slow a rotor lifts nothing."""
 OVERSPEED = 1.3
 """Times the top speed of the vehicle file: a rotor in a dive turns a little faster, never this
 much."""
@@ -52,6 +55,13 @@ SPIKES = 0.05
 a scale), which stays for the data-fault check to name."""
 SAG = 0.2
 """Change of a battery's voltage under load, as a share of it."""
+
+
+def lowest(declared: Channel, values: FloatArray) -> float:
+    """The smallest of the `values` (n,) of a channel that can be, see `AT_REST`."""
+    if declared.group != "rotor_speed":
+        return declared.lower
+    return -AT_REST * float(np.nanmax(np.abs(values), initial=0.0))
 
 
 def without_impossible(raw: RawLog, vehicle: Airframe) -> RawLog:
@@ -88,7 +98,7 @@ def without_impossible(raw: RawLog, vehicle: Airframe) -> RawLog:
         if declared.group in ("command", "setpoint"):
             continue
         with np.errstate(invalid="ignore"):
-            outside = (values < declared.lower) | (values > declared.upper)
+            outside = (values < lowest(declared, values)) | (values > declared.upper)
             drop((name,), outside, values, OUTSIDE)
             if declared.group == "rotor_speed" and top is not None:
                 limit = OVERSPEED * top

@@ -30,7 +30,7 @@ de Heide and Koolen 2024, JRSS B 86(5)).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -117,15 +117,11 @@ def splits(train: Flights, test: Dataset | None) -> list[Split]:
 
 
 def certificates(
-    at: Fitted,
-    rivals: Mapping[str, Sequence[Rival]],
-    judges: Sequence[Split],
-    bar: float,
-    say: Callable[[str, float], None] = lambda _text, _share: None,
+    at: Fitted, rivals: Mapping[str, Sequence[Rival]], judges: Sequence[Split], bar: float
 ) -> dict[str, Certificate]:
     """Name -> certificate, of every name of `rivals` in the structure `at`: each of the four fits
     behind an e-value no nearer than what decides, and the e-value less what they may still gain."""
-    effort = judges[0].both.effort
+    effort, say = judges[0].both.effort, judges[0].both.say
     near, share = 4 * BEYOND * effort.rough, effort.stake / BEYOND
     asked = [(name, r) for name, rows in rivals.items() for r in rows]
     stakes = {f.structure: effort.rough for f in (at, *(r.fitted for _, r in asked))}
@@ -136,8 +132,7 @@ def certificates(
     tiers = stakes, dict.fromkeys(stakes, effort.rough), dict.fromkeys(stakes, 0.0)
     for k, within in enumerate(tiers):
         if asked:
-            closer = ", more closely" if k else ""
-            say(f"certificates: {len(asked)} rivals{closer}", 0.6 + 0.06 * k)
+            say(f"certificates: {len(asked)} rivals{', more closely' * (k > 0)}", 0.6 + 0.06 * k)
         logs = _log_es(at, [r for _, r in asked], judges, bar, within) if asked else []
         every, asked = list(zip(asked, logs, strict=True)), []
         for (name, rival), (least, most) in every:
@@ -172,18 +167,13 @@ def _whole(at: Fitted, name: str, rival: Rival, judges: Sequence[Split]) -> Whol
 
 
 def certificates_beside(
-    flights: Flights,
-    written: Fitted,
-    names: Iterable[str],
-    judges: Sequence[Split],
-    bar: float,
-    say: Callable[[str, float], None] = lambda _text, _share: None,
+    flights: Flights, written: Fitted, names: Iterable[str], judges: Sequence[Split], bar: float
 ) -> dict[str, Certificate]:
     """Certificates of names next to laws, of the structure `written` with both on `flights`."""
     asked = {n: (written.structure - {n}, [written.known]) for n in names}
     fits = flights.fits(list(asked.values()), [flights.effort.rough] * len(asked))
     rivals = {n: [Rival(instead=(), share=0.0, fitted=f)] for n, f in zip(asked, fits, strict=True)}
-    return certificates(written, rivals, judges, bar, say)
+    return certificates(written, rivals, judges, bar)
 
 
 def _log_es(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NotRequired, TypedDict
 
+from greybox.discovery.options import DiscoverOptions
 from greybox.estimation.noise_table import SensorRow
 from greybox.planning.experiment import Manoeuvres
 from greybox.residual.laws.axis import AxisRow
@@ -169,3 +170,19 @@ class DiscoveryDocument(TypedDict):
     versions: dict[str, str]
     command: NotRequired[str]
     effects_files: NotRequired[list[str]]
+
+
+def settings_of(options: DiscoverOptions) -> SearchSettings:
+    """What a search was asked for."""
+    return {
+        "alpha": options.alpha,
+        "seed": options.seed,
+        "max_effects": options.max_effects,
+        "adapt": options.adapt,
+        "kinematic_noise": options.kinematic_noise,
+        "hold_sensor_noise": options.hold_sensor_noise,
+        "trace": options.trace,
+        "per_flight": list(options.per_flight),
+        "fixed": sorted(options.fixed),
+        "since": None if options.since is None else options.since.data_hash,
+    }

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -98,6 +98,7 @@ class Flights:
     options: FitOptions = field(default_factory=FitOptions)
     effort: Effort = EFFORT
     executor: concurrent.futures.Executor | None = None
+    say: Callable[[str, float], None] = lambda _text, _share: None
     _known: dict[Structure, Fitted] = field(default_factory=dict)
 
     def on(self, data: Dataset, *, flat: bool = False) -> Flights:

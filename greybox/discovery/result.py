@@ -9,18 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from greybox.discovery.document import (
-    AmbiguousRow,
-    DiscoveryDocument,
-    Estimate,
-    LeftRow,
-    LocationRow,
-    NamedRow,
-    SearchSettings,
-    StepRow,
-    UnnamedRow,
-    WorthRow,
-)
+from greybox.discovery import document
 from greybox.discovery.left import Left
 from greybox.discovery.name import LOG10, Name
 from greybox.errors import GreyboxError
@@ -74,10 +63,10 @@ class Discovery(Shown):
     warnings: tuple[str, ...] = ()
     omega_known: bool
     seconds: float
-    settings: SearchSettings = field(default_factory=SearchSettings)
+    settings: document.SearchSettings = field(default_factory=document.SearchSettings)
     tested_on: tuple[str, ...] = ()
     separating: Mapping[str, Manoeuvres | None] = field(default_factory=dict)
-    steps: tuple[StepRow, ...] = ()
+    steps: tuple[document.StepRow, ...] = ()
     sensors: tuple[SensorRow, ...] = ()
     base: tuple[str, ...] = ()
     lawful: IdentifiedModel | None = None
@@ -122,18 +111,14 @@ class Discovery(Shown):
         """Names of some status, in the order of the catalogue."""
         return [n for n in self.names if n.status in status]
 
-    def effects(self) -> list[NamedRow]:
+    def effects(self) -> list[document.NamedRow]:
         """Certified and supported effects with the estimates of the final fit."""
         return [
-            {
-                **n.to_dict(),
-                "stage": self._stage(n.name),
-                "parameters": self._parameters(n.name),
-            }
+            {**n.to_dict(), "stage": self._stage(n.name), "parameters": self._parameters(n.name)}
             for n in self.said("certified", "supported")
         ]
 
-    def traces(self) -> list[UnnamedRow]:
+    def traces(self) -> list[document.UnnamedRow]:
         """What is certain but worth nothing, or of a size that no craft has, with the reason."""
         return [{**n.to_dict(), "reason": n.reason} for n in self.said("trace", "impossible")]
 
@@ -142,7 +127,7 @@ class Discovery(Shown):
             return "own"
         return next((e.stage for e in self.final_effects if e.name == name), "wrench")
 
-    def _parameters(self, name: str) -> dict[str, Estimate]:
+    def _parameters(self, name: str) -> dict[str, document.Estimate]:
         assert self.fit is not None
         own = {n: e for n, e in self.fit.parameters.items() if n.split(".")[0] == name}
         std = {n: e.std if np.isfinite(e.std) else None for n, e in own.items()}
@@ -157,7 +142,7 @@ class Discovery(Shown):
         physics = physics_of(self.model.dynamics)
         return () if physics is None else tuple(physics.effects)
 
-    def unnamed(self) -> list[LeftRow]:
+    def unnamed(self) -> list[document.LeftRow]:
         """Axes that hold something no effect explains; where it has a law, with its file."""
         if self.left is None:
             return []
@@ -173,12 +158,12 @@ class Discovery(Shown):
         """File name -> text, one for every law of what is left."""
         return {} if self.left is None else self.left.files
 
-    def locations(self) -> list[LocationRow]:
+    def locations(self) -> list[document.LocationRow]:
         """Axes of force and torque: RMS of the discrepancy before and after the names."""
         after = {} if self.left is None else {a.channel: a.rms for a in self.left.axes}
         return [{**a.to_dict(), "rms_after": after.get(a.channel)} for a in self.before]
 
-    def ambiguous(self) -> list[AmbiguousRow]:
+    def ambiguous(self) -> list[document.AmbiguousRow]:
         """Sets of causes that the flights cannot tell apart."""
         return [
             {
@@ -190,7 +175,7 @@ class Discovery(Shown):
             for n in self.said("one of these")
         ]
 
-    def to_dict(self) -> DiscoveryDocument:
+    def to_dict(self) -> document.DiscoveryDocument:
         """discovery.json, schema "greybox.discovery/2"."""
         fitted = self.fit is not None
         return {
@@ -288,7 +273,7 @@ class Discovery(Shown):
         return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
 
 
-def _in_words(name: str, parameters: Mapping[str, Estimate]) -> str:
+def _in_words(name: str, parameters: Mapping[str, document.Estimate]) -> str:
     numbers = ", ".join(
         f"{n} = {v['value']:.4g}" + (f" +- {v['std']:.2g}" if v["std"] else "") + f" {v['unit']}"
         for n, v in parameters.items()
@@ -296,7 +281,7 @@ def _in_words(name: str, parameters: Mapping[str, Estimate]) -> str:
     return f"{name} ({numbers})"
 
 
-def _worth(w: WorthRow | None) -> str:
+def _worth(w: document.WorthRow | None) -> str:
     if w is None:
         return ""
     ahead = f"{w['horizon_s']:g} s" if w["horizon_s"] else "one sample"
@@ -318,5 +303,5 @@ def _closing(rows: Sequence[GapRow]) -> list[str]:
     return out
 
 
-def _size(axis: LeftRow) -> str:
+def _size(axis: document.LeftRow) -> str:
     return f"{axis['rms']:.2g} {axis['unit']} that lasts {axis['lasts_s']:.2g} s"

@@ -218,7 +218,6 @@ class Search:
         cost = {n: -drop_gain(at, self.flights, n) for n in self.added(at)}
         left = {n: 1.0 - max((s for s, _, _ in scores.instead(n)), default=0.0) for n in cost}
         for name in sorted(cost, key=lambda n: min(cost[n], left[n] * max(cost[n], 0.0))):
-            self.say(f"another cause in the place of {name}", min(0.05 * len(self.steps), 0.5))
             found = [r.fitted for r in self._rivals(at, name)]
             better = self._best(at, [f for f in found if len(self.added(f)) <= self.most])
             if better is not None:
@@ -227,12 +226,8 @@ class Search:
 
     def contest(self, at: Fitted) -> dict[str, list[Rival]]:
         """Every cause of `at` beyond the base against what could take its place, and nothing."""
-        more, names = frozenset(self.crowded_out(at)), self.added(at)
-        found = {}
-        for k, name in enumerate(names):
-            self.say(f"what could stand in for {name}", 0.5 + 0.1 * k / len(names))
-            found[name] = self._rivals(at, name, more)
-        return found
+        more = frozenset(self.crowded_out(at))
+        return {name: self._rivals(at, name, more) for name in self.added(at)}
 
     def crowded_out(self, at: Fitted) -> list[str]:
         """Causes that would gain next to those of `at`, where these are as many as may be: in the
@@ -241,6 +236,7 @@ class Search:
         return [n for n in scores.absent if full and scores.gain(n) > self.price]
 
     def _rivals(self, at: Fitted, name: str, but: frozenset[str] = frozenset()) -> list[Rival]:
+        self.say(f"what could stand in for {name}", min(0.05 * len(self.steps), 0.5))
         left, known = at.structure - {name}, _without(at, self.flights, name)
         rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]
         asked: list[Move] = [(left, [known])]

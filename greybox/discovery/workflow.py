@@ -21,7 +21,7 @@ from greybox.data.halves import demand_apart
 from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import Causes, offer
 from greybox.discovery.certificate import certificates, certificates_beside, splits
-from greybox.discovery.document import SearchSettings
+from greybox.discovery.document import SearchSettings, settings_of
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.left import Left, left_over
 from greybox.discovery.name import Name, held, impossible, judged, separating, unneeded
@@ -41,7 +41,7 @@ from greybox.model.known import known_numbers, since
 from greybox.model.layer import physics_of
 from greybox.model.vehicle import Vehicle
 from greybox.planning.experiment import Manoeuvres
-from greybox.progress import in_notebooks
+from greybox.progress import in_notebooks, onward
 from greybox.statistics.betting import bar_of_several
 from greybox.validation.gap import (
     GapRow,
@@ -97,7 +97,7 @@ def discover(
         )
     train, vehicle = Dataset.of(train), subject if isinstance(subject, Vehicle) else None
     tested = test if test is not None and test.flights else None
-    settings = _settings(options)
+    settings = settings_of(options)
     if tested is not None:
         demand_apart(train, tested)
     if vehicle is not None:
@@ -109,9 +109,10 @@ def discover(
         _long_enough(train)
         if options.kinematic_noise is None:
             options = options.but(kinematic_noise=_drifting(faults, options.since))
-            settings = _settings(options)
+            settings = settings_of(options)
     causes = _offered(subject, train, options)
     settings["sample_time"] = sample_time(train)
+    say = onward(progress or (lambda _text, _share: None))
     run = _Run(
         flights=Flights(
             causes=causes,
@@ -119,31 +120,17 @@ def discover(
             options=options.of_every_fit,
             effort=options.effort,
             executor=executor,
+            say=say,
         ),
         test=without_lead_in(tested) if tested and vehicle else tested,
         judges=train if tested is None else tested,
         options=options,
         settings=settings,
-        say=progress or (lambda _text, _share: None),
+        say=say,
         save=save or (lambda _found: None),
         began=began,
     )
     return run.carried_out()
-
-
-def _settings(options: DiscoverOptions) -> SearchSettings:
-    return {
-        "alpha": options.alpha,
-        "seed": options.seed,
-        "max_effects": options.max_effects,
-        "adapt": options.adapt,
-        "kinematic_noise": options.kinematic_noise,
-        "hold_sensor_noise": options.hold_sensor_noise,
-        "trace": options.trace,
-        "per_flight": list(options.per_flight),
-        "fixed": sorted(options.fixed),
-        "since": None if options.since is None else options.since.data_hash,
-    }
 
 
 def _drifting(faults: CheckReport, since: IdentifiedModel | None) -> bool:
@@ -347,7 +334,7 @@ class _Run:
         names, before, self.needed = [], np.inf, self.bar
         while self.needed < before:  # fits near a lower bar are carried on, and more may pass it
             before = self.needed
-            found = certificates(at, rivals, judges, before, self.say)
+            found = certificates(at, rivals, judges, before)
             possible = [c.log_e for n, c in found.items() if not odd[n]]
             self.needed = min(bar_of_several(possible, self.bar), before)
         for name, certificate in found.items():
@@ -370,7 +357,7 @@ class _Run:
         there = [n.name for n in names if n.name in written.structure]
         asked = [n for n in there if search.doubted(written, n)]
         judges = splits(self.flights, self.test)
-        beside = certificates_beside(self.flights, written, asked, judges, self.bar, self.say)
+        beside = certificates_beside(self.flights, written, asked, judges, self.bar)
         gone = {n for n, c in beside.items() if c.log_e < self.bar}
         if not gone:
             return names, at

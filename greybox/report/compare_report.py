@@ -4,20 +4,22 @@ table as text."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from greybox.baselines.compare_scores import Mean
-from greybox.baselines.document import CompareDocument, MethodRow
 from greybox.files import to_plain
 from greybox.report import figures
 from greybox.report.figures import _TOP, MUTED, SERIES, WIDTH, _axes, _figure, _label, _panel
 from greybox.report.html import Cell, Colour, Key, Report, Stroke
 from greybox.report.svg import INK
 from greybox.report.words import number
+
+if TYPE_CHECKING:
+    from greybox.baselines.compare_scores import Mean
+    from greybox.baselines.document import CompareDocument, MethodRow
 
 GROUPS = ("position", "velocity", "rotation", "rate")
 LOOK: Mapping[str, tuple[str, str, Colour, Stroke]] = {

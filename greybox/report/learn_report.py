@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
@@ -14,8 +15,10 @@ from greybox.report.validation_sections import first_line, headline_groups
 from greybox.report.words import number
 from greybox.residual.document import HALVES, BeforeAfter, Half, LearnDocument
 from greybox.shown import in_degrees
-from greybox.validation.horizon_table import HorizonCell
-from greybox.validation.result import ValidationDocument
+
+if TYPE_CHECKING:
+    from greybox.validation.horizon_table import HorizonCell
+    from greybox.validation.result import ValidationDocument
 
 HONEST = (0.88, 0.99)
 """Coverage of a 95 % region that passes without a mark: few flights, whose errors are alike within

@@ -4,7 +4,7 @@ one HTML page."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -22,7 +22,9 @@ from greybox.report.mpc_documents import (
 )
 from greybox.report.mpc_figures import COLOURS
 from greybox.report.words import number
-from greybox.symbolic import FloatArray
+
+if TYPE_CHECKING:
+    from greybox.symbolic import FloatArray
 
 Traces: TypeAlias = Mapping[int, Mapping[str, FlightTrace]]
 """{seed: {controller: trace}}"""

@@ -3,15 +3,19 @@ page."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from greybox.baselines.document import OutputDocument
-from greybox.baselines.output_judge import BothJudged
 from greybox.files import to_plain
 from greybox.report.compare_report import pit_histogram
 from greybox.report.html import Cell, Report
 from greybox.report.learn_report import learned_by
 from greybox.report.words import number
+
+if TYPE_CHECKING:
+    from greybox.baselines.document import OutputDocument
+    from greybox.baselines.output_judge import BothJudged
 
 
 def output_report(content: OutputDocument) -> str:

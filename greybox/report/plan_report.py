@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from greybox.planning.document import FlightRow, PairRow, PlanDocument
 from greybox.report import figures
 from greybox.report.figures import Line
 from greybox.report.html import Cell, Key, Report, Tag
@@ -18,6 +18,9 @@ from greybox.report.svg import MUTED, SERIES
 from greybox.report.words import number
 from greybox.statistics.evidence import CLEAR, CLEAR_LOG_RATIO
 from greybox.symbolic import FloatArray
+
+if TYPE_CHECKING:
+    from greybox.planning.document import FlightRow, PairRow, PlanDocument
 
 Columns = Mapping[str, FloatArray]
 

@@ -4,7 +4,7 @@ residual tests."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,11 +16,13 @@ from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.words import cross_verdict, number, p_value, whiteness_verdict
 from greybox.shown import in_degrees
-from greybox.validation.cross_correlation import CrossDocument
-from greybox.validation.horizon_table import HorizonDocument
-from greybox.validation.result import ValidationDocument
 from greybox.validation.usefulness import in_words
-from greybox.validation.whiteness import ChannelWhitenessRow, WhitenessDocument
+
+if TYPE_CHECKING:
+    from greybox.validation.cross_correlation import CrossDocument
+    from greybox.validation.horizon_table import HorizonDocument
+    from greybox.validation.result import ValidationDocument
+    from greybox.validation.whiteness import ChannelWhitenessRow, WhitenessDocument
 
 ROWS = (
     ("model", "model", SERIES[0], "-", Key(text="model", colour="c1")),

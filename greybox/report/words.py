@@ -6,9 +6,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from greybox.validation.cross_correlation import CrossDocument
-from greybox.validation.whiteness import WhitenessDocument
+if TYPE_CHECKING:
+    from greybox.validation.cross_correlation import CrossDocument
+    from greybox.validation.whiteness import WhitenessDocument
 
 MINUS = "\N{MINUS SIGN}"
 _EXPONENT = re.compile(r"e([+-])0*(\d+)")

@@ -41,6 +41,7 @@ class World:
     lower: float = -np.inf
     kept: dict[Structure, Fitted] = field(default_factory=dict)
     effort: Any = EFFORT
+    say: Any = print
     asked: list[float] = field(default_factory=list)
     """Of every fit within what it would do."""
 

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.channel import channel, group_names
 from greybox.data.checks.finding import Check, Finding, Severity, per_flight
 from greybox.data.checks.view import View
-from greybox.data.impossible import OUTSIDE, OVERSPEED, SPIKES, top_speed
+from greybox.data.impossible import OUTSIDE, OVERSPEED, SPIKES, lowest, top_speed
 
 BLOCKING_SHARE = 0.01
 REMOVED_SHARE = 0.05
@@ -39,7 +39,7 @@ def run(view: View) -> Iterator[Finding]:
     slack = COMMAND_SLACK * (actuator.u_max - actuator.u_min)
     for name, values in log.channels.items():
         declared = channel(name)
-        lower, upper = declared.lower, declared.upper
+        lower, upper = lowest(declared, values), declared.upper
         if declared.group == "command":
             lower, upper = actuator.u_min - slack, actuator.u_max + slack
         top = top_speed(view.vehicle) if declared.group == "rotor_speed" else None
