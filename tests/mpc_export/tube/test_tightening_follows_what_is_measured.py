@@ -35,7 +35,7 @@ def test_planes_and_tilt_are_tightened_by_the_scales_of_what_they_bound(controll
     np.testing.assert_array_equal(own.wider(ahead, planes), 1.0, "calm air frees no limit")
 
 
-def test_noise_of_three_times_its_level_is_met_and_forgotten_by_half_in_280_samples(controller):
+def test_noise_of_three_times_its_level_is_met_and_forgotten_by_half_in_46_samples(controller):
     """Of the pose, then none: errors one sample ahead are of the sensor alone, as the plant itself
     has no noise."""
     rng = np.random.default_rng(0)
@@ -52,6 +52,6 @@ def test_noise_of_three_times_its_level_is_met_and_forgotten_by_half_in_280_samp
     fly(controller, 300, seen=shaken)
     innovation = np.sqrt(controller.filter.noise.innovation[0, 0])
     assert np.mean(late[150:250]) == pytest.approx(3.0 * sensor["position.x"] / innovation, rel=0.3)
-    assert late[-1] / late[-40] == pytest.approx(0.5 ** (39 / 280), rel=0.01)
+    assert late[-1] / late[-40] == pytest.approx(0.5 ** (39 / 46.2), rel=0.01)
     assert controller.solver.data["wider"][1, -1] > 0.0
     assert not [e for e in controller.events if not e.what.startswith("doubted")]
