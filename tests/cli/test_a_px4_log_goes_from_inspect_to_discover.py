@@ -4,6 +4,7 @@ whole catalogue."""
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,8 @@ def test_a_hidden_drag_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[st
         for name, log in zip("abc", flown, strict=True)
     )
     assert main(["inspect", a, "--vehicle", vehicle]) == 0
-    assert "effects: 29 of 29" in capsys.readouterr().out
+    said = re.search(r"effects: (\d+) of (\d+)", capsys.readouterr().out)
+    assert said and said[1] == said[2] and int(said[1]) >= 29, "the log can show them all"
     assert main(["check", a, "--vehicle", vehicle]) == 0
     fitted = tmp_path / "fit"
     arguments = [
