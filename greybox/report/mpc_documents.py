@@ -11,6 +11,14 @@ from typing import Literal, NotRequired, TypedDict
 Risk = Literal["rehearsal", "boole"]
 
 
+class Concluded(TypedDict):
+    """What every document of predictive control ends with."""
+
+    verdict: str
+    next: list[str]
+    versions: dict[str, str]
+
+
 class Counted(TypedDict):
     """How many went beyond: `share` None of none, `interval` its 95 % interval."""
 
@@ -250,13 +258,10 @@ class MpcFound(TypedDict):
     differences: dict[str, Difference]
 
 
-class MpcDocument(MpcFound):
+class MpcDocument(MpcFound, Concluded):
     """mpc.json."""
 
-    verdict: str
-    next: list[str]
     warnings: list[str]
-    versions: dict[str, str]
 
 
 # ------------------------------------------------- a model of the user's own: mpc_own.json
@@ -324,12 +329,8 @@ class OwnFound(TypedDict):
     controllers: dict[str, OwnController]
 
 
-class OwnDocument(OwnFound):
+class OwnDocument(OwnFound, Concluded):
     """mpc_own.json."""
-
-    verdict: str
-    next: list[str]
-    versions: dict[str, str]
 
 
 # ---------------------------------------------------------- body rates: mpc_rates.json
@@ -392,9 +393,5 @@ class RatesFound(TypedDict):
     controllers: dict[str, RatesController]
 
 
-class RatesDocument(RatesFound):
+class RatesDocument(RatesFound, Concluded):
     """mpc_rates.json."""
-
-    verdict: str
-    next: list[str]
-    versions: dict[str, str]
