@@ -236,7 +236,6 @@ class Search:
         return [n for n in scores.absent if full and scores.gain(n) > self.price]
 
     def _rivals(self, at: Fitted, name: str, but: frozenset[str] = frozenset()) -> list[Rival]:
-        self.say(f"what could stand in for {name}", min(0.05 * len(self.steps), 0.5))
         left, known = at.structure - {name}, _without(at, self.flights, name)
         rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]
         asked: list[Move] = [(left, [known])]
@@ -246,6 +245,8 @@ class Search:
                 break
             rows.append((names, share))
             asked.append((left | set(names), [{**known, **p.start}, known]))
+        if any(self.flights.known(s) is None for s, _ in asked):
+            self.say(f"what could stand in for {name}", min(0.05 * len(self.steps), 0.5))
         fits = self.flights.contest(asked, at)
         return [Rival(instead=n, share=s, fitted=f) for (n, s), f in zip(rows, fits, strict=True)]
 
