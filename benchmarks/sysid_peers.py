@@ -2,8 +2,9 @@
 
     python -m benchmarks.sysid_peers nanobench [--train FLIGHT ...] [--fitted MODEL.json]
         [--out F.json]
-    python -m benchmarks.sysid_peers craft --seeds FIRST LAST [--simulator rotorpy] [--folder DIR]
-        [--out F.json]
+    python -m benchmarks.sysid_peers craft --seeds FIRST LAST [--simulator rotorpy mujoco]
+        [--folder DIR] [--out F.json]
+    python -m benchmarks.sysid_peers craft --kept benchmarks/results/sysid_peers.json
 
 `nanobench`: nine real flights to fit, or those that --train names, five to judge. `craft`: drawn
 craft with known truth (`scenarios.foreign.draw`), three flights to fit, two to judge, with ideal
@@ -192,13 +193,13 @@ def nanobench(
 
 
 def craft(
-    seeds: Sequence[int], simulator: str | None, folder: Path, chosen: Sequence[str]
+    seeds: Sequence[int], simulators: Sequence[str], folder: Path, chosen: Sequence[str]
 ) -> list[Row]:
-    """Rows of all methods for every seed, with deviations from the truth in standard errors, and
-    relative ones."""
+    """Rows of all methods for every seed, the simulators in turn, with deviations from the truth in
+    standard errors, and relative ones."""
     rows = []
-    for seed in seeds:
-        drawn = draw(seed, simulator)
+    for k, seed in enumerate(seeds):
+        drawn = draw(seed, simulators[k % len(simulators)] if simulators else None)
         place = folder / str(seed)
         write(drawn, place)
         truth, vehicle = truth_of(drawn)["parameters"], read_vehicle(place / "vehicle.toml")
@@ -266,13 +267,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--cold", action="store_true", help="fit once more, nothing compiled yet")
     parser.add_argument("--seeds", type=int, nargs=2, default=(1, 6), metavar=("FIRST", "LAST"))
     parser.add_argument(
-        "--simulator", choices=SIMULATORS, help="who flies the craft (default: as drawn)"
+        "--simulator",
+        nargs="+",
+        choices=SIMULATORS,
+        default=(),
+        help="who flies the craft, in turn (default: as drawn)",
     )
+    parser.add_argument("--kept", type=Path, metavar="F.json", help="show rows that were written")
     parser.add_argument(
         "--folder", type=Path, help="where fits and drawn craft are kept (a temporary folder)"
     )
     parser.add_argument("--out", type=Path, metavar="F.json")
     options = parser.parse_args(arguments)
+    if options.kept:
+        print(summary(json.loads(options.kept.read_text())["rows"]))
+        return
     with tempfile.TemporaryDirectory() as temporary:
         work = options.folder or Path(temporary)
         if options.part == "nanobench":

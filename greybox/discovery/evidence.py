@@ -176,6 +176,19 @@ class Flights:
         return found()
 
     def _carried_out(self, tasks: Sequence[Task]) -> list[Fitted]:
+        """Tasks, and those once more from the likeliest fit of a part of their structure that
+        ended less likely than it, as no optimum is: they had started where noise has vanished."""
+        found, again = self._solved(tasks), []
+        for task in tasks:
+            parts = [f for s, f in self._known.items() if s < task.structure and f.value.valid]
+            part = min(parts, key=lambda f: f.value.likelihood, default=None)
+            mine = self._known[task.structure].value.likelihood
+            if part is not None and mine > part.value.likelihood + self.effort.rough:
+                again.append(replace(task, starts=(part.known,)))
+        self._solved(again)
+        return [self._known[t.structure] for t in tasks] if again else found
+
+    def _solved(self, tasks: Sequence[Task]) -> list[Fitted]:
         """Tasks, side by side where there is an executor; what cannot be sent runs here."""
         common = self.causes, self.data, self.options
         problems = [self._problem(t.structure) for t in tasks]

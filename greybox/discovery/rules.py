@@ -57,8 +57,9 @@ class Effort:
     """What a rival that is far behind may still gain, as a share of that, where its fit stops."""
     exact: float = 1e-2
     """Where the fit of a structure stops."""
-    shares: tuple[float, ...] = (1.0, 0.3, 0.1)
-    """Parts of a first estimate that are tried as starts."""
+    shares: tuple[float, ...] = (1.0, 0.7, 0.5, 0.3, 0.1)
+    """Parts of a first estimate that are tried as starts: of a limit, some are where nothing
+    stands beyond it."""
     behind: float = 30.0
     """Log evidence behind the best beyond which a fit is not carried on."""
 

@@ -33,8 +33,10 @@ def log_evidence(problem: Problem, theta: FloatArray, value: Value) -> float:
     h = value.hessian * np.outer(scale, scale) + WEAK * np.eye(problem.n)
     held = at_bound(problem, theta, value)
     free = ~held
-    sign, logdet = np.linalg.slogdet(h[np.ix_(free, free)])
-    if sign <= 0:
+    told = h[np.ix_(free, free)]
+    sign, logdet = np.linalg.slogdet(told)
+    variance = np.diag(np.linalg.inv(told)) if sign > 0 else np.zeros(0)
+    if sign <= 0 or (variance <= 0).any():  # not positive definite, by rounding
         return -np.inf
     total = -value.cost + float(np.log(scale).sum())
     total += 0.5 * float(free.sum()) * np.log(2 * np.pi) - 0.5 * float(logdet)
@@ -43,7 +45,7 @@ def log_evidence(problem: Problem, theta: FloatArray, value: Value) -> float:
         ratio = scipy.special.erfcx(g / np.sqrt(2 * c))
         total += float(np.log(np.sqrt(np.pi / (2 * c)) * ratio))
     spread = np.zeros(problem.n)
-    spread[free] = np.sqrt(np.diag(np.linalg.inv(h[np.ix_(free, free)]))) * scale[free]
+    spread[free] = np.sqrt(variance) * scale[free]
     for i, u in enumerate(problem.unknowns):
         bounded = np.isfinite(u.lower) or np.isfinite(u.upper)
         if np.isfinite(u.sigma):

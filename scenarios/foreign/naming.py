@@ -30,7 +30,16 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from scenarios.foreign.naming_cells import KINDS, SECONDS, Case, case_of, cells, described, write
+from scenarios.foreign.naming_cells import (
+    KINDS,
+    SECONDS,
+    Case,
+    case_of,
+    cells,
+    described,
+    fly_case,
+    write,
+)
 from scenarios.foreign.naming_summary import summary
 from scenarios.foreign.power import power
 from scenarios.foreign.verdicts import Said, judge, judge_outside, speed_error
@@ -111,6 +120,12 @@ def row_of(
     return row | power(case, flights) | judged(case, said)
 
 
+def with_power(row: dict[str, Any]) -> dict[str, Any]:
+    """A row with what the oracle says now, of the same log flown again."""
+    case = case_of(row["asked"], row["seed"])
+    return row | power(case, fly_case(case, seconds=row["length"]))
+
+
 def judged(case: Case, said: Said | None) -> dict[str, Any]:
     """What was said and what it is worth, as plain values."""
     if case.kind == "outside":
@@ -165,6 +180,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--greybox", default=GREYBOX, help="the command that is judged")
     parser.add_argument("--summary", action="store_true", help="only print the table")
     parser.add_argument("--rows", type=Path, nargs="+", help="with --summary: of these files")
+    parser.add_argument(
+        "--oracle", action="store_true", help="with --summary: ask the oracle of power anew"
+    )
     options = parser.parse_args(argv)
     if options.rows and not options.summary:
         parser.error("--rows goes with --summary: results that are kept are not added to")
@@ -173,7 +191,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     sources = [path] if not options.rows else options.rows
     rows = [r for r in read_rows(sources) if (r["asked"], r["seed"]) not in spent]
     if options.summary:
-        print(summary(rows))
+        print(summary([with_power(r) for r in rows] if options.oracle else rows))
         return 0
     options.out.mkdir(parents=True, exist_ok=True)
     try:

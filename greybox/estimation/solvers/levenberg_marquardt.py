@@ -337,32 +337,64 @@ def boxed_step(
     Unknowns that the step would carry past a bound stop there and the others are solved again; one
     that the new solution would pull back inside is released. (Clipping a Newton step instead is not
     a descent direction when unknowns are correlated: Bertsekas 1982, SIAM J. Control and
-    Optimization 20(2).)
+    Optimization 20(2).) Where many bounds are met at once that may go round in circles; then
+    bounds join one by one along a path that only descends (Nocedal and Wright 2006, sec. 16.5).
     """
+    h = h + np.diag(np.broadcast_to(damping, g.shape) * np.diag(h))
     step = np.zeros_like(g)
-    held = ((low >= 0) & (g > 0)) | ((high <= 0) & (g < 0))
+    held = _pushed_out(g, step, low, high)
     for _ in range(2 * g.size + 2):
         step = np.where(held, step, 0.0)
-        part = damped_step(g + h @ step, h, held, damping)
-        whole = step + part
+        whole = step + damped_step(g + h @ step, h, held, 0.0)
         over = ~held & ((whole < low) | (whole > high))
         if over.any():
             held = held | over
             step = np.where(over, np.clip(whole, low, high), step)
             continue
         slope = g + h @ whole
-        back = held & (
-            ((whole <= low) & (slope < 0) & (low < 0))
-            | ((whole >= high) & (slope > 0) & (high > 0))
-        )
+        back = held & (low < high) & ~_pushed_out(slope, whole, low, high)
         if not back.any():
             return whole
-        worst = int(
-            np.argmax(np.where(back, np.abs(slope) / np.sqrt(np.maximum(np.diag(h), 1e-300)), -1.0))
-        )
+        worst = _steepest(slope, h, back)
         held[worst] = False
         step[worst] = 0.0
-    return np.clip(step, low, high)
+    return _descended(g, h, low, high)
+
+
+def _descended(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """The same minimiser, along a path that only descends."""
+    step = np.zeros_like(g)
+    held = _pushed_out(g, step, low, high)
+    for _ in range(20 * g.size + 20):
+        part = damped_step(g + h @ step, h, held, 0.0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            room = np.where(part == 0, np.inf, np.where(part < 0, low - step, high - step) / part)
+        share = min(1.0, float(room.min()))
+        step = np.clip(step + share * part, low, high)
+        if share < 1.0:
+            met = room <= share
+            step = np.where(met, np.where(part < 0, low, high), step)
+            held = held | met
+            continue
+        slope = g + h @ step
+        back = held & (low < high) & ~_pushed_out(slope, step, low, high)
+        if not back.any():
+            break
+        held[_steepest(slope, h, back)] = False
+    return step
+
+
+def _pushed_out(
+    slope: FloatArray, step: FloatArray, low: FloatArray, high: FloatArray
+) -> BoolArray:
+    """Which unknowns (n,) are at a bound that the slope pushes them against."""
+    return ((step <= low) & (slope > 0)) | ((step >= high) & (slope < 0))
+
+
+def _steepest(slope: FloatArray, h: FloatArray, among: BoolArray) -> int:
+    """The unknown of these whose release promises most."""
+    scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
+    return int(np.argmax(np.where(among, np.abs(slope) / scale, -1.0)))
 
 
 def damped_step(
