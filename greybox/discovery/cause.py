@@ -108,8 +108,7 @@ class Causes(ABC):
         """(mean, sigma) of a parameter where it is not what its declaration says."""
         if d.name in self.known:
             return self.known[d.name]
-        own = self.prior_of(d.name)
-        if own is not None:
+        if (own := self.prior_of(d.name)) is not None:
             return own
         if d.name.split(".")[0] in ("disturbance", "coloured", "low_pass", "line"):
             return d.nominal, RULES.typical * d.scale
@@ -147,9 +146,8 @@ class VehicleCauses(Causes):
         """The same with the catalogue's own effects, which share one build over the wire."""
         own = {type(e): e for e in CATALOGUE}
         effects = tuple(own.get(type(e), e) for e in self.model.effects)
-        if effects == self.model.effects:
-            return self
-        return replace(self, model=replace(self.model, effects=effects))
+        same = effects == self.model.effects
+        return self if same else replace(self, model=replace(self.model, effects=effects))
 
     def with_cause(self, *more: Cause) -> Self:
         """These and further causes. Raises `ModelError` where the model cannot have one."""

@@ -7,25 +7,24 @@ For a structure S with the cause c and a rival R without it, and flights D1 and 
 If R is the truth, P(E >= 1/a) <= a in finite samples, whatever the number of parameters, at bounds,
 with thresholds and delays (Wasserman, Ramdas and Balakrishnan 2020, PNAS 117(29): universal
 inference). The numerator is evidence of D1 and D2 together less that of D1. Some forty unknowns
-that S and R share (noise levels, core, biases and start of a flight) are then fitted to D2 in the
-denominator alone. The e-value of a name is therefore the mean of this one and of the sharper
+that S and R share are then fitted to D2 in the denominator alone. The e-value of a name is
+therefore the mean of this one and of the sharper
 
     E = p(D2 | S, D1) / p(D2 | R, D1) / regret,
 
 in which both sides integrate what they share over what D1 taught, as group invariance allows
 (Perez-Ortiz, Lardy, de Heide and Gruenwald 2024, Annals of Statistics 52(4)), and only what R has
 in the place of c is taken at its worst: `regret` is the supremum over D2 against the integral.
-The first is at most the sharper one without its regret. Against a rival with nothing in the place
-of c the sharper one therefore counts alone; else the first counts as nothing where the sharper one
-decides, or the first cannot. Evidence is Laplace's approximation and the invariance that of a
-linear model, so that for a vehicle the bound holds as well as these do, and not in finite samples.
-The e-value of a name is that against its strongest rival. Without D2 flights are halved, and the
-mean of both ways is an e-value, too.
+Against a rival with nothing in the place of c the sharper one counts alone; else the first, which
+is at most that without its regret, counts as nothing where it cannot decide. Laplace's
+approximation and the invariance are those of a linear model, so that for a vehicle the bound holds
+as well as these do. The e-value of a name is that against its strongest rival. Without D2 flights
+are halved, and the mean of both ways is an e-value, too.
 
 The sharper one on all flights, against the prior, is a second e-value. A rival with more causes or
-numbers than the name is nearly the name itself at its worst, and no flight refutes that. Against it
-there is no regret: the Bayes factor is an e-value at the sizes that its prior expects (Gruenwald,
-de Heide and Koolen 2024, JRSS B 86(5)).
+numbers than the name is nearly the name at its worst, which no flight refutes. Against it there is
+no regret: the Bayes factor is an e-value at the sizes that its prior expects (Gruenwald, de Heide
+and Koolen 2024, JRSS B 86(5)).
 """
 
 from __future__ import annotations
@@ -43,7 +42,6 @@ from greybox.estimation.solvers.levenberg_marquardt import BEYOND
 from greybox.estimation.start import Key, Start
 from greybox.statistics import regret as of_arrays
 from greybox.statistics.betting import log_mean
-from greybox.symbolic import FloatArray
 
 _Told = tuple[tuple[float, float], tuple[float, Start]]
 Instead = tuple[str, ...]
@@ -69,12 +67,13 @@ UNKNOWN = Whole(odds=-np.inf, log_e=-np.inf, judge=-np.inf)
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """Log e-values of a name against every rival that was asked (empty: dropped), and what all
-    flights say of them."""
+    """Log e-values of a name against every rival that was asked (empty: dropped), the most that the
+    first may be where fits behind it did not arrive, and what all flights say of the rivals."""
 
     name: str
     rivals: Mapping[Instead, float]
     whole: Mapping[Instead, Whole] = field(default_factory=dict)
+    most: float = -np.inf
 
     @property
     def against(self) -> Instead:
@@ -129,6 +128,7 @@ def certificates(
         behind = at.log_evidence - f.log_evidence  # of others a regret rests on where they are
         stakes[f.structure] = max(share * behind, effort.rough)
     found: dict[str, dict[Instead, float]] = {name: {} for name in rivals}
+    reach = dict.fromkeys(rivals, -np.inf)
     tiers = stakes, dict.fromkeys(stakes, effort.rough), dict.fromkeys(stakes, 0.0)
     for k, within in enumerate(tiers):
         if asked:
@@ -137,13 +137,14 @@ def certificates(
         every, asked = list(zip(asked, logs, strict=True)), []
         for (name, rival), (least, most) in every:
             found[name][rival.instead] = least
+            reach[name] = reach[name] if rival.instead else most
             if any(least < b + near and most >= b - near for b in (0.0, bar)):
                 asked.append((name, rival))
     out = {}
     for name, rows in rivals.items():
         said = [(r.instead, _whole(at, name, r, judges)) for r in rows]
         whole = {instead: w for instead, w in said if np.isfinite(w.odds)}
-        out[name] = Certificate(name=name, rivals=found[name], whole=whole)
+        out[name] = Certificate(name=name, rivals=found[name], whole=whole, most=reach[name])
     return out
 
 
@@ -264,20 +265,12 @@ def _keys(both: Fitted, split: Split, causes: Sequence[str]) -> list[Key]:
 def regret(first: Fitted | None, both: Fitted, keys: Sequence[Key]) -> float:
     """`greybox.statistics.regret` of the unknowns `keys` of a rival, all others integrated, over
     what the fit `first` taught (None: the prior)."""
-    v, theta = _information(both, keys)
-    there = set(first.known) if first is not None else set()
-    old = [i for i, k in enumerate(keys) if k in there]
-    unknowns = [both.problem.unknowns[both.problem.index[k]] for k in keys]
+    places = [both.problem.index[k] for k in keys]
+    unknowns = [both.problem.unknowns[i] for i in places]
     v1 = np.diag([1.0 / u.sigma**2 for u in unknowns])
     theta1 = np.array([u.mean for u in unknowns])
+    old = [] if first is None else [i for i, k in enumerate(keys) if k in first.problem.index]
     if first is not None and old:
-        v1[np.ix_(old, old)], theta1[old] = _information(first, [keys[i] for i in old])
-    return of_arrays.regret(v, theta, v1, theta1)
-
-
-def _information(fitted: Fitted, keys: Sequence[Key]) -> tuple[FloatArray, FloatArray]:
-    """Information on some unknowns with all others integrated out, and their estimates."""
-    assert fitted.value.hessian is not None
-    places = [fitted.problem.index[k] for k in keys]
-    rest = [i for i in range(fitted.problem.n) if i not in set(places) and not fitted.held[i]]
-    return of_arrays.information_on(fitted.value.hessian, places, rest), fitted.theta[places]
+        before = [first.problem.index[keys[i]] for i in old]
+        v1[np.ix_(old, old)], theta1[old] = first.information(before), first.theta[before]
+    return of_arrays.regret(both.information(places), both.theta[places], v1, theta1)

@@ -30,6 +30,7 @@ from greybox.estimation.solvers.levenberg_marquardt import BEYOND, LevenbergMarq
 from greybox.estimation.start import Key, Start, vector
 from greybox.estimation.status import Code, Status
 from greybox.model.dynamics import Dynamics
+from greybox.statistics.regret import information_on
 from greybox.symbolic import BoolArray, FloatArray
 from greybox.workers import side_by_side
 
@@ -75,6 +76,12 @@ class Fitted:
     def held(self) -> BoolArray:
         """Which unknowns ended at a bound."""
         return at_bound(self.problem, self.theta, self.value)
+
+    def information(self, places: Sequence[int]) -> FloatArray:
+        """On the unknowns at `places` (k, k), all others that are free integrated out."""
+        assert self.value.hessian is not None
+        rest = [i for i in np.flatnonzero(~self.held).tolist() if i not in places]
+        return information_on(self.value.hessian, places, rest)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,19 +183,22 @@ class Flights:
         return found()
 
     def _carried_out(self, tasks: Sequence[Task]) -> list[Fitted]:
-        """Tasks, and those once more from the likeliest fit of a part of their structure that
-        ended less likely than it, as no optimum is: they had started where noise has vanished."""
-        found, again = self._solved(tasks), []
-        for task in tasks:
-            parts = [f for s, f in self._known.items() if s < task.structure and f.value.valid]
-            part = min(parts, key=lambda f: f.value.likelihood, default=None)
-            mine = self._known[task.structure].value.likelihood
-            if part is not None and mine > part.value.likelihood + self.effort.rough:
-                again.append(replace(task, starts=(part.known,)))
-        self._solved(again)
-        return [self._known[t.structure] for t in tasks] if again else found
+        """Tasks, and once more, from the likeliest fit of a part of their structure, those that
+        ended less likely than that, as no optimum is: they had started where noise has vanished."""
+        self._solved(tasks)
 
-    def _solved(self, tasks: Sequence[Task]) -> list[Fitted]:
+        def worse(structure: Structure) -> float:
+            return self._known[structure].value.likelihood
+
+        again = []
+        for t in tasks:
+            part = min((s for s in self._known if s < t.structure), key=worse, default=t.structure)
+            if worse(t.structure) > worse(part) + self.effort.rough:
+                again.append(replace(t, starts=(self._known[part].known,)))
+        self._solved(again)
+        return [self._known[t.structure] for t in tasks]
+
+    def _solved(self, tasks: Sequence[Task]) -> None:
         """Tasks, side by side where there is an executor; what cannot be sent runs here."""
         common = self.causes, self.data, self.options
         problems = [self._problem(t.structure) for t in tasks]
@@ -197,7 +207,6 @@ class Flights:
             answers = side_by_side(self.executor, solved, common, tasks)
         if answers is None:
             answers = [solution(p, t) for p, t in zip(problems, tasks, strict=True)]
-        out = []
         for task, problem, (theta, status, value) in zip(tasks, problems, answers, strict=True):
             evidence = -np.inf
             loose = min(status.decrement, task.tolerance) > self.effort.rough
@@ -216,8 +225,6 @@ class Flights:
                 and task.iterations >= self.effort.iterations
                 and status.code is not Code.BEHIND,
             )
-            out.append(self._known[task.structure])
-        return out
 
     def _problem(self, structure: Structure) -> Problem:
         """That of an earlier fit where there was one."""

@@ -187,9 +187,8 @@ def _refitted(law: Axis, name: str, values: Mapping[str, float]) -> Axis:
     for i, (text, kept) in enumerate(zip(law.terms, law.memories, strict=True), 1):
         now = None
         if kept is not None:
-            memory = Memory(
-                time=values[f"{name}.time_{i}"], damping=values.get(f"{name}.damping_{i}")
-            )
+            time, damping = values[f"{name}.time_{i}"], values.get(f"{name}.damping_{i}")
+            memory = Memory(time=time, damping=damping)
             text, now = f"{text.rsplit(' (', 1)[0]} ({memory})", (memory, kept[1])
         terms[text] = values[f"{name}.c_{i}"]
         memories.append(now)
@@ -204,9 +203,7 @@ def _white(settled: Fit, flights: Flights) -> IdentifiedModel:
     there = {d.name for d in dynamics.parameters}
     values = {n: float(v) for n, v in settled.model.values.items() if n in there}
     own = [n for n in settled.model.flight_spread if n in there]
-    free = own
-    if physics_of(dynamics) is None:
-        free = [n for n in settled.parameters if n in there]
+    free = own if physics_of(dynamics) else [n for n in settled.parameters if n in there]
     return fit(
         dynamics, flights.data, free=free, values=values, per_flight=own, initialisation="noise"
     ).model

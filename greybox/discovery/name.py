@@ -87,6 +87,9 @@ def judged(
     status: Status
     shares = dict[str, float]()
     needed = f"log10 e {dropped / LOG10:.1f} of {bar / LOG10:.1f} that a name needs"
+    if dropped < bar <= certificate.most:
+        most = f"{certificate.most / LOG10:.1f}" if np.isfinite(certificate.most) else "any size"
+        needed += f", and up to {most} were the fits behind it to arrive"
     reason, kept = needed if dropped < bar else "", False
     foretells = worth is not None and worth.log_e >= alone and worth.matters
     if dropped < bar and not (foretells and dropped >= 0 and not alike and not impossible):

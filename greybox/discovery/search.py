@@ -28,7 +28,6 @@ from greybox.discovery.propose import (
 from greybox.discovery.rules import RULES
 from greybox.estimation.start import Key
 from greybox.statistics.evidence import FELT
-from greybox.statistics.regret import information_on
 
 Move = tuple[Structure, list[Mapping[Key, float]]]
 """A structure and where its fit starts."""
@@ -299,11 +298,10 @@ def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
     rows = [i for i, u in enumerate(at.problem.unknowns) if u.name in cause.parameters]
     if not rows or at.value.hessian is None:
         return 0.0 if rows else np.inf
-    free = np.flatnonzero(~at.held).tolist()
-    live = [i for i in rows if i in free]
+    live = [i for i in rows if not at.held[i]]
     if not live:
         return np.inf
-    told = information_on(at.value.hessian, live, [i for i in free if i not in live])
+    told = at.information(live)
     if cause.kind == "sensor noise":  # its time constant is there, or at its bound within its error
         std = np.sqrt(np.diag(np.linalg.pinv(told, hermitian=True)))
         clear = at.theta[live] - at.problem.lower[live] > FELT * std

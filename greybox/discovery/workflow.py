@@ -8,7 +8,7 @@ from __future__ import annotations
 import concurrent.futures
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Unpack
 
 import numpy as np
@@ -107,8 +107,9 @@ def discover(
             seconds = time.perf_counter() - began
             return refused(faults, vehicle, settings=settings, seconds=seconds)
         _long_enough(train)
-        if options.kinematic_noise is None:
-            options = options.but(kinematic_noise=_drifting(faults, options.since))
+        if options.kinematic_noise is None:  # as in the automatic fit, or in what changed since
+            old = None if options.since is None else options.since.physics.kinematic_noise
+            options = options.but(kinematic_noise=faults.wander > WANDER if old is None else old)
             settings = settings_of(options)
     causes = _offered(subject, train, options)
     settings["sample_time"] = sample_time(train)
@@ -131,11 +132,6 @@ def discover(
         began=began,
     )
     return run.carried_out()
-
-
-def _drifting(faults: CheckReport, since: IdentifiedModel | None) -> bool:
-    """Whether attitude and gyro have noise between them: as in the automatic fit, or in `since`."""
-    return faults.wander > WANDER if since is None else since.physics.kinematic_noise
 
 
 def _offered(
@@ -233,7 +229,10 @@ class _Run:
         self.say("fit of the base", 0.02)
         causes = self.flights.causes
         search = Search(
-            flights=self.flights, most=self.options.max_effects, say=self.say, interim=self._interim
+            flights=self.flights,
+            most=self.options.max_effects,
+            say=self.say,
+            interim=lambda at: self.save(self._so_far(self.settled(at))),
         )
         null = self.flights.fit(causes.base)
         at = search.run(null)
@@ -264,22 +263,17 @@ class _Run:
         share = 0.5 if self.test is None else judging / max(taught, 1)
         smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent} if scores else {}
         said = self._separated(names, at)
-        return Discovery(
+        return replace(
+            self._so_far(found),
             verdict=_verdict(names, left),
             names=tuple(names),
-            fit=found,
             left=left,
             before=before.axes,
             gap=tuple(rows),
             gap_on="train" if self.test is None else "test",
             bar=self.needed,
-            alone=self.bar,
-            unjudged=dict(causes.unjudged),
             minimum_detectable={n: v for n, v in smallest.items() if v},
             warnings=tuple(self.warnings),
-            omega_known=causes.omega_known,
-            seconds=time.perf_counter() - self.began,
-            settings=self.settings,
             tested_on=() if self.test is None else tuple(self.test.names),
             separating=said,
             steps=tuple(search.steps),
@@ -288,19 +282,17 @@ class _Run:
             lawful=lawful,
         )
 
-    def _interim(self, at: Fitted) -> None:
-        self.save(
-            Discovery(
-                verdict="stopped",
-                fit=self.settled(at),
-                bar=self.bar,
-                alone=self.bar,
-                unjudged=dict(self.flights.causes.unjudged),
-                omega_known=self.flights.causes.omega_known,
-                seconds=time.perf_counter() - self.began,
-                settings=self.settings,
-                warnings=("the search was stopped before its end",),
-            )
+    def _so_far(self, found: Fit) -> Discovery:
+        return Discovery(
+            verdict="stopped",
+            fit=found,
+            bar=self.bar,
+            alone=self.bar,
+            unjudged=dict(self.flights.causes.unjudged),
+            omega_known=self.flights.causes.omega_known,
+            seconds=time.perf_counter() - self.began,
+            settings=self.settings,
+            warnings=("the search was stopped before its end",),
         )
 
     # ---------------------------------------------------------------- models
@@ -381,11 +373,11 @@ class _Run:
 
     def _gap(self, null: Fitted, at: Fitted, lawful: IdentifiedModel | None) -> list[GapRow]:
         if self.test is None:
-            self.warnings.append(
+            self.warnings += [
                 "without --test flights the causes were chosen on the flights that judge them, by "
-                "halves: e-values are then too large by what choosing gains"
-            )
-            self.warnings.append("the gap is judged on the training flights: give --test flights")
+                "halves: e-values are then too large by what choosing gains",
+                "the gap is judged on the training flights: give --test flights",
+            ]
         before, after = self.held_out(null), self.held_out(at)
         if before is None or after is None:
             self.warnings.append("no gap table: the models predict nothing on the judged flights")
