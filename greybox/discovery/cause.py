@@ -166,13 +166,8 @@ class VehicleCauses(Causes):
 
 def cause_of(effect: Effect, vehicle: Vehicle) -> Cause:
     """An effect as a cause. A parameter without a null is a shape, typical at its nominal value."""
-    prior = {
-        f"{effect.name}.{d.name}": (
-            float(d.nominal if d.null is None else d.null),
-            RULES.typical * d.scale,
-        )
-        for d in effect.parameters(vehicle)
-    }
+    nulls = [(d, d.nominal if d.null is None else d.null) for d in effect.parameters(vehicle)]
+    prior = {f"{effect.name}.{d.name}": (float(n), RULES.typical * d.scale) for d, n in nulls}
     return Cause(
         name=effect.name,
         kind="effect",

@@ -30,7 +30,7 @@ and Koolen 2024, JRSS B 86(5)).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from greybox.data.halves import halves, renamed
 from greybox.discovery.evidence import Fitted, Flights, Structure
 from greybox.discovery.search import Rival
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND
-from greybox.estimation.start import Key, Start
+from greybox.estimation.start import Key, Start, vector
 from greybox.statistics import regret as of_arrays
 from greybox.statistics.betting import log_mean
 
@@ -68,12 +68,14 @@ UNKNOWN = Whole(odds=-np.inf, log_e=-np.inf, judge=-np.inf)
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
     """Log e-values of a name against every rival that was asked (empty: dropped), the most that the
-    first may be where fits behind it did not arrive, and what all flights say of the rivals."""
+    first may be where fits behind it did not arrive, what was to be `expected` of it from how
+    clear the name was, and what all flights say of the rivals."""
 
     name: str
     rivals: Mapping[Instead, float]
     whole: Mapping[Instead, Whole] = field(default_factory=dict)
     most: float = -np.inf
+    expected: float = np.inf
 
     @property
     def against(self) -> Instead:
@@ -145,7 +147,26 @@ def certificates(
         said = [(r.instead, _whole(at, name, r, judges)) for r in rows]
         whole = {instead: w for instead, w in said if np.isfinite(w.odds)}
         out[name] = Certificate(name=name, rivals=found[name], whole=whole, most=reach[name])
+        if found[name].get((), bar) < bar and () in whole:
+            taught = max(whole[()].odds - whole[()].judge, 0.0)
+            out[name] = replace(out[name], expected=taught * _more_told(at, name, judges))
     return out
+
+
+def _more_told(at: Fitted, name: str, judges: Sequence[Split]) -> float:
+    """What the flights that judge tell of a name where what taught stands, as a share of what taught
+    told; infinite where numbers are a flight's own."""
+    rows = []
+    for split in judges:
+        first, both = (on.fit(at.structure, within=np.inf) for on in (split.first, split.both))
+        theta = both.problem.inside(vector(both.problem, first.known))
+        there = replace(both, theta=theta, value=both.problem.evaluate(theta))
+        keys = _keys(both, split, [name])
+        if not there.value.valid or any(k not in first.problem.index for k in keys):
+            return np.inf
+        old, new = (f.information([f.problem.index[k] for k in keys]) for f in (first, there))
+        rows.append(float(np.trace(np.linalg.solve(old, new))) / len(keys) - 1.0)
+    return max(rows)
 
 
 def _whole(at: Fitted, name: str, rival: Rival, judges: Sequence[Split]) -> Whole:

@@ -61,9 +61,7 @@ class Left:
     @property
     def files(self) -> dict[str, str]:
         """File name -> text, one for every law."""
-        return {
-            file_name(n): self.law_file(law, n, self.taken) for n, law in enumerate(self.laws, 1)
-        }
+        return {file_name(n): self.law_file(x, n, self.taken) for n, x in enumerate(self.laws, 1)}
 
     @property
     def unnamed(self) -> tuple[Axis, ...]:
@@ -98,8 +96,7 @@ def _lost(at: Fitted) -> Mapping[str, float]:
         for louder in LOUDER:
             still = theta.copy()
             still[i] = max(problem.lower[i], theta[i] - SILENT)
-            high = problem.upper[white]
-            still[white] = min(max(theta[white], theta[i]) + louder, high)
+            still[white] = min(max(theta[white], theta[i]) + louder, problem.upper[white])
             likelihood = problem.evaluate(still, 0).likelihood
             if likelihood > best:  # it has passed its minimum
                 break
@@ -143,9 +140,7 @@ def left_over(
         for j, c in enumerate(seen.outputs)
     )
     lawful = [a for a in axes if a.needed and a.lawful]
-    if not lawful:
-        return Left(axes=axes)
-    return _raced(flights, at, axes, lawful, bar)
+    return _raced(flights, at, axes, lawful, bar) if lawful else Left(axes=axes)
 
 
 def is_law(found: AxisLaw) -> bool:

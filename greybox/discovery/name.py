@@ -88,8 +88,10 @@ def judged(
     shares = dict[str, float]()
     needed = f"log10 e {dropped / LOG10:.1f} of {bar / LOG10:.1f} that a name needs"
     if dropped < bar <= certificate.most:
-        most = f"{certificate.most / LOG10:.1f}" if np.isfinite(certificate.most) else "any size"
-        needed += f", and up to {most} were the fits behind it to arrive"
+        needed += f", up to {certificate.most / LOG10:.1f} were the fits behind it to arrive"
+    if max(dropped, certificate.expected) < bar:
+        least = max(certificate.expected, 0.0) / LOG10
+        needed += f"; {least:.1f} was to be expected of flights that show so little of it"
     reason, kept = needed if dropped < bar else "", False
     foretells = worth is not None and worth.log_e >= alone and worth.matters
     if dropped < bar and not (foretells and dropped >= 0 and not alike and not impossible):

@@ -16,7 +16,6 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from threadpoolctl import threadpool_limits
 
 from greybox.discovery.cause import Cause, Causes, sensor_cause
@@ -27,6 +26,7 @@ from greybox.estimation.start import Key
 from greybox.model.layer import physics_of
 from greybox.model.noise import Coloured, LowPass, SensorPart
 from greybox.model.noise.low_pass import FILTERED
+from greybox.statistics.regret import projected
 from greybox.symbolic import FloatArray
 from greybox.validation.whiteness import whiteness_of_blocks
 
@@ -208,24 +208,14 @@ def scored(flights: Flights, at: Fitted) -> Scores:
     own = [causes.prior_of(u.name) for u in unknowns]
     prior = np.array([u.sigma if o is None else o[1] for u, o in zip(unknowns, own, strict=True)])
     h = value.data_hessian + np.diag(np.where(np.isfinite(prior), prior, np.inf) ** -2.0)
-    scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
-    unit = h / np.outer(scale, scale)
-    factor = scipy.linalg.cho_factor(unit[np.ix_(rest, rest)] + 1e-10 * np.eye(rest.size))
-    cross = unit[np.ix_(chosen, rest)]
-    solved = scipy.linalg.cho_solve(factor, cross.T)
-    v = unit[np.ix_(chosen, chosen)] - cross @ solved
-    g = value.gradient / scale
-    s = g[chosen] - g[rest] @ solved
+    v, s = projected(h, value.gradient, chosen, rest.tolist())
     sigma = prior[chosen]
-    out = np.asarray(
-        v * np.outer(scale[chosen] * sigma, scale[chosen] * sigma) - np.eye(len(chosen))
-    )
     place = {i: k for k, i in enumerate(chosen)}
     return Scores(
         at=at,
         keys=tuple((unknowns[i].name, unknowns[i].flight) for i in chosen),
-        score=np.asarray(s * scale[chosen] * sigma),
-        information=out,
+        score=s * sigma,
+        information=v * np.outer(sigma, sigma) - np.eye(len(chosen)),
         sigma=sigma,
         null=np.array([o[0] for i in chosen if (o := own[i]) is not None]),
         value=theta[chosen],

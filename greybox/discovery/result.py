@@ -131,10 +131,8 @@ class Discovery(Shown):
         assert self.fit is not None
         own = {n: e for n, e in self.fit.parameters.items() if n.split(".")[0] == name}
         std = {n: e.std if np.isfinite(e.std) else None for n, e in own.items()}
-        return {
-            n.split(".", 1)[-1]: {"value": e.value, "std": std[n], "unit": e.unit}
-            for n, e in own.items()
-        }
+        rows = [(n.split(".", 1)[-1], e.value, std[n], e.unit) for n, e in own.items()]
+        return {n: {"value": value, "std": s, "unit": unit} for n, value, s, unit in rows}
 
     @property
     def final_effects(self) -> tuple[Effect, ...]:

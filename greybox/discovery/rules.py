@@ -58,8 +58,7 @@ class Effort:
     exact: float = 1e-2
     """Where the fit of a structure stops."""
     shares: tuple[float, ...] = (1.0, 0.7, 0.5, 0.3, 0.1)
-    """Parts of a first estimate that are tried as starts: of a limit, some are where nothing
-    stands beyond it."""
+    """Parts of a first estimate that are tried as starts."""
     behind: float = 30.0
     """Log evidence behind the best beyond which a fit is not carried on."""
 

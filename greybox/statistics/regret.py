@@ -11,17 +11,26 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 
-def information_on(h: FloatArray, places: Sequence[int], rest: Sequence[int]) -> FloatArray:
-    """Information (k, k) on the unknowns at `places`, those at `rest` integrated out, of the
-    information `h` (n, n) on all: the Schur complement."""
+def projected(
+    h: FloatArray, g: FloatArray, places: Sequence[int], rest: Sequence[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Information (k, k) on the unknowns at `places` and their score (k,), those at `rest`
+    integrated out, of the information `h` (n, n) and the gradient `g` (n,) of all: the Schur
+    complement (Rao 1948)."""
     scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
-    unit = h / np.outer(scale, scale)
-    own = unit[np.ix_(places, places)]
+    unit, slope = h / np.outer(scale, scale), g / scale
+    own, score = unit[np.ix_(places, places)], slope[places]
     if len(rest):
         cross = unit[np.ix_(places, rest)]
         inner = unit[np.ix_(rest, rest)] + 1e-10 * np.eye(len(rest))
-        own = own - cross @ np.linalg.solve(inner, cross.T)
-    return np.asarray(own * np.outer(scale[places], scale[places]))
+        moved = np.linalg.solve(inner, cross.T)
+        own, score = own - cross @ moved, score - slope[rest] @ moved
+    return np.asarray(own * np.outer(scale[places], scale[places])), score * scale[places]
+
+
+def information_on(h: FloatArray, places: Sequence[int], rest: Sequence[int]) -> FloatArray:
+    """The information of `projected` alone."""
+    return projected(h, np.zeros(len(h)), places, rest)[0]
 
 
 def regret(v: FloatArray, theta: FloatArray, v1: FloatArray, theta1: FloatArray) -> float:

@@ -12,7 +12,9 @@ sizes of the other hidden effects. All of that is Gaussian to first order, so th
     strength = D' (noise + hiding places)^-1 D
 
 is twice the log likelihood ratio that the best of all methods gains on average by knowing the
-effect (Neyman and Pearson 1933). An effect of d parameters has power where strength - d ln(rows)
+effect (Neyman and Pearson 1933). Nobody knows how long gusts last, and slow ones look steady: the
+strength is the least over slower ones, each plus twice the divergence (Kullback and Leibler 1951)
+of the gusts from it. An effect of d parameters has power where strength - d ln(rows)
 exceeds 10, the step of BIC that is taken as clear (Schwarz 1978; Kass and Raftery 1995), in the
 flights that teach, which must propose it, and in those that judge, which must confirm it: a limit
 that a calm flight never meets cannot be confirmed there. What a simulator does in a form of its own
@@ -44,6 +46,9 @@ CLEAR = 10.0
 """Difference of BIC that counts as clear."""
 WINDOW = 100
 """Rows of a window."""
+SLOWER = (1.0, 1.5, 2.5, 4.0, 8.0, 16.0)
+"""What may be taken for the time of the gusts, in units of it. Their variance grows along, so that
+over a short time they do as much."""
 AIR = 0.03
 """Share by which all rotors are stronger or weaker than any file can know: the density of the air
 over 10 K (ISO 2533), as `greybox discover` believes."""
@@ -294,15 +299,15 @@ class Scene:
         unit = np.tile(np.diag(sizes), (1, knots * n))
         begin = np.tile(np.repeat(np.arange(knots) * KNOT * SAMPLE_TIME, 6), n)
         end = begin + KNOT * SAMPLE_TIME
+        end[end > (WINDOW - 0.5) * SAMPLE_TIME] = np.inf  # the last reading feels the last of them
         nudge = Nudge(force=unit[:3], moment=unit[3:], begin=begin, end=end)
         return self.many(twin(self.case, (*self.case.effects, nudge)), 6 * knots)
 
-    def lasting(self, windows: int) -> Array:
-        """Square root of the covariance of the gusts of so many windows in a row."""
+    def lasting(self, windows: int, slower: float) -> Array:
+        """Square root of the covariance of one axis of gusts over so many windows in a row."""
         along = np.arange(windows * (WINDOW // KNOT)) * KNOT * SAMPLE_TIME
-        gaps = np.abs(np.subtract.outer(along, along))
-        cover = np.exp(-gaps / air_of(self.case).gust_time)
-        return np.asarray(np.kron(np.linalg.cholesky(cover), np.eye(6)), dtype=np.float64)
+        gaps = np.abs(np.subtract.outer(along, along)) / (slower * air_of(self.case).gust_time)
+        return np.asarray(np.linalg.cholesky(slower * np.exp(-gaps)), dtype=np.float64)
 
 
 def scene_of(case: Case, flights: Mapping[str, Mapping[str, Array]]) -> Scene:
@@ -317,8 +322,9 @@ def scene_of(case: Case, flights: Mapping[str, Mapping[str, Array]]) -> Scene:
     )
 
 
-def _beside(scene: Scene, wide: Array) -> Array:
-    """Information (k, k) on what the columns (n, rows, k) stand for, beside starts and gusts."""
+def _beside(scene: Scene, wide: Array) -> list[tuple[Array, float]]:
+    """Information (k, k) on what the columns (n, rows, k) stand for, beside starts and gusts, and
+    what these gusts cost; for each of `SLOWER`, or once in still air."""
     local = scene.starts()
     gusts = scene.gusts() if scene.case.gusts else np.zeros((*wide.shape[:2], 0))
     every, width = np.concatenate([gusts, wide], axis=-1), gusts.shape[-1]
@@ -328,15 +334,38 @@ def _beside(scene: Scene, wide: Array) -> Array:
     seen -= np.einsum("nca,ncb->nab", crossed, np.linalg.solve(blocks, crossed))
     total = seen[:, width:, width:].sum(axis=0)
     if not width:
-        return total
-    for flight in np.unique(scene.windows.flight):
-        own = seen[scene.windows.flight == flight]
-        root = scene.lasting(len(own))
-        told = scipy.linalg.block_diag(*own[:, :width, :width])
-        shared = root.T @ own[:, :width, width:].reshape(len(own) * width, -1)
-        hidden = np.eye(len(root)) + root.T @ told @ root
-        total -= shared.T @ np.linalg.solve(hidden, shared)
-    return total
+        return [(total, 0.0)]
+    out = []
+    for slower in SLOWER:
+        told, paid = total.copy(), 0.0
+        for flight in np.unique(scene.windows.flight):
+            hidden, spent = _hidden(scene, seen[scene.windows.flight == flight], width, slower)
+            told, paid = told - hidden, paid + spent
+        out.append((told, paid))
+    return out
+
+
+def _hidden(scene: Scene, seen: Array, width: int, slower: float) -> tuple[Array, float]:
+    """Of one flight: the information (k, k) that gusts which are so much slower take, and twice
+    the divergence of the true ones from them."""
+    axes, n = np.eye(6), len(seen) * width
+    true, root = (scene.lasting(len(seen), factor) for factor in (1.0, slower))
+    told = scipy.linalg.block_diag(*seen[:, :width, :width])
+    other = np.kron(scipy.linalg.solve_triangular(root, true, lower=True), axes)
+
+    def beside(square: Array) -> Array:
+        wide = np.kron(square, axes)
+        return np.eye(n) + wide.T @ told @ wide
+
+    mine = scipy.linalg.cho_factor(beside(root))
+    shared = np.kron(root, axes).T @ seen[:, :width, width:].reshape(n, -1)
+    taken = shared.T @ scipy.linalg.cho_solve(mine, shared)
+    if slower == 1.0:
+        return taken, 0.0
+    spread = other @ other.T - np.eye(n)
+    paid = np.trace(spread) - np.trace(scipy.linalg.cho_solve(mine, spread))
+    paid += 2.0 * np.log(np.diag(mine[0])).sum() - np.linalg.slogdet(beside(true))[1]
+    return taken, float(paid)
 
 
 def strengths(case: Case, flights: Mapping[str, Mapping[str, Array]]) -> dict[str, float]:
@@ -367,13 +396,15 @@ def _strengths(scene: Scene, judged: Sequence[PlantEffect], part: float) -> list
     wide = np.concatenate([np.stack([*done, *biases], axis=-1), scene.file()], axis=-1)
     prior = np.eye(wide.shape[-1])
     prior[: len(judged), : len(judged)] /= LOOSE**2
-    total = _beside(scene, wide) + prior
-    out = []
-    for j in range(len(judged)):
-        rest_of = [i for i in range(len(total)) if i != j]
-        block, cross = total[np.ix_(rest_of, rest_of)], total[rest_of, j]
-        out.append(float(max(total[j, j] - cross @ np.linalg.solve(block, cross), 0.0)))
-    return out
+    out = np.full(len(judged), np.inf)
+    for total, paid in _beside(scene, wide):
+        total = total + prior
+        for j in range(len(judged)):
+            others = [i for i in range(len(total)) if i != j]
+            block, cross = total[np.ix_(others, others)], total[others, j]
+            seen = max(total[j, j] - cross @ np.linalg.solve(block, cross), 0.0)
+            out[j] = min(out[j], seen + paid)
+    return [float(v) for v in out]
 
 
 def power(case: Case, flights: Mapping[str, Mapping[str, Array]]) -> dict[str, Any]:

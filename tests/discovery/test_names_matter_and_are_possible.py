@@ -54,12 +54,18 @@ def test_worth_is_the_share_of_the_squared_error_that_goes():
     assert found.log_e > np.log(1 / ALPHA)
 
 
-@pytest.mark.parametrize(("most", "said"), [(-90.0, ""), (60.0, "26.1"), (np.inf, "any size")])
+@pytest.mark.parametrize(("most", "said"), [(-90.0, ""), (60.0, "26.1"), (np.inf, "inf")])
 def test_an_e_value_whose_fits_did_not_arrive_says_so(most: float, said: str):
     short = replace(certificate(nothing=-100.0), most=most)
     reason = judged(short, None, "", BAR, ALPHA).reason
     assert reason.startswith("log10 e -43.4 of 2.6 that a name needs")
     assert ("to arrive" in reason) is bool(said) and said in reason
+
+
+def test_flights_that_show_little_of_a_name_are_said_to_be_why():
+    for expected, said in ((0.5, True), (9.0, False)):
+        short = replace(certificate(nothing=1.0), expected=expected)
+        assert ("0.2 was to be expected" in judged(short, None, "", BAR, ALPHA).reason) is said
 
 
 def test_what_is_certain_and_worth_nothing_is_a_trace():

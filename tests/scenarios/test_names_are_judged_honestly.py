@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import scenarios.foreign.power as oracle
 from greybox.model.vehicle import read_vehicle
 from scenarios.foreign.hidden import CATALOGUED, OUTSIDE, OWN
 from scenarios.foreign.naming import main, retired
@@ -168,6 +169,25 @@ def test_the_oracle_sees_what_shows_and_not_what_the_file_cannot_tell():
     flights = fly_case(load, seconds=1.5)
     bare, exact = (power(replace(load, file=kind), flights) for kind in ("bare", "exact"))
     assert bare["strength"]["payload_mass"] < 0.01 * exact["strength"]["payload_mass"]
+
+
+def test_the_oracle_sees_a_steady_force_in_gusts_as_a_mean_of_what_lasts(monkeypatch):
+    """The best linear unbiased estimate of the mean of a Gauss-Markov process that was seen for T
+    has the variance 2 tau sigma^2 / (T + 2 tau) (Grenander 1954, Annals of Mathematical Statistics
+    25(2)). Nobody knows how long gusts last, which takes more."""
+    pytest.importorskip("mujoco", reason="MuJoCo comes with the extra judge")
+    case = replace(light("single:constant_force", range(200)), gusts=True, file="exact")
+    flights = {n: f for n, f in fly_case(case, seconds=3.3).items() if n.startswith("train")}
+    monkeypatch.setattr(oracle, "SLOWER", (1.0,))
+    known = oracle.strengths(case, flights)["constant_force"]
+    air = air_of(case)
+    windows = oracle.windows_of(flights).count
+    force = np.array([case.truth()[f"constant_force.f_{axis}"] for axis in "xyz"])
+    seconds = windows * oracle.WINDOW * 0.01
+    expected = np.square(force / air.push).sum() * (seconds / (2 * air.gust_time) + len(flights))
+    assert known == pytest.approx(expected, rel=0.25)
+    monkeypatch.undo()
+    assert oracle.strengths(case, flights)["constant_force"] <= known
 
 
 def test_the_command_judges_a_program_and_does_not_repeat_it(tmp_path, capsys):
