@@ -145,7 +145,10 @@ def test_the_law_of_a_hidden_state_is_found_and_closes_the_gap(
     hidden: RelaxingDrag | SloshingMass, monkeypatch: pytest.MonkeyPatch
 ):
     shorten(monkeypatch)
-    train, test = (flights(x250([hidden]), seeds, 10.0, "log") for seeds in ((51, 52), (53,)))
+    plant = x250([hidden])
+    train, test = (
+        flights(plant, s, 10.0, n) for n, s in {"train": (51, 52), "test": (53,)}.items()
+    )
     found = discover(vehicle(), train, test)
     assert found.left is not None
     assert any(m is not None for a in found.left.laws for m in a.memories)

@@ -183,7 +183,7 @@ def test_a_memory_may_follow_the_place():
 @pytest.mark.slow
 def test_a_fit_finds_size_and_time_of_an_independent_plant_and_simulates_them():
     plant = x250([RelaxingDrag(k=0.25, time=0.3)])
-    train, test = (flights(plant, seeds, 8.0, "log") for seeds in ((41, 42), (43,)))
+    train, test = (flights(plant, s, 8.0, n) for n, s in {"train": (41, 42), "test": (43,)}.items())
     vehicle = vehicle_of(X250)
     own = build_model(vehicle, train.channels, [Wake()], sample_time=0.01)
     found = gb.fit(own, train, free=("wake.k", "wake.T", "thrust.c2"), initialisation="nominal")
