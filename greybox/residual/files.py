@@ -80,13 +80,13 @@ def load_model(
             if "gp" in data
             else FeaturePosterior.from_dict(data["learned"])
         )
+        return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
     except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         if isinstance(error, GreyboxError):
             raise
         raise FileFormatError(
             f"incomplete or wrong ({error})", where=where, fix="write the file again"
         ) from None
-    return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
 
 
 def _key(posterior: GPPosterior | FeaturePosterior) -> str:
