@@ -222,7 +222,7 @@ static int tube(tube_solver *s, tube_data *d) {
   return 0;
 }
 
-static int finite(const tube_real *v, int n) {
+static int nothing_infinite(const tube_real *v, int n) {
   tube_real sum = 0;
   UNROLLED
   for (int i = 0; i < n; i++) sum += 0 * v[i];
@@ -232,9 +232,10 @@ static int finite(const tube_real *v, int n) {
 /* Whether what the model's functions said of the plan is finite: else they failed, and not the QP that is made of it. */
 static int sound(const tube_solver *s, const tube_data *d) {
   const tube_qp *q = &s->qp;
-  return finite(q->A[0], N * TUBE_PLAN_NONZEROS) && finite(q->B[0], N * NK * NU) && finite(q->b[0], N * NK) &&
-         finite(q->g[0], N * NV) && finite(q->g_end, NK) && finite(s->value[0], (N + 1) * NL) &&
-         finite(q->G[0], (N + 1) * NL * NK) && finite(d->backoff[0], (N + 1) * NL) && finite(&d->cost, 1);
+  return nothing_infinite(q->A[0], N * TUBE_PLAN_NONZEROS) && nothing_infinite(q->B[0], N * NK * NU) &&
+         nothing_infinite(q->b[0], N * NK) && nothing_infinite(q->g[0], N * NV) && nothing_infinite(q->g_end, NK) &&
+         nothing_infinite(s->value[0], (N + 1) * NL) && nothing_infinite(q->G[0], (N + 1) * NL * NK) &&
+         nothing_infinite(d->backoff[0], (N + 1) * NL) && nothing_infinite(&d->cost, 1);
 }
 
 /* Cost and dynamics of stage k of the QP. */

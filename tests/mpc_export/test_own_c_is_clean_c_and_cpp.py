@@ -7,12 +7,14 @@ compile as C++ all the same.
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
+import mpc_export
 from mpc_export.c_code import RESTRICT, single_precision, write_c
 from mpc_export.c_kernels import kernels_of
 from mpc_export.c_kernels_products import PRODUCTS
@@ -97,3 +99,24 @@ def test_the_whole_export_is_c_and_cpp(functions, tmp_path, compiler):
         )
         == ""
     )
+
+
+def test_no_function_of_ours_has_a_name_of_the_c_library() -> None:
+    """Whatever dialect a user compiles in: GNU's declares more than ISO C (`finite`)."""
+    if shutil.which("gcc") is None:
+        pytest.skip("gcc is not installed")
+    headers = "".join(f"#include <{h}.h>\n" for h in ("math", "stdlib", "string", "stdint"))
+    told = subprocess.run(
+        ["gcc", "-std=gnu17", "-D_GNU_SOURCE", "-E", "-P", "-"],
+        input=headers,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    library = set(re.findall(r"\b(\w+) ?\(", told))
+    assert {"finite", "sqrt", "memcpy"} <= library
+    sources = list(Path(mpc_export.__file__).parent.rglob("*.[ch]"))
+    assert len(sources) > 10
+    for source in sources:
+        own = re.findall(r"^(?:static |inline )+[\w* ]*?\b(\w+)\(", source.read_text(), re.M)
+        assert not library & set(own), source.name

@@ -16,12 +16,12 @@ static const unsigned char columns[@UPPER@_N_E][@UPPER@_N_Y] = {
 #define STARTS @starts@
 static const short start_from[STARTS + 1][2] = {@start_from@{0, 0}};
 
-static int finite(@real@ v) { return v - v == 0; }
+static int is_finite(@real@ v) { return v - v == 0; }
 
 static int all_finite(const @real@ *v, int n) {
   int i;
   for (i = 0; i < n; ++i) {
-    if (!finite(v[i])) return 0;
+    if (!is_finite(v[i])) return 0;
   }
   return 1;
 }
@@ -43,7 +43,7 @@ int @NAME@_flight_start(@NAME@_flight *f, const @real@ place[4]) {
 }
 
 void @NAME@_flight_parameter(@NAME@_flight *f, int i, @real@ value) {
-  if (i >= 0 && i < @UPPER@_N_P && finite(value) && value > 0) f->p[i] = value;
+  if (i >= 0 && i < @UPPER@_N_P && is_finite(value) && value > 0) f->p[i] = value;
 }
 
 /* Starts again from a whole pose that is measured; a model that measures none keeps the pose that it believes in. */
@@ -51,7 +51,7 @@ static int begin(@NAME@_flight *f, const @real@ *y, const unsigned char *given) 
   @real@ old[@UPPER@_N_X];
   int k;
   for (k = 0; k < POSE; ++k) {
-    if (!given[start_from[k][0]] || !finite(y[start_from[k][0]])) return 0;
+    if (!given[start_from[k][0]] || !is_finite(y[start_from[k][0]])) return 0;
   }
   if (!POSE && !f->begun) return 0;
   memcpy(old, f->x, sizeof old);
@@ -61,7 +61,7 @@ static int begin(@NAME@_flight *f, const @real@ *y, const unsigned char *given) 
     for (k = 0; k < 4; ++k) f->x[@UPPER@_X_ATTITUDE_W + k] = old[@UPPER@_X_ATTITUDE_W + k];
   }
   for (k = 0; k < STARTS; ++k) {
-    if (given[start_from[k][0]] && finite(y[start_from[k][0]])) f->x[start_from[k][1]] = y[start_from[k][0]];
+    if (given[start_from[k][0]] && is_finite(y[start_from[k][0]])) f->x[start_from[k][1]] = y[start_from[k][0]];
   }
   if (!f->begun) {
     const @real@ *q = &f->x[@UPPER@_X_ATTITUDE_W];
@@ -76,12 +76,12 @@ static int begin(@NAME@_flight *f, const @real@ *y, const unsigned char *given) 
 /* The innovations that what is there gives, and measurements without holes. */
 static void seen(const @real@ *y, const unsigned char *given, @real@ *clean, @real@ *there) {
   int i, k;
-  for (k = 0; k < @UPPER@_N_Y; ++k) clean[k] = given[k] && finite(y[k]) ? y[k] : 0;
+  for (k = 0; k < @UPPER@_N_Y; ++k) clean[k] = given[k] && is_finite(y[k]) ? y[k] : 0;
   for (i = 0; i < @UPPER@_N_E; ++i) {
     there[i] = 1;
     for (k = 0; k < @UPPER@_N_Y; ++k) {
       /* a number that is none is not there either */
-      if (columns[i][k] && !(given[k] && finite(y[k]))) there[i] = 0;
+      if (columns[i][k] && !(given[k] && is_finite(y[k]))) there[i] = 0;
     }
   }
 }
