@@ -100,15 +100,19 @@ class World:
         h = x.T @ x
         theta = np.linalg.lstsq(h + np.diag(prior), x.T @ self.y, rcond=None)[0]
         theta = np.maximum(theta, [u.lower for u in unknowns])
-        off = self.y - x @ theta
-        likelihood = 0.5 * float(off @ off) + 0.5 * len(off) * np.log(2 * np.pi)
-        value = Value(
-            cost=likelihood + 0.5 * float(prior @ theta**2),
-            likelihood=likelihood,
-            gradient=-x.T @ off + prior * theta,
-            hessian=h + np.diag(prior),
-            data_hessian=h,
-        )
+
+        def evaluate(at: Array) -> Value:
+            off = self.y - x @ at
+            likelihood = 0.5 * float(off @ off) + 0.5 * len(off) * np.log(2 * np.pi)
+            return Value(
+                cost=likelihood + 0.5 * float(prior @ at**2),
+                likelihood=likelihood,
+                gradient=-x.T @ off + prior * at,
+                hessian=h + np.diag(prior),
+                data_hessian=h,
+            )
+
+        value = evaluate(theta)
         problem = cast(
             Problem,
             SimpleNamespace(
@@ -118,6 +122,8 @@ class World:
                 lower=np.array([u.lower for u in unknowns]),
                 upper=np.array([u.upper for u in unknowns]),
                 index={(u.name, u.flight): i for i, u in enumerate(unknowns)},
+                inside=lambda at: at,
+                evaluate=evaluate,
             ),
         )
         done = Status(code=Code.CONVERGED, iterations=1, evaluations=1, decrement=0.0)
