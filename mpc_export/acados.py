@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import os
 import sys
 import tempfile
@@ -63,24 +64,32 @@ def session(folder: str | Path) -> Iterator[Path]:
     The environment and sys.path are put back afterwards; the imported module and the loaded
     libraries stay.
     """
-    with tempfile.TemporaryDirectory(prefix="acados-") as scratch:
-        wheel = (Path(folder) / "acados" / "install").is_dir()
-        home = lay_out(folder, scratch) if wheel else Path(folder).resolve()
-        interface = str(home / "interfaces" / "acados_template")
-        wanted = {"ACADOS_SOURCE_DIR": str(home), "TERA_PATH": str(home / "bin" / "t_renderer")}
-        before = {name: os.environ.get(name) for name in wanted}
-        os.environ.update(wanted)
-        sys.path.append(interface)  # at the end: nothing else in there may hide what is installed
-        try:
-            _load_libraries(home / "lib")
-            yield home
-        finally:
-            sys.path.remove(interface)
-            for name, value in before.items():
-                if value is None:
-                    os.environ.pop(name, None)
-                else:
-                    os.environ[name] = value
+    wheel = (Path(folder) / "acados" / "install").is_dir()
+    home = Path(_laid_out(str(folder)).name if wheel else folder).resolve()
+    interface = str(home / "interfaces" / "acados_template")
+    wanted = {"ACADOS_SOURCE_DIR": str(home), "TERA_PATH": str(home / "bin" / "t_renderer")}
+    before = {name: os.environ.get(name) for name in wanted}
+    os.environ.update(wanted)
+    sys.path.append(interface)  # at the end: nothing else in there may hide what is installed
+    try:
+        _load_libraries(home / "lib")
+        yield home
+    finally:
+        sys.path.remove(interface)
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@functools.cache
+def _laid_out(wheel: str) -> tempfile.TemporaryDirectory[str]:
+    """The links of a wheel, until the process ends: the module that stays imported finds its
+    templates there."""
+    home = tempfile.TemporaryDirectory(prefix="acados-")
+    lay_out(wheel, home.name)
+    return home
 
 
 def _load_libraries(folder: Path) -> None:
