@@ -111,7 +111,7 @@ def test_a_compiler_where_there_is_none(environment: Installed) -> None:
     alone = "PATH= ../venv/bin/python -m greybox selftest"
     before = environment.type(alone)
     assert before.returncode == 0, before.stdout + before.stderr
-    (hint,) = re.findall(r"no C compiler.*\n *usual fix: (pip install \S+)", before.stdout)
+    (hint,) = re.findall(r"no C compiler.*\n *usual fix: (pip install \"[^\"]+\")", before.stdout)
     assert environment.type(hint).returncode == 0
     after = environment.type(alone)
     assert after.returncode == 0, after.stdout + after.stderr
