@@ -147,26 +147,26 @@ def certificates(
         said = [(r.instead, _whole(at, name, r, judges)) for r in rows]
         whole = {instead: w for instead, w in said if np.isfinite(w.odds)}
         out[name] = Certificate(name=name, rivals=found[name], whole=whole, most=reach[name])
-        if found[name].get((), bar) < bar and () in whole:
-            taught = max(whole[()].odds - whole[()].judge, 0.0)
+        taught = whole[()].odds - whole[()].judge if () in whole else np.inf
+        if found[name].get((), bar) < bar and 0 < taught < np.inf:
             out[name] = replace(out[name], expected=taught * _more_told(at, name, judges))
     return out
 
 
 def _more_told(at: Fitted, name: str, judges: Sequence[Split]) -> float:
-    """What the flights that judge tell of a name where what taught stands, as a share of what taught
-    told; infinite where numbers are a flight's own."""
+    """What the flights that judge add to what was told of a name, as a share of it; infinite where
+    numbers are a flight's own."""
     rows = []
     for split in judges:
         first, both = (on.fit(at.structure, within=np.inf) for on in (split.first, split.both))
-        theta = both.problem.inside(vector(both.problem, first.known))
+        theta, keys = vector(both.problem, first.known), _keys(both, split, [name])
         there = replace(both, theta=theta, value=both.problem.evaluate(theta))
-        keys = _keys(both, split, [name])
-        if not there.value.valid or any(k not in first.problem.index for k in keys):
+        valid = first.value.valid and there.value.valid
+        if not valid or any(k not in first.problem.index for k in keys):
             return np.inf
         old, new = (f.information([f.problem.index[k] for k in keys]) for f in (first, there))
         rows.append(float(np.trace(np.linalg.solve(old, new))) / len(keys) - 1.0)
-    return max(rows)
+    return max(0.0, *rows)
 
 
 def _whole(at: Fitted, name: str, rival: Rival, judges: Sequence[Split]) -> Whole:

@@ -122,7 +122,6 @@ class World:
                 lower=np.array([u.lower for u in unknowns]),
                 upper=np.array([u.upper for u in unknowns]),
                 index={(u.name, u.flight): i for i, u in enumerate(unknowns)},
-                inside=lambda at: at,
                 evaluate=evaluate,
             ),
         )
