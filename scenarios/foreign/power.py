@@ -47,8 +47,8 @@ CLEAR = 10.0
 WINDOW = 100
 """Rows of a window."""
 SLOWER = (1.0, 1.5, 2.5, 4.0, 8.0, 16.0)
-"""What may be taken for the time of the gusts, in units of it. Their variance grows along, so that
-over a short time they do as much."""
+"""What may be taken for the time of the gusts, in units of it, first the truth. Their variance
+grows along, so that over a short time they do as much."""
 AIR = 0.03
 """Share by which all rotors are stronger or weaker than any file can know: the density of the air
 over 10 K (ISO 2533), as `greybox discover` believes."""
@@ -264,6 +264,12 @@ class Scene:
         gap[..., channel] = 1.0
         return self.seen(self.base + gap)
 
+    def without(self, effect: PlantEffect, part: float) -> Array:
+        """The same for an effect, by the change that taking away a `part` of it makes."""
+        less = [scaled(effect, 1.0 - part)] if part < 1.0 else []
+        rest = [*(o for o in self.case.effects if o is not effect), *less]
+        return self.seen(readings(twin(self.case, rest), self.windows)) / part
+
     def many(self, plant: Quadrotor, times: int, **moved: Array) -> Array:
         """`seen` of so many members per window, (n, rows, times)."""
         wide = replace(self, base=np.repeat(self.base, times, axis=0))
@@ -337,35 +343,28 @@ def _beside(scene: Scene, wide: Array) -> list[tuple[Array, float]]:
         return [(total, 0.0)]
     out = []
     for slower in SLOWER:
-        told, paid = total.copy(), 0.0
+        told, cost = total.copy(), 0.0
         for flight in np.unique(scene.windows.flight):
             hidden, spent = _hidden(scene, seen[scene.windows.flight == flight], width, slower)
-            told, paid = told - hidden, paid + spent
-        out.append((told, paid))
-    return out
+            told, cost = told - hidden, cost + spent
+        out.append((told, cost))
+    return [(told, cost - out[0][1]) for told, cost in out]
 
 
 def _hidden(scene: Scene, seen: Array, width: int, slower: float) -> tuple[Array, float]:
     """Of one flight: the information (k, k) that gusts which are so much slower take, and twice
-    the divergence of the true ones from them."""
+    their expected negative log likelihood of what gusts did, up to a constant."""
     axes, n = np.eye(6), len(seen) * width
     true, root = (scene.lasting(len(seen), factor) for factor in (1.0, slower))
+    whole = np.kron(root, axes)
     told = scipy.linalg.block_diag(*seen[:, :width, :width])
-    other = np.kron(scipy.linalg.solve_triangular(root, true, lower=True), axes)
-
-    def beside(square: Array) -> Array:
-        wide = np.kron(square, axes)
-        return np.eye(n) + wide.T @ told @ wide
-
-    mine = scipy.linalg.cho_factor(beside(root))
-    shared = np.kron(root, axes).T @ seen[:, :width, width:].reshape(n, -1)
-    taken = shared.T @ scipy.linalg.cho_solve(mine, shared)
-    if slower == 1.0:
-        return taken, 0.0
-    spread = other @ other.T - np.eye(n)
-    paid = np.trace(spread) - np.trace(scipy.linalg.cho_solve(mine, spread))
-    paid += 2.0 * np.log(np.diag(mine[0])).sum() - np.linalg.slogdet(beside(true))[1]
-    return taken, float(paid)
+    beside = scipy.linalg.cho_factor(np.eye(n) + whole.T @ told @ whole)
+    shared = whole.T @ seen[:, :width, width:].reshape(n, -1)
+    moved = np.kron(scipy.linalg.solve_triangular(root, true, lower=True), axes)
+    spread = moved @ moved.T - np.eye(n)
+    cost = np.trace(spread) - np.trace(scipy.linalg.cho_solve(beside, spread))
+    cost += 2.0 * np.log(np.diag(beside[0])).sum()
+    return shared.T @ scipy.linalg.cho_solve(beside, shared), float(cost)
 
 
 def strengths(case: Case, flights: Mapping[str, Mapping[str, Array]]) -> dict[str, float]:
@@ -374,37 +373,26 @@ def strengths(case: Case, flights: Mapping[str, Mapping[str, Array]]) -> dict[st
     the first counts bends as news that a hiding place would follow."""
     scene = scene_of(case, flights)
     judged = [e for e in case.effects if not case.hidden or e.name in case.hidden]
-    return {
-        e.name: min(both)
-        for e, *both in zip(judged, *(_strengths(scene, judged, part) for part in (1.0, LITTLE)))
-    }
-
-
-def _strengths(scene: Scene, judged: Sequence[PlantEffect], part: float) -> list[float]:
-    """By the change that taking away a `part` of an effect makes, for the whole of it."""
-    case, windows = scene.case, scene.windows
-    done = []
-    for effect in judged:
-        less = [scaled(effect, 1.0 - part)] if part < 1.0 else []
-        rest = [*(o for o in case.effects if o is not effect), *less]
-        done.append(scene.seen(readings(twin(case, rest), windows)) / part)
+    flight, k = scene.windows.flight, len(judged)
+    done = [scene.without(e, part) for part in (1.0, LITTLE) for e in judged]
     biases = [
-        scene.constant(i) * (windows.flight == flight)[:, None] * LOOSE
-        for flight in np.unique(windows.flight)
+        scene.constant(i) * (flight == one)[:, None] * LOOSE
+        for one in np.unique(flight)
         for i in range(6)
     ]
     wide = np.concatenate([np.stack([*done, *biases], axis=-1), scene.file()], axis=-1)
     prior = np.eye(wide.shape[-1])
-    prior[: len(judged), : len(judged)] /= LOOSE**2
-    out = np.full(len(judged), np.inf)
+    prior[: 2 * k, : 2 * k] /= LOOSE**2
+    out = np.full(k, np.inf)
     for total, paid in _beside(scene, wide):
-        total = total + prior
-        for j in range(len(judged)):
-            others = [i for i in range(len(total)) if i != j]
-            block, cross = total[np.ix_(others, others)], total[others, j]
-            seen = max(total[j, j] - cross @ np.linalg.solve(block, cross), 0.0)
-            out[j] = min(out[j], seen + paid)
-    return [float(v) for v in out]
+        for first in (0, k):
+            kept = [*range(first, first + k), *range(2 * k, len(prior))]
+            told = (total + prior)[np.ix_(kept, kept)]
+            for j in range(k):
+                rest = [i for i in range(len(told)) if i != j]
+                hidden = told[j, rest] @ np.linalg.solve(told[np.ix_(rest, rest)], told[rest, j])
+                out[j] = min(out[j], max(told[j, j] - hidden, 0.0) + paid)
+    return {e.name: float(v) for e, v in zip(judged, out)}
 
 
 def power(case: Case, flights: Mapping[str, Mapping[str, Array]]) -> dict[str, Any]:
