@@ -153,7 +153,8 @@ class Flights:
         of its starts: carried on as long as they may catch up, and exact where they may win."""
         e = self.effort
         new = [(s, tuple(starts)) for s, starts in asked if s not in self._known]
-        self.prepare(s for s, _ in new)
+        if self.executor is None or len(new) == 1:
+            self.prepare(s for s, _ in new)
         opened = [
             Task(structure=s, starts=t, tolerance=e.rough, iterations=e.opening) for s, t in new
         ]
@@ -177,9 +178,10 @@ class Flights:
         )
         self._carried_out([replace(goes_on, structure=f.structure, starts=(f.known,)) for f in on])
         best = max([than, *found()], key=lambda f: f.log_evidence)
-        for f in found():
-            if f.log_evidence > best.log_evidence - min(f.may_gain, e.behind):
-                self.fit(f.structure)
+        near = [
+            f for f in found() if f.log_evidence > best.log_evidence - min(f.may_gain, e.behind)
+        ]
+        self.fits([(f.structure, ()) for f in near], [0.0] * len(near))
         return found()
 
     def _carried_out(self, tasks: Sequence[Task]) -> list[Fitted]:
@@ -199,12 +201,13 @@ class Flights:
         return [self._known[t.structure] for t in tasks]
 
     def _solved(self, tasks: Sequence[Task]) -> None:
-        """Tasks, side by side where there is an executor; what cannot be sent runs here."""
+        """Tasks, side by side where there is an executor; what cannot be sent runs here. Who solves
+        them builds them, and leaves what is compiled for this process to open."""
         common = self.causes, self.data, self.options
-        problems = [self._problem(t.structure) for t in tasks]
         answers = None
         if self.executor is not None and len(tasks) > 1:
             answers = side_by_side(self.executor, solved, common, tasks)
+        problems = [self._problem(t.structure) for t in tasks]
         if answers is None:
             answers = [solution(p, t) for p, t in zip(problems, tasks, strict=True)]
         for task, problem, (theta, status, value) in zip(tasks, problems, answers, strict=True):
@@ -299,11 +302,10 @@ def solved(causes: Causes, data: Dataset, options: FitOptions, task: Task) -> So
 def solution(problem: Problem, task: Task) -> Solution:
     """Carry out one task on its problem."""
     with threadpool_limits(limits=1):
-        offered = [problem.inside(vector(problem, s)) for s in task.starts]
-        offered = offered or [noise_start(problem)]
-        start = offered[0]
-        if len(offered) > 1:
-            start = min(offered, key=lambda t: problem.evaluate(t, 0).cost)
+        starts = [problem.inside(vector(problem, s)) for s in task.starts] or [noise_start(problem)]
+        start = starts[0]
+        if len(starts) > 1:
+            start = min(starts, key=lambda t: problem.evaluate(t, 0).cost)
         solver = LevenbergMarquardt(
             tolerance=task.tolerance, max_iterations=task.iterations, target=task.target
         )

@@ -9,6 +9,7 @@ says so.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -120,12 +121,10 @@ def left_over(
     found: dict[str, AxisLaw] = {}
     wanted = [a for a, (_, needed) in gains.items() if needed]
     if wanted and laws:
-        try:
+        with contextlib.suppress(GreyboxError):
             offered = library(_white(settled, flights), model, data, names, wanted)
             samples = sum(f.n for f in data.flights)
             found = laws_of(offered, samples, seed, settled.parameters)
-        except GreyboxError:
-            found = {}
     axes = tuple(
         Axis(
             channel=c.name,

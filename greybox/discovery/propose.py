@@ -200,15 +200,13 @@ def scored(flights: Flights, at: Fitted) -> Scores:
         for n in (*absent, *sorted(at.structure & set(causes.effects)))
     }
     chosen = [i for rows in mine.values() for i in rows]
-    rest = np.array([i for i in range(problem.n) if i not in set(chosen)], dtype=int)
     # Of what the fit has, bounds hold some: they do not move.
-    held = np.zeros(problem.n, dtype=bool)
-    held[: at.problem.n] = at.held
-    rest = rest[~held[rest]]
+    held = {*chosen, *np.flatnonzero(at.held).tolist()}
+    rest = [i for i in range(problem.n) if i not in held]
     own = [causes.prior_of(u.name) for u in unknowns]
     prior = np.array([u.sigma if o is None else o[1] for u, o in zip(unknowns, own, strict=True)])
     h = value.data_hessian + np.diag(np.where(np.isfinite(prior), prior, np.inf) ** -2.0)
-    v, s = projected(h, value.gradient, chosen, rest.tolist())
+    v, s = projected(h, value.gradient, chosen, rest)
     sigma = prior[chosen]
     place = {i: k for k, i in enumerate(chosen)}
     return Scores(

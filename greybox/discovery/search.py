@@ -84,7 +84,7 @@ class Search:
         while at.structure not in seen:
             seen.add(at.structure)
             there = ", ".join(self.named(at.structure)) or "nothing added"
-            self.say(f"step {len(seen)}: {there}", min(0.05 * len(seen), 0.5))
+            self.say(f"step {len(seen)}: {there}", min(0.05 * len(seen), 0.3))
             better = self._add(at)
             if better is not None:
                 better = self._leaner(better) or better
@@ -212,21 +212,21 @@ class Search:
 
     def _swap(self, at: Fitted) -> Fitted | None:
         """The structure with another cause in the place of one, where that is likelier: what is
-        predicted to lose least is asked first, and the first that gains is taken."""
-        scores = self._scored(at)
+        predicted to lose least is asked first, then twice as many, until one gains."""
         cost = {n: -drop_gain(at, self.flights, n) for n in self.added(at)}
-        left = {n: 1.0 - max((s for s, _, _ in scores.instead(n)), default=0.0) for n in cost}
-        for name in sorted(cost, key=lambda n: min(cost[n], left[n] * max(cost[n], 0.0))):
-            found = [r.fitted for r in self._rivals(at, name)]
-            better = self._best(at, [f for f in found if len(self.added(f)) <= self.most])
-            if better is not None:
-                return better
-        return None
+        taken = {n: max((r[0] for r in self._scored(at).instead(n)), default=0.0) for n in cost}
+        order = sorted(cost, key=lambda n: min(cost[n], (1.0 - taken[n]) * max(cost[n], 0.0)))
+        asked, better = 0, None
+        while better is None and asked < len(order):
+            rivals = self._rivals(at, order[asked : 2 * asked + 1], asked / len(order))
+            fits = [r.fitted for rows in rivals.values() for r in rows]
+            better = self._best(at, [f for f in fits if len(self.added(f)) <= self.most])
+            asked = 2 * asked + 1
+        return better
 
     def contest(self, at: Fitted) -> dict[str, list[Rival]]:
         """Every cause of `at` beyond the base against what could take its place, and nothing."""
-        more = frozenset(self.crowded_out(at))
-        return {name: self._rivals(at, name, more) for name in self.added(at)}
+        return self._rivals(at, self.added(at), 1.0, frozenset(self.crowded_out(at)))
 
     def crowded_out(self, at: Fitted) -> list[str]:
         """Causes that would gain next to those of `at`, where these are as many as may be: in the
@@ -234,20 +234,24 @@ class Search:
         scores, full = self._scored(at), len(self.added(at)) >= self.most
         return [n for n in scores.absent if full and scores.gain(n) > self.price]
 
-    def _rivals(self, at: Fitted, name: str, but: frozenset[str] = frozenset()) -> list[Rival]:
-        left, known = at.structure - {name}, _without(at, self.flights, name)
-        rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]
-        asked: list[Move] = [(left, [known])]
-        instead = [r for r in self._scored(at).instead(name) if not but & set(r[1])]
-        for share, names, p in instead[: RULES.rivals]:
-            if share < RULES.stand_in:
-                break
-            rows.append((names, share))
-            asked.append((left | set(names), [{**known, **p.start}, known]))
-        if any(self.flights.known(s) is None for s, _ in asked):
-            self.say(f"what could stand in for {name}", min(0.05 * len(self.steps), 0.5))
-        fits = self.flights.contest(asked, at)
-        return [Rival(instead=n, share=s, fitted=f) for (n, s), f in zip(rows, fits, strict=True)]
+    def _rivals(
+        self, at: Fitted, names: Sequence[str], share: float, but: frozenset[str] = frozenset()
+    ) -> dict[str, list[Rival]]:
+        """Of every name; `share` of the swaps have been asked."""
+        rows, asked = list[tuple[str, tuple[str, ...], float]](), list[Move]()
+        for name in names:
+            left, known = at.structure - {name}, _without(at, self.flights, name)
+            rows.append((name, (), 0.0))
+            asked.append((left, [known]))
+            near = [r for r in self._scored(at).instead(name) if r[0] >= RULES.stand_in]
+            for taken, causes, p in [r for r in near if not but & set(r[1])][: RULES.rivals]:
+                rows.append((name, causes, taken))
+                asked.append((left | set(causes), [{**known, **p.start}, known]))
+        self.say(f"what could stand in for {', '.join(names)}", 0.3 + 0.3 * share)
+        found: dict[str, list[Rival]] = {name: [] for name in names}
+        for (name, causes, taken), fit in zip(rows, self.flights.contest(asked, at), strict=True):
+            found[name].append(Rival(instead=causes, share=taken, fitted=fit))
+        return found
 
     def _scored(self, at: Fitted) -> Scores:
         """Scores of all absent effects at a fit."""

@@ -262,7 +262,6 @@ class _Run:
         taught, judging = (sum(f.n for f in d) for d in (self.flights.data, self.judges))
         share = 0.5 if self.test is None else judging / max(taught, 1)
         smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent} if scores else {}
-        said = self._separated(names, at)
         return replace(
             self._so_far(found),
             verdict=_verdict(names, left),
@@ -275,7 +274,7 @@ class _Run:
             minimum_detectable={n: v for n, v in smallest.items() if v},
             warnings=tuple(self.warnings),
             tested_on=() if self.test is None else tuple(self.test.names),
-            separating=said,
+            separating=self._separated(names, at),
             steps=tuple(search.steps),
             sensors=tuple(sensor_table(found)),
             base=tuple(sorted(causes.base)),

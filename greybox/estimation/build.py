@@ -30,7 +30,7 @@ Source = tuple[str, str, Sequence[str]]
 
 MODEL_FLAGS = ("-O1", "-fPIC", "-w")
 """Straight-line generated code: -O1 is about as fast as -O2 and compiles several times quicker."""
-SHARED = frozenset({"gb_driver.c", "gb_ekf.c", "gb_tape.c"})
+SHARED = frozenset({"gb_driver.c", "gb_ekf.c", "gb_tape.c", "gb_write_tape.c"})
 """Hand-written sources, compiled once for all models."""
 DRIVER_FLAGS = ("-O3", "-march=native", "-fPIC", "-w")
 

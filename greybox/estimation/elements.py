@@ -135,17 +135,12 @@ class Element:
         w, z = g2 @ u, v @ h1
         slopes = None
         if self.slopes is not None and after.slopes is not None:
+            # G and H are symmetric: of every symmetric slope half is made, and mirrored.
             (da1, dg1, dh1), (da2, dg2, dh2) = self.slopes, after.slopes
-            dh_w, dg_u = stack_times(dh1, w), stack_times(dg2, u)
-            da = stack_times(da2, u) + v @ (da1 - dh_w) - z @ dg_u
-            dg = dg1 + _both(stack_times(_turned(da1), w)) + u.T @ dg_u - w.T @ dh_w
-            mh = m @ h1
-            dh = (
-                dh2
-                + _both(stack_times(da2, mh @ a2.T))
-                + _around(v, dh1, v.T)
-                - _around(z, dg2, z.T)
-            )
+            dh_w, z_dg = stack_times(dh1, w), z @ dg2
+            da = stack_times(da2 - z_dg, u) + v @ (da1 - dh_w)
+            dg = dg1 + _both(_turned(da1 - 0.5 * dh_w) @ w + 0.5 * _around(u.T, dg2, u))
+            dh = dh2 + _both(stack_times(da2 - 0.5 * z_dg, z.T) + 0.5 * _around(v, dh1, v.T))
             slopes = da, dg, dh
         return Element(A=a2 @ u, G=_even(g1 + a1.T @ w), H=_even(h2 + z @ a2.T), slopes=slopes)
 
@@ -162,7 +157,8 @@ class Element:
             return after, None
         da, dg, dh = self.slopes
         f = self.A @ inverse
-        slope = dh + _both(stack_times(da, ax.T)) - _around(ax, dg, ax.T) + _around(f, dp, f.T)
+        half = stack_times(da - 0.5 * (ax @ dg), ax.T) + stack_times(0.5 * (f @ dp), f.T)
+        slope = dh + _both(half)
         return after, slope
 
     def closed(self, p: FloatArray) -> FloatArray:

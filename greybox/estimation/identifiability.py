@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greybox.statistics.regret import information_on
 from greybox.symbolic import FloatArray
 
 WEAK = 1e-7
@@ -35,18 +36,8 @@ class Combination:
 
 
 def marginal_information(information: FloatArray, keep: Sequence[int]) -> FloatArray:
-    """Information of the unknowns `keep` with all others eliminated (Schur complement), (k, k)."""
-    kept = np.asarray(keep, dtype=np.intp)
-    rest = np.setdiff1d(np.arange(information.shape[0]), kept)
-    a = information[np.ix_(kept, kept)]
-    if not rest.size:
-        return a
-    b = information[np.ix_(kept, rest)]
-    d = information[np.ix_(rest, rest)]
-    size = np.sqrt(np.maximum(np.diag(d), 1e-300))
-    inverse = np.linalg.pinv(d / np.outer(size, size), rcond=1e-12, hermitian=True)
-    scaled = b / size
-    return a - scaled @ inverse @ scaled.T
+    """Information of the unknowns `keep` with all others eliminated, (k, k)."""
+    return information_on(information, keep, sorted({*range(len(information))} - {*keep}))
 
 
 def unidentified(

@@ -11,15 +11,14 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Callable
-from importlib import resources
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError
-from greybox.estimation.build import DRIVER_FLAGS, opened
 from greybox.estimation.reference_point import Reference, ReferenceStep, reference_step
+from greybox.estimation.tape import tape_library
 from greybox.estimation.tape_cache import linears
 from greybox.symbolic import CASADI, Expr, FloatArray
 
@@ -88,13 +87,3 @@ def _in_vm(function: ca.Function, *arguments: Any) -> list[FloatArray]:
     with CASADI:
         rows = [[v.nonzeros() for v in function.call([*common, d])] for d in directions]
     return [np.array(v, dtype=np.float64) for v in zip(*rows, strict=True)]
-
-
-@functools.cache
-def tape_library() -> Any:
-    """The compiled interpreter of tapes; None without a compiler."""
-    text = resources.files("greybox.estimation").joinpath("tape.c").read_text(encoding="utf-8")
-    library: Any = opened([("gb_tape.c", text, DRIVER_FLAGS)])
-    if library is not None:
-        library.gb_tape.restype = None
-    return library

@@ -6,14 +6,17 @@ numbers stay in the processor's vectors. It is quicker than compiled code of the
 without optimisation, and nothing has to be compiled: expressions of tens of thousands of operations
 take the compiler seconds.
 
-A product that is added once, and used nowhere else, is one instruction with its sum.
+A product that is added once, and used nowhere else, is one instruction with its sum. `write_tape.c`
+puts the instructions into an order.
 """
 
 from __future__ import annotations
 
 import ctypes
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any
 
 import casadi as ca
@@ -21,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import ModelError
+from greybox.estimation.build import DRIVER_FLAGS, opened
 from greybox.symbolic import FloatArray, operation_names
 
 ORDER = (
@@ -79,11 +83,9 @@ ORDER = (
     "HYPOT",
     "SIGN",
 )
-"""Names of the instructions, in the order of tape.c; but for the first and those with two parts
-CasADi's own."""
+"""Names of the instructions, in the order of tape.c and write_tape.c; but for the first and those
+with two parts CasADi's own."""
 CODE = {name: i for i, name in enumerate(ORDER)}
-FUSED = {("ADD", 0): "MUL_ADD", ("ADD", 1): "MUL_ADD", ("SUB", 0): "MUL_SUB", ("SUB", 1): "SUB_MUL"}
-"""A sum of a product that is its operand 0 or 1, as one instruction."""
 MOST = 1 << 16
 """Slots, and numbers of an argument or result, that an instruction can tell apart."""
 CHUNK = 8192
@@ -199,110 +201,47 @@ class Linear:
         return cls(tape, [arrays[f"sparsity{i}"] for i in range(many)])
 
 
+@functools.cache
+def tape_library() -> Any:
+    """What writes and runs tapes, compiled; None without a compiler."""
+    own = resources.files("greybox.estimation")
+    texts = {n: own.joinpath(f"{n}.c").read_text(encoding="utf-8") for n in ("tape", "write_tape")}
+    library: Any = opened([(f"gb_{n}.c", text, DRIVER_FLAGS) for n, text in texts.items()])
+    if library is not None:
+        library.gb_tape.restype = None
+    return library
+
+
 def tape_of(function: ca.Function) -> Tape:
-    """The tape of a CasADi function of SX expressions. Raises `ModelError` for an operation that
-    has none, and for a function that is too large."""
-    return _Writer(function).tape()
-
-
-class _Writer:
-    """Value k is what instruction k of the function makes. `operands` of every value are values."""
-
-    def __init__(self, function: ca.Function) -> None:
-        self.function = function
-        n = function.n_instructions()
-        names, place = operation_names(), dict[int, int]()  # which value a slot of CasADi holds
-        self.names = [""] * n
-        self.operands: list[tuple[int, ...]] = [()] * n
-        self.where: list[tuple[int, int]] = [
-            (0, 0)
-        ] * n  # of inputs and outputs: which, and which number of it
-        self.constants: list[float] = []
-        self.uses = [0] * n
-        for k in range(n):
-            name = names[function.instruction_id(k)]
-            if name not in CODE:
-                raise ModelError(f"the expression uses the operation {name}, which has no tape")
-            to, given = function.instruction_output(k), function.instruction_input(k)
-            self.names[k] = name
-            if name == "OUTPUT":
-                self.where[k] = to[0], to[1]
-                self.operands[k] = (place[given[0]],)
-            elif name == "INPUT":
-                self.where[k] = given[0], given[1]
-            elif name == "CONST":
-                self.where[k] = len(self.constants), 0
-                self.constants.append(function.instruction_constant(k))
-            else:
-                self.operands[k] = tuple(place[g] for g in given)
-            for v in self.operands[k]:
-                self.uses[v] += 1
-            if name != "OUTPUT":
-                place[to[0]] = k
-
-    def fuse(self) -> None:
-        """Take products into the sums that alone use them."""
-        names, operands, uses = self.names, self.operands, self.uses
-        for k, name in enumerate(names):
-            if name not in ("ADD", "SUB"):
-                continue
-            for i, v in enumerate(operands[k]):
-                if names[v] == "MUL" and uses[v] == 1:
-                    names[k] = FUSED[name, i]
-                    operands[k] = (*operands[v], operands[k][1 - i])
-                    names[v] = ""
-                    break
-
-    def order(self) -> list[int]:
-        """Values in an order in which many neighbours are made alike, so that the processor guesses
-        right which instruction comes next."""
-        level = [0] * len(self.names)
-        keys: list[tuple[int, int, int, int]] = []
-        for k, name in enumerate(self.names):
-            if name:
-                part = k // CHUNK
-                level[k] = max(
-                    (level[v] + 1 for v in self.operands[k] if v // CHUNK == part), default=0
-                )
-                keys.append((part, level[k], CODE[name], k))
-        return [k for *_, k in sorted(keys)]
-
-    def tape(self) -> Tape:
-        self.fuse()
-        last = [-1] * len(self.names)
-        kept = self.order()
-        for k in kept:
-            for v in self.operands[k]:
-                last[v] = k
-        rows: list[tuple[int, ...]] = []
-        slot, free, slots = [0] * len(self.names), list[int](), 0
-        for k in kept:
-            name, own = self.names[k], self.operands[k]
-            at = [slot[v] for v in own] + [0] * (3 - len(own))
-            for v in set(own):
-                if last[v] == k:
-                    free.append(slot[v])
-            if name == "OUTPUT":
-                which, number = self.where[k]
-                rows.append((CODE[name], which, at[0], number, 0, 0))
-                continue
-            if free:
-                slot[k] = free.pop()
-            else:
-                slot[k], slots = slots, slots + 1
-            if last[k] < 0:  # nobody asks for it
-                free.append(slot[k])
-            if not own:
-                at = [*self.where[k], 0]
-            rows.append((CODE[name], slot[k], *at, 0))
-        rows.append((CODE["END"], 0, 0, 0, 0, 0))
-        sizes = [self.function.nnz_in(i) for i in range(self.function.n_in())]
-        lengths = [self.function.nnz_out(i) for i in range(self.function.n_out())]
-        if max([slots, len(self.constants), *sizes, *lengths]) >= MOST:
-            raise ModelError(f"an expression of {len(rows)} operations is too large for a tape")
-        return Tape(
-            instructions=np.array(rows, dtype=np.uint16),
-            constants=np.array([*self.constants, 0.0]),
-            slots=slots,
-            lengths=np.array(lengths, dtype=np.int64),
-        )
+    """The tape of a CasADi function of SX expressions, where there is a compiler. Raises
+    `ModelError` for an operation that has none, and for a function that is too large."""
+    n, names = function.n_instructions(), operation_names()
+    codes = [CODE.get(names[function.instruction_id(k)], -1) for k in range(n)]
+    if -1 in codes:
+        name = names[function.instruction_id(codes.index(-1))]
+        raise ModelError(f"the expression uses the operation {name}, which has no tape")
+    code = np.array(codes, dtype=np.int32)
+    made, given = (
+        np.array([(*ask(k), -1, -1)[:2] for k in range(n)], dtype=np.int32).reshape(n, 2)
+        for ask in (function.instruction_output, function.instruction_input)
+    )
+    constant = np.flatnonzero(code == CODE["CONST"])
+    given[constant] = np.column_stack([np.arange(constant.size), np.zeros(constant.size)])
+    sizes = [function.nnz_in(i) for i in range(function.n_in())]
+    lengths = [function.nnz_out(i) for i in range(function.n_out())]
+    rows, slots = np.zeros((n + 1, 6), dtype=np.uint16), ctypes.c_int()
+    if max([constant.size, *sizes, *lengths]) < MOST:
+        held = int(made.max(initial=0)) + 1
+        arrays = [ctypes.c_void_p(v.ctypes.data) for v in (code, made, given, rows)]
+        many = tape_library().gb_write_tape(n, held, CHUNK, *arrays, ctypes.byref(slots))
+        if many < 0:
+            raise MemoryError(f"a tape of {n} operations")
+        rows = rows[:many]
+    if max([slots.value, constant.size, *sizes, *lengths]) >= MOST:
+        raise ModelError(f"an expression of {n} operations is too large for a tape")
+    return Tape(
+        instructions=rows,
+        constants=np.array([*map(function.instruction_constant, constant.tolist()), 0.0]),
+        slots=slots.value,
+        lengths=np.array(lengths, dtype=np.int64),
+    )

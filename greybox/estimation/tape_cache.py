@@ -23,6 +23,7 @@ from greybox.estimation.tape import Linear
 MAKERS = (
     "engine.py",
     "tape.py",
+    "write_tape.c",
     "tape_cache.py",
     "reference_point.py",
     "point_functions.py",

@@ -16,14 +16,13 @@ def projected(
 ) -> tuple[FloatArray, FloatArray]:
     """Information (k, k) on the unknowns at `places` and their score (k,), those at `rest`
     integrated out, of the information `h` (n, n) and the gradient `g` (n,) of all: the Schur
-    complement (Rao 1948)."""
+    complement (Rao 1948), in which directions of the others without information count as nothing."""
     scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
     unit, slope = h / np.outer(scale, scale), g / scale
     own, score = unit[np.ix_(places, places)], slope[places]
     if len(rest):
         cross = unit[np.ix_(places, rest)]
-        inner = unit[np.ix_(rest, rest)] + 1e-10 * np.eye(len(rest))
-        moved = np.linalg.solve(inner, cross.T)
+        moved = np.linalg.pinv(unit[np.ix_(rest, rest)], rcond=1e-12, hermitian=True) @ cross.T
         own, score = own - cross @ moved, score - slope[rest] @ moved
     return np.asarray(own * np.outer(scale[places], scale[places])), score * scale[places]
 

@@ -146,6 +146,13 @@ def test_random_expressions_are_those_of_casadi(data):
 
 
 @needs_compiler
+def test_a_function_without_operations_has_a_tape_that_ends():
+    tape = tape_of(ca.Function("f", [ca.SX.sym("x", 2)], [ca.SX(2, 0)]))
+    assert tape.instructions[:, 0].tolist() == [CODE["END"]]
+    assert (tape.slots, tape.lengths.tolist()) == (0, [0])
+
+
+@needs_compiler
 def test_a_product_that_is_used_twice_stays():
     x = ca.SX.sym("x", 3)
     product = x[0] * x[1]
