@@ -87,7 +87,7 @@ class Said:
             faults=list(content.get("faults", ())),
             evidence=_evidence(content),
             tests="bar_log10_e" in content or "candidates" in content,
-            closed=_closed(content.get("gap", ())),
+            closed=_closed(content),
         )
 
     @property
@@ -135,14 +135,16 @@ def _evidence(content: Mapping[str, Any]) -> dict[str, float]:
     return found
 
 
-def _closed(gap: Iterable[Mapping[str, Any]]) -> float | None:
-    """Share of the gap half a second ahead that names and laws closed, in the group with the
-    largest gap."""
+def _closed(content: Mapping[str, Any]) -> float | None:
+    """Share of the gap half a second ahead that what was delivered closed (names, and laws where
+    any were written), in the group with the largest gap."""
+    gap = content.get("gap", ())
     rows = [r for r in gap if r["horizon_s"] == AHEAD and r["closed"] is not None]
     row = max(rows, key=lambda r: r["before"] / (r["floor"] or r["before"]), default=None)
     if row is None:
         return None
-    return float(max(row["closed"], row.get("with_proposals") or row["closed"]))
+    lawful = row.get("with_proposals") if content.get("model_with_laws") else None
+    return float(row["closed"] if lawful is None else lawful)
 
 
 def judge(said: Said | None, hidden: Sequence[str], true: Sequence[str] = ()) -> str:

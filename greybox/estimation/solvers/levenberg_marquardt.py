@@ -334,35 +334,12 @@ def boxed_step(
 ) -> FloatArray:
     """Minimiser of the damped quadratic model within low <= step <= high, by an active set.
 
-    Unknowns that the step would carry past a bound stop there and the others are solved again; one
-    that the new solution would pull back inside is released. (Clipping a Newton step instead is not
-    a descent direction when unknowns are correlated: Bertsekas 1982, SIAM J. Control and
-    Optimization 20(2).) Where many bounds are met at once that may go round in circles; then
-    bounds join one by one along a path that only descends (Nocedal and Wright 2006, sec. 16.5).
+    Bounds join one by one along a path that only descends, and the one whose release promises most
+    leaves (Nocedal and Wright 2006, sec. 16.5). Bounds that join at once may go round in circles,
+    and a Newton step that is clipped instead is not a descent direction when unknowns are
+    correlated (Bertsekas 1982, SIAM J. Control and Optimization 20(2)).
     """
     h = h + np.diag(np.broadcast_to(damping, g.shape) * np.diag(h))
-    step = np.zeros_like(g)
-    held = _pushed_out(g, step, low, high)
-    for _ in range(2 * g.size + 2):
-        step = np.where(held, step, 0.0)
-        whole = step + damped_step(g + h @ step, h, held, 0.0)
-        over = ~held & ((whole < low) | (whole > high))
-        if over.any():
-            held = held | over
-            step = np.where(over, np.clip(whole, low, high), step)
-            continue
-        slope = g + h @ whole
-        back = held & (low < high) & ~_pushed_out(slope, whole, low, high)
-        if not back.any():
-            return whole
-        worst = _steepest(slope, h, back)
-        held[worst] = False
-        step[worst] = 0.0
-    return _descended(g, h, low, high)
-
-
-def _descended(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """The same minimiser, along a path that only descends."""
     step = np.zeros_like(g)
     held = _pushed_out(g, step, low, high)
     for _ in range(20 * g.size + 20):
