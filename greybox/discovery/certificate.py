@@ -194,7 +194,7 @@ def certificates_beside(
     """Certificates of names next to laws, of the structure `written` with both on `flights`."""
     asked = {n: (written.structure - {n}, [written.known]) for n in names}
     fits = flights.fits(list(asked.values()), [flights.effort.rough] * len(asked))
-    rivals = {n: [Rival(instead=(), share=0.0, fitted=f)] for n, f in zip(asked, fits, strict=True)}
+    rivals = {n: [Rival(instead=(), fitted=f)] for n, f in zip(asked, fits, strict=True)}
     return certificates(written, rivals, judges, bar)
 
 

@@ -15,11 +15,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from greybox.cores import cores
 from greybox.data import Dataset
 from greybox.discovery.cause import Causes
 from greybox.discovery.rules import EFFORT, Effort
-from greybox.estimation.engine import engine_for
 from greybox.estimation.few_samples import demand_samples
 from greybox.estimation.fit import Fit, concluded
 from greybox.estimation.initialisation import noise_start
@@ -35,6 +33,8 @@ from greybox.symbolic import BoolArray, FloatArray
 from greybox.workers import side_by_side
 
 Structure = frozenset[str]
+ARRIVED = (Code.CONVERGED, Code.NO_PROGRESS)
+"""At the optimum, or at a kink (a delay of whole samples) where no step lowers the cost."""
 Solution = tuple[FloatArray, Status, Value]
 """Unknowns (n,), how the solver ended, and the value there."""
 
@@ -52,12 +52,6 @@ class Fitted:
     status: Status
     log_evidence: float
     exact: bool = True
-
-    @property
-    def comparable(self) -> bool:
-        """Whether the evidence can be held against others: the optimum, or a kink (a delay of whole
-        samples) where no step lowers the cost."""
-        return self.status.converged or self.status.code is Code.NO_PROGRESS
 
     @property
     def may_gain(self) -> float:
@@ -129,7 +123,7 @@ class Flights:
             if known is None or not (
                 known.exact
                 or known.status.decrement <= near
-                or (near >= e.rough and known.comparable)
+                or (near >= e.rough and known.status.code in ARRIVED)
             ):
                 tasks[structure] = Task(
                     structure=structure,
@@ -152,11 +146,10 @@ class Flights:
         """Structures that are held against each other and against `than`, each from the likeliest
         of its starts: carried on as long as they may catch up, and exact where they may win."""
         e = self.effort
-        new = [(s, tuple(starts)) for s, starts in asked if s not in self._known]
-        if self.executor is None or len(new) == 1:
-            self.prepare(s for s, _ in new)
         opened = [
-            Task(structure=s, starts=t, tolerance=e.rough, iterations=e.opening) for s, t in new
+            Task(structure=s, starts=tuple(t), tolerance=e.rough, iterations=e.opening)
+            for s, t in asked
+            if s not in self._known
         ]
         if len(opened) == 1:  # a start again loses what the solver learned
             reach = than.value.likelihood + e.behind
@@ -177,10 +170,8 @@ class Flights:
             structure=frozenset(), starts=(), tolerance=e.rough, iterations=left, target=target
         )
         self._carried_out([replace(goes_on, structure=f.structure, starts=(f.known,)) for f in on])
-        best = max([than, *found()], key=lambda f: f.log_evidence)
-        near = [
-            f for f in found() if f.log_evidence > best.log_evidence - min(f.may_gain, e.behind)
-        ]
+        most = max(f.log_evidence for f in (than, *found()))
+        near = [f for f in found() if f.log_evidence > most - min(f.may_gain, e.behind)]
         self.fits([(f.structure, ()) for f in near], [0.0] * len(near))
         return found()
 
@@ -204,16 +195,15 @@ class Flights:
         """Tasks, side by side where there is an executor; what cannot be sent runs here. Who solves
         them builds them, and leaves what is compiled for this process to open."""
         common = self.causes, self.data, self.options
-        answers = None
-        if self.executor is not None and len(tasks) > 1:
-            answers = side_by_side(self.executor, solved, common, tasks)
+        pool = self.executor if len(tasks) > 1 else None
+        answers = None if pool is None else side_by_side(pool, solved, common, tasks)
         problems = [self._problem(t.structure) for t in tasks]
         if answers is None:
             answers = [solution(p, t) for p, t in zip(problems, tasks, strict=True)]
         for task, problem, (theta, status, value) in zip(tasks, problems, answers, strict=True):
             evidence = -np.inf
             loose = min(status.decrement, task.tolerance) > self.effort.rough
-            if loose and status.code in (Code.CONVERGED, Code.NO_PROGRESS):  # all that was asked
+            if loose and status.code in ARRIVED:  # all that was asked
                 status = replace(status, code=Code.BEHIND)
             if value.valid and value.hessian is not None:
                 evidence = log_evidence(problem, theta, value)
@@ -240,17 +230,6 @@ class Flights:
     def known(self, structure: Iterable[str]) -> Fitted | None:
         """The fit of a structure that was done already."""
         return self._known.get(frozenset(structure))
-
-    def prepare(self, structures: Iterable[Structure]) -> None:
-        """Build the steps of these structures side by side: compilers are processes."""
-
-        def build(structure: Structure) -> None:
-            model = self.causes.built(sorted(structure))
-            wanted = set(choices(self.causes, self.options, structure, model).free or ())
-            engine_for(model, tuple(d.name for d in model.parameters if d.name in wanted))
-
-        with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
-            list(pool.map(build, structures))
 
     def settled(self, found: Fitted) -> Fit:
         """The whole result of a fit, with errors, as `greybox.estimation.fit` gives it."""

@@ -107,9 +107,16 @@ def _lost(at: Fitted) -> Mapping[str, float]:
 
 
 def left_over(
-    flights: Flights, at: Fitted, settled: Fit, bar: float, seed: int, *, laws: bool = True
+    flights: Flights,
+    at: Fitted,
+    settled: Fit,
+    bar: float,
+    seed: int,
+    *,
+    holds: Callable[[Fitted], bool] | None = None,
 ) -> Left:
-    """What the discrepancy of the structure `at`, whose whole result is `settled`, holds."""
+    """What the discrepancy of the structure `at`, whose whole result is `settled`, holds. `holds`
+    says whether a structure with laws foretells flights that judge; without it none are sought."""
     gains = axis_gains(at, bar)
     model, data = settled.model, flights.data
     names = wanted_features(model.dynamics)
@@ -120,7 +127,7 @@ def left_over(
         return Left(axes=())
     found: dict[str, AxisLaw] = {}
     wanted = [a for a, (_, needed) in gains.items() if needed]
-    if wanted and laws:
+    if wanted and holds:
         with contextlib.suppress(GreyboxError):
             offered = library(_white(settled, flights), model, data, names, wanted)
             samples = sum(f.n for f in data.flights)
@@ -139,7 +146,13 @@ def left_over(
         for j, c in enumerate(seen.outputs)
     )
     lawful = [a for a in axes if a.needed and a.lawful]
-    return _raced(flights, at, axes, lawful, bar) if lawful else Left(axes=axes)
+    for kind in ("", "torque", "force"):  # all laws, else those of one kind
+        some = [a for a in lawful if a.channel.startswith(kind)]
+        if holds and some and (not kind or len(some) < len(lawful)):
+            kept = tuple(replace(a, lawful=a.lawful and a in some) for a in axes)
+            if (raced := _raced(flights, at, kept, some, bar, holds)).written is not None:
+                return raced
+    return Left(axes=axes)
 
 
 def is_law(found: AxisLaw) -> bool:
@@ -148,9 +161,15 @@ def is_law(found: AxisLaw) -> bool:
 
 
 def _raced(
-    flights: Flights, at: Fitted, axes: tuple[Axis, ...], lawful: Sequence[Axis], bar: float
+    flights: Flights,
+    at: Fitted,
+    axes: tuple[Axis, ...],
+    lawful: Sequence[Axis],
+    bar: float,
+    holds: Callable[[Fitted], bool],
 ) -> Left:
-    """The laws against the structure without them: those stay whose evidence says so."""
+    """The laws against the structure without them: those stay whose evidence says so, and that
+    hold."""
     offered = flights.causes
     physics = physics_of(offered.model)
     taken = offered.effects if physics is None else tuple(e.name for e in physics.effects)
@@ -161,9 +180,11 @@ def _raced(
         for cause, law in zip(causes, lawful, strict=True):
             start |= {(f"{cause.name}.c_{i}", None): c for i, c in enumerate(law.terms.values(), 1)}
         (written,) = flights.contest([(at.structure | {c.name for c in causes}, [start])], at)
+        won = written.log_evidence >= at.log_evidence + bar and holds(written)
     except GreyboxError:
-        return Left(axes=axes)
-    if written.log_evidence < at.log_evidence + bar:
+        won = False
+    if not won:
+        flights.causes = offered
         return Left(axes=axes)
     values = {k[0]: v for k, v in written.known.items()}
     by_axis = {a.channel: _refitted(a, c.name, values) for a, c in zip(lawful, causes, strict=True)}

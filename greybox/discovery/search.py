@@ -36,10 +36,9 @@ Move = tuple[Structure, list[Mapping[Key, float]]]
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rival:
     """A structure that does without a cause: `instead` are the causes in its place (none: it is
-    dropped), `share` of what its absence costs they were predicted to take over."""
+    dropped)."""
 
     instead: tuple[str, ...]
-    share: float
     fitted: Fitted
 
 
@@ -238,19 +237,19 @@ class Search:
         self, at: Fitted, names: Sequence[str], share: float, but: frozenset[str] = frozenset()
     ) -> dict[str, list[Rival]]:
         """Of every name; `share` of the swaps have been asked."""
-        rows, asked = list[tuple[str, tuple[str, ...], float]](), list[Move]()
+        rows, asked = list[tuple[str, tuple[str, ...]]](), list[Move]()
         for name in names:
             left, known = at.structure - {name}, _without(at, self.flights, name)
-            rows.append((name, (), 0.0))
+            rows.append((name, ()))
             asked.append((left, [known]))
             near = [r for r in self._scored(at).instead(name) if r[0] >= RULES.stand_in]
-            for taken, causes, p in [r for r in near if not but & set(r[1])][: RULES.rivals]:
-                rows.append((name, causes, taken))
+            for _, causes, p in [r for r in near if not but & set(r[1])][: RULES.rivals]:
+                rows.append((name, causes))
                 asked.append((left | set(causes), [{**known, **p.start}, known]))
         self.say(f"what could stand in for {', '.join(names)}", 0.3 + 0.3 * share)
         found: dict[str, list[Rival]] = {name: [] for name in names}
-        for (name, causes, taken), fit in zip(rows, self.flights.contest(asked, at), strict=True):
-            found[name].append(Rival(instead=causes, share=taken, fitted=fit))
+        for (name, causes), fit in zip(rows, self.flights.contest(asked, at), strict=True):
+            found[name].append(Rival(instead=causes, fitted=fit))
         return found
 
     def _scored(self, at: Fitted) -> Scores:

@@ -6,6 +6,8 @@ faults -> search by evidence -> certificates and worth -> what is left -> gap be
 from __future__ import annotations
 
 import concurrent.futures
+import contextlib
+import functools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -240,24 +242,24 @@ class _Run:
             more_said = f"{', '.join(more)} would make the flights likelier, too: --max-effects"
             self.warnings.append(f"as many effects as were asked for ({search.most}); {more_said}")
         rivals = search.contest(at)
-        names, at = self._named(search, at, rivals)
+        names, at = self._named(at, rivals)
         at = self.flights.arrived(at)
         found = self.settled(at)
         self.say("what is left", 0.8)
-        left = self._left(at, found)
+        left = self._left(null, at, found)
         if left.written is not None:
             names = [held(n) for n in names]
-            shorter, fewer = self._beside_laws(search, names, at, left.written)
+            shorter, fewer = self._beside_laws(names, at, left.written)
             if fewer is not at:
-                rest = self._left(fewer, self.settled(fewer))
+                rest = self._left(null, fewer, self.settled(fewer))
                 if rest.written is not None:  # else the names had said what the laws say
                     names, left = shorter, rest
-        before = left_over(self.flights, null, self.settled(null), self.bar, 0, laws=False)
+        before = left_over(self.flights, null, self.settled(null), self.bar, seed=0)
         if not found.converged:
             self.warnings.append(f"the last fit: {found.status.advice}")
         self.say("gap", 0.9)
         lawful = None if left.written is None else left.lawful(self.settled(left.written))
-        rows = self._gap(null, at, lawful)
+        rows = self._gap(null, at, left.written)
         scores = search.scores
         taught, judging = (sum(f.n for f in d) for d in (self.flights.data, self.judges))
         share = 0.5 if self.test is None else judging / max(taught, 1)
@@ -305,10 +307,9 @@ class _Run:
     def held_out(self, at: Fitted) -> HeldOutErrors | None:
         """Errors of a structure on the flights that judge; None where it predicts nothing there."""
         if at not in self._held_out:
-            try:
+            self._held_out[at] = None
+            with contextlib.suppress(GreyboxError):
                 self._held_out[at] = self._ahead(self.settled(at).model)
-            except GreyboxError:
-                self._held_out[at] = None
         return self._held_out[at]
 
     def _ahead(self, model: IdentifiedModel, unnamed: bool = False) -> HeldOutErrors:
@@ -317,10 +318,10 @@ class _Run:
     # ---------------------------------------------------------------- judging
 
     def _named(
-        self, search: Search, at: Fitted, rivals: Mapping[str, Sequence[Rival]]
+        self, at: Fitted, rivals: Mapping[str, Sequence[Rival]]
     ) -> tuple[list[Name], Fitted]:
         """What is said of every cause of the structure, and the structure of what is said."""
-        judges = splits(self.flights, self.test)
+        judges, alpha = splits(self.flights, self.test), self.options.alpha
         odd = {name: impossible(at, self.flights, name) for name in rivals}
         names, before, self.needed = [], np.inf, self.bar
         while self.needed < before:  # fits near a lower bar are carried on, and more may pass it
@@ -332,8 +333,7 @@ class _Run:
             without = next(r.fitted for r in rivals[name] if not r.instead)
             old, new = self.held_out(without), self.held_out(at)
             good = None if old is None or new is None else worth(old, new)
-            alpha, not_possible = self.options.alpha, odd[name]
-            names.append(judged(certificate, good, not_possible, self.needed, alpha, self.bar))
+            names.append(judged(certificate, good, odd[name], self.needed, alpha, self.bar))
         keep = {"certified", "supported", "one of these", *["trace"] * self.options.trace}
         doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
         self.warnings += [doubt for doubt in doubts if doubt]
@@ -341,12 +341,11 @@ class _Run:
         return names, self.flights.fit(at.structure - gone, [at.known]) if gone else at
 
     def _beside_laws(
-        self, search: Search, names: list[Name], at: Fitted, written: Fitted
+        self, names: list[Name], at: Fitted, written: Fitted
     ) -> tuple[list[Name], Fitted]:
         """Names that fade next to the laws that won and are not needed there are none (they had
         bent), and the structure without them."""
-        there = [n.name for n in names if n.name in written.structure]
-        asked = [n for n in there if search.doubted(written, n)]
+        asked = [n.name for n in names if n.name in written.structure]
         judges = splits(self.flights, self.test)
         beside = certificates_beside(self.flights, written, asked, judges, self.bar)
         gone = {n for n, c in beside.items() if c.log_e < self.bar}
@@ -355,12 +354,24 @@ class _Run:
         names = [n if n.name not in gone else unneeded(n, beside[n.name], self.bar) for n in names]
         return names, self.flights.fit(at.structure - gone, [at.known])
 
-    def _left(self, at: Fitted, found: Fit) -> Left:
+    def _left(self, null: Fitted, at: Fitted, found: Fit) -> Left:
+        holds, seed = functools.partial(self._holds, null, at), self.options.seed
         try:
-            return left_over(self.flights, at, found, self.bar, self.options.seed)
+            return left_over(self.flights, at, found, self.bar, seed, holds=holds)
         except GreyboxError as error:
             self.warnings.append(f"what is left could not be looked at: {error}")
             return Left(axes=())
+
+    def _holds(self, null: Fitted, at: Fitted, written: Fitted) -> bool:
+        """Whether laws foretell no worse than the names alone on the flights that judge."""
+        grown = outgrown(*(self.held_out(f) for f in (null, at, written)))
+        if grown:
+            laws = ", ".join(sorted(written.structure - at.structure))
+            self.warnings.append(
+                f"laws were found ({laws}) and are not written: on the flights that judge errors "
+                f"grow with them ({', '.join(grown)})"
+            )
+        return not grown
 
     def _separated(self, names: Sequence[Name], at: Fitted) -> dict[str, Manoeuvres | None]:
         out: dict[str, Manoeuvres | None] = {}
@@ -370,7 +381,7 @@ class _Run:
                 out[name.name] = separating(self.flights, at, name)
         return out
 
-    def _gap(self, null: Fitted, at: Fitted, lawful: IdentifiedModel | None) -> list[GapRow]:
+    def _gap(self, null: Fitted, at: Fitted, written: Fitted | None) -> list[GapRow]:
         if self.test is None:
             self.warnings += [
                 "without --test flights the causes were chosen on the flights that judge them, by "
@@ -382,10 +393,11 @@ class _Run:
             self.warnings.append("no gap table: the models predict nothing on the judged flights")
             return []
         proposals = attainable = filtered = None
-        if lawful is not None:
-            proposals = self._judged("the proposed laws", lawful)
+        if written is not None and (lawful := self.held_out(written)) is not None:
+            proposals = lawful.own
         if physics_of(self.flights.causes.model) is not None:
-            filtered = self._judged("what the filter sees", self.settled(at).model, unnamed=True)
+            with contextlib.suppress(GreyboxError):
+                filtered = self._ahead(self.settled(at).model, unnamed=True).own
         if self.options.attainable:
             self.say("attainable line", 0.95)
             attainable = self._learned(null)
@@ -399,19 +411,7 @@ class _Run:
             seed=self.options.seed,
         )
         self.warnings += worsened(rows)
-        if self.test is not None and (grown := outgrown(rows)):
-            self.warnings.append(
-                f"the proposed laws do not hold on the test flights ({', '.join(grown)} grow with "
-                "them): they describe the training flights alone"
-            )
         return rows
-
-    def _judged(self, what: str, model: IdentifiedModel, unnamed: bool = False) -> Squares | None:
-        try:
-            return self._ahead(model, unnamed).own
-        except GreyboxError as error:
-            self.warnings.append(f"{what} could not be judged: {error}")
-            return None
 
     def _learned(self, null: Fitted) -> Squares | None:
         """Errors of the bare model with a Gaussian process that learned what it misses."""

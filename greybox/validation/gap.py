@@ -129,12 +129,17 @@ def closed_in_words(share: float, *, floor: bool = True) -> str:
     return whole if share >= 0.995 else f"{100 * share:.0f} %"
 
 
-def outgrown(rows: Iterable[GapRow]) -> list[str]:
-    """Groups and horizons in which the proposed laws close clearly less (a tenth of the gap) than
-    the names alone."""
+def outgrown(
+    before: HeldOutErrors | None, named: HeldOutErrors | None, lawful: HeldOutErrors | None
+) -> list[str]:
+    """Groups and horizons in which names and laws close clearly less (a tenth of the gap) than the
+    names alone; a word where one of them foretells nothing (None)."""
+    if before is None or named is None or lawful is None:
+        return ["nothing is foretold"]
+    sides = (before.own, before.floor), (named.own, named.floor)
     return [
         f"{r.group} {r.horizon_s:g} s ahead"
-        for r in rows
+        for r in gap(*sides, units=named.units, proposals=lawful.own, draws=0)
         if r.closed is not None
         and r.with_proposals is not None
         and r.with_proposals < r.closed - TENTH

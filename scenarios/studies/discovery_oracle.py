@@ -55,8 +55,7 @@ def oracle(
     null = flights.fit(())
     told = flights.fit(names, [{**null.known, **{(n, None): v for n, v in truth.items()}}])
     without = {
-        n: [Rival(instead=(), share=0.0, fitted=flights.fit(set(names) - {n}, [told.known]))]
-        for n in names
+        n: [Rival(instead=(), fitted=flights.fit(set(names) - {n}, [told.known]))] for n in names
     }
     certified = certificates(told, without, splits(flights, without_lead_in(test)), np.inf)
     others: dict[str, Fitted] = {}

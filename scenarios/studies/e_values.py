@@ -110,7 +110,7 @@ def log_e(
     out = {}
     for name in names:
         at: Fitted = common.fit(causes.base | {name}, [null.known])
-        rival = Rival(instead=(), share=0.0, fitted=null)
+        rival = Rival(instead=(), fitted=null)
         out[name] = certificates(at, {name: [rival]}, judges, math.inf)[name].log_e
     return out
 

@@ -47,7 +47,7 @@ def measured(cell: str, seed: int, out: Path) -> tuple[float, float, float]:
     null = flights.fit(causes.base)
     force = flights.fit(causes.base | {NAME}, [null.known])
     bar = float(np.log(len(causes.effects) / options.alpha))
-    rivals = {NAME: [Rival(instead=(), share=0.0, fitted=null)]}
+    rivals = {NAME: [Rival(instead=(), fitted=null)]}
     certificate = certificates(force, rivals, splits(flights, test), bar)[NAME]
     gain = force.log_evidence - null.log_evidence
     return gain, certificate.log_e / float(np.log(10)), null.known[SHARE]

@@ -32,7 +32,7 @@ def certified(
     one: World, other: World, name: str, rivals: tuple[tuple[str, ...], ...], bar: float
 ) -> Certificate:
     at = one.fit({name})
-    rows = [Rival(instead=r, share=1.0, fitted=one.fit(set(r))) for r in rivals]
+    rows = [Rival(instead=r, fitted=one.fit(set(r))) for r in rivals]
     return certificates(at, {name: rows}, [split(one, other)], bar)[name]
 
 
@@ -154,7 +154,7 @@ def test_what_a_fit_may_still_gain_counts_against_the_name(promised: float, code
         some.kept[frozenset({"b"})] = replace(some.fit({"b"}), status=early)
         return certificates(one.fit({"a"}), {"a": [rival]}, [judges], bar)["a"].log_e
 
-    rival = Rival(instead=("b",), share=1.0, fitted=one.fit({"b"}))
+    rival = Rival(instead=("b",), fitted=one.fit({"b"}))
 
     assert sharp - found("both", -np.inf) == pytest.approx(lost + np.log(2))
     mean = np.logaddexp(strict - lost, sharp) - np.log(2)
@@ -184,7 +184,7 @@ def test_a_rival_that_was_hopeless_where_the_name_was_learned_still_counts():
 def test_only_near_the_bar_are_optima_needed_to_the_last_digit(away: float, exact: bool):
     one, other = drawn(3, {"a": np.array([1.0])})
     judges = split(one, other)
-    rival = Rival(instead=(), share=1.0, fitted=one.fit(()))
+    rival = Rival(instead=(), fitted=one.fit(()))
     bar = parts(one, other, "a")[1] + away
     certificates(one.fit({"a"}), {"a": [rival]}, [judges], bar)
     assert (0.0 in judges.both.asked) is exact  # type: ignore[attr-defined]
