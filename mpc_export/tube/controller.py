@@ -155,11 +155,6 @@ class TubeController:
         self._blocks: dict[tuple[str, bool], list[int]] = {}
         self.every = max(1, round(self.problem.dt / self.model.sample_time))
         model = _integrating(self.model) if self.integrate else self.model
-        wanted = [
-            "filter",
-            *(["calibrate"] if self.calibrate else []),
-            *(["adapt"] if self.adapt is not None else []),
-        ]
         if self.adapt is not None:
             if not 0.0 <= self.memory < math.inf:
                 raise ModelError(
@@ -173,6 +168,30 @@ class TubeController:
             runtime_parameters=() if self.adapt is None else flight_parameters(model),
             measured=False,
         )
+        self._make_filter(model)
+        self.solver = TubeSolver(
+            self.functions,
+            self.problem,
+            kernels=self.kernels,
+            white=self.white,
+            estimate=self._filter_covariance(),
+            fresh=innovations(self.filter, self.every, len(self.functions.error_states)),
+        )
+        most, names = authority(model), self.filter.states.names
+        self.most = np.array([most.get(names[i], UNBOUNDED) for i in self.solver.stages.free])
+        rotors = self.model.physics.vehicle.rotors
+        self._spin = np.array([float(r.spin) for r in rotors])
+        self._turning = turning(np.array([r.position for r in rotors], dtype=float), self._spin)
+        self._turned = self._turned_by()
+        self.start()
+
+    def _make_filter(self, model: IdentifiedModel) -> None:
+        """The filter with its gate, and what it adapts, follows and calibrates."""
+        wanted = [
+            "filter",
+            *(["calibrate"] if self.calibrate else []),
+            *(["adapt"] if self.adapt is not None else []),
+        ]
         self.filter: ModelFunctions = model_functions(model, with_=wanted)
         if self.adapt is not None:
             start = starting_as(self.filter.adapted, self.model, self.filter.noise.covariance)
@@ -191,31 +210,16 @@ class TubeController:
             self.filter, [self.filter.error_states.names.index(n) for n in pushes.values()]
         )
         self._learned = list(self.filter.adapted.rows)
+        self._step = native(self.filter["filter_step"])
         self._adapt = native(self.filter["adapt_step"]) if self.adapt is not None else None
         self.calibrated = Calibrated(self.filter) if self.calibrate else None
-        self.solver = TubeSolver(
-            self.functions,
-            self.problem,
-            kernels=self.kernels,
-            white=self.white,
-            estimate=self._filter_covariance(),
-            fresh=innovations(self.filter, self.every, len(self.functions.error_states)),
-        )
-        most, names = authority(model), self.filter.states.names
-        self.most = np.array([most.get(names[i], UNBOUNDED) for i in self.solver.stages.free])
-        self._step = native(self.filter["filter_step"])
         self.columns = self.filter.outputs.names
         groups = self.model.dynamics.innovation_columns
         self._present = [[self.columns.index(c) for c in names] for names in groups]
         self.gate = Gate(groups, self.filter.noise.innovation)
         self.blind = carried(self.filter, groups)
-        rotors = self.model.physics.vehicle.rotors
-        self._spin = np.array([float(r.spin) for r in rotors])
-        self._turning = turning(np.array([r.position for r in rotors], dtype=float), self._spin)
-        self._turned = self._turned_by()
         pose = ("x, y, z", "qw, qx, qy, qz")
         self._pose = [(k, rows) for k, (name, rows) in enumerate(self.gate.sensors) if name in pose]
-        self.start()
 
     def _filter_covariance(self) -> FloatArray:
         """P_f of the filter at the model's sample time, in the error state of the plan; the history
