@@ -15,7 +15,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, TextIO
 
 COMMANDS = (
     "identify",
@@ -98,7 +98,7 @@ class _PlainText:
     """A stream that hands on text with escapes for what a terminal would act on: names of files and
     what stands in them reach the terminal in many lines, and must not move its cursor."""
 
-    def __init__(self, stream: Any) -> None:
+    def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._within_line = False
 
@@ -139,11 +139,18 @@ def _warnings_on_one_line() -> Iterator[None]:
     with warnings.catch_warnings():
         shown = warnings.showwarning
 
-        def show(message: Warning | str, category: type[Warning], *rest: Any, **named: Any) -> None:
+        def show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: TextIO | None = None,
+            line: str | None = None,
+        ) -> None:
             if issubclass(category, OldFormWarning):
                 print(f"greybox: {message}", file=sys.stderr)
             else:
-                shown(message, category, *rest, **named)
+                shown(message, category, filename, lineno, file, line)
 
         warnings.showwarning = show
         yield

@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, Protocol, TypeVar
 
 from greybox.distribution import VERSION, install_line
 from greybox.errors import GreyboxError, MissingExtraError
@@ -18,6 +18,7 @@ PATIENCE = 10.0
 """Seconds in which a scheduler must answer, and for which a cluster may be without workers."""
 P = ParamSpec("P")
 T = TypeVar("T")
+Gives = TypeVar("Gives", covariant=True)
 
 
 def host_of(address: str) -> str:
@@ -129,7 +130,15 @@ def _version() -> str:
     return VERSION
 
 
-def _told(done: Any, answer: concurrent.futures.Future[Any]) -> None:
+class _Task(Protocol[Gives]):
+    """A task that was sent to the cluster."""
+
+    def result(self) -> Gives:
+        """What it gave; raises what it raised."""
+        ...
+
+
+def _told(done: _Task[T], answer: concurrent.futures.Future[T]) -> None:
     """Pass on what a task of the cluster gave."""
     from distributed import KilledWorker
     from distributed.comm import CommClosedError
@@ -146,6 +155,6 @@ def _told(done: Any, answer: concurrent.futures.Future[Any]) -> None:
             answer.set_result(value)
 
 
-def _fail(answer: concurrent.futures.Future[Any], error: BaseException) -> None:
+def _fail(answer: concurrent.futures.Future[T], error: BaseException) -> None:
     with contextlib.suppress(concurrent.futures.InvalidStateError):  # it was given up before
         answer.set_exception(error)

@@ -7,11 +7,12 @@ results.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from greybox.symbolic import FloatArray
 from mpc_export.calibration import COLUMNS, GAIN, LEVEL
@@ -87,24 +88,9 @@ def _point(
     functions: ModelFunctions, rng: np.random.Generator, spread: float
 ) -> dict[str, FloatArray]:
     """One value for every argument that a function may take; `spread` 1 is typical flight."""
-    n = functions.sizes
-    scale, command, _ = functions.scales
-    boxplus = functions.functions["boxplus"] if n["n_x"] else lambda x, d: x
-    move = rng.standard_normal(n["n_d"])
-    # Raw and error states differ in the attitude alone, whose typical error is a third of a radian.
-    typical = {s.name.removeprefix("d_"): scale[i] for i, s in enumerate(functions.states)}
-    size = np.array(
-        [
-            0.3 if "attitude" in s else typical[s.removeprefix("d_")]
-            for s in functions.error_states.names
-        ]
-    )
-    inside = np.array(
-        [s.startswith(("rotor", "history")) for s in functions.states.names], dtype=bool
-    )
-    x = np.asarray(boxplus(functions.reference[0], 0.3 * spread * size * move)).ravel()
-    level = np.clip(0.5 + 0.3 * spread * (rng.random(x.size) - 0.5), 0.02, 0.98) * scale
-    x = np.where(inside & (spread > 0), level, x)
+    n, scale, boxplus = functions.sizes, functions.scales[0], _boxplus(functions)
+    move, size = rng.standard_normal(n["n_d"]), _error_sizes(functions)
+    x = _state(functions, rng, spread, 0.3 * spread * size * move)
     lower, upper = (np.nan_to_num(v, posinf=1.0, neginf=-1.0) for v in functions.bounds)
     share = np.clip(0.5 + min(spread, 1.0) * (rng.random(n["n_u"]) - 0.5), 0.0, 1.0)
     u = functions.reference[1] if spread == 0 else lower + share * (upper - lower)
@@ -119,13 +105,7 @@ def _point(
     root = deviation[:, None] * mix * (1 + spread)
     theta = np.sqrt(np.maximum(np.diag(functions.covariance), 1e-30))
     target = rng.standard_normal(n["n_r"]) * min(spread, 1.0)
-    own = functions.adapted
-    felt = np.eye(n["n_a"])
-    if n["n_a"]:
-        between = np.sqrt(np.diag(own.covariance))[: len(own.rows)]
-        states = n["n_a"] - len(own.rows)
-        slopes = rng.standard_normal((states, len(own.rows))) / np.maximum(between, 1e-30)
-        felt[len(own.rows) :, : len(own.rows)] = deviation[:states, None] * slopes
+    felt, command = _felt(functions, rng, deviation), functions.scales[1]
     return {
         "x": x,
         "u": u,
@@ -139,12 +119,58 @@ def _point(
         "K": 0.1 * command[:, None] / size[None, :] * rng.standard_normal((n["n_u"], n["n_d"])),
         "c": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_g"])),
         "b": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_theta"])) / theta,
-        "V": felt @ own.covariance @ felt.T * min(1.0, 0.2 + spread),
+        "V": felt @ functions.adapted.covariance @ felt.T * min(1.0, 0.2 + spread),
         "memory": np.array([30.0 * spread]),
         **_calibration(functions, rng, x, 0.1 * size * move, spread),
         "lam": rng.standard_normal(n["n_x"]) / scale,
         "r": target,
     }
+
+
+def _boxplus(functions: ModelFunctions) -> Callable[[FloatArray, FloatArray], npt.ArrayLike]:
+    """x moved by an error state; what has no states stays."""
+    known: Callable[[FloatArray, FloatArray], npt.ArrayLike] = functions.functions["boxplus"]
+    return known if functions.sizes["n_x"] else lambda x, d: x
+
+
+def _error_sizes(functions: ModelFunctions) -> FloatArray:
+    """Typical errors (n_d,). Raw and error states differ in the attitude alone, whose typical error
+    is a third of a radian."""
+    scale = functions.scales[0]
+    typical = {s.name.removeprefix("d_"): scale[i] for i, s in enumerate(functions.states)}
+    return np.array(
+        [
+            0.3 if "attitude" in s else typical[s.removeprefix("d_")]
+            for s in functions.error_states.names
+        ]
+    )
+
+
+def _state(
+    functions: ModelFunctions, rng: np.random.Generator, spread: float, away: FloatArray
+) -> FloatArray:
+    """State (n_x,) that is `away` (n_d,) from the reference; rotors and histories inside their
+    range."""
+    scale = functions.scales[0]
+    x = np.asarray(_boxplus(functions)(functions.reference[0], away)).ravel()
+    inside = np.array(
+        [s.startswith(("rotor", "history")) for s in functions.states.names], dtype=bool
+    )
+    level = np.clip(0.5 + 0.3 * spread * (rng.random(x.size) - 0.5), 0.02, 0.98) * scale
+    return np.where(inside & (spread > 0), level, x)
+
+
+def _felt(functions: ModelFunctions, rng: np.random.Generator, deviation: FloatArray) -> FloatArray:
+    """(n_a, n_a): what the covariance of the adapted parameters is mixed with, states that feel
+    them by about their `deviation`."""
+    own, n_a = functions.adapted, functions.sizes["n_a"]
+    felt = np.eye(n_a)
+    if n_a:
+        between = np.sqrt(np.diag(own.covariance))[: len(own.rows)]
+        states = n_a - len(own.rows)
+        slopes = rng.standard_normal((states, len(own.rows))) / np.maximum(between, 1e-30)
+        felt[len(own.rows) :, : len(own.rows)] = deviation[:states, None] * slopes
+    return felt
 
 
 def _calibration(
@@ -156,10 +182,7 @@ def _calibration(
 ) -> dict[str, FloatArray]:
     """Arguments of forecast_step and calibrate_step: forecasts and the next state about x, at
     samples due or not."""
-    own, boxplus = (
-        functions.calibration,
-        functions.functions["boxplus"] if functions.sizes["n_x"] else lambda x, d: x,
-    )
+    own, boxplus = functions.calibration, _boxplus(functions)
     under_way = [np.asarray(boxplus(x, k / COLUMNS * away)).ravel() for k in range(1, COLUMNS + 1)]
     shape = own.sigma.shape
     return {

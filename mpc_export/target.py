@@ -13,7 +13,7 @@ least-squares sense. A history of commands is at rest: every earlier command is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import casadi as ca
 import numpy as np
@@ -22,7 +22,7 @@ from greybox.errors import ModelError
 from greybox.frames import euler_zyx
 from greybox.model.layer import physics_of
 from greybox.model.noise import UNMOVED
-from greybox.symbolic import Expr, Layout, Signal
+from greybox.symbolic import Expr, FloatArray, Layout, Signal
 from mpc_export.sampled import Sampled
 
 RIDGE = 1e-3
@@ -83,12 +83,7 @@ def target_function(
     names = sampled.error_states.names
     unmoved = tuple(f"d_{kind}." for kind in UNMOVED)
     moving = [i for i in range(own) if not names[i].startswith(unmoved)]
-    physics = physics_of(sampled.dynamics)
-    own_sizes: Mapping[str, float] = {} if physics is None else physics.memory_sizes
-    sizes = SIZES | {f"d_{n}": v for n, v in own_sizes.items()}
-    size = np.array(
-        [sizes.get(names[i], sizes.get(names[i].rpartition(".")[0], 1.0)) for i in moving]
-    )
+    size = _sizes(sampled, moving)
     scale = np.concatenate([size, np.full(nu, 0.3)])
     x, u, p = ca.MX.sym("x", len(sampled.states)), ca.MX.sym("u", nu), ca.MX.sym("p", n_p)
     r = ca.MX.sym("r", len(targets))
@@ -104,26 +99,7 @@ def target_function(
     # d boxminus(f_d(x+d), x+d)/dd, to first order at a small change.
     slope = (a - ca.DM.eye(nd))[moving, moving]
     y, c, d, _ = functions["h_jac_raw"](still, u, p)
-    sx, sy, sr = (
-        ca.SX.sym("x", len(sampled.states)),
-        ca.SX.sym("y", y.numel()),
-        ca.SX.sym("r", len(targets)),
-    )
-    value = _held(sampled, targets, sx, sy)
-    into, _ = sampled.chart(sx, sx)
-    # An angle is reached the short way round.
-    rows = [sr[i] - value[i] for i in range(len(targets))]
-    away = ca.vertcat(
-        *(ca.atan2(ca.sin(v), ca.cos(v)) if n in ANGLES else v for n, v in zip(targets.names, rows))
-    )
-    parts = (
-        away,
-        ca.jacobian(value, sx) @ into[:, moving],
-        ca.jacobian(value, sy),
-        into[:, moving],
-    )
-    hold = ca.Function("held", [sx, sy, sr], [ca.densify(v) for v in parts])
-    missing, by_state, by_output, chart = hold(still, y, r)
+    missing, by_state, by_output, chart = _missing(sampled, targets, moving, y.numel())(still, y, r)
     c, d = by_output @ c @ chart, by_output @ d
     rhs = ca.vertcat(-change[moving] / size, missing)
     top = ca.horzcat(slope, b[moving, :])
@@ -143,6 +119,31 @@ def target_function(
         ["x", "u", "p", "r"],
         ["x_next", "u_next", "residual"],
     )
+
+
+def _sizes(sampled: Sampled, moving: Sequence[int]) -> FloatArray:
+    """Typical sizes of the error states `moving`."""
+    physics = physics_of(sampled.dynamics)
+    own: Mapping[str, float] = {} if physics is None else physics.memory_sizes
+    sizes = SIZES | {f"d_{n}": v for n, v in own.items()}
+    names = [sampled.error_states.names[i] for i in moving]
+    return np.array([sizes.get(n, sizes.get(n.rpartition(".")[0], 1.0)) for n in names])
+
+
+def _missing(sampled: Sampled, targets: Layout, moving: Sequence[int], n_y: int) -> ca.Function:
+    """(x, y, r) -> what the targets miss of r, the slopes of what they hold in the error states
+    `moving` and in y, and the slopes of x in those error states."""
+    x, y = ca.SX.sym("x", len(sampled.states)), ca.SX.sym("y", n_y)
+    r = ca.SX.sym("r", len(targets))
+    value = _held(sampled, targets, x, y)
+    into, _ = sampled.chart(x, x)
+    # An angle is reached the short way round.
+    rows = [r[i] - value[i] for i in range(len(targets))]
+    away = ca.vertcat(
+        *(ca.atan2(ca.sin(v), ca.cos(v)) if n in ANGLES else v for n, v in zip(targets.names, rows))
+    )
+    parts = (away, ca.jacobian(value, x) @ into[:, moving], ca.jacobian(value, y), into[:, moving])
+    return ca.Function("held", [x, y, r], [ca.densify(v) for v in parts])
 
 
 def _least_squares(rows: int, columns: int) -> ca.Function:

@@ -10,6 +10,7 @@ one-standard-error rule.)
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,7 +74,7 @@ def foretell(model: IdentifiedModel, pieces: Dataset, *, use_compiler: bool = Tr
     longest = steps[-1]
     own: list[FloatArray] = []
     held: list[FloatArray] = []
-    labels: list[FloatArray] = []
+    labels: list[IntArray] = []
     count = 0
     every = [_origins(s, dt, longest) for s in pieces.segments]
     seconds = sum(float(o[-1] - o[0]) * dt for o in every if o.size)
@@ -84,44 +85,63 @@ def foretell(model: IdentifiedModel, pieces: Dataset, *, use_compiler: bool = Tr
             if origins.size == 0:
                 continue
             run = runner.run(segment.without(flight.noncausal), p=model.flight_vector(flight.name))
-            references = {
-                g: segment.matrix(GROUPS[g].columns)
-                for g in groups
-                if set(GROUPS[g].columns) <= set(segment.names)
-            }
             ahead = predict_from(runner.engine, reader, run, origins, steps=longest)
-            last = persistence(references, origins, steps=longest)
-            rows = np.full((2, origins.size, len(groups), len(steps)), np.nan)
-            for j, g in enumerate(groups):
-                if g not in references:
-                    continue
-                for k, h in enumerate(steps):
-                    truth = references[g][origins + h]
-                    with np.errstate(over="ignore", invalid="ignore"):
-                        e = error_norms(g, _safe(ahead[g][:, h - 1], truth), truth)
-                    lost = np.isfinite(truth).all(axis=1) & ~np.isfinite(e)
-                    rows[0, :, j, k] = np.where(lost, np.inf, e**2)
-                    rows[1, :, j, k] = error_norms(g, last[g][:, h - 1], truth) ** 2
-            own.append(rows[0])
-            held.append(rows[1])
-            time = (origins - origins[0]) * dt
-            last_block = max(  # a short rest joins the block before
-                0, round(float(time[-1]) / length) - 1
-            )
-            block = np.minimum((time // length).astype(int), last_block)
+            errors, naive = _squared_errors(segment, ahead, groups, origins, steps)
+            own.append(errors)
+            held.append(naive)
+            block = _blocks((origins - origins[0]) * dt, length)
             labels.append(count + block)
             count += int(block[-1]) + 1
     if not own:
         return Score(blocks=np.zeros(0))
-    error, last_values, label = np.concatenate(own), np.concatenate(held), np.concatenate(labels)
-    # A group that is slower than the origins are apart may have no last value that far ahead.
-    known = np.isfinite(last_values).sum(axis=0)
-    scale = np.nansum(last_values, axis=0) / np.where(known > 0, known, np.nan)
-    shares = np.minimum(error / np.maximum(scale, 1e-300), WORST)
+    shares, label = _shares(np.concatenate(own), np.concatenate(held)), np.concatenate(labels)
     blocks = [shares[label == b] for b in range(count)]
     return Score(
         blocks=np.array([np.nanmean(b) if np.isfinite(b).any() else np.nan for b in blocks])
     )
+
+
+def _squared_errors(
+    segment: Segment,
+    ahead: Mapping[str, FloatArray],
+    groups: Sequence[str],
+    origins: IntArray,
+    steps: Sequence[int],
+) -> tuple[FloatArray, FloatArray]:
+    """Squared errors (origins, groups, steps) of the predictions `ahead` of a segment, infinite
+    where they are not finite, and those of holding the last value; NaN where nothing was measured."""
+    references = {
+        g: segment.matrix(GROUPS[g].columns)
+        for g in groups
+        if set(GROUPS[g].columns) <= set(segment.names)
+    }
+    last = persistence(references, origins, steps=steps[-1])
+    own, held = np.full((2, origins.size, len(groups), len(steps)), np.nan)
+    for j, g in enumerate(groups):
+        if g not in references:
+            continue
+        for k, h in enumerate(steps):
+            truth = references[g][origins + h]
+            with np.errstate(over="ignore", invalid="ignore"):
+                e = error_norms(g, _safe(ahead[g][:, h - 1], truth), truth)
+            lost = np.isfinite(truth).all(axis=1) & ~np.isfinite(e)
+            own[:, j, k] = np.where(lost, np.inf, e**2)
+            held[:, j, k] = error_norms(g, last[g][:, h - 1], truth) ** 2
+    return own, held
+
+
+def _blocks(time: FloatArray, length: float) -> IntArray:
+    """Number of the block of every time [s] since the first; a short rest joins the block before."""
+    last = max(0, round(float(time[-1]) / length) - 1)
+    return np.minimum((time // length).astype(int), last)
+
+
+def _shares(error: FloatArray, held: FloatArray) -> FloatArray:
+    """Squared errors in units of the mean of those of holding the last value, `WORST` at most."""
+    # A group that is slower than the origins are apart may have no last value that far ahead.
+    known = np.isfinite(held).sum(axis=0)
+    scale = np.nansum(held, axis=0) / np.where(known > 0, known, np.nan)
+    return np.minimum(error / np.maximum(scale, 1e-300), WORST)
 
 
 def _origins(segment: Segment, dt: float, longest: int) -> IntArray:

@@ -40,7 +40,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
 from greybox.residual import features as model_features
 from greybox.residual.weight_space import Candidate
-from greybox.symbolic import BoolArray, FloatArray, IntArray, Layout, Signal, evaluate
+from greybox.symbolic import BoolArray, Expr, FloatArray, IntArray, Layout, Signal, evaluate
 from greybox.validation.adapt import adapt_to_flight
 
 Base = LinearModel | IdentifiedModel
@@ -355,51 +355,20 @@ class BasePredictor:
 
     def _build(self, names: tuple[str, ...], posterior: Candidate | None) -> ca.Function:
         d, n_o = self.dynamics, len(self.outputs)
-        x, p = ca.SX.sym("x", len(d.states)), ca.SX.sym("p", self._n_p)
-        numbers = (
-            ca.DM([q.nominal for q in d.parameters]) if isinstance(self.model, LinearModel) else p
-        )
-        window = ca.SX.sym("U", len(d.inputs), sum(self._width))
-        quiet = ca.DM.zeros(len(d.noises))
-        y = d.output(0, x, window, numbers, quiet, self.dt)[[d.outputs[n] for n in self.outputs]]
-        table = {n: y[i] for i, n in enumerate(self.outputs)}
-        own = [n for n in names if not LATE.fullmatch(n)]
-        uses = _uses_errors(names)
-        if isinstance(self.model, LinearModel):
-            table |= {n: x[i] for i, n in enumerate(d.states.names)}
-        else:
-            inner = [n for n in own if n in model_features.available(d)]
-            found = model_features.features(d, inner, x, window) if inner else ca.SX(0, 1)
-            table |= {n: found[i] for i, n in enumerate(inner)}
-        after = d.step(0, x, window, numbers, quiet, self.dt)
-        seen = ca.vertcat(*(table[n] for n in own)) if own else ca.SX(0, 1)
-        plain = ca.Function("plain", [x, window, p], [y, seen, after])
-        step, other = ca.SX.sym("d", len(d.error_states)), ca.SX.sym("x2", len(d.states))
-        plus = ca.Function("plus", [x, step], [d.boxplus(x, step)])
-        minus = ca.Function("minus", [other, x], [d.boxminus(other, x)])
-
-        state = ca.MX.sym("x", len(d.states))
+        n_x, n_d = len(d.states), len(d.error_states)
+        plain = self._plain([n for n in names if not LATE.fullmatch(n)])
+        plus, minus = self._charts()
+        state = ca.MX.sym("x", n_x)
         flat = ca.MX.sym("U", len(d.inputs) * sum(self._width))
         given = ca.MX.sym("given", sum(_column(n) is not None for n in names))
         values, shift = ca.MX.sym("p", self._n_p), ca.MX.sym("shift", n_o)
         columns = ca.reshape(flat, len(d.inputs), sum(self._width))
-        last, n_d = ca.MX.sym("last", n_o), len(d.error_states)
+        last, uses = ca.MX.sym("last", n_o), _uses_errors(names)
         # The last errors, where the GP looks at them, are part of the state.
-        error, reference = ca.MX.sym("d", n_d + n_o * uses), ca.MX.sym("reference", len(d.states))
+        error, reference = ca.MX.sym("d", n_d + n_o * uses), ca.MX.sym("reference", n_x)
         mean, told, following = plain(plus(state, error[:n_d]), columns, values)
         mean = mean + shift
-        parts, i, j = [], 0, 0
-        for n in names:
-            if LAST_ERROR.fullmatch(n):
-                parts.append((last + error[n_d:])[self._error(n)])
-            elif LATE.fullmatch(n):
-                parts.append(given[j])
-                j += 1
-            else:
-                moved = isinstance(self.model, LinearModel) and n in self.outputs
-                parts.append(told[i] + shift[self.outputs.index(n)] if moved else told[i])
-                i += 1
-        z = ca.vertcat(*parts) if parts else ca.MX(0, 1)
+        z = self._joined(names, told, shift, given, last + error[n_d:] if uses else last)
         arguments = [state, flat, given, last, values, shift]
         still = ca.DM.zeros(error.numel())
         if names and posterior is None:
@@ -420,6 +389,53 @@ class BasePredictor:
         at = around(still, state, *arguments)[3]
         out = around(still, at, *arguments)
         return ca.Function("step", arguments, [ca.densify(ca.vertcat(*(ca.vec(v) for v in out)))])
+
+    def _plain(self, own: Sequence[str]) -> ca.Function:
+        """(x, window, p) -> outputs, the features `own` that need nothing else, next state."""
+        d = self.dynamics
+        x, p = ca.SX.sym("x", len(d.states)), ca.SX.sym("p", self._n_p)
+        numbers = (
+            ca.DM([q.nominal for q in d.parameters]) if isinstance(self.model, LinearModel) else p
+        )
+        window = ca.SX.sym("U", len(d.inputs), sum(self._width))
+        quiet = ca.DM.zeros(len(d.noises))
+        y = d.output(0, x, window, numbers, quiet, self.dt)[[d.outputs[n] for n in self.outputs]]
+        table = {n: y[i] for i, n in enumerate(self.outputs)}
+        if isinstance(self.model, LinearModel):
+            table |= {n: x[i] for i, n in enumerate(d.states.names)}
+        else:
+            inner = [n for n in own if n in model_features.available(d)]
+            found = model_features.features(d, inner, x, window) if inner else ca.SX(0, 1)
+            table |= {n: found[i] for i, n in enumerate(inner)}
+        after = d.step(0, x, window, numbers, quiet, self.dt)
+        seen = ca.vertcat(*(table[n] for n in own)) if own else ca.SX(0, 1)
+        return ca.Function("plain", [x, window, p], [y, seen, after])
+
+    def _charts(self) -> tuple[ca.Function, ca.Function]:
+        """(x, d) -> x boxplus d, and (x2, x) -> x2 boxminus x."""
+        d = self.dynamics
+        x, other = ca.SX.sym("x", len(d.states)), ca.SX.sym("x2", len(d.states))
+        step = ca.SX.sym("d", len(d.error_states))
+        plus = ca.Function("plus", [x, step], [d.boxplus(x, step)])
+        return plus, ca.Function("minus", [other, x], [d.boxminus(other, x)])
+
+    def _joined(
+        self, names: Sequence[str], told: Expr, shift: Expr, given: Expr, last: Expr
+    ) -> Expr:
+        """The features z (n_z,) in their order: the last errors, columns of the log `given`, and
+        what the model has `told`."""
+        parts, i, j = [], 0, 0
+        for n in names:
+            if LAST_ERROR.fullmatch(n):
+                parts.append(last[self._error(n)])
+            elif LATE.fullmatch(n):
+                parts.append(given[j])
+                j += 1
+            else:
+                moved = isinstance(self.model, LinearModel) and n in self.outputs
+                parts.append(told[i] + shift[self.outputs.index(n)] if moved else told[i])
+                i += 1
+        return ca.vertcat(*parts) if parts else ca.MX(0, 1)
 
     # ---------------------------------------------------------------------------------- many steps
 
@@ -461,59 +477,81 @@ class BasePredictor:
         posterior: Candidate | None,
     ) -> tuple[FloatArray, FloatArray]:
         told = self._told(() if posterior is None else tuple(posterior.inputs.names), posterior)
-        gain, cov = self.gain
-        rows, n, n_o, n_x = self.rows, len(run.mean), len(self.outputs), len(self.dynamics.states)
-        if posterior is not None:
-            # The noise of the GP is what is left of the innovations that it foretells.
-            scale = np.ones(len(cov))
-            scale[rows] = np.sqrt(posterior.noise / np.diag(cov)[rows])
-            cov = cov * scale * scale[:, None]
-            if _uses_errors(posterior.inputs.names):
-                gain = np.vstack([gain, np.eye(len(cov))[rows]])
-        n_d = len(gain)
+        gain, cov = self._driven_by(posterior)
+        rows, n, n_o, n_d = self.rows, len(run.mean), len(self.outputs), len(gain)
         fresh = gain @ cov @ gain.T
         own = np.diag(cov)[rows]
         mean, variance = np.full((2, len(k), horizon, n_o), np.nan)
         start = np.minimum(k + 1, n - 1)
-        live = np.flatnonzero(
-            (k + 1 < n)
-            & run.known[start]
-            & np.isfinite(np.hstack([given, errors])[start]).all(axis=1)
-        )
+        known = np.isfinite(np.hstack([given, errors])[start]).all(axis=1)
+        live = np.flatnonzero((k + 1 < n) & run.known[start] & known)
         x, last = run.states[start[live]], errors[start[live]]
         white, learned = np.zeros((len(live), n_d, n_d)), np.zeros((len(live), n_d, n_o))
         width = sum(self._width)
         for h in range(1, horizon + 1):
             row = k[live] + h
             keep = row < n
-            live, x, last, white, learned, row = (
-                live[keep],
-                x[keep],
-                last[keep],
-                white[keep],
-                learned[keep],
-                row[keep],
-            )
+            live, row, x, last = live[keep], row[keep], x[keep], last[keep]
+            white, learned = white[keep], learned[keep]
             if not live.size:
                 break
             z = np.where(held, given[k[live] + 1], given[row])
             windows = run.inputs[row[:, None] + np.arange(width)].reshape(len(row), -1)
-            out = evaluate(told, x, windows, z, last, run.p, run.shift)
-            mean[live, h - 1] = out[:, :n_o]
-            sd = np.sqrt(np.maximum(out[:, n_o : 2 * n_o], 0.0))
-            last = out[:, 2 * n_o : 3 * n_o].copy()
-            at = 3 * n_o + n_x
-            x = out[:, 3 * n_o : at].copy()
-            c = out[:, at : at + n_o * n_d].reshape(-1, n_d, n_o).swapaxes(1, 2)
-            a = out[:, at + n_o * n_d :].reshape(-1, n_d, n_d).swapaxes(1, 2)
-            now = c @ learned
-            now[:, range(n_o), range(n_o)] += sd
-            variance[live, h - 1] = (
-                np.einsum("mij,mjk,mik->mi", c, white, c) + own + np.sum(now**2, axis=2)
+            step = _Step.of(
+                evaluate(told, x, windows, z, last, run.p, run.shift), n_o, x.shape[1], n_d
             )
-            white = a @ white @ a.swapaxes(1, 2) + fresh
-            learned = a @ learned + gain[:, rows] * sd[:, None, :]
+            mean[live, h - 1], x, last = step.mean, step.x, step.last
+            now = step.c @ learned
+            now[:, range(n_o), range(n_o)] += step.sd
+            variance[live, h - 1] = (
+                np.einsum("mij,mjk,mik->mi", step.c, white, step.c) + own + np.sum(now**2, axis=2)
+            )
+            white = step.a @ white @ step.a.swapaxes(1, 2) + fresh
+            learned = step.a @ learned + gain[:, rows] * step.sd[:, None, :]
         return mean, variance
+
+    def _driven_by(self, posterior: Candidate | None) -> tuple[FloatArray, FloatArray]:
+        """(gain, covariance) of the innovations that drive the state, which has the last errors in
+        it where `posterior` looks at them."""
+        gain, cov = self.gain
+        if posterior is None:
+            return gain, cov
+        # The noise of the GP is what is left of the innovations that it foretells.
+        scale = np.ones(len(cov))
+        scale[self.rows] = np.sqrt(posterior.noise / np.diag(cov)[self.rows])
+        cov = cov * scale * scale[:, None]
+        if _uses_errors(posterior.inputs.names):
+            gain = np.vstack([gain, np.eye(len(cov))[self.rows]])
+        return gain, cov
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Step:
+    """One step of m paths: `mean` (m, n_o), standard deviation `sd` (m, n_o) of the GP, the errors
+    `last` (m, n_o) that it expects, next state x (m, n_x), slopes c (m, n_o, n_d) of the mean and a
+    (m, n_d, n_d) of the next state."""
+
+    mean: FloatArray
+    sd: FloatArray
+    last: FloatArray
+    x: FloatArray
+    c: FloatArray
+    a: FloatArray
+
+    @classmethod
+    def of(cls, out: FloatArray, n_o: int, n_x: int, n_d: int) -> _Step:
+        """Of the rows `out` of the function "step"."""
+        mean, spread, last, x, c, a = np.split(
+            out, np.cumsum([n_o, n_o, n_o, n_x, n_o * n_d]), axis=1
+        )
+        return cls(
+            mean=mean,
+            sd=np.sqrt(np.maximum(spread, 0.0)),
+            last=last.copy(),
+            x=x.copy(),
+            c=c.reshape(-1, n_d, n_o).swapaxes(1, 2),
+            a=a.reshape(-1, n_d, n_d).swapaxes(1, 2),
+        )
 
 
 def _column(name: str) -> re.Match[str] | None:

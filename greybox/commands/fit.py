@@ -6,7 +6,7 @@ import argparse
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -95,73 +95,116 @@ def add(subparsers: Subcommands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
-    from greybox.commands.fit_own import RESULTS, interrupted
     from greybox.commands.fit_own import run as run_own
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data.checks import check
-    from greybox.errors import GreyboxError
-    from greybox.estimation.status import Interrupted
-    from greybox.files import withdraw, write_json
     from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import read_vehicle
-    from greybox.validation.calibration import calibrated
 
     _check(arguments)
     if arguments.model_file is not None:
         return run_own(arguments)
-    console, out = Console.of(arguments), Path(arguments.out)
-    horizons = given_horizons(arguments)
+    console, horizons = Console.of(arguments), given_horizons(arguments)
     vehicle = read_vehicle(arguments.vehicle)
     source = None if arguments.source is None else IdentifiedModel.load(arguments.source)
     prepared, test = _flights(arguments, vehicle)
     if source is not None and arguments.manual:
         vehicle = _like(source, vehicle, prepared, console)
     faults = check(test, vehicle) if test.flights else None
-    warnings = _warnings(arguments, vehicle, prepared, faults)
+    job = _Job(
+        arguments=arguments,
+        vehicle=vehicle,
+        prepared=prepared,
+        test=test,
+        faults=faults,
+        horizons=horizons,
+        warnings=_warnings(arguments, vehicle, prepared, faults),
+    )
     say_vehicle(vehicle, console.say)
     console.say(f"{prepared.data}")
+    result = _fitted(job, console, source)
+    result, content, seen = _judged(job, result)
+    written = _report(job, result, content, seen)
+    table = seen.table_text() if seen is not None and test.flights else ""
+    console.result(content, *_lines(result, table, content), f"wrote {written} in {job.out}")
+    return exit_code(result.verdict) if result.verdict is not None or result.converged else 1
 
-    def save(found: Fit) -> FitDocument:
-        content = _content(arguments, found, prepared, test, warnings)
-        write_json(out / "fit.json", content)
-        found.model.save(out / "model.json")
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Job:
+    """What is fitted and judged: training flights as they are fitted, test flights with what their
+    checks said, and what is said of all of them in fit.json."""
+
+    arguments: argparse.Namespace
+    vehicle: Vehicle
+    prepared: Prepared
+    test: Dataset
+    faults: CheckReport | None
+    horizons: HorizonChoices
+    warnings: Sequence[str]
+
+    @property
+    def out(self) -> Path:
+        return Path(self.arguments.out)
+
+    def save(self, found: Fit) -> FitDocument:
+        """Write fit.json and model.json. Returns the first."""
+        from greybox.files import write_json
+
+        content = _content(self, found)
+        write_json(self.out / "fit.json", content)
+        found.model.save(self.out / "model.json")
         return content
 
+
+def _fitted(job: _Job, console: Console, source: IdentifiedModel | None) -> Fit:
+    """The fit, which is saved before anything else can go wrong, with calibrated uncertainty. An
+    interrupted one is saved, too."""
+    from greybox.commands.fit_own import RESULTS, interrupted
+    from greybox.estimation.status import Interrupted
+    from greybox.files import withdraw
+    from greybox.validation.calibration import calibrated
+
+    arguments, data = job.arguments, job.prepared.data
     try:
         if arguments.manual:
-            result = fit_with(arguments, vehicle, prepared.data, console.solver, source)
+            result = fit_with(arguments, job.vehicle, data, console.solver, source)
         else:
-            result = _decided(arguments, vehicle, prepared, console, source)
+            result = _decided(job, console, source)
     except Interrupted as stop:
-        withdraw(out, *RESULTS)
-        save(stop.kept)
-        arguments.kept = interrupted(out)
+        withdraw(job.out, *RESULTS)
+        job.save(stop.kept)
+        arguments.kept = interrupted(job.out)
         raise
-    # The fit is safe before anything else can go wrong.
-    withdraw(out, *RESULTS)
-    save(result)
-    result = calibrated(result, prepared.data)
-    content = save(result)
-    arguments.kept = (
-        f"the fit is in {out}, not judged: greybox validate {shlex.quote(str(out / 'model.json'))} "
-        "--log LOGS judges it"
+    withdraw(job.out, *RESULTS)
+    job.save(result)
+    return calibrated(result, data)
+
+
+def _judged(job: _Job, result: Fit) -> tuple[Fit, FitDocument, Validation | None]:
+    """(the fit with its verdict, fit.json as it was saved, the validation). One that cannot be
+    judged is kept, with the reason."""
+    from greybox.errors import GreyboxError
+    from greybox.files import write_json
+
+    content = job.save(result)
+    file = shlex.quote(str(job.out / "model.json"))
+    job.arguments.kept = (
+        f"the fit is in {job.out}, not judged: greybox validate {file} --log LOGS judges it"
     )
     seen = None
     try:
-        seen, left_out = _validated(arguments, result, prepared, test, faults, horizons)
+        seen, left_out = _validated(job, result)
         result = result.judged(seen.verdict)
-        content = save(result)
-        if test.flights and left_out is not None:
+        content = job.save(result)
+        if job.test.flights and left_out is not None:
             content["left_out"] = left_out.to_dict()
-            write_json(out / "fit.json", content)
+            write_json(job.out / "fit.json", content)
     except GreyboxError as error:
         content["warnings"].insert(0, f"no validation: {error}")
         print(f"greybox fit: no validation: {error}", file=sys.stderr)
-        write_json(out / "fit.json", content)
-    written = _report(arguments, result, content, seen, prepared, test)
-    table = seen.table_text() if seen is not None and test.flights else ""
-    console.result(content, *_lines(result, table, content), f"wrote {written} in {out}")
-    return exit_code(result.verdict) if result.verdict is not None or result.converged else 1
+        write_json(job.out / "fit.json", content)
+    return result, content, seen
 
 
 def _warnings(
@@ -179,21 +222,16 @@ def _warnings(
     return warnings
 
 
-def _content(
-    arguments: argparse.Namespace,
-    result: Fit,
-    prepared: Prepared,
-    test: Dataset,
-    warnings: Sequence[str],
-) -> FitDocument:
+def _content(job: _Job, result: Fit) -> FitDocument:
     """fit.json, with the commands that do the same."""
     content = result.to_dict()
-    content["warnings"] = [*warnings, *content["warnings"]]
+    content["warnings"] = [*job.warnings, *content["warnings"]]
     content["command"] = typed("fit")
     if "explicit" in content:
-        content["explicit"]["command"] = _explicit(arguments, prepared, test, result)
-        if arguments.source is not None:  # the recipe speaks of the vehicle with another's effects
-            file = str(Path(arguments.out) / "model.json")
+        content["explicit"]["command"] = _explicit(job, result)
+        # The recipe speaks of the vehicle with another's effects.
+        if job.arguments.source is not None:
+            file = str(job.out / "model.json")
             content["explicit"]["python"] = (
                 "from greybox.model.identified import IdentifiedModel\n"
                 f"vehicle = IdentifiedModel.load({file!r}).physics.vehicle\n"
@@ -235,14 +273,7 @@ def _like(
     return found
 
 
-def _report(
-    arguments: argparse.Namespace,
-    result: Fit,
-    content: FitDocument,
-    seen: Validation | None,
-    prepared: Prepared,
-    test: Dataset,
-) -> str:
+def _report(job: _Job, result: Fit, content: FitDocument, seen: Validation | None) -> str:
     """Write validate.json, report.html and the recording. Returns the names of all files of the
     fit, for people."""
     from greybox.commands.flight_series import series
@@ -252,7 +283,7 @@ def _report(
     from greybox.report.fit_report import fit_report
     from greybox.validation.usefulness import LEFT_OUT
 
-    out = Path(arguments.out)
+    out, data, test = job.out, job.prepared.data, job.test
     checked = None if seen is None else seen.to_dict()
     if checked is not None:
         if not test.flights:
@@ -264,16 +295,16 @@ def _report(
     on = None if checked is None else checked["adapted_on"]
     adapted = {} if on is None else on["flights"]
     # The flight that judges is drawn; a fitted one where there is none.
-    drawn = (Dataset(flights=()), test) if test.flights else (prepared.data,)
+    drawn = (Dataset(flights=()), test) if test.flights else (data,)
     drawing = series(result.model, *drawn, adapted=adapted)
     # What physics says on the terminal stands on the page, too.
     said: FitDocument = {**content, "warnings": [*_sanity_lines(result), *content["warnings"]]}
-    answers = responses(result.model, prepared.data, test)
+    answers = responses(result.model, data, test)
     title = f"Fit of {result.model.physics.vehicle.name}"
     report = write_atomic(
         out / "report.html", fit_report(said, drawing, checked, responses=answers, title=title)
     )
-    write_if_asked(arguments.mcap, result.model, prepared.data, test, adapted=adapted)
+    write_if_asked(job.arguments.mcap, result.model, data, test, adapted=adapted)
     return f"{', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name}"
 
 
@@ -349,25 +380,20 @@ def _unfit(arguments: argparse.Namespace, vehicle: Vehicle) -> list[str]:
     ]
 
 
-def _decided(
-    arguments: argparse.Namespace,
-    vehicle: Vehicle,
-    prepared: Prepared,
-    console: Console,
-    source: IdentifiedModel | None,
-) -> Fit:
+def _decided(job: _Job, console: Console, source: IdentifiedModel | None) -> Fit:
     """The automatic fit."""
     from greybox.automatic.borrow import decide_with_source
     from greybox.automatic.facts import facts_of
     from greybox.automatic.fit import fit_decided
     from greybox.estimation.status import Interrupted
 
+    vehicle, prepared = job.vehicle, job.prepared
     console.say("deciding what is open, on pieces of the flights that are left out:")
     for done in prepared.decisions():
         console.say(f"  {done.about}: {done.choice} ({done.reason})")
     facts = facts_of(prepared.data, vehicle, prepared.report)
     try:
-        said = replace(given(arguments), source=source)
+        said = replace(given(job.arguments), source=source)
         own, decided = decide_with_source(vehicle, prepared.data, facts, said, say=console.say)
     except Interrupted:  # a trial on pieces of the flights is no result
         raise KeyboardInterrupt from None
@@ -375,39 +401,32 @@ def _decided(
     return fit_decided(own, prepared, decided, say=console.say, progress=console.solver)
 
 
-def _pieces(
-    arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, result: Fit
-) -> tuple[IdentifiedModel, Dataset] | None:
+def _pieces(job: _Job, result: Fit) -> tuple[IdentifiedModel, Dataset] | None:
     """(model of the first parts of the flights, pieces left out) by the recipe of the fit; None
     where nothing can be left out, and of a fit that did not arrive."""
     from greybox.automatic.fit import on_pieces
     from greybox.commands.model_options import explicit_recipe
 
-    recipe = result.provenance.recipe or explicit_recipe(arguments, result)
-    return on_pieces(vehicle, prepared.data, recipe) if result.converged else None
+    recipe = result.provenance.recipe or explicit_recipe(job.arguments, result)
+    vehicle = result.model.physics.vehicle
+    return on_pieces(vehicle, job.prepared.data, recipe) if result.converged else None
 
 
-def _validated(
-    arguments: argparse.Namespace,
-    result: Fit,
-    prepared: Prepared,
-    test: Dataset,
-    faults: CheckReport | None,
-    horizons: HorizonChoices,
-) -> tuple[Validation, Verdict | None]:
-    """(on test flights where there are any (`faults`: what their checks said), else on pieces left
-    out, else on the flights that were fitted; the verdict on the pieces, where there are any)."""
+def _validated(job: _Job, result: Fit) -> tuple[Validation, Verdict | None]:
+    """(on test flights where there are any, else on pieces left out, else on the flights that were
+    fitted; the verdict on the pieces, where there are any)."""
     from greybox.validation.advice import hints_of_checks, hints_of_fit, hints_of_sanity
     from greybox.validation.sanity import sanity_of
     from greybox.validation.usefulness import LEFT_OUT
     from greybox.validation.validate import validate
 
+    arguments, test, horizons = job.arguments, job.test, job.horizons
     recipe = result.provenance.recipe
     kinematic = bool(arguments.kinematic_noise) if recipe is None else recipe.kinematic_noise
     hints = (
         *(
             h
-            for report in (prepared.report, faults)
+            for report in (job.prepared.report, job.faults)
             if report is not None
             for h in hints_of_checks(
                 report, effects=result.model.effects, kinematic_noise=kinematic
@@ -418,30 +437,29 @@ def _validated(
     )
     pieces = None
     if arguments.judge_left_out or not (test.flights or arguments.manual):
-        pieces = _pieces(arguments, result.model.physics.vehicle, prepared, result)
+        pieces = _pieces(job, result)
     left_out = (
         None if pieces is None else validate(*pieces, **horizons, hints=hints, judged_on=LEFT_OUT)
     )
     if test.flights:
-        seen = validate(
-            result.model, test, **horizons, adapt=_adapted(arguments, result, test), hints=hints
-        )
+        seen = validate(result.model, test, **horizons, adapt=_adapted(job, result), hints=hints)
     elif left_out is not None:
         seen = left_out
     else:
-        seen = validate(result.model, prepared.data, **horizons, adapt=arguments.adapt, hints=hints)
+        data = job.prepared.data
+        seen = validate(result.model, data, **horizons, adapt=arguments.adapt, hints=hints)
     return seen, None if left_out is None else left_out.verdict
 
 
-def _adapted(arguments: argparse.Namespace, result: Fit, test: Dataset) -> float | None:
+def _adapted(job: _Job, result: Fit) -> float | None:
     """Seconds that test flights are adapted on; a time that nobody asked for only where enough is
     left to judge."""
     from greybox.automatic.fit import adaptation
 
-    recipe = result.provenance.recipe
-    if arguments.adapt is not None or recipe is None:
-        return None if arguments.adapt is None else float(arguments.adapt)
-    return adaptation(recipe, test)
+    recipe, asked = result.provenance.recipe, job.arguments.adapt
+    if asked is not None or recipe is None:
+        return None if asked is None else float(asked)
+    return adaptation(recipe, job.test)
 
 
 def _sanity_lines(result: Fit) -> list[str]:
@@ -450,11 +468,11 @@ def _sanity_lines(result: Fit) -> list[str]:
     return sanity_of(result).lines()
 
 
-def _explicit(arguments: argparse.Namespace, prepared: Prepared, test: Dataset, result: Fit) -> str:
+def _explicit(job: _Job, result: Fit) -> str:
     """The explicit command line: every choice is said, flights that were left out are not named."""
-    decided = result.provenance.recipe
+    arguments, prepared, decided = job.arguments, job.prepared, result.provenance.recipe
     assert decided is not None
-    recipe = replace(decided, adapt=_adapted(arguments, result, test))
+    recipe = replace(decided, adapt=_adapted(job, result))
     out = {f.flight for f in prepared.left_out}
     train = [p for p, name in zip(arguments.train, prepared.names, strict=True) if name not in out]
     words = recipe.command_line(arguments.vehicle, train, arguments.test)

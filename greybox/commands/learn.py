@@ -126,13 +126,9 @@ def _linear_options(p: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, learn, validate before and after, report."""
-    from greybox.commands.learn_output import RESULTS, feature_names, is_linear, run_output
+    from greybox.commands.learn_output import feature_names, is_linear, run_output
     from greybox.data.halves import demand_disjoint
-    from greybox.files import withdraw, write_atomic, write_json
     from greybox.model.layer import physics_of
-    from greybox.model.verdict import NOT_JUDGED
-    from greybox.report.learn_report import learn_report
-    from greybox.residual.files import save_model
     from greybox.residual.learn import learn
 
     demand_adapt(arguments)
@@ -161,6 +157,28 @@ def run(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         progress=console.share,
     )
+    return _judge_and_report(
+        arguments, console, learned, model=model, train=train, test=test, horizons=horizons
+    )
+
+
+def _judge_and_report(
+    arguments: argparse.Namespace,
+    console: Console,
+    learned: Learned,
+    *,
+    model: IdentifiedModel,
+    train: Dataset,
+    test: Dataset,
+    horizons: HorizonChoices,
+) -> int:
+    """Write what was learned, validate it against `model`, write that. Returns the exit code."""
+    from greybox.commands.learn_output import RESULTS
+    from greybox.files import withdraw, write_atomic, write_json
+    from greybox.model.verdict import NOT_JUDGED
+    from greybox.report.learn_report import learn_report
+    from greybox.residual.files import save_model
+
     content = _content(learned, model, train)
     out = Path(arguments.out)
     # What was learned is safe before anything else can go wrong.

@@ -36,18 +36,12 @@ def is_linear(path: str) -> bool:
 def run_output(arguments: argparse.Namespace) -> int:
     """Read the linear model and the logs, learn its one-step errors, judge before and after,
     report."""
-    import numpy as np
-
     from greybox.baselines.decoupled import combined
-    from greybox.baselines.output_judge import judge
     from greybox.baselines.output_residual import fit_output_residual, read_linear
     from greybox.commands.judgement import given_horizons, horizon_steps
     from greybox.data import Dataset
     from greybox.data.halves import demand_disjoint
-    from greybox.errors import GreyboxError
-    from greybox.files import withdraw, write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
-    from greybox.report.output_report import output_report
 
     console = Console.of(arguments)
     given_horizons(arguments)  # what is wrong with them is said before logs are read
@@ -75,11 +69,32 @@ def run_output(arguments: argparse.Namespace) -> int:
         guard=arguments.guard,
         progress=console.share,
     )
+    warnings = _warnings(hybrid, trained_on, train, test)
+    _judge_and_report(arguments, console, hybrid, train, test, horizons, warnings)
+    return 0
+
+
+def _judge_and_report(
+    arguments: argparse.Namespace,
+    console: Console,
+    hybrid: OutputHybrid,
+    train: Dataset,
+    test: Dataset,
+    horizons: Sequence[int],
+    warnings: list[str],
+) -> None:
+    """Write what was learned, judge it, write that."""
+    import numpy as np
+
+    from greybox.baselines.output_judge import judge
+    from greybox.errors import GreyboxError
+    from greybox.files import withdraw, write_atomic, write_json
+    from greybox.report.output_report import output_report
+
     out = Path(arguments.out)
     withdraw(out, *RESULTS)
     hybrid.save(out / "hybrid.json")
     spread = np.nanstd(np.concatenate([s.matrix(hybrid.outputs) for s in train.segments]), axis=0)
-    warnings = _warnings(hybrid, trained_on, train, test)
     judged = test if test.flights else train
     content = _content(arguments, hybrid, train, judged, warnings)
     write_json(out / "learn.json", content)
@@ -98,7 +113,6 @@ def run_output(arguments: argparse.Namespace) -> int:
         _summary(content),
         f"wrote hybrid.json, learn.json and {report.name} in {out}",
     )
-    return 0
 
 
 def feature_names(text: str | None) -> tuple[str, ...] | None:

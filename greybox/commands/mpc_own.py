@@ -16,6 +16,7 @@ from greybox.commands.model_options import numbers
 from greybox.commands.own_model import model_file_option, range_options
 
 if TYPE_CHECKING:
+    from greybox.commands.judgement import Gate
     from greybox.files import Parsed
 
 COURSE_ONLY: Mapping[str, object] = {
@@ -109,8 +110,6 @@ def _named_once(arguments: argparse.Namespace) -> None:
 def run(arguments: argparse.Namespace, content: Parsed) -> int:
     """Prepare, run, report; what ran is reported even when interrupted. Returns 0, or 1 where it
     refuses."""
-    from greybox.commands.judgement import gate
-    from greybox.errors import GreyboxError
     from greybox.files import write_atomic, write_json
     from greybox.report.mpc_documents import OwnDocument
     from greybox.report.mpc_own_report import mpc_own_report
@@ -119,12 +118,7 @@ def run(arguments: argparse.Namespace, content: Parsed) -> int:
     from mpc_export.outputs.campaign import WATCHED, OwnCampaign, format_table, summary
     from mpc_export.outputs.machine import Asked
 
-    refuse(arguments, COURSE_ONLY, "a vehicle that flies a course", "a model of your own")
-    if not 2 <= arguments.horizon <= 200:
-        raise GreyboxError(
-            "--horizon takes 2 to 200 samples", got=str(arguments.horizon), fix="--horizon 20"
-        )
-    judged = gate(content, arguments.subject, even_so=arguments.even_so)
+    judged = _admitted(arguments, content)
     if not judged.open:
         judged.say("mpc")
         return 1
@@ -168,6 +162,20 @@ def run(arguments: argparse.Namespace, content: Parsed) -> int:
         format_table,
         file="mpc_own.json",
     )
+
+
+def _admitted(arguments: argparse.Namespace, content: Parsed) -> Gate:
+    """Whether the model may go on. Raises `GreyboxError` for options that no model of the user's
+    own has."""
+    from greybox.commands.judgement import gate
+    from greybox.errors import GreyboxError
+
+    refuse(arguments, COURSE_ONLY, "a vehicle that flies a course", "a model of your own")
+    if not 2 <= arguments.horizon <= 200:
+        raise GreyboxError(
+            "--horizon takes 2 to 200 samples", got=str(arguments.horizon), fix="--horizon 20"
+        )
+    return gate(content, arguments.subject, even_so=arguments.even_so)
 
 
 def _same_program(arguments: argparse.Namespace) -> None:

@@ -7,7 +7,6 @@ import argparse
 import shlex
 import sys
 from collections.abc import Callable
-from typing import Any
 
 from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
@@ -116,7 +115,7 @@ def run_new(arguments: argparse.Namespace) -> int:
     return _tell(vehicle_text(name, changes), arguments.out)
 
 
-def _from_log(log: str, changes: dict[str, Any]) -> str:
+def _from_log(log: str, changes: dict[str, object]) -> str:
     """The file from a log; says on standard error what the log knew and what must be measured."""
     from greybox.model.vehicle_from_log import vehicle_from_log
     from greybox.simulators.sources import is_simulator_file, vehicle_from_simulator
@@ -148,7 +147,7 @@ def _tell(text: str, out: str | None) -> int:
     return 0
 
 
-def ask(reply: Callable[[str], str]) -> tuple[str, dict[str, Any]]:
+def ask(reply: Callable[[str], str]) -> tuple[str, dict[str, object]]:
     """(template, settings) from questions; `reply` takes a prompt and gives the answer. A bad
     number is asked for again."""
     import tomllib
@@ -160,7 +159,7 @@ def ask(reply: Callable[[str], str]) -> tuple[str, dict[str, Any]]:
     name = reply("template [x]: ").strip() or "x"
     data = tomllib.loads(template_text(name))
     arm = max((r["position"][0] ** 2 + r["position"][1] ** 2) ** 0.5 for r in data["rotor"])
-    known: dict[str, Any] = {
+    known: dict[str, object] = {
         "name": data["name"],
         "mass": data["mass"]["value"],
         "mass.sigma": "1 %",
@@ -169,7 +168,7 @@ def ask(reply: Callable[[str], str]) -> tuple[str, dict[str, Any]]:
         "actuator.rotor_radius": data["actuator"]["rotor_radius"],
         "battery.nominal_voltage": data["battery"]["nominal_voltage"],
     }
-    answers: dict[str, Any] = {}
+    answers: dict[str, object] = {}
     for key, question, kind in QUESTIONS:
         while (answer := reply(f"{question} [{known[key]}]: ").strip()) != "":
             try:

@@ -31,7 +31,7 @@ from greybox.symbolic import CASADI, Expr, FloatArray
 IntArray = npt.NDArray[np.int32]
 Whole = npt.NDArray[np.integer[Any]]
 """Whole numbers of any size."""
-Pointer = Any
+Pointer = object
 """Memory as ctypes hands it to C."""
 
 
@@ -197,7 +197,7 @@ class Engine:
             self._place: IntArray | None = None
             self.built, self.columns = active, np.arange(len(active))
             self._functions()
-        self._library: Any = None
+        self._library: ctypes.CDLL | None = None
         if use_compiler and compiler() is not None:
             self._compile()
 
@@ -224,6 +224,11 @@ class Engine:
     def compiled(self) -> bool:
         """Whether the step runs as compiled C."""
         return self._library is not None
+
+    @property
+    def _c(self) -> ctypes.CDLL:
+        assert self._library is not None
+        return self._library
 
     def _functions(self) -> None:
         d = self.dynamics
@@ -387,7 +392,7 @@ class Engine:
     def _scratch(self, nk: int = 0) -> tuple[Pointer, Pointer, Pointer, Pointer, FloatArray]:
         a, r, i, w = self._work
         sizes = self.nx, self.nd, self.ne, self.ny, nk
-        length = int(self._library.gb_buffer(*sizes, *self._tapes))
+        length = int(self._c.gb_buffer(*sizes, *self._tapes))
         return (
             (ctypes.c_void_p * a)(),
             (ctypes.c_void_p * r)(),
@@ -409,7 +414,7 @@ class Engine:
         zero = np.ascontiguousarray(gains.zero, dtype=np.int32)
         pointers = (ctypes.c_void_p * len(slopes))(*(v.ctypes.data for v in slopes)) if nk else None
         return int(
-            self._library.gb_run(
+            self._c.gb_run(
                 one.n,
                 self.nx,
                 self.nd,
@@ -537,7 +542,7 @@ class Engine:
         ns = 0 if runs.s is None else runs.s.shape[2]
         arg, res, iw, w, buffer = self._scratch()
         return int(
-            self._library.gb_windows(
+            self._c.gb_windows(
                 len(runs.first),
                 _ptr(runs.first),
                 _ptr(runs.length),
@@ -616,7 +621,7 @@ class Engine:
         if self.compiled:
             arg, res, iw, w, buffer = self._scratch()
             k0 = np.ascontiguousarray(rows, dtype=np.int32)
-            self._library.gb_rollout(
+            self._c.gb_rollout(
                 m,
                 horizon,
                 self.nx,

@@ -316,29 +316,21 @@ def make_problem(
     records = make_records(engine, dataset)
     flights = tuple(f.name for f in dataset.flights)
     process, sensor = _levels(dynamics, dt, o.noise, o.held_noise)
-    levels: list[Unknown] = []
-    if o.estimate_noise and predictor.has_noise:
-        levels = _noise_unknowns("noise.process.", dynamics.noises, process, 3.0)
-        if o.estimate_noise != "process":
-            levels += _noise_unknowns("noise.sensor.", dynamics.innovations, sensor, 2.0)
-        levels = [u for u in levels if not any(_within(u.name, n) for n in o.held_noise)]
+    levels = _free_levels(dynamics, o, process, sensor) if predictor.has_noise else []
     shared, per_flight = _parameter_unknowns(dynamics.parameters, choice, o, values, flights)
-    unknowns = [*shared, *levels, *per_flight]
-    starts = o.estimate_initial and predictor.has_initial
     base = np.array([values[d.name] for d in dynamics.parameters])
-    every = [np.ones(engine.nd, dtype=bool)] * len(records)
-    initial = (
-        _initial_unknowns(dynamics, records, every, base, process)
-        if starts and not predictor.carries_starts
-        else []
-    )
+    starts = o.estimate_initial and predictor.has_initial
+    initial: list[Unknown] = []
+    if starts and not predictor.carries_starts:
+        every = [np.ones(engine.nd, dtype=bool)] * len(records)
+        initial = _initial_unknowns(dynamics, records, every, base, process)
     problem = Problem(
         dynamics=dynamics,
         engine=engine,
         predictor=predictor,
         criterion=criterion,
         records=records,
-        unknowns=(*unknowns, *initial),
+        unknowns=(*shared, *levels, *per_flight, *initial),
         base=base,
         dt=dt,
         means=channel_means(dataset),
@@ -347,14 +339,7 @@ def make_problem(
         sensor_level=sensor,
         estimate_initial=bool(initial),
     )
-    if not starts or not predictor.carries_starts:
-        return problem
-    told = predictor.told(problem)
-    initial = _initial_unknowns(dynamics, records, [~t for t in told], base, process)
-    spreads = tuple(np.where(t, r.spread, 0.0) for t, r in zip(told, records, strict=True))
-    return replace(
-        problem, unknowns=(*unknowns, *initial), estimate_initial=bool(initial), spreads=spreads
-    )
+    return _with_carried_starts(problem) if starts and predictor.carries_starts else problem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -445,6 +430,19 @@ def _initial_unknowns(
     return unknowns
 
 
+def _with_carried_starts(problem: Problem) -> Problem:
+    """The initial errors that the predictor's filter carries with their spreads, the others as
+    unknowns."""
+    p = problem
+    told = p.predictor.told(p)
+    free = [~t for t in told]
+    initial = _initial_unknowns(p.dynamics, p.records, free, p.base, p.process_level)
+    spreads = tuple(np.where(t, r.spread, 0.0) for t, r in zip(told, p.records, strict=True))
+    return replace(
+        p, unknowns=(*p.unknowns, *initial), estimate_initial=bool(initial), spreads=spreads
+    )
+
+
 def _levels(
     dynamics: Dynamics, dt: float, noise: Mapping[str, float], held: Iterable[str] = ()
 ) -> tuple[FloatArray, FloatArray]:
@@ -466,6 +464,18 @@ def _levels(
             if not levels[i] > 0:
                 raise ModelError(f"noise level {prefix + n} must be positive", got=f"{levels[i]:g}")
     return process, sensor
+
+
+def _free_levels(
+    dynamics: Dynamics, o: FitOptions, process: FloatArray, sensor: FloatArray
+) -> list[Unknown]:
+    """The noise levels that are estimated, as unknowns."""
+    if not o.estimate_noise:
+        return []
+    levels = _noise_unknowns("noise.process.", dynamics.noises, process, 3.0)
+    if o.estimate_noise != "process":
+        levels += _noise_unknowns("noise.sensor.", dynamics.innovations, sensor, 2.0)
+    return [u for u in levels if not any(_within(u.name, n) for n in o.held_noise)]
 
 
 def _noise_unknowns(

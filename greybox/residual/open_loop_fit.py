@@ -513,14 +513,11 @@ def fit_open_loop(
         paths = Paths(model, data, horizons=horizons, stride=stride)
         bases = {label: Basis(model, posterior) for label, posterior in candidates.items()}
         outputs = next(iter(candidates.values())).outputs.names
-        blocks = 1 if len({r.flight for r in paths.records}) >= FEW else BLOCKS
-        kinds = paths.kinds(next(iter(bases.values())))
-        owners = _owners(kinds, blocks)
-        folds = folds_of(owners)
-        parts = paths.all_normal(bases, blocks, lambda text, share: say(text, 0.6 * share))
+        cut = _Cut.of(paths, next(iter(bases.values())))
+        parts = paths.all_normal(bases, cut.blocks, lambda text, share: say(text, 0.6 * share))
         found = {
             label: choose(
-                judged(own, folds),
+                judged(own, cut.folds),
                 by_channel(own, "cost"),
                 outputs,
                 strengths,
@@ -530,10 +527,10 @@ def fit_open_loop(
         }
         best = max(found, key=lambda label: found[label][1])
         if maker is not None:
-            best = _judged_apart(paths, maker, found, kinds, blocks, folds, strengths, say)
+            best = _judged_apart(paths, maker, found, cut, strengths, say)
         gains = {label: gain for label, (_, gain) in found.items()}
         chosen, gain = found[best]
-        factor = _dispersion(parts[best], folds, bases[best], chosen)
+        factor = _dispersion(parts[best], cut.folds, bases[best], chosen)
         result, theta = _iterate(
             paths,
             bases[best],
@@ -546,31 +543,40 @@ def fit_open_loop(
         if result.status != "null":
             say("errors of kinds of flight left out", 0.9)
             del parts
-            result = replace(
-                result,
-                held_out_gain=gain,
-                left_out=_left_out(paths, bases[best], theta, chosen, owners, blocks),
-            )
+            left_out = _left_out(paths, bases[best], theta, chosen, cut)
+            result = replace(result, held_out_gain=gain, left_out=left_out)
     return result, best, gains
 
 
-def _owners(kinds: Sequence[int], blocks: int) -> list[str]:
-    """Of every block of every record whose it is, of which all is left out together: of a kind of
-    flight, or of its own where flights are cut."""
-    return [
-        str(kind) if blocks == 1 else f"{i} {b}"
-        for i, kind in enumerate(kinds)
-        for b in range(blocks)
-    ]
+@dataclass(frozen=True, kw_only=True)
+class _Cut:
+    """How records are left out: the kind of flight of every record, and the blocks it is cut into.
+    Of many flights a kind is left out whole, of few a block alone."""
+
+    kinds: tuple[int, ...]
+    blocks: int
+
+    @classmethod
+    def of(cls, paths: Paths, basis: Basis) -> _Cut:
+        many = len({r.flight for r in paths.records}) >= FEW
+        return cls(kinds=tuple(paths.kinds(basis)), blocks=1 if many else BLOCKS)
+
+    @cached_property
+    def folds(self) -> list[list[int]]:
+        """Blocks of all records, in order, that are left out together."""
+        owners = [
+            str(kind) if self.blocks == 1 else f"{i} {b}"
+            for i, kind in enumerate(self.kinds)
+            for b in range(self.blocks)
+        ]
+        return folds_of(owners)
 
 
 def _judged_apart(
     paths: Paths,
     maker: Maker,
     found: dict[str, tuple[FloatArray, float]],
-    kinds: Sequence[int],
-    blocks: int,
-    folds: Sequence[Sequence[int]],
+    cut: _Cut,
     strengths: Sequence[float],
     say: Progress,
 ) -> str:
@@ -582,8 +588,8 @@ def _judged_apart(
     flights = [r.flight for r in paths.records]
     halves = Halves.of(
         flights,
-        dict(zip(flights, kinds, strict=True)),
-        blocks,
+        dict(zip(flights, cut.kinds, strict=True)),
+        cut.blocks,
         [r.n for r in paths.records],
         maker.flights,
     )
@@ -598,9 +604,9 @@ def _judged_apart(
         silence, nothing = np.full(chosen.shape, np.inf), 0.0
         found[label] = silence, nothing
         if len(bases) == len(made):
-            parts = paths.all_normal(bases, blocks, lambda _text, _share: None)
+            parts = paths.all_normal(bases, cut.blocks, lambda _text, _share: None)
             outputs = next(iter(bases.values())).posterior.outputs.names
-            both = halves.judged([parts[h] for h in made], folds)
+            both = halves.judged([parts[h] for h in made], cut.folds)
             found[label] = choose(
                 both, by_channel(parts["0"], "cost"), outputs, strengths, bases["0"].members
             )
@@ -724,19 +730,20 @@ def _left_out(
     basis: Basis,
     theta: FloatArray,
     chosen: FloatArray,
-    owners: Sequence[str],
-    blocks: int,
+    cut: _Cut,
 ) -> dict[tuple[str, int, str], float]:
     """As `OpenLoopFit.left_out`, in the quadratic model of the cost around the fitted weights."""
     learned = np.isfinite(chosen)
     few, on = basis.only(learned), np.repeat(learned, basis.m)
-    parts = [n for r in paths.records for n in paths.normal(r, [few], blocks, by_horizon=True)[0]]
-    flights = [r.flight for r in paths.records for _ in range(blocks)]
+    parts = [
+        n for r in paths.records for n in paths.normal(r, [few], cut.blocks, by_horizon=True)[0]
+    ]
+    flights = [r.flight for r in paths.records for _ in range(cut.blocks)]
     prior = np.repeat(chosen, basis.m)[on]
     whole_h, whole_g = total(parts, "hessian"), total(parts, "gradient")
     seen: dict[str, FloatArray] = {}
     unseen: dict[str, FloatArray] = {}
-    for fold in folds_of(owners):
+    for fold in cut.folds:
         own = [parts[i] for i in fold]
         left_h, left_g = whole_h - total(own, "hessian"), whole_g - total(own, "gradient")
         d, _ = _newton(left_h, left_g, prior, theta[on], basis)

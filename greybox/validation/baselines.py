@@ -8,7 +8,7 @@ predict.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -164,18 +164,7 @@ def dead_reckoning(
             out["position"] = np.full((len(starts), steps, 3), np.nan)
     if not len(starts) or last < 1:
         return out
-    steps_of = _turns(rate, dt)
-    force = np.ascontiguousarray(force.T)
-    down = np.array([[0.0], [0.0], [gravity]])
-    world = (
-        None
-        if attitude_record is None
-        else np.ascontiguousarray(_world_acceleration(force.T, attitude_record, gravity).T)
-    )
-
-    def acceleration(q: FloatArray, at: IntArray) -> FloatArray:
-        return _turned(q, force[:, at]) - down if world is None else world[:, at]
-
+    steps_of, acceleration = _turns(rate, dt), _accelerations(force, attitude_record, gravity)
     q = (attitude / np.linalg.norm(attitude, axis=1, keepdims=True)).T
     v = np.zeros((3, len(starts))) if velocity is None else velocity.T
     p = np.zeros((3, len(starts))) if position is None else position.T
@@ -191,6 +180,19 @@ def dead_reckoning(
             if name in out:
                 out[name][inside, h] = state.T[inside]
     return out
+
+
+def _accelerations(
+    force: FloatArray, attitude_record: FloatArray | None, gravity: float
+) -> Callable[[FloatArray, IntArray], FloatArray]:
+    """(q (4, n), samples (n,)) -> acceleration (3, n) in the world, of specific force (N, 3) turned
+    by q, or else by the record."""
+    force = np.ascontiguousarray(force.T)
+    if attitude_record is None:
+        down = np.array([[0.0], [0.0], [gravity]])
+        return lambda q, at: _turned(q, force[:, at]) - down
+    world = np.ascontiguousarray(_world_acceleration(force.T, attitude_record, gravity).T)
+    return lambda q, at: world[:, at]
 
 
 def _turns(rate: FloatArray, dt: float) -> FloatArray:

@@ -129,7 +129,7 @@ class Plant(Protocol):
         ...
 
 
-def named(option: str, name: str, example: str) -> Any:
+def named(option: str, name: str, example: str) -> object:
     """What `module:attribute` names, importable from here. Raises `PlantError`."""
     module, _, attribute = name.partition(":")
     if not module or not attribute:

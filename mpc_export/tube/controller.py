@@ -30,7 +30,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -81,10 +81,34 @@ MEAN = 0.3
 """Time constant of the mean command that weak rotors are judged by [s]."""
 
 
-class Reference(Protocol):
-    """A path over time: position, velocity, acceleration (n, 3), world; yaw (n,)."""
+class PathSamples(Protocol):
+    """Samples of a path at n times, world [m, s, rad]."""
 
-    def sample(self, time: FloatArray) -> Any:
+    @property
+    def position(self) -> FloatArray:
+        """(n, 3)."""
+        ...
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(n, 3)."""
+        ...
+
+    @property
+    def acceleration(self) -> FloatArray:
+        """(n, 3)."""
+        ...
+
+    @property
+    def yaw(self) -> FloatArray:
+        """(n,)."""
+        ...
+
+
+class Reference(Protocol):
+    """A path over time."""
+
+    def sample(self, time: FloatArray) -> PathSamples:
         """At the times (n,) [s]."""
         ...
 
@@ -155,11 +179,6 @@ class TubeController:
         self._blocks: dict[tuple[str, bool], list[int]] = {}
         self.every = max(1, round(self.problem.dt / self.model.sample_time))
         model = _integrating(self.model) if self.integrate else self.model
-        wanted = [
-            "filter",
-            *(["calibrate"] if self.calibrate else []),
-            *(["adapt"] if self.adapt is not None else []),
-        ]
         if self.adapt is not None:
             if not 0.0 <= self.memory < math.inf:
                 raise ModelError(
@@ -173,6 +192,30 @@ class TubeController:
             runtime_parameters=() if self.adapt is None else flight_parameters(model),
             measured=False,
         )
+        self._make_filter(model)
+        self.solver = TubeSolver(
+            self.functions,
+            self.problem,
+            kernels=self.kernels,
+            white=self.white,
+            estimate=self._filter_covariance(),
+            fresh=innovations(self.filter, self.every, len(self.functions.error_states)),
+        )
+        most, names = authority(model), self.filter.states.names
+        self.most = np.array([most.get(names[i], UNBOUNDED) for i in self.solver.stages.free])
+        rotors = self.model.physics.vehicle.rotors
+        self._spin = np.array([float(r.spin) for r in rotors])
+        self._turning = turning(np.array([r.position for r in rotors], dtype=float), self._spin)
+        self._turned = self._turned_by()
+        self.start()
+
+    def _make_filter(self, model: IdentifiedModel) -> None:
+        """The filter with its gate, and what it adapts, follows and calibrates."""
+        wanted = [
+            "filter",
+            *(["calibrate"] if self.calibrate else []),
+            *(["adapt"] if self.adapt is not None else []),
+        ]
         self.filter: ModelFunctions = model_functions(model, with_=wanted)
         if self.adapt is not None:
             start = starting_as(self.filter.adapted, self.model, self.filter.noise.covariance)
@@ -191,31 +234,16 @@ class TubeController:
             self.filter, [self.filter.error_states.names.index(n) for n in pushes.values()]
         )
         self._learned = list(self.filter.adapted.rows)
+        self._step = native(self.filter["filter_step"])
         self._adapt = native(self.filter["adapt_step"]) if self.adapt is not None else None
         self.calibrated = Calibrated(self.filter) if self.calibrate else None
-        self.solver = TubeSolver(
-            self.functions,
-            self.problem,
-            kernels=self.kernels,
-            white=self.white,
-            estimate=self._filter_covariance(),
-            fresh=innovations(self.filter, self.every, len(self.functions.error_states)),
-        )
-        most, names = authority(model), self.filter.states.names
-        self.most = np.array([most.get(names[i], UNBOUNDED) for i in self.solver.stages.free])
-        self._step = native(self.filter["filter_step"])
         self.columns = self.filter.outputs.names
         groups = self.model.dynamics.innovation_columns
         self._present = [[self.columns.index(c) for c in names] for names in groups]
         self.gate = Gate(groups, self.filter.noise.innovation)
         self.blind = carried(self.filter, groups)
-        rotors = self.model.physics.vehicle.rotors
-        self._spin = np.array([float(r.spin) for r in rotors])
-        self._turning = turning(np.array([r.position for r in rotors], dtype=float), self._spin)
-        self._turned = self._turned_by()
         pose = ("x, y, z", "qw, qx, qy, qz")
         self._pose = [(k, rows) for k, (name, rows) in enumerate(self.gate.sensors) if name in pose]
-        self.start()
 
     def _filter_covariance(self) -> FloatArray:
         """P_f of the filter at the model's sample time, in the error state of the plan; the history
@@ -591,7 +619,7 @@ class TubeController:
         found = max(float(data["kappa_u"][()]) * float(share), ROUNDING * self.kappa_u)
         return min(self.kappa_u, found) if math.isfinite(found) else self.kappa_u
 
-    def _path(self, begin: float, times: FloatArray) -> Any:
+    def _path(self, begin: float, times: FloatArray) -> PathSamples:
         """The reference, or a descent, which is declared here."""
         if self.descent is None:
             path = self.reference.sample(times)
@@ -618,7 +646,7 @@ class TubeController:
             )
         return self.descent.sample(times)
 
-    def _slowly_turning(self, path: Any) -> Way:
+    def _slowly_turning(self, path: PathSamples) -> Way:
         """The path with headings no farther from the estimated one than half of the command that the
         steady one leaves turns the vehicle within HELD, or than weighs as much as UNSURE in the
         place: the rest of the command is for the place."""
@@ -647,7 +675,7 @@ class TubeController:
         up = numeric("rotate", end[attitude], [0.0, 0.0, 1.0])[0]
         end[attitude], end[turn] = _tilted(up, float(yaw[-1])), data["x"][-1, turn]
 
-    def _aim(self, path: Any) -> None:
+    def _aim(self, path: PathSamples) -> None:
         """One Newton step of the steady state that holds the reference's place under the estimated
         disturbance.
 
@@ -715,7 +743,7 @@ class TubeController:
         # In a dive so little is given that a load would look like a rotor without thrust.
         return np.asarray(np.where(self._mean > GIVEN * hover, np.maximum(u, weak), u))
 
-    def _along(self, path: Any, k: int) -> FloatArray:
+    def _along(self, path: PathSamples, k: int) -> FloatArray:
         """State at sample k of the path: thrust along its acceleration and what the steady state
         holds against gravity and disturbances; rotors and rates at rest."""
         x = self.steady[0].copy()
@@ -734,7 +762,7 @@ class TubeController:
         x[:-1] = x[1:].copy()
         x[-1] = self.functions["f_d"](x[-2], u[-1], self.p).full().ravel()
 
-    def _anew(self, path: Any) -> None:
+    def _anew(self, path: PathSamples) -> None:
         """A plan that owes nothing to the one before: the fallback about the path, simulated from
         the estimate."""
         data, u = self.solver.data, self.u
@@ -746,7 +774,7 @@ class TubeController:
             x = after if np.isfinite(after).all() else self._along(path, k + 1)
         data["x"][-1] = x
 
-    def _fallback(self, begin: float, path: Any) -> FloatArray:
+    def _fallback(self, begin: float, path: PathSamples) -> FloatArray:
         """The plan before with the ancillary gain, while it lasts; then the gain about the path."""
         x, u = self._along(path, 0), self.steady[1]
         if self.plan is not None:

@@ -115,7 +115,7 @@ class IpoptSolver:
                 given["backoff_u"][:, k] for k in range(n)
             ]
         keep, gain = list(self.solver.stages.keep), ca.DM(self.solver.stages.gain)
-        z = ca.reshape(given["Z0"], s["ND"], s["ND"])
+        z: Expr = ca.reshape(given["Z0"], s["ND"], s["ND"])
         c, b = ca.MX(s["ND"], s["NGP"]), ca.MX(s["ND"], s["NTH"])
         tight, tight_u, first = [], [], None
         for k in range(n + 1):

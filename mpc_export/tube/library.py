@@ -8,10 +8,9 @@ which is a bit in the answer instead.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -32,7 +31,7 @@ from mpc_export.tube.controller import (
     TubeController,
     near_heading,
 )
-from mpc_export.tube.descent import HELD
+from mpc_export.tube.descent import HELD, Way
 from mpc_export.tube.heading import TURN
 from mpc_export.tube.rival import BELIEVED, CLEARLY
 from mpc_export.tube.solver import COARSE, PRIMAL, QP, QP_TOLERANCE, driver, settled
@@ -51,6 +50,9 @@ MEMORY = """  tube_solver solver;
   int adrift, has_plan, plan_age, failures;
 """
 """What plans keep in the library's memory."""
+Words: TypeAlias = dict[str, str | float]
+"""What stands in the templates: C as it is, or a number."""
+Number: TypeAlias = float | np.generic
 
 
 def write_library(
@@ -115,13 +117,13 @@ def filled_with(template: str, words: Mapping[str, str]) -> str:
     return filled(template, **{k: v for k, v in words.items() if k in own})
 
 
-def braced(values: Any) -> str:
+def braced(values: Iterable[Number]) -> str:
     """Numbers as an initialiser of C."""
-    numbers = [repr(v.item() if hasattr(v, "item") else v) for v in values]
+    numbers = [repr(v.item() if isinstance(v, np.generic) else v) for v in values]
     return f"{{{', '.join(numbers) or '0'}}}"
 
 
-def matrix(values: Any) -> str:
+def matrix(values: Iterable[Iterable[Number]]) -> str:
     """Rows of numbers as an initialiser of C."""
     return "{\n  " + ",\n  ".join(braced(row) for row in values) + "}"
 
@@ -129,7 +131,7 @@ def matrix(values: Any) -> str:
 def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[str, str]:
     """What stands in the templates for their @words@."""
     coarse = COARSE if real == "float" else 1.0
-    words: dict[str, Any] = {"NAME": name, "UPPER": name.upper(), "real": real, "memory": MEMORY}
+    words: Words = {"NAME": name, "UPPER": name.upper(), "real": real, "memory": MEMORY}
     words |= _limits(pilot) | _sizes(pilot) | _states(pilot) | _sensors(pilot)
     words |= _filter(pilot, own) | _rules(pilot)
     words |= {
@@ -142,7 +144,7 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
     return {k: v if isinstance(v, str) else repr(v) for k, v in words.items()}
 
 
-def _limits(pilot: TubeController) -> dict[str, Any]:
+def _limits(pilot: TubeController) -> Words:
     """Of commands and tilt, and by how much they are tightened."""
     problem, kappa = pilot.problem, np.zeros(pilot.problem.planes + 1)
     kappa[: len(pilot.kappa)] = pilot.kappa
@@ -158,7 +160,7 @@ def _limits(pilot: TubeController) -> dict[str, Any]:
     }
 
 
-def _sizes(pilot: TubeController) -> dict[str, Any]:
+def _sizes(pilot: TubeController) -> Words:
     """Names and numbers of columns and states, times."""
     f, problem = pilot.filter, pilot.problem
     return {
@@ -181,7 +183,7 @@ def _sizes(pilot: TubeController) -> dict[str, Any]:
     }
 
 
-def _states(pilot: TubeController) -> dict[str, Any]:
+def _states(pilot: TubeController) -> Words:
     """Where blocks begin, hover, and the history of commands."""
     f, plan, problem = pilot.filter, pilot.functions, pilot.problem
     x, u = pilot.solver.stages.steady
@@ -204,7 +206,7 @@ def _states(pilot: TubeController) -> dict[str, Any]:
     }
 
 
-def _sensors(pilot: TubeController) -> dict[str, Any]:
+def _sensors(pilot: TubeController) -> Words:
     """Which columns make an innovation, which innovations a sensor, and where an estimate begins."""
     f = pilot.filter
     groups, sensors = f.sampled.dynamics.innovation_columns, pilot.gate.sensors
@@ -233,7 +235,7 @@ def _sensors(pilot: TubeController) -> dict[str, Any]:
     }
 
 
-def _filter(pilot: TubeController, own: CSource) -> dict[str, Any]:
+def _filter(pilot: TubeController, own: CSource) -> Words:
     """Memory of the filter's function, and when its estimate counts."""
     step = own.functions[0]
     return {
@@ -247,7 +249,7 @@ def _filter(pilot: TubeController, own: CSource) -> dict[str, Any]:
     }
 
 
-def _rules(pilot: TubeController) -> dict[str, Any]:
+def _rules(pilot: TubeController) -> Words:
     """Of the fallback, the heading and what is said."""
     return {
         "near_position": NEAR["position"],
@@ -338,10 +340,10 @@ class Still:
     def __init__(self, place: Sequence[float]) -> None:
         self.place = np.asarray(place, dtype=float)
 
-    def sample(self, time: FloatArray) -> Any:
+    def sample(self, time: FloatArray) -> Way:
         """At the times (n,)."""
         zero = np.zeros((len(time), 3))
-        return SimpleNamespace(
+        return Way(
             position=np.tile(self.place[:3], (len(time), 1)),
             velocity=zero,
             acceleration=zero,

@@ -31,7 +31,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -58,7 +57,7 @@ class Stages:
     `tube_unsure`, with A's zeros left out.
     """
 
-    functions: Mapping[str, Any]
+    functions: Mapping[str, ca.Function]
     keep: tuple[int, ...]
     free: tuple[int, ...]
     gain: FloatArray
@@ -169,13 +168,13 @@ def _arguments(model: ModelFunctions) -> tuple[Expr, Expr, Expr]:
     return ca.MX.sym("x", n["n_x"]), ca.MX.sym("u", n["n_u"]), ca.MX.sym("p", n["n_p"])
 
 
-def _step(model: ModelFunctions) -> Any:
+def _step(model: ModelFunctions) -> ca.Function:
     """(x, u, p) -> next state."""
     arguments = _arguments(model)
     return ca.Function("tube_step", [*arguments], [model["f_d"](*arguments)])
 
 
-def _linear(model: ModelFunctions, keep: tuple[int, ...]) -> Any:
+def _linear(model: ModelFunctions, keep: tuple[int, ...]) -> ca.Function:
     """(x, u, p) -> next state; A (its nonzeros), B of what the plan may change; A (its nonzeros), B
     of all."""
     x, u, p = _arguments(model)
@@ -189,14 +188,14 @@ def _linear(model: ModelFunctions, keep: tuple[int, ...]) -> Any:
     )
 
 
-def _picked(m: Expr, pattern: Any) -> Expr:
+def _picked(m: Expr, pattern: ca.Sparsity) -> Expr:
     """m (dense) with the nonzeros of the pattern alone: by their places, which is quicker in C than
     a projection."""
     rows, columns = pattern.get_triplet()
     return ca.MX(pattern, m.nz[[r + m.shape[0] * c for r, c in zip(rows, columns, strict=True)]])
 
 
-def _pattern(model: ModelFunctions) -> Any:
+def _pattern(model: ModelFunctions) -> ca.Sparsity:
     """Sparsity of A (n_d, n_d): which error states depend on which, whatever the numbers are."""
     x, u, p = _arguments(model)
     d = ca.MX.sym("d", model.sizes["n_d"])
@@ -204,7 +203,7 @@ def _pattern(model: ModelFunctions) -> Any:
     return ca.Function("after", [x, u, p, d], [after]).jac_sparsity(0, 3)
 
 
-def _unsure(model: ModelFunctions) -> Any:
+def _unsure(model: ModelFunctions) -> ca.Function:
     """(x, u, p) -> what one standard deviation of the learned functions moves the next state by
     (n_d, n_g), and its slope in the uncertain parameters (n_d, n_theta)."""
     n = model.sizes
@@ -224,7 +223,7 @@ def _unsure(model: ModelFunctions) -> Any:
     return ca.Function("tube_unsure", [x, u, p], [ca.densify(v) for v in (push, slope)])
 
 
-def _charts(model: ModelFunctions, keep: tuple[int, ...]) -> tuple[Any, Any]:
+def _charts(model: ModelFunctions, keep: tuple[int, ...]) -> tuple[ca.Function, ca.Function]:
     n = model.sizes
     x, y, d = ca.MX.sym("x", n["n_x"]), ca.MX.sym("y", n["n_x"]), ca.MX.sym("d", len(keep))
     spread = ca.DM(n["n_d"], len(keep))
@@ -246,7 +245,7 @@ def _moved(model: ModelFunctions, keep: tuple[int, ...]) -> tuple[Expr, Expr, Ex
     return x, d, model.sampled.boxplus(x, full)
 
 
-def _cost(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) -> Any:
+def _cost(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) -> ca.Function:
     """(x, u, u_before, ref) -> cost and its derivatives in (d, u_before, u); ref = position,
     velocity, psi, u_steady."""
     w = problem.weights
@@ -274,7 +273,7 @@ def _squares(
     at_zero: Expr,
     *,
     sparse: bool = False,
-) -> Any:
+) -> ca.Function:
     """Value, gradient and Gauss-Newton Hessian of 0.5 r'r in `by`, at `at_zero` = 0; sparse: of the
     Hessian there are the nonzeros."""
     jacobian = ca.horzcat(*(ca.jacobian(residual, v) for v in by))
@@ -284,7 +283,7 @@ def _squares(
     return ca.Function(name, arguments, [*map(ca.densify, found[:2]), found[2]])
 
 
-def _end(model: ModelFunctions, keep: tuple[int, ...], terminal: FloatArray) -> Any:
+def _end(model: ModelFunctions, keep: tuple[int, ...], terminal: FloatArray) -> ca.Function:
     """(x, x_end) -> terminal cost and its derivatives in d."""
     x, d, moved = _moved(model, keep)
     goal = ca.SX.sym("goal", len(model.states))
@@ -293,7 +292,7 @@ def _end(model: ModelFunctions, keep: tuple[int, ...], terminal: FloatArray) -> 
     return _squares("tube_end", [x, goal], ca.DM(root.T) @ error, (d,), d)
 
 
-def _limits(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) -> Any:
+def _limits(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) -> ca.Function:
     """(x, planes (4, n)) -> values that must not be positive, and their Jacobian in d: planes, then
     tilt."""
     x, d, moved = _moved(model, keep)
@@ -313,7 +312,7 @@ def _spread(
     estimate: FloatArray,
     fresh: FloatArray,
     white: bool,
-) -> Any:
+) -> ca.Function:
     """(x, u, p, Z, c, b) -> total, Z+, c+, b+; see the note at the top of the file."""
     n = model.sizes
     nd, ng, nt = n["n_d"], n["n_g"], n["n_theta"]

@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.estimation.solver import Objective, Progress, Value
+from greybox.estimation.solvers.interior import on_bounds, standard_errors
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import FloatArray
@@ -42,45 +43,23 @@ class Ipopt:
         first = problem.evaluate(x)
         if not first.valid:
             return x, Status(code=Code.INVALID_START, iterations=0, evaluations=1, decrement=np.inf)
-        assert first.hessian is not None
-        diagonal = np.diag(first.hessian)
-        scale = np.where(diagonal > 0, 1.0 / np.sqrt(np.maximum(diagonal, 1e-300)), problem.scale)
+        scale = standard_errors(first, problem)
         memory = _Memory(problem=problem, scale=scale, tolerance=self.tolerance, progress=progress)
         z = ca.MX.sym("z", problem.n)
-        parts = {
-            "f": _Cost(memory),
+        # CasADi does not keep what is computed by Python: these must live as long as the solver.
+        cost = _Cost(memory)
+        slopes = {
             "grad_f": _Gradient(memory),
             "hess_lag": _Hessian(memory, self.hessian == "exact"),
         }
-        options: dict[str, Any] = {
-            "grad_f": parts["grad_f"],
-            "hess_lag": parts["hess_lag"],
-            "no_nlp_grad": True,
-            "print_time": False,
-            "error_on_fail": False,
-            "ipopt.print_level": 0,
-            "ipopt.sb": "yes",
-            "ipopt.max_iter": self.max_iterations,
-            "ipopt.tol": 1e-2 * np.sqrt(self.tolerance),
-            "ipopt.dual_inf_tol": 1e3,
-            "ipopt.bound_relax_factor": 0.0,
-            "ipopt.nlp_scaling_method": "none",
-            "ipopt.acceptable_iter": 0,
-            "ipopt.mu_init": 1e-2,
-            "ipopt.mu_strategy": "adaptive",
-        }
-        solver = ca.nlpsol("solver", "ipopt", {"x": z, "f": parts["f"](z)}, options)
+        solver = ca.nlpsol("solver", "ipopt", {"x": z, "f": cost(z)}, slopes | self._options())
         out = solver(x0=x / scale, lbx=lower / scale, ubx=upper / scale)
         stats = solver.stats()
         x = np.clip(np.asarray(out["x"].full()).ravel() * scale, lower, upper)
         last = problem.evaluate(x)
         decrement = np.inf
         if last.valid and last.gradient is not None and last.hessian is not None:
-            near = 1e-3 / np.sqrt(np.maximum(np.diag(last.hessian), 1e-300))
-            held = ((x <= lower + near) & (last.gradient > 0)) | (
-                (x >= upper - near) & (last.gradient < 0)
-            )
-            x = np.where(held & (last.gradient > 0), lower, np.where(held, upper, x))
+            x, held = on_bounds(x, last.gradient, last.hessian, problem)
             decrement = newton_decrement(last.gradient, last.hessian, held)
         code, detail = _code(str(stats["return_status"]), decrement, self.tolerance)
         if memory.interrupted:
@@ -95,6 +74,23 @@ class Ipopt:
         if code is Code.INTERRUPTED:
             raise Interrupted((x, status))
         return x, status
+
+    def _options(self) -> dict[str, Any]:
+        return {
+            "no_nlp_grad": True,
+            "print_time": False,
+            "error_on_fail": False,
+            "ipopt.print_level": 0,
+            "ipopt.sb": "yes",
+            "ipopt.max_iter": self.max_iterations,
+            "ipopt.tol": 1e-2 * np.sqrt(self.tolerance),
+            "ipopt.dual_inf_tol": 1e3,
+            "ipopt.bound_relax_factor": 0.0,
+            "ipopt.nlp_scaling_method": "none",
+            "ipopt.acceptable_iter": 0,
+            "ipopt.mu_init": 1e-2,
+            "ipopt.mu_strategy": "adaptive",
+        }
 
 
 def _code(status: str, decrement: float, tolerance: float) -> tuple[Code, str]:

@@ -20,6 +20,7 @@ import scipy.linalg
 import scipy.optimize
 
 from greybox.estimation.solver import Objective, Progress, Value
+from greybox.estimation.solvers.interior import on_bounds, standard_errors
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import FloatArray
@@ -46,51 +47,20 @@ class ScipyTrf:
             return x, Status(code=Code.INVALID_START, iterations=0, evaluations=1, decrement=np.inf)
         residuals = _Residuals(
             problem=problem,
-            scale=_scale(first, problem),
+            scale=standard_errors(first, problem),
             tolerance=self.tolerance,
             progress=progress,
+            offset=_offset(first),
         )
-        residuals.offset = _offset(first)
-        # scipy refuses bounds that coincide: those unknowns are held by a hair's breadth.
-        same = ~(lower < upper)
-        low = (
-            np.where(same, lower - 1e-12 * np.maximum(np.abs(lower), 1e-3 * problem.scale), lower)
-            / residuals.scale
-        )
-        high = (
-            np.where(same, upper + 1e-12 * np.maximum(np.abs(upper), 1e-3 * problem.scale), upper)
-            / residuals.scale
-        )
-        code, detail = Code.SOLVER_FAILED, ""
+        low, high = _apart(problem)
         try:
-            while True:
-                try:
-                    out = scipy.optimize.least_squares(
-                        residuals.vector,
-                        np.clip(x / residuals.scale, low, high),
-                        residuals.jacobian,
-                        (low, high),
-                        method="trf",
-                        x_scale="jac",
-                        ftol=1e-15,
-                        xtol=1e-13,
-                        gtol=None,
-                        tr_solver="exact",
-                        max_nfev=max(self.max_iterations - residuals.iterations, 1),
-                    )
-                except _RaiseOffset as again:
-                    x, residuals.offset = again.x, again.offset
-                    continue
-                x = out.x * residuals.scale
-                code = Code.MAX_ITERATIONS if out.status == 0 else Code.NO_PROGRESS
-                detail = str(out.message)
-                if residuals.decrement < 1e3 * self.tolerance:
-                    code, detail = Code.CONVERGED, ""
-                break
+            x, code, detail = self._search(
+                residuals, x, (low / residuals.scale, high / residuals.scale)
+            )
         except _Done as done:
-            x, code = done.x, Code.CONVERGED
+            x, code, detail = done.x, Code.CONVERGED, ""
         except KeyboardInterrupt:
-            x, code = residuals.best, Code.INTERRUPTED
+            x, code, detail = residuals.best, Code.INTERRUPTED, ""
         x = np.clip(x, lower, upper)
         status = Status(
             code=code,
@@ -102,6 +72,35 @@ class ScipyTrf:
         if code is Code.INTERRUPTED:
             raise Interrupted((x, status))
         return x, status
+
+    def _search(
+        self, residuals: _Residuals, x: FloatArray, bounds: tuple[FloatArray, FloatArray]
+    ) -> tuple[FloatArray, Code, str]:
+        """Where scipy stops from x within scaled `bounds`, and why; begun again where the constant
+        c must grow. Raises `_Done`."""
+        while True:
+            try:
+                out = scipy.optimize.least_squares(
+                    residuals.vector,
+                    np.clip(x / residuals.scale, *bounds),
+                    residuals.jacobian,
+                    bounds,
+                    method="trf",
+                    x_scale="jac",
+                    ftol=1e-15,
+                    xtol=1e-13,
+                    gtol=None,
+                    tr_solver="exact",
+                    max_nfev=max(self.max_iterations - residuals.iterations, 1),
+                )
+            except _RaiseOffset as again:
+                x, residuals.offset = again.x, again.offset
+                continue
+            x = out.x * residuals.scale
+            if residuals.decrement < 1e3 * self.tolerance:
+                return x, Code.CONVERGED, ""
+            code = Code.MAX_ITERATIONS if out.status == 0 else Code.NO_PROGRESS
+            return x, code, str(out.message)
 
 
 class _Done(Exception):
@@ -158,30 +157,28 @@ class _Residuals:
         value = self.at(z)
         assert value.gradient is not None and value.hessian is not None
         x = np.clip(z * self.scale, self.problem.lower, self.problem.upper)
-        # trf keeps off the bounds: what is within a thousandth of a standard error of one counts as
-        # there.
-        near = 1e-3 / np.sqrt(np.maximum(np.diag(value.hessian), 1e-300))
-        g = value.gradient
-        held = ((x <= self.problem.lower + near) & (g > 0)) | (
-            (x >= self.problem.upper - near) & (g < 0)
-        )
+        # trf keeps off the bounds.
+        settled, held = on_bounds(x, value.gradient, value.hessian, self.problem)
         self.iterations += 1
         self.best = x
-        self.decrement = newton_decrement(g, value.hessian, held)
+        self.decrement = newton_decrement(value.gradient, value.hessian, held)
         if self.progress:
             self.progress(self.iterations, value.cost, self.decrement)
         if self.decrement < self.tolerance:
-            x = np.where(held & (g > 0), self.problem.lower, np.where(held, self.problem.upper, x))
-            raise _Done(x)
+            raise _Done(settled)
         root, _ = _whitened(value, self.scale)
         return np.vstack([root.T, np.zeros((1, z.size))])
 
 
-def _scale(value: Value, problem: Objective) -> FloatArray:
-    """Standard errors of single unknowns: the scaled Hessian has a unit diagonal."""
-    assert value.hessian is not None
-    diagonal = np.diag(value.hessian)
-    return np.where(diagonal > 0, 1.0 / np.sqrt(np.maximum(diagonal, 1e-300)), problem.scale)
+def _apart(problem: Objective) -> tuple[FloatArray, FloatArray]:
+    """The bounds: scipy refuses those that coincide, whose unknowns are held by a hair's
+    breadth."""
+    lower, upper = problem.lower, problem.upper
+    same = ~(lower < upper)
+    return (
+        np.where(same, lower - 1e-12 * np.maximum(np.abs(lower), 1e-3 * problem.scale), lower),
+        np.where(same, upper + 1e-12 * np.maximum(np.abs(upper), 1e-3 * problem.scale), upper),
+    )
 
 
 def _whitened(value: Value, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
