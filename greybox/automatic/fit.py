@@ -7,7 +7,8 @@ fails falls back to less, and says so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +34,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
 from greybox.model.vehicle import Vehicle
 from greybox.validation.calibration import calibrated
+from greybox.validation.sanity import sanity_of
 
 LEFT_TO_JUDGE = 3.0
 """Times the seconds of adaptation that a test flight must last: two thirds of it judge."""
@@ -163,15 +165,33 @@ def fit_decided(
     said = decided.given
     decisions = [*prepared.decisions(), *decided.decisions]
     recipe: Recipe = replace(decided.recipe, rate=prepared.rate)
+    found, recipe = _carried_out(vehicle, prepared.data, recipe, decisions, said, say, progress)
+    return _with_what_flights_tell(vehicle, prepared.data, found, recipe, decisions, said, say)
+
+
+def _carried_out(
+    vehicle: Vehicle,
+    data: Dataset,
+    recipe: Recipe,
+    decisions: list[Decision],
+    said: Given,
+    say: Say,
+    progress: Progress | None = None,
+    *,
+    falls_back: bool = True,
+) -> tuple[Fit, Recipe]:
+    """The fit of a recipe, and what is left of that: what runs to a bound goes; where it
+    `falls_back`, smaller recipes stand in for one that fails. Every step down is added to
+    `decisions`. Raises `FitError`."""
 
     def step_down(what: str, reason: str) -> None:
         decisions.append(Decision(about="fallback", choice=what, reason=reason, option="--manual"))
         say(f"  {what}: {reason}")
 
     while True:
-        less = _less(recipe, said)
+        less = _less(recipe, said) if falls_back else None
         try:
-            found = fit_recipe(vehicle, prepared.data, recipe, progress)
+            found = fit_recipe(vehicle, data, recipe, progress)
         except FitError as error:
             if less is None:
                 raise
@@ -204,7 +224,7 @@ def fit_decided(
             step_down(less[1], found.status.advice)
             recipe = less[0]
             continue
-        return _with_what_flights_tell(vehicle, prepared.data, found, recipe, decisions, said, say)
+        return found, recipe
 
 
 def _with_what_flights_tell(
@@ -217,50 +237,80 @@ def _with_what_flights_tell(
     say: Say,
 ) -> Fit:
     """The fit, with the parameters estimated that were held for a ratio and that the flights tell
-    better than they are stated; as it was where nothing is told or such a fit does not end well."""
-    as_it_was = found.with_history(recipe, tuple(decisions))
+    better than they are stated; as it was where nothing is told, such a fit does not end well, or
+    it denies what was stated, which is said."""
     choices = said.choices
     own = {*choices.get("fixed", ()), *choices.get("considered", ())}
     told = {n: e for n, e in found.estimates.told.items() if n not in own}
-    if not told or "free" in choices:
-        return as_it_was
+    if "free" in choices:
+        told = {}
     unit = {d.name: d.unit for d in found.model.dynamics.parameters}
-    new = [
-        Decision(
-            about=name,
-            choice="estimated",
-            reason=f"the flights tell more than a ratio: to {error:.2g} {unit[name]}, stated to "
-            f"{stated:.2g}",
-            option="--fixed, --considered",
+    denied: dict[str, str] = {}
+    while told:
+        new = [
+            Decision(
+                about=name,
+                choice="estimated",
+                reason=f"the flights tell more than a ratio: to {error:.2g} {unit[name]}, stated "
+                f"to {stated:.2g}",
+                option="--fixed, --considered",
+            )
+            for name, (error, stated) in told.items()
+        ]
+        for decision in new:
+            say(f"  {decision.about}: {decision.choice} ({decision.reason})")
+        options = continued(recipe.options, found)
+        freed = replace(
+            recipe,
+            options=options.but(
+                fixed=tuple(n for n in options.fixed if n not in told),
+                considered=tuple(n for n in options.considered if n not in told),
+            ),
         )
-        for name, (error, stated) in told.items()
-    ]
-    for decision in new:
-        say(f"  {decision.about}: {decision.choice} ({decision.reason})")
-    options = continued(recipe.options, found)
-    freed = replace(
-        recipe,
-        options=options.but(
-            fixed=tuple(n for n in options.fixed if n not in told),
-            considered=tuple(n for n in options.considered if n not in told),
-        ),
-    )
-    try:
-        again = fit_recipe(vehicle, data, freed)
-    except FitError:
+        decided = [*(d for d in decisions if d.about not in told), *new]
         again = None
-    stuck = {n for n, e in found.parameters.items() if _at_bound(e)}
-    if (
-        again is None
-        or not again.converged
-        or any(_at_bound(e) and n not in stuck for n, e in again.parameters.items())
-    ):
-        say(
-            f"  {', '.join(told)}: held after all, as that fit does not end at a minimum inside "
-            "its bounds"
-        )
-        return as_it_was
-    return again.with_history(freed, (*(d for d in decisions if d.about not in told), *new))
+        with contextlib.suppress(FitError):
+            again, freed = _carried_out(vehicle, data, freed, decided, said, say, falls_back=False)
+        stuck = {n for n, e in found.parameters.items() if _at_bound(e)}
+        if (
+            again is None
+            or not again.converged
+            or any(_at_bound(e) and n not in stuck for n, e in again.parameters.items())
+        ):
+            say(
+                f"  {', '.join(told)}: held after all, as that fit does not end at a minimum "
+                "inside its bounds"
+            )
+            break
+        against = _denied(again, told)
+        if not against:
+            return _said_of(again, denied).with_history(freed, tuple(decided))
+        for line in against.values():
+            say(f"  {line}")
+        denied |= against
+        told = {n: e for n, e in told.items() if n not in against}
+    return _said_of(found, denied).with_history(recipe, tuple(decisions))
+
+
+def _denied(found: Fit, told: Collection[str]) -> dict[str, str]:
+    """Name -> in words, where estimates of those in `told` deny what was stated of them. Either the
+    statement is wrong, or the model lacks something that moves them; nobody knows which."""
+    return {
+        name: f"{finding.statement}; it is held: measure it again, and where it is right look for "
+        "what the model lacks (`greybox discover`)"
+        for finding in sanity_of(found).findings
+        if finding.kind == "overruled"
+        for name in finding.parameters
+        if name in told
+    }
+
+
+def _said_of(found: Fit, denied: Mapping[str, str]) -> Fit:
+    """The fit with a warning of every parameter that stays held although flights tell it."""
+    old = tuple(f"{n} is held, but" for n in denied)
+    kept = [w for w in found.diagnostics.warnings if not (old and w.startswith(old))]
+    warnings = (*denied.values(), *kept)
+    return replace(found, diagnostics=replace(found.diagnostics, warnings=warnings))
 
 
 def on_pieces(

@@ -72,13 +72,14 @@ def concluded(
 ) -> Fit:
     """The whole result of a search for the unknowns of `problem`, made of `data` and `options`,
     that `began` (`time.perf_counter`) and ended at `theta` (n,) with this status."""
-    aside = considered(problem, data, options, theta)
-    value = problem.evaluate(theta, scores=_block(problem))
+    block = _block(problem)
+    value = problem.evaluate(theta, scores=block)
     seen = _innovations(problem, theta, value)
+    aside = considered(problem, data, options, theta, block if seen.coloured else None)
     errors = _errors(problem, theta, value, aside, seen.coloured)
     estimates = _estimates(problem, theta, errors)
     combinations = _combinations(problem, theta, value, errors)
-    nearer = aside.told if status.converged and not seen.coloured else {}
+    nearer = aside.told if status.converged else {}
     model = _identified(problem, data, theta, estimates, errors, seen)
     kept = errors.parameters(problem)
     moved = {n: (s, _moves(problem, kept, by)) for n, (s, by) in aside.moves.items()}

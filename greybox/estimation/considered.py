@@ -6,8 +6,8 @@ the problem in which it is free (consider covariance: Schmidt 1966, Application 
 methods to navigation problems, Advances in Control Systems 3; Tapley, Schutz and Born 2004,
 Statistical Orbit Determination, ch. 6). To hold a parameter is right where the flights say nothing
 of it, as where only its ratio to another one shows. What they say is the Schur complement
-H_cc - H_cu H_uu^-1 H_uc of the data's Hessian, without any prior. It is an error where innovations
-are white; who lets a parameter go has to ask that.
+H_cc - H_cu H_uu^-1 H_uc of the data's Hessian, without any prior. Where innovations are coloured
+the scores of blocks say how much of that is worth (`greybox.estimation.covariance`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,12 @@ import numpy.typing as npt
 
 from greybox.data import Dataset
 from greybox.errors import ModelError
-from greybox.estimation.covariance import NULL_SHARE, scaled_eigen, scaled_inverse
+from greybox.estimation.covariance import (
+    FEWEST_BLOCKS,
+    NULL_SHARE,
+    scaled_eigen,
+    scaled_inverse,
+)
 from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import Problem, make_problem
 from greybox.model.dynamics import Dynamics
@@ -58,9 +63,10 @@ def demand_considerable(dynamics: Dynamics, options: FitOptions) -> None:
 
 
 def considered(
-    problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray
+    problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray, block: int | None
 ) -> Considered:
-    """What there is to say of the considered parameters of a fit that ended at `theta` (n,)."""
+    """What there is to say of the considered parameters of a fit that ended at `theta` (n,), by the
+    scores of blocks of `block` samples where innovations are coloured (else None)."""
     if not options.considered:
         return NOTHING
     fixed = tuple(n for n in options.fixed if n not in options.considered)
@@ -76,7 +82,7 @@ def considered(
     others = np.array(
         [i for i, u in enumerate(wide.unknowns) if (u.name, u.flight) not in own], dtype=np.intp
     )
-    value = wide.evaluate(at)
+    value = wide.evaluate(at, scores=block)
     if value.hessian is None or value.gradient is None or value.data_hessian is None:
         return Considered(spread=np.zeros((problem.n, problem.n)))
     g = value.gradient[mine]
@@ -85,7 +91,8 @@ def considered(
     inverse, _ = scaled_inverse(value.hessian[np.ix_(mine[loose], mine[loose])])
     moves[loose] = -inverse @ value.hessian[np.ix_(mine[loose], others)]
     sigma = np.array([wide.unknowns[i].sigma for i in others])
-    error = by_flights_alone(value.data_hessian, mine[loose], others, sigma)
+    scores = None if block is None else value.scores
+    error = by_flights_alone(value.data_hessian, mine[loose], others, sigma, scores)
     return Considered(
         spread=(moves * sigma**2) @ moves.T,
         moves={
@@ -102,10 +109,15 @@ def considered(
 
 
 def by_flights_alone(
-    hessian: FloatArray, unknown: Places, held: Places, sigma: FloatArray
+    hessian: FloatArray,
+    unknown: Places,
+    held: Places,
+    sigma: FloatArray,
+    scores: FloatArray | None = None,
 ) -> FloatArray:
-    """Standard error (n_c,) of every held parameter by the data's Hessian, the other held ones
-    known to `sigma` (n_c,); infinite where the flights say nothing, or not more than rounding."""
+    """Standard error (n_c,) of every held parameter by the data's Hessian (n, n), the other held
+    ones known to `sigma` (n_c,); infinite where the flights say nothing, or not more than rounding.
+    With the `scores` (n_b, n) of blocks no less than their scatter says."""
     inner = hessian[np.ix_(unknown, unknown)]
     inverse, _ = scaled_inverse(inner)
     _, level, _ = scaled_eigen(inner)
@@ -115,9 +127,19 @@ def by_flights_alone(
     shown = whole - cross @ inverse @ cross.T
     rounding = ROUNDING * condition * np.diag(whole)
     errors = np.full(held.size, np.inf)
+    blocks = np.zeros((0, held.size))
+    if scores is not None:
+        blocks = scores[:, held] - scores[:, unknown] @ inverse @ cross.T
+        if len(blocks) < FEWEST_BLOCKS:
+            return errors
     for i in range(held.size):
         rest = np.delete(np.arange(held.size), i)
         others = shown[np.ix_(rest, rest)] + np.diag(sigma[rest] ** -2.0)
-        alone = shown[i, i] - shown[i, rest] @ np.linalg.solve(others, shown[rest, i])
-        errors[i] = alone**-0.5 if alone > rounding[i] else np.inf
+        share = np.linalg.solve(others, shown[rest, i])
+        alone = shown[i, i] - shown[i, rest] @ share
+        if alone > rounding[i]:
+            own = blocks[:, i] - blocks[:, rest] @ share
+            scatter = len(own) * float(own.var(ddof=1)) if own.size else 0.0
+            scatter += float(((share / sigma[rest]) ** 2).sum()) if own.size else 0.0
+            errors[i] = max(alone**-0.5, scatter**0.5 / alone)
     return errors

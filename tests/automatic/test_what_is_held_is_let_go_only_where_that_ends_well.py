@@ -14,6 +14,7 @@ from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.recipe import Decision, Recipe
 from greybox.estimation.result import Fit
+from greybox.validation.sanity import Insane, Sanity
 from tests.estimation.test_what_is_held_but_not_exact_widens_the_errors_of_others import (
     cart,
     record,
@@ -41,7 +42,7 @@ def done(
 ) -> tuple[Fit, list[str]]:
     lines: list[str] = []
 
-    def again(vehicle: object, data: object, recipe: Recipe) -> Fit:
+    def again(vehicle: object, data: object, recipe: Recipe, progress: object) -> Fit:
         if answer is not None:
             raise answer
         return fit(MODEL, FLIGHTS, recipe.options)
@@ -80,3 +81,20 @@ def test_it_stays_held_where_somebody_said_so(monkeypatch, found, said):
 
 def test_holding_something_else_decides_nothing_about_it(monkeypatch, found):
     assert "mass" in done(monkeypatch, found, Given(choices={"fixed": ("other",)}))[0].parameters
+
+
+def test_it_is_held_and_said_where_flights_deny_what_was_stated(monkeypatch, found):
+    denial = Insane(
+        severity="doubtful",
+        kind="overruled",
+        parameters=("mass",),
+        statement="mass was weighed (2 +- 0.4 kg) but the flights want 9 kg, 17 sigma away",
+        likely="",
+        attempt="",
+    )
+    monkeypatch.setattr(automatic, "sanity_of", lambda _fit: Sanity(findings=(denial,)))
+    result, lines = done(monkeypatch, found, Given())
+    assert "mass" not in result.parameters and result.provenance.decisions == (HELD,)
+    (warning,) = [w for w in result.diagnostics.warnings if w.startswith("mass ")]
+    assert "the flights want 9 kg" in warning and "it is held: measure it again" in warning
+    assert warning in lines[-1]

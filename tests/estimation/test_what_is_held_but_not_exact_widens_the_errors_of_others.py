@@ -158,3 +158,22 @@ def test_a_file_whose_held_errors_mean_nothing_is_refused(tmp_path, held, why):
     path = replace(found, considered={"mass": held}).save(tmp_path / "model.json")
     with pytest.raises(FileFormatError, match=why):
         IdentifiedModel.load(path)
+
+
+def test_what_flights_tell_of_a_held_parameter_counts_blocks_where_these_scatter_more():
+    """Of two parameters the second is held. White scores scatter as the Hessian says; where four
+    neighbours say the same, an error is twice as large."""
+    rng = np.random.default_rng(0)
+    hessian = np.array([[2.0, 0.6], [0.6, 1.0]])
+    root = np.linalg.cholesky(hessian / 4000)
+    white = rng.normal(size=(4000, 2)) @ root.T
+    places = np.array([0]), np.array([1])
+    sigma = np.array([np.inf])
+    exact = by_flights_alone(hessian, *places, sigma)
+    assert exact[0] == pytest.approx((1.0 - 0.6**2 / 2.0) ** -0.5)
+    assert by_flights_alone(hessian, *places, sigma, white)[0] == pytest.approx(exact[0], rel=0.05)
+    coloured = 4 * white[::4]
+    assert by_flights_alone(hessian, *places, sigma, coloured)[0] == pytest.approx(
+        2 * exact[0], rel=0.1
+    )
+    assert np.isinf(by_flights_alone(hessian, *places, sigma, white[:7])).all()
