@@ -50,7 +50,7 @@ def messages(name: str, severity: str, of: str) -> list[str]:
         ("attitude tilted by 10 deg in the world", "gravity", "10 deg from the world's up"),
         ("r negated", "attitude", "r = -r"),
         ("gyro in world axes", "attitude", "the gyro is in world axes"),
-        ("position in km", "motion", "the position moves 0.001 times"),
+        ("position in km", "motion", "the position moves 0.000999 times"),
         ("clock 10 % slow", "clock", "the time runs 1.1 times as fast as the motion"),
         ("2 s cut out, clock closed up", "jumps", "rows are missing there, but the clock goes on"),
         ("1 s comes twice", "jumps", "100 rows from t = "),
@@ -84,6 +84,48 @@ def test_a_factor_of_two_blocks() -> None:
 def test_nothing_is_said_of_the_flight_as_it_came() -> None:
     report = check([real(SET, FLIGHT)], vehicle(SET))
     assert {f.check for f in report.findings if f.severity != "info"} == {"alignment"}
+
+
+def gappy(raw: RawLog, share: float, names: str) -> RawLog:
+    """The flight with a share of its cells missing at random, in the same rows of all `names`."""
+    lost = np.random.default_rng(7).random(raw.n) < share
+    return replace(
+        raw,
+        channels={
+            **raw.channels,
+            **{n: np.where(lost, np.nan, raw.channels[n]) for n in names.split()},
+        },
+    )
+
+
+@pytest.mark.parametrize("names", ["qw qx qy qz", "p q r", "ax ay az", "vx vy vz"])
+@pytest.mark.parametrize("fault", ["accelerometer in world axes", "gyro in world axes"])
+def test_a_few_missing_samples_hide_no_fault_and_make_none(names: str, fault: str) -> None:
+    clean = check([gappy(real(SET, FLIGHT), 0.05, names)], vehicle(SET))
+    assert {f.check for f in clean.findings if f.severity != "info"} == {"alignment"}
+    assert {u.check for u in clean.not_judged} == {u.check for u in faulty(fault).not_judged} - {
+        "motors"
+    }
+    broken = check(
+        [gappy(CHANNEL_FAULTS[fault].make(real(SET, FLIGHT)), 0.05, names)], vehicle(SET)
+    )
+    said = {(f.check, f.message.partition(" (")[0]) for f in broken.blocking}
+    assert said == {(f.check, f.message.partition(" (")[0]) for f in faulty(fault).blocking}
+
+
+def test_a_check_that_gaps_forbid_says_so_and_not_that_the_flight_is_short() -> None:
+    raw = real(SET, FLIGHT)
+    holes = np.arange(raw.n) % 40 < 18
+    names = ("qw", "qx", "qy", "qz")
+    made = replace(
+        raw,
+        channels={**raw.channels, **{n: np.where(holes, np.nan, raw.channels[n]) for n in names}},
+    )
+    report = check([made], vehicle(SET))
+    (reason,) = [u.reason for u in report.not_judged if u.check == "acceleration"]
+    assert "too many gaps" in reason and "too short" not in reason
+    (said,) = [f for f in report.of("gaps") if "cells are empty" in f.message]
+    assert "45 % of qw, qx, qy, qz" in said.message
 
 
 def off_centre(raw: RawLog, place: np.ndarray) -> RawLog:

@@ -18,7 +18,9 @@ import numpy as np
 from greybox.data.checks.kinematics import Relation, Streams
 from greybox.data.checks.relations import Reading
 from greybox.data.checks.signals import (
+    BRIDGED,
     FloatArray,
+    bridged,
     centred,
     derivative,
     increments,
@@ -64,7 +66,7 @@ def streams(view: View) -> Streams | str:
     change = centred(velocity[n:] - velocity[:-n])
 
     def reading(text: str, fix: str, world: FloatArray) -> Reading:
-        same = world if moving else smoothed(world, half)
+        same = world if moving else smoothed(bridged(world, n // BRIDGED), half)
         return Reading(text=text, fix=fix, y=change, x=centred(increments(same, dt, n)))
 
     readings = [reading(*r) for r in _worlds(quaternions, force, measured)]

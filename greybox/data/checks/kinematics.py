@@ -26,6 +26,7 @@ from greybox.data.checks.relations import (
     factor,
     far_better,
     joined,
+    long_enough,
     mixed,
     moments,
 )
@@ -106,7 +107,7 @@ def related(relation: Relation, view: View) -> Related | str:
         return f"the craft hardly moves ({size:.2g} per {streams.span * view.dt:.2g} s)"
     tried = _tried(streams.readings, view.dt, streams.span)
     if not tried:
-        return "too short"
+        return _too_few(first, view.dt, streams.span)
     other = streams.apart
     return Related(
         streams=streams,
@@ -115,6 +116,18 @@ def related(relation: Relation, view: View) -> Related | str:
         size=size,
         sample=view.dt,
         apart=None if other is None else lambda: _tried(other(), view.dt, streams.span),
+    )
+
+
+def _too_few(first: Reading, dt: float, span: int) -> str:
+    """Why a reading has too few rows: the flight is too short, or too much of it is missing."""
+    seconds = len(first.y) * dt
+    if not long_enough(len(first.y), dt, span, REACH):
+        return f"too short: {seconds:.2g} s"
+    known = np.isfinite(first.y).all(axis=1) & np.isfinite(first.x).all(axis=1)
+    return (
+        f"too many gaps: only {100 * known.mean():.0f} % of {seconds:.2g} s have no missing sample "
+        f"within {span * dt:.2g} s"
     )
 
 

@@ -147,6 +147,18 @@ def _rows(
     return (rows, starts) if starts.size >= FEWEST_BLOCKS else None
 
 
+def long_enough(rows: int, dt: float, span: int, reach: float) -> bool:
+    """Whether so many rows of y are enough for lags within `reach` [s] where none is missing."""
+    whole = np.zeros((rows, 3))
+    return _rows(whole, whole, dt, span, _lags(dt, reach)) is not None
+
+
+def _lags(dt: float, reach: float) -> npt.NDArray[np.int64]:
+    """The lags within `reach` [s] that are tried [samples]."""
+    most, step = round(reach / dt), max(1, round(LAG_STEP / dt))
+    return step * np.arange(-(most // step), most // step + 1)
+
+
 def mixed(given: Reading, other: Reading, dt: float, span: int, lag: float) -> Mixture | None:
     """Sums that say where y stands between two readings of it, at one lag [s]; None where y is not
     the same, or too few rows are left."""
@@ -166,8 +178,7 @@ def moments(reading: Reading, dt: float, span: int, reach: float) -> Moments | N
     Clocks wander, so every block has its own lag within `reach` [s]: the one at which y and x are
     most alike, in whatever axes.
     """
-    most, step = round(reach / dt), max(1, round(LAG_STEP / dt))
-    lags = step * np.arange(-(most // step), most // step + 1)
+    lags = _lags(dt, reach)
     found = _rows(reading.y, reading.x, dt, span, lags)
     if found is None:
         return None
