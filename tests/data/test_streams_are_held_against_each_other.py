@@ -8,17 +8,21 @@ on a real flight.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from greybox.data.channel import group_names
 from greybox.data.checks import check
 from greybox.data.checks.finding import CheckReport
+from greybox.data.checks.kinematics import common_rate
 from greybox.data.checks.mixture import mixture
-from greybox.data.checks.relations import Reading, Tried, better_reading, mixed, moments
+from greybox.data.checks.relations import Factor, Reading, Tried, better_reading, mixed, moments
 from greybox.data.checks.signals import turned
 from greybox.data.raw import RawLog
+from greybox.data.readers.assemble import other_frame
 from tests.data.faults import real, vehicle
 from tests.hardening.channel_faults import CHANNEL_FAULTS
 
@@ -84,6 +88,65 @@ def test_a_factor_of_two_blocks() -> None:
 def test_nothing_is_said_of_the_flight_as_it_came() -> None:
     report = check([real(SET, FLIGHT)], vehicle(SET))
     assert {f.check for f in report.findings if f.severity != "info"} == {"alignment"}
+
+
+def misread(raw: RawLog, group: str, frame: str, how: Callable[[np.ndarray], np.ndarray]) -> RawLog:
+    """The flight whose columns of a group, logged in that frame, are read wrongly."""
+    names = group_names(group)
+    logged = other_frame(np.column_stack([raw.channels[n] for n in names]), group, frame)
+    read = other_frame(how(logged), group, frame)
+    return replace(raw, channels={**raw.channels, **{n: read[:, i] for i, n in enumerate(names)}})
+
+
+@pytest.mark.parametrize("frame", ["FLU/ENU", "FRD/NED"])
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        (lambda q: q * [1.0, -1.0, -1.0, -1.0], "the quaternion turns world into body: negate"),
+        (lambda q: q[:, [1, 2, 3, 0]], "the scalar comes last: the columns hold x, y, z, w"),
+        (lambda q: q[:, [3, 0, 1, 2]], "the columns named qx, qy, qz, qw hold w, x, y, z"),
+    ],
+)
+def test_a_quaternion_read_wrongly_is_named_in_whatever_frame_it_is_logged(
+    how: Callable[[np.ndarray], np.ndarray], words: str, frame: str
+) -> None:
+    report = check([misread(real(SET, FLIGHT), "attitude", frame, how)], vehicle(SET))
+    for of in ("attitude", "acceleration"):
+        (found,) = report.of(of)
+        assert words in found.message and "[columns.attitude]" in found.fix
+
+
+@pytest.mark.parametrize(("body", "world"), [("FLU", "ENU"), ("FRD", "NED"), ("FRD", "ENU")])
+def test_a_velocity_in_body_axes_is_named_whatever_world_it_was_taken_for(
+    body: str, world: str
+) -> None:
+    raw = real(SET, FLIGHT)
+    q = np.column_stack([raw.channels[n] for n in ("qw", "qx", "qy", "qz")])
+    v = np.column_stack([raw.channels[n] for n in ("vx", "vy", "vz")])
+    logged = other_frame(turned("rotate_inverse", q, v), "velocity", body)
+    taken = other_frame(logged, "velocity", world)
+    made = {n: taken[:, i] for i, n in enumerate(("vx", "vy", "vz"))}
+    report = check([replace(raw, channels={**raw.channels, **made})], vehicle(SET))
+    for of in ("motion", "acceleration"):
+        (found,) = report.of(of)
+        assert found.severity == "blocking" and "velocity is in body axes" in found.message
+        assert f"frame = '{body}' in [columns.velocity]" in found.fix
+
+
+@pytest.mark.parametrize("power", [1.0, -1.0])
+def test_a_rate_of_the_clock_explains_all_factors_or_is_not_said(power: float) -> None:
+    def said(*ranges: tuple[float, float]) -> float | None:
+        factors = [Factor(value=float(np.sqrt(a * b)), low=a, high=b) for a, b in ranges]
+        return common_rate([f.to_the(power) for f in factors])
+
+    # The accelerometer has a scale of its own, and the gyro's range is wide.
+    rate = said((1.0495, 1.0505), (1.053, 1.064), (0.95, 1.2))
+    assert rate is not None and abs(rate - 1.054**power) < 0.002
+    assert said((0.999, 1.001), (1.053, 1.064), (0.95, 1.2)) is None
+    assert said((1.001, 1.002), (1.051, 1.056), (1.001, 1.003)) is None
+    assert said((1.053, 1.064), (0.95, 1.2)) is None
+    assert said((1.01, 1.02), (1.01, 1.02), (1.01, 1.02)) is None
+    assert said((1.19, 1.21), (1.06, 1.07), (1.06, 1.07)) is None
 
 
 def gappy(raw: RawLog, share: float, names: str) -> RawLog:

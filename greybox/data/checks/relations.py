@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -225,7 +225,7 @@ def axis_readings() -> Iterator[tuple[str, Matrix, tuple[int, ...]]]:
 class Better:
     """A reading that explains the motion far better than the one given: `share` and `given_share`
     of it that they explain; `angle` [deg] and its standard error where it is a rotation by an angle
-    (0 otherwise)."""
+    (0 otherwise). `others` are readings that explain about as much."""
 
     text: str
     fix: str
@@ -233,6 +233,7 @@ class Better:
     given_share: float
     angle: float = 0.0
     angle_error: float = 0.0
+    others: tuple[str, ...] = ()
 
     @property
     def blocks(self) -> bool:
@@ -320,7 +321,8 @@ def better_reading(
         return turned
     most = max(b.share for _, b in good)
     alike = [(rank, -b.share, b) for rank, b in good if 1.0 - b.share < (1.0 - most) / LEFT + 0.01]
-    best = min(alike, key=lambda c: c[:2])[2]
+    best, *others = (c[2] for c in sorted(alike, key=lambda c: c[:2]))
+    best = replace(best, others=tuple(dict.fromkeys(o.text for o in others if o.text != best.text)))
     return turned if turned is not None and 1.0 - turned.share < LEFT * (1.0 - most) else best
 
 
