@@ -278,6 +278,14 @@ def test_command_writes_checks_and_answers_by_exit_code(tmp_path, capsys):
     assert tomllib.loads(capsys.readouterr().out)["name"] == "quadrotor in plus"
 
 
+def test_a_dash_is_standard_output_and_no_file(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        assert main(["vehicle", "new", "--template", "x", "--out", "-"]) == 0
+        assert tomllib.loads(capsys.readouterr().out)["name"] == "quadrotor in X"
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("extra", "words"),
     [
