@@ -129,8 +129,10 @@ def _point(
 
 def _boxplus(functions: ModelFunctions) -> Callable[[FloatArray, FloatArray], npt.ArrayLike]:
     """x moved by an error state; what has no states stays."""
+    if not functions.sizes["n_x"]:
+        return lambda x, d: x
     known: Callable[[FloatArray, FloatArray], npt.ArrayLike] = functions.functions["boxplus"]
-    return known if functions.sizes["n_x"] else lambda x, d: x
+    return known
 
 
 def _error_sizes(functions: ModelFunctions) -> FloatArray:

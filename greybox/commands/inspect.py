@@ -93,7 +93,11 @@ def run(arguments: argparse.Namespace) -> int:
         "next": [],
     }
     content["next"] = advice(
-        found, content, arguments, beside(arguments.log, found) if vehicle is None else None
+        found,
+        content,
+        arguments,
+        beside(arguments.log, found) if vehicle is None else None,
+        time,
     )
     written = None
     if arguments.draft:
@@ -147,9 +151,14 @@ def beside(log: str, found: Inspection) -> str | None:
 
 
 def advice(
-    found: Inspection, content: Findings, arguments: argparse.Namespace, known: str | None
+    found: Inspection,
+    content: Findings,
+    arguments: argparse.Namespace,
+    known: str | None,
+    time: tuple[str, str] | None = None,
 ) -> list[str]:
-    """What to do next, in the order in which to try it."""
+    """What to do next, in the order in which to try it; `time` is the column that looks like a
+    clock."""
     log, has = (
         shlex.quote(arguments.log),
         [f"--mapping {shlex.quote(arguments.mapping)}"] if arguments.mapping else [],
@@ -165,7 +174,9 @@ def advice(
         again = f"greybox inspect {log}"
         again += f" --vehicle {shlex.quote(arguments.vehicle)}" if arguments.vehicle else ""
         if arguments.draft:
-            out.append(f"look {arguments.draft} over, then: {again} --mapping {mapped}")
+            clocked = any(s.rate > 0.0 for s in found.recording.streams.values())
+            fill = "" if time or clocked else "no column looks like a clock: fill in [time], "
+            out.append(f"{fill}look {arguments.draft} over, then: {again} --mapping {mapped}")
         else:
             out.append(f"write the guess and look it over: {again} --draft {mapped}")
             out.append(f"then: {again} --mapping {mapped}")

@@ -65,7 +65,9 @@ def add(subparsers: Subcommands) -> None:
         dest="changes",
         help="change numbers: mass=0.5 arm=0.12 hover=0.45 thrust.c2.sigma=0.5 name=mine",
     )
-    new.add_argument("--out", metavar="V.toml", help="file to write (default: standard output)")
+    new.add_argument(
+        "--out", metavar="V.toml", help="file to write (default, and '-': standard output)"
+    )
     new.add_argument("--force", action="store_true", help="write over an existing file")
     new.set_defaults(run=run_new, one_file=True)
     check = kinds.add_parser(
@@ -88,8 +90,9 @@ def run_new(arguments: argparse.Namespace) -> int:
     from greybox.model.vehicle_template import TEMPLATES as KNOWN
     from greybox.model.vehicle_template import settings, vehicle_text
 
-    if arguments.out:
-        no_overwriting(arguments.out, "--out", force=arguments.force)
+    out = None if arguments.out == "-" else arguments.out
+    if out:
+        no_overwriting(out, "--out", force=arguments.force)
     changes = settings(arguments.changes)
     name = arguments.template
     if arguments.log:
@@ -97,7 +100,7 @@ def run_new(arguments: argparse.Namespace) -> int:
             raise VehicleError(
                 "--from and --template exclude each other", fix="give one of the two"
             )
-        return _tell(_from_log(arguments.log, changes), arguments.out)
+        return _tell(_from_log(arguments.log, changes), out)
     if name is None:
         if not sys.stdin.isatty():
             raise VehicleError(
@@ -112,7 +115,7 @@ def run_new(arguments: argparse.Namespace) -> int:
                 "the answers ended before the questions", fix="answer all, or use --template"
             ) from None
         changes = answers | changes
-    return _tell(vehicle_text(name, changes), arguments.out)
+    return _tell(vehicle_text(name, changes), out)
 
 
 def _from_log(log: str, changes: dict[str, object]) -> str:

@@ -62,7 +62,16 @@ _ABOUT = r"temp\w*|bias\w*|offsets?|var|variance|std|cov\w*|err\w*|noise|scale|d
 POLE_PAIRS = 7
 """Of the motors whose electrical speed is logged: 14 poles are by far the most usual."""
 _LESS = re.compile(r"est|state|target|setpoint|filt|raw|debug|ref")
-_TIME = re.compile(r"t|time\w*|\w*stamp\w*|ticks?|t_?[mun]?s|time_?[mun]?s")
+_TIME_WORDS = {
+    "us": r"us|usecs?|micros\w*",
+    "ms": r"ms|msecs?|millis\w*",
+    "ns": r"ns|nsecs?|nanos\w*",
+    "s": r"s|secs?|seconds?",
+}
+"""How the name of a clock says its unit."""
+_TIME = re.compile(
+    rf"t|\w*time\w*|\w*stamp\w*|\w*clock\w*|elapsed\w*|ticks?|(?:t_?)?(?:{'|'.join(_TIME_WORDS.values())})"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +126,10 @@ def guess_columns(
                 "velocity" if _says(stem, _WORDS["velocity"]) else "position",
                 [members[i] for i in range(3)],
             )
+    for stem, members in _families(columns, {"n": 0, "e": 1, "d": 2}):
+        group = next((g for g in ("velocity", "position") if _says(stem, _WORDS[g])), "")
+        if group and len(members) == 3 and not _wanted(stem):
+            take(group, [members[i] for i in range(3)])
     for name in columns:
         low = name.lower()
         volts = re.search(r"v_?bat|volt", low) or (
@@ -147,16 +160,37 @@ def _framed(guesses: Iterable[Guess]) -> tuple[Guess, ...]:
 
 def guess_time(columns: Mapping[str, FloatArray]) -> tuple[str, str] | None:
     """(column, unit) of the clock: it grows, it has the name of a clock, and its steps are those of
-    20 Hz to 4 kHz."""
+    1 Hz to 20 kHz in the unit that the name says, else those of 20 Hz to 4 kHz."""
     for name, values in columns.items():
         step = np.diff(values[np.isfinite(values)])
         if not _TIME.fullmatch(_bare(name).lower()) or step.size < 2 or np.mean(step > 0) < 0.9:
             continue
         middle = float(np.median(step[step > 0]))
+        said = _time_unit(name)
+        if said and 5e-5 <= middle * TIME_UNITS[said] <= 1.0:
+            return name, said
         for unit, seconds in TIME_UNITS.items():
             if 2.5e-4 <= middle * seconds <= 5e-2:
                 return name, unit
     return None
+
+
+def _time_unit(name: str) -> str:
+    """The unit that the name of a clock says, "Time (ms)", time_us, usec, TimeUS; "" for none."""
+    low = _unit_of(name) or name.lower()
+    for unit, words in _TIME_WORDS.items():
+        # No unit is glued to "time" as the plural is.
+        before = r".*[\W_]" if unit == "s" else r".*[\W_]|t|\w*time|\w*stamp"
+        if re.fullmatch(rf"(?:{before})?(?:{words})", low):
+            return unit
+    return ""
+
+
+NO_TIME = """# No column looks like a clock. Unless one is called t [s] or time_us (s, ms, ns), fill in:
+# [time]
+# field = "NAME OF THE COLUMN"
+# unit = "us"  # or s, ms, ns
+"""
 
 
 def draft(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
@@ -170,7 +204,8 @@ def draft(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
             {"scale": g.scale} if g.scale != 1.0 else {}
         )
     head = "# A guess from names and sizes: look over axes, units and the order of the rotors.\n"
-    return head + mapping_text(content, comments={g.group: g.why for g in guesses})
+    text = mapping_text(content, comments={g.group: g.why for g in guesses})
+    return head + text + ("" if time is not None else NO_TIME)
 
 
 def _families(
@@ -290,7 +325,8 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         unit = "mm" if size > 1000 else "m"
     elif group == "velocity":
         unit = "mm/s" if size > 100 else "m/s"
-    if group in ("position", "velocity") and "down" in names[2].lower():
+    third = _bare(names[-1]).lower()
+    if group in ("position", "velocity") and ("down" in third or third.endswith("d")):
         frame = "NED"
     stated = _UNITS.get(group, {}).get(_unit_of(names[0]), unit)
     if group == "specific_force" and stated != unit:

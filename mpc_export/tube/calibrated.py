@@ -10,6 +10,9 @@ promises nothing, and the longest horizons need seconds to learn of a gust.
 Scales are of errors of measurements, sensor noise included, and widen the covariance of the state
 alone: one sample ahead, where most of the error is the sensor's, they tell little of the state;
 from .1 s on the state's share prevails.
+
+Scales beyond `MOST` are no answer to an error: where commands come later than the model knows, the
+loop swings, limits that run ahead of the plan make it swing more, and the errors grow with them.
 """
 
 from __future__ import annotations
@@ -21,6 +24,11 @@ from greybox.symbolic import FloatArray
 from mpc_export.calibration import COLUMNS, GAIN, LEVEL, normal_half_width
 from mpc_export.functions import ModelFunctions
 from mpc_export.tube.native import native
+
+MOST = 3.0
+"""Scale up to which limits follow. A craft whose commands come 10 ms late (drawn craft 35 of
+`scenarios.studies.shocks`) is lost without an end, crosses its limits with 6 and keeps them with 3;
+in gusts and with a drained battery errors are about twice what is stated."""
 
 
 class Calibrated:
@@ -87,8 +95,8 @@ class Calibrated:
     def wider(self, ahead: FloatArray, planes: FloatArray) -> FloatArray:
         """(n, n_p + 1): factors of the planes (n, n_p, 4) and of the tilt, (n,) seconds after the
         last measurement."""
-        log = np.log(self.scale)
-        s = np.exp([np.interp(ahead, self._ahead, np.maximum(row, 0.0)) for row in log]).T
+        log = np.log(np.clip(self.scale, 1.0, MOST))
+        s = np.exp([np.interp(ahead, self._ahead, row) for row in log]).T
         out = np.ones((len(ahead), planes.shape[1] + 1))
         if len(self._place) == 3:
             normal = planes[..., :3]

@@ -114,6 +114,47 @@ def test_spins_that_leave_no_yaw_are_found():
         assert any(f.where == "rotor" and "yaw" in f.message for f in report.findings), spins
 
 
+@pytest.mark.parametrize("template", ["x", "plus"])
+@pytest.mark.parametrize("wrong", range(4))
+def test_one_wrong_spin_leaves_no_level_hover_and_its_rotor_is_named(template, wrong):
+    rotors = tomllib.loads(template_text(template))["rotor"]
+    rotors[wrong]["spin"] *= -1
+    # Neither a thrust at rest nor a negative one makes it a craft that hovers.
+    for idle in (0.0, 0.1, -0.1):
+        report = check_vehicle(changed(template, rotor=rotors, actuator__thrust=[idle, 0.0, 2.5]))
+        (found,) = [f for f in report.findings if f.severity == "blocking"]
+        assert found.where == "rotor.spin" and "level hover" in found.message
+        assert str(wrong + 1) in found.fix, found.fix
+
+
+def test_craft_that_lift_with_every_rotor_hover_level_however_many_they_have():
+    def ring(n: int, spins: tuple[int, ...], first: float = 0.0, z: float = 0.0) -> list[object]:
+        at = first + 2 * np.pi * np.arange(n) / n
+        places = np.column_stack([0.18 * np.cos(at), 0.18 * np.sin(at), np.full(n, z)])
+        return [{"position": p.tolist(), "spin": s} for p, s in zip(places, spins, strict=True)]
+
+    six = ring(6, (1, -1) * 3)
+    eight = ring(8, (1, -1) * 4, np.pi / 8)
+    coaxial = [*ring(4, (1, -1, 1, -1)), *ring(4, (-1, 1, -1, 1), z=-0.05)]
+    wide = [
+        {"position": [x, y, 0.0], "spin": s}
+        for x, y, s in ((0.1, 0.16, -1), (0.1, -0.16, 1), (-0.12, 0.1, 1), (-0.12, -0.1, -1))
+    ]
+    for rotors in (six, eight, coaxial, wide):
+        assert not [f for f in check_vehicle(changed(rotor=rotors)).findings if "hover" in f.line()]
+
+
+def test_a_level_hover_of_very_unequal_thrusts_is_a_warning():
+    report = check_vehicle(changed(center_of_mass=[0.0, 0.085, 0.0]))
+    (found,) = [f for f in report.findings if "unequal" in f.message]
+    assert found.severity == "warning" and report.ok
+    assert not [
+        f
+        for f in check_vehicle(changed(center_of_mass=[0.0, 0.02, 0.0])).findings
+        if "unequal" in f.message
+    ]
+
+
 def test_a_centre_of_mass_outside_the_rotors_cannot_hover():
     report = check_vehicle(changed(center_of_mass=[0.2, 0.0, 0.0]))
     assert any("cannot hover level" in f.message for f in report.findings)
@@ -235,6 +276,14 @@ def test_command_writes_checks_and_answers_by_exit_code(tmp_path, capsys):
     assert "grams" in capsys.readouterr().out
     assert main(["vehicle", "new", "--template", "plus"]) == 0
     assert tomllib.loads(capsys.readouterr().out)["name"] == "quadrotor in plus"
+
+
+def test_a_dash_is_standard_output_and_no_file(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        assert main(["vehicle", "new", "--template", "x", "--out", "-"]) == 0
+        assert tomllib.loads(capsys.readouterr().out)["name"] == "quadrotor in X"
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,21 @@ def test_an_accelerometer_that_points_down_asks_for_its_frame(flown):
     assert "frame = 'FRD'" in found.fix
 
 
+def test_a_clock_that_is_a_little_off_is_no_unit_though_the_accelerometer_has_a_scale(flown):
+    raw, vehicle = flown
+    own = with_scale(raw, 0.99)
+    report = check([replace(own, t=raw.t / 1.05)], vehicle)
+    (found,) = report.of("clock")
+    assert "the time may run 0.95" in found.message
+    assert any("the velocity changes" in f.message for f in report.of("acceleration"))
+    assert not check([with_scale(raw, 0.94)], vehicle).of("clock")
+
+
+def with_scale(raw, factor):
+    scaled = {n: factor * raw.channels[n] for n in ("ax", "ay", "az")}
+    return replace(raw, channels={**raw.channels, **scaled})
+
+
 @pytest.mark.parametrize(("a", "b"), [(1, 2), (1, 3), (2, 4), (3, 4)])
 def test_exchanged_motors(flown, a, b):
     raw, vehicle = flown

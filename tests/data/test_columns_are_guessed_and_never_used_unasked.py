@@ -186,6 +186,60 @@ def test_the_clock_is_told_by_its_steps(step: float, unit: str) -> None:
     assert guess_time(columns) == ("time", unit)
 
 
+@pytest.mark.parametrize(
+    ("name", "step", "unit"),
+    [
+        ("usec", 5000, "us"),
+        ("micros", 5000, "us"),
+        ("timestamp_us", 5000, "us"),
+        ("TimeUS", 100_000, "us"),  # 10 Hz, which the name alone tells from nanoseconds
+        ("t_ms", 5, "ms"),
+        ("millis", 1000, "ms"),
+        ("time_boot_ms", 20, "ms"),
+        ("Time (ms)", 500, "ms"),
+        ("seconds", 0.01, "s"),
+        ("timestamps", 10_000, "us"),
+        ("t_us", 0.01, "s"),  # the name is wrong
+    ],
+)
+def test_the_clock_is_told_by_its_name_then_by_its_steps(name: str, step: float, unit: str) -> None:
+    columns = {"usage": np.zeros(50), name: 83e6 + step * np.arange(50.0)}
+    assert guess_time(columns) == (name, unit)
+
+
+@pytest.mark.parametrize(
+    ("names", "group"),
+    [
+        (("vn", "ve", "vd"), "velocity"),
+        (("VelN", "VelE", "VelD"), "velocity"),
+        (("PN", "PE", "PD"), "position"),
+        (("pos_n", "pos_e", "pos_d"), "position"),
+    ],
+)
+def test_north_east_down_may_be_said_by_letters(names: tuple[str, ...], group: str) -> None:
+    others = ("mode", "speed", "done", "id", "throttle")
+    (guess,) = guess_columns({n: np.linspace(-1, 1, 50) for n in (*others, *names)})
+    assert (guess.group, guess.fields, guess.frame) == (group, names, "NED")
+
+
+def test_a_draft_without_a_clock_says_what_is_to_be_filled_in(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rows = [
+        f"{83e6 + 5000 * i:.0f}," + ",".join(f"{1500 + i}" for _ in range(4)) for i in range(60)
+    ]
+    for clock, told in (("usec", True), ("alpha", False)):
+        Path("log.csv").write_text("\n".join([f"{clock},esc1,esc2,esc3,esc4", *rows]))
+        main(["inspect", "log.csv", "--draft", "map.toml", "--force"])
+        assert ("fill in [time]" in capsys.readouterr().out) is not told
+        text = Path("map.toml").read_text()
+        assert ('# field = "NAME OF THE COLUMN"' in text) is not told
+        filled = re.sub(r"^# (\[time\]|field|unit)", r"\1", text, flags=re.M)
+        Path("map.toml").write_text(filled.replace("NAME OF THE COLUMN", clock))
+        assert inspect_log("log.csv", mapping="map.toml").raw is not None
+
+
 def test_a_stranger_is_told_what_to_do(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

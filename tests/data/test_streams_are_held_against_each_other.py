@@ -8,17 +8,21 @@ on a real flight.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from greybox.data.channel import group_names
 from greybox.data.checks import check
 from greybox.data.checks.finding import CheckReport
+from greybox.data.checks.kinematics import common_rate
 from greybox.data.checks.mixture import mixture
-from greybox.data.checks.relations import Reading, Tried, better_reading, mixed, moments
+from greybox.data.checks.relations import Factor, Reading, Tried, better_reading, mixed, moments
 from greybox.data.checks.signals import turned
 from greybox.data.raw import RawLog
+from greybox.data.readers.assemble import other_frame
 from tests.data.faults import real, vehicle
 from tests.hardening.channel_faults import CHANNEL_FAULTS
 
@@ -50,7 +54,7 @@ def messages(name: str, severity: str, of: str) -> list[str]:
         ("attitude tilted by 10 deg in the world", "gravity", "10 deg from the world's up"),
         ("r negated", "attitude", "r = -r"),
         ("gyro in world axes", "attitude", "the gyro is in world axes"),
-        ("position in km", "motion", "the position moves 0.001 times"),
+        ("position in km", "motion", "the position moves 0.000999 times"),
         ("clock 10 % slow", "clock", "the time runs 1.1 times as fast as the motion"),
         ("2 s cut out, clock closed up", "jumps", "rows are missing there, but the clock goes on"),
         ("1 s comes twice", "jumps", "100 rows from t = "),
@@ -84,6 +88,107 @@ def test_a_factor_of_two_blocks() -> None:
 def test_nothing_is_said_of_the_flight_as_it_came() -> None:
     report = check([real(SET, FLIGHT)], vehicle(SET))
     assert {f.check for f in report.findings if f.severity != "info"} == {"alignment"}
+
+
+def misread(raw: RawLog, group: str, frame: str, how: Callable[[np.ndarray], np.ndarray]) -> RawLog:
+    """The flight whose columns of a group, logged in that frame, are read wrongly."""
+    names = group_names(group)
+    logged = other_frame(np.column_stack([raw.channels[n] for n in names]), group, frame)
+    read = other_frame(how(logged), group, frame)
+    return replace(raw, channels={**raw.channels, **{n: read[:, i] for i, n in enumerate(names)}})
+
+
+@pytest.mark.parametrize("frame", ["FLU/ENU", "FRD/NED"])
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        (lambda q: q * [1.0, -1.0, -1.0, -1.0], "the quaternion turns world into body: negate"),
+        (lambda q: q[:, [1, 2, 3, 0]], "the scalar comes last: the columns hold x, y, z, w"),
+        (lambda q: q[:, [3, 0, 1, 2]], "the columns named qx, qy, qz, qw hold w, x, y, z"),
+    ],
+)
+def test_a_quaternion_read_wrongly_is_named_in_whatever_frame_it_is_logged(
+    how: Callable[[np.ndarray], np.ndarray], words: str, frame: str
+) -> None:
+    report = check([misread(real(SET, FLIGHT), "attitude", frame, how)], vehicle(SET))
+    for of in ("attitude", "acceleration"):
+        (found,) = report.of(of)
+        assert words in found.message and "[columns.attitude]" in found.fix
+
+
+@pytest.mark.parametrize(("body", "world"), [("FLU", "ENU"), ("FRD", "NED"), ("FRD", "ENU")])
+def test_a_velocity_in_body_axes_is_named_whatever_world_it_was_taken_for(
+    body: str, world: str
+) -> None:
+    raw = real(SET, FLIGHT)
+    q = np.column_stack([raw.channels[n] for n in ("qw", "qx", "qy", "qz")])
+    v = np.column_stack([raw.channels[n] for n in ("vx", "vy", "vz")])
+    logged = other_frame(turned("rotate_inverse", q, v), "velocity", body)
+    taken = other_frame(logged, "velocity", world)
+    made = {n: taken[:, i] for i, n in enumerate(("vx", "vy", "vz"))}
+    report = check([replace(raw, channels={**raw.channels, **made})], vehicle(SET))
+    for of in ("motion", "acceleration"):
+        (found,) = report.of(of)
+        assert found.severity == "blocking" and "velocity is in body axes" in found.message
+        assert f"frame = '{body}' in [columns.velocity]" in found.fix
+
+
+@pytest.mark.parametrize("power", [1.0, -1.0])
+def test_a_rate_of_the_clock_explains_all_factors_or_is_not_said(power: float) -> None:
+    def said(*ranges: tuple[float, float]) -> float | None:
+        factors = [Factor(value=float(np.sqrt(a * b)), low=a, high=b) for a, b in ranges]
+        return common_rate([f.to_the(power) for f in factors])
+
+    # The accelerometer has a scale of its own, and the gyro's range is wide.
+    rate = said((1.0495, 1.0505), (1.053, 1.064), (0.95, 1.2))
+    assert rate is not None and abs(rate - 1.054**power) < 0.002
+    assert said((0.999, 1.001), (1.053, 1.064), (0.95, 1.2)) is None
+    assert said((1.001, 1.002), (1.051, 1.056), (1.001, 1.003)) is None
+    assert said((1.053, 1.064), (0.95, 1.2)) is None
+    assert said((1.01, 1.02), (1.01, 1.02), (1.01, 1.02)) is None
+    assert said((1.19, 1.21), (1.06, 1.07), (1.06, 1.07)) is None
+
+
+def gappy(raw: RawLog, share: float, names: str) -> RawLog:
+    """The flight with a share of its cells missing at random, in the same rows of all `names`."""
+    lost = np.random.default_rng(7).random(raw.n) < share
+    return replace(
+        raw,
+        channels={
+            **raw.channels,
+            **{n: np.where(lost, np.nan, raw.channels[n]) for n in names.split()},
+        },
+    )
+
+
+@pytest.mark.parametrize("names", ["qw qx qy qz", "p q r", "ax ay az", "vx vy vz"])
+@pytest.mark.parametrize("fault", ["accelerometer in world axes", "gyro in world axes"])
+def test_a_few_missing_samples_hide_no_fault_and_make_none(names: str, fault: str) -> None:
+    clean = check([gappy(real(SET, FLIGHT), 0.05, names)], vehicle(SET))
+    assert {f.check for f in clean.findings if f.severity != "info"} == {"alignment"}
+    assert {u.check for u in clean.not_judged} == {u.check for u in faulty(fault).not_judged} - {
+        "motors"
+    }
+    broken = check(
+        [gappy(CHANNEL_FAULTS[fault].make(real(SET, FLIGHT)), 0.05, names)], vehicle(SET)
+    )
+    said = {(f.check, f.message.partition(" (")[0]) for f in broken.blocking}
+    assert said == {(f.check, f.message.partition(" (")[0]) for f in faulty(fault).blocking}
+
+
+def test_a_check_that_gaps_forbid_says_so_and_not_that_the_flight_is_short() -> None:
+    raw = real(SET, FLIGHT)
+    holes = np.arange(raw.n) % 40 < 18
+    names = ("qw", "qx", "qy", "qz")
+    made = replace(
+        raw,
+        channels={**raw.channels, **{n: np.where(holes, np.nan, raw.channels[n]) for n in names}},
+    )
+    report = check([made], vehicle(SET))
+    (reason,) = [u.reason for u in report.not_judged if u.check == "acceleration"]
+    assert "too many gaps" in reason and "too short" not in reason
+    (said,) = [f for f in report.of("gaps") if "cells are empty" in f.message]
+    assert "45 % of qw, qx, qy, qz" in said.message
 
 
 def off_centre(raw: RawLog, place: np.ndarray) -> RawLog:

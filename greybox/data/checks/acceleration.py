@@ -15,10 +15,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from greybox.data.checks.attitude import MEND, quaternion_readings
 from greybox.data.checks.kinematics import Relation, Streams
+from greybox.data.checks.motion import in_body_axes
 from greybox.data.checks.relations import Reading
 from greybox.data.checks.signals import (
+    BRIDGED,
     FloatArray,
+    bridged,
     centred,
     derivative,
     increments,
@@ -64,22 +68,15 @@ def streams(view: View) -> Streams | str:
     change = centred(velocity[n:] - velocity[:-n])
 
     def reading(text: str, fix: str, world: FloatArray) -> Reading:
-        same = world if moving else smoothed(world, half)
+        same = world if moving else smoothed(bridged(world, n // BRIDGED), half)
         return Reading(text=text, fix=fix, y=change, x=centred(increments(same, dt, n)))
 
     readings = [reading(*r) for r in _worlds(quaternions, force, measured)]
     if moving:
-        world = turned("rotate", quaternions, velocity)
-        body = "rotate vx, vy, vz into the world before logging, or log the velocity in world axes"
-        given = readings[0]
-        readings.append(
-            Reading(
-                text="the velocity is in body axes",
-                fix=body,
-                y=centred(world[n:] - world[:-n]),
-                x=given.x,
-            )
-        )
+        for text, fix, body in in_body_axes(velocity):
+            world = turned("rotate", quaternions, body)
+            moved = centred(world[n:] - world[:-n])
+            readings.append(Reading(text=text, fix=fix, y=moved, x=readings[0].x))
 
     def apart() -> tuple[Reading, ...]:
         arms = [derivative(a, dt, 1 if moving else half) for a in _body_axes(quaternions)]
@@ -105,13 +102,8 @@ def _worlds(
     """(what is wrong, its fix, specific force in the world (N, 3)) of every reading of quaternions
     (N, 4) and force (N, 3), the right one first; the axes of a force that was not `measured` are
     those of the thrust."""
-    yield "", "", turned("rotate", quaternions, force)
-    yield (
-        "the quaternion turns world into body",
-        "put a minus sign before qx, qy, qz in [columns.attitude]: the quaternion turns body into "
-        "world",
-        turned("rotate_inverse", quaternions, force),
-    )
+    for text, read in quaternion_readings(quaternions):
+        yield text, MEND, turned("rotate", read, force)
     if measured:
         fix = "log ax, ay, az as the accelerometer measures them, in body axes (forward, left, up)"
         yield "the specific force is in world axes", fix, force

@@ -15,6 +15,7 @@ from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.signals import (
     attitude_rate,
     best_lag,
+    bridged,
     correlation,
     peak,
     shifted,
@@ -72,7 +73,7 @@ def window_offsets(view: View) -> FloatArray:
     """(K, 3): middle of the window [s], how late the gyro is against the attitude [samples],
     correlation there."""
     half = max(1, round(HALF_WINDOW / view.dt))
-    gyro = smoothed(view.group("rate"), half)
+    gyro = smoothed(bridged(view.group("rate"), half), half)
     rate = attitude_rate(view.group("attitude"), view.dt, half)
     length, reach = round(WINDOW / view.dt), round(LARGEST / view.dt)
     time = view.time
@@ -200,7 +201,7 @@ def _lift_lag(view: View) -> float | None:
         return None
     half = max(1, round(0.02 / view.dt))
     slow = max(2, round(0.5 / view.dt))
-    force, lift = view.joined(["az"]), (view.drive**2).sum(axis=1, keepdims=True)
+    force, lift = bridged(view.joined(["az"]), half), (view.drive**2).sum(axis=1, keepdims=True)
     force, lift = (smoothed(v, half) - smoothed(v, slow) for v in (force, lift))
     lags = np.arange(-round(0.05 / view.dt), round(0.15 / view.dt) + 1)
     lag, peak = best_lag(force, lift, lags)

@@ -14,6 +14,8 @@ from greybox.data.checks.kinematics import Relation, Streams
 from greybox.data.checks.relations import Reading
 from greybox.data.checks.signals import FloatArray, centred, increments, turned, turns
 from greybox.data.checks.view import View
+from greybox.data.readers.assemble import other_frame
+from greybox.data.readers.recording import FRAMES
 
 SPAN = 0.2
 """Time [s] over which turns are taken."""
@@ -31,12 +33,18 @@ ORDERS = {
 CONJUGATE = "the quaternion turns world into body: negate qx, qy, qz"
 
 
-def quaternion_readings() -> Iterator[tuple[str, tuple[int, ...], FloatArray]]:
-    """(what it would mean, column order, signs) of the quaternion readings; the first is the one
-    given."""
-    for signs, inverse in (((1.0, 1.0, 1.0, 1.0), ""), ((1.0, -1.0, -1.0, -1.0), CONJUGATE)):
-        for text, order in ORDERS.items():
-            yield "; ".join(part for part in (text, inverse) if part), order, np.array(signs)
+def quaternion_readings(quaternions: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """(what it would mean, quaternions (N, 4)) of the readings of quaternions (N, 4), the one given
+    first. Columns are read another way before their frame is turned to ours, whichever it was."""
+    yield "", quaternions
+    for frame in FRAMES["attitude"]:
+        logged = other_frame(quaternions, "attitude", frame)
+        for sign, inverse in ((1.0, ""), (-1.0, CONJUGATE)):
+            for text, order in ORDERS.items():
+                if text or inverse:
+                    read = logged[:, order] * np.array([1.0, sign, sign, sign])
+                    said = "; ".join(part for part in (text, inverse) if part)
+                    yield said, other_frame(read, "attitude", frame)
 
 
 def streams(view: View) -> Streams | str:
@@ -48,8 +56,8 @@ def streams(view: View) -> Streams | str:
     gyro, quaternions = view.group("rate"), view.group("attitude")
     told = centred(increments(gyro, view.dt, n))
     readings = [
-        Reading(text=text, fix=MEND, y=centred(turns(quaternions[:, order] * signs, n)), x=told)
-        for text, order, signs in quaternion_readings()
+        Reading(text=text, fix=MEND, y=centred(turns(read, n)), x=told)
+        for text, read in quaternion_readings(quaternions)
     ]
     readings.append(
         Reading(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from greybox.data.conditioning import MAX_GAP
 
 LOST = 0.2
 """Share of the flight without rows from which a fit is blocked."""
+
+TRACE = 0.02
+"""Share of missing rows or cells that is worth saying."""
 
 SLOW = ("vbat",)
 """Channels that may be logged slowly."""
@@ -48,7 +51,7 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         missing = int(np.rint(steps[short] / dt - 1).sum())
         yield Finding(
             check="gaps",
-            severity="warning" if missing > 0.02 * log.n else "info",
+            severity="warning" if missing > TRACE * log.n else "info",
             flight=view.name,
             where=f"first at t = {log.t[short[0]]:.3f} s",
             message=f"{missing} dropped sample(s); they are kept as missing",
@@ -64,9 +67,21 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             message="the column holds no value at all; it is left out",
             fix="log it, or drop the column",
         )
-    for name, values in log.channels.items():
-        share = float(np.isnan(values).mean())
-        if share > 0.5 and name not in SLOW:
+    empty = {k: float(np.isnan(v).mean()) for k, v in log.channels.items() if k not in SLOW}
+    some = {k: s for k, s in empty.items() if TRACE < s <= 0.5}
+    if some:
+        yield Finding(
+            check="gaps",
+            severity="info",
+            flight=view.name,
+            where=f"channel {', '.join(some)}",
+            message="cells are empty: "
+            + "; ".join(f"{percent} % of {names}" for percent, names in _alike(some).items()),
+            evidence={f"missing_share_{k}": s for k, s in some.items()},
+            fix="log these channels at every row",
+        )
+    for name, share in empty.items():
+        if share > 0.5:
             yield Finding(
                 check="gaps",
                 severity="warning",
@@ -76,6 +91,15 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
                 evidence={"missing_share": share},
                 fix="log that channel faster or in a steady rhythm, or fit with --predictor kalman",
             )
+
+
+def _alike(shares: Mapping[str, float]) -> dict[str, str]:
+    """Whole per cent -> the channels that miss so much."""
+    out: dict[str, str] = {}
+    for name, share in shares.items():
+        percent = f"{100 * share:.0f}"
+        out[percent] = f"{out[percent]}, {name}" if percent in out else name
+    return out
 
 
 CHECK = Check(name="gaps", question="Are rows or cells missing?", run=per_flight(run))

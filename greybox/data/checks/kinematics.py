@@ -26,6 +26,7 @@ from greybox.data.checks.relations import (
     factor,
     far_better,
     joined,
+    long_enough,
     mixed,
     moments,
 )
@@ -34,6 +35,8 @@ from greybox.data.raw import FloatArray
 
 REACH = 0.15
 """Largest delay between two streams that is looked for [s]."""
+MOST_OTHERS = 2
+"""Other readings that are named where they explain about as much."""
 LATE = 0.05
 """Delays from here on are said [s], and from two samples."""
 
@@ -106,7 +109,7 @@ def related(relation: Relation, view: View) -> Related | str:
         return f"the craft hardly moves ({size:.2g} per {streams.span * view.dt:.2g} s)"
     tried = _tried(streams.readings, view.dt, streams.span)
     if not tried:
-        return "too short"
+        return _too_few(first, view.dt, streams.span)
     other = streams.apart
     return Related(
         streams=streams,
@@ -115,6 +118,18 @@ def related(relation: Relation, view: View) -> Related | str:
         size=size,
         sample=view.dt,
         apart=None if other is None else lambda: _tried(other(), view.dt, streams.span),
+    )
+
+
+def _too_few(first: Reading, dt: float, span: int) -> str:
+    """Why a reading has too few rows: the flight is too short, or too much of it is missing."""
+    seconds = len(first.y) * dt
+    if not long_enough(len(first.y), dt, span, REACH):
+        return f"too short: {seconds:.2g} s"
+    known = np.isfinite(first.y).all(axis=1) & np.isfinite(first.x).all(axis=1)
+    return (
+        f"too many gaps: only {100 * known.mean():.0f} % of {seconds:.2g} s have no missing sample "
+        f"within {span * dt:.2g} s"
     )
 
 
@@ -228,6 +243,8 @@ def _misread(
         f" (explains {100 * better.share:.0f} % of the motion, as given "
         f"{100 * better.given_share:.0f} %)"
     )
+    if better.others:
+        message += f", or about as well when {' or when '.join(better.others[:MOST_OTHERS])}"
     return Finding(
         check=relation.name,
         severity="blocking" if better.blocks else "warning",
@@ -298,9 +315,45 @@ def _sizes(
             "was written",
         )
         return
+    common = common_rate(list(clocks.values()))
+    if common is not None:
+        shown = ", ".join(f"{n} {c.value:.3g}" for n, c in clocks.items())
+        yield Finding(
+            check="clock",
+            severity="warning",
+            flight=flight,
+            where="t",
+            message=f"the time may run {common:.3g} times as fast as the motion: no factor is "
+            f"nearer to 1 than to that ({shown})",
+            evidence={
+                "clock_rate": common,
+                **{f"clock_rate_{n}": c.value for n, c in clocks.items()},
+            },
+            fix="compare the rate of the log with the one that was set; if it is right, check the "
+            "units and scales in [columns]",
+        )
     for relation in relations:
         if relation.name in there and there[relation.name].streams.scaled:
             yield from _factor(relation, flight, there[relation.name], pooled.get(relation.name))
+
+
+def common_rate(clocks: Sequence[Factor]) -> float | None:
+    """The rate of the clock that explains all factors, which are given as rates of a clock.
+
+    One is clear; at least two are nearer to that one than to 1, none is nearer to 1, and none is
+    clear once the rate is set aside. None where there is no such rate.
+    """
+    clear = [c.value for c in clocks if c.clear]
+    if not clear:
+        return None
+    most = max(clear, key=lambda v: abs(np.log(v)))
+    side = 1.0 if most > 1.0 else -1.0
+    middle = most ** (0.5 * side)
+    nearer = [c for c in clocks if c.to_the(side).low > middle]
+    against = any(c.to_the(side).high < middle for c in clocks)
+    rate = float(np.median([c.value for c in nearer])) if nearer else 1.0
+    left = [Factor(value=c.value / rate, low=c.low / rate, high=c.high / rate) for c in clocks]
+    return None if len(nearer) < 2 or against or any(c.clear for c in left) else rate
 
 
 def _factor(

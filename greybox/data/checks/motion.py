@@ -3,13 +3,32 @@ integral."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from greybox.data.checks.kinematics import Relation, Streams
 from greybox.data.checks.relations import Reading
-from greybox.data.checks.signals import increments, turned
+from greybox.data.checks.signals import FloatArray, increments, turned
 from greybox.data.checks.view import View
+from greybox.data.readers.assemble import other_frame
 
 SPAN = 0.5
 """Time [s] over which displacements are taken."""
+
+
+BODY_AXES = (("FLU", "ENU"), ("FRD", "NED"), ("FRD", "ENU"))
+"""(body axes, the world frame that a velocity in them was taken for)."""
+
+
+def in_body_axes(velocity: FloatArray) -> Iterator[tuple[str, str, FloatArray]]:
+    """(what is wrong, its fix, velocity in our body axes (N, 3)) of the ways in which a velocity
+    (N, 3) of the world may be one in body axes."""
+    for body, world in BODY_AXES:
+        said = other_frame(velocity, "velocity", world)
+        yield (
+            "the velocity is in body axes" + (f" ({body})" if body != "FLU" else ""),
+            f"set frame = '{body}' in [columns.velocity], or log the velocity in world axes",
+            other_frame(said, "velocity", body),
+        )
 
 
 def streams(view: View) -> Streams | str:
@@ -21,16 +40,9 @@ def streams(view: View) -> Streams | str:
     moved = position[n:] - position[:-n]
     readings = [Reading(text="", fix="", y=moved, x=increments(velocity, view.dt, n))]
     if view.has("attitude"):
-        world = turned("rotate", view.group("attitude"), velocity)
-        readings.append(
-            Reading(
-                text="the velocity is in body axes",
-                fix="rotate vx, vy, vz into the world before logging, or log the velocity of the "
-                "estimator in world axes",
-                y=moved,
-                x=increments(world, view.dt, n),
-            )
-        )
+        for text, fix, body in in_body_axes(velocity):
+            world = turned("rotate", view.group("attitude"), body)
+            readings.append(Reading(text=text, fix=fix, y=moved, x=increments(world, view.dt, n)))
     return Streams(readings=tuple(readings), axes=("vx", "vy", "vz"), span=n)
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -147,6 +147,18 @@ def _rows(
     return (rows, starts) if starts.size >= FEWEST_BLOCKS else None
 
 
+def long_enough(rows: int, dt: float, span: int, reach: float) -> bool:
+    """Whether so many rows of y are enough for lags within `reach` [s] where none is missing."""
+    whole = np.zeros((rows, 3))
+    return _rows(whole, whole, dt, span, _lags(dt, reach)) is not None
+
+
+def _lags(dt: float, reach: float) -> npt.NDArray[np.int64]:
+    """The lags within `reach` [s] that are tried [samples]."""
+    most, step = round(reach / dt), max(1, round(LAG_STEP / dt))
+    return step * np.arange(-(most // step), most // step + 1)
+
+
 def mixed(given: Reading, other: Reading, dt: float, span: int, lag: float) -> Mixture | None:
     """Sums that say where y stands between two readings of it, at one lag [s]; None where y is not
     the same, or too few rows are left."""
@@ -166,8 +178,7 @@ def moments(reading: Reading, dt: float, span: int, reach: float) -> Moments | N
     Clocks wander, so every block has its own lag within `reach` [s]: the one at which y and x are
     most alike, in whatever axes.
     """
-    most, step = round(reach / dt), max(1, round(LAG_STEP / dt))
-    lags = step * np.arange(-(most // step), most // step + 1)
+    lags = _lags(dt, reach)
     found = _rows(reading.y, reading.x, dt, span, lags)
     if found is None:
         return None
@@ -214,7 +225,7 @@ def axis_readings() -> Iterator[tuple[str, Matrix, tuple[int, ...]]]:
 class Better:
     """A reading that explains the motion far better than the one given: `share` and `given_share`
     of it that they explain; `angle` [deg] and its standard error where it is a rotation by an angle
-    (0 otherwise)."""
+    (0 otherwise). `others` are readings that explain about as much."""
 
     text: str
     fix: str
@@ -222,6 +233,7 @@ class Better:
     given_share: float
     angle: float = 0.0
     angle_error: float = 0.0
+    others: tuple[str, ...] = ()
 
     @property
     def blocks(self) -> bool:
@@ -309,7 +321,8 @@ def better_reading(
         return turned
     most = max(b.share for _, b in good)
     alike = [(rank, -b.share, b) for rank, b in good if 1.0 - b.share < (1.0 - most) / LEFT + 0.01]
-    best = min(alike, key=lambda c: c[:2])[2]
+    best, *others = (c[2] for c in sorted(alike, key=lambda c: c[:2]))
+    best = replace(best, others=tuple(dict.fromkeys(o.text for o in others if o.text != best.text)))
     return turned if turned is not None and 1.0 - turned.share < LEFT * (1.0 - most) else best
 
 

@@ -38,8 +38,14 @@ def derivative(values: FloatArray, dt: float, half: int) -> FloatArray:
     return out
 
 
+BRIDGED = 8
+"""Gaps of up to this part of the time over which is integrated are bridged."""
+
+
 def increments(values: FloatArray, dt: float, n: int) -> FloatArray:
-    """Integral over n samples from each on, (N - n, k); missing where one of them is."""
+    """Integral over n samples from each on, (N - n, k): across short gaps that of a line, missing
+    where longer ones are."""
+    values = bridged(values, n // BRIDGED)
     steps = 0.5 * (values[1:] + values[:-1]) * dt
     there = np.asarray(np.isfinite(steps).all(axis=1))
     total = np.vstack(
@@ -48,6 +54,21 @@ def increments(values: FloatArray, dt: float, n: int) -> FloatArray:
     lost = np.concatenate([[0], np.cumsum(~there)])
     out = total[n:] - total[:-n]
     out[lost[n:] != lost[:-n]] = np.nan
+    return out
+
+
+def bridged(values: FloatArray, most: int) -> FloatArray:
+    """Values (N, k) with lines drawn over at most `most` missing samples between known ones."""
+    out = values.copy()
+    rows = np.arange(len(values))
+    for column in out.T:
+        known = np.isfinite(column)
+        if known.all() or not known.any():
+            continue
+        before = np.maximum.accumulate(np.where(known, rows, -1))
+        after = np.minimum.accumulate(np.where(known, rows, len(rows))[::-1])[::-1]
+        short = ~known & (before >= 0) & (after < len(rows)) & (after - before <= most + 1)
+        column[short] = np.interp(rows[short], rows[known], column[known])
     return out
 
 

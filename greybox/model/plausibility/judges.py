@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy.optimize import linprog
 
 from greybox.frames import GRAVITY
 from greybox.model.effects import effect_by_name
@@ -23,6 +23,8 @@ from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray
 
 HUGE = 1e9
+HOVER_RANGE = (0.15, 0.85)
+"""Shares of the command range that leave a hover room to both sides."""
 MASS_UNITS = {1e-3: "grams instead of kilograms"}
 LENGTH_UNITS = {
     1e-3: "millimetres instead of metres",
@@ -247,7 +249,7 @@ def _hover_command(c: Craft) -> Iterator[Implausible]:
         )
     if c.hover is not None:
         share = (c.hover - c.u[0]) / (c.u[-1] - c.u[0])
-        if not 0.15 <= share <= 0.85:
+        if not HOVER_RANGE[0] <= share <= HOVER_RANGE[1]:
             yield Implausible(
                 "warning",
                 "actuator",
@@ -266,7 +268,7 @@ def allocation(c: Craft) -> Iterator[Implausible]:
     lost = [*_dependent(c, rows, lever)]
     yield from lost
     if not lost:
-        yield from _level_hover(c, rows)
+        yield from _level_hover(c, arms)
         yield from _hubs(c, arms)
         yield from _discs(c)
 
@@ -282,14 +284,13 @@ def _dependent(c: Craft, rows: FloatArray, lever: float) -> Iterator[Implausible
         for k, n in enumerate(names)
         if np.linalg.matrix_rank(np.delete(rows, k, 0), tol=1e-6) == rank
     ]
-    pattern = " ".join(f"{int(s):+d}" for s in c.spin)
     if c.n < 4:
         fix = "greybox models fixed rotors: four or more are needed"
     elif not lever:
         fix = "give the torque map: without it there is no yaw"
     else:
         fix = (
-            f"check spins ({pattern}) and positions: neighbours turn opposite ways, "
+            f"check spins ({_pattern(c)}) and positions: neighbours turn opposite ways, "
             "opposite rotors alike"
         )
     yield Implausible(
@@ -302,11 +303,28 @@ def _dependent(c: Craft, rows: FloatArray, lever: float) -> Iterator[Implausible
     )
 
 
-def _level_hover(c: Craft, rows: FloatArray) -> Iterator[Implausible]:
-    low, high = float(c.rotor.min()), float(c.rotor.max())
-    wrench = np.array([c.weight, 0.0, 0.0, 0.0]) / c.weight
-    best = lsq_linear(rows / c.n, wrench, bounds=(c.n * low / c.weight, c.n * high / c.weight))
-    if c.lift[-1] >= c.weight and best.cost > 1e-6:
+def _level_hover(c: Craft, arms: FloatArray) -> Iterator[Implausible]:
+    """Whether every rotor lifts in a level hover, with room to both sides: one at rest can only
+    push one way, which controls nothing (Du, Quan, Yang and Cai 2015, J. Guidance, Control, and
+    Dynamics 38(5))."""
+    if not c.lift[-1] >= c.weight:
+        return
+    thrusts = _even_hover(c, arms, c.spin)
+    if thrusts is not None:
+        yield from _uneven(c, thrusts)
+    elif _even_hover(c, arms, np.zeros(c.n)) is not None:
+        one_turned = [i + 1 for i in range(c.n) if _hovers_evenly(c, arms, i)]
+        yield Implausible(
+            "blocking",
+            "rotor.spin",
+            "no level hover without yaw torque in which every rotor lifts",
+            "thrusts above zero that carry the weight with no moment",
+            f"spins {_pattern(c)}",
+            f"turn the spin of rotor {' or '.join(map(str, one_turned))} round"
+            if one_turned
+            else "compare each spin with the craft: neighbours turn opposite ways",
+        )
+    else:
         yield Implausible(
             "blocking",
             "rotor.position",
@@ -315,6 +333,56 @@ def _level_hover(c: Craft, rows: FloatArray) -> Iterator[Implausible]:
             "no such commands",
             "check signs of the positions (x forward, y left) and the centre of mass",
         )
+
+
+def _even_hover(c: Craft, arms: FloatArray, spin: FloatArray) -> FloatArray | None:
+    """Thrusts (n,) of the rotors [N] in the level hover whose weakest rotor lifts most; None where
+    there is none in which all lift."""
+    # Shares of the mean thrust and, last, the least of them, which is maximised.
+    low, high = float(c.lift.min()) / c.weight, float(c.lift.max()) / c.weight
+    balance = np.stack([np.full(c.n, 1.0 / c.n), arms[:, 1] / c.L, arms[:, 0] / c.L, spin])
+    best = linprog(
+        c=np.append(np.zeros(c.n), -1.0),
+        A_ub=np.column_stack([-np.eye(c.n), np.ones(c.n)]),
+        b_ub=np.zeros(c.n),
+        A_eq=np.column_stack([balance, np.zeros(4)]),
+        b_eq=[1.0, 0.0, 0.0, 0.0],
+        bounds=[(low, high)] * c.n + [(None, None)],
+    )
+    # A share of a millionth is the rounding of the solver.
+    if not (best.success and best.x[-1] > 1e-6):
+        return None
+    return np.asarray(best.x[:-1], dtype=np.float64) * c.weight / c.n
+
+
+def _hovers_evenly(c: Craft, arms: FloatArray, rotor: int) -> bool:
+    """Whether the craft hovers with that rotor (counted from 0) turned round and keeps its yaw."""
+    spin = np.where(np.arange(c.n) == rotor, -c.spin, c.spin)
+    rows = np.stack([np.ones(c.n), arms[:, 1] / c.L, arms[:, 0] / c.L, spin])
+    return int(np.linalg.matrix_rank(rows)) == 4 and _even_hover(c, arms, spin) is not None
+
+
+def _uneven(c: Craft, thrusts: FloatArray) -> Iterator[Implausible]:
+    """A rotor close to a limit in the level hover (thrusts (n,) [N]), where all on average are
+    not."""
+    commands = np.interp(thrusts * c.n, c.lift, c.u)
+    shares = (commands - c.u[0]) / (c.u[-1] - c.u[0])
+    low, high = HOVER_RANGE
+    if c.hover is None or not low <= (c.hover - c.u[0]) / (c.u[-1] - c.u[0]) <= high:
+        return
+    if shares.min() < low or shares.max() > high:
+        yield Implausible(
+            "warning",
+            "rotor",
+            "a level hover needs very unequal thrusts",
+            f"{100 * low:.0f} to {100 * high:.0f} % of the command range for every rotor",
+            ", ".join(f"{100 * s:.0f} %" for s in shares),
+            "check spins, positions and the centre of mass",
+        )
+
+
+def _pattern(c: Craft) -> str:
+    return " ".join(f"{int(s):+d}" for s in c.spin)
 
 
 def _hubs(c: Craft, arms: FloatArray) -> Iterator[Implausible]:
