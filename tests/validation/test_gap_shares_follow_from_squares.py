@@ -7,7 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.validation.gap import GapRow, Squares, doubt, gap, groups_of, outgrown, worsened
+from greybox.validation.gap import (
+    HeldOutErrors,
+    Squares,
+    doubt,
+    gap,
+    groups_of,
+    outgrown,
+    worsened,
+)
 
 KEY = ("rate", 0.5)
 
@@ -79,28 +87,16 @@ def test_every_group_of_the_table_is_listed_once_in_order():
     assert [r.horizon_s for r in rows] == [0.1, 0.5, 0.5]
 
 
-def test_laws_that_make_the_test_flights_worse_are_said():
-    def row(group: str, closed: float | None, laws: float | None) -> GapRow:
-        return GapRow(
-            group=group,
-            unit="m",
-            horizon_s=0.5,
-            before=1.0,
-            after=0.5,
-            floor=0.1,
-            closed=closed,
-            ci95=None,
-            with_proposals=laws,
-        )
+def test_laws_with_which_errors_grow_are_found_by_group():
+    def errors(position: float, rate: float) -> HeldOutErrors:
+        own = {("position", 0.5): blocks(position)[KEY], KEY: blocks(rate)[KEY]}
+        return HeldOutErrors(own=own, floor=dict.fromkeys(own, blocks(0.1)[KEY]))
 
-    rows = [
-        row("position", 0.5, 0.9),
-        row("velocity", 0.5, 0.45),
-        row("rate", 0.5, -6.0),
-        row("rotation", None, None),
-    ]
-    assert outgrown(rows) == ["rate 0.5 s ahead"]
-    assert outgrown([row("rate", 0.5, None)]) == []
+    before, named = errors(4.0, 4.0), errors(1.0, 1.0)
+    assert outgrown(before, named, errors(0.5, 1.0)) == []
+    assert outgrown(before, named, errors(1.0, 1.3)) == [], "less than a tenth of the gap"
+    assert outgrown(before, named, errors(0.5, 9.0)) == ["rate 0.5 s ahead"]
+    assert outgrown(before, named, None) == ["nothing is foretold"]
 
 
 @pytest.mark.parametrize(("seen", "why"), [(0.5, "stands against"), (3.0, "of a feedback")])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mpc_export.tube.calibrated import MOST
 from tests.mpc_export.tube.test_controller_flies_and_survives import fly, pilot
 
 
@@ -18,19 +19,23 @@ def test_planes_and_tilt_are_tightened_by_the_scales_of_what_they_bound(controll
     own = controller.calibrated
     names = controller.filter.innovations.names
     own.scale[names.index("position.x")] = 3.0
-    own.scale[names.index("position.y")] = [1.0, 1.0, 2.0, 4.0, 4.0]
+    own.scale[names.index("position.y")] = [1.0, 1.0, 1.25, 2.5, 2.5]
     own.scale[names.index("attitude.y")] = 1.5
     planes = np.zeros((3, 2, 4))
     planes[:, 0, 0], planes[:2, 1, :2] = 1.0, [0.6, -0.8]
     ahead = np.array([0.05, 0.175, 9.0])
     found = own.wider(ahead, planes)
     np.testing.assert_allclose(found[:, 0], 3.0)
-    between = 2.0 * np.sqrt(2.0)  # half way from 0.1 to 0.25 s, where the logarithm is interpolated
+    between = 1.25 * np.sqrt(
+        2.0
+    )  # half way from 0.1 to 0.25 s, where the logarithm is interpolated
     np.testing.assert_allclose(
         found[:2, 1], [np.hypot(0.6 * 3, 0.8), np.hypot(0.6 * 3, 0.8 * between)]
     )
     assert found[2, 1] == 1.0, "no plane there"
     np.testing.assert_allclose(found[:, 2], 1.5)
+    own.scale[names.index("attitude.y")] = 20.0
+    np.testing.assert_allclose(own.wider(ahead, planes)[:, 2], MOST)
     own.scale[:] = 0.2
     np.testing.assert_array_equal(own.wider(ahead, planes), 1.0, "calm air frees no limit")
 
