@@ -58,6 +58,8 @@ from greybox.validation.gap import (
 SHORTEST_FLIGHT = 0.6
 """Seconds without an interruption: the first tenth tells only its commands."""
 Progress = Callable[[str, float], None]
+Judged = tuple[list[Name], Fitted]
+"""Names, and the structure of what is said."""
 
 
 @in_notebooks(progress="share")
@@ -317,9 +319,7 @@ class _Run:
 
     # ---------------------------------------------------------------- judging
 
-    def _named(
-        self, at: Fitted, rivals: Mapping[str, Sequence[Rival]]
-    ) -> tuple[list[Name], Fitted]:
+    def _named(self, at: Fitted, rivals: Mapping[str, Sequence[Rival]]) -> Judged:
         """What is said of every cause of the structure, and the structure of what is said."""
         judges, alpha = splits(self.flights, self.test), self.options.alpha
         odd = {name: impossible(at, self.flights, name) for name in rivals}
@@ -340,14 +340,12 @@ class _Run:
         gone = {n.name for n in names if n.status not in keep and not n.kept}
         return names, self.flights.fit(at.structure - gone, [at.known]) if gone else at
 
-    def _beside_laws(
-        self, names: list[Name], at: Fitted, written: Fitted
-    ) -> tuple[list[Name], Fitted]:
+    def _beside_laws(self, names: list[Name], at: Fitted, laws: Fitted) -> Judged:
         """Names that fade next to the laws that won and are not needed there are none (they had
         bent), and the structure without them."""
-        asked = [n.name for n in names if n.name in written.structure]
+        asked = [n.name for n in names if n.name in laws.structure]
         judges = splits(self.flights, self.test)
-        beside = certificates_beside(self.flights, written, asked, judges, self.bar)
+        beside = certificates_beside(self.flights, laws, asked, judges, self.bar)
         gone = {n for n, c in beside.items() if c.log_e < self.bar}
         if not gone:
             return names, at
