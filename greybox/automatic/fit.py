@@ -244,29 +244,11 @@ def _with_what_flights_tell(
     told = {n: e for n, e in found.estimates.told.items() if n not in own}
     if "free" in choices:
         told = {}
-    unit = {d.name: d.unit for d in found.model.dynamics.parameters}
     denied: dict[str, str] = {}
     while told:
-        new = [
-            Decision(
-                about=name,
-                choice="estimated",
-                reason=f"the flights tell more than a ratio: to {error:.2g} {unit[name]}, stated "
-                f"to {stated:.2g}",
-                option="--fixed, --considered",
-            )
-            for name, (error, stated) in told.items()
-        ]
+        freed, new = _freed(recipe, found, told)
         for decision in new:
             say(f"  {decision.about}: {decision.choice} ({decision.reason})")
-        options = continued(recipe.options, found)
-        freed = replace(
-            recipe,
-            options=options.but(
-                fixed=tuple(n for n in options.fixed if n not in told),
-                considered=tuple(n for n in options.considered if n not in told),
-            ),
-        )
         decided = [*(d for d in decisions if d.about not in told), *new]
         again = None
         with contextlib.suppress(FitError):
@@ -290,6 +272,29 @@ def _with_what_flights_tell(
         denied |= against
         told = {n: e for n, e in told.items() if n not in against}
     return _said_of(found, denied).with_history(recipe, tuple(decisions))
+
+
+def _freed(
+    recipe: Recipe, found: Fit, told: Mapping[str, tuple[float, float]]
+) -> tuple[Recipe, list[Decision]]:
+    """The recipe with what is `told` (its error by the flights, the stated one) estimated from
+    where a fit ended, and why."""
+    unit = {d.name: d.unit for d in found.model.dynamics.parameters}
+    new = [
+        Decision(
+            about=name,
+            choice="estimated",
+            reason=f"the flights tell more than a ratio: to {error:.2g} {unit[name]}, stated "
+            f"to {stated:.2g}",
+            option="--fixed, --considered",
+        )
+        for name, (error, stated) in told.items()
+    ]
+    options = continued(recipe.options, found)
+    fixed, considered = (
+        tuple(n for n in names if n not in told) for names in (options.fixed, options.considered)
+    )
+    return replace(recipe, options=options.but(fixed=fixed, considered=considered)), new
 
 
 def _denied(found: Fit, told: Collection[str]) -> dict[str, str]:
