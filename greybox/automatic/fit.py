@@ -24,6 +24,7 @@ from greybox.data.conditioning import condition
 from greybox.data.impossible import without_impossible
 from greybox.data.raw import RawLog, Removed
 from greybox.errors import FitError
+from greybox.estimation.conclusion import nearer_warnings
 from greybox.estimation.fit import Progress, fit, noise_of
 from greybox.estimation.options import FitOptions
 from greybox.estimation.recipe import Decision, Recipe
@@ -312,9 +313,8 @@ def _denied(found: Fit, told: Collection[str]) -> dict[str, str]:
 
 def _said_of(found: Fit, denied: Mapping[str, str]) -> Fit:
     """The fit with a warning of every parameter that stays held although flights tell it."""
-    old = tuple(f"{n} is held, but" for n in denied)
-    kept = [w for w in found.diagnostics.warnings if not (old and w.startswith(old))]
-    warnings = (*denied.values(), *kept)
+    old = nearer_warnings({n: found.estimates.told[n] for n in denied})
+    warnings = (*denied.values(), *(w for w in found.diagnostics.warnings if w not in old))
     return replace(found, diagnostics=replace(found.diagnostics, warnings=warnings))
 
 

@@ -88,7 +88,7 @@ def concluded(
         *([errors.spread.doubt] if errors.spread.doubt else []),
         *([UNFINISHED] if status.converged and _unfinished(value, errors.held) else []),
         *_bound_warnings(estimates),
-        *_nearer_warnings(nearer),
+        *nearer_warnings(nearer),
         *_record_warnings(problem),
         *_combination_warnings(problem, kept, combinations),
     ]
@@ -262,7 +262,8 @@ def _bound_warnings(estimates: Mapping[str, Estimate]) -> list[str]:
     ]
 
 
-def _nearer_warnings(nearer: Mapping[str, tuple[float, float]]) -> list[str]:
+def nearer_warnings(nearer: Mapping[str, tuple[float, float]]) -> list[str]:
+    """One of every held parameter that flights tell to (error, stated error)."""
     return [
         f"{n} is held, but these flights tell it to {error:.2g}, nearer than its stated error of "
         f"{stated:.2g}: "

@@ -237,6 +237,11 @@ def _thrust_map(c: Craft) -> Iterator[Implausible]:
         )
 
 
+def _shares(c: Craft, commands: float | FloatArray) -> FloatArray:
+    """Where commands stand in their range, 0 to 1."""
+    return np.asarray((commands - c.u[0]) / (c.u[-1] - c.u[0]), dtype=np.float64)
+
+
 def _hover_command(c: Craft) -> Iterator[Implausible]:
     if c.hover is None and float(c.lift[-1]) / c.weight >= 1:
         yield Implausible(
@@ -248,7 +253,7 @@ def _hover_command(c: Craft) -> Iterator[Implausible]:
             "check c0 and u_min",
         )
     if c.hover is not None:
-        share = (c.hover - c.u[0]) / (c.u[-1] - c.u[0])
+        share = float(_shares(c, c.hover))
         if not HOVER_RANGE[0] <= share <= HOVER_RANGE[1]:
             yield Implausible(
                 "warning",
@@ -264,13 +269,18 @@ def allocation(c: Craft) -> Iterator[Implausible]:
     """Whether the rotors can make thrust and all three moments, and hover level."""
     arms = c.place - np.array([q.value for q in c.vehicle.center_of_mass])
     lever = c.lever or 0.0
-    rows = np.stack([np.ones(c.n), arms[:, 1] / c.L, -arms[:, 0] / c.L, -c.spin * lever / c.L])
-    lost = [*_dependent(c, rows, lever)]
+    lost = [*_dependent(c, _mixer(c, arms, c.spin * lever / c.L), lever)]
     yield from lost
     if not lost:
         yield from _level_hover(c, arms)
         yield from _hubs(c, arms)
         yield from _discs(c)
+
+
+def _mixer(c: Craft, arms: FloatArray, yaw: FloatArray) -> FloatArray:
+    """(4, n): thrust, roll, pitch and yaw that every rotor makes with arms (n, 3) and `yaw` (n,),
+    in units of it; signs do not matter to who asks."""
+    return np.stack([np.ones(c.n), arms[:, 1] / c.L, arms[:, 0] / c.L, yaw])
 
 
 def _dependent(c: Craft, rows: FloatArray, lever: float) -> Iterator[Implausible]:
@@ -340,7 +350,8 @@ def _even_hover(c: Craft, arms: FloatArray, spin: FloatArray) -> FloatArray | No
     there is none in which all lift."""
     # Shares of the mean thrust and, last, the least of them, which is maximised.
     low, high = float(c.lift.min()) / c.weight, float(c.lift.max()) / c.weight
-    balance = np.stack([np.full(c.n, 1.0 / c.n), arms[:, 1] / c.L, arms[:, 0] / c.L, spin])
+    balance = _mixer(c, arms, spin)
+    balance[0] /= c.n
     best = linprog(
         c=np.append(np.zeros(c.n), -1.0),
         A_ub=np.column_stack([-np.eye(c.n), np.ones(c.n)]),
@@ -358,17 +369,16 @@ def _even_hover(c: Craft, arms: FloatArray, spin: FloatArray) -> FloatArray | No
 def _hovers_evenly(c: Craft, arms: FloatArray, rotor: int) -> bool:
     """Whether the craft hovers with that rotor (counted from 0) turned round and keeps its yaw."""
     spin = np.where(np.arange(c.n) == rotor, -c.spin, c.spin)
-    rows = np.stack([np.ones(c.n), arms[:, 1] / c.L, arms[:, 0] / c.L, spin])
-    return int(np.linalg.matrix_rank(rows)) == 4 and _even_hover(c, arms, spin) is not None
+    rank = int(np.linalg.matrix_rank(_mixer(c, arms, spin)))
+    return rank == 4 and _even_hover(c, arms, spin) is not None
 
 
 def _uneven(c: Craft, thrusts: FloatArray) -> Iterator[Implausible]:
     """A rotor close to a limit in the level hover (thrusts (n,) [N]), where all on average are
     not."""
-    commands = np.interp(thrusts * c.n, c.lift, c.u)
-    shares = (commands - c.u[0]) / (c.u[-1] - c.u[0])
+    shares = _shares(c, np.interp(thrusts * c.n, c.lift, c.u))
     low, high = HOVER_RANGE
-    if c.hover is None or not low <= (c.hover - c.u[0]) / (c.u[-1] - c.u[0]) <= high:
+    if c.hover is None or not low <= float(_shares(c, c.hover)) <= high:
         return
     if shares.min() < low or shares.max() > high:
         yield Implausible(
