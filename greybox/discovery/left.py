@@ -28,7 +28,7 @@ from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import Law, file_name, proposal_text, proposed
 from greybox.residual.laws.found import AxisLaw, laws_of
 from greybox.residual.laws.responses import library
-from greybox.residual.laws.terms import Memory, wanted_features
+from greybox.residual.laws.terms import wanted_features
 
 SILENT = 12.0
 """By how much the logarithm of a level falls when its state is taken away."""
@@ -187,27 +187,13 @@ def _raced(
         flights.causes = offered
         return Left(axes=axes)
     values = {k[0]: v for k, v in written.known.items()}
-    by_axis = {a.channel: _refitted(a, c.name, values) for a, c in zip(lawful, causes, strict=True)}
+    by_axis = {a.channel: a.refitted(c.name, values) for a, c in zip(lawful, causes, strict=True)}
     return Left(
         axes=tuple(by_axis.get(a.channel, a) for a in axes),
         written=written,
         taken=taken,
         law_file=offered.law_file,
     )
-
-
-def _refitted(law: Axis, name: str, values: Mapping[str, float]) -> Axis:
-    """The law with the numbers of the fit that has it as the effect `name`."""
-    terms, memories = dict[str, float](), list[tuple[Memory, float] | None]()
-    for i, (text, kept) in enumerate(zip(law.terms, law.memories, strict=True), 1):
-        now = None
-        if kept is not None:
-            time, damping = values[f"{name}.time_{i}"], values.get(f"{name}.damping_{i}")
-            memory = Memory(time=time, damping=damping)
-            text, now = f"{text.rsplit(' (', 1)[0]} ({memory})", (memory, kept[1])
-        terms[text] = values[f"{name}.c_{i}"]
-        memories.append(now)
-    return replace(law, terms=terms, memories=tuple(memories))
 
 
 def _white(settled: Fit, flights: Flights) -> IdentifiedModel:

@@ -58,6 +58,7 @@ def law(channel: str, *picked: Term) -> Axis:
         terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
         depends_on=(),
         codes=tuple(t.code for t in picked),
+        shapes=tuple(None if t.shape is None else (t.shape, 0.3) for t in picked),
     )
 
 
@@ -110,7 +111,8 @@ def test_every_term_of_the_library_makes_a_valid_effect_with_the_same_numbers(ch
         nu=ca.DM([rows[f"u{i}"] for i in range(1, 5)]),
     )
     for t in library:
-        assert float(eval(t.code, {"ca": ca, "flow": flow})) == pytest.approx(
+        code = t.code.format(**t.shape.numbers) if t.shape else t.code
+        assert float(eval(code, {"ca": ca, "flow": flow})) == pytest.approx(
             t.values[3], rel=1e-9, abs=1e-12
         ), t.text
     assert len({t.text for t in library}) == len(library)

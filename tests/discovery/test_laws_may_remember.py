@@ -60,7 +60,7 @@ def law(channel: str, *picked: Term) -> Axis:
         terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
         depends_on=(),
         codes=tuple(t.code for t in picked),
-        memories=tuple(None if t.memory is None else (t.memory, 0.3) for t in picked),
+        shapes=tuple(None if t.shape is None else (t.shape, 0.3) for t in picked),
     )
 
 
@@ -151,7 +151,7 @@ def test_the_law_of_a_hidden_state_is_found_and_closes_the_gap(
     )
     found = discover(vehicle(), train, test)
     assert found.left is not None
-    assert any(m is not None for a in found.left.laws for m in a.memories)
+    assert any(m is not None for a in found.left.laws for m in a.shapes)
     row = next(r for r in found.gap if r.group == "velocity" and r.horizon_s == 0.5)
     assert row.with_proposals is not None
     assert row.with_proposals > 0.6

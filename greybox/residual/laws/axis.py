@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NotRequired, TypedDict
 
-from greybox.residual.laws.terms import Memory
+from greybox.residual.laws.terms import Shaped
 
 
 class AxisRow(TypedDict):
@@ -28,8 +28,8 @@ class Axis:
     """One axis: `channel` (force.x, ...), `rms` of its smoothed discrepancy [unit], `gain`: log
     evidence that its state brings, `lasts`: its correlation time [s]. Of its law, if it has one:
     `share` of the variance that `terms` (text -> coefficient, SI) explain on flights that were left
-    out, the signals they look at, `codes` as lines of an effect file, and `memories`, how those
-    with a memory follow it, and its RMS. `needed`: whether the flights clearly need the state,
+    out, the signals they look at, `codes` as lines of an effect file, and their `shapes`.
+    `needed`: whether the flights clearly need the state,
     `lawful`: whether the law explains enough of it."""
 
     channel: str
@@ -42,11 +42,24 @@ class Axis:
     terms: Mapping[str, float] = None  # type: ignore[assignment]
     depends_on: tuple[str, ...] = ()
     codes: tuple[str, ...] = ()
-    memories: tuple[tuple[Memory, float] | None, ...] = ()
+    shapes: tuple[Shaped, ...] = ()
     lawful: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", dict(self.terms or {}))
+
+    def refitted(self, name: str, values: Mapping[str, float]) -> Axis:
+        """The law with the numbers `values` of a fit that has it as the effect `name`."""
+        terms, shapes = dict[str, float](), list[Shaped]()
+        for i, (text, kept) in enumerate(zip(self.terms, self.shapes, strict=True), 1):
+            now = None
+            if kept is not None:
+                numbers = {n: values[f"{name}.{n}_{i}"] for n in kept[0].numbers}
+                now = kept[0].moved(numbers), kept[1]
+                text = f"{text.rsplit(' (', 1)[0]} ({now[0]})"
+            terms[text] = values[f"{name}.c_{i}"]
+            shapes.append(now)
+        return replace(self, terms=terms, shapes=tuple(shapes))
 
     def to_dict(self) -> AxisRow:
         """As in discovery.json."""

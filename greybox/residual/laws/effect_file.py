@@ -4,7 +4,7 @@
 The file holds one effect per group of axes (force, torque): a wrench that is linear in its
 parameters, with the terms that stability selection kept. The null of every coefficient is zero;
 what the search found stands in the docstring and as the coefficient's scale. A term with a memory
-is a state of the effect, whose time constant is a parameter too.
+is a state of the effect. Its time constant, and place and width of a bump, are parameters too.
 """
 
 from __future__ import annotations
@@ -13,15 +13,17 @@ import math
 import re
 import tempfile
 from collections.abc import Collection, Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Protocol
 
 from greybox.model.effect import Effect
 from greybox.model.effects_file import load_effects
-from greybox.residual.laws.terms import Memory
+from greybox.residual.laws.terms import Memory, Shaped
 
-REACH = 10.0
-"""Factor by which a refit may move time and damping of a memory, either way."""
+REACH, WIDER, ASIDE = 10.0, 3.0, 2.0
+"""Factors by which a refit may move time and damping of a memory and the width of a bump, either
+way, and how many widths it may move its place."""
 SHORTEST = 0.02
 """Time constant [s] below which no refit goes: it is the present, and steps of integration must
 stay shorter than it."""
@@ -51,11 +53,11 @@ class Law(Protocol):
 
     @property
     def codes(self) -> tuple[str, ...]:
-        """The terms as lines of an effect."""
+        """The terms as lines of an effect, see `Term`."""
 
     @property
-    def memories(self) -> tuple[tuple[Memory, float] | None, ...]:
-        """How a term follows with a memory, and the RMS of what follows; None without one."""
+    def shapes(self) -> tuple[Shaped, ...]:
+        """How a term follows its signal, or where it acts; see `Shaped`."""
 
 
 def file_name(number: int) -> str:
@@ -77,8 +79,8 @@ def proposal_text(law: Law, number: int, taken: Collection[str] = ()) -> str:
     kind, axis = law.channel.split(".")
     place = "xyz".index(axis)
     unit = law.unit
-    rows = list(zip(law.terms.items(), law.codes, strict=True))
-    places, shapes, past = _past(law)
+    rows = list(zip(law.terms.items(), _felt(law), strict=True))
+    places, past = _past(law)
     declared = [
         f'            Parameter(name="c_{i}", unit="{unit} / ...", nominal=0.0, null=0.0, '
         f"scale={max(abs(c), 1e-12):.3g}, "
@@ -115,7 +117,7 @@ def proposal_text(law: Law, number: int, taken: Collection[str] = ()) -> str:
             "    def parameters(self, vehicle):",
             "        return (",
             *declared,
-            *shapes,
+            *_shapes(law),
             "        )",
             *past,
             "",
@@ -145,26 +147,45 @@ def _head(law: Law) -> list[str]:
     ]
 
 
-def _past(law: Law) -> tuple[dict[int, int], list[str], list[str]]:
+def _felt(law: Law) -> list[str]:
+    """The codes of the terms, numbers of a bump as parameters."""
+    return [
+        code.format(**{n: f"p['{n}_{i}']" for n in kept[0].numbers}) if kept else code
+        for i, (code, kept) in enumerate(zip_longest(law.codes, law.shapes), 1)
+    ]
+
+
+def _shapes(law: Law) -> list[str]:
+    """The declarations of what a refit frees besides coefficients."""
+    out = list[str]()
+    for i, kept in enumerate(law.shapes, 1):
+        shape = kept[0] if kept else None
+        if isinstance(shape, Memory):
+            of = f"memory of term {i}"
+            out.append(_positive(f"time_{i}", "s", shape.time, of, REACH, lower=SHORTEST))
+            if shape.damping is not None:
+                of = f"damping ratio of term {i}"
+                out.append(_positive(f"damping_{i}", "-", shape.damping, of, REACH, upper=1.0))
+        elif shape is not None:
+            at, far, of = shape.place, ASIDE * shape.width, f"{shape.signal} where term {i} acts"
+            out.append(_shape(f"place_{i}", "...", at, of, at - far, at + far, shape.width / 3))
+            out.append(_positive(f"width_{i}", "...", shape.width, f"width of term {i}", WIDER))
+    return out
+
+
+def _past(law: Law) -> tuple[dict[int, int], list[str]]:
     """Of the terms with a memory: number of the term -> place of what it follows in `flow.memory`,
-    the declarations of times and dampings, and the two methods of an effect that remembers (none
-    where no term does)."""
-    places, remembered, changes, shapes = dict[int, int](), list[str](), list[str](), list[str]()
-    for i, (code, kept) in enumerate(zip(law.codes, law.memories, strict=False), 1):
-        if kept is None:
+    and the two methods of an effect that remembers (none where no term does)."""
+    places, remembered, changes = dict[int, int](), list[str](), list[str]()
+    for i, (code, kept) in enumerate(zip(law.codes, law.shapes, strict=False), 1):
+        if kept is None or not isinstance(memory := kept[0], Memory):
             continue
-        memory, size = kept
+        size = kept[1]
         j = places[i] = len(remembered)
         remembered.append(f'            Remembered(name="term_{i}", unit="...", size={size:.3g}),')
-        shapes.append(
-            _positive(f"time_{i}", "s", memory.time, f"memory of term {i}", lower=SHORTEST)
-        )
         if memory.damping is None:
             changes.append(f'            ({code} - flow.memory[{j}]) / p["time_{i}"],')
             continue
-        shapes.append(
-            _positive(f"damping_{i}", "-", memory.damping, f"damping ratio of term {i}", upper=1.0)
-        )
         remembered.append(
             f'            Remembered(name="term_{i}_rate", unit="... / s", '
             f"size={size / memory.time:.3g}),"
@@ -175,7 +196,7 @@ def _past(law: Law) -> tuple[dict[int, int], list[str], list[str]]:
             f' - 2 * p["damping_{i}"] * flow.memory[{j + 1}] / p["time_{i}"],'
         )
     if not places:
-        return places, shapes, []
+        return places, []
     methods = ["", "    def memory(self, vehicle):", "        return (", *remembered, "        )"]
     methods += [
         "",
@@ -184,20 +205,33 @@ def _past(law: Law) -> tuple[dict[int, int], list[str], list[str]]:
         *changes,
         "        )",
     ]
-    return places, shapes, methods
+    return places, methods
 
 
 def _positive(
-    name: str, unit: str, value: float, meaning: str, lower: float = 0.0, upper: float = math.inf
+    name: str,
+    unit: str,
+    value: float,
+    meaning: str,
+    reach: float,
+    lower: float = 0.0,
+    upper: float = math.inf,
 ) -> str:
-    """The declaration of a shape parameter: felt only where its term is, and then within reach of
-    the proposed value."""
-    low, high = min(max(value / REACH, lower), value), max(min(value * REACH, upper), value)
+    """The declaration of a positive shape parameter, within a factor `reach` of the proposed
+    value."""
+    low, high = min(max(value / reach, lower), value), max(min(value * reach, upper), value)
     # Rounding must not leave the value outside.
-    bounds = f"lower={low * (1 - ROUND):.4g}, upper={high * (1 + ROUND):.4g}, scale={value / 3:.3g}"
+    low, high = low * (1 - ROUND), high * (1 + ROUND)
+    return _shape(name, unit, value, meaning, low, high, value / 3)
+
+
+def _shape(
+    name: str, unit: str, value: float, meaning: str, low: float, high: float, scale: float
+) -> str:
+    """The declaration of a shape parameter: felt only where its term is."""
     return (
         f'            Parameter(name="{name}", unit="{unit}", nominal={value:.4g}, '
-        f"null={value:.4g}, {bounds}, "
+        f"null={value:.4g}, lower={low:.4g}, upper={high:.4g}, scale={scale:.3g}, "
         f'meaning="{meaning}"),'
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from greybox.residual.laws.responses import Library
 from greybox.residual.laws.selection import left_out, select, solve
-from greybox.residual.laws.terms import Memory
+from greybox.residual.laws.terms import Memory, Shaped
 
 TERMS = 6
 """Terms of an axis, at most."""
@@ -34,7 +34,7 @@ class AxisLaw(TypedDict, total=False):
     share: float
     terms: dict[str, float]
     codes: tuple[str, ...]
-    memories: tuple[tuple[Memory, float] | None, ...]
+    shapes: tuple[Shaped, ...]
     depends_on: tuple[str, ...]
 
 
@@ -75,8 +75,8 @@ def laws_of(offered: Library, samples: int, seed: int, free: Collection[str]) ->
             "share": more / max(whole, 1e-300),
             "terms": {t.text: c[i] for t, i in zip(used, mine, strict=True)},
             "codes": tuple(t.code for t in used),
-            "memories": tuple(
-                (t.memory, float(np.sqrt(np.mean(t.values**2)))) if t.memory else None for t in used
+            "shapes": tuple(
+                (t.shape, float(np.sqrt(np.mean(t.values**2)))) if t.shape else None for t in used
             ),
             "depends_on": tuple(dict.fromkeys(n for t in used for n in t.uses)),
         }
@@ -89,8 +89,8 @@ def _merged(offered: Library, kept: Sequence[int]) -> list[int]:
     seen, out = set[tuple[str, str, str]](), list[int]()
     for i in kept:
         axis, term = offered.columns[i]
-        if term.memory is not None:
-            key = (axis, term.code, term.memory.kind)
+        if isinstance(term.shape, Memory):
+            key = (axis, term.code, term.shape.kind)
             if key in seen:
                 continue
             seen.add(key)

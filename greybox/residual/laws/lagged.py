@@ -50,7 +50,7 @@ def remembered_terms(
                     code=code,
                     uses=(s.name,),
                     values=values,
-                    memory=memory,
+                    shape=memory,
                 )
             )
     return out

@@ -4,17 +4,18 @@ effect file.
 Signals are those that the physics of multirotors knows: body velocity, rates, directions of gravity
 and north in body axes, place and height, and the rotors by their collective sums of nu^2 (thrust,
 roll, pitch and yaw, as the geometry mixes them). Laws are linear in terms: signals, x |x|, products
-of signals that occur together in mechanics, 1/height^2, and bumps over the rotor speed for a thrust
-law that is not a parabola. Few terms on purpose: a smoothed discrepancy has no more independent
-values than the flight has correlation times.
+of signals that occur together in mechanics, 1/height^2, and bumps: over the rotor speed for a
+thrust law that is not a parabola, over the place for a force that stands in the room. Few terms on
+purpose: a smoothed discrepancy has no more independent values than the flight has correlation
+times.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,8 +26,10 @@ from greybox.model.vehicle import Vehicle
 from greybox.residual.features import available, default_features
 from greybox.symbolic import FloatArray
 
-BUMPS = 6
-"""Places of the bumps over the rotor speed."""
+SPEEDS, PLACES = 6, 10
+"""Bumps over the rotor speed, and over each coordinate of the place."""
+ALONG = {"position.x": ("east", "up"), "position.y": ("north", "up"), "height": ("up",)}
+"""Coordinate of the place -> axes of the world along which a force that depends on it points."""
 PAIRS = (
     ("velocity", "velocity"),
     ("rate", "rate"),
@@ -56,20 +59,56 @@ class Memory:
             return f"within {self.time:.2g} s"
         return f"swinging at {1 / (2 * math.pi * self.time):.2g} Hz"
 
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What a refit frees, by name."""
+        return {"time": self.time} | ({} if self.damping is None else {"damping": self.damping})
+
+    def moved(self, numbers: Mapping[str, float]) -> Memory:
+        """The same with other numbers."""
+        return Memory(time=numbers["time"], damping=numbers.get("damping"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bump:
+    """A term that acts where the `signal` is near a `place`: exp(-((signal - place) / width)^2)."""
+
+    signal: str
+    place: float
+    width: float
+
+    def __str__(self) -> str:
+        return f"{self.signal} near {self.place:.3g}, {self.width:.2g} wide"
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What a refit frees, by name; `Term.code` holds them as {place} and {width}."""
+        return {"place": self.place, "width": self.width}
+
+    def moved(self, numbers: Mapping[str, float]) -> Bump:
+        """The same with other numbers."""
+        return replace(self, place=numbers["place"], width=numbers["width"])
+
+
+Shape = Memory | Bump
+Shaped = tuple[Shape, float] | None
+"""The shape of a term, and the RMS of its column; None for a term without one."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Term:
     """One column: `text` for people, `code` for an effect file (CasADi, `flow`), signals it `uses`,
     values (N,).
 
-    With a `memory` the column is what that keeps of `code` (greybox.residual.laws.lagged).
-    `absorbed`: a change of a number that the fit had does the same, so that it is no law."""
+    With a memory as its `shape` the column is what that keeps of `code`
+    (greybox.residual.laws.lagged). `absorbed`: a change of a number that the fit had does the
+    same, so that it is no law."""
 
     text: str
     code: str
     uses: tuple[str, ...]
     values: FloatArray
-    memory: Memory | None = None
+    shape: Shape | None = None
     absorbed: bool = False
 
 
@@ -147,7 +186,7 @@ def terms(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) -
             out.append(
                 _term(f"{a.name} {b.name}^2", code, (a.name, b.name), a.values * b.values**2)
             )
-    return [*out, *_bumps(channel, names, z, vehicle)]
+    return [*out, *_fields(channel, there), *_speeds(channel, names, z, vehicle)]
 
 
 def _term(text: str, code: str, uses: Iterable[str], values: FloatArray) -> Term:
@@ -220,8 +259,48 @@ def signals(names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[Fligh
     return out
 
 
-def _bumps(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[Term]:
-    """Sums over rotors of exp(-((nu - c) / width)^2), weighted as the rotor's thrust enters the
+def _bumps_over(values: FloatArray, signal: str, count: int) -> list[Bump]:
+    """Bumps over what the flight saw of a signal; none where that stood still."""
+    low, high = np.quantile(values, [0.02, 0.98])
+    if high - low < 1e-3:
+        return []
+    width = round(float(high - low) / (count - 1), 4)
+    places = np.linspace(low, high, count)
+    return [Bump(signal=signal, place=round(float(c), 4), width=width) for c in places]
+
+
+def _near(bump: Bump, values: FloatArray) -> FloatArray:
+    return np.asarray(np.exp(-(((values - bump.place) / bump.width) ** 2)))
+
+
+def _near_code(code: str) -> str:
+    return f"ca.exp(-((({code} - {{place}}) / {{width}}) ** 2))"
+
+
+def _fields(channel: str, there: Sequence[FlightSignal]) -> list[Term]:
+    """Bumps over the place, of a force that stands in the room: a wall, a fan, a ceiling. It
+    points along the coordinate that it depends on, or up; a torque is its moment."""
+    kind, axis = channel.split(".")
+    world = [s for s in there if s.kind in ("heading", "tilt")]
+    sides = [s for s in world if (s.name[-1] == axis) == (kind == "force")]
+    return [
+        Term(
+            text=f"{side.name} ({bump})",
+            code=f"{side.code} * {_near_code(place.code)}",
+            uses=(side.name, place.name),
+            values=side.values * _near(bump, place.values),
+            shape=bump,
+        )
+        for place in there
+        if place.kind == "place"
+        for bump in _bumps_over(place.values, place.name, PLACES)
+        for side in sides
+        if side.name.split(".")[0] in ALONG[place.name]
+    ]
+
+
+def _speeds(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[Term]:
+    """Sums over rotors of bumps over their speed nu, weighted as the rotor's thrust enters the
     channel."""
     mix = {"force.z": "thrust", "torque.x": "roll", "torque.y": "pitch", "torque.z": "yaw"}.get(
         channel
@@ -229,20 +308,14 @@ def _bumps(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) 
     nu = rotors(names, z)
     if mix is None or nu.shape[1] != len(vehicle.rotors):
         return []
-    low, high = np.quantile(nu, [0.02, 0.98])
-    if high - low < 1e-3:
-        return []
-    width = round(float(high - low) / (BUMPS - 1), 4)
     w = _weights(vehicle)[mix]
-    out = []
-    for c in np.linspace(low, high, BUMPS):
-        place = round(float(c), 4)
-        out.append(
-            _term(
-                f"rotors.{mix}(nu near {place:g})",
-                f"ca.dot(ca.DM({w}), ca.exp(-(((flow.nu - {place}) / {width}) ** 2)))",
-                ("nu",),
-                np.exp(-(((nu - place) / width) ** 2)) @ np.array(w),
-            )
+    return [
+        Term(
+            text=f"rotors.{mix} ({bump})",
+            code=f"ca.dot(ca.DM({w}), {_near_code('flow.nu')})",
+            uses=("nu",),
+            values=_near(bump, nu) @ np.array(w),
+            shape=bump,
         )
-    return out
+        for bump in _bumps_over(nu, "nu", SPEEDS)
+    ]
