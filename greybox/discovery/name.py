@@ -125,7 +125,7 @@ def unneeded(name: Name, beside: Certificate, bar: float) -> Name:
     e = f"log10 e {beside.log_e / LOG10:.1f} of {bar / LOG10:.1f} that a name needs"
     reason = f"next to the laws of what has no name {e}"
     shown = replace(name, status="not certified", certificate=beside, shares={}, unlikely={})
-    return replace(shown, reason=reason, kept=True)
+    return replace(shown, reason=reason, kept=False)
 
 
 def _shares(certificate: Certificate, alike: Sequence[Instead], price: float) -> dict[str, float]:

@@ -219,7 +219,11 @@ class Discovery(Shown):
         found += [
             "one of " + " / ".join(c["name"] for c in a["candidates"]) for a in self.ambiguous()
         ]
-        held = [f"{u['channel']} {_size(u)}" for u in self.unnamed()]
+        lawful = [u["channel"] for u in self.unnamed() if u["file"]]
+        found += (
+            [f"laws without a name, of {', '.join(lawful)} (use {WITH_LAWS})"] if lawful else []
+        )
+        held = [f"{u['channel']} {_size(u)}" for u in self.unnamed() if not u["file"]]
         kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
         found += [f"in the model, not certified: {kept}"] if kept else []
         what = "nothing is missing that has a name"

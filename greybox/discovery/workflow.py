@@ -255,7 +255,7 @@ class _Run:
             if fewer is not at:
                 rest = self._left(null, fewer, self.settled(fewer))
                 if rest.written is not None:  # else the names had said what the laws say
-                    names, left = shorter, rest
+                    names, left, at, found = shorter, rest, fewer, self.settled(fewer)
         before = left_over(self.flights, null, self.settled(null), self.bar, seed=0)
         if not found.converged:
             self.warnings.append(f"the last fit: {found.status.advice}")

@@ -142,7 +142,7 @@ def outgrown(
         for r in gap(*sides, units=named.units, proposals=lawful.own, draws=0)
         if r.closed is not None
         and r.with_proposals is not None
-        and r.with_proposals < r.closed - TENTH
+        and r.with_proposals < min(r.closed, 1.0) - TENTH  # below the floor all is closed
     ]
 
 
