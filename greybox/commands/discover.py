@@ -232,14 +232,8 @@ class _Search:
         write_atomic(self._out / "report.html", discover_report(self.content, title=self._title))
 
     def kept(self) -> str:
-        """Where an interrupted search goes on."""
-        model = self._out / "model.json"
-        more = (
-            f"; greybox discover --from {shlex.quote(str(model))} --train LOGS goes on from it"
-            if model.exists()
-            else ""
-        )
-        return f"what was found until then is in {self._out}{more}"
+        """What an interrupted search leaves."""
+        return f"what was found until then, not judged, is in {self._out}; the same command starts anew"
 
     def lines(self, found: Discovery) -> list[str]:
         """The result for people, and what was written."""

@@ -122,7 +122,7 @@ def left_over(
     names = wanted_features(model.dynamics)
     lasts = {d.group: float(model.values[f"{d.name}.T"]) for d in disturbances(model.dynamics)}
     try:
-        seen = discrepancy(model, data, names)
+        seen = discrepancy(model, data, names, block=1)  # means would hide what is fast
     except FitError:
         return Left(axes=())
     found: dict[str, AxisLaw] = {}
@@ -136,7 +136,7 @@ def left_over(
         Axis(
             channel=c.name,
             unit=c.unit,
-            rms=float(np.std(seen.y[:, j])),
+            rms=float(np.sqrt(np.mean(seen.y[:, j] ** 2))),
             gain=gains[c.name][0],
             needed=gains[c.name][1],
             lasts=lasts[c.name.split(".")[0]],

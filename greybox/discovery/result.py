@@ -216,22 +216,22 @@ class Discovery(Shown):
         if self.verdict in ("bad_data", "stopped"):
             return f"{self.verdict.replace('_', ' ').upper()}: {SAYS[self.verdict]}"
         found = [_in_words(e["name"], e["parameters"]) for e in self.effects()]
-        found += [
-            "one of " + " / ".join(c["name"] for c in a["candidates"]) for a in self.ambiguous()
-        ]
+        for a in self.ambiguous():
+            own, *others = (c["name"] for c in a["candidates"])
+            found.append(" / ".join([f"one of {_in_words(own, a['parameters'])}", *others]))
         lawful = [u["channel"] for u in self.unnamed() if u["file"]]
         found += (
             [f"laws without a name, of {', '.join(lawful)} (use {WITH_LAWS})"] if lawful else []
         )
         held = [f"{u['channel']} {_size(u)}" for u in self.unnamed() if not u["file"]]
         kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
-        found += [f"in the model, not certified: {kept}"] if kept else []
         what = "nothing is missing that has a name"
         rough = "NOT CONVERGED, every number may move: " * bool(self.fit and not self.fit.converged)
-        what = rough + (f"{doubt(self.gap)}MISSING: {'; '.join(found)}" if found else what)
+        what = rough + doubt(self.gap) + (f"MISSING: {'; '.join(found)}" if found else what)
+        what += f"; in the model, not certified: {kept}" if kept else ""
         if held:
             return f"{what}; without a name: {', '.join(held)}"
-        if found:
+        if found or kept:
             return f"{what}; nothing clear is left"
         least = list(self.minimum_detectable.items())[:3]
         seen = ", ".join(f"{n} {next(iter(v.values())):.2g}" for n, v in least)

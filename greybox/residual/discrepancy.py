@@ -115,9 +115,12 @@ def smoothed_features(
     return found.states, evaluate(look, found.states, window)
 
 
-def discrepancy(model: IdentifiedModel, data: Dataset, names: Sequence[str]) -> Discrepancy:
+def discrepancy(
+    model: IdentifiedModel, data: Dataset, names: Sequence[str], *, block: int | None = None
+) -> Discrepancy:
     """Smoothed disturbances of all flights with the features `names`. `model` has disturbance
-    states (`disturbed_model`).
+    states (`disturbed_model`). `block`: samples that a row is the mean of, by default the
+    correlation time, at most half a second.
 
     Where features look back rows are single samples, one per block: means would mix what lags tell
     apart.
@@ -132,7 +135,7 @@ def discrepancy(model: IdentifiedModel, data: Dataset, names: Sequence[str]) -> 
     times = [
         model.values[n] for n in model.values if n.startswith("disturbance.") and n.endswith(".T")
     ]
-    block = max(1, round(min(max(times, default=0.1), 0.5) / model.sample_time))
+    block = block or max(1, round(min(max(times, default=0.1), 0.5) / model.sample_time))
     z: list[FloatArray] = []
     y: list[FloatArray] = []
     flights: list[str] = []

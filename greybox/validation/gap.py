@@ -133,14 +133,16 @@ def outgrown(
     before: HeldOutErrors | None, named: HeldOutErrors | None, lawful: HeldOutErrors | None
 ) -> list[str]:
     """Groups and horizons in which names and laws close clearly less (a tenth of the gap) than the
-    names alone; a word where one of them foretells nothing (None)."""
+    names alone, beyond one sample, which is the sensors' and the filter's; a word where one of them
+    foretells nothing (None)."""
     if before is None or named is None or lawful is None:
         return ["nothing is foretold"]
     sides = (before.own, before.floor), (named.own, named.floor)
     return [
         f"{r.group} {r.horizon_s:g} s ahead"
         for r in gap(*sides, units=named.units, proposals=lawful.own, draws=0)
-        if r.closed is not None
+        if r.horizon_s > 0
+        and r.closed is not None
         and r.with_proposals is not None
         and r.with_proposals < min(r.closed, 1.0) - TENTH  # below the floor all is closed
     ]

@@ -2,18 +2,20 @@
 selection.
 
 What a wrong coefficient of the rotors leaves is no law where the fit could bend that coefficient:
-its term is there from the start. How much a law explains is judged on stretches that were left out.
+its term is there from the start, and so is a steady push on every axis. A force that stands in the
+world gets what goes with it. How much a law explains is judged on stretches that were left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+import itertools
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TypedDict
 
 import numpy as np
 
 from greybox.residual.laws.responses import Library
-from greybox.residual.laws.selection import left_out, select, solve
+from greybox.residual.laws.selection import left_out, needed, price_of, select, solve
 from greybox.residual.laws.terms import Memory, Shaped
 
 TERMS = 6
@@ -26,6 +28,9 @@ OWN: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 """Axis -> (the term that a wrong coefficient of the rotors, mass or inertia leaves, how the names
 of these begin)."""
+
+WORLD = ("east", "north", "up")
+"""Axes of the world, whose components in body axes are signals."""
 
 
 class AxisLaw(TypedDict, total=False):
@@ -52,11 +57,12 @@ def laws_of(offered: Library, samples: int, seed: int, free: Collection[str]) ->
         for i, (axis, t) in enumerate(offered.columns)
         if t.absorbed or (axis in OWN and OWN[axis][0] == t.text and _bent(axis, free))
     ]
-    # The last columns are a constant push on every axis.
-    always = [*own, *range(len(labels), offered.innovations.xy.shape[1])]
+    pushes = {axis: len(labels) + j for j, axis in enumerate(offered.smoothed)}
+    always = [*own, *pushes.values()]
     groups = [*labels, *["constant"] * (len(always) - len(own))]
     chosen = select(offered.innovations, always, groups, most=TERMS, samples=samples, seed=seed)
-    kept = _merged(offered, chosen)
+    price = price_of(samples, len(groups))
+    kept, always = _completed(offered, always, pushes, _merged(offered, chosen), price)
     total = offered.innovations.xx.sum(0), offered.innovations.xy.sum(0)
     c: dict[int, float] = {}
     if kept:
@@ -81,6 +87,36 @@ def laws_of(offered: Library, samples: int, seed: int, free: Collection[str]) ->
             "depends_on": tuple(dict.fromkeys(n for t in used for n in t.uses)),
         }
     return out
+
+
+def _completed(
+    offered: Library,
+    always: Sequence[int],
+    pushes: Mapping[str, int],
+    kept: Sequence[int],
+    price: float,
+) -> tuple[list[int], list[int]]:
+    """With the terms that go with those kept, where they pay, and what is always in then: a force
+    that stands in the world has components on all axes of the body, and next to a part that depends
+    on the place one that does not, in place of a steady push (lower orders belong to a polynomial:
+    Nelder 1977, JRSS A 140(1))."""
+    place = {(axis, t.text): i for i, (axis, t) in enumerate(offered.columns)}
+    out, base = list(kept), list(always)
+    for i in kept:
+        axis, term = offered.columns[i]
+        side, _, rest = term.text.partition(" ")
+        world, _, along = side.partition(".")
+        if world not in WORLD or axis != f"force.{along}" or not rest:
+            continue
+        for b, more in itertools.product("xyz", (f" {rest}", "")):
+            one = place.get((f"force.{b}", f"{world}.{b}{more}"))
+            if one is None or one in out:
+                continue
+            without = base if more else [k for k in base if k != pushes[f"force.{b}"]]
+            if needed(offered.innovations, [*without, *out, one], one, price):
+                out.append(one)
+                base = without
+    return out, base
 
 
 def _merged(offered: Library, kept: Sequence[int]) -> list[int]:

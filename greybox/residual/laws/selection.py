@@ -82,6 +82,11 @@ def forward(
     return chosen
 
 
+def price_of(samples: int, columns: int) -> float:
+    """What one of so many columns must gain, in units of the noise variance (extended BIC)."""
+    return float(np.log(max(samples, 2)) + 2 * np.log(max(columns, 2)))
+
+
 def select(
     normal: Normal,
     always: Sequence[int],
@@ -96,7 +101,7 @@ def select(
     stretches, columns = normal.xy.shape
     if stretches < 4 or columns == len(always):
         return []
-    price = float(np.log(max(samples, 2)) + 2 * np.log(max(columns, 2)))
+    price = price_of(samples, columns)
     rng = np.random.default_rng(seed)
     counts = np.zeros(columns)
     alike = np.abs(_correlation(normal.xx.sum(0), always)) > ALIKE
@@ -130,6 +135,14 @@ def _correlation(xx: FloatArray, always: Sequence[int]) -> FloatArray:
     out[c] = out[:, c] = 0.0
     np.fill_diagonal(out, 1.0)
     return out
+
+
+def needed(normal: Normal, columns: Sequence[int], one: int, price: float) -> bool:
+    """Whether `one` of the columns is worth its price, and helps on what was left out."""
+    rest = [i for i in columns if i != one]
+    xx, xy = normal.xx.sum(0), normal.xy.sum(0)
+    gain = xy[columns] @ solve(xx, xy, columns) - xy[rest] @ solve(xx, xy, rest)
+    return bool(gain > price and left_out(normal, columns) > left_out(normal, rest))
 
 
 def left_out(normal: Normal, columns: Sequence[int]) -> float:

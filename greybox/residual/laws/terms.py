@@ -30,6 +30,7 @@ SPEEDS, PLACES = 6, 10
 """Bumps over the rotor speed, and over each coordinate of the place."""
 ALONG = {"position.x": ("east", "up"), "position.y": ("north", "up"), "height": ("up",)}
 """Coordinate of the place -> axes of the world along which a force that depends on it points."""
+SIDES = ("heading", "tilt")
 PAIRS = (
     ("velocity", "velocity"),
     ("rate", "rate"),
@@ -163,6 +164,8 @@ def terms(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) -
                 _term("1/height^2", near, (s.name,), 1 / np.maximum(abs(s.values), 0.05) ** 2)
             )
     for a, b in itertools.combinations(there, 2):
+        if b.kind == "place" and a.kind in SIDES and not _felt_along(channel, a):
+            continue
         if (a.kind, b.kind) in PAIRS or (b.kind, a.kind) in PAIRS:
             out.append(
                 _term(
@@ -259,6 +262,13 @@ def signals(names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[Fligh
     return out
 
 
+def _felt_along(channel: str, side: FlightSignal) -> bool:
+    """Whether a force along this axis of the world, which stands in the room, is felt there: as its
+    component in body axes, or as a moment about the others."""
+    kind, axis = channel.split(".")
+    return (side.name[-1] == axis) == (kind == "force")
+
+
 def _bumps_over(values: FloatArray, signal: str, count: int) -> list[Bump]:
     """Bumps over what the flight saw of a signal; none where that stood still."""
     low, high = np.quantile(values, [0.02, 0.98])
@@ -280,9 +290,7 @@ def _near_code(code: str) -> str:
 def _fields(channel: str, there: Sequence[FlightSignal]) -> list[Term]:
     """Bumps over the place, of a force that stands in the room: a wall, a fan, a ceiling. It
     points along the coordinate that it depends on, or up; a torque is its moment."""
-    kind, axis = channel.split(".")
-    world = [s for s in there if s.kind in ("heading", "tilt")]
-    sides = [s for s in world if (s.name[-1] == axis) == (kind == "force")]
+    sides = [s for s in there if s.kind in SIDES and _felt_along(channel, s)]
     return [
         Term(
             text=f"{side.name} ({bump})",
