@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from greybox.automatic.decide import Given
     from greybox.automatic.fit import Prepared
     from greybox.data import Dataset
     from greybox.data.checks import CheckReport
@@ -30,6 +31,7 @@ from greybox.commands.judgement import (
     adapt_option,
     demand_adapt,
     exit_code,
+    fault_lines,
     given_horizons,
     horizon_options,
 )
@@ -214,8 +216,8 @@ def _warnings(
     faults: CheckReport | None,
 ) -> list[str]:
     """Faults of the flights, which are also said, and what no model can be fitted to."""
-    blocking = (*prepared.report.blocking, *(faults.blocking if faults is not None else ()))
-    warnings = [f"data fault in {f.flight}: {f.message}" for f in blocking]
+    warnings = fault_lines(prepared.report)
+    warnings += [] if faults is None else fault_lines(faults)
     warnings += _unfit(arguments, vehicle)
     for warning in warnings:
         print(f"greybox fit: {warning}", file=sys.stderr)
@@ -382,18 +384,23 @@ def _unfit(arguments: argparse.Namespace, vehicle: Vehicle) -> list[str]:
 
 def _decided(job: _Job, console: Console, source: IdentifiedModel | None) -> Fit:
     """The automatic fit."""
+    said = replace(given(job.arguments), source=source)
+    return decided_fit(job.vehicle, job.prepared, said, console)
+
+
+def decided_fit(vehicle: Vehicle, prepared: Prepared, said: Given, console: Console) -> Fit:
+    """The fit to prepared flights for which all is decided that was not `said`; `console` gets
+    every decision. Raises what `fit_decided` raises."""
     from greybox.automatic.borrow import decide_with_source
     from greybox.automatic.facts import facts_of
     from greybox.automatic.fit import fit_decided
     from greybox.estimation.status import Interrupted
 
-    vehicle, prepared = job.vehicle, job.prepared
     console.say("deciding what is open, on pieces of the flights that are left out:")
     for done in prepared.decisions():
         console.say(f"  {done.about}: {done.choice} ({done.reason})")
     facts = facts_of(prepared.data, vehicle, prepared.report)
     try:
-        said = replace(given(job.arguments), source=source)
         own, decided = decide_with_source(vehicle, prepared.data, facts, said, say=console.say)
     except Interrupted:  # a trial on pieces of the flights is no result
         raise KeyboardInterrupt from None

@@ -9,8 +9,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Options
+from greybox.commands.console import Console
 
 if TYPE_CHECKING:
+    from greybox.data.airframe import Airframe
+    from greybox.data.checks import CheckReport
     from greybox.files import Parsed
     from greybox.model.verdict import Verdict
     from greybox.validation.options import HorizonChoices
@@ -52,6 +55,47 @@ def demand_adapt(arguments: argparse.Namespace) -> None:
 def accepted(text: str) -> tuple[str, ...]:
     """The checks named by --accept."""
     return tuple(n.strip() for n in text.split(",") if n.strip())
+
+
+def faults_of(arguments: argparse.Namespace, vehicle: Airframe) -> CheckReport:
+    """What the checks say of the logs of --train and --test (with --mapping and --accept), as
+    `greybox discover` asks them: of the files, which show faults of their clocks that reading
+    mends. Raises `DataError` for a flight in both."""
+    from greybox.data.checks import check
+    from greybox.data.halves import demand_disjoint
+    from greybox.data.logs import read_table
+
+    train, test = (
+        [read_table(p, vehicle, mapping=arguments.mapping) for p in paths]
+        for paths in (arguments.train, arguments.test)
+    )
+    demand_disjoint(*([(r.flight, r.sha256) for r in logs] for logs in (train, test)))
+    return check([*train, *test], vehicle, accept=accepted(arguments.accept))
+
+
+def fault_lines(faults: CheckReport) -> list[str]:
+    """What blocks, in words, for a command that goes on."""
+    return [f"data fault in {f.flight}: {f.message}" for f in faults.blocking]
+
+
+def overruled(faults: CheckReport) -> list[str]:
+    """The warnings that a result carries whose faults were accepted."""
+    return [f"accepted: {f.flight}: {f.message}" for f in faults.overruled]
+
+
+def refuse_faults(faults: CheckReport, console: Console, what: str) -> int:
+    """Say which faults block `what`, and how to go on. Returns the exit code: the answer is no."""
+    from greybox.validation.advice import Symptom, likely
+
+    _, action, anchor = likely((), Symptom.LOG_FAULT)
+    accept = ",".join(dict.fromkeys(f.check for f in faults.blocking))
+    console.result(
+        faults.to_dict(),
+        f"BAD DATA: the data have faults that block {what}",
+        *(f"  fault: {f.flight}: {f.message}" for f in faults.blocking),
+        f"  next: {action} ({anchor}); --accept {accept} goes on all the same",
+    )
+    return 1
 
 
 def horizon_options(p: Options) -> None:

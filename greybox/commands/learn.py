@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +13,15 @@ from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import (
+    accept_option,
     adapt_option,
     demand_adapt,
     exit_code,
+    faults_of,
     given_horizons,
     horizon_options,
+    overruled,
+    refuse_faults,
 )
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
@@ -28,6 +33,7 @@ if TYPE_CHECKING:
     from greybox.residual.document import BeforeAfter, LearnDocument
     from greybox.residual.learn import Learned
     from greybox.validation.options import HorizonChoices
+    from greybox.validation.result import Validation
 
 
 def add(subparsers: Subcommands) -> None:
@@ -58,6 +64,7 @@ def add(subparsers: Subcommands) -> None:
         "--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees"
     )
     flight_log_options(p)
+    accept_option(p)
     _learner_options(p)
     adapt_option(p)
     horizon_options(p)
@@ -125,40 +132,76 @@ def _linear_options(p: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Read, learn, validate before and after, report."""
-    from greybox.commands.learn_output import feature_names, is_linear, run_output
-    from greybox.data.halves import demand_disjoint
+    """Read, check, learn, validate before and after, report."""
+    from greybox.commands.learn_output import is_linear, run_output
+    from greybox.errors import GreyboxError
     from greybox.model.layer import physics_of
-    from greybox.residual.learn import learn
 
     demand_adapt(arguments)
-    points = _points(arguments.points)
+    _points(arguments.points)  # what is wrong is said before logs are read
     need_mcap(arguments.mcap)
     linear = is_linear(arguments.model)
     _demand_options(arguments, linear=linear)
     if linear:
         return run_output(arguments)
-    model = loaded(arguments)
-    horizons = given_horizons(arguments, own=physics_of(model.dynamics) is None)
+    model, console = loaded(arguments), Console.of(arguments)
+    physics = physics_of(model.dynamics)
+    horizons = given_horizons(arguments, own=physics is None)
+    accepted_faults: list[str] = []
+    if physics is not None:
+        faults = faults_of(arguments, physics.vehicle)
+        if not faults.ok:
+            return refuse_faults(faults, console, "learning")
+        accepted_faults = overruled(faults)
+    elif arguments.accept:
+        raise GreyboxError(
+            "--accept is for vehicles",
+            got=f"the model {model.name} of your own",
+            fix="leave it out",
+        )
+    return _learned(arguments, console, model, horizons, accepted_faults)
+
+
+def _learned(
+    arguments: argparse.Namespace,
+    console: Console,
+    model: IdentifiedModel,
+    horizons: HorizonChoices,
+    warnings: Sequence[str],
+) -> int:
+    """Read the flights, learn from them, judge and report, with `warnings` first. Returns the exit
+    code."""
+    from greybox.commands.learn_output import feature_names
+    from greybox.data.halves import demand_disjoint
+    from greybox.residual.learn import learn
+
     train, test = (
         read_flights_of(arguments, model.dynamics, paths, rate=1.0 / model.sample_time)
         for paths in (arguments.train, arguments.test)
     )
     demand_disjoint(train.files, test.files)
-    console = Console.of(arguments)
     learned = learn(
         model,
         train,
         features=feature_names(arguments.inputs),
         place=arguments.place,
         kernel=arguments.kernel,
-        points=points,
+        points=_points(arguments.points),
         learner=arguments.learner,
         seed=arguments.seed,
         progress=console.share,
     )
+    content = _content(learned, model, train)
+    content["warnings"][:0] = warnings
     return _judge_and_report(
-        arguments, console, learned, model=model, train=train, test=test, horizons=horizons
+        arguments,
+        console,
+        learned,
+        content,
+        model=model,
+        train=train,
+        test=test,
+        horizons=horizons,
     )
 
 
@@ -166,6 +209,7 @@ def _judge_and_report(
     arguments: argparse.Namespace,
     console: Console,
     learned: Learned,
+    content: LearnDocument,
     *,
     model: IdentifiedModel,
     train: Dataset,
@@ -175,11 +219,9 @@ def _judge_and_report(
     """Write what was learned, validate it against `model`, write that. Returns the exit code."""
     from greybox.commands.learn_output import RESULTS
     from greybox.files import withdraw, write_atomic, write_json
-    from greybox.model.verdict import NOT_JUDGED
     from greybox.report.learn_report import learn_report
     from greybox.residual.files import save_model
 
-    content = _content(learned, model, train)
     out = Path(arguments.out)
     # What was learned is safe before anything else can go wrong.
     withdraw(out, *RESULTS)
@@ -202,18 +244,30 @@ def _judge_and_report(
         out / "report.html", learn_report(content, title=f"What {model.name} misses")
     )
     after = content["validation"].get("after")
-    on = None if after is None else after["adapted_on"]
+    on, said = (None, []) if after is None else (after["adapted_on"], after["warnings"])
     write_if_asked(
         arguments.mcap, hybrid, train, test, adapted=None if on is None else on["flights"]
     )
     console.result(
         content,
-        NOT_JUDGED if verdict is None else verdict.line,
-        *(f"warning: {w}" for w in content["warnings"]),
+        *_first_lines(content, verdict),
+        *(f"warning: {w}" for w in dict.fromkeys([*content["warnings"], *said])),
         learned.summary(),
         f"wrote hybrid.json, learn.json and {report.name} in {out}",
     )
     return exit_code(verdict)
+
+
+def _first_lines(content: LearnDocument, verdict: Verdict | None) -> list[str]:
+    """Whether what was learned is better than the physics alone, and what the model is worth; what
+    speaks against its use first."""
+    from greybox.model.verdict import NOT_JUDGED
+
+    if verdict is None:
+        return [NOT_JUDGED]
+    beside = content.get("against_physics")
+    lines = [verdict.line] if beside is None else [beside["line"], verdict.line]
+    return lines[::-1] if verdict.refused else lines
 
 
 def _content(learned: Learned, model: IdentifiedModel, train: Dataset) -> LearnDocument:
@@ -254,6 +308,7 @@ def _demand_options(arguments: argparse.Namespace, *, linear: bool) -> None:
             (arguments.mcap, "--mcap"),
             (arguments.place, "--place"),
             (arguments.keep_impossible, "--keep-impossible"),
+            (arguments.accept, "--accept"),
         ):
             if given:
                 raise GreyboxError(
@@ -279,22 +334,30 @@ def _validated(
     judged: Dataset,
     horizons: HorizonChoices,
 ) -> Verdict | None:
-    """Verdict of the second of `models` (before and after); puts the validation of both into
-    `content`."""
+    """Verdict of the second of `models` (before and after), which has to be no worse than the
+    first; puts the validation of both into `content`."""
     from greybox.errors import GreyboxError
     from greybox.residual.document import HALVES
+    from greybox.validation.against import against
     from greybox.validation.validate import validate
 
     validation: BeforeAfter = {}
     content["validation"] = validation
-    verdict = None
+    seen: list[Validation] = []
     for label, model in zip(HALVES, models):
         console.share(f"validate {label}", 1.0)
         try:
-            seen = validate(model, judged, **horizons, adapt=arguments.adapt)
-            validation[label], verdict = seen.to_dict(), seen.verdict
+            seen.append(validate(model, judged, **horizons, adapt=arguments.adapt))
+            validation[label] = seen[-1].to_dict()
         except GreyboxError as error:
             content["warnings"].append(f"no validation {label}: {error}")
-            verdict = None
+    verdict = seen[-1].verdict if HALVES[-1] in validation else None
+    if verdict is not None and len(seen) == len(HALVES) and seen[0].verdict is not None:
+        base, beside = shlex.quote(arguments.model), against(*seen)
+        document = beside.to_dict(f"the physics alone ({base})")
+        if content["null"]:
+            document["line"] = f"nothing was learned; {document['line']}"
+        content["against_physics"] = document
+        verdict = beside.judged(verdict, base)
     content["verdict"] = None if verdict is None else verdict.to_dict()
     return verdict

@@ -52,6 +52,9 @@ def learn_report(content: LearnDocument, *, title: str | None = None) -> str:
     first_line(report, content.get("verdict"))
     validation: BeforeAfter = content.get("validation") or {}
     with report.headline():
+        beside = content.get("against_physics")
+        if beside is not None:
+            report.paragraph(f"{beside['line'][0].upper()}{beside['line'][1:]}.")
         _answer(report, content)
         after = _cells(validation.get("after"))
         _curves(report, validation, headline_groups([g for g, _ in after]))
@@ -378,11 +381,11 @@ def _training(report: Report, content: LearnDocument) -> None:
 def _next(report: Report, content: LearnDocument, validation: BeforeAfter) -> None:
     report.heading("What to do next")
     texts = []
-    after, before = _cells(validation.get("after")), _cells(validation.get("before"))
+    after, beside = _cells(validation.get("after")), content.get("against_physics")
     worse = [
-        f"{g} at {h} samples"
-        for (g, h), e in after.items()
-        if (g, h) in before and e["rmse"] > 1.01 * before[g, h]["rmse"]
+        f"{c['group']} {number(c['seconds'])} s ahead"
+        for c in (beside["changes"] if beside is not None and beside["says"] == "worse" else ())
+        if c["clear"] and (c["after"] or math.inf) > (c["before"] or math.inf)
     ]
     if not after:
         texts.append(
@@ -393,6 +396,8 @@ def _next(report: Report, content: LearnDocument, validation: BeforeAfter) -> No
             f"Errors grew for {', '.join(worse)}: keep the physics model, or learn from more "
             "varied flights."
         )
+    elif beside is not None and beside["says"] == "no better":
+        texts.append("Keep the physics model: what was learned makes no clear difference.")
     if content["null"]:
         texts.append(
             "Where you expected something to learn: fly faster or more varied, give --inputs that "
@@ -405,7 +410,7 @@ def _next(report: Report, content: LearnDocument, validation: BeforeAfter) -> No
             "extrapolates, a learned push "
             "does not. Compare with greybox effects."
         )
-        if not worse and after:
+        if after and (beside is None or beside["says"] == "better"):
             texts.append("Use hybrid.json wherever a model file is taken.")
     report.bullets(texts)
 

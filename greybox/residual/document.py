@@ -7,6 +7,7 @@ from typing import Literal, NotRequired, TypedDict
 
 from greybox.model.verdict import VerdictDocument
 from greybox.residual.training_report import TrainingDocument
+from greybox.validation.against import AgainstDocument
 from greybox.validation.result import ValidationDocument
 
 
@@ -82,3 +83,4 @@ class LearnDocument(TypedDict):
     command: NotRequired[str]
     validation: NotRequired[BeforeAfter]
     verdict: NotRequired[VerdictDocument | None]
+    against_physics: NotRequired[AgainstDocument]

@@ -50,6 +50,7 @@ class Symptom(enum.Enum):
     RATE = "rate-worse-than-the-last-value"
     SPECIFIC_FORCE = "specific-force-worse-than-the-last-value"
     OWN_OUTPUT = "an-output-of-your-own-model"
+    LEARNED_WORSE = "worse-than-the-physics-alone"
 
     @property
     def anchor(self) -> str:
@@ -165,6 +166,11 @@ ADVICE: tuple[Advice, ...] = (
         reason="something that moves this output is missing in the model",
         action="look at its errors in report.html, add the term to the model's program, or greybox "
         "learn",
+    ),
+    Advice(
+        symptom=Symptom.LEARNED_WORSE,
+        reason="what was learned holds for the training flights and not for these",
+        action="greybox check the training flights, or learn from flights like these",
     ),
 )
 """Causes before consequences: a log that lies spoils everything, a missing lag sends parameters to

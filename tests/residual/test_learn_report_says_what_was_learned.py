@@ -101,13 +101,25 @@ def test_it_says_what_was_learned_and_how_far_it_helps() -> None:
 
 
 def test_growing_errors_advise_against_it() -> None:
+    change = {"group": "rate", "unit": "rad/s", "seconds": 0.5, "before": 0.1, "after": 0.2}
     worse = content()
-    worse["validation"]["before"], worse["validation"]["after"] = (
-        worse["validation"]["after"],
-        worse["validation"]["before"],
-    )
-    assert "keep the physics model" in text_of(learn_report(worse))
+    worse["against_physics"] = {
+        "says": "worse",
+        "line": "worse than the physics alone: 0.5 s ahead rate 0.1 -> 0.2 rad/s",
+        "changes": [{**change, "clear": True}],
+    }
+    text = text_of(learn_report(worse))
+    assert "Errors grew for rate 0.5 s ahead: keep the physics model" in text
+    assert "Worse than the physics alone: 0.5 s ahead rate" in text
     assert "keep the physics model" not in text_of(learn_report(content()))
+
+
+def test_no_clear_difference_advises_the_physics_model() -> None:
+    same = content()
+    same["against_physics"] = {"says": "no better", "line": "no better", "changes": []}
+    text = text_of(learn_report(same))
+    assert "Keep the physics model" in text
+    assert "Use hybrid.json" not in text
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,126 @@
+"""Two models on the same flights differ where the difference is more than chance and worth
+something."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greybox.errors import DataError
+from greybox.model.verdict import Outcome, Verdict
+from greybox.validation.against import against
+from greybox.validation.horizon_table import GroupErrors, HorizonTable
+from greybox.validation.result import Validation
+from greybox.validation.usefulness import FITTED_FLIGHTS, judge
+
+STEPS, COUNT = 100, 200
+GROUPS = ("position", "rotation")
+
+
+def table(blocks: dict[str, list[float]], label: str = "model") -> HorizonTable:
+    """Mean errors of each block of a group at one step ahead, growing with the horizon."""
+    growth = np.arange(1, STEPS + 1) / STEPS
+    groups = {}
+    for name, means in blocks.items():
+        sums = COUNT * np.outer(means, growth)
+        mean = np.asarray(np.mean(means) * growth)
+        groups[name] = GroupErrors(
+            mae=mean,
+            rmse=mean,
+            n=np.full(STEPS, COUNT * len(means)),
+            diverged=np.zeros(STEPS, dtype=np.int64),
+            origins=COUNT * len(means),
+            left_out=0,
+            block_sums=sums,
+            block_counts=np.full(sums.shape, float(COUNT)),
+        )
+    return HorizonTable(
+        label=label, sample_time=0.01, required=50, groups=groups, flights={"c": groups}
+    )
+
+
+def seen(position: list[float], rotation: list[float]) -> Validation:
+    own = table({"position": position, "rotation": rotation})
+    held = table({"position": [10.0] * 6, "rotation": [10.0] * 6})
+    return Validation(
+        model="m",
+        file=None,
+        flights=[{"name": "c", "samples": 1000, "seconds": 10.0, "notes": []}],
+        sample_time=0.01,
+        horizons=(1, 10, 50, 100),
+        table=own,
+        persistence=held,
+        verdict=judge(own, held),
+    )
+
+
+LEVEL = [1.0, 1.1, 0.9, 1.2, 0.8, 1.0]
+BEFORE = seen(LEVEL, LEVEL)
+
+
+def verdict_of(after: Validation) -> Verdict:
+    assert after.verdict is not None
+    return against(BEFORE, after).judged(after.verdict, "physics.json")
+
+
+def test_what_grows_in_every_block_is_worse_and_not_usable() -> None:
+    after = seen([1.0 * e for e in LEVEL], [1.5 * e + 0.01 * k for k, e in enumerate(LEVEL)])
+    found = against(BEFORE, after)
+    assert found.says == "worse"
+    assert [c.group for c in found.worse] == ["rotation"]
+    verdict = verdict_of(after)
+    assert verdict.outcome is Outcome.NOT_USABLE
+    assert verdict.line.startswith("NOT USABLE: worse than the physics alone on c: rotation")
+    assert "use the physics model: physics.json" in verdict.line
+
+
+def test_what_falls_in_every_block_is_better_and_changes_no_verdict() -> None:
+    after = seen([0.8 * e + 0.01 * k for k, e in enumerate(LEVEL)], LEVEL)
+    assert against(BEFORE, after).says == "better"
+    assert verdict_of(after) == after.verdict
+
+
+def test_what_grows_in_one_block_only_is_chance() -> None:
+    after = seen([*LEVEL[:-1], 2.0], LEVEL)
+    assert against(BEFORE, after).says == "no better"
+
+
+def test_what_grows_everywhere_by_less_than_a_trace_is_no_difference() -> None:
+    assert against(BEFORE, seen([1.009 * e for e in LEVEL], LEVEL)).says == "no better"
+    assert against(BEFORE, seen([1.011 * e for e in LEVEL], LEVEL)).says == "worse"
+
+
+def test_a_prediction_that_diverges_is_worse() -> None:
+    after = seen(LEVEL, [*LEVEL[:-1], np.inf])
+    assert against(BEFORE, after).says == "worse"
+
+
+def test_the_line_names_every_group_half_a_second_ahead_and_what_judged() -> None:
+    after = seen(LEVEL, LEVEL)
+    assert after.verdict is not None
+    after = replace(after, verdict=replace(after.verdict, judged_on=FITTED_FLIGHTS))
+    line = against(BEFORE, after).line("the physics alone (physics.json)")
+    assert line == (
+        "no better than the physics alone (physics.json): 0.5 s ahead position 0.5 -> 0.5 m, "
+        "rotation 28.6 -> 28.6 deg [judged on the flights that were fitted]"
+    )
+
+
+def test_chance_calls_few_pairs_of_equal_models_different() -> None:
+    rng = np.random.default_rng(0)
+    said = []
+    for _ in range(300):
+        first, second = (
+            seen(*(rng.uniform(0.5, 1.5, 6).tolist() for _ in range(2))) for _ in range(2)
+        )
+        said.append(against(first, second).says)
+    assert said.count("worse") / 300 < 0.06
+    assert said.count("better") / 300 < 0.06
+
+
+def test_other_flights_are_no_comparison() -> None:
+    other = replace(BEFORE, flights=[])
+    with pytest.raises(DataError, match="same flights"):
+        against(BEFORE, other)
