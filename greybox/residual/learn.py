@@ -121,7 +121,7 @@ class Learned(Shown):
         saved = 1 - self.fit.cost_after / self.fit.cost_before if self.fit.cost_before else 0.0
         lines = [
             "nothing was learned: no candidate lowers the multi-step errors of flights it has not "
-            "seen"
+            "seen by more than chance and a trace"
             if self.null
             else f"learned {', '.join(n for n, s in self.fit.strengths.items() if np.isfinite(s))} "
             f"from {self.chosen}"

@@ -17,8 +17,11 @@ from typing import Protocol
 import numpy as np
 import scipy.linalg
 
+from greybox.residual.judgement import CHANCE
 from greybox.residual.weight_space import Candidate, alone
+from greybox.statistics.distributions import student_quantile
 from greybox.symbolic import BoolArray, FloatArray
+from greybox.validation.against import TRACE
 
 HARM = 1e-4
 """Share by which a choice may raise the left-out errors of a channel group (rounding, not harm)."""
@@ -103,7 +106,8 @@ def choose(
     `cost` (C,) of the channel groups without a learned part. Outputs of a group (force, torque)
     share one strength. A choice must not raise the left-out errors of any channel group, whatever
     it saves elsewhere. Among choices within one standard error of the best the strongest prior
-    wins. Of an ensemble of `members` it is the mean that is judged.
+    wins; all are switched off where what it saves is not `worth` learning. Of an ensemble of
+    `members` it is the mean that is judged.
     """
     groups = [n.split(".")[0] for n in outputs]
     kinds = list(dict.fromkeys(groups))
@@ -111,7 +115,8 @@ def choose(
     every = np.array([[c[kinds.index(g)] for g in groups] for c in choices])
     saved = np.stack([_saved(fold, every, len(cost), members) for fold in found], axis=1)
     harmless = (saved.sum(axis=1) >= -HARM * cost).all(axis=1)
-    results = {c: s.sum(axis=1) for c, s, fine in zip(choices, saved, harmless) if fine}
+    by_group = {c: s for c, s, fine in zip(choices, saved, harmless) if fine}
+    results = {c: s.sum(axis=1) for c, s in by_group.items()}
     best = max(results, key=lambda c: float(results[c].sum()))
     margin = results[best]
     keep = [
@@ -122,8 +127,22 @@ def choose(
     strongest = max(
         keep, key=lambda c: (sum(np.log10(min(v, 1e6)) for v in c), float(results[c].sum()))
     )
+    if not worth(by_group[strongest], cost):
+        return np.full(len(groups), np.inf), 0.0
     share = float(results[strongest].sum() / cost.sum())
     return np.array([strongest[kinds.index(g)] for g in groups]), share
+
+
+def worth(saved: FloatArray, cost: FloatArray) -> bool:
+    """Whether what a choice saves (F, C) of the costs (C,) of the channel groups, fold by fold, is
+    worth learning: more than a trace of the squared errors of some group, and in sum more than
+    chance would have it (Student's test over the folds)."""
+    folds = len(saved)
+    total = saved.sum(axis=1)
+    if folds < 2 or not (saved.sum(axis=0) > TRACE * cost).any():
+        return False
+    chance = float(student_quantile(1 - CHANCE, folds - 1)) * np.sqrt(folds) * total.std(ddof=1)
+    return bool(total.sum() > chance)
 
 
 def _saved(fold: Judged, every: FloatArray, channels: int, members: int) -> FloatArray:
