@@ -6,6 +6,9 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
@@ -14,11 +17,17 @@ from greybox.commands.judgement import (
     adapt_option,
     demand_adapt,
     exit_code,
+    fault_lines,
     given_horizons,
     horizon_options,
 )
 from greybox.commands.mcap_option import mcap_option, need_mcap, need_ulog, write_if_asked
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
+
+if TYPE_CHECKING:
+    from greybox.data import Dataset
+    from greybox.model.identified import IdentifiedModel
+    from greybox.validation.advice import Hint
 
 
 def add(commands: Subcommands) -> None:
@@ -28,8 +37,8 @@ def add(commands: Subcommands) -> None:
         help="judge a model on flights that it never saw",
         description="Open-loop errors of a model over several horizons, with persistence and dead "
         "reckoning beside them, "
-        "errors one step ahead, coverage and residual tests. Exit code 0: usable, or too calm to "
-        "judge; 1: not usable; "
+        "errors one step ahead, coverage and residual tests. Faults of the logs are said first. "
+        "Exit code 0: usable, or too calm to judge; 1: not usable; "
         "2: bad input.",
     )
     p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` wrote")
@@ -89,6 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
         rate=arguments.rate or 1.0 / model.sample_time,
         trim=not arguments.keep_ground,
     )
+    hints, faults = _faults(model, dataset)
     left, begun = TimeLeft(), itertools.count()
 
     def progress(line: str) -> None:
@@ -107,7 +117,9 @@ def run(arguments: argparse.Namespace) -> int:
         adapt=arguments.adapt,
         measured_start=arguments.measured_start,
         progress=progress,
+        hints=hints,
     )
+    result = replace(result, warnings=(*faults, *result.warnings))
     content = result.to_dict()
     on = content["adapted_on"]
     adapted = None if on is None else on["flights"]
@@ -116,3 +128,21 @@ def run(arguments: argparse.Namespace) -> int:
         write_ulog(arguments.ulog, model, dataset, adapted=adapted)
     Console.of(arguments).result(content, result.format())
     return exit_code(result.verdict)
+
+
+def _faults(model: IdentifiedModel, data: Dataset) -> tuple[Sequence[Hint], list[str]]:
+    """(what the checks of the flights of a vehicle say about its model, their faults in words,
+    which are also said on standard error)."""
+    from greybox.data.checks import check
+    from greybox.model.layer import physics_of
+    from greybox.validation.advice import hints_of_checks
+
+    physics = physics_of(model.dynamics)
+    if physics is None:
+        return (), []
+    report = check(data, physics.vehicle)
+    lines = fault_lines(report)
+    for line in lines:
+        print(f"greybox validate: {line}", file=sys.stderr)
+    noise = physics.kinematic_noise
+    return hints_of_checks(report, effects=model.effects, kinematic_noise=noise), lines

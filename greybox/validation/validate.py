@@ -459,6 +459,8 @@ class _Work:
                 self.warnings.append(
                     f"{own.diverged} open-loop predictions were not finite: their error is infinite"
                 )
+        if self.options.adapt is None:
+            self.warnings += self._own_values_unknown()
         verdict = None
         if own is not None and held is not None:
             verdict = self._verdict(own, held, floor)
@@ -483,6 +485,20 @@ class _Work:
             warnings=tuple(self.warnings),
             verdict=verdict,
         )
+
+    def _own_values_unknown(self) -> list[str]:
+        """That stated regions leave out what flights have of their own, where it is not known. The
+        filter errs by it from the start, which no propagation ahead holds."""
+        strangers = [f.name for f in self.dataset if f.name not in self.model.per_flight]
+        own = [n for n, (_, s) in self.model.flight_spread.items() if s > 0]
+        if not strangers or not own:
+            return []
+        parts = ", ".join(dict.fromkeys(n.split(".")[0] for n in own))
+        return [
+            f"95 % regions do not hold on {', '.join(strangers)} without --adapt {ADAPTED:g} (adapt="
+            f"{ADAPTED:g}): {parts} of a flight are taken as the training flights' mean, and as "
+            "exact"
+        ]
 
     def _table(self, label: str) -> HorizonTable | None:
         """One row's errors by horizon, None without an origin. Raises `DataError` where the model's
