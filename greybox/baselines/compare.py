@@ -38,6 +38,7 @@ from greybox.baselines.compare_costs import expectation, expected
 from greybox.baselines.compare_methods import METHODS, pairs
 from greybox.baselines.compare_scores import one_step_scores
 from greybox.baselines.document import CompareDocument, MethodRow, SeriesRow
+from greybox.baselines.regressors import NotMeasured
 from greybox.data.channel import channel
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.model.identified import library_versions
@@ -54,8 +55,8 @@ def compare(
     """Run the methods one after the other; yields the content of compare.json after each.
 
     `methods` (default: all of the table; pairs have names too), then every model with each of
-    `learners` (`pairs`). A method that fails has its error in its row. Raises `UnknownNameError`
-    for a method that there is not, and as `pairs`.
+    `learners` (`pairs`). A method that fails, or cannot run on what the flights measure, has its
+    reason in its row. Raises `UnknownNameError` for a method that there is not, and as `pairs`.
     """
     more = pairs(learners)
     there = {**METHODS, **pairs((GP, *LEARNERS)), **more}
@@ -84,6 +85,9 @@ def compare(
         began = time.perf_counter()
         try:
             rows.append(_row(bench, name, there[name](bench)))
+        except NotMeasured as error:
+            needs = f"needs {', '.join(error.needs)}"
+            rows.append({"method": name, "status": "cannot", "error": needs})
         except Exception as error:  # whatever a method does, the others keep their rows
             rows.append(
                 {"method": name, "status": "failed", "error": f"{type(error).__name__}: {error}"}

@@ -29,8 +29,8 @@ class Measured(TypedDict):
 
 
 class MethodRow(TypedDict):
-    """One method in compare.json: an error where it failed, else its scores (`StepScores`) and
-    what it cost."""
+    """One method in compare.json: an error where it failed or cannot run on these logs, else its
+    scores (`StepScores`) and what it cost. `status`: "done", "failed" or "cannot"."""
 
     method: str
     status: str

@@ -27,6 +27,14 @@ Point = Mapping[str, Any]
 """What it drew: keywords of a training, as they are handed on, and how well they did."""
 
 
+class NotMeasured(DataError):
+    """A method learns from channel groups (`needs`) that the flights do not have."""
+
+    def __init__(self, message: str, *, needs: Sequence[str], where: str, fix: str) -> None:
+        super().__init__(message, where=where, fix=fix)
+        self.needs = tuple(needs)
+
+
 class Descent(TypedDict):
     """What happened while a network was trained: lowest validation error, epochs, why it ended,
     errors of all epochs."""

@@ -24,7 +24,7 @@ import torch
 
 from greybox.baselines.base_predictor import BasePredictor, Run
 from greybox.baselines.lstm_train import LSTMSettings, Network, Schedule, descend
-from greybox.baselines.regressors import NetworkReport, Space
+from greybox.baselines.regressors import NetworkReport, NotMeasured, Space
 from greybox.data import Dataset
 from greybox.errors import DataError
 from greybox.frames import numeric
@@ -193,16 +193,17 @@ class Known:
 
 
 def known(base: BasePredictor, data: Dataset) -> list[Known]:
-    """Filter the segments of training flights. Raises `DataError` without velocity or rates."""
+    """Filter the segments of training flights. Raises `NotMeasured` without velocity or rates."""
     found = []
     for segment in data.segments:
         references = {
             g: segment.matrix(d.columns, missing_ok=True) for g, d in GROUPS.items() if not d.own
         }
         references = {g: r for g, r in references.items() if np.isfinite(r).any()}
-        if not set(TAUGHT) <= set(references):
-            raise DataError(
+        if lacking := [g for g in TAUGHT if g not in references]:
+            raise NotMeasured(
                 "a network on physics learns from velocity and rates",
+                needs=lacking,
                 where=f"flight {segment.flight}",
                 fix="leave this method out",
             )

@@ -5,13 +5,21 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
-from greybox.commands.judgement import adapt_option, demand_adapt, horizon_options
-from greybox.commands.model_options import model_options, names
+from greybox.commands.judgement import (
+    accept_option,
+    adapt_option,
+    demand_adapt,
+    faults_of,
+    horizon_options,
+    overruled,
+    refuse_faults,
+)
+from greybox.commands.model_options import is_given, model_options, names
 
 if TYPE_CHECKING:
     from greybox.baselines.compare_bench import Bench
@@ -29,11 +37,10 @@ def add(subparsers: Subcommands) -> None:
         description="Train every method on the same flights and judge them on the same samples of "
         "others: linear and "
         "nonlinear PEM, their hybrids with a Gaussian process, a GP alone, an LSTM, a TCN, networks on "
-        "physics. Options "
-        "of `greybox fit` "
-        "say how the nonlinear model is built. Writes compare.json after every method, and "
+        "physics. The nonlinear model is that of plain `greybox fit`; options of it make it that of "
+        "`greybox fit --manual` with these. Writes compare.json after every method, and "
         "report.html. Exit code 0: "
-        "done, 1: a method failed (its row says why), 2: bad input.",
+        "done, 1: a method failed (its row says why) or a fault of the data blocks, 2: bad input.",
     )
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to train on")
@@ -45,6 +52,7 @@ def add(subparsers: Subcommands) -> None:
         help="flights that only the judgement sees",
     )
     flight_log_options(p)
+    accept_option(p)
     adapt_option(p)
     p.add_argument(
         "--budget",
@@ -83,29 +91,38 @@ def add(subparsers: Subcommands) -> None:
     nonlinear.add_argument(
         "--fitted",
         metavar="MODEL.json",
-        help="take the model that greybox fit made of the same training flights; no other option "
-        "of this group counts then",
+        help="take the model that greybox fit made of the same training flights, and its rate; no "
+        "other option of this group counts then",
     )
     model_options(nonlinear)
     p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Read, run the methods one by one, report."""
+    """Read, check, run the methods one by one, report."""
     from greybox.baselines.compare import compare
     from greybox.data.halves import demand_disjoint
     from greybox.estimation.record import sample_time
     from greybox.files import write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
     from greybox.report.compare_report import compare_report, format_table
+    from greybox.residual.files import load_model
 
     console = Console.of(arguments)
     learners = _checked(arguments)  # what is wrong is said before logs are read
     vehicle = read_vehicle(arguments.vehicle)
-    train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
+    faults = faults_of(arguments, vehicle)
+    if not faults.ok:
+        return refuse_faults(faults, console, "a comparison")
+    for warning in overruled(faults):
+        print(f"greybox compare: {warning}", file=sys.stderr)
+    fitted = None if arguments.fitted is None else load_model(arguments.fitted)
+    train = read_flight_logs(arguments, arguments.train, vehicle, rate=_rate(arguments, fitted))
+    if fitted is not None:
+        _demand_trained_on(fitted, arguments.fitted, train)
     test = read_flight_logs(arguments, arguments.test, vehicle, rate=1 / sample_time(train))
     demand_disjoint(train.files, test.files)
-    bench = _bench(arguments, vehicle, train, test, console)
+    bench = _bench(arguments, vehicle, train, test, fitted, console)
     out = Path(arguments.out)
     command = typed("compare")
     for partial in compare(bench, arguments.methods, learners=learners):
@@ -121,11 +138,10 @@ def run(arguments: argparse.Namespace) -> int:
         )
         console.share(f"{done} of {done + len(others)} done", done / (done + len(others)))
     console.result(content, format_table(content), f"wrote compare.json and report.html in {out}")
-    failed = [m["method"] for m in content["methods"] if m["status"] != "done"]
     for m in content["methods"]:
         if m["status"] != "done":
-            print(f"greybox compare: {m['method']}: {m['error']}", file=sys.stderr)
-    return 1 if failed else 0
+            print(f"greybox compare: {m['method']}: {m['status']}: {m['error']}", file=sys.stderr)
+    return 1 if any(m["status"] == "failed" for m in content["methods"]) else 0
 
 
 def _checked(arguments: argparse.Namespace) -> tuple[str, ...]:
@@ -153,6 +169,7 @@ def _bench(
     vehicle: Vehicle,
     train: Dataset,
     test: Dataset,
+    fitted: IdentifiedModel | None,
     console: Console,
 ) -> Bench:
     """The flights with the choices of the command line; the model of --fitted, or one that is
@@ -160,15 +177,13 @@ def _bench(
     from greybox.baselines.compare_bench import Bench
     from greybox.baselines.compare_options import CompareOptions
     from greybox.commands.judgement import horizon_steps
-    from greybox.commands.model_options import fit_with
     from greybox.estimation.record import sample_time
 
-    fitted = _fitted(arguments.fitted, train) if arguments.fitted else None
     return Bench(
         vehicle=vehicle,
         train=train,
         test=test,
-        fit=lambda: fitted or fit_with(arguments, vehicle, train, console.solver).model,
+        fit=lambda: fitted or _fit(arguments, vehicle, train, console),
         options=CompareOptions(
             adapt=arguments.adapt,
             budget=arguments.budget,
@@ -181,12 +196,39 @@ def _bench(
     )
 
 
-def _fitted(path: str, train: Dataset) -> IdentifiedModel:
-    """The model of a file. Raises `GreyboxError` where it was fitted to other flights."""
-    from greybox.errors import GreyboxError
-    from greybox.residual.files import load_model
+def _fit(
+    arguments: argparse.Namespace, vehicle: Vehicle, train: Dataset, console: Console
+) -> IdentifiedModel:
+    """The model that plain `greybox fit` decides on; with options of it exactly what they say."""
+    from greybox.automatic.fit import prepare
+    from greybox.commands.fit import decided_fit
+    from greybox.commands.model_options import fit_with, given
+    from greybox.validation.calibration import calibrated
 
-    model = load_model(path)
+    if is_given(arguments):
+        return fit_with(arguments, vehicle, train, console.solver).model
+    prepared = prepare(vehicle, train, decide_rate=False)
+    return calibrated(
+        decided_fit(vehicle, prepared, given(arguments), console), prepared.data
+    ).model
+
+
+def _rate(
+    arguments: argparse.Namespace, fitted: IdentifiedModel | None
+) -> float | Literal["needed"] | None:
+    """Rate [Hz] of all flights: what was asked for, that of the model of --fitted, what plain
+    `greybox fit` would take, or (None) that of the logs, with options of the fit."""
+    if arguments.rate is not None:
+        return float(arguments.rate)
+    if fitted is not None:
+        return 1.0 / fitted.sample_time
+    return None if is_given(arguments) else "needed"
+
+
+def _demand_trained_on(model: IdentifiedModel, path: str, train: Dataset) -> None:
+    """Raise `GreyboxError` for a model that was fitted to other flights."""
+    from greybox.errors import GreyboxError
+
     if not set(model.trained_on) <= set(train.names):
         raise GreyboxError(
             "the model was fitted to other flights than --train names",
@@ -195,4 +237,3 @@ def _fitted(path: str, train: Dataset) -> IdentifiedModel:
             got=", ".join(model.trained_on),
             fix="greybox fit --train with these flights, or leave --fitted out",
         )
-    return model

@@ -252,6 +252,13 @@ def given(arguments: argparse.Namespace) -> Given:
     )
 
 
+def is_given(arguments: argparse.Namespace) -> bool:
+    """Whether any of the options that `model_options` declares was said."""
+    more = (arguments.effects, arguments.input, arguments.kinematic_noise)
+    said = any(value is not None for value in more) or bool(arguments.effects_file)
+    return said or bool(_choices(arguments))
+
+
 def _choices(arguments: argparse.Namespace) -> Any:
     """The fields of `FitOptions` that were said."""
     held = () if arguments.hold_noise is None else names(arguments.hold_noise)

@@ -77,7 +77,7 @@ def format_table(content: CompareDocument) -> str:
     lines.append(f"{'':{width}}{heads}{'train [s]':>11}{'us/sample':>11}{'parameters':>12}")
     for m in content["methods"]:
         if m["status"] != "done":
-            lines.append(f"{m['method']:{width}}  failed: {m['error']}")
+            lines.append(f"{m['method']:{width}}  {m['status']}: {m['error']}")
             continue
         cells = "".join(f"{format(m['mean'][key], form):>15}" for key, _, form in COLUMNS)
         cost = f"{m['train_seconds']:>11.1f}{m['microseconds_per_sample']:>11.1f}{m['parameters']:>12d}"
@@ -126,7 +126,7 @@ def compare_report(content: CompareDocument) -> str:
     )
     for m in content["methods"]:
         if m["status"] != "done":
-            report.warning(f"{m['method']}: {m['error']}")
+            report.warning(f"{m['method']}: {m['status']}: {m['error']}")
     if content["not_run"]:
         report.warning(f"not run (yet): {', '.join(content['not_run'])}")
     done = [m for m in content["methods"] if m["status"] == "done"]
