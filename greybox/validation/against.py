@@ -101,7 +101,8 @@ class Against:
         """Where the second model is clearly worse: of each group the horizon with the largest
         ratio."""
         found: dict[str, Change] = {}
-        for c in sorted((c for c in self.changes if c.worse), key=lambda c: -c.after / c.before):
+        worse = (c for c in self.changes if c.worse)
+        for c in sorted(worse, key=lambda c: c.before / c.after):
             found.setdefault(c.group, c)
         return tuple(found.values())
 

@@ -94,7 +94,10 @@ def test_what_grows_everywhere_by_less_than_a_trace_is_no_difference() -> None:
 
 def test_a_prediction_that_diverges_is_worse() -> None:
     after = seen(LEVEL, [*LEVEL[:-1], np.inf])
-    assert against(BEFORE, after).says == "worse"
+    found = against(BEFORE, after)
+    assert found.says == "worse"
+    assert [c.group for c in found.worse] == ["rotation"]
+    assert found.to_dict("the physics alone")["changes"][-1]["after"] is None
 
 
 def test_the_line_names_every_group_half_a_second_ahead_and_what_judged() -> None:
