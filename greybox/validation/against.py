@@ -7,7 +7,7 @@ as many, one side, and all groups and horizons together (Bonferroni).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypedDict
 
@@ -100,24 +100,28 @@ class Against:
     def worse(self) -> tuple[Change, ...]:
         """Where the second model is clearly worse: of each group the horizon with the largest
         ratio."""
-        found: dict[str, Change] = {}
-        worse = (c for c in self.changes if c.worse)
-        for c in sorted(worse, key=lambda c: c.before / c.after):
-            found.setdefault(c.group, c)
-        return tuple(found.values())
+        return _strongest(c for c in self.changes if c.worse)
+
+    @property
+    def better(self) -> tuple[Change, ...]:
+        """The same where it is clearly better."""
+        return _strongest(c for c in self.changes if c.clear and not c.worse)
 
     @property
     def says(self) -> str:
         """ "worse" (clearly, somewhere), else "better" (clearly, somewhere), else "no better"."""
         if self.worse:
             return "worse"
-        return "better" if any(c.clear for c in self.changes) else "no better"
+        return "better" if self.better else "no better"
 
     def line(self, other: str) -> str:
         """One line for people: how the model compares with `other`, at `ahead` in all groups."""
         all_groups = ", ".join(c.numbers for c in self.changes if c.seconds == self.ahead)
         on = "" if self.judged_on == TEST_FLIGHTS else f" [judged on {self.judged_on}]"
-        return f"{self.says} than {other}: {self.ahead:.2g} s ahead {all_groups}{on}"
+        late = [c for c in self.better if c.seconds != self.ahead]
+        most = ", ".join(f"{c.numbers} {c.seconds:.2g} s ahead" for c in late)
+        more = f"; most {most}" if self.says == "better" and late else ""
+        return f"{self.says} than {other}: {self.ahead:.2g} s ahead {all_groups}{more}{on}"
 
     def to_dict(self, other: str) -> AgainstDocument:
         """Plain values, with the line against `other`."""
@@ -145,6 +149,14 @@ class Against:
             action=action,
             anchor=anchor,
         )
+
+
+def _strongest(changes: Iterable[Change]) -> tuple[Change, ...]:
+    """Of each group the change with the largest ratio, the largest first."""
+    found: dict[str, Change] = {}
+    for c in sorted(changes, key=lambda c: min(c.before, c.after) / max(c.before, c.after)):
+        found.setdefault(c.group, c)
+    return tuple(found.values())
 
 
 def against(before: Validation, after: Validation) -> Against:

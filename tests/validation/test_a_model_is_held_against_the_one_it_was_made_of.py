@@ -111,6 +111,14 @@ def test_the_line_names_every_group_half_a_second_ahead_and_what_judged() -> Non
     )
 
 
+def test_what_is_better_elsewhere_than_half_a_second_ahead_is_said_with_where() -> None:
+    after = seen([0.8 * e + 0.01 * k for k, e in enumerate(LEVEL)], LEVEL)
+    line = against(BEFORE, after).line("the physics alone")
+    assert line.startswith("better than the physics alone: 0.5 s ahead position 0.5 -> ")
+    found = replace(against(BEFORE, after), ahead=0.7)
+    assert "; most position " in found.line("the physics alone")
+
+
 def test_chance_calls_few_pairs_of_equal_models_different() -> None:
     rng = np.random.default_rng(0)
     said = []
