@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from greybox.validation.against import TRACE
+
 
 @dataclass(frozen=True, kw_only=True)
 class Rules:
@@ -13,7 +15,7 @@ class Rules:
     """Standard deviation of the prior of a cause in units of its declared typical size: weakly
     informative (Gelman, Jakulin, Pittau and Su 2008, Annals of Applied Statistics 2(4)); a factor
     of three in it moves log evidence by about one per parameter."""
-    trace: float = 0.02
+    trace: float = TRACE
     """Share of the squared error, ahead or of one reading, below which a name is worth nothing: one
     per cent of the error itself, which no flight controller feels."""
     fastest: float = 0.1
