@@ -246,7 +246,8 @@ class Search:
             for _, causes, p in [r for r in near if not but & set(r[1])][: RULES.rivals]:
                 rows.append((name, causes))
                 asked.append((left | set(causes), [{**known, **p.start}, known]))
-        self.say(f"what could stand in for {', '.join(names)}", 0.3 + 0.3 * share)
+        if names:
+            self.say(f"what could stand in for {', '.join(names)}", 0.3 + 0.3 * share)
         found: dict[str, list[Rival]] = {name: [] for name in names}
         for (name, causes), fit in zip(rows, self.flights.contest(asked, at), strict=True):
             found[name].append(Rival(instead=causes, fitted=fit))
