@@ -1,9 +1,11 @@
 """python -m mpc_export.verify DIR: does a bundle still compute what it was exported from?
 
 Checks that the files are whole; compiles c/ strictly, runs the self-test, and calls every function
-from a shared library at every golden point; replays python/ (rebuild) and casadi/ where casadi is
-installed. Prints the largest differences, in units of each output's scale. Exit code 0: all agree;
-1: something does not, or nothing could be compared; 2: not a bundle.
+from a shared library at every golden point; builds the libraries of tubes and runs their self-tests;
+builds the flight code and flies it without measurements; replays python/ (rebuild) and casadi/ where
+casadi is installed. Prints the largest differences, in units of each output's scale, and which parts
+it verified. Exit code 0: all agree; 1: something does not, or nothing could be compared; 2: not a
+bundle.
 
 Stands alone: the standard library, and casadi and numpy for the rebuild. It imports neither greybox
 nor this package. It runs the bundle's C and its rebuild.py: checksums find damage, not malice, so
@@ -47,6 +49,21 @@ LARGEST_MANIFEST, LARGEST, MOST_FILES = 2**27, 500 * 2**20, 5000
 """Bytes of the manifest and of all files together, and how many of them, at most."""
 SECONDS = 900.0
 """So long a compiler or a self-test may take."""
+WARNED = "-Wno-unused-parameter"
+"""Of generated C that older versions wrote."""
+BLIND = 50
+"""Samples that the flight code flies without measurements."""
+OTHERS = {
+    "acados": "run examples/acados_hover.py",
+    "do-mpc": "run examples/do_mpc_hover.py",
+    "rockit": "run examples/rockit_hover.py",
+    "l4acados": "run examples/l4acados_hover.py",
+    "fmu": "run examples/fmu_simulate.py",
+    "crazyflie-app": "the firmware's build does that",
+    "px4-module": "PX4's build does that",
+    "ros2": "colcon does that",
+}
+"""Targets that need more than a C compiler, and what tries them."""
 Point = tuple[list[list[float]], list[list[float]]]
 
 
@@ -199,8 +216,9 @@ def find_compiler(asked: str | None) -> list[str]:
     raise VerifyError("no C compiler: install gcc or clang, or pip install ziglang, or pass --no-c")
 
 
-def run(command: Sequence[str]) -> str:
-    """Standard output of a command. Raises `VerifyError` with its first complaint."""
+def run(command: Sequence[str], given: str = "") -> str:
+    """Standard output of a command that is given this input. Raises `VerifyError` with its first
+    complaint."""
     try:
         done = subprocess.run(
             command,
@@ -209,14 +227,14 @@ def run(command: Sequence[str]) -> str:
             errors="replace",
             check=False,
             timeout=SECONDS,
-            stdin=subprocess.DEVNULL,
+            input=given,
         )
     except subprocess.TimeoutExpired:
         raise VerifyError(f"{command[0]} did not end within {SECONDS:g} s") from None
     if done.returncode:
         said = (done.stderr or done.stdout).strip().splitlines()
         raise VerifyError(
-            f"{' '.join(command[:1])} failed with code {done.returncode}: {said[0] if said else ''}"
+            f"{Path(command[0]).name} failed with code {done.returncode}: {said[0] if said else ''}"
         )
     return done.stdout
 
@@ -227,7 +245,7 @@ def build(folder: Path, manifest: Manifest, compiler: Sequence[str], work: Path)
     name, source = manifest["name"], folder / "c"
     objects = []
     for stem, extra in (
-        (name, ["-Wno-unused-parameter"]),
+        (name, [WARNED]),
         (f"{name}_model", []),
         (f"{name}_selftest", []),
     ):
@@ -298,6 +316,68 @@ def verify_c(folder: Path, manifest: Manifest, compiler: Sequence[str]) -> dict[
             )
             for f in manifest["functions"]
         }
+
+
+def verify_tube(folder: Path, manifest: Manifest, target: str, compiler: Sequence[str]) -> str:
+    """What the self-test of a tube's library prints. Raises `VerifyError` where it does not compile
+    or fails."""
+    own = PurePosixPath(manifest["targets_written"][target]["folder"])
+    listed = [n for n in manifest["files"] if PurePosixPath(n).parent == own and n.endswith(".c")]
+    if not listed:
+        raise VerifyError(f"{own}/ has no C")
+    with tempfile.TemporaryDirectory(prefix="verify-") as work:
+        program = str(Path(work) / "selftest")
+        sources = [str(folder / n) for n in sorted(listed)]
+        run([*compiler, *STRICT, WARNED, "-O1", "-o", program, *sources, "-lm"])
+        return run([program])
+
+
+def verify_flight(folder: Path, manifest: Manifest, compiler: Sequence[str]) -> str:
+    """Builds the flight code with its bench, which flies a while without measurements. Raises
+    `VerifyError` where a command is not finite or beyond its limits."""
+    name, inputs, n_y = manifest["name"], manifest["inputs"], manifest["sizes"]["n_y"]
+    sources = [str(folder / "c" / f"{name}{s}.c") for s in ("", "_model", "_flight", "_bench")]
+    with tempfile.TemporaryDirectory(prefix="verify-") as work:
+        program = str(Path(work) / "bench")
+        run([*compiler, *STRICT, WARNED, "-O1", "-o", program, *sources, "-lm"])
+        said = run([program], f"{'nan ' * n_y}0 0 1 0\n" * BLIND)
+    rows = [[float(v) for v in line.split()] for line in said.splitlines()]
+    if len(rows) != BLIND or any(len(row) != 1 + len(inputs) + n_y for row in rows):
+        raise VerifyError(f"{len(rows)} samples, of {BLIND}")
+    for row in rows:
+        for port, u in zip(inputs, row[1:], strict=False):
+            low, high = port.get("lower"), port.get("upper")
+            if not (low is None or u >= low - 1e-6) or not (high is None or u <= high + 1e-6):
+                raise VerifyError(f"command {u:g} of {port['name']} is beyond its limits")
+        if not all(abs(v) < float("inf") for v in row):
+            raise VerifyError("a number is not finite")
+    return f"{BLIND} samples without measurements, every command within its limits"
+
+
+def verify_programs(
+    folder: Path, manifest: Manifest, compiler: Sequence[str]
+) -> dict[str, tuple[bool, str]]:
+    """Part -> whether its program passed, and what it said: tubes and the flight code."""
+    found: dict[str, tuple[bool, str]] = {}
+    for part in programs(manifest):
+        try:
+            if part == "flight code":
+                said = verify_flight(folder, manifest, compiler)
+            else:
+                said = verify_tube(folder, manifest, part, compiler)
+            found[part] = True, said.strip()
+        except VerifyError as error:
+            found[part] = False, str(error)
+    return found
+
+
+def programs(manifest: Manifest) -> list[str]:
+    """Parts whose own program judges them."""
+    tubes = [t for t, said in manifest["targets_written"].items() if "selftest" in said]
+    return [
+        *tubes,
+        *(["flight code"] if f"c/{manifest['name']}_flight.c" in manifest["files"] else []),
+    ]
 
 
 # ----------------------------------------------------------------------------------------- casadi
@@ -378,13 +458,15 @@ def verify(folder: Path, compiler: str | None = None, *, with_c: bool = True) ->
     if changed:
         say(f"  changed since the export: {', '.join(changed[:20])}")
     found: dict[str, tuple[dict[str, float], float]] = {}
-    if manifest["c"] and with_c:
-        limit = min(manifest["tolerance"], C_LIMIT[manifest["c"]["real"]])
-        found["C"] = (verify_c(folder, manifest, find_compiler(compiler)), limit)
+    programs_found: dict[str, tuple[bool, str]] = {}
+    if with_c and (manifest["c"] or programs(manifest)):
+        cc = find_compiler(compiler)
+        if manifest["c"]:
+            limit = min(manifest["tolerance"], C_LIMIT[manifest["c"]["real"]])
+            found["C"] = (verify_c(folder, manifest, cc), limit)
+        programs_found = verify_programs(folder, manifest, cc)
     found |= {k: (v, REBUILD_LIMIT) for k, v in verify_casadi(folder, manifest).items()}
-    if not found:
-        print("  nothing was compared: it needs a C compiler or casadi")
-    good = bool(found) and not changed and not unknown
+    good = not changed and not unknown
     for what, (gaps, limit) in found.items():
         name = max(gaps, key=lambda n: gaps[n])
         passed = gaps[name] <= limit
@@ -394,7 +476,29 @@ def verify(folder: Path, compiler: str | None = None, *, with_c: bool = True) ->
             f"(limit {limit:g}): "
             f"{'passed' if passed else 'FAILED'}"
         )
-    return good
+    for what, (passed, told) in programs_found.items():
+        good = good and passed
+        shown = told.replace("\n", "\n    ")
+        say(f"  {what}: {'passed' if passed else 'FAILED'}: {shown}")
+    summary(folder, manifest, [*found, *programs_found], with_c=with_c)
+    return good and bool(found or programs_found)
+
+
+def summary(folder: Path, manifest: Manifest, verified: Sequence[str], *, with_c: bool) -> None:
+    """Say which parts were verified, and which were not and why."""
+    if not verified:
+        say("  nothing was compared: it needs a C compiler or casadi")
+    else:
+        say(f"  verified: {', '.join(verified)}")
+    own = [*(["C"] if manifest["c"] else []), *programs(manifest)]
+    left = {} if with_c else dict.fromkeys(own, "--no-c")
+    left["rebuild"] = "casadi is not installed"
+    if (folder / "casadi").is_dir():
+        left["casadi files"] = "they are for another CasADi, or it is not installed"
+    left |= {t: OTHERS[t] for t in manifest["targets_written"] if t in OTHERS}
+    for part, why in left.items():
+        if part not in verified:
+            say(f"  not verified: {part} ({why})")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

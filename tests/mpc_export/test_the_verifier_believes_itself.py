@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import time
+from hashlib import sha256
 
 import pytest
 
@@ -43,12 +44,13 @@ def wrong_golden(folder):
     cells[-1] = repr(float(cells[-1]) + 1e-3)
     rows[1] = ",".join(cells)
     path.write_text("\n".join(rows) + "\n")
-    from hashlib import sha256
+    sign(folder, "golden/f_d.csv")
 
-    change(
-        folder,
-        lambda m: m["files"].update({"golden/f_d.csv": sha256(path.read_bytes()).hexdigest()}),
-    )
+
+def sign(folder, name):
+    """The manifest lists a file as it is now."""
+    digest = sha256((folder / name).read_bytes()).hexdigest()
+    change(folder, lambda m: m["files"].update({name: digest}))
 
 
 def test_a_good_bundle_passes_and_a_wrong_number_does_not(bundle):
@@ -116,3 +118,55 @@ def test_a_compiler_that_never_ends_is_stopped(bundle, tmp_path, monkeypatch, ca
     monkeypatch.setattr(verify, "SECONDS", 0.5)
     assert verify.main([str(bundle), "--cc", str(cc)]) == 1
     assert "did not end" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def flying(tmp_path_factory):
+    """C, a tube, flight code and a package for ROS."""
+    place = tmp_path_factory.mktemp("flying") / "craft"
+    targets = ("c", "casadi", "tube", "ros2")
+    return write_bundle(
+        cases.disturbed(), place, targets=targets, real="float", horizon=3, use_cache=False
+    ).folder
+
+
+def test_it_builds_and_runs_every_part_and_says_which(flying, capsys):
+    assert verify.main([str(flying)]) == 0
+    said = capsys.readouterr().out
+    assert "  verified: C, rebuild, casadi files, tube, flight code\n" in said
+    assert "tube: passed: craft_tube: 60 samples, commands differ from Python's by " in said
+    assert "flight code: passed: 50 samples without measurements" in said
+    assert "  not verified: ros2 (colcon does that)\n" in said
+    assert verify.main([str(flying), "--no-c"]) == 0
+    said = capsys.readouterr().out
+    assert "  verified: rebuild, casadi files\n" in said
+    for part in ("C", "tube", "flight code"):
+        assert f"  not verified: {part} (--no-c)\n" in said
+
+
+@pytest.mark.parametrize(
+    ("part", "file", "text", "by"),
+    [
+        ("tube", "tube/craft_tube.c", "command_max = ", "command_max = 0.6f * "),
+        ("flight code", "c/craft_flight.c", "memcpy(f->u, u_next, sizeof f->u);", "f->u[0] = 9;"),
+    ],
+)
+def test_a_part_that_does_not_do_what_it_should_fails(
+    flying, tmp_path, capsys, part, file, text, by
+):
+    shutil.copytree(flying, tmp_path / "craft")
+    path = tmp_path / "craft" / file
+    assert text in path.read_text()
+    path.write_text(path.read_text().replace(text, by))
+    sign(tmp_path / "craft", file)
+    assert verify.main([str(tmp_path / "craft")]) == 1
+    assert f"  {part}: FAILED: " in capsys.readouterr().out
+
+
+def test_a_tube_elsewhere_is_not_run(flying, tmp_path, capsys):
+    shutil.copytree(flying, tmp_path / "craft")
+    change(
+        tmp_path / "craft", lambda m: m["targets_written"]["tube"].update(folder="../../elsewhere")
+    )
+    assert verify.main([str(tmp_path / "craft")]) == 1
+    assert "tube: FAILED: ../../elsewhere/ has no C" in capsys.readouterr().out
