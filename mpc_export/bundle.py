@@ -59,7 +59,8 @@ from greybox.residual.hybrid import HybridModel
 from greybox.shown import Cell, Shown
 from mpc_export.c_code import write_c
 from mpc_export.c_kernels import kernels_of
-from mpc_export.c_model import CModel, check_name
+from mpc_export.c_model import CModel
+from mpc_export.c_names import check_name
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.golden import Golden, golden_vectors
 from mpc_export.manifest import SCHEMA, Manifest, PortRow, Written, manifest_of
@@ -376,9 +377,14 @@ def _code_digest() -> str:
     digest = hashlib.sha256()
     for package in ("greybox", "mpc_export"):
         root = Path(str(resources.files(package)))
-        for path in sorted(p for p in root.rglob("*") if p.suffix in (".py", ".c", ".h")):
+        shapes = (p for p in root.rglob("*") if p.suffix in (".py", ".c", ".h") or _is_template(p))
+        for path in sorted(shapes):
             digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
     return digest.hexdigest()
+
+
+def _is_template(path: Path) -> bool:
+    return "templates" in path.parts and path.is_file() and "__pycache__" not in path.parts
 
 
 def _cache_key(model: IdentifiedModel | LinearModel, options: list[object]) -> str | None:

@@ -10,10 +10,11 @@ What `write_c` changes, each by name and with an error where the text is not as 
 - helpers become `static`; those and constants that nothing uses any more are dropped (they would
   fail -Werror);
 - exported names get the prefix of the model, so that two models link into one program;
-- in float builds literals and libm calls become float ones: no double arithmetic is left.
+- in float builds literals and libm calls become float ones: no double arithmetic is left;
+- parameters that a function does not use are named in it, and long lines are broken.
 
 The result has no stdio, no malloc and no variables with static storage that change; it compiles
-with `-std=c99 -Wall -Wextra -Wpedantic -Werror -Wno-unused-parameter`. `-std=c99` forbids gcc to
+with `-std=c99 -Wall -Wextra -Wpedantic -Werror`. `-std=c99` forbids gcc to
 fuse multiplication and addition; for speed add `-O3 -march=native -ffp-contract=fast
 -fno-math-errno` (`FAST_FLAGS`).
 """
@@ -33,6 +34,7 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.files import write_atomic
 from mpc_export.c_kernels_products import PRODUCTS
+from mpc_export.c_text import all_used, broken
 
 Real = Literal["double", "float"]
 RESTRICT = """#if defined(__cplusplus) && !defined(restrict)
@@ -40,7 +42,7 @@ RESTRICT = """#if defined(__cplusplus) && !defined(restrict)
 #endif
 
 """
-STRICT_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-unused-parameter")
+STRICT_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 _ON_THIS_MACHINE = ("-march=native", "-ffp-contract=fast", "-fno-math-errno")
 FAST_FLAGS = ("-std=c99", "-O3", *_ON_THIS_MACHINE)
 GENERATED_FLAGS = ("-std=c99", "-O1", "-ftree-vectorize", *_ON_THIS_MACHINE)
@@ -168,11 +170,12 @@ def write_c(
         text = single_precision(text)
     described = tuple(_describe(f, prefix, text) for f in functions)
     text = _exported(text, {n: f"{prefix}_{n}" for n in names})
-    text = f'#include "{prefix}.h"\n\n{RESTRICT if "restrict" in text else ""}{text.strip()}\n'
+    text = broken(all_used(text)).strip()
+    text = f'#include "{prefix}.h"\n\n{RESTRICT if "restrict" in text else ""}{text}\n'
     source, header = Path(folder) / f"{prefix}.c", Path(folder) / f"{prefix}.h"
     source.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(source, text.encode())
-    write_atomic(header, _header(prefix, real, integer, described).encode())
+    write_atomic(header, broken(_header(prefix, real, integer, described)).encode())
     return CSource(
         source=source,
         header=header,

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from greybox.errors import ModelError
 from greybox.symbolic import FloatArray, Layout
 from mpc_export.c_code import CFunction, CSource, Port
+from mpc_export.c_text import broken
 from mpc_export.functions import ModelFunctions
 from mpc_export.golden import FARTHEST, Golden
 from mpc_export.template import filled
@@ -36,100 +36,8 @@ CODES = (
     ("FAILED", "the evaluation failed"),
 )
 """Return codes by number."""
-KEYWORDS = frozenset(
-    {
-        "auto",
-        "break",
-        "case",
-        "char",
-        "const",
-        "continue",
-        "default",
-        "do",
-        "double",
-        "else",
-        "enum",
-        "extern",
-        "float",
-        "for",
-        "goto",
-        "if",
-        "inline",
-        "int",
-        "long",
-        "register",
-        "restrict",
-        "return",
-        "short",
-        "signed",
-        "sizeof",
-        "static",
-        "struct",
-        "switch",
-        "typedef",
-        "union",
-        "unsigned",
-        "void",
-        "volatile",
-        "while",
-        "class",
-        "new",
-        "delete",
-        "namespace",
-        "template",
-        "this",
-        "throw",
-        "try",
-        "catch",
-        "bool",
-        "true",
-        "false",
-        "private",
-        "public",
-        "protected",
-        "virtual",
-        "operator",
-        "using",
-    }
-)
-TAKEN = frozenset(
-    {
-        "all",
-        "c",
-        "clean",
-        "depend",
-        "edit_cache",
-        "help",
-        "install",
-        "m",
-        "package",
-        "rebuild_cache",
-        "test",
-    }
-)
-"""CMake targets of these names there are already; lib`c` and lib`m` are the system's."""
 LISTED = 120
 """A layout longer than this (the weights of a learned part) is not listed name by name."""
-
-
-def check_name(name: str) -> str:
-    """The name, if C and C++ take it as the prefix of everything. Raises `ModelError`."""
-    if (
-        not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,40}", name)
-        or name in KEYWORDS
-        or name.startswith("casadi")
-    ):
-        raise ModelError(
-            "the bundle's name is not a C identifier",
-            expected="letters, digits and underscores, a letter first",
-            got=repr(name),
-            fix="--name quad",
-        )
-    if name.lower() in TAKEN:
-        raise ModelError(
-            "the bundle's name is taken in C builds", got=repr(name), fix="--name quad"
-        )
-    return name
 
 
 def identifier(name: str) -> str:
@@ -399,16 +307,19 @@ class CModel:
             version=self.version,
             most=max(self._most(), 1),
             limit=f"{1e-10 if self.source.real == 'double' else 1e-4:g}",
-            tests="".join(f"\n{self._golden_test(f)}\n" for f in self.source.functions),
-            calls="\n".join(f"  test_{f.name}();" for f in self.source.functions),
+            tests="".join(
+                f"\n{self._golden_test(f, i)}\n" for i, f in enumerate(self.source.functions)
+            ),
+            calls="\n".join(f"  test_{i}();" for i in range(len(self.source.functions))),
             count=len(self.source.functions),
         )
 
-    def _golden_test(self, f: CFunction) -> str:
-        """Usual flight, and the farthest out."""
+    def _golden_test(self, f: CFunction, i: int) -> str:
+        """Usual flight, and the farthest out. Its name has a number: no name of a bundle makes it
+        one of the bundle's."""
         golden = next(g for g in self.golden if g.name == f.name)
         count = next(iter(golden.results.values())).shape[0]
-        lines = [f"static void test_{f.name}(void) {{", "  int code;"]
+        lines = [f"/* {f.name} */", f"static void test_{i}(void) {{", "  int code;"]
         for row in sorted({min(1, count - 1), min(FARTHEST, count - 1)}):
             lines += ["  {", *self._golden_call(f, golden, row), "  }"]
         return "\n".join([*lines, "}"])
@@ -459,7 +370,8 @@ class CModel:
     def write(self, folder: Path) -> None:
         """Write all texts into the folder."""
         for name, text in self.texts().items():
-            (folder / name).write_text(text, encoding="utf-8")
+            own = broken(text) if name.endswith((".c", ".h")) else text
+            (folder / name).write_text(own, encoding="utf-8")
 
 
 def scale_of(results: npt.ArrayLike) -> float:

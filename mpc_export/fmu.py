@@ -93,8 +93,9 @@ def _headers() -> Path | None:
 
 
 def _builder(model: Exported) -> ca.DaeBuilder:
-    """The model as a casadi.DaeBuilder."""
-    dae = ca.DaeBuilder(model.name)
+    """The model as a casadi.DaeBuilder. Its C has a function of the FMU's name, which must not be one
+    of the C library's (`sin`)."""
+    dae = ca.DaeBuilder(f"{model.name}_fmu")
     dae.add("time", "independent", {})
     n = model.own_states
 

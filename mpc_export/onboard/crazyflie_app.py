@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from greybox.errors import ModelError
 from greybox.files import write_atomic
 from greybox.frames import GRAVITY
+from mpc_export.c_text import broken
 from mpc_export.onboard.flight import OnBoard
 
 if TYPE_CHECKING:
@@ -83,7 +84,8 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
         # one file of the bundle each: nothing is copied
         write_atomic(place / "src" / f"unit_{unit}.c", f'#include "../../c/{unit}.c"\n')
     objects = [f"{board.name}_app.o", *(f"unit_{unit}.o" for unit in units)]
-    write_atomic(place / "src" / f"{board.name}_app.c", board.text("crazyflie/app.c", **words))
+    app = broken(board.text("crazyflie/app.c", **words))
+    write_atomic(place / "src" / f"{board.name}_app.c", app)
     write_atomic(place / "src" / "Kbuild", "".join(f"obj-y += {o}\n" for o in objects))
     write_atomic(place / "Kbuild", "obj-y += src/\n")
     write_atomic(place / "Makefile", board.text("crazyflie/Makefile"))

@@ -18,6 +18,7 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.files import write_atomic
 from greybox.symbolic import FloatArray
+from mpc_export.c_text import broken
 from mpc_export.functions import ModelFunctions
 from mpc_export.template import filled, places_in
 
@@ -144,4 +145,4 @@ def write_flight(board: OnBoard, folder: Path) -> None:
         ("flight.c", "flight/flight.c"),
         ("bench.c", "flight/bench.c"),
     ):
-        write_atomic(folder / f"{board.name}_{end}", board.text(template, **words))
+        write_atomic(folder / f"{board.name}_{end}", broken(board.text(template, **words)))

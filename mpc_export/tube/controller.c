@@ -2,9 +2,9 @@
 
    One iteration: linearise along the present plan (x_k, u_k), propagate the covariance of the closed loop along it, turn it
    into back-offs of the constraints, solve the structured QP (qp.h), move the plan by its solution. Repeated until the KKT
-   residual is small it is a Gauss-Newton SQP method; once per sample it is the real-time iteration (Diehl, Bock and Schloeder
-   2005, SIAM J. Control Optim. 43(5)). The covariance is fixed within an iteration (zero-order, Feng, Di Cairano and
-   Quirynen 2020; Zanelli, Frey, Messerer and Diehl 2021).
+   residual is small it is a Gauss-Newton SQP method; once per sample it is the real-time iteration (Diehl, Bock and
+   Schloeder 2005, SIAM J. Control Optim. 43(5)). The covariance is fixed within an iteration (zero-order, Feng, Di Cairano
+   and Quirynen 2020; Zanelli, Frey, Messerer and Diehl 2021).
 
    All sizes are macros of tube_sizes.h, which also says of what precision a tube_real is. Nothing is allocated but by
    tube_create, which only a desktop has (TUBE_HOSTED). */
@@ -365,7 +365,8 @@ static int iterated(tube_solver *s, tube_data *d) {
     d->iterations = (tube_real)(it + 1);
     if ((int)d->iterations_max == 1) break;
   }
-  if (!(largest(&d->x[0][0], (N + 1) * NX) < (tube_real)INFINITY) || !(largest(&d->u[0][0], N * NU) < (tube_real)INFINITY)) return 1;
+  if (!(largest(&d->x[0][0], (N + 1) * NX) < (tube_real)INFINITY) || !(largest(&d->u[0][0], N * NU) < (tube_real)INFINITY))
+    return 1;
   return missed(s, d);
 }
 
@@ -389,10 +390,11 @@ static int simulated(tube_solver *s, tube_data *d) {
 }
 
 /* Iterates from the plan in d; where that fails or its steps grow, also from its commands flown by the model, and takes
-   the better; with attempts_max = 1 the call after a failure begins there. Returns 0; 1 where a function of the model failed or
-   the plan is not finite; 2 where the QP was not solved; 3 where Newton's steps grow. After 1 to 3 the plan is the one from before the call, to the last bit. After 0
-   its commands keep their limits and rates exactly; qp_status 1 or 2 then says that the QP was not solved to the end,
-   though it met dynamics and limits to primal_tolerance. d->kkt <= d->tolerance says that the iterations converged. */
+   the better; with attempts_max = 1 the call after a failure begins there. Returns 0; 1 where a function of the model failed
+   or the plan is not finite; 2 where the QP was not solved; 3 where Newton's steps grow. After 1 to 3 the plan is the one
+   from before the call, to the last bit. After 0 its commands keep their limits and rates exactly; qp_status 1 or 2 then
+   says that the QP was not solved to the end, though it met dynamics and limits to primal_tolerance. d->kkt <= d->tolerance
+   says that the iterations converged. */
 TUBE_SOLVE int tube_solve(tube_solver *s, tube_data *d) {
   seconds begin = now();
   d->seconds_linear = d->seconds_tube = d->seconds_qp = 0;

@@ -19,6 +19,8 @@ from greybox.files import write_atomic
 from greybox.symbolic import FloatArray
 from mpc_export.c_code import CSource, Real, single_precision, write_c
 from mpc_export.c_kernels import kernels_of
+from mpc_export.c_names import renamed
+from mpc_export.c_text import broken
 from mpc_export.feedback import NEAR
 from mpc_export.template import filled, places_in
 from mpc_export.tube import linear as linear_library
@@ -82,13 +84,12 @@ def write_library(
     )
     words = _words(pilot, own, name, real)
     if linear:
-        words |= linear_library.WORDS
-    write_atomic(folder / f"{name}_tube.h", filled_with("tube/tube.h", words))
+        words |= linear_library.words(name)
+    write_atomic(folder / f"{name}_tube.h", broken(filled_with("tube/tube.h", words)))
     text = _linear(pilot, model, words) if linear else _nonlinear(pilot, model, words)
     text = single_precision(text) if real == "float" else text
-    text = text.replace("tube_model_", f"{name}_tube_model_").replace(f"{name}_{name}_", f"{name}_")
     includes = [f'#include "{name}_{part}.h"\n' for part in ("tube", "tube_model", "tube_filter")]
-    write_atomic(folder / f"{name}_tube.c", "".join([*includes, text]))
+    write_atomic(folder / f"{name}_tube.c", broken("".join([*includes, text])))
     ends = ("tube", "tube_model", "tube_filter")
     return tuple(folder / f"{name}_{end}.c" for end in ends), words
 
@@ -97,8 +98,10 @@ def _nonlinear(pilot: TubeController, model: CSource, words: Mapping[str, str]) 
     qp: QP = "condensed" if pilot.problem.horizon <= CONDENSED else "riccati"
     stages = pilot.solver.stages
     bent = matrix(stages.bent.reshape(len(stages.bent), -1))
+    own = driver("", settled(pilot.solver.sizes, stages, model), "double", qp)
     texts = [
-        driver("", settled(pilot.solver.sizes, stages, model), "double", qp),
+        # the controller knows its model by a name of its own
+        renamed(own, "tube_model_", f"{model.prefix}_"),
         f"static const tube_real bent[N + 1][ND * ND] = {bent};\n",
         *(filled_with(f"tube/{part}.c", words) for part in ("sample", "plan", "call")),
     ]

@@ -39,16 +39,8 @@ MEMORY = """  qp_solver solver;
   tube_qp qp;
   tube_real kappa[NL], kappa_u, before[N][NU], tilt[N + 1][2];
   tube_real w[TUBE_W];
-  tube_model_int iw[TUBE_IW];
 """
-"""What plans keep in the library's memory."""
-WORDS = {
-    "memory": MEMORY,
-    "trusted": repr(TRUSTED),
-    "qp_iterations": repr(QP_ITERATIONS),
-    "qp_tolerance": repr(QP_TOLERANCE),
-}
-"""Words of the templates that the linear tube has of its own."""
+"""What plans keep in the library's memory, besides the integers of the model's functions."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,6 +63,16 @@ class LinearTube:
     command: FloatArray
     level: FloatArray
     trusted: FloatArray
+
+
+def words(name: str) -> dict[str, str]:
+    """Words of the templates that the linear tube has of its own, for a library of that name."""
+    return {
+        "memory": f"{MEMORY}  {name}_tube_model_int iw[TUBE_IW];\n",
+        "trusted": repr(TRUSTED),
+        "qp_iterations": repr(QP_ITERATIONS),
+        "qp_tolerance": repr(QP_TOLERANCE),
+    }
 
 
 def linear_tube(pilot: TubeController) -> LinearTube:

@@ -5,8 +5,8 @@
                 lower <= w <= upper,  |w - v + change| <= rate_max (stages 1..N-1),  G d - slack <= most (stages 1..N)
 
    d is the error state without disturbances, which no command moves, v the change of the previous command, w the change of
-   the command. Matrices stand column by column; of A there are the nonzeros, of H those of TUBE_COST are not zero, none of which
-   joins d with v or w. */
+   the command. Matrices stand column by column; of A there are the nonzeros, of H those of TUBE_COST are not zero, none of
+   which joins d with v or w. */
 #define NZ (NK + NU)
 #define NV (NK + 2 * NU)
 

@@ -1,6 +1,6 @@
 /* The QP of the linear tube by a dual active-set method (Goldfarb and Idnani 1983, Math. Program. 27; in these coordinates
-   Arnstroem, Bemporad and Axehill 2022, IEEE Trans. Autom. Control 67(8)): its Hessian H = U U' is a number of the library, so
-   that with y = U' w and T = U^-1 it is
+   Arnstroem, Bemporad and Axehill 2022, IEEE Trans. Autom. Control 67(8)): its Hessian H = U U' is a number of the library,
+   so that with y = U' w and T = U^-1 it is
 
      minimise   0.5 |y|^2 + (T g)' y + penalty slack + 0.5 penalty_square slack^2,     (T a)' y - slack <= b
 

@@ -95,7 +95,8 @@ static void qp_resting(qp_steps *s, const tube_qp *q) {
     for (int i = 0; k == N && i < NK; i++)
       for (int m = 0; m < NK; m++) on[i] += q->H_end[i * NK + m] * d[m];
     for (int m = 0; k < N && m < TUBE_COST_NONZEROS; m++)
-      if (cost_row[m] < NK && cost_across[m] < NK) on[cost_row[m]] += q->H[k][cost_across[m] * NV + cost_row[m]] * d[cost_across[m]];
+      if (cost_row[m] < NK && cost_across[m] < NK)
+        on[cost_row[m]] += q->H[k][cost_across[m] * NV + cost_row[m]] * d[cost_across[m]];
     if (k < N) {
       for (int j = 0; j < NU; j++) {
         tube_real sum = q->g[k][NZ + j] + (k + 1 < N ? q->g[k + 1][NK + j] : 0);

@@ -224,9 +224,10 @@ static void qp_moved(qp_solver *s, const tube_qp *q, tube_real by) {
   qp_values(s, q, 0, s->w, s->value);
 }
 
-/* Whether what is left moves no command by more than the tolerance; begun: the slope of the beginning. What a limit is missed by
-   moves commands as it is, a product by its root: so it falls as far in float, which holds it as well, as in double. A slope
-   moves them by its part of the curvature; it is a sum that rounds as its parts do, which are as large as at the beginning. */
+/* Whether what is left moves no command by more than the tolerance; begun: the slope of the beginning. What a limit is
+   missed by moves commands as it is, a product by its root: so it falls as far in float, which holds it as well, as in
+   double. A slope moves them by its part of the curvature; it is a sum that rounds as its parts do, which are as large as at
+   the beginning. */
 static int qp_solved(const qp_distance *far, tube_real tolerance, tube_real begun) {
   const tube_real least = 1e-6, rounding = sizeof(tube_real) == sizeof(float) ? FLT_EPSILON : (tube_real)DBL_EPSILON;
   return far->missed <= 0.1 * tolerance && far->product <= 0.001 * (tolerance < least ? tolerance : least) &&
@@ -234,14 +235,16 @@ static int qp_solved(const qp_distance *far, tube_real tolerance, tube_real begu
 }
 
 /* Iterates from the beginning until the QP is solved to `tolerance`, or `most` times: 0 solved, 1 cut off, 2 a factor or the
-   step broke down, which float does near the limits, 3 NaN. The commands found so far are the answer, and s->value is theirs. */
+   step broke down, which float does near the limits, 3 NaN. The commands found so far are the answer, and s->value is
+   theirs. */
 static int qp_iterated(qp_solver *s, const tube_qp *q, tube_real tolerance, int most, int *iterations) {
   tube_real begun = 0;
   qp_begin(s, q);
   for (*iterations = 0;; ++*iterations) {
     tube_real aimed, length;
     qp_distance far = qp_judged(s, q);
-    if (!(far.missed < (tube_real)INFINITY) || !(far.slope < (tube_real)INFINITY) || !(far.product < (tube_real)INFINITY)) return 3;
+    if (!(far.missed < (tube_real)INFINITY) || !(far.slope < (tube_real)INFINITY) || !(far.product < (tube_real)INFINITY))
+      return 3;
     if (*iterations == 0) begun = far.slope;
     if (qp_solved(&far, tolerance, begun)) return 0;
     if (*iterations >= most) return 1;

@@ -39,8 +39,8 @@ static void qp_answered(qp_solver *s, const tube_qp *q, tube_qp_answer *answer) 
     }
 }
 
-/* Solves the QP, or is cut off: the commands fly by the dynamics, and the residual says how far they are from their limits. It
-   always begins anew (`warm` is HPIPM's): in float the end of a QP before is too near its limits. */
+/* Solves the QP, or is cut off: the commands fly by the dynamics, and the residual says how far they are from their limits.
+   It always begins anew (`warm` is HPIPM's): in float the end of a QP before is too near its limits. */
 static void qp_solve(qp_solver *s, tube_qp *q, tube_real tolerance, int most, int warm, tube_qp_answer *answer) {
   (void)warm;
   qp_prepared(&s->steps, q);

@@ -1,5 +1,5 @@
-/* Steps of the interior point method by Riccati recursions (Rao, Wright and Rawlings 1998, J. Optim. Theory Appl. 99(3)): for
-   long horizons, whose work and memory grow by the stage. */
+/* Steps of the interior point method by Riccati recursions (Rao, Wright and Rawlings 1998, J. Optim. Theory Appl. 99(3)):
+   for long horizons, whose work and memory grow by the stage. */
 
 /* y += a x of n numbers, n known to the compiler: most of a step's time */
 #ifdef __GNUC__
@@ -139,7 +139,8 @@ static void qp_products(qp_steps *s, const tube_qp *q, int k) {
     }
 }
 
-/* Riccati recursion: the cost to go 0.5 (d, v)' [P Pv; Pv' Pvv] (d, v), feedback and factors. Returns 1 where it breaks down. */
+/* Riccati recursion: the cost to go 0.5 (d, v)' [P Pv; Pv' Pvv] (d, v), feedback and factors. Returns 1 where it breaks
+   down. */
 static int qp_factorised(qp_steps *s, const tube_qp *q, qp_limits weights) {
   memcpy(s->P, q->H_end, sizeof s->P);
   memset(s->Pv, 0, sizeof s->Pv);

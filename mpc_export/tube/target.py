@@ -15,6 +15,7 @@ from greybox.errors import ModelError
 from greybox.files import write_atomic
 from greybox.model.identified import IdentifiedModel
 from mpc_export.c_code import Real, single_precision
+from mpc_export.c_text import broken
 from mpc_export.functions import ModelFunctions
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.in_process import TubeInC
@@ -162,4 +163,4 @@ def _selftest(pilot: TubeController, words: Mapping[str, str], real: Real, linea
         f"{numbers} wanted[SAMPLES][NU] = {matrix(flown['commands'])};",
     ]
     text = filled_with("tube/selftest.c", {**words, "data": "\n".join(data)})
-    return single_precision(text) if real == "float" else text
+    return broken(single_precision(text) if real == "float" else text)

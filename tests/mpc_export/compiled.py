@@ -29,14 +29,13 @@ def compile_objects(
     needs_compiler()
     name, objects = bundle.name, []
     work.mkdir(parents=True, exist_ok=True)
-    for stem, extra in ((name, ["-Wno-unused-parameter"]), (f"{name}_model", [])):
+    for stem in (name, f"{name}_model"):
         objects.append(str(work / f"{stem}.o"))
         source = str(bundle.folder / "c" / f"{stem}.c")
         done = subprocess.run(
             [
                 compiler,
                 *STRICT,
-                *extra,
                 *(flags or ("-O1",)),
                 "-fPIC",
                 "-c",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,13 @@ def test_without_a_binary_the_same_model_gives_the_same_bytes(tmp_path, monkeypa
     for name in ("a.fmu", "b.fmu"):
         assert fmu.write_fmu(model, tmp_path / name) == {"file": name, "binary": False}
     assert (tmp_path / "a.fmu").read_bytes() == (tmp_path / "b.fmu").read_bytes()
+
+
+@consumers.needs("fmpy")
+@pytest.mark.parametrize("name", ["sin", "main", "w"])
+def test_its_binary_is_built_whatever_its_name_is(tmp_path, name):
+    model = replace(load(consumers.bundle("physics")), name=name)
+    assert fmu.write_fmu(model, tmp_path / f"{name}.fmu")["binary"]
 
 
 def test_a_path_from_the_present_folder_is_one(tmp_path, monkeypatch):

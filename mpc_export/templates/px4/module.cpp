@@ -189,7 +189,7 @@ void @Class@::Run()
 	perf_end(_loop_perf);
 }
 
-int @Class@::task_spawn(int argc, char *argv[])
+int @Class@::task_spawn(int /* argc */, char * /* argv */[])
 {
 	@Class@ *instance = new @Class@();
 
@@ -227,7 +227,7 @@ int @Class@::print_status()
 	return 0;
 }
 
-int @Class@::custom_command(int argc, char *argv[])
+int @Class@::custom_command(int /* argc */, char * /* argv */[])
 {
 	return print_usage("unknown command");
 }

@@ -14,8 +14,8 @@ static int samples(tube_real passed, unsigned *said) {
   return whole;
 }
 
-unsigned @NAME@_tube_step(tube_real passed, const tube_real y[NY], const unsigned char given[NY], const @NAME@_tube_path path[N + 1],
-                          const tube_real *planes, tube_real u[NU]) {
+unsigned @NAME@_tube_step(tube_real passed, const tube_real y[NY], const unsigned char given[NY],
+                          const @NAME@_tube_path path[N + 1], const tube_real *planes, tube_real u[NU]) {
   static const unsigned char none[NY] = {0};
   unsigned said = 0;
   int whole, due;

@@ -1,5 +1,5 @@
-/* The linear tube: the model as it is near hover, at any heading, since errors of place and speed stand in body axes. What does
-   not change was computed before: the QP's Hessian, what commands move, the tube. linear.py says how. */
+/* The linear tube: the model as it is near hover, at any heading, since errors of place and speed stand in body axes. What
+   does not change was computed before: the QP's Hessian, what commands move, the tube. linear.py says how. */
 
 static const tube_real transition[ND * ND] = TUBE_TRANSITION, responses[N * (N + 1) / 2 * NK * NU] = TUBE_RESPONSES;
 static const tube_real terminal[NK][N * NU] = TUBE_TERMINAL;
@@ -9,7 +9,8 @@ static const tube_real tracking[NK] = TUBE_TRACKING, on_command = TUBE_ON_COMMAN
 static const tube_real place_spread[N + 1][3][3] = TUBE_PLACE_SPREAD, tilt_spread[N + 1][2][2] = TUBE_TILT_SPREAD;
 static const tube_real command_spread[N][NU] = TUBE_COMMAND_SPREAD;
 static const tube_real level[2] = TUBE_LEVEL; /* hover's own tilt */
-/* tilt, speed and rate away from hover, each alone, at which the prediction misses by @trusted@ standard deviations of the tube */
+/* tilt, speed and rate away from hover, each alone, at which the prediction misses by @trusted@ standard deviations of the
+   tube */
 static const tube_real trusted[3] = TUBE_TRUSTED;
 static const int keep[NK] = TUBE_KEEP, pushed_at[NFREE1] = TUBE_PUSHED;
 enum { K_POSITION = TUBE_K_POSITION, K_VELOCITY = TUBE_K_VELOCITY, K_ATTITUDE = TUBE_K_ATTITUDE, K_RATE = TUBE_K_RATE };
@@ -66,7 +67,7 @@ static int placed(const tube_real *place, tube_real d[ND], tube_real R[3][3]) {
   axes(q, R);
   const tube_real *arg[TUBE_ARG] = {x, base};
   tube_real *res[TUBE_RES] = {d};
-  return tube_model_boxminus(arg, res, c.iw, c.w, 0) || !all_finite(d, ND);
+  return @NAME@_tube_model_boxminus(arg, res, c.iw, c.w, 0) || !all_finite(d, ND);
 }
 
 /* What the path asks of the error states of stage k. */
@@ -118,8 +119,8 @@ static void limited(const tube_real *planes, int k, tube_real R[3][3], const tub
 /* Limits of the commands of stage k, from hover's command. */
 static void bounded(int k, const tube_real *rest) {
   for (int j = 0; j < NU; j++) {
-    tube_real u = hover_u[j] + rest[NK + j], room = fmin(command_max - u, u - command_min), off = c.kappa_u * command_spread[k][j];
-    tube_real low, high;
+    tube_real u = hover_u[j] + rest[NK + j], room = fmin(command_max - u, u - command_min);
+    tube_real low, high, off = c.kappa_u * command_spread[k][j];
     off = fmax(0, fmin(off, 0.5 * room));
     low = command_min + off;
     high = command_max - off;
@@ -211,7 +212,8 @@ static unsigned unplanned(int status, tube_real *u) {
 }
 
 /* Gradient and limits, from the error states d to hover's command. */
-static void stated(const @NAME@_tube_path *path, const tube_real *planes, tube_real R[3][3], const tube_real *rest, tube_real *d) {
+static void stated(const @NAME@_tube_path *path, const tube_real *planes, tube_real R[3][3], const tube_real *rest,
+                   tube_real *d) {
   tube_real next[ND], goal[NK], kept[NK];
   memset(c.solver.g, 0, sizeof c.solver.g);
   for (int k = 0; k <= N; k++) {

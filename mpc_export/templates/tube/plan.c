@@ -37,17 +37,18 @@ int @NAME@_tube_start(const tube_real place[4]) {
 static int flown(const tube_real *x, const tube_real *u, tube_real *next) {
   const tube_real *arg[TUBE_ARG] = {x, u, c.p};
   tube_real *res[TUBE_RES] = {next};
-  return tube_model_tube_step(arg, res, c.solver.iw, c.solver.w, 0) || !all_finite(next, NX);
+  return @NAME@_tube_model_tube_step(arg, res, c.solver.iw, c.solver.w, 0) || !all_finite(next, NX);
 }
 
 /* A Newton step of the steady state from (x, u); returns by how much (x, u) missed. */
-static tube_real steadier(const tube_real *x, const tube_real *u, const tube_real *goal, tube_real *next_x, tube_real *next_u) {
+static tube_real steadier(const tube_real *x, const tube_real *u, const tube_real *goal, tube_real *next_x,
+                          tube_real *next_u) {
   tube_real from[NX], residual = (tube_real)INFINITY;
   memcpy(from, x, sizeof from);
   for (int i = 0; i < NFREE; i++) from[pushes[i]] = c.known.estimate[pushes[i]];
   const tube_real *arg[TUBE_ARG] = {from, u, c.p, goal};
   tube_real *res[TUBE_RES] = {next_x, next_u, &residual};
-  if (tube_model_target_step(arg, res, c.solver.iw, c.solver.w, 0)) return (tube_real)INFINITY;
+  if (@NAME@_tube_model_target_step(arg, res, c.solver.iw, c.solver.w, 0)) return (tube_real)INFINITY;
   return all_finite(&residual, 1) ? residual : (tube_real)INFINITY;
 }
 
@@ -58,7 +59,8 @@ static void room(const tube_real *u, tube_real *least, tube_real *most) {
   *least = -INFINITY;
   *most = INFINITY;
   for (int j = 0; j < NU; j++) {
-    tube_real low = command_min * fabs(command_min) - u[j] * fabs(u[j]), high = command_max * fabs(command_max) - u[j] * fabs(u[j]);
+    tube_real low = command_min * fabs(command_min) - u[j] * fabs(u[j]);
+    tube_real high = command_max * fabs(command_max) - u[j] * fabs(u[j]);
     if (turning[j] == 0) {
       if (u[j] >= command_min && u[j] <= command_max) continue;
       *least = INFINITY;
@@ -171,11 +173,12 @@ static void give_up_heading(void) {
 }
 
 /* u and the ancillary gain on what `state` is away from x. */
-static void corrected(const tube_real *state, const tube_real *before, const tube_real *x, const tube_real *u, tube_real *out) {
+static void corrected(const tube_real *state, const tube_real *before, const tube_real *x, const tube_real *u,
+                      tube_real *out) {
   tube_real away[ND];
   const tube_real *arg[TUBE_ARG] = {state, x};
   tube_real *res[TUBE_RES] = {away};
-  if (tube_model_boxminus(arg, res, c.solver.iw, c.solver.w, 0)) memset(away, 0, sizeof away);
+  if (@NAME@_tube_model_boxminus(arg, res, c.solver.iw, c.solver.w, 0)) memset(away, 0, sizeof away);
   tube_real place = norm(away + D_POSITION, 3), speed = norm(away + D_VELOCITY, 3);
   for (int i = 0; i < 3; i++) {
     if (place > @near_position@) away[D_POSITION + i] *= @near_position@ / place;

@@ -31,7 +31,7 @@ enum { PUSHED, BARE, RIVALS };
 enum { D_POSITION = @d_position@, D_VELOCITY = @d_velocity@ };
 
 static struct {
-@memory@  tube_model_int filter_iw[@filter_iw@];
+@memory@  @NAME@_tube_model_int filter_iw[@filter_iw@];
   tube_real filter_w[@filter_w@];
   @NAME@_tube_known known;
   tube_real u[NU], past[LAGS][NU], p[NP1];
@@ -77,7 +77,8 @@ const @NAME@_tube_known *@NAME@_tube_state(void) { return &c.known; }
 
 /* -------------------------------------------------------------------------------------------------------- measurements */
 
-static int filtered(const tube_real *x, const tube_real *y, const tube_real *there, tube_real *next, tube_real *e, tube_real *y_hat) {
+static int filtered(const tube_real *x, const tube_real *y, const tube_real *there, tube_real *next, tube_real *e,
+                    tube_real *y_hat) {
   const tube_real *arg[@filter_arg@] = {x, c.u, c.p, y, there};
   tube_real *res[@filter_res@] = {next, e, y_hat};
   return @NAME@_tube_filter_filter_step(arg, res, c.filter_iw, c.filter_w, 0) || !all_finite(next, NF);
@@ -112,7 +113,8 @@ static void sizes(const tube_real *e, const tube_real *there, tube_real *size, i
   }
   for (int i = 0; i < NE; i++) {
     tube_real part = 0;
-    for (int j = 0; j < NE; j++) part += inverse[i][j] == 0 ? 0 : inverse[i][j] * clip(all_finite(e + j, 1) ? e[j] : 1e15, -1e15, 1e15);
+    for (int j = 0; j < NE; j++)
+      part += inverse[i][j] == 0 ? 0 : inverse[i][j] * clip(all_finite(e + j, 1) ? e[j] : 1e15, -1e15, 1e15);
     size[sensor_of[i]] += part * clip(all_finite(e + i, 1) ? e[i] : 1e15, -1e15, 1e15);
     if (there[i] == 0) whole[sensor_of[i]] = 0;
   }
@@ -193,8 +195,9 @@ static void measured(const tube_real *before, const tube_real *y, const tube_rea
   for (int k = 0; k < 4; k++) x[ATTITUDE + k] /= length;
 }
 
-/* Lets an estimate that is begun at what is measured take over where it explains the measurements far better; see rival.py. */
-static unsigned challenged(const tube_real *before, const tube_real *y, const tube_real *there, const tube_real *e, int denied) {
+/* Lets an estimate that is begun at what is measured take over where it explains the measurements far better (rival.py). */
+static unsigned challenged(const tube_real *before, const tube_real *y, const tube_real *there, const tube_real *e,
+                           int denied) {
   tube_real surprised = surprise(e, there), next[NF], off[NE], y_hat[NY], start[NF];
   for (int r = 0; r < RIVALS; r++) {
     if (!c.has_rival[r]) continue;

@@ -4,8 +4,8 @@
    Commands u: @inputs@, from @low@ to @high@, no more than @rate@ apart from plan to plan.
    A sample is @sample@ s, a plan is made every @every@ samples, for @horizon@ stages of @dt@ s.
 
-   A command that a call returns is in force from the next sample on. Whatever is measured, every command keeps its limits and
-   its rate. Nothing is allocated; memory is static, so that an image has one controller, called from one place. */
+   A command that a call returns is in force from the next sample on. Whatever is measured, every command keeps its limits
+   and its rate. Nothing is allocated; memory is static, so that an image has one controller, called from one place. */
 #ifndef @UPPER@_TUBE_H
 #define @UPPER@_TUBE_H
 
@@ -62,9 +62,9 @@ int @NAME@_tube_start(const @NAME@_tube_real place[4]);
    next start, which sets @kappa@ and @kappa_u@. */
 void @NAME@_tube_kappa(const @NAME@_tube_real kappa[@UPPER@_TUBE_PLANES + 1], @NAME@_tube_real commands);
 
-/* The command from the next sample on, given what is measured now. passed: time since the call before [s]. given: which y are
-   measured. path: the reference one sample from now, and stage by stage from there. planes: (STAGES + 1, PLANES, 4), normal
-   and offset per stage, position . normal <= offset; null: none. */
+/* The command from the next sample on, given what is measured now. passed: time since the call before [s]. given: which y
+   are measured. path: the reference one sample from now, and stage by stage from there. planes: (STAGES + 1, PLANES, 4),
+   normal and offset per stage, position . normal <= offset; null: none. */
 unsigned @NAME@_tube_step(@NAME@_tube_real passed, const @NAME@_tube_real y[@UPPER@_TUBE_N_Y],
                           const unsigned char given[@UPPER@_TUBE_N_Y],
                           const @NAME@_tube_path path[@UPPER@_TUBE_STAGES + 1],

@@ -32,7 +32,7 @@ from tests.residual import hybrid_cases
 HERE = Path(__file__).parent
 NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD = np.diag([1.0, -1.0, -1.0])
-WARNINGS = ("-Wall", "-Wextra", "-Werror", "-Wno-unused-parameter")
+WARNINGS = ("-Wall", "-Wextra", "-Werror")
 pytestmark = pytest.mark.skipif(
     shutil.which("gcc") is None or shutil.which("g++") is None, reason="C compiler is not installed"
 )

@@ -151,7 +151,7 @@ class Watched:
 @pytest.mark.slow
 def test_a_plan_that_is_cut_off_keeps_limits_and_rates_at_every_stage(tmp_path, monkeypatch):
     """Rates of later stages were not looked at."""
-    monkeypatch.setitem(linear.WORDS, "qp_iterations", "2")
+    monkeypatch.setattr(linear, "QP_ITERATIONS", 2)
     own, cut = pilot(), 0
     made = Opened(own, tmp_path, monkeypatch, real="double")
     y = flight(own, 60, 0, made)["measured"]
