@@ -1,8 +1,8 @@
 """Check of stream alignment: attitude against gyro over the flight, and when each channel answers
 to the command.
 
-Windowed cross-correlation gives the offset and how it drifts. A positive offset means that the gyro
-is late against the attitude.
+A positive offset means that the gyro is late against the attitude. Offset and drift are stated where
+they are clear of what the flight's rates can tell.
 """
 
 from __future__ import annotations
@@ -11,34 +11,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
-from greybox.data.checks.signals import (
-    attitude_rate,
-    best_lag,
-    bridged,
-    correlation,
-    peak,
-    shifted,
-    smoothed,
-    windowed,
-)
+from greybox.data.checks.delay import Delays, delays
+from greybox.data.checks.finding import Check, Finding, Severity, Unjudged, per_flight
+from greybox.data.checks.relations import CLEAR
+from greybox.data.checks.signals import best_lag, bridged, correlation, shifted, smoothed
 from greybox.data.checks.torque import torque_regression
-from greybox.data.checks.view import FloatArray, View
-
-WINDOW = 2.0
-"""Length of a window [s]."""
-
-LARGEST = 0.3
-"""Largest offset that is looked for [s]."""
-
-CREDIBLE = 0.7
-"""Correlation from which a window counts."""
+from greybox.data.checks.view import View
 
 BLOCKING = 0.05
 """Median offset [s] from which a fit is blocked (and at least two samples)."""
-
-HALF_WINDOW = 0.02
-"""Rates are compared as means over twice this time [s]."""
 
 ANSWERS = 0.05
 """Share of variance that commands must explain before a delay is stated."""
@@ -49,14 +30,14 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     motion."""
     offset = None
     if view.has("attitude", "rate"):
-        windows = window_offsets(view)
-        if windows.shape[0] >= 1:
-            offset = float(np.median(windows[:, 1]))
-            yield _offset(view, windows, offset)
+        told = delays(view)
+        if CLEAR * told.middle_error(wandering=False) < max(BLOCKING / view.dt, 2.0):
+            offset = told.quantile(0.5)
+            yield _offset(view, told, offset)
         else:
-            yield Unjudged(
-                check="alignment", flight=view.name, reason="gyro and attitude are never alike"
-            )
+            what = "the rates change too little to tell their delay against the attitude"
+            what = what if told.count else "gyro and attitude are never alike"
+            yield Unjudged(check="alignment", flight=view.name, reason=what)
     else:
         what = (
             "no airborne stretch"
@@ -69,69 +50,37 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     yield from _answers(view, offset)
 
 
-def window_offsets(view: View) -> FloatArray:
-    """(K, 3): middle of the window [s], how late the gyro is against the attitude [samples],
-    correlation there."""
-    half = max(1, round(HALF_WINDOW / view.dt))
-    gyro = smoothed(bridged(view.group("rate"), half), half)
-    rate = attitude_rate(view.group("attitude"), view.dt, half)
-    length, reach = round(WINDOW / view.dt), round(LARGEST / view.dt)
-    time = view.time
-    lags = np.arange(-reach, reach + 1)
-    starts = np.arange(0, max(rate.shape[0] - length, 0) + 1, max(length // 2, 1))
-    there = np.concatenate([[0], np.cumsum(np.isfinite(rate).all(axis=1))])
-    starts = starts[starts + length <= rate.shape[0]]
-    starts = starts[there[starts + length] - there[starts] >= 0.8 * length]
-    out = []
-    for start, scores in zip(starts, windowed(gyro, rate, lags, starts, length), strict=True):
-        lag, top = peak(scores, lags)
-        if top >= CREDIBLE and abs(lag) < reach:
-            out.append((float(np.nanmean(time[start : start + length])), lag, top))
-    return np.array(out).reshape(-1, 3)
-
-
-def _offset(view: View, windows: FloatArray, offset: float) -> Finding:
+def _offset(view: View, told: Delays, offset: float) -> Finding:
     dt = view.dt
-    low, high = (float(v) for v in np.percentile(windows[:, 1], [10, 90]))
-    drift = high - low
-    slope = 0.0
-    if windows.shape[0] >= 3:
-        since = windows[:, 0] - windows[0, 0]
-        slope = float(np.polyfit(since, windows[:, 1], 1)[0]) * dt
+    low, high = told.drift
+    drift, error = high - low, told.middle_error()
+    sure = abs(offset) > CLEAR * error
     late = "late" if offset > 0 else "early"
-    if abs(offset) >= max(BLOCKING / dt, 2.0):
-        severity, text = (
-            "blocking",
-            f"the gyro is {abs(offset):.1f} samples {late} against the attitude",
-        )
-    elif abs(offset) > 1.0 or drift > 2.0:
+    severity: Severity = "info"
+    text = f"gyro and attitude are aligned within {max(abs(offset), drift, error):.1f} samples"
+    if sure and abs(offset) >= max(BLOCKING / dt, 2.0):
+        severity = "blocking"
+        text = f"the gyro is {abs(offset):.1f} samples {late} against the attitude"
+    elif (sure and abs(offset) > 1.0) or drift > 2.0:
         severity = "warning"
         text = (
             f"the gyro is {abs(offset):.1f} samples {late} against the attitude and wanders by "
             f"{drift:.1f}"
         )
-    else:
-        severity, text = (
-            "info",
-            f"gyro and attitude are aligned within {max(abs(offset), drift):.1f} samples",
-        )
     return Finding(
         check="alignment",
-        severity="blocking"
-        if severity == "blocking"
-        else "warning"
-        if severity == "warning"
-        else "info",
+        severity=severity,
         flight=view.name,
         where="p, q, r against qw..qz",
         message=text,
         evidence={
             "offset_samples": offset,
             "offset_s": offset * dt,
+            "error_samples": error,
             "low_samples": low,
             "high_samples": high,
-            "drift_s_per_s": slope,
-            "windows": int(windows.shape[0]),
+            "drift_s_per_s": told.slope * dt,
+            "windows": told.count,
         },
         fix="log all streams with one clock, stamped at the source; or shift one of them and fit a "
         "delay per flight",

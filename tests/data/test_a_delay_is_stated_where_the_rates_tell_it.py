@@ -1,0 +1,56 @@
+"""Nearly constant rates tell no delay between gyro and attitude: nothing is stated of their clocks.
+Where the rates tell it, how far the clocks wander is found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from faults import vehicle
+
+from greybox.data import RawLog
+from greybox.data.checks import CheckReport, check
+
+RATE = 100.0
+ATTITUDE_NOISE, GYRO_NOISE = 0.002, 0.015
+
+
+def flown(*, wobble: float, wander: float = 0.0, seed: int = 0) -> CheckReport:
+    """Twenty seconds of banking to and fro once in five seconds, and by `wobble` [rad] thrice a
+    second; the gyro's clock is up to `wander` samples late and early."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 20.0, 1.0 / RATE)
+
+    def bank(at: np.ndarray) -> np.ndarray:
+        return 0.3 * np.sin(0.4 * np.pi * at) + wobble * np.sin(6.0 * np.pi * at)
+
+    felt = t - wander / RATE * np.sin(0.2 * np.pi * t)
+    p = (bank(felt + 1e-4) - bank(felt - 1e-4)) / 2e-4 + GYRO_NOISE * rng.standard_normal(t.size)
+    half = 0.5 * (bank(t) + ATTITUDE_NOISE * rng.standard_normal(t.size))
+    still = {n: GYRO_NOISE * rng.standard_normal(t.size) for n in "qr"}
+    channels = {f"u{i}": np.full(t.size, 0.6) for i in (1, 2, 3, 4)}
+    channels |= {"qw": np.cos(half), "qx": np.sin(half), "qy": 0 * t, "qz": 0 * t, "p": p, **still}
+    raw = RawLog(
+        t=t,
+        channels=channels,
+        extra={},
+        rows=np.arange(1, t.size + 1),
+        flight="flown",
+        source="flown.csv",
+        sha256="0" * 64,
+    )
+    return check([raw], vehicle("nanobench"))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_clocks_of_a_smooth_circle_do_not_wander(seed: int) -> None:
+    report = flown(wobble=0.0, seed=seed)
+    assert report.wander == 0.0
+    assert not report.of("alignment")
+    assert any("change too little" in u.reason for u in report.not_judged)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_clocks_that_wander_are_found_by_as_much_where_the_rates_tell_it(seed: int) -> None:
+    report = flown(wobble=0.1, wander=4.0, seed=seed)
+    assert report.wander == pytest.approx(7.0, abs=1.5)
+    assert flown(wobble=0.1, seed=seed).wander == 0.0
