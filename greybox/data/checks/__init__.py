@@ -72,15 +72,29 @@ CHECKS: tuple[Check, ...] = (
     saturation.CHECK,
     gravity.CHECK,
     KINEMATICS,
-    motors.CHECK,
     alignment.CHECK,
+    motors.CHECK,
     excitation.CHECK,
 )
-"""All checks, in the order in which they are made."""
+"""All checks, in the order in which they are made: the motors are judged by gyros that are right."""
 
 
 NAMES = tuple(sorted({c.name for c in CHECKS if c is not KINEMATICS} | {r.name for r in RELATIONS}))
 """What a finding can be of, and what can be accepted."""
+
+
+FRAMES = (*(r.name for r in RELATIONS), "alignment")
+"""Checks that find axes, units or clocks wrong."""
+WRONG = "the gyro's axes, unit or clock are wrong"
+
+
+def _of_a_wrong_gyro(findings: Iterable[Finding]) -> set[str]:
+    """The flights whose gyro judges no motors, neither their own nor those of the craft."""
+    return {
+        f.flight
+        for f in findings
+        if f.severity == "blocking" and f.check in FRAMES and "p, q, r" in f.where
+    }
 
 
 def check(
@@ -108,7 +122,9 @@ def check(
     # What overflows in a check is a value that `ranges` names.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for one in CHECKS:
-            for outcome in one.run(views):
+            wrong = _of_a_wrong_gyro(findings) if one is motors.CHECK else set()
+            unjudged += [Unjudged(check=one.name, flight=n, reason=WRONG) for n in sorted(wrong)]
+            for outcome in one.run([v for v in views if v.name not in wrong]):
                 if isinstance(outcome, Finding):
                     findings.append(outcome)
                 else:
@@ -124,7 +140,6 @@ def check(
                 rate=view.rate,
             )
         )
-    findings, unjudged = _without_consequences(findings, unjudged)
     findings.sort(key=lambda f: SEVERITIES.index(f.severity))
     return CheckReport(
         vehicle=vehicle.name,
@@ -133,27 +148,6 @@ def check(
         not_judged=tuple(unjudged),
         accepted=accepted,
     )
-
-
-FRAMES = (*(r.name for r in RELATIONS), "alignment")
-"""Checks that find axes, units or clocks wrong."""
-
-
-def _without_consequences(
-    findings: list[Finding], unjudged: list[Unjudged]
-) -> tuple[list[Finding], list[Unjudged]]:
-    """Motors are not judged by a gyro whose axes, unit or clock are wrong."""
-    wrong = {
-        f.flight
-        for f in findings
-        if f.severity == "blocking" and f.check in FRAMES and "p, q, r" in f.where
-    }
-    dropped = {f.flight for f in findings if f.check == "motors" and f.flight in wrong}
-    kept = [f for f in findings if not (f.check == "motors" and f.flight in wrong)]
-    reason = "the gyro's axes, unit or clock are wrong"
-    return kept, unjudged + [
-        Unjudged(check="motors", flight=n, reason=reason) for n in sorted(dropped)
-    ]
 
 
 def check_logs(

@@ -130,8 +130,8 @@ def delays(view: View) -> Delays:
 def _error(gyro: FloatArray, rate: FloatArray, rows: slice, late: int, half: int) -> float:
     """Standard error [samples] of the delay in these rows.
 
-    The noise of both is alike over the samples of a mean. The noise makes the slopes of each stream
-    larger, but not what they have in common.
+    Sizes mean nothing. The noise of both is alike over the samples of a mean. It makes the slopes of
+    each stream larger, but not what they have in common.
     """
     first, last = max(rows.start - half, 0), rows.stop + half
     y, x = gyro[first:last], shifted(rate, late)[first:last]
@@ -141,7 +141,8 @@ def _error(gyro: FloatArray, rate: FloatArray, rows: slice, late: int, half: int
     common = float((slope * other).sum())
     if common <= 0.0:
         return float("inf")
-    noise = float(((y - x) ** 2).mean()) * (2 * half + 1)
+    size = np.sqrt((y**2).sum() / (x**2).sum())
+    noise = float(((y - size * x) ** 2).mean()) * (2 * half + 1)
     return float(np.sqrt(noise * (slope**2).sum() / 3.0)) / common
 
 

@@ -1,8 +1,5 @@
 """Check of the measured channels against each other: axes, frames, signs, factors, delays, and the
-clock's rate, over each flight and over all flights of the craft together.
-
-What is found in a flight is said of that flight; what only all flights together show is said of
-each of them.
+clock's rate, in each flight and over those of the craft together (`together.py`).
 """
 
 from __future__ import annotations
@@ -30,6 +27,7 @@ from greybox.data.checks.relations import (
     mixed,
     moments,
 )
+from greybox.data.checks.together import Told, alone_and_together
 from greybox.data.checks.view import View
 from greybox.data.raw import FloatArray
 
@@ -157,6 +155,8 @@ def _moved(stream: FloatArray) -> float:
 
 def together(parts: Sequence[Related]) -> Related:
     """Several flights as one, with the readings that all have."""
+    if len(parts) == 1:
+        return parts[0]
     sets = [p.apart for p in parts if p.apart is not None]
     size = float(np.sqrt(np.mean([p.size**2 for p in parts])))
     return Related(
@@ -197,18 +197,13 @@ def judge(relation: Relation, views: Sequence[View]) -> tuple[list[Outcome], dic
         found = related(relation, view)
         if isinstance(found, str):
             out.append(Unjudged(check=relation.name, flight=view.name, reason=found))
-            continue
-        better = _better(relation, found)
-        if better is not None:
-            out.append(_misread(relation, view.name, found, better))
         else:
             holds[view.name] = found
-    if len(holds) > 1:
-        all_of_them = together(list(holds.values()))
-        better = _better(relation, all_of_them)
-        if better is not None:
-            out += [_misread(relation, name, all_of_them, better, len(holds)) for name in holds]
-            holds = {}
+    told = alone_and_together(
+        holds, lambda some: _better(relation, together(some)), claim=lambda better: better.text
+    )
+    for one in told:
+        out += [_misread(relation, name, holds.pop(name), one) for name in one.flights]
     for name, found in list(holds.items()):
         if _share(found.given) < SEEN:
             del holds[name]
@@ -230,14 +225,13 @@ def _better(relation: Relation, found: Related) -> Better | None:
     return better_reading(apart, found.streams.axes, relation.fix) if apart else better
 
 
-def _misread(
-    relation: Relation, flight: str, found: Related, better: Better, flights: int = 1
-) -> Finding:
+def _misread(relation: Relation, flight: str, found: Related, told: Told[Better]) -> Finding:
+    better = told.said
     evidence = {"share_as_given": better.given_share, "share_explained": better.share}
     if better.angle:
         evidence |= {"angle_deg": better.angle, "angle_error_deg": better.angle_error}
-    if flights > 1:
-        evidence["flights"] = flights
+    if len(told.flights) > 1:
+        evidence["flights"] = len(told.flights)
     message = f"{relation.streams} agree only when {better.text}"
     message += (
         f" (explains {100 * better.share:.0f} % of the motion, as given "
@@ -250,7 +244,7 @@ def _misread(
         severity="blocking" if better.blocks else "warning",
         flight=flight,
         where=found.streams.where or relation.where,
-        message=message,
+        message=message + (told.against if better.blocks else ""),
         evidence=evidence,
         fix=better.fix,
     )
@@ -276,25 +270,23 @@ def run(views: Sequence[View], relations: Sequence[Relation]) -> Iterator[Outcom
     for relation in relations:
         outcomes, held[relation.name] = judge(relation, views)
         yield from outcomes
-    pooled = {n: together(list(f.values())).given for n, f in held.items() if len(f) > 1}
+    wrong: set[str] = set()
     for view in views:
-        there = {r.name: held[r.name][view.name] for r in relations if view.name in held[r.name]}
-        yield from _sizes(view.name, relations, there, pooled)
-        for relation in relations:
-            if (
-                relation.name in there and relation.name != "attitude"
-            ):  # its delay is the alignment's
-                yield from _late(relation, view.name, there[relation.name])
+        there = {n: found[view.name] for n, found in held.items() if view.name in found}
+        clock = _clock(view.name, there)
+        if clock is not None:
+            yield clock
+            wrong |= {view.name} if clock.severity == "blocking" else set()
+    for relation in relations:
+        sized = {n: f for n, f in held[relation.name].items() if f.streams.scaled}
+        yield from _sizes(relation, {n: f for n, f in sized.items() if n not in wrong})
+        if relation.name != "attitude":  # its delay is the alignment's
+            for name, found in held[relation.name].items():
+                yield from _late(relation, name, found)
 
 
-def _sizes(
-    flight: str,
-    relations: Sequence[Relation],
-    there: Mapping[str, Related],
-    pooled: Mapping[str, Moments],
-) -> Iterator[Finding]:
-    """Findings on factors: of the clock where two relations give the same one, of channels
-    otherwise."""
+def _clock(flight: str, there: Mapping[str, Related]) -> Finding | None:
+    """A finding where relations give the same factor: it is the clock's."""
     factors = {
         n: f for n, r in there.items() if r.streams.scaled and (f := factor(r.given)) is not None
     }
@@ -303,7 +295,7 @@ def _sizes(
     low, high = max((c.low for c in off), default=0.0), min((c.high for c in off), default=0.0)
     if len(off) >= 2 and low <= high:
         rate = 0.5 * (low + high)
-        yield Finding(
+        return Finding(
             check="clock",
             severity="blocking",
             flight=flight,
@@ -314,27 +306,24 @@ def _sizes(
             fix="correct the time stamps (unit in [columns.time]), or the rate at which the log "
             "was written",
         )
-        return
     common = common_rate(list(clocks.values()))
-    if common is not None:
-        shown = ", ".join(f"{n} {c.value:.3g}" for n, c in clocks.items())
-        yield Finding(
-            check="clock",
-            severity="warning",
-            flight=flight,
-            where="t",
-            message=f"the time may run {common:.3g} times as fast as the motion: no factor is "
-            f"nearer to 1 than to that ({shown})",
-            evidence={
-                "clock_rate": common,
-                **{f"clock_rate_{n}": c.value for n, c in clocks.items()},
-            },
-            fix="compare the rate of the log with the one that was set; if it is right, check the "
-            "units and scales in [columns]",
-        )
-    for relation in relations:
-        if relation.name in there and there[relation.name].streams.scaled:
-            yield from _factor(relation, flight, there[relation.name], pooled.get(relation.name))
+    if common is None:
+        return None
+    shown = ", ".join(f"{n} {c.value:.3g}" for n, c in clocks.items())
+    return Finding(
+        check="clock",
+        severity="warning",
+        flight=flight,
+        where="t",
+        message=f"the time may run {common:.3g} times as fast as the motion: no factor is "
+        f"nearer to 1 than to that ({shown})",
+        evidence={
+            "clock_rate": common,
+            **{f"clock_rate_{n}": c.value for n, c in clocks.items()},
+        },
+        fix="compare the rate of the log with the one that was set; if it is right, check the "
+        "units and scales in [columns]",
+    )
 
 
 def common_rate(clocks: Sequence[Factor]) -> float | None:
@@ -356,26 +345,36 @@ def common_rate(clocks: Sequence[Factor]) -> float | None:
     return None if len(nearer) < 2 or against or any(c.clear for c in left) else rate
 
 
-def _factor(
-    relation: Relation, flight: str, found: Related, pooled: Moments | None
-) -> Iterator[Finding]:
-    """A finding where y and x differ by a factor, in all axes or in some, in this flight or in
-    all."""
-    for sums in (found.given, pooled) if pooled is not None else (found.given,):
-        axes = {a: factor(sums, [i]) for i, a in enumerate(found.streams.axes)}
-        clear = {a: f for a, f in axes.items() if f is not None and f.clear}
-        total = factor(sums)
-        sound = [a for a, f in axes.items() if f is not None and f.low < 1.0 < f.high]
-        if total is not None and total.clear and not (clear and sound):
-            yield _of_size(relation, flight, found, total, "")
-            return
-        if clear:
-            worst = max(clear, key=lambda a: abs(np.log(clear[a].value)))
-            yield _of_size(relation, flight, found, clear[worst], f" in {', '.join(clear)}")
-            return
+def _sizes(relation: Relation, flights: Mapping[str, Related]) -> Iterator[Finding]:
+    """Findings where y and x differ by a factor, in all axes or in some."""
+    told = alone_and_together(
+        flights,
+        lambda some: _size(together(some)),
+        claim=lambda size: (size[1], f"{size[0].value:.2g}"),
+    )
+    for one in told:
+        for name in one.flights:
+            yield _of_size(relation, name, flights[name], one)
 
 
-def _of_size(relation: Relation, flight: str, found: Related, size: Factor, which: str) -> Finding:
+def _size(found: Related) -> tuple[Factor, str] | None:
+    """(factor that is clear, in which axes)."""
+    axes = {a: factor(found.given, [i]) for i, a in enumerate(found.streams.axes)}
+    clear = {a: f for a, f in axes.items() if f is not None and f.clear}
+    total = factor(found.given)
+    sound = [a for a, f in axes.items() if f is not None and f.low < 1.0 < f.high]
+    if total is not None and total.clear and not (clear and sound):
+        return total, ""
+    if not clear:
+        return None
+    worst = max(clear, key=lambda a: abs(np.log(clear[a].value)))
+    return clear[worst], f" in {', '.join(clear)}"
+
+
+def _of_size(
+    relation: Relation, flight: str, found: Related, told: Told[tuple[Factor, str]]
+) -> Finding:
+    size, which = told.said
     text, fix = (
         relation.factor.format(f"{size.value:.3g}") + which,
         "check the units of both in [columns]",
@@ -391,7 +390,7 @@ def _of_size(relation: Relation, flight: str, found: Related, size: Factor, whic
         severity=severity,
         flight=flight,
         where=found.streams.where or relation.where,
-        message=text,
+        message=text + (told.against if severity == "blocking" else ""),
         evidence={"factor": size.value, "lowest": size.low, "highest": size.high},
         fix=fix,
     )

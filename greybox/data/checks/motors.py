@@ -2,16 +2,16 @@
 no attitude.
 
 The torques found by regression are compared with those that position and spin of the vehicle file
-promise, over all flights of a craft together. Another order is said only where it explains far more
-of them.
+promise, in each flight and over those of a craft together. Another order is said only where it
+explains far more of them.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from greybox.data.airframe import Airframe, ThrustMap, Weighed
 from greybox.data.channel import command_names
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged
 from greybox.data.checks.relations import CLEAR, LEAST, LEFT, jackknife
+from greybox.data.checks.together import alone_and_together
 from greybox.data.checks.torque import (
     Sums,
     Torque,
@@ -46,8 +47,10 @@ AXES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Verdict:
-    """What the torques say, the same for all flights that were judged together."""
+    """What the torques say, the same for all flights that were judged together; `claim` is the
+    same where they say the same."""
 
+    claim: str
     severity: Severity
     where: str
     message: str
@@ -56,8 +59,8 @@ class Verdict:
 
 
 def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
-    """Findings on motor order and spin, over all flights of the craft together: the best excited
-    weigh most."""
+    """Findings on motor order and spin, in each flight and over those of the craft together: the
+    best excited weigh most."""
     found: dict[str, Torque] = {}
     for view in views:
         torque = torque_regression(view) if view.has("rate") and view.drives else None
@@ -74,38 +77,44 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
     if not found:
         return
     promised, names = expected_signs(views[0]), views[0].drive_names
-    craft = joined_sums([t.sums for t in found.values()])
-    verdict = _order(craft, promised, names)
-    if verdict is not None:
-        yield from (_finding(name, verdict, len(found)) for name in found)
-        return
-    for name, torque in found.items():
-        alone = _order(torque.sums, promised, names) if len(found) > 1 else None
-        if alone is not None:
-            text = f"in this flight {alone.message}; all flights together say otherwise"
-            yield _finding(name, replace(alone, severity="warning", message=text))
-    craft_is = [
-        *_spins(craft, promised, max(t.share[2] for t in found.values())),
-        *_strength(views[0].vehicle, craft),
-    ]
-    for name in found:
-        for said in craft_is:
-            if isinstance(said, str):
-                yield Unjudged(check="motors", flight=name, reason=said)
-            else:
-                yield _finding(name, said, len(found))
+    vehicle, seen = views[0].vehicle, max(t.share[2] for t in found.values())
+    said = _told(found, lambda some: _order(_joined(some), promised, names))
+    yield from said
+    left = {n: t for n, t in found.items() if n not in {f.flight for f in said}}
+    yield from _told(left, lambda some: _spins(some, promised))
+    if np.any(promised[2]) and seen < SEEN_YAW:
+        reason = "too little yaw motion to see the spins"
+        yield from (Unjudged(check="motors", flight=n, reason=reason) for n in left)
+    yield from _told(left, lambda some: _strength(vehicle, _joined(some)))
 
 
-def _finding(flight: str, verdict: Verdict, flights: int = 1) -> Finding:
-    return Finding(
-        check="motors",
-        severity=verdict.severity,
-        flight=flight,
-        where=verdict.where,
-        message=verdict.message,
-        evidence={**verdict.evidence, "flights": flights},
-        fix=verdict.fix,
+def _joined(torques: Sequence[Torque]) -> Sums:
+    return joined_sums([t.sums for t in torques])
+
+
+def _told(
+    flights: Mapping[str, Torque], judge: Callable[[Sequence[Torque]], Verdict | None]
+) -> list[Finding]:
+    """The findings of one question, flights that disagree named."""
+    told = alone_and_together(
+        flights,
+        judge,
+        claim=lambda said: said.claim,
+        sure=lambda said: said.severity == "blocking",
     )
+    return [
+        Finding(
+            check="motors",
+            severity=one.said.severity,
+            flight=flight,
+            where=one.said.where,
+            message=one.said.message + one.against,
+            evidence={**one.said.evidence, "flights": len(one.flights)},
+            fix=one.said.fix,
+        )
+        for one in told
+        for flight in one.flights
+    ]
 
 
 def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | None:
@@ -140,6 +149,7 @@ def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | 
     evidence["agreement_other_order"] = float(best[:2].mean())
     if moved and far and bool((best[:2] >= AGREE).all()):
         return Verdict(
+            claim=", ".join(moved),
             severity="blocking",
             where=f"{names[0]}.. against p, q, r",
             message=f"the motor order is wrong: {', '.join(moved)} {says}",
@@ -150,6 +160,7 @@ def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | 
     if bool((agreement[:2] >= AGREE).all()):
         return None
     return Verdict(
+        claim="poor",
         severity="warning",
         where=f"{names[0]}.. against p, q, r",
         message=f"the torques of the commands fit the rotor positions poorly {says}, and no other "
@@ -159,46 +170,48 @@ def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | 
     )
 
 
-def _spins(sums: Sums, promised: FloatArray, share: float) -> Iterator[Verdict | str]:
-    """Findings on the spins, from the yaw torques; a reason where they cannot be seen."""
-    if not np.any(promised[2]):
-        return
-    if share < SEEN_YAW:
-        yield "too little yaw motion to see the spins"
-        return
+def _spins(torques: Sequence[Torque], promised: FloatArray) -> Verdict | None:
+    """What is wrong with the spins, from the yaw torques; None where they cannot be seen, too."""
+    sums, share = _joined(torques), max(t.share[2] for t in torques)
+    if not np.any(promised[2]) or share < SEEN_YAW:
+        return None
     yaw = float(sums.total.agreement(promised)[2, 0])
     high = yaw + CLEAR * jackknife(sums.left_out.agreement(promised)[2])
     evidence = {"agreement_yaw": yaw, "share_yaw": share}
     if yaw < -AGREE and high < 0.0:
-        yield Verdict(
+        return Verdict(
+            claim="opposite",
             severity="blocking",
             where="spin of the rotors",
             message="the yaw torques have the opposite sign: the spins are the wrong way round",
             evidence=evidence,
             fix="change the sign of spin of every rotor (1 = counter-clockwise seen from above)",
         )
-    elif high < AGREE:
-        signs = np.sign(-directions(sums.gains())[2]).astype(int).tolist()
-        yield Verdict(
-            severity="warning",
-            where="spin of the rotors",
-            message=f"the yaw torques look like spins {signs}, the vehicle file says otherwise",
-            evidence=evidence,
-            fix="compare spin of each rotor with the craft",
-        )
+    if high >= AGREE:
+        return None
+    signs = np.sign(-directions(sums.gains())[2]).astype(int).tolist()
+    return Verdict(
+        claim=f"{signs}",
+        severity="warning",
+        where="spin of the rotors",
+        message=f"the yaw torques look like spins {signs}, the vehicle file says otherwise",
+        evidence=evidence,
+        fix="compare spin of each rotor with the craft",
+    )
 
 
-def _strength(vehicle: Airframe, sums: Sums) -> Iterator[Verdict]:
+def _strength(vehicle: Airframe, sums: Sums) -> Verdict | None:
     """The gyro's unit from the size of the torque gains, where thrust and inertia are known."""
     promised = promised_gain(vehicle)
     if promised is None:
-        return
+        return None
     ratio = float(np.sqrt(np.prod(np.linalg.norm(sums.gains()[:2], axis=1) / promised)))
     # Lag and smoothing take half or more of the gain: 0.15 .. 1 is usual in rad/s.
     if 0.02 < ratio < 6.0:
-        return
+        return None
     what = "deg/s" if ratio > 6.0 else "scaled from deg/s to rad/s twice"
-    yield Verdict(
+    return Verdict(
+        claim=what,
         severity="blocking",
         where="p, q, r",
         message=f"angular acceleration {ratio:.3g} times what thrust and inertia promise: the gyro "
