@@ -15,6 +15,19 @@ UNIFORM_SHIFT = 0.3
 stretch."""
 
 
+RATES = (5.0, 20000.0)
+"""Sample rates [Hz] outside this range mean that the time is not in seconds."""
+UNIT = "say the unit that the column of the time has: [columns.time] unit = 's' (or ms, us, ns)"
+"""What to do about it."""
+
+
+def no_flight_log(rate: float) -> str | None:
+    """What is wrong with a sample rate [Hz] that no flight log has; None where nothing is."""
+    if RATES[0] <= rate <= RATES[1]:
+        return None
+    return f"a sample rate of {rate:.4g} Hz, as no flight log has: the time is hardly in seconds"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Clock:
     """What a log's time stamps look like. `dt` [s] sample time, `uniform` whether the stamps lie on

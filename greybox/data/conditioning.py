@@ -15,7 +15,7 @@ import numpy.typing as npt
 from greybox.data.airborne import airborne
 from greybox.data.airframe import Airframe
 from greybox.data.channel import command_names, group_names
-from greybox.data.clock import Clock, backward_rows, read_clock
+from greybox.data.clock import UNIT, Clock, backward_rows, no_flight_log, read_clock
 from greybox.data.dataset import Flight
 from greybox.data.drive import drive_names
 from greybox.data.raw import Column, RawLog
@@ -88,6 +88,8 @@ def condition(
             pieces += _resampled(part, dt, clock.dt, raw.flight, linear_hold)
     pieces, said = _with_drive(pieces, driving, max_gap)
     notes += said
+    if not pieces and (wrong := no_flight_log(1.0 / clock.dt)) is not None:
+        raise DataError(wrong, where=where, fix=UNIT)
     return _flight(raw, pieces, notes, where)
 
 

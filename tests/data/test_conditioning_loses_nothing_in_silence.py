@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from greybox.data import RawLog, read_log
+from greybox.data import RawLog, read_log, read_table
 from greybox.data.conditioning import condition
 from greybox.errors import DataError
 from greybox.examples import flight_path, flight_paths, vehicle_path
@@ -218,3 +220,10 @@ def test_inputs_are_not_changed():
     condition(raw)
     condition(raw, rate=30.0)
     assert np.array_equal(raw.channels["p"], before)
+
+
+def test_a_clock_in_the_wrong_unit_is_named_and_not_the_commands():
+    vehicle = read_vehicle(vehicle_path("nanobench"))
+    raw = read_table(flight_path("nanobench", "B2_circle_fast_rep1"), vehicle)
+    with pytest.raises(DataError, match=r"1e\+08 Hz, as no flight log has.*\[columns.time\] unit"):
+        condition(replace(raw, t=1e-6 * raw.t), vehicle, rate=100.0)

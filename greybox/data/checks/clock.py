@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.checks.finding import Check, Finding, per_flight
-from greybox.data.checks.view import RATES, View
-from greybox.data.clock import backward_rows
+from greybox.data.checks.view import View
+from greybox.data.clock import UNIT, backward_rows, no_flight_log
 
 JITTER = 0.6
 """Range of the steps, as a share of the sample time, from which resampling is worth a warning."""
@@ -41,15 +41,16 @@ def run(view: View) -> Iterator[Finding]:
     if view.clock is None:
         return
     rate = view.rate
-    if not RATES[0] <= rate <= RATES[1]:
+    wrong = no_flight_log(rate)
+    if wrong is not None:
         yield Finding(
             check="clock",
             severity="blocking",
             flight=view.name,
             where="t",
-            message=f"a sample rate of {rate:.4g} Hz: the time is hardly in seconds",
+            message=wrong,
             evidence={"rate_hz": rate},
-            fix="give the column of the time its unit: [columns.time] unit = 'ms' (or us, ns)",
+            fix=UNIT,
         )
     elif not view.clock.uniform:
         yield Finding(

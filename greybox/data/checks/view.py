@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from greybox.data.airframe import Airframe
 from greybox.data.channel import command_names, group_names
-from greybox.data.clock import Clock, read_clock
+from greybox.data.clock import Clock, no_flight_log, read_clock
 from greybox.data.conditioning import MAX_GAP, condition
 from greybox.data.dataset import Flight
 from greybox.data.drive import drive_names, full_drive
@@ -27,9 +27,6 @@ TOP_RATE = 250.0
 
 PAD = 1.0
 """Missing samples [s] put between segments, so that no lag or derivative reaches across."""
-
-RATES = (5.0, 20000.0)
-"""Sample rates [Hz] outside this range mean that the time is not in seconds."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +73,7 @@ class View:
     @property
     def usable_clock(self) -> bool:
         """Whether the clock is good enough to look at signals over time."""
-        return RATES[0] <= self.rate <= RATES[1]
+        return no_flight_log(self.rate) is None
 
     @functools.cached_property
     def flight(self) -> Flight | None:
