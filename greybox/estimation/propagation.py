@@ -123,17 +123,19 @@ def run_together(
         )
         now = c @ learned - through * push[:, None, :]
         out = []
-        for i, p in enumerate(propagators):
-            total, inner = white[i], c @ white[i] @ c.transpose(0, 2, 1) + p.seen
-            if p.spread.size:
-                total = total + bias @ p.spread @ bias.transpose(0, 2, 1)
-                # `sensitivity` already holds ex S + ep for the parameter columns.
-                inner = inner + direct @ p.spread @ direct.transpose(0, 2, 1)
-            if p._learned is not None:
-                total = total + learned @ learned.transpose(0, 2, 1)
-                inner = inner + now @ now.transpose(0, 2, 1)
-            out.append(Ahead(h=h, states=states, covariance=total, innovation_covariance=inner))
-            white[i] = a @ white[i] @ a.transpose(0, 2, 1) + p.noise
+        # Of a craft that cannot be, it may spread beyond all numbers: the verdict tells that.
+        with np.errstate(over="ignore", invalid="ignore"):
+            for i, p in enumerate(propagators):
+                total, inner = white[i], c @ white[i] @ c.transpose(0, 2, 1) + p.seen
+                if p.spread.size:
+                    total = total + bias @ p.spread @ bias.transpose(0, 2, 1)
+                    # `sensitivity` already holds ex S + ep for the parameter columns.
+                    inner = inner + direct @ p.spread @ direct.transpose(0, 2, 1)
+                if p._learned is not None:
+                    total = total + learned @ learned.transpose(0, 2, 1)
+                    inner = inner + now @ now.transpose(0, 2, 1)
+                out.append(Ahead(h=h, states=states, covariance=total, innovation_covariance=inner))
+                white[i] = a @ white[i] @ a.transpose(0, 2, 1) + p.noise
         yield out
         learned = a @ learned + into * push[:, None, :]
         start[:, :, :na] = found.end_sensitivity[:, :, :na]

@@ -26,6 +26,8 @@ from greybox.validation.open_loop import IntArray
 WORLD = ("position", "velocity")
 
 
+# What no craft has may spread beyond all numbers; the verdict says so, and no warning of numpy.
+@np.errstate(over="ignore", invalid="ignore")
 def stated_covariances(
     propagator: Propagator,
     filtered: Filtered,
