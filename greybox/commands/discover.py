@@ -6,7 +6,9 @@ from __future__ import annotations
 import argparse
 import itertools
 import shlex
+import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,8 +59,8 @@ def add(subparsers: Subcommands) -> None:
         "not propose it, add it and show how far the gap closed. Writes discovery.json, model.json "
         "(the improved model), "
         "report.html and, where what is left follows a law, proposal_<n>.py and "
-        "model_with_laws.json. Exit code 0: done, "
-        "whatever the verdict, 2: bad input, 130: interrupted (the files hold what was found until "
+        "model_with_laws.json. Exit code 0: done, 1: not searched, as a fault of a log or of the "
+        "vehicle file blocks, 2: bad input, 130: interrupted (the files hold what was found until "
         "then).",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file (not needed with --from)")
@@ -192,8 +194,8 @@ class _Search:
         from greybox.files import withdraw, write_atomic, write_json
 
         out, content = self._out, found.to_dict()
-        accepted_faults = (f"accepted: {f.flight}: {f.message}" for f in self.faults.overruled)
-        content["warnings"] = [*accepted_faults, *content["warnings"]]
+        overruled, told = self.warnings()
+        content["warnings"] = [*overruled, *content["warnings"], *told]
         content["command"] = typed("discover")
         has = () if found.fit is None else found.model.effects
         content["effects_files"] = [
@@ -218,6 +220,11 @@ class _Search:
             withdraw(out, WITH_LAWS)
         write_json(out / "discovery.json", content)
 
+    def warnings(self) -> tuple[list[str], list[str]]:
+        """What the flights were searched in spite of: (faults that were accepted, warnings)."""
+        overruled = [f"accepted: {f.flight}: {f.message}" for f in self.faults.overruled]
+        return overruled, self.faults.warning_lines()
+
     @property
     def content(self) -> DiscoveryDocument:
         """discovery.json as it was written last."""
@@ -240,7 +247,9 @@ class _Search:
         from greybox.discovery.result import WITH_LAWS
         from greybox.model.layer import physics_of
 
-        lines, laws = [found.summary()], list(found.proposals())
+        lines, laws = found.summary().splitlines(), list(found.proposals())
+        first = 1 + len(found.faults)
+        lines[first:first] = [f"warning: {w}" for some in self.warnings() for w in some]
         written = ["discovery.json", *(["model.json"] if found.fit is not None else []), *laws]
         if found.lawful is not None:
             written.append(WITH_LAWS)
@@ -327,7 +336,6 @@ def _subject(
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, search, report."""
     from greybox.commands.vehicle_lines import say_vehicle
-    from greybox.data.checks import CheckReport, check_logs
     from greybox.discovery.workflow import refused
     from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
@@ -343,15 +351,7 @@ def run(arguments: argparse.Namespace) -> int:
     own = [e for effects in offered.values() for e in effects]
     since = None if arguments.since is None else IdentifiedModel.load(arguments.since, effects=own)
     subject = _subject(arguments, since)
-    if isinstance(subject, StateSpaceModel):
-        faults = CheckReport(vehicle=subject.name, flights=(), findings=(), not_judged=())
-    else:  # the files show faults of their clocks, which reading mends
-        faults = check_logs(
-            [*arguments.train, *arguments.test],
-            subject,
-            mapping=arguments.mapping,
-            accept=accepted(arguments.accept),
-        )
+    faults = _faults(arguments, subject)
     search = _Search(out, f"What the model of {subject.name} misses", offered, faults)
     if faults.ok:
         train = read_flights_of(
@@ -380,7 +380,39 @@ def run(arguments: argparse.Namespace) -> int:
     if found.fit is not None:
         write_if_asked(arguments.mcap, found.model, train, test)
     console.result(search.content, *search.lines(found))
-    return 0
+    return 0 if faults.ok else 1
+
+
+def _faults(arguments: argparse.Namespace, subject: Vehicle | StateSpaceModel) -> CheckReport:
+    """What is wrong with the vehicle file, and the logs; logs are not judged by a file that no
+    craft is like."""
+    from greybox.data.checks import VEHICLE, CheckReport, Finding, check_logs
+    from greybox.model.dynamics import StateSpaceModel
+    from greybox.model.plausibility import vehicle_findings
+
+    own: tuple[Finding, ...] = ()
+    accept = accepted(arguments.accept)
+    if not isinstance(subject, StateSpaceModel) and arguments.vehicle is not None:
+        own = tuple(
+            Finding(
+                check=VEHICLE,
+                severity="blocking",
+                flight=arguments.vehicle,
+                where=f.where,
+                message=f"{f.line()} (--accept vehicle searches all the same)",
+            )
+            for f in vehicle_findings(subject)
+            if f.severity == "blocking"
+        )
+    report = CheckReport(
+        vehicle=subject.name, flights=(), findings=own, not_judged=(), accepted=accept
+    )
+    if isinstance(subject, StateSpaceModel) or not report.ok:
+        return report
+    # The files show faults of their clocks, which reading mends.
+    logs = [*arguments.train, *arguments.test]
+    found = check_logs(logs, subject, mapping=arguments.mapping, accept=accept)
+    return replace(found, findings=(*own, *found.findings))
 
 
 def _choices(
@@ -438,7 +470,7 @@ def _go_on(arguments: argparse.Namespace) -> int:
     from greybox.data.checks import check_logs
     from greybox.discovery.further import further
     from greybox.discovery.result import WITH_LAWS
-    from greybox.errors import DataError, GreyboxError
+    from greybox.errors import GreyboxError
     from greybox.files import read_json, withdraw, write_atomic, write_json
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
@@ -469,10 +501,9 @@ def _go_on(arguments: argparse.Namespace) -> int:
     )
     if not faults.ok:
         first = faults.blocking[0]
-        raise DataError(
-            f"{first.flight}: {first.message}",
-            fix="greybox check says more; --accept NAME overrules it",
-        )
+        why = f"{first.flight}: {first.message}. Usual fix: greybox check says more"
+        print(f"greybox discover: {why}; --accept {first.check} overrules it", file=sys.stderr)
+        return 1
     data = read_flight_logs(arguments, logs, model.physics.vehicle, rate=rate)
     content = further(content, model, data, own)
     out = Path(arguments.out or folder)

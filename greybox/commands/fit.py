@@ -109,7 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
     console, horizons = Console.of(arguments), given_horizons(arguments)
     vehicle = read_vehicle(arguments.vehicle)
     source = None if arguments.source is None else IdentifiedModel.load(arguments.source)
-    prepared, test = _flights(arguments, vehicle)
+    prepared, test, files = _flights(arguments, vehicle)
     if source is not None and arguments.manual:
         vehicle = _like(source, vehicle, prepared, console)
     faults = check(test, vehicle) if test.flights else None
@@ -120,7 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
         test=test,
         faults=faults,
         horizons=horizons,
-        warnings=_warnings(arguments, vehicle, prepared, faults),
+        warnings=_warnings(arguments, vehicle, (prepared.report, faults), files),
     )
     say_vehicle(vehicle, console.say)
     console.say(f"{prepared.data}")
@@ -128,7 +128,7 @@ def run(arguments: argparse.Namespace) -> int:
     result, content, seen = _judged(job, result)
     written = _report(job, result, content, seen)
     table = seen.table_text() if seen is not None and test.flights else ""
-    console.result(content, *_lines(result, table, content), f"wrote {written} in {job.out}")
+    console.result(content, *_lines(job, result, table, content), f"wrote {written} in {job.out}")
     return exit_code(result.verdict) if result.verdict is not None or result.converged else 1
 
 
@@ -143,7 +143,7 @@ class _Job:
     test: Dataset
     faults: CheckReport | None
     horizons: HorizonChoices
-    warnings: Sequence[str]
+    warnings: tuple[Sequence[str], Sequence[str]]
 
     @property
     def out(self) -> Path:
@@ -212,22 +212,24 @@ def _judged(job: _Job, result: Fit) -> tuple[Fit, FitDocument, Validation | None
 def _warnings(
     arguments: argparse.Namespace,
     vehicle: Vehicle,
-    prepared: Prepared,
-    faults: CheckReport | None,
-) -> list[str]:
-    """Faults of the flights, which are also said, and what no model can be fitted to."""
-    warnings = fault_lines(prepared.report)
-    warnings += [] if faults is None else fault_lines(faults)
-    warnings += _unfit(arguments, vehicle)
-    for warning in warnings:
+    flights: Sequence[CheckReport | None],
+    files: Sequence[CheckReport],
+) -> tuple[list[str], list[str]]:
+    """(faults of the flights and of their files and what no model can be fitted to, what the files
+    warn of), which are also said. Files show what reading takes out."""
+    reports = [r for r in (*flights, *files) if r is not None]
+    blocking = [line for r in reports for line in fault_lines(r)]
+    first = [*dict.fromkeys(blocking), *_unfit(arguments, vehicle)]
+    lines = [line for r in files for line in r.warning_lines()]
+    for warning in (*first, *(f"warning: {line}" for line in lines)):
         print(f"greybox fit: {warning}", file=sys.stderr)
-    return warnings
+    return first, lines
 
 
 def _content(job: _Job, result: Fit) -> FitDocument:
     """fit.json, with the commands that do the same."""
     content = result.to_dict()
-    content["warnings"] = [*job.warnings, *content["warnings"]]
+    content["warnings"] = [*job.warnings[0], *content["warnings"], *job.warnings[1]]
     content["command"] = typed("fit")
     if "explicit" in content:
         content["explicit"]["command"] = _explicit(job, result)
@@ -310,11 +312,12 @@ def _report(job: _Job, result: Fit, content: FitDocument, seen: Validation | Non
     return f"{', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name}"
 
 
-def _lines(result: Fit, table: str, content: FitDocument) -> list[str]:
-    """The verdict and what physics says, the decisions with their reasons, the estimates, the
-    explicit command."""
+def _lines(job: _Job, result: Fit, table: str, content: FitDocument) -> list[str]:
+    """The verdict and what the logs and physics say, the decisions with their reasons, the
+    estimates, the explicit command."""
     first, *rest = result.summary().splitlines()
-    lines = [first, *_sanity_lines(result)]
+    told = [f"warning: {w}" for some in job.warnings for w in some]
+    lines = [first, *told, *_sanity_lines(result)]
     if result.provenance.decisions:
         lines += ["", "Decided, because nothing else was said:"]
         lines += [f"  {decision.line()}" for decision in result.provenance.decisions]
@@ -327,11 +330,14 @@ def _lines(result: Fit, table: str, content: FitDocument) -> list[str]:
     return lines
 
 
-def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared, Dataset]:
-    """(training flights as they are fitted, test flights at their rate). Raises `GreyboxError` for
-    a flight in both."""
+def _flights(
+    arguments: argparse.Namespace, vehicle: Vehicle
+) -> tuple[Prepared, Dataset, list[CheckReport]]:
+    """(training flights as they are fitted, test flights at their rate, what is wrong with the
+    files of both). Raises `GreyboxError` for a flight in both."""
     from greybox.automatic.fit import prepare, read_flights
     from greybox.data import Dataset
+    from greybox.data.checks import check
     from greybox.data.dataset import demand_names_once
     from greybox.data.halves import demand_disjoint
     from greybox.data.logs import read_possible
@@ -356,13 +362,14 @@ def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared,
         all_flights=arguments.all_flights or arguments.manual,
         decide_rate=not arguments.manual,
     )
+    files = [check(some, vehicle) for some in (logs, others) if some]
     if not others:
-        return prepared, Dataset(flights=())
+        return prepared, Dataset(flights=()), files
     test = read_flights(others, vehicle, rate=prepared.rate)
     dt = sample_time(prepared.data)
     if any(abs(f.dt - dt) > 1e-6 * dt for f in test):
         test = read_flights(others, vehicle, rate=1 / dt)
-    return prepared, test
+    return prepared, test, files
 
 
 def _unfit(arguments: argparse.Namespace, vehicle: Vehicle) -> list[str]:

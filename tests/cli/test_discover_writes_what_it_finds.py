@@ -157,7 +157,7 @@ def test_an_own_effect_is_named_and_everything_is_written(
     ):
         assert text in page
     # Bad data search nothing and leave what was there.
-    assert main(command(files, "--train", "swapped.csv", "--out", str(tmp_path))) == 0
+    assert main(command(files, "--train", "swapped.csv", "--out", str(tmp_path))) == 1
     assert (tmp_path / "model.json").exists()
 
 
@@ -245,7 +245,7 @@ def test_bad_data_are_an_answer_and_not_an_error(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     assert (
-        main(command(files, "--train", "swapped.csv", "--out", str(tmp_path), "--json", "-")) == 0
+        main(command(files, "--train", "swapped.csv", "--out", str(tmp_path), "--json", "-")) == 1
     )
     content = json.loads(capsys.readouterr().out)
     assert content == valid(tmp_path / "discovery.json")
@@ -253,6 +253,51 @@ def test_bad_data_are_an_answer_and_not_an_error(
     assert content["faults"][0].startswith("swapped: ")
     assert not (tmp_path / "model.json").exists()
     assert "would be read as physics" in (tmp_path / "report.html").read_text()
+
+
+def test_one_bad_log_among_good_ones_is_named(
+    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    logs = ("--train", "a.csv", "swapped.csv", "--test", "c.csv")
+    assert main(command(files, *logs, "--out", str(tmp_path))) == 1
+    said = capsys.readouterr().out
+    assert said.startswith("BAD DATA")
+    assert "fault: swapped: the motor order is wrong" in said
+    assert "2 other flight(s) do not show it" in said
+
+
+def test_a_vehicle_file_that_no_craft_is_like_is_not_searched(
+    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    vehicle = tmp_path / "far.toml"
+    vehicle.write_text((files / "v.toml").read_text().replace("[0.088, -0.088,", "[9.5, -0.088,"))
+    words = ["discover", "--vehicle", str(vehicle), "--train", str(files / "a.csv")]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("BAD DATA")
+    assert "rotor.position: arms of no small multirotor" in said[1]
+    assert "got 9.5" in said[1]
+    assert "--accept vehicle" in said[1]
+    assert valid(tmp_path / "out" / "discovery.json")["verdict"] == "bad_data"
+
+
+def test_what_a_log_lacks_is_said_below_the_first_line(
+    files: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.setattr(greybox.discovery.cause, "CATALOGUE", ())
+    header, *rows = (files / "swapped.csv").read_text().splitlines()
+    p = header.split(",").index("p")
+    cells = [row.split(",") for row in rows]
+    lines = [",".join([*c[:p], "", *c[p + 1 :]]) for c in cells]
+    (tmp_path / "half.csv").write_text("\n".join([header, *lines]))
+    code = main(command(files, "--train", str(tmp_path / "half.csv"), "--out", str(tmp_path)))
+    said = capsys.readouterr().out.splitlines()
+    assert code == 0  # without a gyro nothing tells the order of the motors
+    assert said[1].startswith("warning: half [gaps] channel p: column p is missing")
+    assert "the rate (p, q, r) is left out" in said[1]
 
 
 BAD = {

@@ -4,6 +4,7 @@ ones, too, and says nothing of these."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import pytest
 from faults import conjugated, exchanged, real, scaled, vehicle
@@ -41,6 +42,15 @@ def test_two_logs_with_the_fault_do_not_hide_it_behind_a_good_one(fault: str) ->
     others = [FAULTS[fault](real(SET, f)) for f in GOOD[1:]]
     report = check([real(SET, GOOD[0]), *others], vehicle(SET))
     assert {f.flight for f in report.blocking} == set(GOOD[1:])
+
+
+def test_a_column_that_is_lost_is_named_with_what_goes_with_it() -> None:
+    raw = real(SET, FLIGHT)
+    channels = {n: v for n, v in raw.channels.items() if n != "p"}
+    report = check([replace(raw, channels=channels), real(SET, GOOD[0])], vehicle(SET))
+    line = next(said for said in report.warning_lines() if "[gaps]" in said)
+    assert line.startswith(f"{FLIGHT} [gaps] channel p: column imu_gyro_x is missing")
+    assert "the rate (p, q, r) is left out" in line
 
 
 def judged(numbers: Sequence[float]) -> str | None:

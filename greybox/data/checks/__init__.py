@@ -79,7 +79,13 @@ CHECKS: tuple[Check, ...] = (
 """All checks, in the order in which they are made: the motors are judged by gyros that are right."""
 
 
-NAMES = tuple(sorted({c.name for c in CHECKS if c is not KINEMATICS} | {r.name for r in RELATIONS}))
+VEHICLE = "vehicle"
+"""What findings on the vehicle file itself are of; commands that refuse such a file add them."""
+NAMES = tuple(
+    sorted(
+        {VEHICLE, *(c.name for c in CHECKS if c is not KINEMATICS), *(r.name for r in RELATIONS)}
+    )
+)
 """What a finding can be of, and what can be accepted."""
 
 

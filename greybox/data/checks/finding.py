@@ -152,6 +152,20 @@ class CheckReport(Shown):
             return "blocking"
         return "warnings" if any(f.severity != "info" for f in self.findings) else "clean"
 
+    def warning_lines(self) -> list[str]:
+        """What a command that goes on must say first, one line per check and place: warnings, and
+        what is missing at all. Not excitation, for the errors of what is found tell it."""
+        groups: dict[tuple[str, str], list[Finding]] = {}
+        for f in self.findings:
+            missing = any(name.startswith("missing_share") for name in f.evidence)
+            if missing or (f.severity == "warning" and f.check != "excitation"):
+                groups.setdefault((f.check, f.where), []).append(f)
+        out = []
+        for (check, where), same in groups.items():
+            more = " (greybox check lists the others)" if len({f.message for f in same}) > 1 else ""
+            out.append(f"{_flights(same)} [{check}] {where}: {same[0].message}{more}")
+        return out
+
     def _alike(self) -> list[list[Finding]]:
         """Findings that say the same of several flights, together."""
         groups: dict[tuple[str, ...], list[Finding]] = {}
@@ -182,12 +196,9 @@ class CheckReport(Shown):
         lines = [f"checked {len(self.flights)} log(s) of {self.vehicle}: {self.verdict}"]
         for same in self._alike():
             finding = same[0]
-            flights = ", ".join(f.flight for f in same[:MOST_NAMED]) + (
-                ", ..." if len(same) > MOST_NAMED else ""
-            )
-            names = flights if len(same) == 1 else f"{len(same)} flights ({flights})"
             word = "accepted" if finding in self.overruled else finding.severity
-            lines.append(f"{word:8s} {names} [{finding.check}] {finding.where}: {finding.message}")
+            said = f"[{finding.check}] {finding.where}: {finding.message}"
+            lines.append(f"{word:8s} {_flights(same)} {said}")
             numbers = ", ".join(f"{k} = {v:.4g}" for k, v in finding.evidence.items())
             if numbers and finding.severity != "info":
                 lines.append(f"         {numbers}")
@@ -204,3 +215,10 @@ class CheckReport(Shown):
         for (check, reason), count in reasons.items():
             lines.append(f"cannot be judged: {check} ({reason}; {count} log(s))")
         return "\n".join(lines)
+
+
+def _flights(same: Sequence[Finding]) -> str:
+    """The flights of findings, the first of many."""
+    names = ", ".join(f.flight for f in same[:MOST_NAMED])
+    more = ", ..." if len(same) > MOST_NAMED else ""
+    return names if len(same) == 1 else f"{len(same)} flights ({names}{more})"

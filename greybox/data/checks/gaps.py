@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from greybox.data.channel import GROUPS, group_names
 from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.view import View
 from greybox.data.conditioning import MAX_GAP
@@ -58,15 +59,13 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             evidence={"dropped": missing, "share": missing / log.n},
             fix="log with more bandwidth",
         )
-    for name in view.raw.empty:
-        yield Finding(
-            check="gaps",
-            severity="warning",
-            flight=view.name,
-            where=f"channel {name}",
-            message="the column holds no value at all; it is left out",
-            fix="log it, or drop the column",
-        )
+    yield from _lost(view)
+    yield from _empty(view)
+
+
+def _empty(view: View) -> Iterator[Finding]:
+    """Findings on channels that miss cells."""
+    log = view.increasing
     empty = {k: float(np.isnan(v).mean()) for k, v in log.channels.items() if k not in SLOW}
     some = {k: s for k, s in empty.items() if TRACE < s <= 0.5}
     if some:
@@ -91,6 +90,30 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
                 evidence={"missing_share": share},
                 fix="log that channel faster or in a steady rhythm, or fit with --predictor kalman",
             )
+
+
+def _lost(view: View) -> Iterator[Finding]:
+    """A finding per group of channels that lacks a column, or the values of one."""
+    raw, rotors = view.raw, len(view.vehicle.rotors)
+    for group in GROUPS:
+        names = group_names(group, rotors)
+        there = [n for n in names if n in raw.channels]
+        lost = [n for n in names if n not in raw.channels]
+        if not lost or not (there or set(lost) & set(raw.empty)):
+            continue
+        source = view.vehicle.columns.sources.get(group)
+        own = [f.lstrip("-") for f in source.fields] if source is not None else list(names)
+        columns = ", ".join(own[names.index(n)] for n in lost) if len(own) == len(names) else ""
+        yield Finding(
+            check="gaps",
+            severity="warning",
+            flight=view.name,
+            where=f"channel {', '.join(lost)}",
+            message=f"column {columns or ' or '.join(own)} is missing or holds no value: the "
+            f"{group.replace('_', ' ')} ({', '.join(names)}) is left out, of all that is fitted with "
+            "this log, too",
+            fix="log it, or drop what is left of the group",
+        )
 
 
 def _alike(shares: Mapping[str, float]) -> dict[str, str]:
