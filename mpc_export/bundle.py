@@ -60,7 +60,7 @@ from greybox.shown import Cell, Shown
 from mpc_export.c_code import write_c
 from mpc_export.c_kernels import kernels_of
 from mpc_export.c_model import CModel
-from mpc_export.c_names import check_name
+from mpc_export.c_names import check_name, name_of_folder
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.golden import Golden, golden_vectors
 from mpc_export.manifest import SCHEMA, Manifest, PortRow, Written, manifest_of
@@ -215,14 +215,14 @@ def write_bundle(
     The choices are keywords, fields of `ExportOptions` with its defaults, or `options` as a whole.
     They are those of `model_functions` and of the command line.
 
-    `name` is the prefix in C (default: the folder's name), `points` projects the learned part on
-    that many support points first, `horizon` are the stages of the target tube, `attempts` how many
-    a step may make at its plan. Raises `ModelError` (a name that is no C identifier, see
+    `name` is the prefix in C (default: the folder's name, or NAME_model where that is taken),
+    `points` projects the learned part on that many support points first, `horizon` are the stages
+    of the target tube, `attempts` how many a step may make at its plan. Raises `ModelError` (a name that is no C identifier, see
     `model_functions`), `UnknownNameError` (a target), `OutputError` (a folder that is not a bundle,
     or cannot be written).
     """
     place, o = Path(folder), ExportOptions.of(options, choices)
-    name = check_name(place.resolve().name if o.name is None else o.name)
+    name = name_of_folder(place.resolve().name) if o.name is None else check_name(o.name)
     o = o.completed()
     check_place(place)
     shaping: list[object] = [name, *o.shaping]

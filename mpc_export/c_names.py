@@ -58,14 +58,24 @@ def check_name(name: str) -> str:
             got=repr(name),
             fix=fix,
         )
-    for what, taken in (
-        ("is a word of C or C++", name in WORDS),
-        ("is that of a header of the system", name.lower() in HEADERS),
-        ("is taken in C builds", name.lower() in TARGETS or name in CMAKE),
-    ):
-        if taken:
-            raise ModelError(f"the bundle's name {what}", got=repr(name), fix=fix)
+    if what := _taken(name):
+        raise ModelError(f"the bundle's name {what}", got=repr(name), fix=fix)
     return name
+
+
+def name_of_folder(folder: str) -> str:
+    """The name of a bundle that was given none: that of its folder, with _model behind it where it
+    is taken (`export`, `test`)."""
+    return check_name(f"{folder}_model" if _taken(folder) else folder)
+
+
+def _taken(name: str) -> str:
+    """By what a name is taken; empty where it is free."""
+    if name in WORDS:
+        return "is a word of C or C++"
+    if name.lower() in HEADERS:
+        return "is that of a header of the system"
+    return "is taken in C builds" if name.lower() in TARGETS or name in CMAKE else ""
 
 
 def renamed(text: str, old: str, new: str) -> str:

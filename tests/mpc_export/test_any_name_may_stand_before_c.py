@@ -197,6 +197,12 @@ def test_what_c_and_its_builds_take_is_refused_in_one_line(tmp_path, capsys, nam
     assert why in said and len(said.strip().splitlines()) == 1
 
 
+@pytest.mark.parametrize("folder", ["export", "test", "math", "mine"])
+def test_a_folder_with_a_taken_name_gives_a_free_one(tmp_path, folder):
+    written = write_bundle(cases.physics(), tmp_path / folder, targets=("casadi",))
+    assert written.name == (folder if folder == "mine" else f"{folder}_model")
+
+
 def test_no_name_of_a_header_that_the_system_includes_is_taken(tmp_path):
     if shutil.which("gcc") is None:
         pytest.skip("C compiler is not installed")
