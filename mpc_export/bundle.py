@@ -217,9 +217,9 @@ def write_bundle(
 
     `name` is the prefix in C (default: the folder's name, or NAME_model where that is taken),
     `points` projects the learned part on that many support points first, `horizon` are the stages
-    of the target tube, `attempts` how many a step may make at its plan. Raises `ModelError` (a name that is no C identifier, see
-    `model_functions`), `UnknownNameError` (a target), `OutputError` (a folder that is not a bundle,
-    or cannot be written).
+    of the target tube, `attempts` how many a step may make at its plan. Raises `ModelError` (a name
+    that is no C identifier, see `model_functions`), `UnknownNameError` (a target), `OutputError` (a
+    folder that is not a bundle, or cannot be written).
     """
     place, o = Path(folder), ExportOptions.of(options, choices)
     name = name_of_folder(place.resolve().name) if o.name is None else check_name(o.name)
