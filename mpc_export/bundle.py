@@ -60,7 +60,7 @@ from greybox.shown import Cell, Shown
 from mpc_export.c_code import write_c
 from mpc_export.c_kernels import kernels_of
 from mpc_export.c_model import CModel
-from mpc_export.c_names import check_name, name_of_folder
+from mpc_export.c_names import check_name, check_prefix, name_of_folder
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.golden import Golden, golden_vectors
 from mpc_export.manifest import SCHEMA, Manifest, PortRow, Written, manifest_of
@@ -179,7 +179,7 @@ class ExportBundle(Shown):
 def _check_manifest(manifest: Parsed, where: str) -> None:
     """Raises `FileFormatError` where what becomes a path or a C symbol is not one."""
     try:
-        check_name(manifest["name"])
+        check_prefix(manifest["name"])
         for function in manifest["functions"]:
             if not isinstance(function["name"], str) or not re.fullmatch(
                 r"[A-Za-z]\w*", function["name"], re.ASCII

@@ -41,25 +41,31 @@ TARGETS = _set(
 )
 """Of CMake, in whatever letters, libraries of the system (lib`c`, lib`m`), and what the system puts
 before an underscore itself: `u_int`, PX4_OK."""
+FREE = "--name quad"
 CMAKE = frozenset(
     ("COMPILE_FLAGS", "DEPENDS", "EXTERNAL", "MAIN", "MODULE", "PRIORITY", "SRCS", "STACK")
 )
 """What PX4's CMake looks for between names, in these letters."""
 
 
-def check_name(name: str) -> str:
-    """The name, if C, C++ and their builds take it as the prefix of everything. Raises
-    `ModelError`."""
-    fix = "--name quad"
+def check_prefix(name: str) -> str:
+    """The name, if it may stand before an underscore in C. Raises `ModelError`."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,40}", name) or name.lower().startswith("casadi"):
         raise ModelError(
             "the bundle's name is not a C identifier",
             expected="at most 41 letters, digits and underscores, a letter first, not casadi...",
             got=repr(name),
-            fix=fix,
+            fix=FREE,
         )
+    return name
+
+
+def check_name(name: str) -> str:
+    """The name, if C, C++ and their builds take it as the prefix of everything. Raises
+    `ModelError`."""
+    check_prefix(name)
     if what := _taken(name):
-        raise ModelError(f"the bundle's name {what}", got=repr(name), fix=fix)
+        raise ModelError(f"the bundle's name {what}", got=repr(name), fix=FREE)
     return name
 
 

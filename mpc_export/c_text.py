@@ -31,34 +31,27 @@ def all_used(text: str) -> str:
 def broken(text: str) -> str:
     """C without a line longer than LONGEST where spaces outside of strings allow it. Comments of C++
     (//) stay."""
-    lines = []
+    lines: list[str] = []
+    macro = False
     for line in text.split("\n"):
-        lines += [line] if len(line) <= LONGEST or "//" in line else _parts(line)
+        macro = line.lstrip().startswith("#") or (macro and lines[-1].endswith("\\"))
+        lines += [line] if len(line) <= LONGEST or "//" in line else _parts(line, macro)
     return "\n".join(lines)
 
 
-def _parts(line: str) -> list[str]:
-    """A line in parts; those of a macro end with a backslash."""
-    end = " \\" if line.lstrip().startswith("#") or line.endswith("\\") else ""
+def _parts(line: str, macro: bool) -> list[str]:
+    """A line in parts, each broken at a space, after a comma where there is one in its second half;
+    those of a macro end with a backslash."""
+    end = " \\" if macro or line.endswith("\\") else ""
     indent = f"{line[: len(line) - len(line.lstrip())]}    "
     done: list[str] = []
-    while len(line) > LONGEST and (at := _space(line, len(indent), LONGEST - len(end))):
-        done.append(f"{line[:at]}{end}")
-        line = indent + line[at:].lstrip()
-    return [*done, line]
-
-
-def _space(line: str, first: int, last: int) -> int:
-    """Where a line is broken: the last space within its room, one after a comma before others. The
-    first space beyond where there is none, 0 where there is none at all."""
-    fits: list[int] = []
-    for word in _WORD.finditer(line):
-        at = word.start()
-        if not word[0].isspace() or at <= first:
-            continue
-        if at > last:
-            fits = fits or [at]
-            break
-        fits.append(at)
-    neat = [at for at in fits if line[at - 1] in ",;" and at > last / 2]
-    return (neat or fits or [0])[-1]
+    part, neat = "", 0
+    for word in _WORD.findall(line):
+        if part.strip() and not word.isspace() and len(part) + len(word) + len(end) > LONGEST:
+            at = neat if neat > LONGEST / 2 else len(part)
+            done.append(part[:at].rstrip() + end)
+            part, neat = indent + part[at:].lstrip(), 0
+        if word.isspace() and part.endswith((",", ";")):
+            neat = len(part)
+        part += word
+    return [*done, part]

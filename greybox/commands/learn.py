@@ -355,9 +355,10 @@ def _validated(
     if verdict is not None and len(seen) == len(HALVES) and seen[0].verdict is not None:
         base, beside = shlex.quote(arguments.model), against(*seen)
         document = beside.to_dict(f"the physics alone ({base})")
+        content["against_physics"] = document
         if content["null"]:
             document["line"] = f"nothing was learned; {document['line']}"
-        content["against_physics"] = document
-        verdict = beside.judged(verdict, base)
+        else:
+            verdict = beside.judged(verdict, base)
     content["verdict"] = None if verdict is None else verdict.to_dict()
     return verdict

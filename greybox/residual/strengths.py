@@ -50,13 +50,14 @@ class Normal:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judged:
-    """One left-out fold: Hessian (P, P) and gradient (P,) of all other stretches, and its own by
-    channel group."""
+    """One left-out fold: Hessian (P, P) and gradient (P,) of all other stretches, its own by channel
+    group, and its `cost` (C,) without a learned part."""
 
     left_hessian: FloatArray
     left_gradient: FloatArray
     hessian: FloatArray
     gradient: FloatArray
+    cost: FloatArray
 
 
 def total(parts: Sequence[Normal], what: str) -> FloatArray:
@@ -88,6 +89,7 @@ def judged(parts: Sequence[Normal], folds: Sequence[Sequence[int]]) -> list[Judg
                 left_gradient=whole_g - g.sum(axis=0),
                 hessian=h,
                 gradient=g,
+                cost=by_channel(own, "cost"),
             )
         )
     return out
@@ -127,22 +129,28 @@ def choose(
     strongest = max(
         keep, key=lambda c: (sum(np.log10(min(v, 1e6)) for v in c), float(results[c].sum()))
     )
-    if not worth(by_group[strongest], cost):
+    if not worth(by_group[strongest], np.array([fold.cost for fold in found])):
         return np.full(len(groups), np.inf), 0.0
     share = float(results[strongest].sum() / cost.sum())
     return np.array([strongest[kinds.index(g)] for g in groups]), share
 
 
 def worth(saved: FloatArray, cost: FloatArray) -> bool:
-    """Whether what a choice saves (F, C) of the costs (C,) of the channel groups, fold by fold, is
+    """Whether what a choice saves (F, C) of the costs (F, C) of the channel groups, fold by fold, is
     worth learning: more than a trace of the squared errors of some group, and in sum more than
-    chance would have it (Student's test over the folds)."""
-    folds = len(saved)
-    total = saved.sum(axis=1)
-    if folds < 2 or not (saved.sum(axis=0) > TRACE * cost).any():
+    chance would have it.
+
+    Student's test of the share that is saved, a ratio over folds of unequal size (W. G. Cochran,
+    "Sampling Techniques", 1977, section 6.3). Two folds tell no chance: each has to gain.
+    """
+    gained, whole, folds = saved.sum(axis=1), cost.sum(axis=1), len(saved)
+    if not (saved.sum(axis=0) > TRACE * cost.sum(axis=0)).any():
         return False
-    chance = float(student_quantile(1 - CHANCE, folds - 1)) * np.sqrt(folds) * total.std(ddof=1)
-    return bool(total.sum() > chance)
+    if folds < 3:
+        return bool((gained > 0).all())
+    off = gained - gained.sum() / whole.sum() * whole
+    chance = np.sqrt(folds / (folds - 1) * (off @ off))
+    return bool(gained.sum() > float(student_quantile(1 - CHANCE, folds - 1)) * chance)
 
 
 def _saved(fold: Judged, every: FloatArray, channels: int, members: int) -> FloatArray:

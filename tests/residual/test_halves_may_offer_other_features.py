@@ -17,7 +17,11 @@ def half(features: int, outputs: int, seed: int) -> Judged:
     root = 0.1 * rng.normal(size=(size, size))
     hessian = np.eye(size) + root @ root.T
     return Judged(
-        left_hessian=hessian, left_gradient=gradient, hessian=hessian[None], gradient=gradient[None]
+        left_hessian=hessian,
+        left_gradient=gradient,
+        hessian=hessian[None],
+        gradient=gradient[None],
+        cost=np.array([20.0]),
     )
 
 

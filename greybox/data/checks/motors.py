@@ -76,16 +76,19 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
             found[view.name] = torque
     if not found:
         return
-    promised, names = expected_signs(views[0]), views[0].drive_names
-    vehicle, seen = views[0].vehicle, max(t.share[2] for t in found.values())
+    first = next(v for v in views if v.name in found)
+    promised, names = expected_signs(first), first.drive_names
     said = _told(found, lambda some: _order(_joined(some), promised, names))
     yield from said
     left = {n: t for n, t in found.items() if n not in {f.flight for f in said}}
-    yield from _told(left, lambda some: _spins(some, promised))
-    if np.any(promised[2]) and seen < SEEN_YAW:
+    if np.any(promised[2]):
+        turning = {n: t for n, t in left.items() if t.share[2] >= SEEN_YAW}
+        yield from _told(turning, lambda some: _spins(some, promised))
         reason = "too little yaw motion to see the spins"
-        yield from (Unjudged(check="motors", flight=n, reason=reason) for n in left)
-    yield from _told(left, lambda some: _strength(vehicle, _joined(some)))
+        yield from (
+            Unjudged(check="motors", flight=n, reason=reason) for n in left if n not in turning
+        )
+    yield from _told(left, lambda some: _strength(first.vehicle, _joined(some)))
 
 
 def _joined(torques: Sequence[Torque]) -> Sums:
@@ -171,10 +174,8 @@ def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | 
 
 
 def _spins(torques: Sequence[Torque], promised: FloatArray) -> Verdict | None:
-    """What is wrong with the spins, from the yaw torques; None where they cannot be seen, too."""
+    """What is wrong with the spins, from the yaw torques."""
     sums, share = _joined(torques), max(t.share[2] for t in torques)
-    if not np.any(promised[2]) or share < SEEN_YAW:
-        return None
     yaw = float(sums.total.agreement(promised)[2, 0])
     high = yaw + CLEAR * jackknife(sums.left_out.agreement(promised)[2])
     evidence = {"agreement_yaw": yaw, "share_yaw": share}

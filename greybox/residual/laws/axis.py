@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import NotRequired, TypedDict
 
@@ -21,6 +21,15 @@ class AxisRow(TypedDict):
     proposal: str | None
     gain: float
     lasts_s: NotRequired[float]
+
+
+def by_text(texts: Iterable[str], values: Iterable[float]) -> dict[str, float]:
+    """Text of a term -> its coefficient; of terms that read alike the later ones get a number."""
+    out: dict[str, float] = {}
+    for text, value in zip(texts, values, strict=True):
+        alike = sum(known.partition(" [")[0] == text for known in out)
+        out[f"{text} [{alike + 1}]" if alike else text] = value
+    return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,16 +59,17 @@ class Axis:
 
     def refitted(self, name: str, values: Mapping[str, float]) -> Axis:
         """The law with the numbers `values` of a fit that has it as the effect `name`."""
-        terms, shapes = dict[str, float](), list[Shaped]()
+        texts, shapes = list[str](), list[Shaped]()
         for i, (text, kept) in enumerate(zip(self.terms, self.shapes, strict=True), 1):
             now = None
             if kept is not None:
                 numbers = {n: values[f"{name}.{n}_{i}"] for n in kept[0].numbers}
                 now = kept[0].moved(numbers), kept[1]
                 text = f"{text.rsplit(' (', 1)[0]} ({now[0]})"
-            terms[text] = values[f"{name}.c_{i}"]
+            texts.append(text)
             shapes.append(now)
-        return replace(self, terms=terms, shapes=tuple(shapes))
+        coefficients = [values[f"{name}.c_{i}"] for i in range(1, len(texts) + 1)]
+        return replace(self, terms=by_text(texts, coefficients), shapes=tuple(shapes))
 
     def to_dict(self) -> AxisRow:
         """As in discovery.json."""

@@ -14,9 +14,10 @@ from typing import TypedDict
 
 import numpy as np
 
+from greybox.residual.laws.axis import by_text
 from greybox.residual.laws.responses import Library
 from greybox.residual.laws.selection import left_out, needed, price_of, select, solve
-from greybox.residual.laws.terms import Memory, Shaped
+from greybox.residual.laws.terms import ALONG, Memory, Shaped
 
 TERMS = 6
 """Terms of an axis, at most."""
@@ -79,7 +80,7 @@ def laws_of(offered: Library, samples: int, seed: int, free: Collection[str]) ->
         whole = float(normal.yy.sum()) - left_out(normal, [constant])
         out[axis] = {
             "share": more / max(whole, 1e-300),
-            "terms": {t.text: c[i] for t, i in zip(used, mine, strict=True)},
+            "terms": by_text([t.text for t in used], [c[i] for i in mine]),
             "codes": tuple(t.code for t in used),
             "shapes": tuple(
                 (t.shape, float(np.sqrt(np.mean(t.values**2)))) if t.shape else None for t in used
@@ -100,20 +101,24 @@ def _completed(
     that stands in the world has components on all axes of the body, and next to a part that depends
     on the place one that does not, in place of a steady push (lower orders belong to a polynomial:
     Nelder 1977, JRSS A 140(1))."""
-    place = {(axis, t.text): i for i, (axis, t) in enumerate(offered.columns)}
-    out, base = list(kept), list(always)
+    at = {(axis, t.text, t.shape): i for i, (axis, t) in enumerate(offered.columns)}
+    judged, out, base = offered.innovations, list(kept), list(always)
     for i in kept:
         axis, term = offered.columns[i]
         side, _, rest = term.text.partition(" ")
         world, _, along = side.partition(".")
-        if world not in WORLD or axis != f"force.{along}" or not rest:
+        if ALONG.keys().isdisjoint(term.uses) or world not in WORLD or axis != f"force.{along}":
             continue
-        for b, more in itertools.product("xyz", (f" {rest}", "")):
-            one = place.get((f"force.{b}", f"{world}.{b}{more}"))
-            if one is None or one in out:
+        for b, part in itertools.product("xyz", ((f" {rest}", term.shape), ("", None))):
+            one = at.get((f"force.{b}", f"{world}.{b}{part[0]}", part[1]))
+            full = sum(offered.columns[k][0] == f"force.{b}" for k in out) >= TERMS
+            if one is None or one in out or full:
                 continue
-            without = base if more else [k for k in base if k != pushes[f"force.{b}"]]
-            if needed(offered.innovations, [*without, *out, one], one, price):
+            without = base if part[0] else [k for k in base if k != pushes[f"force.{b}"]]
+            more = [*without, *out, one]
+            # A push that is fixed in the body stays where it does better.
+            worse = left_out(judged, more) < left_out(judged, [*base, *out])
+            if not worse and needed(judged, more, one, price):
                 out.append(one)
                 base = without
     return out, base

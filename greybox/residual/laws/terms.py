@@ -272,7 +272,7 @@ def _felt_along(channel: str, side: FlightSignal) -> bool:
 def _bumps_over(values: FloatArray, signal: str, count: int) -> list[Bump]:
     """Bumps over what the flight saw of a signal; none where that stood still."""
     low, high = np.quantile(values, [0.02, 0.98])
-    if high - low < 1e-3:
+    if not high - low >= 1e-3:
         return []
     width = round(float(high - low) / (count - 1), 4)
     places = np.linspace(low, high, count)
