@@ -1,35 +1,36 @@
 """Further: more flights multiply the evidence of names that were found before.
 
-New flights D judge the structure S that a search ended with, its posterior as the prior, against
-the structure without a name and against that name's strongest rival, both fitted to D at their
-worst; of what was known each number's own error counts, not how the errors go together (universal
-inference, see `greybox.discovery.certificate`):
+New flights D judge the structure S that a search ended with against R without a name, and against
+that name's strongest rival in its place:
 
-    E = p(D | S, what was known) / sup p(D | R, theta).
+    E = p(D | S, what was known) / p(D | R, what was known) / regret.
 
-E-values of flights that are independent given the model multiply, and the product is an e-value
-(Grunwald, de Heide and Koolen 2024, JRSS B 86(5)), so that flights may be added until the answer is
-clear.
+Without the name what was known is the posterior of S given that the name is nothing: of a linear
+model what R would have learned. Both sides integrate what they share, and only what a rival has in
+the place of the name is at its worst, as in `greybox.discovery.certificate`. The product of such
+e-values is one (Grunwald, de Heide and Koolen 2024, JRSS B 86(5)).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import offer, sensor_cause
+from greybox.discovery.certificate import regret
 from greybox.discovery.document import DiscoveryDocument, NamedRow, UnnamedRow
-from greybox.discovery.evidence import Flights, Structure
+from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.name import LOG10
 from greybox.errors import DataError
 from greybox.estimation.record import sample_time
 from greybox.estimation.start import Key
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
-from greybox.model.known import Known, since
+from greybox.model.known import Known, known_numbers, since
 from greybox.model.noise import sensor_parts
 from greybox.statistics.betting import bar_of_several
 
@@ -73,13 +74,7 @@ def further(
     flights = Flights(causes=causes, data=without_lead_in(data))
     start: dict[Key, float] = {(n, None): float(v) for n, v in model.values.items()}
     told = flights.fit(structure, [start])
-    flat = flights.on(flights.data, flat=True)
-    told_now: list[float] = []
-    for effect in content["effects"]:
-        rivals = _rivals(structure, effect, causes.effects)
-        worst = [flat.fit(r, [told.known, start]) for r in rivals]
-        against = min(f.value.likelihood - f.may_gain for f in worst)
-        told_now.append((told.log_evidence - told.may_gain + against) / LOG10)
+    told_now = [_log_e(flights, told, effect, model) / LOG10 for effect in content["effects"]]
     alone = content.get("alone_log10_e", content["bar_log10_e"])
     totals = [e["log10_e"] + new for e, new in zip(content["effects"], told_now, strict=True)]
     bar = bar_of_several([LOG10 * t for t in totals], LOG10 * alone) / LOG10
@@ -115,11 +110,23 @@ def further(
     }
 
 
-def _rivals(structure: Structure, effect: NamedRow, offered: Iterable[str]) -> list[Structure]:
-    """The structures that do without a name: dropped, or its strongest rival in its place."""
-    left = structure - {effect["name"]}
+def _log_e(flights: Flights, told: Fitted, effect: NamedRow, model: IdentifiedModel) -> float:
+    """The log e-value of a name by flights that the structure `told` with it was fitted to."""
+    causes, name = flights.causes, effect["name"]
+    left = told.structure - {name}
+    nulls = {n: null for n, (null, _) in causes.offered[name].prior.items()}
+    bare = replace(causes, known=known_numbers(model, given=nulls))
+    rival = replace(flights, causes=bare, _known={}).fit(left, [told.known])
+    logs = [told.log_evidence - rival.log_evidence - told.may_gain - rival.may_gain]
     instead = frozenset(str(effect["against"]).split(" + "))
-    return [left, left | instead] if instead <= set(offered) else [left]
+    if instead <= set(causes.effects):
+        rival = flights.fit(left | instead, [told.known])
+        keys = [
+            (u.name, u.flight) for u in rival.problem.unknowns if u.name.split(".")[0] in instead
+        ]
+        paid = regret(None, rival, keys) if keys and rival.value.valid else 0.0
+        logs.append(told.log_evidence - rival.log_evidence - paid - told.may_gain - rival.may_gain)
+    return min(logs)
 
 
 def _verdict(content: DiscoveryDocument, kept: Iterable[NamedRow]) -> str:

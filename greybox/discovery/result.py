@@ -220,15 +220,14 @@ class Discovery(Shown):
             own, *others = (c["name"] for c in a["candidates"])
             found.append(" / ".join([f"one of {_in_words(own, a['parameters'])}", *others]))
         lawful = [u["channel"] for u in self.unnamed() if u["file"]]
-        found += (
-            [f"laws without a name, of {', '.join(lawful)} (use {WITH_LAWS})"] if lawful else []
-        )
+        found += [f"laws without a name, of {', '.join(lawful)} (use {WITH_LAWS})"][: len(lawful)]
         held = [f"{u['channel']} {_size(u)}" for u in self.unnamed() if not u["file"]]
         kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
-        what = "nothing is missing that has a name"
         rough = "NOT CONVERGED, every number may move: " * bool(self.fit and not self.fit.converged)
-        what = rough + doubt(self.gap) + (f"MISSING: {'; '.join(found)}" if found else what)
-        what += f"; in the model, not certified: {kept}" if kept else ""
+        what = f"MISSING: {'; '.join(found)}" if found else "nothing is missing that has a name"
+        what = (
+            rough + doubt(self.gap) + what + f"; in the model, not certified: {kept}" * bool(kept)
+        )
         if held:
             return f"{what}; without a name: {', '.join(held)}"
         if found or kept:

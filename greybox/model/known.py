@@ -11,6 +11,9 @@ import numpy as np
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
 
+LEAST = 1e-6
+"""Share of a variance that is left at least where another number is given."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
@@ -28,9 +31,25 @@ def since(model: IdentifiedModel) -> Known:
     return Known(effects=tuple(physics.effects), prior=known_numbers(model), input=physics.input)
 
 
-def known_numbers(model: IdentifiedModel) -> dict[str, tuple[float, float]]:
+def known_numbers(
+    model: IdentifiedModel, given: Mapping[str, float] | None = None
+) -> dict[str, tuple[float, float]]:
     """Parameter -> its number with its error; of those that differ from flight to flight with that
-    spread."""
-    errors = dict(zip(model.covariance_names, np.sqrt(np.diag(model.covariance)), strict=True))
-    prior = {n: (float(model.values[n]), float(s)) for n, s in errors.items() if s > 0}
+    spread. With numbers that are `given`: of the others, were these so (a Gaussian posterior)."""
+    names, given = list(model.covariance_names), dict(given or {})
+    variances = np.diag(model.covariance).copy()
+    values = np.array([float(model.values[n]) for n in names])
+    at = [i for i, n in enumerate(names) if n in given]
+    if at:
+        gain = np.linalg.lstsq(model.covariance[np.ix_(at, at)], model.covariance[at], rcond=None)[
+            0
+        ]
+        values += gain.T @ (np.array([given[names[i]] for i in at]) - values[at])
+        told = (gain * model.covariance[at]).sum(axis=0)
+        variances = np.maximum(variances - told, LEAST * variances)
+    prior = {
+        n: (float(v), float(np.sqrt(s)))
+        for n, v, s in zip(names, values, variances, strict=True)
+        if s > 0
+    }
     return prior | {n: (float(m), float(s)) for n, (m, s) in model.flight_spread.items()}

@@ -151,6 +151,7 @@ def test_further_flights_multiply_the_evidence_either_way(
     assert after["log10_e"] == pytest.approx(before["log10_e"] + after["further"])
     assert after["further"] > 1.0
     assert more["tested_on"] == ["test0", "more0"]
+    assert after["further"] > 0.3 * before["log10_e"], "as much as a flight told before, nearly"
     clean = small_world.flown(seeds=(31, 32, 33, 34, 35, 36), name="clean", seconds=8.0)
     against = further(content, found.model, clean)
     assert against["effects"] == []
