@@ -38,6 +38,8 @@ POOR = 0.25
 FALL = -0.375
 """Most negative step of a noise level: its variance falls to a quarter."""
 
+BESIDE = 0.01
+"""How far beside an unknown its slope is asked for, in its own standard error."""
 PACE = 5
 """Iterations over which the pace of a search is measured."""
 
@@ -113,6 +115,7 @@ class _Search:
         self._fall = np.where(self._level, FALL, -np.inf)
         self._damping = np.full(x.size, rule.initial_damping if rule.damped else 0.0)
         self._curvature = Curvature(x.size)
+        self._kinks = np.zeros(x.size, dtype=bool)
         self._likelihoods: list[float] = []
         self._costs: list[float] = []
 
@@ -131,34 +134,62 @@ class _Search:
             if hopeless(self._likelihoods, self.decrement, self.rule.target, most - k):
                 return Code.BEHIND
             plain = h is self.value.hessian
-            if creeps(self._costs, tolerance):
-                if plain:
-                    return self._stuck()
+            creeping = creeps(self._costs, tolerance)
+            if creeping and not plain:
                 self._curvature, self._costs = Curvature(self.x.size), []
-            if self._moves(g, h):
+            if not (creeping and plain) and self._moves(g, h):
                 continue
-            if plain:
-                return self._stuck()
-            self._curvature = Curvature(self.x.size)
+            if not plain:
+                self._curvature = Curvature(self.x.size)
+            elif self._arrived:
+                return Code.CONVERGED
+            elif self._found_kinks(g):
+                self._costs = []
+            else:
+                return Code.NO_PROGRESS
         return Code.MAX_ITERATIONS
 
-    def _stuck(self) -> Code:
-        arrived = max(self.rule.tolerance, min(NEAR, 1e3 * self.rule.tolerance))
-        return Code.CONVERGED if self.decrement < arrived else Code.NO_PROGRESS
+    @property
+    def _arrived(self) -> bool:
+        return self.decrement < max(self.rule.tolerance, min(NEAR, 1e3 * self.rule.tolerance))
+
+    @property
+    def _room(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds (n,) of a step; none for what stands at a kink."""
+        low, high = self.problem.lower - self.x, self.problem.upper - self.x
+        return np.where(self._kinks, 0.0, low), np.where(self._kinks, 0.0, high)
+
+    def _found_kinks(self, g: FloatArray) -> bool:
+        """Hold the unknowns whose slope changes its sign `BESIDE` them, where it is steep: at a
+        delay of whole samples the cost has a kink, and may have its minimum there. Whether there
+        are any more."""
+        assert self.value.hessian is not None
+        own = np.maximum(np.diag(self.value.hessian), 1e-300)
+        steep = (0.5 * g**2 / own > self.rule.tolerance) & ~self._level & ~self._kinks
+        found = False
+        for i in np.flatnonzero(steep):
+            slopes = list[float]()
+            for way in (-1.0, 1.0):
+                x = self.x.copy()
+                x[i] += way * BESIDE / np.sqrt(own[i])
+                there = self.problem.evaluate(np.clip(x, self.problem.lower, self.problem.upper))
+                self.evaluations += 1
+                slopes.append(np.nan if there.gradient is None else float(there.gradient[i]))
+            if slopes[0] < 0.0 < slopes[1]:
+                self._kinks[i] = found = True
+        return found
 
     def plainly(self) -> float:
         """The decrease that a full step promises by the Gauss-Newton Hessian."""
         assert self.value.gradient is not None and self.value.hessian is not None
-        low, high = self.problem.lower - self.x, self.problem.upper - self.x
-        return promised(self.value.gradient, self.value.hessian, low, high)
+        return promised(self.value.gradient, self.value.hessian, *self._room)
 
     def _quadratic(self) -> tuple[FloatArray, FloatArray]:
         """Gradient (n,) and Hessian (n, n) of the model of the cost here; its full step promises
         `decrement`."""
         assert self.value.gradient is not None and self.value.hessian is not None
         g, h = self.value.gradient, self._curvature.at(self.x, self.value)
-        low, high = self.problem.lower - self.x, self.problem.upper - self.x
-        self.decrement = promised(g, h, low, high)
+        self.decrement = promised(g, h, *self._room)
         if self.decrement < self.rule.tolerance and h is not self.value.hessian:
             # Secants do not say alone that the search has arrived.
             plainly = self.plainly()
@@ -168,7 +199,7 @@ class _Search:
 
     def _moves(self, g: FloatArray, h: FloatArray) -> bool:
         """Take a step that lowers the cost, damped as much as it needs; whether there is one."""
-        low, high = self.problem.lower - self.x, self.problem.upper - self.x
+        low, high = self._room
         for _ in range(30):
             taken = boxed_step(g, h, np.maximum(low, self._fall), high, self._damping)
             share, cost, tried = worth_taking(self.problem, self.x, self.value, h, taken)

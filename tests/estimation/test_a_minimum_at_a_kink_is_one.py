@@ -1,0 +1,51 @@
+"""A delay of whole samples makes a kink of the cost. A minimum there is found, is one, and does not
+stop the search for all other unknowns."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from greybox.estimation.problem import Value
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.status import Code
+from greybox.symbolic import FloatArray
+
+
+class Kinked:
+    """50 (x + y - 1)^2 + 50 (x - y)^2 + slope |y - place|: at a kink in y where the slope is
+    steep."""
+
+    n = 2
+    scale = np.ones(2)
+    lower, upper = np.full(2, -10.0), np.full(2, 10.0)
+    unknowns = tuple(SimpleNamespace(kind="parameter", origin=np.nan) for _ in range(2))
+
+    def __init__(self, slope: float, place: float) -> None:
+        self.slope, self.place = slope, place
+
+    def evaluate(self, x: FloatArray, order: int = 1, scores: int | None = None) -> Value:
+        a, b = x[0] + x[1] - 1.0, x[0] - x[1]
+        side = 1.0 if x[1] >= self.place else -1.0
+        cost = 50 * a**2 + 50 * b**2 + self.slope * abs(x[1] - self.place)
+        gradient = np.array([100 * (a + b), 100 * (a - b) + self.slope * side])
+        hessian = np.array([[200.0, 0.0], [0.0, 200.0]])
+        return Value(cost=cost, likelihood=cost, gradient=gradient, hessian=hessian)
+
+
+@pytest.mark.parametrize("place", [0.3, 0.62])
+@pytest.mark.parametrize("start", [(3.0, -2.0), (0.0, 4.0)])
+def test_a_steep_kink_holds_its_unknown_and_the_rest_arrives(
+    place: float, start: tuple[float, float]
+) -> None:
+    found, status = LevenbergMarquardt().solve(Kinked(80.0, place), np.array(start))
+    assert status.code is Code.CONVERGED
+    assert found == pytest.approx([0.5, place], abs=1e-3)
+
+
+def test_a_kink_elsewhere_is_no_minimum() -> None:
+    found, status = LevenbergMarquardt().solve(Kinked(4.0, 3.0), np.array([0.0, 0.0]))
+    assert status.code is Code.CONVERGED
+    assert found == pytest.approx([0.5, 0.52], abs=1e-4)
