@@ -51,6 +51,7 @@ from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.core_parameters import core_parameters
 from greybox.model.effect import Effect
 from greybox.model.effective_lag import PARTS as IN_A_ROW
+from greybox.model.given_values import demand_given
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel, build_model, input_of
 from greybox.model.noise import Coloured, LowPass, part_named
@@ -189,6 +190,10 @@ class _Decider:
         else:
             steps = nested_sets(self.vehicle, self.facts, input=self.input)
         self.largest = steps
+        if said.values:  # before anything takes time; those of noise parts are asked by the fit
+            model = self._model(_effects(steps))
+            declared = {d.name for d in model.parameters}
+            demand_given(model, {n: v for n, v in said.values.items() if n in declared})
         if parts is None:
             self._note(
                 "effects",

@@ -194,6 +194,6 @@ def run_check(arguments: argparse.Namespace) -> int:
     if columns_by_channel(arguments.vehicle):
         lines += ["[columns] by group, in place of what the file holds:"]
         lines += [mapping_text(vehicle.columns.to_dict(), prefix="columns.")]
-    report = check_vehicle(vehicle)
+    report = check_vehicle(vehicle, where=arguments.vehicle)
     Console.of(arguments).result(report.to_dict(), *lines, report.summary())
     return 0 if report.ok else 1

@@ -25,6 +25,7 @@ from typing import Protocol
 
 import numpy as np
 
+from greybox.model.body import PLACES, is_possible, margins
 from greybox.model.dynamics import Dynamics
 from greybox.model.layer import physics_of
 from greybox.model.vehicle import EXACT_SCHEMA
@@ -39,17 +40,6 @@ WEIGHT = 0.1
 MOVE, MOST_MOVES = 0.1, 60
 """Share of the way to a sphere that a start is moved at once, and how often; after these 0.2 % of
 the way are left."""
-
-PLACES = (
-    ("inertia.xx", 0, 0),
-    ("inertia.yy", 1, 1),
-    ("inertia.zz", 2, 2),
-    ("products_of_inertia.Jxy", 0, 1),
-    ("products_of_inertia.Jxz", 0, 2),
-    ("products_of_inertia.Jyz", 1, 2),
-)
-"""Parameters that are elements of the inertia matrix, or are added to one. Diagonal elements come
-first."""
 
 
 class Unknown(Protocol):
@@ -118,20 +108,6 @@ class Wall:
     cost: float
     gradient: FloatArray
     hessian: FloatArray
-
-
-def margins(inertia: FloatArray) -> FloatArray:
-    """Second moments over the trace (3,), the smallest last; positive for every inertia matrix that
-    a body can have."""
-    trace = float(np.trace(inertia))
-    if not np.isfinite(inertia).all() or not trace > 0:
-        return np.full(3, -np.inf)
-    return np.asarray(0.5 - np.linalg.eigvalsh(inertia) / trace)
-
-
-def is_possible(inertia: FloatArray) -> bool:
-    """Whether a body can have this inertia matrix (3, 3)."""
-    return bool(margins(inertia)[-1] > 0)
 
 
 def wall(bodies: Sequence[Body], theta: FloatArray) -> Wall:

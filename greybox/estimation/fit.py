@@ -24,6 +24,7 @@ from greybox.estimation.result import Estimate, Fit
 from greybox.estimation.solver import Progress, Solver
 from greybox.estimation.status import Code, Interrupted
 from greybox.model.dynamics import Dynamics
+from greybox.model.given_values import demand_given
 from greybox.model.identified import IdentifiedModel
 from greybox.model.noise import part_named, with_disturbance, with_parts
 from greybox.symbolic import FloatArray
@@ -55,7 +56,8 @@ def fit(
     levels from the data), "equation-error", "multistart" (`starts` random starts with `seed`) or
     "innovation" (a maximum likelihood fit in innovation form first, whose estimates and noise
     levels the predictor proper starts from: what a predictor without noise
-    levels of its own wants). `progress(iteration, cost, decrement)` is called every iteration. The
+    levels of its own wants). `values` are numbers that their parameters, and a body, can have (see
+    `greybox.model.given_values`). `progress(iteration, cost, decrement)` is called every iteration. The
     result says whether the fit converged; a fit that did not never looks like one that did. Raises
     `DataError`, `ModelError`, `UnknownNameError` (of a choice, too), and `Interrupted`, a
     KeyboardInterrupt whose `kept` is the `Fit` with the best values so far.
@@ -64,6 +66,7 @@ def fit(
     options = FitOptions.of(options, choices)
     dynamics = with_parts(model, map(part_named, options.noise_parts))
     dynamics = with_disturbance(dynamics, options.disturbance)
+    demand_given(dynamics, options.values)
     predictor, solver = options.chosen_predictor(), options.chosen_solver()
     demand_considerable(dynamics, options)
     first: Fit | None = None

@@ -25,6 +25,7 @@ from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.effect import Effect
 from greybox.model.effective_lag import EffectiveLag, effective_lag
 from greybox.model.effects_file import effects_of, own_effects
+from greybox.model.given_values import demand_changes
 from greybox.model.layer import innermost, physics_of
 from greybox.model.model import PhysicsModel
 from greybox.model.noise import Augmented, Disturbance, NoisePart, noise_part, with_parts
@@ -196,7 +197,12 @@ class IdentifiedModel(Shown):
         return self.parameter_vector(self.per_flight.get(flight))
 
     def with_values(self, changes: Mapping[str, float]) -> IdentifiedModel:
-        """A copy with some values changed, which nobody has judged."""
+        """A copy with some values changed, which nobody has judged.
+
+        Raises `UnknownNameError`, and `ModelError` for what is no finite number within the bounds
+        of its parameter, or makes an inertia that no body has.
+        """
+        demand_changes(self.dynamics, changes, self.values)
         return replace(self, values=self.values.replace(changes), verdict=None)
 
     def to_dict(self) -> dict[str, Json]:

@@ -26,7 +26,7 @@ import numpy as np
 
 from greybox.data.channel import command_names
 from greybox.data.drive import LATE_SPEEDS, drive_names
-from greybox.errors import ModelError, UnknownNameError
+from greybox.errors import ModelError
 from greybox.frames import (
     quat_difference,
     quat_exp,
@@ -39,7 +39,7 @@ from greybox.model.composition import SHAPING, check_effects, check_sensors
 from greybox.model.core_parameters import core_parameters
 from greybox.model.dynamics_text import dynamics_text, parameter_rows
 from greybox.model.effect import SLOTS, Effect
-from greybox.model.effects import effect_by_name
+from greybox.model.effects import demand_parameters, effect_by_name
 from greybox.model.felt import Felt
 from greybox.model.flow import Remembered
 from greybox.model.parameter import Parameter
@@ -154,13 +154,7 @@ class PhysicsModel(Shown):
         for e in self.effects:
             stated = known.get(e.name, {})
             declared = e.parameters(self.vehicle)
-            for short in stated:
-                if short in e.derived({d.name: 0.0 for d in declared}, self.vehicle):
-                    continue  # follows from the others
-                if short not in {d.name for d in declared}:
-                    raise UnknownNameError(
-                        f"parameter of effect {e.name}", short, (d.name for d in declared)
-                    )
+            demand_parameters(e, stated, self.vehicle)
             for d in declared:
                 given = stated.get(d.name)
                 if self.input == "speed" and "delay" in e.early:

@@ -9,7 +9,6 @@ is believed within the default of its quantity (see `beliefs`); in files of sche
 from __future__ import annotations
 
 import difflib
-import math
 import os
 import re
 import warnings
@@ -26,6 +25,7 @@ from greybox.errors import DataError, OldFormWarning, UnknownNameError, VehicleE
 from greybox.files import Json, Parsed, read_toml
 from greybox.frames import GRAVITY
 from greybox.model.beliefs import Belief, Beliefs, Why, default_sigma
+from greybox.model.body import SINGULAR, STATED_SIGMAS, TRIANGLE_SLACK, may_be_stated
 from greybox.model.toml_table import TomlTable, describe
 from greybox.shown import Cell, Shown
 
@@ -48,8 +48,6 @@ Matrix3 = tuple[Vector3, Vector3, Vector3]
 
 MOST_ROTORS = 64
 """Rotors of a vehicle file."""
-TRIANGLE_SLACK = 0.05
-"""Relative slack of the triangle inequality of inertia (values come from rounded tables)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,6 +166,15 @@ class Vehicle(Shown):
         """Longest horizontal distance of a hub from the body origin [m] (a scale, never a
         parameter)."""
         return _arm_length(self.rotors)
+
+    @property
+    def stated_inertia_sigma(self) -> Vector3:
+        """Standard deviations of Jxx, Jyy, Jzz; 0 where nobody stated one."""
+        x, y, z = (
+            0.0 if f"inertia.{a}{a}" in self.assumed else s
+            for a, s in zip("xyz", self.inertia_sigma, strict=True)
+        )
+        return x, y, z
 
     @property
     def quantities(self) -> Mapping[str, Quantity]:
@@ -398,18 +405,19 @@ def _inertia(top: TomlTable, silent: _Silent) -> tuple[Matrix3, Vector3]:
             fix="write the same product of inertia on both sides of the diagonal",
         )
     principal = np.linalg.eigvalsh(matrix)
-    if not principal[0] > 1e-9 * size:
+    if not principal[0] > SINGULAR * size:
         raise top.error(
             "inertia",
             "singular or not positive definite (principal moments "
             f"{', '.join(f'{v:.3g}' for v in principal)} kg m^2)",
             fix="give positive moments about the centre of mass",
         )
-    if principal[2] > (principal[0] + principal[1]) * (1 + TRIANGLE_SLACK) + 3 * math.hypot(*sigma):
+    if not may_be_stated(matrix, sigma):
         raise top.error(
             "inertia",
             f"no body has the principal moments {', '.join(f'{v:.3g}' for v in principal)} kg m^2",
-            expected="the largest at most the sum of the other two",
+            expected="the largest at most the sum of the other two, within "
+            f"{100 * TRIANGLE_SLACK:g} % and {STATED_SIGMAS:g} stated sigma",
             fix="check the units and exponents of the three moments",
         )
     if "inertia_sigma" not in top:

@@ -15,9 +15,9 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from greybox.estimation.feasible import margins
 from greybox.estimation.fit import Fit
 from greybox.files import Json
+from greybox.model.body import margins
 from greybox.model.composition import acts_on_speeds
 from greybox.model.effects import CATALOGUE
 from greybox.model.layer import physics_of

@@ -374,3 +374,13 @@ def test_any_number_is_judged_and_none_crashes_the_check():
         jsonschema.validate(json.loads(dump_json(report.to_dict())), SCHEMA)
         outcomes.add(report.verdict)
     assert outcomes >= {"refused", "implausible", "plausible"}
+
+
+def test_check_names_the_parameter_that_an_effect_does_not_have_and_the_file(tmp_path, capsys):
+    path = tmp_path / "v.toml"
+    text, lag = template_text("x"), "[effects.motor_lag]"
+    assert lag in text
+    path.write_text(text.replace(lag, f"{lag}\ntua = 0.04"))
+    assert main(["vehicle", "check", str(path)]) == 2
+    assert f"{path}: effects.motor_lag: unknown parameter" in (said := capsys.readouterr().err)
+    assert "'tua'" in said and "did you mean tau" in said

@@ -18,13 +18,14 @@ import scipy.optimize
 
 from greybox.estimation.conclusion import concluded
 from greybox.estimation.criteria import CRITERIA
-from greybox.estimation.feasible import NEAR, Body, is_possible, margins, moved_inside, wall
+from greybox.estimation.feasible import NEAR, Body, moved_inside, wall
 from greybox.estimation.multistart import random_start
 from greybox.estimation.options import FitOptions
 from greybox.estimation.predictors import PREDICTORS
 from greybox.estimation.problem import Value, make_problem
 from greybox.estimation.solvers import SOLVERS
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.model.body import is_possible, margins
 from greybox.model.model import build_model
 from greybox.model.vehicle import EXACT_SCHEMA, Vehicle, read_vehicle
 from greybox.plants.vehicle_file import write_vehicle

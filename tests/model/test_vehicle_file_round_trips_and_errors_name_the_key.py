@@ -6,6 +6,7 @@ from __future__ import annotations
 import copy
 import json
 import pickle
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 from greybox.errors import GreyboxError, VehicleError
 from greybox.examples import SETS, vehicle_path
+from greybox.model.plausibility import vehicle_findings
 from greybox.model.vehicle import Quantity, Vehicle, read_vehicle
 
 PLAIN = {
@@ -202,6 +204,30 @@ def test_what_was_believed_by_default_comes_back_as_that():
     )
     with pytest.raises(GreyboxError, match="did you mean mass"):
         Vehicle.from_dict(BARE | {"default_sigma": ["mas"]})
+
+
+def test_a_stated_sigma_that_covers_a_body_lets_its_moments_pass_with_a_warning():
+    plain = copy.deepcopy(BARE)
+    xx, yy = plain["inertia"][0][0], plain["inertia"][1][1]
+    plain["inertia"][2][2] = 1.5 * (xx + yy)  # .45 (xx + yy) beyond the 5 %
+    for share, readable in ((0.24, True), (0.21, False)):
+        plain["inertia_sigma"] = [0.0, 0.0, share * (xx + yy)]
+        if readable:
+            found = [
+                f for f in vehicle_findings(Vehicle.from_dict(plain)) if "triangle" in f.message
+            ]
+            assert [f.severity for f in found] == ["warning"]
+        else:
+            with pytest.raises(VehicleError, match=r"no body .* 2 stated sigma"):
+                Vehicle.from_dict(plain)
+
+
+def test_moments_that_no_body_has_block_a_vehicle_that_no_reader_saw():
+    vehicle = Vehicle.from_dict(BARE)
+    xx, yy = vehicle.inertia[0][0], vehicle.inertia[1][1]
+    wrong = replace(vehicle, inertia=((xx, 0.0, 0.0), (0.0, yy, 0.0), (0.0, 0.0, 1.3 * (xx + yy))))
+    found = [f for f in vehicle_findings(wrong) if "triangle" in f.message]
+    assert [f.severity for f in found] == ["blocking"]
 
 
 def test_a_guessed_moment_that_no_body_has_is_refused_however_wide_its_default():

@@ -3,6 +3,8 @@ here."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from greybox.errors import UnknownNameError
 from greybox.model.effect import Effect
 from greybox.model.effects.accelerometer_bias import AccelerometerBias
@@ -36,6 +38,7 @@ from greybox.model.effects.steady_wind import SteadyWind
 from greybox.model.effects.thrust_curve import ThrustCurve
 from greybox.model.effects.thrust_level import ThrustLevel
 from greybox.model.effects.translational_lift import TranslationalLift
+from greybox.model.vehicle import Vehicle
 
 CATALOGUE: tuple[Effect, ...] = (
     CommandDelay(),
@@ -72,9 +75,20 @@ CATALOGUE: tuple[Effect, ...] = (
 )
 
 
-def effect_by_name(name: str) -> Effect:
+def demand_parameters(
+    effect: Effect, stated: Iterable[str], vehicle: Vehicle, *, where: str | None = None
+) -> None:
+    """Raises `UnknownNameError` where one of the `stated` parameters is none of the effect's."""
+    names = [d.name for d in effect.parameters(vehicle)]
+    derived = effect.derived(dict.fromkeys(names, 0.0), vehicle)  # follow from the others
+    for short in stated:
+        if short not in names and short not in derived:
+            raise UnknownNameError(f"parameter of effect {effect.name}", short, names, where=where)
+
+
+def effect_by_name(name: str, *, where: str | None = None) -> Effect:
     """The catalogue's effect of that name. Raises `UnknownNameError` with the nearest names."""
     for effect in CATALOGUE:
         if effect.name == name:
             return effect
-    raise UnknownNameError("effect", name, (e.name for e in CATALOGUE))
+    raise UnknownNameError("effect", name, (e.name for e in CATALOGUE), where=where)

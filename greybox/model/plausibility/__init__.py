@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.files import Json
 from greybox.model.beliefs import Beliefs
-from greybox.model.effects import CATALOGUE
+from greybox.model.effects import CATALOGUE, demand_parameters, effect_by_name
 from greybox.model.plausibility import judges
 from greybox.model.plausibility.craft import FIGURES, Craft
 from greybox.model.plausibility.finding import SEVERITIES, Implausible
@@ -95,9 +95,12 @@ class Plausibility(Shown):
         )
 
 
-def check_vehicle(vehicle: Vehicle) -> Plausibility:
-    """Judge a vehicle that its reader accepts. Raises `UnknownNameError` for an effect that the
-    catalogue does not have."""
+def check_vehicle(vehicle: Vehicle, *, where: str | None = None) -> Plausibility:
+    """Judge a vehicle that its reader accepts; `where`: its file. Raises `UnknownNameError` for an
+    effect that the catalogue does not have, and for a parameter that an effect does not have."""
+    for name, stated in vehicle.effects.items():
+        place = f"{where}: effects.{name}" if where else f"effects.{name}"
+        demand_parameters(effect_by_name(name, where=where), stated, vehicle, where=place)
     extreme = list(judges.extremes(vehicle))
     if extreme:
         return Plausibility(

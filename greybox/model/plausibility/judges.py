@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from greybox.frames import GRAVITY
+from greybox.model.body import may_be_stated
 from greybox.model.effects import effect_by_name
 from greybox.model.plausibility.craft import Craft
 from greybox.model.plausibility.finding import Implausible, Severity
@@ -159,8 +160,9 @@ def inertia(c: Craft) -> Iterator[Implausible]:
             )
     principal = np.linalg.eigvalsh(j)
     if principal[2] > principal[0] + principal[1]:
+        within = may_be_stated(j, c.vehicle.stated_inertia_sigma)
         yield Implausible(
-            "warning",
+            "warning" if within else "blocking",
             "inertia",
             "breaks the triangle inequality: no body has it",
             f"the largest principal moment at most {principal[0] + principal[1]:.3g}",
