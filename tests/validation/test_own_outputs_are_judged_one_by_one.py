@@ -92,7 +92,7 @@ def test_a_group_of_a_vehicle_stays_one_where_it_is_whole() -> None:
 
 
 def test_a_model_that_is_worse_than_the_last_value_is_not_usable(fitted: Fit) -> None:
-    wrong = fitted.model.with_values({"R": 0.05, "J": 2e-6})
+    wrong = fitted.model.with_values({"R": 0.05, "J": 6e-6})
     seen = gb.validate(wrong, motor.record(seed=4, name="other"))
     assert seen.verdict is not None and seen.verdict.exit_code == 1
     assert seen.verdict.line.startswith("NOT USABLE")
