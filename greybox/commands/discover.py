@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +25,15 @@ if TYPE_CHECKING:
 from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
-from greybox.commands.judgement import accept_option, accepted, adapt_option, demand_adapt
+from greybox.commands.judgement import (
+    accept_option,
+    accepted,
+    adapt_option,
+    demand_adapt,
+    faults_of,
+    overruled,
+    refuse_faults,
+)
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.model_options import names
 from greybox.commands.own_model import model_file_option, read_flights_of
@@ -194,8 +201,8 @@ class _Search:
         from greybox.files import withdraw, write_atomic, write_json
 
         out, content = self._out, found.to_dict()
-        overruled, told = self.warnings()
-        content["warnings"] = [*overruled, *content["warnings"], *told]
+        first, told = self.warnings()
+        content["warnings"] = [*first, *content["warnings"], *told]
         content["command"] = typed("discover")
         has = () if found.fit is None else found.model.effects
         content["effects_files"] = [
@@ -222,8 +229,7 @@ class _Search:
 
     def warnings(self) -> tuple[list[str], list[str]]:
         """What the flights were searched in spite of: (faults that were accepted, warnings)."""
-        overruled = [f"accepted: {f.flight}: {f.message}" for f in self.faults.overruled]
-        return overruled, self.faults.warning_lines()
+        return overruled(self.faults), self.faults.warning_lines()
 
     @property
     def content(self) -> DiscoveryDocument:
@@ -467,7 +473,6 @@ def _searched(
 
 def _go_on(arguments: argparse.Namespace) -> int:
     """Multiply the evidence of the names of an earlier search by that of further flights."""
-    from greybox.data.checks import check_logs
     from greybox.discovery.further import further
     from greybox.discovery.result import WITH_LAWS
     from greybox.errors import GreyboxError
@@ -496,14 +501,9 @@ def _go_on(arguments: argparse.Namespace) -> int:
             fix="greybox discover --from model.json --train LOGS",
         )
     rate = arguments.rate or 1 / model.sample_time
-    faults = check_logs(
-        logs, model.physics.vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)
-    )
+    faults = faults_of(arguments, model.physics.vehicle)
     if not faults.ok:
-        first = faults.blocking[0]
-        why = f"{first.flight}: {first.message}. Usual fix: greybox check says more"
-        print(f"greybox discover: {why}; --accept {first.check} overrules it", file=sys.stderr)
-        return 1
+        return refuse_faults(faults, Console.of(arguments), "judging names by these flights")
     data = read_flight_logs(arguments, logs, model.physics.vehicle, rate=rate)
     content = further(content, model, data, own)
     out = Path(arguments.out or folder)
