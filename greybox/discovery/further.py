@@ -112,8 +112,7 @@ def further(
 
 def _log_e(flights: Flights, told: Fitted, effect: NamedRow, model: IdentifiedModel) -> float:
     """The log e-value of a name by flights that the structure `told` with it was fitted to."""
-    causes, name = flights.causes, effect["name"]
-    left = told.structure - {name}
+    causes, name, left = flights.causes, effect["name"], told.structure - {effect["name"]}
     nulls = {n: null for n, (null, _) in causes.offered[name].prior.items()}
     bare = replace(causes, known=known_numbers(model, given=nulls))
     rival = replace(flights, causes=bare, _known={}).fit(left, [told.known])

@@ -3,8 +3,7 @@
 Every structure carries force and torque as Gauss-Markov states. An axis whose state the flights
 need next to all names holds something: how large it is, how long it lasts and, where terms of a
 small library (greybox.residual.laws.terms) explain it on flights that were left out, the law. A law
-is written as an effect file and enters the race as any other cause: it stays where the evidence
-says so.
+is an effect file and enters the race as any other cause: it stays where the evidence says so.
 """
 
 from __future__ import annotations

@@ -123,8 +123,7 @@ def judged(
 def unneeded(name: Name, beside: Certificate, bar: float) -> Name:
     """A name that did not hold beside laws, by the certificate that it has there."""
     e = f"log10 e {beside.log_e / LOG10:.1f} of {bar / LOG10:.1f} that a name needs"
-    reason = f"next to the laws of what has no name {e}"
-    shown = replace(name, status="not certified", reason=reason, kept=False)
+    shown = replace(name, status="not certified", reason=f"next to the laws {e}", kept=False)
     return replace(shown, certificate=beside, shares={}, unlikely={})
 
 

@@ -250,10 +250,10 @@ class Discovery(Shown):
             lines.append(f"  {words}: {told}")
             odds = "    rather than {name}: log10 odds {log10_odds:.1f}, log10 e {log10_e:.1f}"
             lines += [odds.format(**u) for u in e["unlikely"]]
-            with_laws = {} if self.lawful is None else self.lawful.values
-            asked = [(n, f"{e['name']}.{n}") for n in e["parameters"]]
-            there = [f"{n} = {with_laws[k]:.4g}" for n, k in asked if k in with_laws]
-            lines += [f"    with the laws: {', '.join(there)}"] if there else []
+            laws = {} if self.lawful is None else self.lawful.values
+            its = [(n, f"{e['name']}.{n}") for n in e["parameters"]]
+            said = ", ".join(f"{n} = {laws[k]:.4g}" for n, k in its if k in laws)
+            lines += [f"    with the laws: {said}"] if said else []
         for a in self.ambiguous():
             rows = [f"{c['name']} ({c['weight']:.0%})" for c in a["candidates"]]
             lines.append("  one of " + ", ".join(rows))
