@@ -16,6 +16,8 @@ from greybox.model.vehicle import Vehicle
 from greybox.plants.effects import PlantEffect, RotationalDamping
 from greybox.plants.presets import x250
 from greybox.plants.quadrotor import Quadrotor
+from greybox.residual.laws.axis import Axis
+from greybox.residual.laws.terms import Term
 from scenarios.studies import discovery_grid
 
 SHORT = ("gyro_bias", "rotational_damping", "center_of_mass_offset", "parasitic_drag")
@@ -26,6 +28,24 @@ def shorten(patch: pytest.MonkeyPatch, *more: str) -> None:
     """Leave a few effects in the catalogue, and `more`."""
     some = tuple(e for e in CATALOGUE if e.name in (*SHORT, *more))
     patch.setattr(greybox.discovery.cause, "CATALOGUE", some)
+
+
+def law_of(channel: str, *picked: Term) -> Axis:
+    """An axis with a law of these terms, their coefficients 0.5, 1, 1.5, ..."""
+    return Axis(
+        channel=channel,
+        unit="N",
+        rms=1.0,
+        gain=100.0,
+        lasts=1.0,
+        needed=True,
+        share=0.9,
+        lawful=True,
+        terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
+        depends_on=(),
+        codes=tuple(t.code for t in picked),
+        shapes=tuple(None if t.shape is None else (t.shape, 0.3) for t in picked),
+    )
 
 
 def plant(*effects: PlantEffect) -> Quadrotor:

@@ -10,12 +10,11 @@ import pytest
 from greybox.discovery.workflow import discover
 from greybox.model.effect import Flow
 from greybox.plants.presets import x250
-from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import proposed
 from greybox.residual.laws.terms import Bump, Term, terms
 from scenarios.plants.outside.wall import Wall
 from scenarios.studies.discovery_outside import flights
-from tests.discovery.small_world import shorten, vehicle
+from tests.discovery.small_world import law_of, shorten, vehicle
 
 NAMES = (*(f"attitude.{a}" for a in "wxyz"), *(f"position.{a}" for a in "xyz"))
 
@@ -34,22 +33,6 @@ def fields(channel: str) -> list[Term]:
 def wall() -> Term:
     """A force along x that depends on x."""
     return next(t for t in fields("force.x") if t.uses == ("east.x", "position.x"))
-
-
-def law(term: Term) -> Axis:
-    return Axis(
-        channel="force.x",
-        unit="N",
-        rms=1.0,
-        gain=100.0,
-        lasts=1.0,
-        needed=True,
-        share=0.9,
-        lawful=True,
-        terms={term.text: 0.5},
-        codes=(term.code,),
-        shapes=((term.shape, 0.3),) if term.shape else (None,),
-    )
 
 
 def test_a_force_points_along_its_coordinate_or_up_and_a_torque_is_its_moment():
@@ -71,7 +54,7 @@ def test_a_force_points_along_its_coordinate_or_up_and_a_torque_is_its_moment():
 def test_the_file_frees_place_and_width():
     term = wall()
     assert isinstance(term.shape, Bump)
-    (effect,) = proposed([law(term)])
+    (effect,) = proposed([law_of("force.x", term)])
     c, place, width = effect.parameters(vehicle())
     assert (c.name, place.name, width.name) == ("c_1", "place_1", "width_1")
     assert place.lower < term.shape.place < place.upper
@@ -84,7 +67,9 @@ def test_the_file_frees_place_and_width():
 
 
 def test_a_law_is_told_with_the_place_that_its_refit_found():
-    found = law(wall()).refitted("own", {"own.c_1": 3.0, "own.place_1": 0.25, "own.width_1": 0.1})
+    found = law_of("force.x", wall()).refitted(
+        "own", {"own.c_1": 3.0, "own.place_1": 0.25, "own.width_1": 0.1}
+    )
     (text,) = found.terms
     assert text == "east.x (position.x near 0.25, 0.1 wide)"
     assert found.terms[text] == 3.0

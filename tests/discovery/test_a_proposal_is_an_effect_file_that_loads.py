@@ -12,10 +12,9 @@ import pytest
 from greybox.model.effect import Flow
 from greybox.model.effects_file import load_effects
 from greybox.model.model import build_model
-from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import file_name, proposal_text, proposed
 from greybox.residual.laws.terms import Term, terms, wanted_features
-from tests.discovery.small_world import flown, vehicle
+from tests.discovery.small_world import flown, law_of, vehicle
 
 NAMES = (
     *(f"body_velocity.{a}" for a in "xyz"),
@@ -45,23 +44,6 @@ def every(channel: str) -> list[Term]:
     return terms(channel, NAMES, features(), vehicle())
 
 
-def law(channel: str, *picked: Term) -> Axis:
-    return Axis(
-        channel=channel,
-        unit="N",
-        rms=1.0,
-        gain=100.0,
-        lasts=1.0,
-        needed=True,
-        share=0.9,
-        lawful=True,
-        terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
-        depends_on=(),
-        codes=tuple(t.code for t in picked),
-        shapes=tuple(None if t.shape is None else (t.shape, 0.3) for t in picked),
-    )
-
-
 @pytest.mark.parametrize("channel", ["force.x", "torque.z"])
 def test_the_file_loads_and_returns_the_law_on_its_axis(channel: str, tmp_path: Path):
     library = every(channel)
@@ -70,7 +52,7 @@ def test_the_file_loads_and_returns_the_law_on_its_axis(channel: str, tmp_path: 
         for name in ("velocity.x |velocity.x|", "north.y", "p q")
     ]
     path = tmp_path / file_name(1)
-    path.write_text(proposal_text(law(channel, *picked), 1), encoding="utf-8")
+    path.write_text(proposal_text(law_of(channel, *picked), 1), encoding="utf-8")
     (effect,) = load_effects(path)
     assert effect.name == f"proposal_{channel.replace('.', '_')}"
     assert [p.null for p in effect.parameters(vehicle())] == [0.0, 0.0, 0.0]
@@ -116,12 +98,12 @@ def test_every_term_of_the_library_makes_a_valid_effect_with_the_same_numbers(ch
             t.values[3], rel=1e-9, abs=1e-12
         ), t.text
     assert len({t.text for t in library}) == len(library)
-    assert len(proposed([law(channel, *library[:3])])) == 1
+    assert len(proposed([law_of(channel, *library[:3])])) == 1
 
 
 def test_a_law_of_the_voltage_asks_for_its_column():
     battery = next(t for t in every("force.z") if t.text == "vbat")
-    (effect,) = proposed([law("force.z", battery)])
+    (effect,) = proposed([law_of("force.z", battery)])
     assert effect.needs.columns == ("vbat",)
 
 

@@ -13,13 +13,12 @@ from greybox.discovery.workflow import discover
 from greybox.model.effects_file import load_effects
 from greybox.model.model import build_model
 from greybox.plants.presets import x250
-from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import file_name, proposal_text, proposed
 from greybox.residual.laws.lagged import DAMPING, FREQUENCIES, TIMES, follow, remembered_terms
 from greybox.residual.laws.terms import Memory, Term
 from scenarios.plants.outside import RelaxingDrag, SloshingMass
 from scenarios.studies.discovery_outside import flights
-from tests.discovery.small_world import shorten, vehicle
+from tests.discovery.small_world import law_of, shorten, vehicle
 
 NAMES = (
     *(f"body_velocity.{a}" for a in "xyz"),
@@ -45,23 +44,6 @@ def features(n: int = 600) -> np.ndarray:
 
 def every(z: np.ndarray, *parts: slice) -> list[Term]:
     return remembered_terms(NAMES, z, vehicle(), parts or [slice(0, len(z))], DT)
-
-
-def law(channel: str, *picked: Term) -> Axis:
-    return Axis(
-        channel=channel,
-        unit="N",
-        rms=1.0,
-        gain=100.0,
-        lasts=1.0,
-        needed=True,
-        share=0.9,
-        lawful=True,
-        terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
-        depends_on=(),
-        codes=tuple(t.code for t in picked),
-        shapes=tuple(None if t.shape is None else (t.shape, 0.3) for t in picked),
-    )
 
 
 @pytest.mark.parametrize("memory", [Memory(time=0.2), Memory(time=0.1, damping=0.15)])
@@ -99,7 +81,7 @@ def test_the_file_of_a_remembered_law_integrates_what_the_term_says(tmp_path: Pa
         for text in ("velocity.x (within 0.3 s)", "up.y (swinging at 1 Hz)")
     ]
     path = tmp_path / file_name(1)
-    path.write_text(proposal_text(law("force.x", *picked), 1), encoding="utf-8")
+    path.write_text(proposal_text(law_of("force.x", *picked), 1), encoding="utf-8")
     (effect,) = load_effects(path)
     assert [p.name for p in effect.parameters(vehicle())] == [
         "c_1",
@@ -132,7 +114,7 @@ def test_the_file_of_a_remembered_law_integrates_what_the_term_says(tmp_path: Pa
 def test_terms_with_and_without_a_memory_share_a_file():
     z = features()
     plain = Term(text="p", code="flow.omega[0]", uses=("p",), values=z[:, 3])
-    (effect,) = proposed([law("torque.x", plain, every(z)[0])])
+    (effect,) = proposed([law_of("torque.x", plain, every(z)[0])])
     assert [p.name for p in effect.parameters(vehicle())] == ["c_1", "c_2", "time_2"]
     assert len(effect.memory(vehicle())) == 1
 
@@ -159,8 +141,8 @@ def test_the_law_of_a_hidden_state_is_found_and_closes_the_gap(
 
 def test_a_proposal_next_to_an_earlier_one_has_a_name_of_its_own():
     z = features()
-    earlier = proposed([law("force.x", every(z)[0])])
-    (later,) = proposed([law("force.x", every(z)[1])], [e.name for e in earlier])
+    earlier = proposed([law_of("force.x", every(z)[0])])
+    (later,) = proposed([law_of("force.x", every(z)[1])], [e.name for e in earlier])
     assert [e.name for e in (*earlier, later)] == ["proposal_force_x", "further_proposal_force_x"]
     assert (
         len(build_model(vehicle(), ("p", "q", "r", "ax", "ay", "az"), [*earlier, later]).effects)

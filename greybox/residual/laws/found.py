@@ -30,7 +30,7 @@ OWN: dict[str, tuple[str, tuple[str, ...]]] = {
 """Axis -> (the term that a wrong coefficient of the rotors, mass or inertia leaves, how the names
 of these begin)."""
 
-WORLD = ("east", "north", "up")
+WORLD = frozenset(itertools.chain.from_iterable(ALONG.values()))
 """Axes of the world, whose components in body axes are signals."""
 
 
