@@ -55,7 +55,7 @@ def at_sample_time(model: IdentifiedModel | LinearModel, dynamics: Dynamics, dt:
         return dynamics
     if isinstance(core, PhysicsModel):
         # Rotors are stepped exactly.
-        body = [i for i, n in enumerate(core.states.names) if not n.startswith("rotor.")]
+        body = [i for i, n in enumerate(core.states.names) if not n.startswith("rotor")]
         parts = _steps(_decaying(core, model, body), model.sample_time, dt)
         return with_core(dynamics, replace(core, sample_time=dt, parts=parts))
     if isinstance(core, StateSpaceModel) and not core.discrete:

@@ -38,7 +38,13 @@ def names_of(step: Step) -> tuple[str, ...]:
 
 BASE = Step(
     name="rotors and sensors",
-    effects=("motor_lag", "command_delay", "gyro_bias", "accelerometer_bias"),
+    effects=(
+        "motor_lag",
+        "command_delay",
+        "rotor_speed_delay",
+        "gyro_bias",
+        "accelerometer_bias",
+    ),
 )
 
 TRIM = Step(

@@ -27,16 +27,18 @@ class Clock:
 
 
 STATE_CLOCK = "imu"
+ROTOR_CLOCK = "rotors"
 CLOCKS: Mapping[str, Clock] = {
     c.name: c
     for c in (
         Clock(name=STATE_CLOCK, delay="imu_delay"),
         Clock(name="pose", delay="pose_delay", reach=0.05),
+        Clock(name=ROTOR_CLOCK, delay="rotor_speed_delay"),
         Clock(name="now", delay=None),
     )
 }
-"""imu: what the flight controller samples; pose: motion capture, satellites or cameras; now: what
-comes with commands."""
+"""imu: what the flight controller samples; pose: motion capture, satellites or cameras; rotors:
+telemetry of the speed controllers; now: what comes with commands."""
 
 DELAYS = frozenset(c.delay for c in CLOCKS.values() if c.delay is not None)
 """Slots of the stage "sensor" that delay a clock [s]."""

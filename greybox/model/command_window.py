@@ -45,6 +45,11 @@ class CommandWindow:
             whole = whole + there * m
         return older, newer, r - whole
 
+    def sent(self, age: Expr, dt: Expr) -> Expr:
+        """An age [s] of commands, no younger than the newest of the window."""
+        newest = -self.future * dt
+        return ca.if_else(age < newest, newest, age)
+
     def held(self, window: Expr, delay: Expr, dt: Expr) -> tuple[Expr, Expr, Expr]:
         """(u_a, u_b, s): the delayed record holds u_a over [t_k, t_k + s) and u_b over [t_k + s,
         t_k+1).

@@ -46,7 +46,7 @@ from greybox.model.parameter import Parameter
 from greybox.model.rigid_body import PUSHES, RigidBody
 from greybox.model.rotors import Rotors, rotor_path
 from greybox.model.sensor import Sensor, first_complete
-from greybox.model.sensor_clocks import OWN, Instant, Passage, SensorClocks
+from greybox.model.sensor_clocks import OWN, TELEMETRY, Instant, Passage, SensorClocks
 from greybox.model.sensors import SENSORS, USUAL
 from greybox.model.staged_effects import StagedEffects
 from greybox.model.state_blocks import BLOCKS, first_columns, first_times, start_of
@@ -254,7 +254,8 @@ class PhysicsModel(Shown):
     def states(self) -> Layout:
         """Kept blocks of the rigid body, what is remembered, rotor speeds where there is a lag.
 
-        position.x, ..., memory.<effect or sensor>.<name>, rotor.1 .. rotor.n.
+        position.x, ..., memory.<effect or sensor>.<name>, rotor.1 .. rotor.n, and once more as
+        telemetry shows them, late: rotor_shown.1 .. rotor_shown.n.
         """
         rows = [
             Signal(name=f"{b}.{a}", unit=BLOCKS[b].unit, meaning=b)
@@ -262,12 +263,7 @@ class PhysicsModel(Shown):
             for a in BLOCKS[b].letters
         ]
         rows += self._memory_signals("")
-        if self._has_lag:
-            rows += [
-                Signal(name=f"rotor.{i + 1}", unit="-", meaning="normalised rotor speed")
-                for i in range(self._n)
-            ]
-        return Layout(rows)
+        return Layout(rows + self._rotor_signals("", "normalised rotor speed"))
 
     @cached_property
     def error_states(self) -> Layout:
@@ -282,12 +278,21 @@ class PhysicsModel(Shown):
                 Signal(name=f"d_{b}.{a}", unit=unit, meaning=f"{b} error, body axes") for a in "xyz"
             ]
         rows += self._memory_signals("d_")
-        if self._has_lag:
-            rows += [
-                Signal(name=f"d_rotor.{i + 1}", unit="-", meaning="rotor error")
-                for i in range(self._n)
-            ]
-        return Layout(rows)
+        return Layout(rows + self._rotor_signals("d_", "rotor error"))
+
+    def _rotor_signals(self, prefix: str, meaning: str) -> list[Signal]:
+        kinds = {"rotor": meaning, "rotor_shown": f"{meaning}, as telemetry shows it"}
+        return [
+            Signal(name=f"{prefix}{kind}.{i + 1}", unit="-", meaning=said)
+            for kind, said in list(kinds.items())[: self._copies]
+            for i in range(self._n)
+        ]
+
+    @property
+    def _copies(self) -> int:
+        """How often the rotors are among the states: once where they lag, twice where they are
+        shown late."""
+        return int(self._has_lag) + int(self._clocks.follow)
 
     def _memory_signals(self, prefix: str) -> list[Signal]:
         return [
@@ -372,6 +377,11 @@ class PhysicsModel(Shown):
         kept = [*self._felt.blocks, *(["memory"] if self._staged.remembered else [])]
         return ca.vertcat(*(blocks[b] for b in kept), *([nu] if self._has_lag else []))
 
+    def _speeds(self, rotors: Expr) -> tuple[Expr, Expr]:
+        """(speeds now, speeds as telemetry shows them) of the rotor states."""
+        n = self._n
+        return (rotors[:n], rotors[n:]) if self._clocks.follow else (rotors, rotors)
+
     def _noise(self, w: Expr) -> Expr:
         """Noise of `PUSHES` and of drifting memories, zeros for what the model does not have.
 
@@ -389,14 +399,16 @@ class PhysicsModel(Shown):
 
     def f(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
         """dx/dt at the command u (n_u); w (n_w), where given, pushes as process noise does."""
-        blocks, nu = self._split(x)
+        blocks, rotors = self._split(x)
         values = self._values(p)
         goal = self._rotors.goal(u, values)
+        nu, shown = self._speeds(rotors)
         nu_rate = self._rotors.rate(nu, goal, values)
         d = self.body.rates(
             blocks, nu if self._has_lag else goal, nu_rate, u, values, self._noise(w)
         )
-        return self._join(d, nu_rate)
+        follow = [self._rotors.rate(shown, goal, values)] if self._clocks.follow else []
+        return self._join(d, ca.vertcat(nu_rate, *follow))
 
     def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
         """Noise-free outputs at the command u (n_u); w (n_w), where given, pushes as noise does."""
@@ -412,22 +424,35 @@ class PhysicsModel(Shown):
         w: Expr,
         lasting: Expr,
     ) -> Expr:
-        blocks, nu = self._split(x)
+        blocks, rotors = self._split(x)
         noise, push = self._noise(w), self._noise(lasting)
-        readings = self._clocks.readings(blocks, nu, u, passages, values, noise, push)
+        speeds = self._speeds(rotors)
+        readings = self._clocks.readings(blocks, speeds, u, passages, values, noise, push)
         return ca.vertcat(*(readings[s.name] for s in self.sensors))
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample: rotors exactly, rigid body by Runge-Kutta 4, unit quaternion."""
-        blocks, nu = self._split(x)
+        blocks, rotors = self._split(x)
         values = self._values(p)
+        nu, shown = self._speeds(rotors)
         u_a, u, switch = self._commands.held(window, self._clocks.command_age(OWN, values), dt)
         pull = (self._rotors.goal(u_a, values), self._rotors.goal(u, values))
         held, length = (u, values, self._noise(w)), dt / self.parts
         for k in range(self.parts):
             at = switch if self.parts == 1 else ca.fmin(ca.fmax(switch - k * length, 0.0), length)
             blocks, nu = self._runge_kutta(blocks, nu, pull, at, held, length)
-        return self._join(blocks, nu)
+        follow = [self._followed(shown, window, values, dt)] if self._clocks.follow else []
+        return self._join(blocks, ca.vertcat(nu, *follow))
+
+    def _followed(self, shown: Expr, window: Expr, values: Mapping[str, Expr], dt: Expr) -> Expr:
+        """The rotors that telemetry shows after dt: they follow the commands of their own
+        instant."""
+        age = self._commands.sent(self._clocks.command_age(TELEMETRY, values), dt)
+        u_a, u_b, switch = self._commands.held(window, age, dt)
+        goals = (self._rotors.goal(u_a, values), self._rotors.goal(u_b, values))
+        return rotor_path(
+            shown, *goals, switch, dt, lambda gap: self._rotors.lag_over(gap, values)
+        )[1]
 
     def _runge_kutta(
         self,
@@ -551,8 +576,8 @@ class PhysicsModel(Shown):
         sigma.append(sizes)
         if self._has_lag:
             u = first_complete(first_columns(start, self.inputs.names[: self._n]))
-            values.append(np.full(self._n, 0.5) if u is None else u)
-            sigma.append(np.full(self._n, 0.1))
+            values += [np.full(self._n, 0.5) if u is None else u] * self._copies
+            sigma.append(np.full(self._n * self._copies, 0.1))
         return np.concatenate(values), np.concatenate(sigma)
 
     @property
@@ -572,8 +597,7 @@ class PhysicsModel(Shown):
         if self._felt.place:
             blocks["position"] = [means.get(a, 0.0) for a in "xyz"]
         out = [v for block in blocks.values() for v in block] + [0.0] * len(self._staged.remembered)
-        if self._has_lag:
-            out += [means.get(n, 0.5) for n in self.inputs.names[: self._n]]
+        out += [means.get(n, 0.5) for n in self.inputs.names[: self._n]] * self._copies
         return np.asarray(out)
 
     def noise_scale(self, dt: float) -> FloatArray:

@@ -18,7 +18,7 @@ import casadi as ca
 
 from greybox.errors import ModelError
 from greybox.frames import quat_exp, quat_multiply
-from greybox.model.clock import CLOCKS, STATE_CLOCK
+from greybox.model.clock import CLOCKS, ROTOR_CLOCK, STATE_CLOCK
 from greybox.model.command_window import CommandWindow
 from greybox.model.flow import Flow
 from greybox.model.rigid_body import RigidBody
@@ -35,6 +35,8 @@ class Instant(NamedTuple):
 
 OWN = Instant(STATE_CLOCK, 0.0)
 """The instant of the states."""
+TELEMETRY = Instant(ROTOR_CLOCK, 0.0)
+"""The instant of measured rotor speeds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +81,13 @@ class SensorClocks:
             if i != OWN
             and (i.delay or (i.clock != STATE_CLOCK and (own or staged.has(CLOCKS[i.clock].delay))))
         )
+
+    @cached_property
+    def follow(self) -> bool:
+        """Whether rotors as telemetry shows them are states of their own: those of the states,
+        later by a delay, would run away on the way back."""
+        late = self.body.staged.has(CLOCKS[ROTOR_CLOCK].delay)
+        return late and self.body.rotors.have_lag
 
     # ---------------------------------------------------------------- commands
 
@@ -125,7 +134,7 @@ class SensorClocks:
                 age=self.lateness(at, values) - own,
                 mean=mean,
                 early=early,
-                end=commands.sampled(window, end, dt),
+                end=commands.sampled(window, commands.sent(end, dt), dt),
             )
         return out
 
@@ -142,15 +151,17 @@ class SensorClocks:
     def readings(
         self,
         x: Mapping[str, Expr],
-        nu: Expr,
+        speeds: tuple[Expr, Expr],
         u: Expr,
         passages: Mapping[Instant, Passage],
         values: Mapping[str, Expr],
         w: Expr,
         lasting: Expr,
     ) -> dict[str, Expr]:
-        """Readings by sensor name, of states `x` and rotors `nu` that the command u drives, under
-        the noise `w` of the coming step and what pushes now and before."""
+        """Readings by sensor name, of states `x` and rotors at `speeds` (now, and as telemetry
+        shows them) that the command u drives, under the noise `w` of the coming step and what
+        pushes now and before."""
+        nu, followed = speeds
         rotors = self.body.rotors
         goal = rotors.goal(u, values)
         rate = rotors.rate(nu, goal, values)
@@ -159,7 +170,8 @@ class SensorClocks:
         )
         shown = self.shown(flow, force, x, values)
         for at in self.apart:
-            seen = self.shown(*self.state_at(passages[at], x, nu, values, w, lasting), values)
+            end = followed if self.follow and at == TELEMETRY else None
+            seen = self.shown(*self.state_at(passages[at], x, nu, values, w, lasting, end), values)
             shown |= {name: seen[name] for name in self.instants[at]}
         return shown
 
@@ -185,9 +197,10 @@ class SensorClocks:
         values: Mapping[str, Expr],
         w: Expr,
         lasting: Expr,
+        known: Expr = None,
     ) -> tuple[Flow, Expr, dict[str, Expr]]:
         """(flow, specific force [m/s^2], states) at the end of `way`, from states `x` and rotors
-        `nu` at its start.
+        `nu` at its start; at its end they are as `known`, where they are.
 
         Bodies move by the midpoint rule, rotors exactly. The noise `w` of the coming step acts
         ahead of the states alone, what is `lasting` on both sides.
@@ -213,5 +226,6 @@ class SensorClocks:
         d = self.body.rates(half, middle, nu_rate, u, values, w)
         there = {b: x[b] - back * d[b] for b in x}
         there["attitude"] = quat_multiply(x["attitude"], quat_exp(-back * half["rate"]))
+        end = end if known is None else known
         force, _, flow = self.body.accelerations(there, end, nu_rate, way.end, values, w)
         return flow, force, there

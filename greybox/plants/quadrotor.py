@@ -89,7 +89,9 @@ class Quadrotor:
         self.sample_time = sample_time
         self._pose_delay = float(sum(e.pose_delay() for e in self.effects))
         self._imu_delay = float(sum(e.imu_delay() for e in self.effects))
-        self._late = max(self._pose_delay, self._imu_delay) > 0.0
+        self._speed_delay = float(sum(e.rotor_speed_delay() for e in self.effects))
+        self._longest = max(self._pose_delay, self._imu_delay, self._speed_delay)
+        self._late = self._longest > 0.0
         self.substep = min(substep, DELAYED_SUBSTEP) if self._late else substep
         self.physics = Physics(airframe, self.effects)
         self._needs_speed_rate = any(e.needs_speed_rate for e in self.effects)
@@ -157,10 +159,8 @@ class Quadrotor:
         self._disturbance.advance(self._row)
         self._memory: Memory | None = None
         if self._late:
-            self._memory = Memory(
-                max(self._pose_delay, self._imu_delay),
-                self._reading(self.time, *self._speeds_now()),
-            )
+            first = self._reading(self.time, *self._speeds_now())
+            self._memory = Memory(self._longest, first)
 
     def branch(self, seed: int | Sequence[int] | None) -> Quadrotor:
         """A copy that goes on from here with other noise: draws of `seed` (one per member), or none
@@ -275,8 +275,8 @@ class Quadrotor:
         return nu, [act.speed_rate(n, s) for n, s in zip(nu, target)]
 
     def _reading(self, time: float, nu: list[Number], nu_rate: list[Number]) -> list[Number]:
-        """Undelayed noise-free gyro, specific force, attitude, position, velocity (16 values) at
-        the present state."""
+        """Undelayed noise-free gyro, specific force, attitude, position, velocity (16 values) and
+        rotor speeds (n, as nu) at the present state."""
         physics, disturbance = self.physics, self._disturbance
         body, specific, turning = physics.accelerations(
             time, self._state, nu, nu_rate, self.voltage, disturbance.force, disturbance.torque
@@ -287,7 +287,7 @@ class Quadrotor:
         )
         position = add(body.position, apply(body.rotation, physics.tracked))
         velocity = add(body.velocity, apply(body.rotation, cross(body.rates, physics.tracked)))
-        return [*body.rates, *felt, *body.attitude, *position, *velocity]
+        return [*body.rates, *felt, *body.attitude, *position, *velocity, *nu]
 
     def measure(self, u: Command | None = None, *, noise: bool = True) -> dict[str, Number]:
         """Measurements at the present time by flight-log column; floats, or arrays (B,) for a
@@ -299,12 +299,11 @@ class Quadrotor:
         """
         row = self._row if noise else [0.0] * COLUMNS
         sensors, act = self.sensors, self._actuators
-        nu, nu_rate = self._speeds_now(u)
-        now = self._reading(self.time, nu, nu_rate)
-        imu = pose = now
-        if self._memory is not None:
-            imu = now if self._imu_delay == 0.0 else self._memory.at(self.time - self._imu_delay)
-            pose = now if self._pose_delay == 0.0 else self._memory.at(self.time - self._pose_delay)
+        now = self._reading(self.time, *self._speeds_now(u))
+        imu, pose, shown = (
+            now if self._memory is None or delay == 0.0 else self._memory.at(self.time - delay)
+            for delay in (self._imu_delay, self._pose_delay, self._speed_delay)
+        )
         gyro: Vector = (imu[0], imu[1], imu[2])
         felt: Vector = (imu[3], imu[4], imu[5])
         attitude: Quaternion = (pose[6], pose[7], pose[8], pose[9])
@@ -330,7 +329,7 @@ class Quadrotor:
         out |= dict(zip(("x", "y", "z", "vx", "vy", "vz"), (*position, *velocity)))
         out |= {
             f"omega{i}": self.physics.scale * n + sensors.rotor_speed * row[27 + i]
-            for i, n in enumerate(nu, 1)
+            for i, n in enumerate(shown[16:], 1)
         }
         return out
 

@@ -239,7 +239,6 @@ def start_state(craft: Craft, start: Mapping[str, FloatArray], inputs: FloatArra
     }
     rotor = start.get("rotor", np.full(craft.count, craft.hover_nu))
     names = craft.physics.states.names
-    lagged = iter(rotor)
     out = []
     for n in names:
         if n in values:
@@ -247,7 +246,7 @@ def start_state(craft: Craft, start: Mapping[str, FloatArray], inputs: FloatArra
         elif n.startswith("memory."):
             out.append(0.0)
         else:
-            out.append(float(next(lagged)))
+            out.append(float(rotor[int(n.rpartition(".")[2]) - 1]))
     return np.array(out)
 
 

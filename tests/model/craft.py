@@ -99,6 +99,7 @@ def state(model, **given) -> np.ndarray:
         "rotor": [0.5] * 4,
     }
     values = rest | given
+    values.setdefault("rotor_shown", values["rotor"])
     counters: dict[str, int] = {}
     out = []
     for name in model.states.names:

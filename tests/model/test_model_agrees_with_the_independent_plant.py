@@ -66,9 +66,9 @@ NEEDED = {
 """Effects without which another is not felt."""
 LOW = {"ground_effect"}
 """Effects that are felt near the ground only."""
-APPROXIMATE = ("pose_delay", "sensor_delay")
-"""Exact in the plant, of first or second order in the delay in the model: they have tests of their
-own."""
+LATE_SENSORS = ("pose_delay", "sensor_delay", "rotor_speed_delay")
+"""In the plant they show what they saw first until the delay has passed: they have tests of their
+own. Of first or second order in the delay in the model, but for the last, which is exact."""
 BATTERY = Battery(
     full=12.5, empty=10.2, capacity=60.0, resistance=0.03, idle_current=0.4, full_current=60.0
 )
@@ -199,7 +199,7 @@ def test_the_effect_was_really_there(name):
 
 
 def test_every_effect_that_a_plant_can_hide_is_compared():
-    assert {e.name for e in CATALOGUE} == {*VALUES, *APPROXIMATE} == set(PLANT_EFFECTS)
+    assert {e.name for e in CATALOGUE} == {*VALUES, *LATE_SENSORS} == set(PLANT_EFFECTS)
 
 
 def test_all_effects_at_once_agree_too():
@@ -353,6 +353,46 @@ def test_delays_of_imu_and_pose_that_are_alike_are_late_commands():
         timed = [i for i, n in enumerate(both.outputs.names) if not n.startswith("omega")]
         seen = timed if which == "output" else slice(None)
         np.testing.assert_allclose(out[0][seen], out[1][seen], atol=1e-12)
+
+
+@pytest.mark.parametrize("tau", [0.004, 0.04])
+@pytest.mark.parametrize("late", [0.4, 2.4, 6.0])
+def test_late_rotor_speeds_are_exact_however_late_and_however_short_the_lag(late, tau):
+    """Also where commands and pose are late themselves."""
+    past = 12  # the plant shows what it saw first until the delays have passed
+    effects = {"motor_lag": {"tau": tau}, "rotor_speed_delay": {"d": late * DT}}
+    for more in ({}, {"command_delay": {"d": 1.4 * DT}, "pose_delay": {"d": DT}}):
+        seen, predicted, names = fly(effects | more, substep=DT / 20)
+        shown = [i for i, n in enumerate(names) if n.startswith("omega")]
+        np.testing.assert_allclose(predicted[past:, shown], seen[past:, shown], atol=0.05)
+
+
+@pytest.mark.parametrize("late", [0.4, 2.0])
+def test_late_speeds_of_rotors_without_lag_are_those_of_the_command_then_in_force(late):
+    seen, predicted, names = fly({"rotor_speed_delay": {"d": late * DT}})
+    shown = [i for i, n in enumerate(names) if n.startswith("omega")]
+    np.testing.assert_allclose(predicted[6:, shown], seen[6:, shown], atol=1e-9)
+
+
+def test_speeds_cannot_be_shown_before_they_were_commanded():
+    """An earlier clock shows the newest command there is, and one that is late by as much as the
+    commands shows the rotors of a model without either."""
+    early = model_of(CROOKED, "motor_lag", "command_delay", "rotor_speed_delay", dt=DT)
+    plain = model_of(CROOKED, "motor_lag", dt=DT)
+    rows, w = commands(60, 3), np.zeros(6)
+    speeds = [plain.outputs[f"omega{i}"] for i in range(1, 5)]
+    for delay, d in ((2 * DT, -2 * DT), (DT, -3 * DT)):
+        p = vector(early, motor_lag__tau=0.03, command_delay__d=delay, rotor_speed_delay__d=d)
+        q = vector(plain, motor_lag__tau=0.03)
+        x, z = state(early), state(plain)
+        for k in range(40, 50):
+            window = rows[k - early.window[0] : k + 1].T
+            x = flat(function(early, "step")(x, window, p, w, DT))
+            z = flat(function(plain, "step")(z, rows[k], q, w, DT))
+        window = rows[50 - early.window[0] : 51].T
+        one = flat(function(early, "output")(x, window, p, w, DT))
+        other = flat(function(plain, "output")(z, rows[50], q, w, DT))
+        np.testing.assert_allclose(one[speeds], other[speeds], rtol=1e-12)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.4, 0.9])

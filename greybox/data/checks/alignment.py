@@ -1,5 +1,5 @@
 """Check of stream alignment: attitude against gyro over the flight, and when each channel answers
-to the command.
+to the commands and to the rotor speeds.
 
 A positive offset means that the gyro is late against the attitude. Offset and drift are stated where
 they are clear of what the flight's rates can tell.
@@ -47,7 +47,9 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             else "no gyro"
         )
         yield Unjudged(check="alignment", flight=view.name, reason=what)
-    yield from _answers(view, offset)
+    yield from _answers(view, offset, "p, q, r")
+    if view.measured is not None:
+        yield from _answers(view.measured, offset, "the motion")
 
 
 def _offset(view: View, told: Delays, offset: float) -> Finding:
@@ -87,8 +89,9 @@ def _offset(view: View, told: Delays, offset: float) -> Finding:
     )
 
 
-def _answers(view: View, offset: float | None) -> Iterator[Finding | Unjudged]:
-    """The instant at which each channel answers, relative to the command."""
+def _answers(view: View, offset: float | None, motion: str) -> Iterator[Finding | Unjudged]:
+    """The instant at which each channel answers, relative to what drives the rotors. A fault is one
+    of `motion` against it."""
     if not (view.has("rate") and view.drives):
         return
     drive = "the commands" if view.commanded else "the rotor speeds"
@@ -100,7 +103,7 @@ def _answers(view: View, offset: float | None) -> Iterator[Finding | Unjudged]:
             check="alignment",
             severity="blocking",
             flight=view.name,
-            where=f"p, q, r against {drive}",
+            where=f"{motion} against {drive}",
             message=f"the motion fits {drive} best {abs(lag) * 1e3:.0f} ms "
             f"{'after' if lag > 0 else 'before'} them, "
             "which no craft does: they are not on one clock",
@@ -136,11 +139,19 @@ def _answers(view: View, offset: float | None) -> Iterator[Finding | Unjudged]:
         where=f"each channel against {drive}",
         message="the motion does not lag the commands: the commands are logged too late"
         if late
-        else f"motion follows {drive} by "
-        + ", ".join(f"{v * 1e3:.0f} ms ({k[:-2]})" for k, v in evidence.items()),
+        else _said(evidence, drive, view.dt),
         evidence=evidence,
         fix="log the command at the instant it is sent; check that the log is not one row late",
     )
+
+
+def _said(evidence: dict[str, float], drive: str, dt: float) -> str:
+    """The lags [s] in words, at samples of `dt` [s]."""
+    early = max(evidence.values()) < -0.5 * dt
+    lags = ", ".join(
+        f"{abs(v) * 1e3 if early else v * 1e3:.0f} ms ({k[:-2]})" for k, v in evidence.items()
+    )
+    return f"{drive} are logged late, by {lags}" if early else f"motion follows {drive} by {lags}"
 
 
 def _lift_lag(view: View) -> float | None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from greybox.data.checks.signals import derivative, shifted, smoothed
+from greybox.data.checks.signals import derivative, peak, shifted, smoothed
 from greybox.data.checks.view import FloatArray, View
 from greybox.data.drive import LATE_SPEEDS
 
@@ -100,7 +100,7 @@ class Torque:
     `share` (3,) of variance that they explain beyond everything else, `sums` of the regression over
     blocks of time. These use lags that a craft can have; `searched_lag` [s] and `searched_share`
     are the best of roll and pitch together over all lags, and `plausible_share` the best of these
-    over the plausible ones, which begin at `earliest` [s].
+    over the `plausible` ones, from the first to the second [s].
     """
 
     gains: FloatArray
@@ -110,12 +110,13 @@ class Torque:
     searched_lag: float
     searched_share: float
     plausible_share: float
-    earliest: float = 0.0
+    plausible: tuple[float, float] = (0.0, LARGEST_LAG)
 
     @property
     def misaligned(self) -> bool:
         """Whether commands and motion fit clearly better at a lag that no craft has."""
-        outside = not self.earliest - 1e-9 <= self.searched_lag <= LARGEST_LAG + 1e-9
+        earliest, latest = self.plausible
+        outside = not earliest - 1e-9 <= self.searched_lag <= latest + 1e-9
         return (
             outside
             and self.searched_share > CLEARLY * self.plausible_share
@@ -172,9 +173,10 @@ def _regression(view: View) -> Torque | None:
         b = _solve(x, rest)
         shares[i] = (base - ((rest - x @ b) ** 2).sum(axis=0)) / np.maximum(total, 1e-300)
         gains[i] = b.T
-    earliest = 0.0 if view.commanded else -LATE_SPEEDS
+    # A speed acts at once: what is between it and the motion is the clock of the log.
+    earliest, latest = (0.0, LARGEST_LAG) if view.commanded else (-LATE_SPEEDS, LATE_SPEEDS)
     times = lags * dt
-    plausible = np.flatnonzero((times >= earliest - 1e-9) & (times <= LARGEST_LAG + 1e-9))
+    plausible = np.flatnonzero((times >= earliest - 1e-9) & (times <= latest + 1e-9))
     best = plausible[shares[plausible].argmax(axis=0)]
     sums = [
         _sums(u, np.flatnonzero(known), int(lags[best[axis]]), other, turn[:, axis])
@@ -184,13 +186,13 @@ def _regression(view: View) -> Torque | None:
     both = shares[:, :2].mean(axis=1)
     return Torque(
         gains=gains[best, axes],
-        lag=lags[best] * dt,
+        lag=np.array([peak(shares[plausible, a], lags[plausible])[0] * dt for a in axes]),
         share=shares[best, axes],
         sums=Sums(xx=np.concatenate([s.xx for s in sums]), xy=np.concatenate([s.xy for s in sums])),
         searched_lag=float(lags[both.argmax()] * dt),
         searched_share=float(both.max()),
         plausible_share=float(both[plausible].max()),
-        earliest=earliest,
+        plausible=(earliest, latest),
     )
 
 

@@ -123,6 +123,15 @@ class View:
         return len(self.drive_names) == len(self.vehicle.rotors)
 
     @functools.cached_property
+    def measured(self) -> View | None:
+        """The flight as the rotor speeds drive it that the log has beside its commands; None where
+        it has not both."""
+        if not (self.commanded and self.drives and self.has("rotor_speed")):
+            return None
+        others = {n: v for n, v in self.raw.channels.items() if n not in self.drive_names}
+        return replace(self, raw=replace(self.raw, channels=others))
+
+    @functools.cached_property
     def drive(self) -> FloatArray:
         """The airborne commands, or rotor speeds as shares of the highest, (N, n), see `joined`."""
         values = self.joined(self.drive_names)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from greybox.model.clock import ROTOR_CLOCK
 from greybox.model.flow import Flow
 from greybox.model.sensor import Sensor
 from greybox.model.vehicle import Vehicle
@@ -14,7 +15,7 @@ class RotorSpeed(Sensor):
     name = "rotor_speed"
     group = "rotor_speed"
     summary = "speed of every rotor"
-    clock = "now"
+    clock = ROTOR_CLOCK
     usual = False
 
     def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:

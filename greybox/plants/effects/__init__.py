@@ -29,6 +29,7 @@ from greybox.plants.effects.rotational_damping import RotationalDamping
 from greybox.plants.effects.rotor_asymmetry import RotorAsymmetry
 from greybox.plants.effects.rotor_drag import RotorDrag
 from greybox.plants.effects.rotor_gyroscopic import RotorGyroscopic
+from greybox.plants.effects.rotor_speed_delay import RotorSpeedDelay
 from greybox.plants.effects.sensor_delay import SensorDelay
 from greybox.plants.effects.steady_wind import SteadyWind
 from greybox.plants.effects.thrust_curve import ThrustCurve
@@ -62,6 +63,7 @@ CATALOGUE: tuple[type[PlantEffect], ...] = (
     RotorAsymmetry,
     RotorDrag,
     RotorGyroscopic,
+    RotorSpeedDelay,
     SensorDelay,
     SteadyWind,
     ThrustCurve,

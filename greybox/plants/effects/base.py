@@ -187,6 +187,10 @@ class PlantEffect:
         """Delay of gyro and accelerometer [s]."""
         return 0.0
 
+    def rotor_speed_delay(self) -> float:
+        """Delay of the measured rotor speeds [s]."""
+        return 0.0
+
     def imu_shift(self) -> Vector:
         """Shift of the IMU from where the airframe says it is, body [m]."""
         return ZERO
