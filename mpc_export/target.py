@@ -30,7 +30,10 @@ RIDGE = 1e-3
 where conditions are fewer than unknowns, single precision needs them, and Newton steps stay as
 quick."""
 ANGLES = ("phi", "theta", "psi")
-SIZES = {"d_position": 1.0, "d_velocity": 1.0, "d_attitude": 0.3, "d_rate": 1.0, "d_rotor": 0.3}
+SIZES = {
+    **{"d_position": 1.0, "d_velocity": 1.0, "d_attitude": 0.3, "d_rate": 1.0},
+    **{"d_rotor": 0.3, "d_rotor_shown": 0.3},
+}
 
 
 def tracked(sampled: Sampled) -> Layout:

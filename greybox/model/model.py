@@ -158,9 +158,9 @@ class PhysicsModel(Shown):
             for d in declared:
                 given = stated.get(d.name)
                 if self.input == "speed" and "delay" in e.early:
-                    # A command may not act before it was sent; a speed is often logged late, by
-                    # what the vehicle file does not know.
-                    d, given = replace(d, lower=-LATE_SPEEDS), None
+                    # A command may not act before it was sent; a speed acts at once, and is
+                    # logged late or early by what the vehicle file does not know.
+                    d, given = replace(d, lower=-LATE_SPEEDS, upper=LATE_SPEEDS), None
                 out.append(
                     replace(d, name=f"{e.name}.{d.name}")
                     if given is None
@@ -310,11 +310,7 @@ class PhysicsModel(Shown):
         rotor speeds where they may have been logged late."""
         past = 0
         if self._clocks.late:
-            upper = {
-                f"{e.name}.{d.name}": d.upper
-                for e in self.effects
-                for d in e.parameters(self.vehicle)
-            }
+            upper = {d.name: d.upper for d in self.parameters}
             past = math.ceil(self._clocks.reach(upper, self.sample_time) / self.sample_time + 1e-9)
         if self.input == "command":
             return past, int(self.vehicle.actuator.hold == "linear")

@@ -4,12 +4,15 @@ without bias."""
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from greybox import build_model, dataset_from_arrays, fit
 from greybox.excitation.injection import rich_excitation
 from greybox.excitation.waypoints import RandomWaypoints
+from greybox.plants.effects.rotor_speed_delay import RotorSpeedDelay
 from greybox.plants.flight_log import fly
 from greybox.plants.presets import controller_for
+from greybox.plants.quadrotor import Quadrotor
 from greybox.validation.sanity import sanity_of
 from scenarios.studies.recovery import plant
 from tests.simulated import truth, vehicle
@@ -82,6 +85,43 @@ def test_a_fit_finds_how_late_speeds_were_logged() -> None:
     said = sanity_of(result).findings
     assert not any("motor_lag" in f.attempt for f in said)
     assert not any("command_delay.d" in f.parameters for f in said)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.005, 0.014, 0.03])
+def test_speeds_beside_commands_may_be_late(late: float) -> None:
+    """Nothing that a late sensor has not moves the delay of the commands and the lag of the
+    motors; left out, all of it counts as delay of the commands."""
+    base = plant()
+    true_plant = Quadrotor(
+        base.airframe,
+        [*base.effects, RotorSpeedDelay(d=late)],
+        sensors=base.sensors,
+        process=base.process,
+        sample_time=base.sample_time,
+        substep=base.substep,
+    )
+    log = dict(
+        fly(
+            true_plant,
+            controller_for(true_plant),
+            RandomWaypoints(),
+            rich_excitation(),
+            8.0,
+            seed=5,
+        )
+    )
+    log["omega2"][::40] = np.nan
+    data = dataset_from_arrays(log.pop("t"), log, name="run")
+    effects = ["motor_lag", "command_delay", "rotor_drag", "rotational_damping"]
+    result = fit(build_model(vehicle(), data.channels, [*effects, "rotor_speed_delay"]), data)
+    assert result.converged
+    true = truth() | {"rotor_speed_delay.d": late}
+    for name, estimate in result.parameters.items():
+        assert abs(estimate.value - true[name]) < 4.5 * estimate.std, name
+    assert result["rotor_speed_delay.d"].std < 5e-4
+    if late == 0.014:
+        without = fit(build_model(vehicle(), data.channels, effects), data)
+        assert without["command_delay.d"].value > true["command_delay.d"] + 0.5 * late
 
 
 def test_a_vehicle_that_knows_its_lag_may_still_be_driven_by_measured_speed() -> None:

@@ -89,6 +89,10 @@ def test_measured_speeds_as_input(effect):
     if effect.stage in ("command", "rotor") and set(effect.early) != {"delay"}:
         with pytest.raises(ModelError, match=f"{effect.name} shapes the command"):
             model_on({}, effect, input="speed")
+    elif effect.missing(crooked(), {s.name for s in SENSORS[:5]}):
+        bare = {"vehicle": crooked(), "sensors": SENSORS[:5], "input": "speed"}
+        with pytest.raises(ModelError, match="needs sensor rotor_speed"):
+            PhysicsModel(effects=(effect,), **bare)
     else:
         assert_felt(model_on({}, effect, input="speed"), effect)
 

@@ -32,15 +32,17 @@ FACTS = Facts(
     rate=100.0,
     voltage=False,
 )
+COMMANDS = ("u1", "u2", "u3", "u4")
 OTHERS = ("p", "q", "r", "ax", "ay", "az")
 
 
-def columns(late: float = 0.0) -> dict[str, np.ndarray]:
-    """A flight without commands; its rotor speeds are logged `late` [s]."""
+def columns(late: float = 0.0, commands: bool = False) -> dict[str, np.ndarray]:
+    """A flight, with or without `commands`; its rotor speeds are logged `late` [s]."""
     log = dict(flown(SEED, SECONDS)[0])
     t = log["t"]
     return {
         "t": t,
+        **{n: log[n] for n in COMMANDS if commands},
         **{n: np.interp(t - late, t, log[n]) for n in SPEEDS},
         **{n: log[n] for n in OTHERS},
     }
@@ -84,13 +86,39 @@ def test_speeds_that_are_missing_are_on_the_line_between_their_neighbours(tmp_pa
     assert any("rotor speeds interpolated over 3 sample(s)" in n for n in flight.notes)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.03])
-def test_speeds_that_come_late_are_no_fault(tmp_path, late):
-    flight = read_table(written(tmp_path, columns(late)), vehicle())
+@pytest.mark.parametrize("commands", [False, True])
+@pytest.mark.parametrize("late", [0.0, 0.014, 0.03, 0.045])
+def test_speeds_that_come_late_are_no_fault(tmp_path, late, commands):
+    """Beside commands they are held against the motion as alone."""
+    flight = read_table(written(tmp_path, columns(late, commands)), vehicle())
     report = check([flight], vehicle())
-    assert not [f for f in report.findings if f.severity == "blocking"]
+    assert not [f for f in report.findings if f.severity in ("blocking", "warning")]
     (said,) = [f for f in report.of("alignment") if "rotor speeds" in f.where]
-    assert said.evidence["p_s"] == pytest.approx(-late, abs=0.011)
+    assert said.evidence["p_s"] == pytest.approx(-late, abs=0.005)
+    assert ("rotor speeds are logged late" in said.message) == (late > 0.005)
+    assert sum("the commands" in f.where for f in report.of("alignment")) == commands
+
+
+@pytest.mark.parametrize("commands", [False, True])
+@pytest.mark.parametrize(("late", "word"), [(0.08, "late"), (-0.08, "early")])
+def test_speeds_too_far_from_the_motion_are_one_fault_with_its_cure(tmp_path, late, word, commands):
+    flight = read_table(written(tmp_path, columns(late, commands)), vehicle())
+    report = check([flight], vehicle())
+    (found,) = report.blocking
+    assert f"the rotor speeds are logged 80 ms {word}" in found.message
+    assert f"delay = {late:g} in [columns.rotor_speed]" in found.fix
+    # Commands still tell which rotor is which.
+    assert bool([u for u in report.not_judged if u.check == "motors"]) != commands
+    mapping = tmp_path / "map.toml"
+    mapping.write_text(f'schema = "greybox.mapping/1"\n[rotor_speed]\ndelay = {late:g}\n')
+    cured = read_table(tmp_path / "flight.csv", vehicle(), mapping=mapping)
+    assert not check([cured], vehicle()).blocking
+
+
+def test_the_automatic_fit_has_a_delay_for_speeds_that_are_an_output():
+    measured = replace(FACTS, sensors=FACTS.sensors | {"rotor_speed"})
+    assert "rotor_speed_delay" in nested_sets(vehicle(), measured)[0].effects
+    assert "rotor_speed_delay" not in nested_sets(vehicle(), FACTS)[0].effects
 
 
 def test_rotors_in_another_order_are_named(tmp_path):

@@ -15,8 +15,9 @@ from greybox.data.checks.delay import Delays, delays
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged, per_flight
 from greybox.data.checks.relations import CLEAR
 from greybox.data.checks.signals import best_lag, bridged, correlation, shifted, smoothed
-from greybox.data.checks.torque import torque_regression
+from greybox.data.checks.torque import Torque, torque_regression
 from greybox.data.checks.view import View
+from greybox.data.drive import LATE_SPEEDS
 
 BLOCKING = 0.05
 """Median offset [s] from which a fit is blocked (and at least two samples)."""
@@ -98,22 +99,7 @@ def _answers(view: View, offset: float | None, motion: str) -> Iterator[Finding 
     found = torque_regression(view)
     evidence: dict[str, float] = {}
     if found is not None and found.misaligned:
-        lag = found.searched_lag
-        yield Finding(
-            check="alignment",
-            severity="blocking",
-            flight=view.name,
-            where=f"{motion} against {drive}",
-            message=f"the motion fits {drive} best {abs(lag) * 1e3:.0f} ms "
-            f"{'after' if lag > 0 else 'before'} them, "
-            "which no craft does: they are not on one clock",
-            evidence={
-                "lag_s": lag,
-                "share": found.searched_share,
-                "share_plausible": found.plausible_share,
-            },
-            fix=f"shift {drive} against the sensors, or log both on one clock",
-        )
+        yield _apart(view, found, motion, drive)
         return
     if found is not None:
         for axis, name in enumerate(("p", "q", "r")):
@@ -142,6 +128,37 @@ def _answers(view: View, offset: float | None, motion: str) -> Iterator[Finding 
         else _said(evidence, drive, view.dt),
         evidence=evidence,
         fix="log the command at the instant it is sent; check that the log is not one row late",
+    )
+
+
+def _apart(view: View, found: Torque, motion: str, drive: str) -> Finding:
+    """What drives the rotors is on another clock than the motion."""
+    lag = found.searched_lag
+    if view.commanded:
+        message = (
+            f"the motion fits {drive} best {abs(lag) * 1e3:.0f} ms "
+            f"{'after' if lag > 0 else 'before'} them, which no craft does: they are not on one "
+            "clock"
+        )
+        fix = f"shift {drive} against the sensors, or log both on one clock"
+    else:
+        message = (
+            f"{drive} are logged {abs(lag) * 1e3:.0f} ms {'early' if lag > 0 else 'late'} against "
+            f"the motion: a fit takes off {LATE_SPEEDS * 1e3:.0f} ms at most"
+        )
+        fix = f"delay = {-lag:.3g} in [columns.rotor_speed], or log both on one clock"
+    return Finding(
+        check="alignment",
+        severity="blocking",
+        flight=view.name,
+        where=f"{motion} against {drive}",
+        message=message,
+        evidence={
+            "lag_s": lag,
+            "share": found.searched_share,
+            "share_plausible": found.plausible_share,
+        },
+        fix=fix,
     )
 
 

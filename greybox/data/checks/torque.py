@@ -186,7 +186,7 @@ def _regression(view: View) -> Torque | None:
     both = shares[:, :2].mean(axis=1)
     return Torque(
         gains=gains[best, axes],
-        lag=np.array([peak(shares[plausible, a], lags[plausible])[0] * dt for a in axes]),
+        lag=np.array([_between(shares[:, a], lags, int(best[a])) * dt for a in axes]),
         share=shares[best, axes],
         sums=Sums(xx=np.concatenate([s.xx for s in sums]), xy=np.concatenate([s.xy for s in sums])),
         searched_lag=float(lags[both.argmax()] * dt),
@@ -194,6 +194,12 @@ def _regression(view: View) -> Torque | None:
         plausible_share=float(both[plausible].max()),
         plausible=(earliest, latest),
     )
+
+
+def _between(scores: FloatArray, lags: npt.NDArray[np.int64], best: int) -> float:
+    """The lag [samples] of the score `best`, or of the peak beside it."""
+    near = slice(max(best - 1, 0), best + 2)
+    return peak(scores[near], lags[near])[0]
 
 
 def _basis(columns: FloatArray) -> FloatArray:

@@ -30,7 +30,7 @@ class RotorSpeedDelay(Effect):
         "Li and Mourikis 2014, Online temporal calibration for camera-IMU systems, IJRR 33(7)",
     )
     validity = "no rotor shows what was not sent yet: -d is at most the delay of the commands"
-    needs = Needs(sensors=on_clock(ROTOR_CLOCK))
+    needs = Needs(sensors=on_clock(ROTOR_CLOCK), effects=("motor_lag",))
     order = 5
     early = frozenset({"rotor_speed_delay"})
     case = ReferenceCase(
