@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from greybox.data.channel import group_names
+from greybox.model.clock import CLOCKS
 from greybox.model.noise import sensor_parts
+from greybox.model.sensors import SENSORS
 from greybox.simulators.craft import Craft
 
 GROUPS: Mapping[str, tuple[tuple[str, ...], str]] = {
@@ -15,7 +18,7 @@ GROUPS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "position": (("position.x", "position.y", "position.z"), "m"),
     "velocity": (("velocity.x", "velocity.y", "velocity.z"), "m/s"),
 }
-"""Sensor -> its innovation channels and their unit."""
+"""Sensor -> its innovation channels and their unit, where no rotor has its own."""
 
 
 _MEANS = {
@@ -27,9 +30,14 @@ _MEANS = {
 }
 
 
+def groups(craft: Craft) -> dict[str, tuple[tuple[str, ...], str]]:
+    """`GROUPS`, and the rotor speeds of this craft."""
+    return {**GROUPS, "rotor_speed": (group_names("rotor_speed", craft.count), "rad/s")}
+
+
 def density(craft: Craft, sensor: str) -> float | None:
     """White noise as a density, unit/sqrt(Hz): the mean over the axes of sigma sqrt(dt)."""
-    sigma = craft.noise(GROUPS[sensor][0])
+    sigma = craft.noise(groups(craft)[sensor][0])
     if sigma is None:
         return None
     return float(math.sqrt((sigma**2).mean()) * math.sqrt(craft.sample_time))
@@ -59,7 +67,7 @@ def sensor_text(craft: Craft, spread: Mapping[str, tuple[float, float]]) -> str:
         f"# Sensors of {craft.name}, as identified. Standard deviations; body axes FLU, world ENU.",
         f"sample_time = {craft.sample_time!r}  # s",
     ]
-    for sensor, (names, unit) in GROUPS.items():
+    for sensor, (names, unit) in groups(craft).items():
         sigma = craft.noise(names)
         if sigma is None:
             continue
@@ -78,9 +86,11 @@ def _effect_lines(
 ) -> list[str]:
     """Numbers of the sensor's effects, with the spread between flights where there is one."""
     lines = []
-    delay = {"gyro": "sensor_delay", "accelerometer": "sensor_delay"}.get(sensor, "pose_delay")
+    late = next(CLOCKS[s.clock].delay for s in SENSORS if s.name == sensor)
+    delays = [n for n, e in craft.effects.items() if late in e.early]
     turned = "mocap_misalignment" if sensor == "attitude" else "imu_misalignment"
-    effects = {f"{sensor}_bias": "bias", f"{sensor}_scale": "scale", delay: "delay"}
+    effects = {f"{sensor}_bias": "bias", f"{sensor}_scale": "scale"}
+    effects |= dict.fromkeys(delays, "delay")
     if sensor in ("gyro", "accelerometer", "attitude"):
         effects[turned] = "misalignment"
     if sensor == "accelerometer":
