@@ -1,9 +1,9 @@
 """Regression of angular acceleration on the commands: which rotor turns the craft which way, how
 strongly, how late.
 
-d(omega)/dt = B (u_i^2, late by a lag) + E (a_x, a_y) + c, per axis. The lateral specific force
-stands for the velocity of the craft (drag), whose moment would otherwise be read as a property of
-the rotors under feedback.
+d(omega)/dt = B (u_i^2, late by a lag) + D omega + E (a_x, a_y) + c, per axis. Rates damp, and the
+lateral specific force stands for the velocity of the craft (drag): their moments would otherwise be
+read as a property of the rotors, or of a clock, under feedback.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ HALF_WINDOW = 0.015
 """Rates are differentiated over twice this time [s]."""
 
 CLEARLY = 1.2
-"""An implausible lag must explain this many times as much as the best plausible one."""
+"""An implausible lag must explain this many times as much as the best plausible one, ..."""
+LEFT = 0.5
+"""... or leave at most this share of what that one leaves."""
 
 LARGEST_LAG = 0.12
 """Lags from command to angular acceleration that a craft can have [s]."""
@@ -117,11 +119,9 @@ class Torque:
         """Whether commands and motion fit clearly better at a lag that no craft has."""
         earliest, latest = self.plausible
         outside = not earliest - 1e-9 <= self.searched_lag <= latest + 1e-9
-        return (
-            outside
-            and self.searched_share > CLEARLY * self.plausible_share
-            and self.searched_share > 0.15
-        )
+        more = self.searched_share > CLEARLY * self.plausible_share
+        less = 1.0 - self.searched_share < LEFT * (1.0 - self.plausible_share)
+        return outside and (more or less) and self.searched_share > 0.15
 
 
 def _solve(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -153,7 +153,7 @@ def _regression(view: View) -> Torque | None:
     turn = derivative(rate, dt, half)
     u = smoothed(view.drive**2, half)
     n = u.shape[1]
-    other = np.ones((u.shape[0], 1))
+    other = np.column_stack([smoothed(rate, half), np.ones(u.shape[0])])
     if view.has("specific_force"):
         other = np.column_stack([smoothed(view.joined(["ax", "ay"]), 2 * half), other])
     lags = np.arange(round(SEARCHED[0] / dt), round(SEARCHED[1] / dt) + 1)
