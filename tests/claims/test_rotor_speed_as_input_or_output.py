@@ -87,10 +87,8 @@ def test_a_fit_finds_how_late_speeds_were_logged() -> None:
     assert not any("command_delay.d" in f.parameters for f in said)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.005, 0.014, 0.03])
-def test_speeds_beside_commands_may_be_late(late: float) -> None:
-    """Nothing that a late sensor has not moves the delay of the commands and the lag of the
-    motors; left out, all of it counts as delay of the commands."""
+def late_log(late: float, seed: int) -> dict[str, np.ndarray]:
+    """A flight with commands, and speeds that are logged `late` [s]."""
     base = plant()
     true_plant = Quadrotor(
         base.airframe,
@@ -100,16 +98,15 @@ def test_speeds_beside_commands_may_be_late(late: float) -> None:
         sample_time=base.sample_time,
         substep=base.substep,
     )
-    log = dict(
-        fly(
-            true_plant,
-            controller_for(true_plant),
-            RandomWaypoints(),
-            rich_excitation(),
-            8.0,
-            seed=5,
-        )
-    )
+    reference, pushed = RandomWaypoints(), rich_excitation()
+    return dict(fly(true_plant, controller_for(true_plant), reference, pushed, 8.0, seed=seed))
+
+
+@pytest.mark.parametrize("late", [0.0, 0.005, 0.014, 0.03])
+def test_speeds_beside_commands_may_be_late(late: float) -> None:
+    """Nothing that a late sensor has not moves the delay of the commands and the lag of the
+    motors; left out, all of it counts as delay of the commands."""
+    log = late_log(late, seed=5)
     log["omega2"][::40] = np.nan
     data = dataset_from_arrays(log.pop("t"), log, name="run")
     effects = ["motor_lag", "command_delay", "rotor_drag", "rotational_damping"]
@@ -122,6 +119,18 @@ def test_speeds_beside_commands_may_be_late(late: float) -> None:
     if late == 0.014:
         without = fit(build_model(vehicle(), data.channels, effects), data)
         assert without["command_delay.d"].value > true["command_delay.d"] + 0.5 * late
+
+
+def test_the_plain_fit_takes_late_speeds_as_they_are() -> None:
+    logs = [late_log(0.014, seed) for seed in (5, 6)]
+    first, second = (
+        dataset_from_arrays(log.pop("t"), log, name=f"run{i}") for i, log in enumerate(logs)
+    )
+    result = fit(vehicle(), first + second)
+    true = truth() | {"rotor_speed_delay.d": 0.014}
+    for name in ("command_delay.d", "motor_lag.tau", "rotor_speed_delay.d", "thrust.c2"):
+        estimate = result[name]
+        assert abs(estimate.value - true[name]) < 3 * estimate.std, name
 
 
 def test_a_vehicle_that_knows_its_lag_may_still_be_driven_by_measured_speed() -> None:
