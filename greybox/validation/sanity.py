@@ -22,9 +22,13 @@ from greybox.model.composition import acts_on_speeds
 from greybox.model.effects import CATALOGUE
 from greybox.model.layer import physics_of
 from greybox.model.vehicle import Vehicle
+from greybox.statistics.evidence import FELT
 
 Severity = Literal["impossible", "doubtful"]
 Kind = Literal["value", "inertia", "overruled", "bounds"]
+
+EITHER_SIGN = ("pose_delay.", "rotor_speed_delay.", "disturbance.")
+"""Times [s] that are no lag behind a command."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,7 +226,9 @@ def _curves(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[
 def _times(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[Insane]:
     """Causes before their effects, and motors slower than any."""
     for name, e in estimates.items():
-        if e.unit != "s" or name.startswith(("pose_delay.", "disturbance.")):
+        if name == "rotor_speed_delay.d":
+            yield from _shown_early(e, values)
+        if e.unit != "s" or name.startswith(EITHER_SIGN):
             continue
         if e.value < 0:
             yield Insane(
@@ -246,6 +252,22 @@ def _times(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[I
                 attempt="add command_delay or sensor_delay; check which commands are logged (after "
                 "the mixer?)",
             )
+
+
+def _shown_early(late: Estimated, values: Values) -> Iterator[Insane]:
+    """Rotor speeds that are earlier than the commands are late, beyond their error."""
+    error = late.std if math.isfinite(late.std) else 0.0
+    lead = -late.value - values.get("command_delay.d", 0.0)
+    if lead > FELT * error:
+        yield Insane(
+            severity="impossible",
+            kind="value",
+            parameters=("rotor_speed_delay.d",),
+            statement=f"rotor speeds answer {1e3 * lead:.1f} ms before the command",
+            likely="they are logged early, or commands and all other sensors late",
+            attempt="look at the lead of the rotor speeds that `greybox check` measures; shift "
+            "them by delay in [columns.rotor_speed]",
+        )
 
 
 def _mass(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[Insane]:

@@ -35,6 +35,7 @@ from greybox.plants.effects import (
     RotorAsymmetry,
     RotorDrag,
     RotorGyroscopic,
+    RotorSpeedDelay,
     SensorDelay,
     SteadyWind,
     ThrustCurve,
@@ -75,6 +76,7 @@ AWAY = {
     PoseLeverArm: PoseLeverArm(r_x=0.01),
     ProductsOfInertia: ProductsOfInertia(Jxy=1e-6),
     RotorGyroscopic: RotorGyroscopic(J_r=1e-8),
+    RotorSpeedDelay: RotorSpeedDelay(d=0.007),
     SensorDelay: SensorDelay(d=0.007),
     TranslationalLift: TranslationalLift(k_h=1e-3),
 }

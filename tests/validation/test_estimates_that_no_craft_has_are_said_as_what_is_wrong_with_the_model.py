@@ -107,6 +107,23 @@ def test_a_delay_before_its_cause_is_impossible_and_a_slow_motor_doubtful():
     assert judged(estimate("motor_lag.tau", 0.08)).findings == ()
 
 
+@pytest.mark.parametrize(
+    ("late", "std", "commands", "possible"),
+    [
+        (-5e-5, 9e-5, 0.0, True),
+        (-0.008, 1e-4, 0.01, True),
+        (-0.015, 1e-4, 0.008, False),
+        (-0.015, float("nan"), 0.008, False),
+        (0.03, 1e-4, 0.0, True),
+    ],
+)
+def test_rotor_speeds_may_be_early_by_as_much_as_commands_are_late(late, std, commands, possible):
+    shown = replace(estimate("rotor_speed_delay.d", late), std=std, unit="s")
+    report = judged(shown, estimate("command_delay.d", commands))
+    assert report.possible is possible
+    assert possible or "rotor speeds answer 7.0 ms before the command" in report.lines()[0]
+
+
 def test_moments_that_no_body_has_are_impossible_and_those_of_a_rounded_table_doubtful():
     def moments(zz):
         each = (("inertia.xx", 3e-5), ("inertia.yy", 3e-5), ("inertia.zz", zz))
