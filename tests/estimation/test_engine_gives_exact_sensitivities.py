@@ -39,7 +39,7 @@ needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler he
 def everything() -> PhysicsModel:
     with tempfile.TemporaryDirectory() as folder:
         vehicle = read_vehicle(write_vehicle(Path(folder) / "v.toml", Quadrotor(CROOKED)))
-    return PhysicsModel(vehicle=vehicle, effects=CATALOGUE, sensors=SENSORS[:5], sample_time=DT)
+    return PhysicsModel(vehicle=vehicle, effects=CATALOGUE, sensors=SENSORS, sample_time=DT)
 
 
 @cache
@@ -97,8 +97,9 @@ class Scene:
         groups = np.array(physics_of(model).channel_groups)
         patterns[0, (groups == "rotation") | (groups == "position")] = 0.0  # as with a slow camera
         self.mask = patterns[self.pattern]
-        self.gain = gain_size * 2e-3 * rng.normal(size=(2, nd, ne)) * patterns[:, None, :]
-        self.noise_gain = gain_size * 2e-3 * rng.normal(size=(2, nd, ne)) * patterns[:, None, :]
+        mild = gain_size * 2e-3 * np.where(groups == "rotor_speed", 1e-3, 1.0)  # rad/s are many
+        self.gain = mild * rng.normal(size=(2, nd, ne)) * patterns[:, None, :]
+        self.noise_gain = mild * rng.normal(size=(2, nd, ne)) * patterns[:, None, :]
 
     def table(self, noise=0.0, derivative=None):
         zero = np.zeros(2, dtype=np.int32)
