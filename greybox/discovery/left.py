@@ -128,9 +128,10 @@ def left_over(
     wanted = [a for a, (_, needed) in gains.items() if needed]
     if wanted and holds:
         with contextlib.suppress(GreyboxError):
-            offered = library(_white(settled, flights), model, data, names, wanted)
+            white = _white(settled, flights)
+            offered = library(white, model, data, names, wanted, settled.parameters)
             samples = sum(f.n for f in data.flights)
-            found = laws_of(offered, samples, seed, settled.parameters)
+            found = laws_of(offered, samples, seed)
     axes = tuple(
         Axis(
             channel=c.name,

@@ -1,15 +1,15 @@
 """Found: the law of every axis of force and torque, of terms that are chosen by stability
 selection.
 
-What a wrong coefficient of the rotors leaves is no law where the fit could bend that coefficient:
-its term is there from the start, and so is a steady push on every axis. A force that stands in the
-world gets what goes with it. How much a law explains is judged on stretches that were left out.
+What a change of a number that the fit had can do is no law: it is taken out from the start, and so
+is a steady push on every axis. A force that stands in the world gets what goes with it. How much a
+law explains is judged on stretches that were left out.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TypedDict
 
 import numpy as np
@@ -21,15 +21,6 @@ from greybox.residual.laws.terms import ALONG, Memory, Shaped
 
 TERMS = 6
 """Terms of an axis, at most."""
-OWN: dict[str, tuple[str, tuple[str, ...]]] = {
-    "force.z": ("rotors.thrust", ("thrust.", "mass")),
-    "torque.x": ("rotors.roll", ("thrust.", "inertia.xx")),
-    "torque.y": ("rotors.pitch", ("thrust.", "inertia.yy")),
-    "torque.z": ("rotors.yaw", ("torque.", "inertia.zz")),
-}
-"""Axis -> (the term that a wrong coefficient of the rotors, mass or inertia leaves, how the names
-of these begin)."""
-
 WORLD = frozenset(itertools.chain.from_iterable(ALONG.values()))
 """Axes of the world, whose components in body axes are signals."""
 
@@ -44,23 +35,12 @@ class AxisLaw(TypedDict, total=False):
     depends_on: tuple[str, ...]
 
 
-def _bent(axis: str, free: Iterable[str]) -> bool:
-    """Whether the fit could bend what multiplies the rotors on this axis."""
-    return any(n.startswith(OWN[axis][1]) for n in free)
-
-
-def laws_of(offered: Library, samples: int, seed: int, free: Collection[str]) -> dict[str, AxisLaw]:
-    """Axis -> what its law is made of, for axes that have one; `free` are the names of the
-    parameters that the fit had."""
+def laws_of(offered: Library, samples: int, seed: int) -> dict[str, AxisLaw]:
+    """Axis -> what its law is made of, for axes that have one."""
     labels = [axis for axis, _ in offered.columns]
-    own = [
-        i
-        for i, (axis, t) in enumerate(offered.columns)
-        if t.absorbed or (axis in OWN and OWN[axis][0] == t.text and _bent(axis, free))
-    ]
     pushes = {axis: len(labels) + j for j, axis in enumerate(offered.smoothed)}
-    always = [*own, *pushes.values()]
-    groups = [*labels, *["constant"] * (len(always) - len(own))]
+    always = list(range(len(labels), offered.innovations.xy.shape[1]))
+    groups = [*labels, *["constant"] * len(always)]
     chosen = select(offered.innovations, always, groups, most=TERMS, samples=samples, seed=seed)
     price = price_of(samples, len(groups))
     kept, always = _completed(offered, always, pushes, _merged(offered, chosen), price)
@@ -69,17 +49,17 @@ def laws_of(offered: Library, samples: int, seed: int, free: Collection[str]) ->
     if kept:
         c = dict(zip([*always, *kept], solve(*total, [*always, *kept]).tolist(), strict=True))
     out: dict[str, AxisLaw] = {}
-    for axis, normal in offered.smoothed.items():
+    bent = np.array([c.get(i, 0.0) for i in range(len(labels) + len(pushes), len(groups))])
+    for j, (axis, whole) in enumerate(offered.smoothed.items()):
         mine = [i for i in kept if labels[i] == axis]
         if not mine:
             continue
         used = [offered.columns[i][1] for i in mine]
-        constant = len(labels)
-        base = [constant, *(i for i in own if labels[i] == axis)]
-        more = left_out(normal, [*base, *mine]) - left_out(normal, base)
-        whole = float(normal.yy.sum()) - left_out(normal, [constant])
+        normal = whole.plus(len(labels) + 1 + j * len(bent), bent)
+        steady = left_out(normal, [len(labels)])
+        more = left_out(normal, [len(labels), *mine]) - steady
         out[axis] = {
-            "share": more / max(whole, 1e-300),
+            "share": more / max(float(normal.yy.sum()) - steady, 1e-300),
             "terms": by_text([t.text for t in used], [c[i] for i in mine]),
             "codes": tuple(t.code for t in used),
             "shapes": tuple(

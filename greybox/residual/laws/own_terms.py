@@ -2,8 +2,7 @@
 
 Nothing is known of such a model but its states, inputs and units. Terms are those that mechanics,
 circuits and vessels are made of: a signal, its powers, its sign (dry friction) and root (outflow),
-sine and cosine of an angle, and products of two signals. What a change of the fit's own numbers
-would do to an axis is no law: those columns stand beside the terms, always in.
+sine and cosine of an angle, and products of two signals.
 """
 
 from __future__ import annotations
@@ -11,14 +10,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
-import casadi as ca
 import numpy as np
 
 from greybox.model.dynamics import Dynamics
-from greybox.model.identified import IdentifiedModel
 from greybox.model.noise import without_parts
 from greybox.residual.laws.terms import Term
-from greybox.symbolic import FloatArray, evaluate
+from greybox.symbolic import FloatArray
 
 NARROW = 0.1
 """Width of the bend of a sign or a root at zero, over the signal's RMS."""
@@ -49,33 +46,6 @@ def own_terms(dynamics: Dynamics, names: Sequence[str], z: FloatArray) -> list[T
             add(f"cos({n})", f"ca.cos({s})", (n,), np.cos(v))
     for (a, sa, va), (b, sb, vb) in itertools.combinations(moving, 2):
         add(f"{a} {b}", f"{sa} * {sb}", (a, b), va * vb)
-    return out
-
-
-def own_slopes(
-    model: IdentifiedModel, names: Sequence[str], z: FloatArray
-) -> dict[str, list[Term]]:
-    """State -> what a change of each parameter adds to its derivative (discrete: to its next
-    value), along signals `names`, states and inputs, with values z (N, m)."""
-    core = without_parts(model.dynamics)
-    x, u = ca.SX.sym("x", len(core.states)), ca.SX.sym("u", len(core.inputs))
-    p = ca.SX.sym("p", len(core.parameters))
-    slopes = ca.jacobian(core.f(0, x, u, p), p)
-    values = ca.DM([model.values[d.name] for d in core.parameters])
-    function = ca.Function("slopes", [x, u], [ca.vec(ca.densify(ca.substitute(slopes, p, values)))])
-    at = {n: z[:, i] for i, n in enumerate(names)}
-    rows = [
-        np.array([at[n] for n in part.names]).reshape(len(part), -1).T
-        for part in (core.states, core.inputs)
-    ]
-    found = evaluate(function, *rows).reshape(len(z), len(core.parameters), len(core.states))
-    out: dict[str, list[Term]] = {}
-    for j, d in enumerate(core.parameters):
-        for i, state in enumerate(core.states.names):
-            seen = found[:, j, i]
-            if d.sigma > 0 and np.isfinite(seen).all() and np.any(seen):
-                term = Term(text=d.name, code="", uses=(), values=seen, absorbed=True)
-                out.setdefault(state, []).append(term)
     return out
 
 

@@ -8,16 +8,17 @@ the innovations,
 
 linear in w, along the flight that the filter saw: regression of the whitened innovations on
 whitened responses estimates a law's coefficients (Ljung 1999, sec. 7.6). It uses every sample, and
-what the fit bent elsewhere can be estimated along, unlike regression on a smoothed disturbance. The
-filter has no disturbance states: it would take a slow law for noise. Its innovations are coloured
-where something is missing, so that it is left to selection on stretches and flights that were left
-out, not to a standard error, to say what is a law.
+what the fit bent elsewhere is estimated along, unlike regression on a smoothed disturbance: what a
+change of a number that the fit had does to the innovations is a column, too. The filter has no
+disturbance states: it would take a slow law for noise. Its innovations are coloured where something
+is missing, so that it is left to selection on stretches and flights that were left out, not to a
+standard error, to say what is a law.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,11 +26,13 @@ import numpy as np
 from greybox.data import Dataset, Segment
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.gain import Linearisation, linearisation_anywhere
+from greybox.estimation.result import Estimate
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.residual.discrepancy import feature_function, smoothed_features
+from greybox.residual.laws.bends import Bends
 from greybox.residual.laws.lagged import remembered_terms
-from greybox.residual.laws.own_terms import own_slopes, own_terms
+from greybox.residual.laws.own_terms import own_terms
 from greybox.residual.laws.terms import Term, terms
 from greybox.symbolic import FloatArray
 
@@ -74,6 +77,20 @@ class Normal:
         """The rows of both, block by block."""
         return replace(self, xx=self.xx + other.xx, xy=self.xy + other.xy, yy=self.yy + other.yy)
 
+    def plus(self, first: int, c: FloatArray) -> Normal:
+        """Of y + X_c c, where X_c are the columns from `first` on."""
+        some = slice(first, first + len(c))
+        added = self.xx[:, :, some] @ c
+        yy = self.yy + (2 * self.xy[:, some] + added[:, some]) @ c
+        return replace(self, xy=self.xy + added, yy=yy)
+
+    def believing(self, column: int, coefficient: float, sigma: float) -> Normal:
+        """With a prior about the coefficient of one column, spread over all blocks."""
+        xx, xy, weight = self.xx.copy(), self.xy.copy(), sigma**-2 / len(self.yy)
+        xx[:, column, column] += weight
+        xy[:, column] += weight * coefficient
+        return replace(self, xx=xx, xy=xy, yy=self.yy + weight * coefficient**2)
+
 
 def stretches(n: int, flights: int) -> list[slice]:
     """One flight of n rows in equal parts, about `STRETCHES` in all `flights`."""
@@ -83,9 +100,10 @@ def stretches(n: int, flights: int) -> list[slice]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Library:
-    """Columns (axis and term); what they, and after them a constant push on every axis, do to the
-    whitened innovations; and how the smoothed disturbance of every axis follows them and, in the
-    last column, a constant."""
+    """Columns (axis and term); what they, after them a constant push on every axis, and last a
+    change of every number of the fit do to the whitened innovations; and how the smoothed
+    disturbance of every axis follows the terms, a constant, and what such a change adds to that
+    axis, to the next, and so on."""
 
     columns: list[tuple[str, Term]]
     innovations: Normal
@@ -98,17 +116,19 @@ def library(
     data: Dataset,
     names: Sequence[str],
     axes: Sequence[str],
+    fitted: Mapping[str, Estimate],
     *,
     memory: bool = True,
 ) -> Library:
     """Terms for `axes` on all flights, those with a `memory` too. `disturbed` is `model` with
     disturbance states, whose smoothed states the terms are evaluated at; `names` are the features
-    that `terms` reads.
+    that `terms` reads, `fitted` what a fit found.
 
     The innovations are those of `model`: a filter with disturbance states takes most of a slow law
     for noise.
     """
     plain, lin = Filter(model), linearisation_anywhere(model.dynamics)
+    bends = Bends.of(model.dynamics, fitted)
     segments = [(f.name, s) for f in data for s in f.segments]
     longest = max(SAMPLES // len(segments), 2)
     segments = [(name, s.rows(0, longest) if s.n > longest else s) for name, s in segments]
@@ -128,14 +148,16 @@ def library(
             [*(t.values[at : at + len(own)] for _, t in columns), np.ones((len(own), len(axes)))]
         )
         at += len(own)
+        run = plain.run(segment)
         parts = stretches(len(own), len(segments))
         for part, normal in zip(
-            parts, responses(plain, lin, plain.run(segment), pushes, places, parts), strict=True
+            parts, responses(plain, lin, run, pushes, places, parts, bends), strict=True
         ):
             # A fleet has more stretches than are needed: neighbours are taken together.
             block = number * min(MOST, blocks) // blocks
             number += 1
-            x = pushes[part, : len(columns) + 1]
+            bent = bends.wrenches(run, part, lin, places[len(columns) :])
+            x = np.column_stack([pushes[part, : len(columns) + 1], bent.reshape(len(bent), -1)])
             shared = x.T @ x
             each = [
                 Normal(xx=shared[None], xy=(w @ x)[None], yy=np.array([w @ w]), flights=(flight,))
@@ -152,9 +174,10 @@ def library(
         axis: Normal.joined([f[j] for f in follows.values()], names_of, common)
         for j, axis in enumerate(axes)
     }
-    return Library(
-        columns=columns, innovations=Normal.joined(list(seen.values()), names_of), smoothed=smoothed
-    )
+    innovations = Normal.joined(list(seen.values()), names_of)
+    for i, above, sigma in bends.beliefs():
+        innovations = innovations.believing(len(places) + i, above, sigma)
+    return Library(columns=columns, innovations=innovations, smoothed=smoothed)
 
 
 def _smoothed(
@@ -185,8 +208,8 @@ def _columns(
     """Axis and term, axis by axis, evaluated at features z (N_i, n) of all segments together."""
     every, physics = np.concatenate(z), physics_of(model.dynamics)
     if physics is None:
-        shared, slopes = own_terms(model.dynamics, names, every), own_slopes(model, names, every)
-        return [(axis, t) for axis in axes for t in (*slopes.get(axis, ()), *shared)]
+        shared = own_terms(model.dynamics, names, every)
+        return [(axis, t) for axis in axes for t in shared]
     vehicle = physics.vehicle
     ends = np.cumsum([0, *map(len, z)])
     flown = [slice(a, b) for a, b in itertools.pairwise(ends.tolist())]
@@ -201,20 +224,27 @@ def responses(
     pushes: FloatArray,
     places: Sequence[int],
     parts: Sequence[slice],
+    bends: Bends | None = None,
 ) -> Iterator[Normal]:
     """Normal equations of whitened innovations on whitened responses to `pushes` (n, t), each
-    through the noise channel of its place: one block per part of the segment, the parts in order
-    and without gaps."""
+    through the noise channel of its place, and to `bends` of the model's numbers: one block per
+    part of the segment, the parts in order and without gaps."""
     record, width = run.record, sum(runner.model.dynamics.window) + 1
     gain, there = run.gains.tables()[0].gain, run.gains.there
     white = np.linalg.inv(np.linalg.cholesky(run.covariance))
     d = np.zeros((runner.engine.nd, len(places)))
+    bent = np.zeros((runner.engine.nd, len(bends) if bends else 0))
     for part in parts:
-        sums = Normal.of([np.zeros((1, len(places)))], [np.zeros(1)], [record.flight])
+        slopes = np.zeros((part.stop - part.start, there.shape[1], bent.shape[1]))
+        if bends:
+            slopes, bent = bends.innovations(run, part, bent)
+        sums = Normal.of(
+            [np.zeros((1, len(places) + bent.shape[1]))], [np.zeros(1)], [record.flight]
+        )
         for begin in range(part.start, part.stop, CHUNK):
             rows = range(begin, min(begin + CHUNK, part.stop))
             out, target = (
-                np.zeros((len(rows), there.shape[1], len(places))),
+                np.zeros((len(rows), there.shape[1], len(places) + bent.shape[1])),
                 np.zeros((len(rows), there.shape[1])),
             )
             for j, k in enumerate(rows):
@@ -223,9 +253,10 @@ def responses(
                 )
                 i = run.gains.pattern[k]
                 e = (c @ d + through[:, places] * pushes[k]) * there[i][:, None]
-                out[j], target[j] = white[i] @ e, white[i] @ (run.innovations[k] * there[i])
+                out[j] = white[i] @ np.column_stack([e, slopes[k - part.start]])
+                target[j] = white[i] @ (run.innovations[k] * there[i])
                 d = a @ d + g[:, places] * pushes[k] - gain[i] @ e
             sums = sums + Normal.of(
-                [out.reshape(-1, len(places))], [target.ravel()], [record.flight]
+                [out.reshape(-1, out.shape[2])], [target.ravel()], [record.flight]
             )
         yield sums

@@ -102,15 +102,13 @@ class Term:
     values (N,).
 
     With a memory as its `shape` the column is what that keeps of `code`
-    (greybox.residual.laws.lagged). `absorbed`: a change of a number that the fit had does the
-    same, so that it is no law."""
+    (greybox.residual.laws.lagged)."""
 
     text: str
     code: str
     uses: tuple[str, ...]
     values: FloatArray
     shape: Shape | None = None
-    absorbed: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
