@@ -68,6 +68,9 @@ static by_rows make_by_rows(const INT *sp, int *memory) {
 /* WIDE columns of S are carried through a block of samples at a time: they and the slopes of the gain then stay near the
    processor. Four numbers are one register. */
 enum { WIDE = 16, PARTS = WIDE / 4, PACKS = 8 };
+/* A short loop of a length that is known: what it sums stays in registers where it is written out. -O3 writes out many more,
+   and takes the compiler several times as long. */
+#define WRITTEN_OUT _Pragma("GCC unroll 4")
 typedef REAL quad __attribute__((vector_size(4 * sizeof(REAL)), may_alias));
 
 /* sum += row i of M (its numbers m) times the rows of `in` (n x WIDE). */
@@ -75,7 +78,7 @@ static inline void add_row(const by_rows *M, const REAL *m, int i, const REAL *i
   for (int k = M->start[i]; k < M->start[i + 1]; ++k) {
     const REAL f = m[M->place[k]];
     const quad *v = (const quad *)(in + (size_t)M->column[k] * WIDE);
-    for (int q = 0; q < PARTS; ++q) sum[q] += f * v[q];
+    WRITTEN_OUT for (int q = 0; q < PARTS; ++q) sum[q] += f * v[q];
   }
 }
 
@@ -85,7 +88,7 @@ static inline void set_row(const by_rows *M1, const REAL *m1, int i, const REAL 
   quad sum[PARTS] = {{0}};
   add_row(M1, m1, i, in1, sum);
   if (M2) add_row(M2, m2, i, in2, sum);
-  for (int q = 0; q < PARTS; ++q) ((quad *)(out + (size_t)i * WIDE))[q] = sum[q];
+  WRITTEN_OUT for (int q = 0; q < PARTS; ++q) ((quad *)(out + (size_t)i * WIDE))[q] = sum[q];
 }
 
 /* The entries of a sparse matrix by the columns of S that they are added to: entries start[g] .. start[g + 1] go to
@@ -139,7 +142,7 @@ static void correction(const REAL *K, const REAL *dE, const REAL *dK, const REAL
   for (int i = 0; i < nd; i += 4) {
     quad sum[4][PARTS] = {{{0}}};
     const REAL *k[4], *d[4];
-    for (int r = 0; r < 4; ++r) {
+    WRITTEN_OUT for (int r = 0; r < 4; ++r) {
       const size_t at = (size_t)(i + r < nd ? i + r : nd - 1) * ne;
       k[r] = K + at;
       d[r] = dK ? dK + at * WIDE : 0;
@@ -147,18 +150,18 @@ static void correction(const REAL *K, const REAL *dE, const REAL *dK, const REAL
     for (int c = 0; c < many; ++c) {
       const int j = there[c];
       const quad *v = (const quad *)(dE + j * WIDE);
-      for (int r = 0; r < 4; ++r)
-        for (int q = 0; q < PARTS; ++q) sum[r][q] += k[r][j] * v[q];
+      WRITTEN_OUT for (int r = 0; r < 4; ++r)
+        WRITTEN_OUT for (int q = 0; q < PARTS; ++q) sum[r][q] += k[r][j] * v[q];
     }
     if (dK)
       for (int c = 0; c < many; ++c) {
         const int j = there[c];
         const REAL f = e[j];
-        for (int r = 0; r < 4; ++r)
-          for (int q = 0; q < PARTS; ++q) sum[r][q] += f * ((const quad *)(d[r] + (size_t)j * WIDE))[q];
+        WRITTEN_OUT for (int r = 0; r < 4; ++r)
+          WRITTEN_OUT for (int q = 0; q < PARTS; ++q) sum[r][q] += f * ((const quad *)(d[r] + (size_t)j * WIDE))[q];
       }
     for (int r = 0; r < 4 && i + r < nd; ++r)
-      for (int q = 0; q < PARTS; ++q) ((quad *)(out + (size_t)(i + r) * WIDE))[q] = sum[r][q];
+      WRITTEN_OUT for (int q = 0; q < PARTS; ++q) ((quad *)(out + (size_t)(i + r) * WIDE))[q] = sum[r][q];
   }
 }
 

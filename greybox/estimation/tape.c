@@ -29,6 +29,8 @@ typedef struct {
   DO(POW, pow(x, y)) DO(CONSTPOW, pow(x, y)) DO(FMOD, fmod(x, y)) DO(COPYSIGN, copysign(x, y))                           \
   DO(ATAN2, atan2(x, y)) DO(HYPOT, hypot(x, y)) DO(SIGN, x < 0 ? -1 : x > 0 ? 1 : x)
 
+/* A short loop of a length that is known; -O3 writes out many more, and takes the compiler several times as long. */
+#define WRITTEN_OUT _Pragma("GCC unroll 4")
 #define NOTHING ((eight){0})
 #define TRUE_WHERE(mask) __builtin_convertvector(-(mask), eight)
 #define SLOT(i) (work + (long)(i) * WIDTH)
@@ -38,7 +40,7 @@ typedef struct {
   L_##name : {                                                                       \
     eight *to = SLOT(s->to);                                                         \
     const eight *px = SLOT(s->a), *py = SLOT(s->b), *pz = SLOT(s->c);                \
-    for (int v = 0; v < WIDTH; ++v) {                                                \
+    WRITTEN_OUT for (int v = 0; v < WIDTH; ++v) {                                    \
       const eight x = px[v], y = py[v], z = pz[v];                                   \
       (void)y, (void)z;                                                              \
       to[v] = formula;                                                               \
@@ -77,7 +79,7 @@ typedef struct {
   }                                                                                                                      \
   L_CONST : {                                                                                                            \
     eight *to = SLOT(s->to);                                                                                             \
-    for (int v = 0; v < WIDTH; ++v) to[v] = constants[s->a] + NOTHING;                                                   \
+    WRITTEN_OUT for (int v = 0; v < WIDTH; ++v) to[v] = constants[s->a] + NOTHING;                                       \
     NEXT;                                                                                                                \
   }                                                                                                                      \
     VECTORS(ON_VECTORS) LANES_OF(ON_LANES)                                                                               \

@@ -30,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FitError
-from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, opened
+from greybox.estimation.build import LOOP_FLAGS, MODEL_FLAGS, opened
 from greybox.estimation.engine import chart_jacobians, symbols
 from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.record import Record
@@ -160,7 +160,7 @@ class Filter:
             self._library = opened(
                 [
                     ("gb_ekf_model.c", generator.dump(), MODEL_FLAGS),
-                    ("gb_ekf.c", driver, DRIVER_FLAGS),
+                    ("gb_ekf.c", driver, LOOP_FLAGS),
                 ]
             )
         if self._library is not None:
