@@ -141,6 +141,17 @@ class Candidate:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class _Begun:
+    """A set of effects fitted by the likelihood, not judged yet, with the model and the options of
+    that fit."""
+
+    steps: tuple[Step, ...]
+    likelihood: Fit
+    model: PhysicsModel
+    options: FitOptions
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Decided:
     """The recipe and how it came about. `candidate` is the recipe fitted to the first parts of the
     flights (None where every flight is too short)."""
@@ -427,13 +438,25 @@ class _Decider:
         parts: tuple[Dataset, Dataset],
         *,
         solver: LevenbergMarquardt = QUICK,
-        afresh: Collection[str] = (),
     ) -> Candidate | None:
-        """`steps` fitted and judged, from where `before` ended, effects that begin `afresh` from
-        their nominal values; None where that is not possible.
+        """`steps` fitted and judged, from where `before` ended; None where that is not possible.
 
         Errors further ahead are tried where the likelihood foretells poorly.
         """
+        begun = self._likelihood(steps, options, before, parts, solver=solver)
+        return None if begun is None else self._judged(begun, parts)
+
+    def _likelihood(
+        self,
+        steps: tuple[Step, ...],
+        options: FitOptions,
+        before: Candidate | None,
+        parts: tuple[Dataset, Dataset],
+        *,
+        solver: LevenbergMarquardt = QUICK,
+        afresh: Collection[str] = (),
+    ) -> _Begun | None:
+        """`steps` fitted by the likelihood; effects begin `afresh` from their nominal values."""
         options = self._with_flight_values(options, steps).but(solver=solver, considered=())
         options = options.but(predictor="innovation")
         if before is None:
@@ -444,18 +467,29 @@ class _Decider:
         try:
             model, options = self._one_library(steps, options)
             plain = fit(model, parts[0], options)
-            judged = foretell(plain.model, parts[1])
         except GreyboxError as error:
             self.say(f"  {steps[-1].name}: {error}")
             return None
-        found = Candidate(steps=steps, likelihood=plain, likelihood_score=judged)
-        if "predictor" in self.given.choices or judged.mean <= POOR:
-            return found
+        return _Begun(steps=steps, likelihood=plain, model=model, options=options)
+
+    def _judged(self, begun: _Begun, parts: tuple[Dataset, Dataset]) -> Candidate | None:
+        """The candidate that a fit by the likelihood began, with errors further ahead where it
+        foretells poorly; None where it cannot run on what was left out."""
+        plain, name = begun.likelihood, begun.steps[-1].name
         try:
-            many = fit(model, parts[0], _from(plain, options, set()).but(predictor="multi-step"))
+            score = foretell(plain.model, parts[1])
+        except GreyboxError as error:
+            self.say(f"  {name}: {error}")
+            return None
+        found = Candidate(steps=begun.steps, likelihood=plain, likelihood_score=score)
+        if "predictor" in self.given.choices or score.mean <= POOR:
+            return found
+        options = _from(plain, begun.options, set()).but(predictor="multi-step")
+        try:
+            many = fit(begun.model, parts[0], options)
             return replace(found, ahead=many, ahead_score=foretell(many.model, parts[1]))
         except GreyboxError as error:
-            self.say(f"  {steps[-1].name}, errors ahead: {error}")
+            self.say(f"  {name}, errors ahead: {error}")
             return found
 
     def _one_library(
@@ -551,14 +585,17 @@ class _Decider:
         while offered:
             own = with_noise_parts(options, offered, first.likelihood)
             # a delay has taken what a filter is late: it lets go, or the search stays where it was
-            again = self._try(steps, own, first, parts, afresh=TAKES_LATENESS)
-            if again is None:
-                reason = "no fit with one"
-                break
-            felt = tuple(p for p in offered if is_felt(p, again.likelihood))
+            begun = self._likelihood(steps, own, first, parts, afresh=TAKES_LATENESS)
+            felt = offered
+            if begun is not None:
+                felt = tuple(p for p in offered if is_felt(p, begun.likelihood))
             if felt != offered:
                 offered = felt
                 continue
+            again = None if begun is None else self._judged(begun, parts)
+            if again is None:
+                reason = "no fit with one"
+                break
             gain, score = first.likelihood.bic - again.likelihood.bic, again.score.mean
             both = " together with a late pose" if steps != first.steps else ""
             reason = (
