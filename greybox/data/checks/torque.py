@@ -124,14 +124,19 @@ class Torque:
         return outside and (more or less) and self.searched_share > 0.15
 
 
-def _solve(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Least squares (k, 3); directions that the data hardly move (below 1 % of the largest) get no
-    gain."""
-    scale = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
-    scaled = x / scale
+ROUNDED = 1e-10
+"""Share of a sum of squares that may be rounding, once nearly all of it was subtracted."""
+
+
+def _solve(xx: FloatArray, xy: FloatArray, whole: FloatArray) -> FloatArray:
+    """Least squares (k, 3) from the sums of products x'x (k, k) and x'y (k, 3) after regression on
+    others; `whole` (k,) are the sums of squares before it. Directions that the data hardly move
+    (below 1 % of the largest) and columns of which nothing is left get no gain."""
+    own = np.diag(xx)
+    scale = np.sqrt(np.where(own > ROUNDED * whole, own, np.inf))
     return np.asarray(
-        np.linalg.pinv(scaled.T @ scaled, rcond=1e-4, hermitian=True)
-        @ (scaled.T @ y)
+        np.linalg.pinv(xx / scale / scale[:, None], rcond=1e-4, hermitian=True)
+        @ (xy / scale[:, None])
         / scale[:, None]
     )
 
@@ -166,12 +171,15 @@ def _regression(view: View) -> Torque | None:
     total = ((y - y.mean(axis=0)) ** 2).sum(axis=0)
     basis = _basis(other[known])
     rest = _without(basis, y)
-    base = (rest**2).sum(axis=0)
     shares, gains = np.zeros((len(lags), 3)), np.zeros((len(lags), 3, n))
+    rows = np.flatnonzero(known)
+    level = u[rows].mean(axis=0)  # a constant is among the others; small numbers square exactly
     for i, lag in enumerate(lags):
-        x = _without(basis, shifted(u, int(lag))[known])
-        b = _solve(x, rest)
-        shares[i] = (base - ((rest - x @ b) ** 2).sum(axis=0)) / np.maximum(total, 1e-300)
+        x = u[rows - lag] - level
+        told, whole = basis.T @ x, x.T @ x
+        xx, xy = whole - told.T @ told, x.T @ rest
+        b = _solve(xx, xy, np.diag(whole))
+        shares[i] = (b * (2.0 * xy - xx @ b)).sum(axis=0) / np.maximum(total, 1e-300)
         gains[i] = b.T
     # A speed acts at once: what is between it and the motion is the clock of the log.
     earliest, latest = (0.0, LARGEST_LAG) if view.commanded else (-LATE_SPEEDS, LATE_SPEEDS)
