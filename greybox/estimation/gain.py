@@ -45,7 +45,7 @@ class Linearisation:
     """A, G, C, D of a Dynamics at one state and command, and their derivatives in the active
     parameters. They are derived when they are asked for.
 
-    `fixed` as in `ReferenceStep`.
+    `fixed` as in `ReferenceStep.at_point`.
     """
 
     def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed = ()) -> None:

@@ -93,7 +93,7 @@ class LostCommands:
     """Derivatives of step and sample in every command that they look at, at one state, as functions
     of the parameters. They are derived when they are asked for.
 
-    `fixed` as in `ReferenceStep`.
+    `fixed` as in `ReferenceStep.at_point`.
     """
 
     def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed = ()) -> None:

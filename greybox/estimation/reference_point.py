@@ -3,6 +3,7 @@ the parameters."""
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ FEW = 8
 @dataclass(frozen=True, eq=False)
 class Reference:
     """A model, the parameters that derivatives are asked for, and what never changes at a state
-    (`fixed` as in `ReferenceStep`): what functions are derived from, again where they were
+    (`fixed` as in `ReferenceStep.at_point`): what functions are derived from, again where they were
     forgotten."""
 
     dynamics: Dynamics
@@ -35,14 +36,10 @@ class Reference:
 
 class ReferenceStep:
     """Symbols x, U (`window`), p, w, dt; the state `after` a step, the innovation `e`, and the
-    charts `into` and `out` of the error state.
+    charts `into` and `out` of the error state, of a point that is not fixed, see `at_point`.
+    `whole`: all that derivatives follow from, as one function."""
 
-    `fixed` (n_x entries or none): the values of state entries that never change, None where one
-    does. Zeros and ones among them make the expressions, their construction and their evaluation
-    smaller.
-    """
-
-    def __init__(self, dynamics: Dynamics, fixed: Fixed) -> None:
+    def __init__(self, dynamics: Dynamics) -> None:
         s = symbols(dynamics)
         self.x, self.window, self.p, self.w, self.dt = s["x"], s["U"], s["p"], s["w"], s["dt"]
         self.names = [q.name for q in dynamics.parameters]
@@ -51,11 +48,22 @@ class ReferenceStep:
         self.into, self.out = chart_jacobians(dynamics, self.x, self.after)
         self._measured = ca.SX.sym("y", self._predicted.numel())
         self.e = dynamics.innovation(self._measured, self._predicted, self.x)
-        self._point = (
-            ca.vertcat(*(self.x[i] if v is None else v for i, v in enumerate(fixed)))
-            if fixed
-            else self.x
-        )
+        self._point = self.x
+        given = [self.x, self.window, self.p, self.w, self._measured, self.dt]
+        made = [self.after, self._predicted, self.e, self.into, self.out]
+        self.whole = ca.Function("step", given, made)
+
+    def at_point(self, fixed: Fixed) -> ReferenceStep:
+        """The same step where some state entries never change.
+
+        `fixed` (n_x entries or none): their values, None where one does. Zeros and ones among them
+        make the expressions, their construction and their evaluation smaller.
+        """
+        if not fixed:
+            return self
+        there = copy.copy(self)
+        there._point = ca.vertcat(*(self.x[i] if v is None else v for i, v in enumerate(fixed)))
+        return there
 
     def at_rest(self, parts: Sequence[Expr]) -> list[Expr]:
         """Derivatives without noise, where the measured value equals the prediction."""
@@ -63,13 +71,6 @@ class ReferenceStep:
         return list(
             ca.substitute(seen, [self.x, self.w], [self._point, ca.DM.zeros(self.w.numel())])
         )
-
-    @property
-    def whole(self) -> ca.Function:
-        """All that derivatives follow from, as one function."""
-        given = [self.x, self.window, self.p, self.w, self._measured, self.dt]
-        made = [self.after, self._predicted, self.e, self.into, self.out]
-        return ca.Function("step", given, made)
 
     def along(self, active: Sequence[str]) -> tuple[Expr, Expr]:
         """A direction of the parameters, and its numbers for the active ones, which span it."""
@@ -100,9 +101,9 @@ def once_per_model(
     return built
 
 
-_steps = once_per_model(lambda dynamics, _, fixed: ReferenceStep(dynamics, fixed), FEW)
+_steps = once_per_model(lambda dynamics, *_: ReferenceStep(dynamics), FEW)
 
 
 def reference_step(dynamics: Dynamics, fixed: Fixed) -> ReferenceStep:
-    """The step of a model, built once per process."""
-    return _steps(dynamics, (), fixed)
+    """The step of a model, built once per process, at a point."""
+    return _steps(dynamics, (), ()).at_point(fixed)
