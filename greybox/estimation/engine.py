@@ -24,9 +24,10 @@ import numpy.typing as npt
 from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, compiler, opened
 from greybox.estimation.cache import say
+from greybox.estimation.reference_point import chart_jacobians, reference_step, symbols
 from greybox.estimation.tape_cache import linears
 from greybox.model.dynamics import Dynamics
-from greybox.symbolic import CASADI, Expr, FloatArray
+from greybox.symbolic import CASADI, FloatArray
 
 IntArray = npt.NDArray[np.int32]
 Whole = npt.NDArray[np.integer[Any]]
@@ -142,28 +143,6 @@ class Windows:
     failed_in: int | None
 
 
-def symbols(dynamics: Dynamics) -> dict[str, Expr]:
-    """SX symbols x, U (n_u x window), p, w, dt, y of a Dynamics."""
-    past, future = dynamics.window
-    return {
-        "x": ca.SX.sym("x", len(dynamics.states)),
-        "U": ca.SX.sym("U", len(dynamics.inputs), past + 1 + future),
-        "p": ca.SX.sym("p", len(dynamics.parameters)),
-        "w": ca.SX.sym("w", len(dynamics.noises)),
-        "dt": ca.SX.sym("dt"),
-        "y": ca.SX.sym("y", len(dynamics.outputs)),
-    }
-
-
-def chart_jacobians(dynamics: Dynamics, x: Expr, z: Expr) -> tuple[Expr, Expr]:
-    """(d boxplus(x, d)/dd at d = 0 (n_x x n_d), d boxminus(z', z)/dz' at z' = z (n_d x n_x)): in
-    and out of the chart."""
-    d, other = ca.SX.sym("d", len(dynamics.error_states)), ca.SX.sym("z", len(dynamics.states))
-    into = ca.substitute(ca.jacobian(dynamics.boxplus(x, d), d), d, ca.DM.zeros(d.numel()))
-    out = ca.substitute(ca.jacobian(dynamics.boxminus(other, z), other), other, z)
-    return into, out
-
-
 class Engine:
     """Compiled (or VM) step of `dynamics` with sensitivities for the parameters named in `active`.
 
@@ -231,16 +210,11 @@ class Engine:
         return self._library
 
     def _functions(self) -> None:
-        d = self.dynamics
-        s = symbols(d)
-        x, window, p, dt, y = s["x"], s["U"], s["p"], s["dt"], s["y"]
+        d, at = self.dynamics, reference_step(self.dynamics, ())
+        x, window, p, dt, y = at.x, at.window, at.p, at.dt, at.measured
         w0 = ca.DM.zeros(len(d.noises))
-        after = d.step(0, x, window, p, w0, dt)
-        y_hat = d.output(0, x, window, p, w0, dt)
-        e = d.innovation(y, y_hat, x)
         # What is written once is differentiated once.
-        after, e, y_hat = ca.cse([after, e, y_hat])
-        into, out = chart_jacobians(d, x, after)
+        after, y_hat, e, into, out = ca.cse(at.whole.call([x, window, p, w0, y, dt]))
         inputs = [x, window, y, p, dt]
         self.value = ca.Function("gb_value", inputs, [ca.densify(v) for v in (after, e, y_hat)])
         self._stepped = ca.Function("gb_stepped", inputs, [after, e, y_hat, into, out])

@@ -11,7 +11,6 @@ from typing import TypeVar
 
 import casadi as ca
 
-from greybox.estimation.engine import chart_jacobians, symbols
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import Expr
 
@@ -34,10 +33,32 @@ class Reference:
     fixed: Fixed = ()
 
 
+def symbols(dynamics: Dynamics) -> dict[str, Expr]:
+    """SX symbols x, U (n_u x window), p, w, dt, y of a Dynamics."""
+    past, future = dynamics.window
+    return {
+        "x": ca.SX.sym("x", len(dynamics.states)),
+        "U": ca.SX.sym("U", len(dynamics.inputs), past + 1 + future),
+        "p": ca.SX.sym("p", len(dynamics.parameters)),
+        "w": ca.SX.sym("w", len(dynamics.noises)),
+        "dt": ca.SX.sym("dt"),
+        "y": ca.SX.sym("y", len(dynamics.outputs)),
+    }
+
+
+def chart_jacobians(dynamics: Dynamics, x: Expr, z: Expr) -> tuple[Expr, Expr]:
+    """(d boxplus(x, d)/dd at d = 0 (n_x x n_d), d boxminus(z', z)/dz' at z' = z (n_d x n_x)): in
+    and out of the chart."""
+    d, other = ca.SX.sym("d", len(dynamics.error_states)), ca.SX.sym("z", len(dynamics.states))
+    into = ca.substitute(ca.jacobian(dynamics.boxplus(x, d), d), d, ca.DM.zeros(d.numel()))
+    out = ca.substitute(ca.jacobian(dynamics.boxminus(other, z), other), other, z)
+    return into, out
+
+
 class ReferenceStep:
-    """Symbols x, U (`window`), p, w, dt; the state `after` a step, the innovation `e`, and the
-    charts `into` and `out` of the error state, of a point that is not fixed, see `at_point`.
-    `whole`: all that derivatives follow from, as one function."""
+    """Symbols x, U (`window`), p, w, dt and of what is `measured`; the state `after` a step, the
+    innovation `e`, and the charts `into` and `out` of the error state, of a point that is not
+    fixed, see `at_point`. `whole`: all that derivatives follow from, as one function."""
 
     def __init__(self, dynamics: Dynamics) -> None:
         s = symbols(dynamics)
@@ -46,10 +67,10 @@ class ReferenceStep:
         self.after = dynamics.step(0, self.x, self.window, self.p, self.w, self.dt)
         self._predicted = dynamics.output(0, self.x, self.window, self.p, self.w, self.dt)
         self.into, self.out = chart_jacobians(dynamics, self.x, self.after)
-        self._measured = ca.SX.sym("y", self._predicted.numel())
-        self.e = dynamics.innovation(self._measured, self._predicted, self.x)
+        self.measured = ca.SX.sym("y", self._predicted.numel())
+        self.e = dynamics.innovation(self.measured, self._predicted, self.x)
         self._point = self.x
-        given = [self.x, self.window, self.p, self.w, self._measured, self.dt]
+        given = [self.x, self.window, self.p, self.w, self.measured, self.dt]
         made = [self.after, self._predicted, self.e, self.into, self.out]
         self.whole = ca.Function("step", given, made)
 
@@ -67,7 +88,7 @@ class ReferenceStep:
 
     def at_rest(self, parts: Sequence[Expr]) -> list[Expr]:
         """Derivatives without noise, where the measured value equals the prediction."""
-        seen = ca.substitute(list(parts), [self._measured], [self._predicted])
+        seen = ca.substitute(list(parts), [self.measured], [self._predicted])
         return list(
             ca.substitute(seen, [self.x, self.w], [self._point, ca.DM.zeros(self.w.numel())])
         )

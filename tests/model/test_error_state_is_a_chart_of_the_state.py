@@ -9,7 +9,7 @@ from craft import CROOKED, flat, model_of, state, vector
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from greybox.estimation.engine import chart_jacobians
+from greybox.estimation.reference_point import chart_jacobians
 from greybox.model.noise import with_disturbance
 
 MODEL = model_of(CROOKED, "motor_lag", "rotor_drag")

@@ -31,9 +31,9 @@ import numpy.typing as npt
 
 from greybox.errors import FitError
 from greybox.estimation.build import LOOP_FLAGS, MODEL_FLAGS, opened
-from greybox.estimation.engine import chart_jacobians, symbols
 from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.record import Record
+from greybox.estimation.reference_point import chart_jacobians, symbols
 from greybox.estimation.settling import start_variances
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import FloatArray
