@@ -184,13 +184,11 @@ typedef struct {
   const REAL *a, *b, *e, *h, *j1, *j2;
 } recursion;
 
-/* Sample l of a block, columns WIDE g and on: dE (ne x WIDE), zero where `seen` (ne) is, and after (nd x WIDE) from s
-   (nd x WIDE). K (nd x ne; NULL: no correction), dK packed (NULL: none), innovations e; T, T2 (nd x WIDE) are scratch. */
-static void one_sample(const recursion *r, int l, int g, const REAL *seen, const REAL *K, const REAL *dK, const REAL *e,
-                       const REAL *s, REAL *dE, REAL *T, REAL *T2, REAL *after) {
-  const REAL *a = r->a + l * r->lA[0], *b = r->b + l * r->lA[1], *c = r->e + l * r->lA[2], *h = r->h + l * r->lA[3],
-             *j1 = r->j1 + l * r->lJ[0], *j2 = r->j2 + l * r->lJ[1];
-  int there[r->ne], many = 0;
+/* dE (ne x WIDE) of sample l of a block, columns WIDE g and on, zero where `seen` (ne) is, from s (nd x WIDE). Gives how
+   many channels are `there` (ne), and which. */
+static int innovation_slope(const recursion *r, int l, int g, const REAL *seen, const REAL *s, REAL *dE, int *there) {
+  const REAL *c = r->e + l * r->lA[2], *h = r->h + l * r->lA[3];
+  int many = 0;
   for (int i = 0; i < r->ne; ++i) {
     if (seen[i] != 0) there[many++] = i;
     set_row(&r->E, c, i, s, 0, 0, 0, dE);
@@ -198,6 +196,16 @@ static void one_sample(const recursion *r, int l, int g, const REAL *seen, const
   add_group(&r->H, h, g, dE);
   for (int i = 0; i < r->ne; ++i)
     if (seen[i] == 0) memset(dE + i * WIDE, 0, WIDE * sizeof(REAL));
+  return many;
+}
+
+/* Sample l of a block, columns WIDE g and on: dE (ne x WIDE) where `seen` (ne) says what is (NULL: nobody asks), and after
+   (nd x WIDE) from s (nd x WIDE). K (nd x ne; NULL: no correction), dK packed (NULL: none), innovations e; T, T2 (nd x WIDE)
+   are scratch. */
+static void one_sample(const recursion *r, int l, int g, const REAL *seen, const REAL *K, const REAL *dK, const REAL *e,
+                       const REAL *s, REAL *dE, REAL *T, REAL *T2, REAL *after) {
+  const REAL *a = r->a + l * r->lA[0], *b = r->b + l * r->lA[1], *j1 = r->j1 + l * r->lJ[0], *j2 = r->j2 + l * r->lJ[1];
+  int there[r->ne], many = seen ? innovation_slope(r, l, g, seen, s, dE, there) : 0;
   REAL *const moved = K ? T : after;
   for (int i = 0; i < r->nd; ++i) set_row(&r->A, a, i, s, 0, 0, 0, moved);
   add_group(&r->B, b, g, moved);
@@ -242,12 +250,17 @@ typedef struct {
   int window, step;
 } place_of;
 
+/* Whether a sample of a window is written: it is among the last tail[i], and at a step that is asked for (NULL: at all). */
+static int is_kept(place_of at, const int *length, const int *tail, const int *asked) {
+  return at.step >= length[at.window] - tail[at.window] && (!asked || asked[at.step]);
+}
+
 static place_of next(place_of at, const int *length) {
   return at.step + 1 < length[at.window] ? (place_of){at.window, at.step + 1} : (place_of){at.window + 1, 0};
 }
 
-/* Run m windows of a record, window i from its row first[i] on for length[i] samples; the last tail[i] are written. Arrays
-   are row-major, time first.
+/* Run m windows of a record, window i from its row first[i] on for length[i] samples; the last tail[i] are written, as far
+   as their step is `asked` for. Arrays are row-major, time first.
    x (m x nx) in/out, S (m x nd*ns) in/out (NULL: no sensitivities); U ((n + past + future) x nu) with the record's first
    sample at row `past`; Y (n x ny, missing = any number); M (n x ne, 1 = there, 0 = missing); pat (n) index of the gain;
    K (npat x nd x ne, NULL: no correction), zero_gain (npat): 1 = none; dK: npat pointers to (nk x nd x ne), the derivative
@@ -255,9 +268,9 @@ static place_of next(place_of at, const int *length) {
    Xout (rows x nx), Eout (rows x ne), Yout (rows x ny), Jout (rows x ne x ns): any may be NULL; Sout (rows x nd x ns) too.
    place: where the parameters of `slope` stand among the columns of S (see make_by_columns).
    Returns 0, or 1 when the numbers stop being finite, at `failed`. */
-static int run(int m, const int *first, const int *length, const int *tail, int nx, int nd, int ne, int ny, int nu, int ns,
-               int nk, const gb_linear *slope, const gb_linear *turn, REAL *x, REAL *S, const REAL *U, const REAL *Y,
-               const REAL *M, const int *pat, const REAL *p, REAL dt, const REAL *K, const int *zero_gain,
+static int run(int m, const int *first, const int *length, const int *tail, const int *asked, int nx, int nd, int ne, int ny,
+               int nu, int ns, int nk, const gb_linear *slope, const gb_linear *turn, REAL *x, REAL *S, const REAL *U,
+               const REAL *Y, const REAL *M, const int *pat, const REAL *p, REAL dt, const REAL *K, const int *zero_gain,
                const REAL *const *dK, REAL *Xout, REAL *Eout, REAL *Yout, REAL *Jout, REAL *Sout, const int *place,
                const REAL **arg, REAL **res, INT *iw, REAL *w, REAL *buf, place_of *failed) {
   const INT *lA = slope->lengths, *lJ = turn->lengths;
@@ -338,9 +351,8 @@ static int run(int m, const int *first, const int *length, const int *tail, int 
     }
     size_t rows[SAMPLES];
     for (int l = 0; l < there; ++l) {
-      const int i = block[l].window;
       rows[l] = row;
-      if (block[l].step < length[i] - tail[i]) continue;
+      if (!is_kept(block[l], length, tail, asked)) continue;
       if (Eout) memcpy(Eout + row * ne, Es + l * ne, ne * sizeof(REAL));
       ++row;
     }
@@ -350,7 +362,7 @@ static int run(int m, const int *first, const int *length, const int *tail, int 
       for (int k = 0; k < PACKS; ++k) packed[k] = -1;
       for (int l = 0; l < there; ++l) {
         const int i = block[l].window, t = first[i] + block[l].step, gain = pat ? pat[t] : 0;
-        const int kept = block[l].step >= length[i] - tail[i], corrects = K && !zero_gain[gain];
+        const int kept = is_kept(block[l], length, tail, asked), corrects = K && !zero_gain[gain];
         REAL *pack_of = 0, *const own = S + i * of_state + from;
         if (l == 0 || block[l - 1].window != i) take(own, nd, ns, width, s);
         if (kept && Sout) give(s, nd, ns, width, Sout + rows[l] * of_state + from);
@@ -359,8 +371,8 @@ static int run(int m, const int *first, const int *length, const int *tail, int 
           if (packed[gain % PACKS] != gain) pack(dK[gain], from, nk, nd * ne, pack_of);
           packed[gain % PACKS] = gain;
         }
-        one_sample(&r, l, from / WIDE, M + (size_t)t * ne, corrects ? K + gain * of_gain : 0, pack_of, Es + l * ne, s, dE, T,
-                   T2, after);
+        one_sample(&r, l, from / WIDE, kept || corrects ? M + (size_t)t * ne : 0, corrects ? K + gain * of_gain : 0, pack_of,
+                   Es + l * ne, s, dE, T, T2, after);
         if (kept && Jout) give(dE, ne, ns, width, Jout + rows[l] * ne * ns + from);
         REAL *const before = s;
         s = after;
@@ -379,21 +391,21 @@ int gb_run(int n, int nx, int nd, int ne, int ny, int nu, int ns, int nk, const 
            REAL *Sout, const int *place, const REAL **arg, REAL **res, INT *iw, REAL *w, REAL *buf) {
   const int first = 0;
   place_of failed = {0, 0};
-  if (n && run(1, &first, &n, &n, nx, nd, ne, ny, nu, ns, nk, slope, turn, x, S, U, Y, M, pat, p, dt, K, zero_gain, dK,
+  if (n && run(1, &first, &n, &n, 0, nx, nd, ne, ny, nu, ns, nk, slope, turn, x, S, U, Y, M, pat, p, dt, K, zero_gain, dK,
                Xout, Eout, Yout, Jout, Sout, place, arg, res, iw, w, buf, &failed))
     return 1 + failed.step;
   return 0;
 }
 
-/* Many short open-loop runs, see `run`: innovations (and their sensitivities) of the last tail[i] samples of each are
-   appended to Eout and Jout (NULL: without). Returns 0, or 1 + i where window i stops being finite. */
-int gb_windows(int m, const int *first, const int *length, const int *tail, int nx, int nd, int ne, int ny, int nu, int ns,
-               const gb_linear *slope, const gb_linear *turn, REAL *X, REAL *S, const REAL *U, const REAL *Y,
+/* Many short open-loop runs, see `run`: innovations (and their sensitivities) of the last tail[i] samples of each, where
+   `asked` for, are appended to Eout and Jout (NULL: without). Returns 0, or 1 + i where window i stops being finite. */
+int gb_windows(int m, const int *first, const int *length, const int *tail, const int *asked, int nx, int nd, int ne, int ny,
+               int nu, int ns, const gb_linear *slope, const gb_linear *turn, REAL *X, REAL *S, const REAL *U, const REAL *Y,
                const REAL *M, const REAL *p, REAL dt, REAL *Eout, REAL *Jout, const int *place, const REAL **arg,
                REAL **res, INT *iw, REAL *w, REAL *buf) {
   place_of failed = {0, 0};
-  if (run(m, first, length, tail, nx, nd, ne, ny, nu, ns, 0, slope, turn, X, S, U, Y, M, 0, p, dt, 0, 0, 0, 0, Eout, 0, Jout,
-          0, place, arg, res, iw, w, buf, &failed))
+  if (run(m, first, length, tail, asked, nx, nd, ne, ny, nu, ns, 0, slope, turn, X, S, U, Y, M, 0, p, dt, 0, 0, 0, 0, Eout,
+          0, Jout, 0, place, arg, res, iw, w, buf, &failed))
     return 1 + failed.window;
   return 0;
 }

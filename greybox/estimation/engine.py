@@ -114,11 +114,13 @@ class _Pass:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _OpenRuns:
     """Many short open-loop runs as the recursion takes them: contiguous arrays, of which x (m,
-    n_x), s (m, n_d, n_s), e (r, n_e) and de (r, n_e, n_s) are written."""
+    n_x), s (m, n_d, n_s), e (r, n_e) and de (r, n_e, n_s) are written. `asked` (of the longest run):
+    which of its steps are kept, None for all."""
 
     first: IntArray
     length: IntArray
     tail: IntArray
+    asked: IntArray | None
     x: FloatArray
     s: FloatArray | None
     u: FloatArray
@@ -476,23 +478,31 @@ class Engine:
         tails: Whole,
         p: FloatArray,
         s0: FloatArray | None = None,
+        steps: Whole | None = None,
         **samples: Unpack[Samples],
     ) -> Windows:
         """Open-loop runs of `lengths` (m,) samples from the states `starts` (m, n_x) at the
         record's `rows` (m,). inputs, outputs, mask, dt: see `Samples`.
 
-        The innovations of the last `tails` (m,) samples of each window are kept, in order. With
-        `s0` (m, n_d, n_s) the sensitivities run along as in `run`.
+        The innovations of the last `tails` (m,) samples of each window are kept, in order; of these
+        with `steps` those that are so many samples behind the first. With `s0` (m, n_d, n_s) the
+        sensitivities run along as in `run`.
         """
-        outputs = samples["outputs"]
-        kept, ns = int(np.sum(tails)), 0 if s0 is None else s0.shape[2]
+        outputs, ns = samples["outputs"], 0 if s0 is None else s0.shape[2]
         first, length, tail = (
             np.ascontiguousarray(v, dtype=np.int32) for v in (rows, lengths, tails)
         )
+        asked = None if steps is None else np.zeros(length.max(initial=0), dtype=np.int32)
+        kept = int(tail.sum())
+        if asked is not None:
+            asked[steps] = 1
+            before = np.concatenate([[0], np.cumsum(asked)])
+            kept = int((before[length] - before[length - tail]).sum())
         runs = _OpenRuns(
             first=first,
             length=length,
             tail=tail,
+            asked=asked,
             x=np.array(starts, dtype=np.float64),
             s=None if s0 is None else np.array(s0, dtype=np.float64, order="C"),
             u=np.ascontiguousarray(samples["inputs"]),
@@ -521,6 +531,7 @@ class Engine:
                 _ptr(runs.first),
                 _ptr(runs.length),
                 _ptr(runs.tail),
+                _ptr(runs.asked),
                 self.nx,
                 self.nd,
                 self.ne,
@@ -567,11 +578,15 @@ class Engine:
                 return 1 + i
             runs.x[i] = run.end
             assert run.innovations is not None
-            runs.e[at : at + keep] = run.innovations[n - keep :]
+            kept = np.arange(n - keep, n)
+            if runs.asked is not None:
+                kept = kept[runs.asked[kept] != 0]
+            into = slice(at, at + kept.size)
+            runs.e[into] = run.innovations[kept]
             if runs.s is not None and runs.de is not None and run.sensitivity is not None:
                 runs.s[i] = run.end_sensitivity
-                runs.de[at : at + keep] = run.sensitivity[n - keep :]
-            at += keep
+                runs.de[into] = run.sensitivity[kept]
+            at = into.stop
         return 0
 
     def rollout(

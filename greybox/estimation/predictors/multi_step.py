@@ -95,6 +95,7 @@ class MultiStep(Predictor[InnovationPrepared]):
             tails=whole,
             p=p,
             s0=None if slopes is None else slopes[rows],
+            steps=at,
             **record.samples,
         )
         if ahead.failed_in is not None:
@@ -102,17 +103,11 @@ class MultiStep(Predictor[InnovationPrepared]):
                 f"the prediction of flight {record.flight} is not finite from sample "
                 f"{ahead.failed_in}"
             )
-        e = ahead.innovations.reshape(rows.size, length, engine.ne)[:, at].reshape(-1, engine.ne)
-        de = ahead.sensitivity
-        if de is not None:
-            de = de.reshape(rows.size, length, engine.ne, -1)[:, at].reshape(
-                e.shape[0], engine.ne, -1
-            )
         return Block(
             record=record,
-            e=e,
+            e=ahead.innovations,
             mask=record.mask[(rows[:, None] + at).ravel()],
-            jacobian=de,
+            jacobian=ahead.sensitivity,
             columns=columns,
             covariance=None,
             covariance_slope=None,
