@@ -18,8 +18,9 @@ from greybox.data.channel import command_names, group_names
 from greybox.data.clock import UNIT, Clock, backward_rows, no_flight_log, read_clock
 from greybox.data.dataset import Flight
 from greybox.data.drive import drive_names
+from greybox.data.placing import at_rows, commands_at
 from greybox.data.raw import Column, RawLog
-from greybox.data.resampling import AVERAGE_FROM, averaged, continuous_signs, held, interpolated
+from greybox.data.resampling import AVERAGE_FROM, continuous_signs, held
 from greybox.data.segment import Segment
 from greybox.errors import DataError
 from greybox.runs import runs
@@ -185,39 +186,24 @@ def _resampled(part: Part, dt: float, step: float, flight: str, linear_hold: boo
     grid = t[0] + dt * np.arange(n)
     attitude = group_names("attitude")
     whole = all(k in channels for k in attitude)
+    commands = set(command_names(channels))
     source = dict(channels)
     if whole:
         smooth, _ = continuous_signs(np.stack([channels[k] for k in attitude], axis=1))
         source.update({k: smooth[:, j] for j, k in enumerate(attitude)})
-    commands = set(command_names(channels))
     out: dict[str, FloatArray] = {}
     for name, values in source.items():
-        command = name in commands
-        sparse = np.isfinite(values).mean() < 0.5
-        if command and sparse:
-            out[name] = held(t, _last_known(values), grid)
-        elif dt > AVERAGE_FROM * step and not sparse:
-            out[name] = averaged(
-                t, values, grid, step=step, ahead=command, linear=not command or linear_hold
-            )
-        elif command and not linear_hold:
-            # A command that comes a little after its grid point acts over the rest of that step,
-            # not from the next one on.
-            mean = averaged(t, values, grid, step=step, ahead=True, linear=False)
-            mean = np.clip(mean, np.nanmin(values), np.nanmax(values))
-            out[name] = np.where(np.isfinite(mean), mean, held(t, values, grid))
-        else:
-            out[name] = interpolated(t, values, grid, step=step)
+        if name in commands and not linear_hold:
+            out[name] = commands_at(t, values[:, None], grid, dt, step)[:, 0]
+            continue
+        # A command that moves along a line is its mean over the row's step, where rows are averaged.
+        ahead = 0.5 * dt if name in commands and dt > AVERAGE_FROM * step else 0.0
+        out[name] = at_rows(t, values[:, None], grid + ahead, dt)[:, 0]
     if whole:
         norm = np.sqrt(sum(out[k] ** 2 for k in attitude))
         out.update({k: out[k] / norm for k in attitude})
     others = {k: held(t, v, grid) for k, v in extra.items()}
     return [Segment(t=grid, channels=out, flight=flight, extra=others)]
-
-
-def _last_known(values: FloatArray) -> FloatArray:
-    known = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), -1))
-    return np.where(known >= 0, values[np.maximum(known, 0)], np.nan)
 
 
 def _with_drive(

@@ -162,6 +162,20 @@ def test_nothing_is_interpolated_across_a_hole_in_the_cells():
     assert np.isfinite(segment.column("p")[~hole]).all()
 
 
+@settings(max_examples=60)
+@given(st.integers(1, 8), st.integers(0, 7), st.sampled_from([50.0, 100.0, 133.0, 200.0, 400.0]))
+def test_a_slow_channel_keeps_its_samples_at_any_rate(every, phase, rate):
+    """Motion capture on every second row of a log must not vanish, nor move in time."""
+    t = np.arange(0, 4, 1 / 400.0)
+    x = np.full(t.size, np.nan)
+    x[phase::every] = 3.0 - 2.0 * t[phase::every]
+    flight = condition(raw_log(t, u1=np.full(t.size, 0.5), x=x), rate=rate, trim=False)
+    (segment,) = flight.segments
+    known = np.isfinite(segment.column("x"))
+    assert known.sum() >= 0.97 * min(segment.n, np.isfinite(x).sum()) - 2
+    assert segment.column("x")[known] == pytest.approx(3.0 - 2.0 * segment.t[known], abs=1e-6)
+
+
 def test_quaternion_signs_do_not_spoil_resampling():
     t = np.cumsum(np.random.default_rng(0).uniform(8e-3, 12e-3, 500))
     sign = np.where(np.arange(500) % 2, 1.0, -1.0)

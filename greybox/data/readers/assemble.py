@@ -15,9 +15,9 @@ import numpy as np
 
 from greybox.data.channel import GROUPS, group_names, is_canonical, rotor_index
 from greybox.data.logs.table import Table, text_error
+from greybox.data.placing import at_rows, commands_at
 from greybox.data.raw import Column, FloatArray, is_numeric
 from greybox.data.readers.mapping import TABLE, TIME_UNITS, LogMapping
-from greybox.data.readers.placing import at_rows, commands_at
 from greybox.data.readers.recording import UNITS, Recording, Source, Stream
 from greybox.data.resampling import continuous_signs
 from greybox.errors import DataError, UnknownNameError

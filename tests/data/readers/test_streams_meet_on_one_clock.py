@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from greybox.data.placing import at_rows, commands_at
 from greybox.data.readers import Recording, Source, Stream, assemble, choose
 from greybox.data.readers.mapping import LogMapping, read_mapping
-from greybox.data.readers.placing import at_rows, commands_at
 from greybox.errors import DataError, UnknownNameError
 
 ROWS = 0.01 * np.arange(200)

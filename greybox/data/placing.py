@@ -61,13 +61,10 @@ def at_rows(
             ]
         )
         end, start = np.clip(rows + half, t[0], t[-1]), np.clip(rows - half, t[0], t[-1])
-        length = end - start
-        mean = (_area(t, values, area, end) - _area(t, values, area, start)) / np.where(
-            length > 0, length, 1.0
-        )[:, None]
-        line = np.where(
-            (length > 0)[:, None], mean, (1 - weight) * values[i] + weight * values[i + 1]
-        )
+        mean = (_area(t, values, area, end) - _area(t, values, area, start)) / row_step
+        # At the ends a mean would be that of one side, at another time.
+        whole = end - start > (1 - 1e-9) * row_step
+        line = np.where(whole[:, None], mean, (1 - weight) * values[i] + weight * values[i + 1])
     else:
         line = (1 - weight) * values[i] + weight * values[i + 1]
     out[good] = line[good]
@@ -146,6 +143,7 @@ def commands_at(
     )
     # A row whose step holds one command takes it exactly, not as a quotient.
     single = good & (i >= 0) & (i == last)
-    out[good] = mean[good]
+    # Rounding leaves no command beyond all that were sent.
+    out[good] = np.clip(mean, values.min(axis=0), values.max(axis=0))[good]
     out[single] = values[i[single]]
     return out
