@@ -15,7 +15,6 @@ from typing import Literal, Self
 
 from greybox.discovery.rules import RULES
 from greybox.errors import GreyboxError
-from greybox.model.beliefs import group_of
 from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
@@ -240,7 +239,8 @@ def offer(
     model = build(chosen)
     causes = {e.name: cause_of(e, vehicle) for e in chosen}
     every = {p for c in causes.values() for p in c.parameters}
-    held = {*fixed, *_unstated(vehicle, chosen)}
+    # Were these free in every model, their effect could never be needed.
+    held = {*fixed, *(n for e in chosen for n in _moved(e, vehicle, "default"))}
     core = tuple(
         d.name
         for d in model.parameters
@@ -256,12 +256,10 @@ def offer(
     )
 
 
-def _unstated(vehicle: Vehicle, offered: Iterable[Effect]) -> set[str]:
-    """Core numbers of which the vehicle file says nothing and that an effect on offer moves under
-    their own name (the centre of mass): were they free in every model, the effect could never be
-    needed."""
-    moved = {slot for e in offered if e.stage == "body" for slot in e.case.expected}
-    return {b.quantity for b in vehicle.beliefs.assumed if group_of(b.quantity) in moved}
+def _moved(effect: Effect, vehicle: Vehicle, why: str) -> list[str]:
+    """Numbers that an effect moves under their own name, whose sigma is there for `why`."""
+    slots = effect.case.expected if effect.stage == "body" else ()
+    return [b.quantity for b in vehicle.beliefs.entries if b.why == why and b.group in slots]
 
 
 def _not_offered(effect: Effect, bare: PhysicsModel, columns: tuple[str, ...]) -> str | None:
@@ -271,6 +269,8 @@ def _not_offered(effect: Effect, bare: PhysicsModel, columns: tuple[str, ...]) -
         return f"no {', '.join(missing)}"
     if effect.name == "rotor_gyroscopic" and not bare.omega_known:
         return "no speed_max in the vehicle file"
+    if stated := _moved(effect, bare.vehicle, "stated"):  # what flights deny of these is said
+        return f"the vehicle file states {', '.join(stated)}"
     try:
         bare.with_effect(effect)
     except GreyboxError as error:

@@ -160,6 +160,7 @@ class DiscoveryDocument(TypedDict):
     gap_on: str
     minimum_detectable: dict[str, dict[str, float]]
     not_judged: dict[str, str]
+    denied: NotRequired[list[str]]
     faults: list[str]
     warnings: list[str]
     settings: SearchSettings

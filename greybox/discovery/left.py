@@ -37,8 +37,7 @@ LOUDER = tuple(0.35 * i for i in range(11))
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Left:
-    """All axes, and the structure with the laws that won (None without any); `taken` are names of
-    effects that proposals must not have."""
+    """All axes, and the structure with the laws that won; `taken`: names that no law may have."""
 
     axes: tuple[Axis, ...]
     written: Fitted | None = None
@@ -46,9 +45,8 @@ class Left:
     law_file: Callable[[Law, int, Collection[str]], str] = proposal_text
 
     def lawful(self, settled: Fit) -> IdentifiedModel:
-        """The model of `written`, whose whole result is `settled`, its laws read from the files
-        that hold its numbers: a model file goes with the files beside it, but for that of a model
-        of the user's own, which holds all equations."""
+        """The model of `written`, whose whole result is `settled`; a vehicle's reads its laws from
+        the files beside it."""
         if physics_of(settled.model.dynamics) is None:
             return settled.model
         effects = proposed(self.laws, self.taken)
@@ -130,8 +128,7 @@ def left_over(
         with contextlib.suppress(GreyboxError):
             white = _white(settled, flights)
             offered = library(white, model, data, names, wanted, settled.parameters)
-            samples = sum(f.n for f in data.flights)
-            found = laws_of(offered, samples, seed)
+            found = laws_of(offered, sum(f.n for f in data.flights), seed)
     axes = tuple(
         Axis(
             channel=c.name,
@@ -168,8 +165,7 @@ def _raced(
     bar: float,
     holds: Callable[[Fitted], bool],
 ) -> Left:
-    """The laws against the structure without them: those stay whose evidence says so, and that
-    hold."""
+    """The laws against the structure without them: they stay where evidence says so, and hold."""
     offered = flights.causes
     physics = physics_of(offered.model)
     taken = offered.effects if physics is None else tuple(e.name for e in physics.effects)

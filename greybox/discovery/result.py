@@ -45,8 +45,8 @@ SAYS = {
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Discovery(Shown):
     """What was found: `verdict` is a key of `SAYS`, `names` everything that was asked, `fit` the
-    final structure, `left` what its unnamed force and torque hold. `bar` is the log e-value that a
-    name needs, `lawful` the model with the laws of what is left (None without one)."""
+    final structure, `left` what its unnamed force and torque hold, `bar` the log e-value that a
+    name needs, `lawful` the model with laws, `denied` which stated numbers the flights deny."""
 
     verdict: str
     names: tuple[Name, ...] = ()
@@ -70,6 +70,7 @@ class Discovery(Shown):
     sensors: tuple[SensorRow, ...] = ()
     base: tuple[str, ...] = ()
     lawful: IdentifiedModel | None = None
+    denied: tuple[str, ...] = ()
 
     @property
     def model(self) -> IdentifiedModel:
@@ -200,6 +201,7 @@ class Discovery(Shown):
             "gap_on": self.gap_on,
             "minimum_detectable": {n: dict(v) for n, v in self.minimum_detectable.items()},
             "not_judged": dict(self.unjudged),
+            "denied": list(self.denied),
             "faults": list(self.faults),
             "warnings": list(self.warnings),
             "settings": self.settings.copy(),
@@ -224,10 +226,10 @@ class Discovery(Shown):
         held = [f"{u['channel']} {_size(u)}" for u in self.unnamed() if not u["file"]]
         kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
         rough = "NOT CONVERGED, every number may move: " * bool(self.fit and not self.fit.converged)
+        rough += f"STATED WRONGLY: {'; '.join(self.denied)}. " * bool(self.denied)
         what = f"MISSING: {'; '.join(found)}" if found else "nothing is missing that has a name"
-        what = (
-            rough + doubt(self.gap) + what + f"; in the model, not certified: {kept}" * bool(kept)
-        )
+        what += f"; in the model, not certified: {kept}" * bool(kept)
+        what = rough + doubt(self.gap) + what
         if held:
             return f"{what}; without a name: {', '.join(held)}"
         if found or kept:

@@ -54,6 +54,7 @@ from greybox.validation.gap import (
     predict_ahead,
     worsened,
 )
+from greybox.validation.sanity import denied
 
 SHORTEST_FLIGHT = 0.6
 """Seconds without an interruption: the first tenth tells only its commands."""
@@ -283,6 +284,7 @@ class _Run:
             sensors=tuple(sensor_table(found)),
             base=tuple(sorted(causes.base)),
             lawful=lawful,
+            denied=denied(found, causes.core),
         )
 
     def _so_far(self, found: Fit) -> Discovery:

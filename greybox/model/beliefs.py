@@ -100,6 +100,11 @@ class Belief:
         """SI unit; empty for effects, whose declarations know it."""
         return UNITS.get(self.quantity.partition(".")[0], "")
 
+    @property
+    def group(self) -> str:
+        """Group of the number, see `group_of`."""
+        return group_of(self.quantity)
+
     def line(self) -> str:
         """One line for a person: `mass 0.0282 +- 0.00028 kg (default, 1 %)`."""
         unit = f" {self.unit}" if self.unit else ""
@@ -108,8 +113,8 @@ class Belief:
         sure = f"{self.quantity} {self.value:.4g} +- {self.sigma:.2g}{unit} ({self.why}"
         if self.why == "stated":
             return f"{sure})"
-        group = group_of(self.quantity)
-        return f"{sure}, {DEFAULT_SIGMAS[group].share:.0%}{' of the arm' if group == 'center_of_mass' else ''})"
+        arm = " of the arm" * (self.group == "center_of_mass")
+        return f"{sure}, {DEFAULT_SIGMAS[self.group].share:.0%}{arm})"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +135,7 @@ class Beliefs:
 
     def sentence(self) -> str:
         """The defaults in one line; empty where every number says how sure it is (arms cannot)."""
-        groups = list(dict.fromkeys(group_of(b.quantity) for b in self.assumed))
+        groups = list(dict.fromkeys(b.group for b in self.assumed))
         if groups in ([], ["arm"]):
             return ""
         said = ", ".join(

@@ -9,7 +9,7 @@ converged plays no part.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Collection, Iterator, Mapping, Set
 from dataclasses import asdict, dataclass, replace
 from typing import Literal, Protocol
 
@@ -21,11 +21,12 @@ from greybox.model.body import margins
 from greybox.model.composition import acts_on_speeds
 from greybox.model.effects import CATALOGUE
 from greybox.model.layer import physics_of
+from greybox.model.model import PhysicsModel
 from greybox.model.vehicle import Vehicle
 from greybox.statistics.evidence import FELT
 
 Severity = Literal["impossible", "doubtful"]
-Kind = Literal["value", "inertia", "overruled", "bounds"]
+Kind = Literal["value", "inertia", "overruled", "bounds", "noise"]
 
 EITHER_SIGN = ("pose_delay.", "rotor_speed_delay.", "disturbance.")
 """Times [s] that are no lag behind a command."""
@@ -67,6 +68,10 @@ LIMITS: Mapping[str, Limit] = {
     ),
     "motor time": Limit(
         value=0.3, source="s; large propellers take 0.2 s (greybox.model.plausibility: 0.2 s)"
+    ),
+    "louder": Limit(
+        value=5.0,
+        source="times the stated noise of a sensor; mounting and vibration make a few of it",
     ),
     "hover": Limit(
         value=1.3, source="share of the range of commands; effects may raise thrust by 30 %"
@@ -162,12 +167,43 @@ def sanity_of(fit: Fit) -> Sanity:
     late = delays if physics.input == "speed" else ()
     judged = {n: e for n, e in fit.parameters.items() if not n.startswith(late)}
     found = sanity(judged, physics.vehicle, fit.model.values)
+    found = replace(found, findings=(*found.findings, *_louder(fit, physics)))
     there = frozenset(fit.model.effects)
     if physics.input == "speed":  # nothing that shapes a command can be added
         there |= {e.name for e in CATALOGUE if not acts_on_speeds(e)}
     return Sanity(
         findings=tuple(replace(f, attempt=untried(f.attempt, there)) for f in found.findings)
     )
+
+
+def _louder(fit: Fit, physics: PhysicsModel) -> Iterator[Insane]:
+    """Sensors that are much noisier than the vehicle file says: what they show is not what the
+    model has of them."""
+    for sensor in physics.sensors:
+        stated = physics.vehicle.noise.get(sensor.name)
+        names = [f"noise.sensor.{s.name}" for s in sensor.innovation_signals(physics.vehicle)]
+        found = [(*fit.noise[n], n) for n in names if n in fit.noise]
+        if stated is None or not found:
+            continue
+        level, _, unit, name = max(found)
+        if level > LIMITS["louder"].value * stated:
+            yield Insane(
+                severity="doubtful",
+                kind="noise",
+                parameters=(name,),
+                statement=f"noise of {sensor.name} was stated ({stated:.3g} {unit}) but the "
+                f"flights want {level:.3g} {unit}, {level / stated:.0f} times as much",
+                likely="it has an error that the model lacks (scale, bias, clock), which spoils "
+                "other numbers",
+                attempt="hold it against the others with greybox check; leave it out (use = false "
+                "in [columns])",
+            )
+
+
+def denied(fit: Fit, stated: Collection[str]) -> tuple[str, ...]:
+    """What flights deny of the `stated` numbers, a sentence each."""
+    found = [f for f in sanity_of(fit).findings if f.kind == "overruled"]
+    return tuple(f.statement for f in found if f.parameters[0] in stated)
 
 
 def untried(attempt: str, effects: Set[str]) -> str:
@@ -356,8 +392,8 @@ ADVICE: Mapping[str, tuple[str, str]] = {
         "add motor_lag and command_delay; measure the arms",
     ),
     "center_of_mass": (
-        "a steady torque is missing: motors or propellers that differ, arms, a bias of the gyro",
-        "add rotor_asymmetry; --disturbance torque",
+        "it is elsewhere, or a steady torque stands for it: motors or propellers that differ, arms",
+        "balance the craft and write down what that says; add rotor_asymmetry",
     ),
 }
 """Group of a parameter -> (what probably is wrong with the model, what to try) where the flights

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from greybox.estimation.fit import Estimate, fit
+from greybox.estimation.fit import Estimate, fit, noise_of
 from greybox.model.model import build_model
 from greybox.model.vehicle import Quantity, Vehicle
 from greybox.validation.sanity import ADVICE, LIMITS, sanity, sanity_of, untried
@@ -203,3 +203,18 @@ def test_nobody_is_told_to_add_what_the_model_has():
         untried("add rotor_asymmetry", {"rotor_asymmetry"})
         == "look at the innovations and at greybox check"
     )
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.5, 0), (0.1, 1)])
+def test_a_sensor_that_is_much_noisier_than_stated_is_said(share: float, said: int):
+    """Its error is one that the model lacks, a wrong scale for one."""
+    data = flights(1, seconds=4.0)
+    found = fit(build_model(vehicle(), data.channels), data, initialisation="noise")
+    level = max(found.noise[f"noise.sensor.{c}"][0] for c in "pqr")
+    stated = replace(vehicle(), noise={"gyro": share * level})
+    model = build_model(stated, data.channels)
+    again = fit(model, data, free=[], noise=noise_of(found.model), initialisation="nominal")
+    lines = [f for f in sanity_of(again).findings if f.kind == "noise"]
+    assert len(lines) == said
+    for f in lines:
+        assert f.statement.startswith("noise of gyro was stated (")
