@@ -35,9 +35,6 @@ SECONDS = (0.0, 0.1, 0.5, 1.0)
 TENTH = 0.1
 """Share of the gap by which written laws must make it worse to be called that, and of the error by
 which names must for a word before all others."""
-SOON = 0.1
-"""Horizon [s] at which a right model under feedback still beats any other
-(`scenarios.studies.feedback_tells`)."""
 NOTHING = 1.2
 """Below this ratio of before^2 to floor^2 there is no gap to close."""
 START = 2.0
@@ -101,9 +98,8 @@ class GapRow:
 
     @property
     def doubtful(self) -> bool:
-        """Whether that is so, and much, before the commands of a feedback have answered."""
-        much = self.after > (1 + TENTH) * self.before
-        return self.opposed and much and self.horizon_s <= SOON
+        """Whether that is so, and much."""
+        return self.opposed and self.after > (1 + TENTH) * self.before
 
     def to_dict(self) -> GapDocument:
         """As in discovery.json."""

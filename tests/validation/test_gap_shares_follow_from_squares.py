@@ -110,10 +110,9 @@ def test_what_got_worse_has_a_reason(seen: float, why: str):
     (said,) = worsened(worse)
     assert said.startswith("rate 0.5 s ahead: worse") and why in said
     assert worsened(better) == []
-    assert doubt(better) == doubt(worse) == "", "half a second ahead a feedback has answered"
-    soon = [replace(r, horizon_s=0.1) for r in worse]
-    assert ("alone it foretells rate worse" in doubt(soon)) is (why == "stands against")
-    assert doubt([replace(r, after=1.05 * r.before) for r in soon]) == ""
+    assert doubt(better) == ""
+    assert ("alone it foretells rate worse" in doubt(worse)) is (why == "stands against")
+    assert doubt([replace(r, after=1.05 * r.before) for r in worse]) == ""
 
 
 def test_what_got_worse_is_said_where_no_filter_could_be_asked():
