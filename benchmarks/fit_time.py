@@ -13,17 +13,17 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from benchmarks.kept_rows import keep
+
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
 
-RESULTS = Path(__file__).resolve().parent / "results"
 CRAZYFLIE = ("arpl_crazyflie", ("log10", "log15"), ("log16",))
 NANOBENCH = (
     "nanobench",
@@ -88,16 +88,7 @@ def main() -> None:
             for cache in ("empty", "filled"):
                 rows.append(measure(row, Path(folder)) | {"cache": cache})
                 print(rows[-1], flush=True)
-    # What was not run again stays.
-    path, new = RESULTS / "fit_time.json", {(r["row"], r["cache"]) for r in rows}
-    kept = json.loads(path.read_text())["rows"] if path.exists() else []
-    rows = [r for r in kept if (r["row"], r["cache"]) not in new] + rows
-    about = {
-        "python": platform.python_version(),
-        "machine": platform.machine(),
-        "cores": os.cpu_count(),
-    }
-    path.write_text(json.dumps({"about": about, "rows": rows}, indent=1) + "\n")
+    keep("fit_time", rows)
 
 
 if __name__ == "__main__":
