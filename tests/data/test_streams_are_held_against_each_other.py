@@ -191,6 +191,21 @@ def test_a_check_that_gaps_forbid_says_so_and_not_that_the_flight_is_short() -> 
     assert "45 % of qw, qx, qy, qz" in said.message
 
 
+@pytest.mark.parametrize(("every", "lost", "said"), [(2, 0.0, 0), (4, 0.0, 0), (2, 0.3, 1)])
+def test_a_channel_at_a_pace_of_its_own_misses_nothing(every: int, lost: float, said: int) -> None:
+    """Motion capture on every second row; what it loses of its own samples is said."""
+    raw = real(SET, FLIGHT)
+    rows = np.arange(raw.n)
+    keep = (rows % every == 0) & (np.random.default_rng(1).random(raw.n) >= lost)
+    names = ("qw", "qx", "qy", "qz", "x", "y", "z")
+    slow = {n: np.where(keep, raw.channels[n], np.nan) for n in names}
+    report = check([replace(raw, channels={**raw.channels, **slow})], vehicle(SET))
+    found = [f for f in report.of("gaps") if "cells are empty" in f.message]
+    assert len(found) == said
+    for f in found:
+        assert f.evidence["missing_share_x"] == pytest.approx(lost, abs=0.03)
+
+
 def off_centre(raw: RawLog, place: np.ndarray) -> RawLog:
     """The flight as a mark at `place` [m] from the centre of mass moves."""
     q = np.column_stack([raw.channels[n] for n in ("qw", "qx", "qy", "qz")])
