@@ -226,7 +226,7 @@ class Discovery(Shown):
         held = [f"{u['channel']} {_size(u)}" for u in self.unnamed() if not u["file"]]
         kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
         rough = "NOT CONVERGED, every number may move: " * bool(self.fit and not self.fit.converged)
-        rough += f"STATED WRONGLY: {'; '.join(self.denied)}. " * bool(self.denied)
+        rough += f"AGAINST THE FILE: {'; '.join(self.denied)}. " * bool(self.denied)
         what = f"MISSING: {'; '.join(found)}" if found else "nothing is missing that has a name"
         what += f"; in the model, not certified: {kept}" * bool(kept)
         what = rough + doubt(self.gap) + what

@@ -201,9 +201,9 @@ def _louder(fit: Fit, physics: PhysicsModel) -> Iterator[Insane]:
 
 
 def denied(fit: Fit, stated: Collection[str]) -> tuple[str, ...]:
-    """What flights deny of the `stated` numbers, a sentence each."""
+    """What flights deny of the `stated` numbers, and why that may be, a sentence each."""
     found = [f for f in sanity_of(fit).findings if f.kind == "overruled"]
-    return tuple(f.statement for f in found if f.parameters[0] in stated)
+    return tuple(f"{f.statement} ({f.likely})" for f in found if f.parameters[0] in stated)
 
 
 def untried(attempt: str, effects: Set[str]) -> str:
@@ -403,7 +403,7 @@ SCALES = ("mass", "inertia", "thrust", "torque")
 """Groups whose members are known within a factor."""
 
 OTHERS = (
-    "another effect is missing, and this one stands for it",
+    "it is so, or it stands for an effect that is missing",
     "run `greybox discover` on the flights",
 )
 

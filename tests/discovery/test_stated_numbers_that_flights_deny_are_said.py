@@ -40,7 +40,7 @@ def test_what_flights_deny_stands_before_all_names(monkeypatch: pytest.MonkeyPat
     found = discover(stating(0.001), small_world.flown(OFF_CENTRE), test)
     (denied,) = found.denied
     assert denied.startswith("center_of_mass.x was stated (0 +- 0.001 m) but the flights want 0.0")
-    assert found.line.startswith(f"STATED WRONGLY: {denied}. ")
+    assert found.line.startswith(f"AGAINST THE FILE: {denied}. ")
     assert found.to_dict()["denied"] == [denied]
     assert not found.effects()
 
