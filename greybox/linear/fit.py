@@ -16,7 +16,7 @@ from greybox.linear.order import OrderChoice, choose_order
 from greybox.linear.pem import Settings, Solution, Status
 from greybox.linear.records import Record, Scaling, prepare
 from greybox.linear.robust import correlation_window, score_covariance
-from greybox.linear.search import Found, Options, find, refine
+from greybox.linear.search import Found, Options, find
 from greybox.linear.uncertainty import Uncertainty, rescaled, uncertainty
 from greybox.linear.varx import estimate_delays
 from greybox.model.linear import LinearModel
@@ -260,7 +260,7 @@ def _found(
             names=columns.outputs.names,
             input_names=columns.inputs.names,
         )
-        found = refine(choice.found[choice.order], scaled, options)
+        found = choice.found[choice.order]
     else:
         if order < 1:
             raise DataError(f"order {order}", expected="at least 1")

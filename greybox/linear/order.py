@@ -13,7 +13,7 @@ from greybox.errors import DataError, GreyboxError
 from greybox.files import Json
 from greybox.linear.pem import evaluate, start_nuisances
 from greybox.linear.records import Record
-from greybox.linear.search import Found, Options, sweep
+from greybox.linear.search import Found, Options, refine, sweep
 from greybox.statistics.whiteness import hosking
 from greybox.symbolic import FloatArray
 
@@ -99,8 +99,9 @@ def choose_order(
     there are three or more, else the first part of each) and scored on the rest: the smallest order
     that is within one standard error of the best (Hastie, Tibshirani and Friedman 2009, sec. 7.10;
     by the ranks of blocks, so that one rough landing does not decide) wins over a larger one that
-    the criterion prefers. Raises `DataError` for an unknown criterion or data too
-    short for order 1.
+    the criterion prefers. A model that did not converge gives way to one within that error that
+    did. The chosen fit is polished to the tolerance of `options`. Raises `DataError` for an unknown
+    criterion or data too short for order 1.
     """
     if criterion not in CRITERIA:
         raise DataError(f"order criterion '{criterion}'", expected=" or ".join(CRITERIA))
@@ -110,12 +111,16 @@ def choose_order(
     found = sweep(records, largest, options, patience=patience, penalty=float(penalty))
     rows = [_row(f, records) for f in found.values()]
     by_rule = min(rows, key=lambda r: getattr(r, criterion)).order
-    reasons = [f"{criterion.upper()} is smallest at order {by_rule}"]
-    order = by_rule
     if cross_validate:
         rows = _held_out(rows, records, options)
-        order, told = _by_held_out(rows, order)
-        reasons += told
+    while True:
+        order, told = _by_held_out(rows, by_rule)
+        found[order] = refine(found[order], records, options)
+        row = next(r for r in rows if r.order == order)
+        if found[order].solution.status.converged or not row.converged:
+            break
+        rows = [replace(r, converged=r.converged and r.order != order) for r in rows]
+    reasons = [f"{criterion.upper()} is smallest at order {by_rule}", *told]
     reasons += _left(next(r for r in rows if r.order == order))
     if order == max(found) and len(found) == largest:
         reasons.append(f"order {order} is the largest tried: raise `largest`")
@@ -131,20 +136,30 @@ def choose_order(
 
 def _by_held_out(rows: Sequence[OrderRow], order: int) -> tuple[int, list[str]]:
     """The smallest order that predicts unseen data no worse than by chance, where that is below
-    `order`, and why."""
+    `order`, and why. Where its fit did not converge, the smallest such order whose fit did."""
     scored = [r for r in rows if np.isfinite(r.held_out)]
     if not scored:
         return order, []
     best = min(scored, key=lambda r: r.held_out)
-    enough = min(r.order for r in scored if r.held_out_p > ONE_ERROR)
+    no_worse = [r for r in scored if r.held_out_p > ONE_ERROR]
+    enough = min(r.order for r in no_worse)
     reasons = [
         f"on held-out data order {best.order} predicts best and order {enough} is not "
         "worse by more than chance (one standard error)"
     ]
-    if enough >= order:
-        return order, reasons
-    why = f"order {enough} is taken: the larger orders do not predict unseen data better"
-    return enough, [*reasons, why]
+    if enough < order:
+        order = enough
+        reasons.append(
+            f"order {order} is taken: the larger orders do not predict unseen data better"
+        )
+    settled = [r.order for r in no_worse if r.converged]
+    if settled and not next(r for r in rows if r.order == order).converged:
+        reasons[1:] = [
+            f"order {settled[0]} is taken: the fit of order {order} did not converge, and this one "
+            "is not worse by more than chance"
+        ]
+        order = settled[0]
+    return order, reasons
 
 
 def _left(chosen: OrderRow) -> list[str]:

@@ -263,15 +263,21 @@ def _by_jacobian(
 
 
 def start_nuisances(
-    system: Matrices, records: Sequence[Record], settings: Settings
+    system: Matrices,
+    records: Sequence[Record],
+    settings: Settings,
+    noise: FloatArray | None = None,
 ) -> tuple[Nuisance, ...]:
-    """Least squares initial states and offsets for fixed matrices, scaled records assumed."""
+    """Least squares initial states and offsets for fixed matrices, weighted by the innovation
+    covariance `noise` (None: the identity, scaled records assumed)."""
     n, _, p = system.sizes
     modes = Modes(system.predictor)
+    keep = np.concatenate([np.full(n, settings.free_start), np.full(p, settings.offsets)])
+    whitener = np.eye(p) if noise is None else np.linalg.inv(np.linalg.cholesky(noise))
     out = []
     for r in records:
         zero = Nuisance(x0=np.zeros(n), offset=np.zeros(p))
-        if not (settings.free_start or settings.offsets):
+        if not keep.any():
             out.append(zero)
             continue
         prediction = predict(system, r, zero.x0, zero.offset, np.eye(p), modes)
@@ -279,11 +285,11 @@ def start_nuisances(
             jx, jc = start_sensitivities(system, modes, len(r))
         else:
             _, jx, jc = sensitivities(system, r, prediction)
-        keep = np.concatenate([np.full(n, settings.free_start), np.full(p, settings.offsets)])
-        whole = np.concatenate([jx, jc], axis=2).reshape(-1, n + p)[:, keep]
+        whole = np.matmul(whitener, np.concatenate([jx, jc], axis=2)[:, :, keep])
+        whole = whole.reshape(-1, whole.shape[2])
         value = np.zeros(n + p)
         value[keep] = np.linalg.pinv(whole.T @ whole, rcond=1e-13, hermitian=True) @ (
-            whole.T @ prediction.e.ravel()
+            whole.T @ (prediction.e @ whitener.T).ravel()
         )
         out.append(Nuisance(x0=value[:n], offset=value[n:]))
     return tuple(out)
@@ -400,7 +406,7 @@ class _Descent(NamedTuple):
             step, promised = model.step(damping)
             trial = here.point.moved(step)
             if _allowed(trial.system, self.settings, self.radius):
-                moved = _moved(here.nuisances, here.normal.back, step)
+                moved = self._moved(trial.system, here, step)
                 there = evaluate(trial.system, moved, self.records, here.evaluation.noise)
                 if there.criterion < here.evaluation.criterion:
                     normal = normal_equations(trial, self.records, there, self.settings)
@@ -408,6 +414,18 @@ class _Descent(NamedTuple):
                         return _Place(trial, moved, there, normal), damping, promised
             damping = max(damping, 1e-6) * 8.0
         return None
+
+    def _moved(self, system: Matrices, here: _Place, step: FloatArray) -> tuple[Nuisance, ...]:
+        """Nuisances after a step to `system`: the best ones, since in initial state and matrices
+        together the innovations are far from linear, and steps along their tangent alone would
+        have to be short. Of records with holes, or where modes coincide, those are too dear."""
+        moved = _moved(here.nuisances, here.normal.back, step)
+        if not Modes(system.predictor).usable:
+            return moved
+        whole = [r for r in self.records if not r.missing]
+        best = iter(start_nuisances(system, whole, self.settings, here.evaluation.noise))
+        pairs = zip(self.records, moved, strict=True)
+        return tuple(v if r.missing else next(best) for r, v in pairs)
 
 
 def _forgetful(settings: Settings, point: Parametrisation, records: Sequence[Record]) -> float:

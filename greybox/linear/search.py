@@ -3,8 +3,9 @@ warm starts.
 
 The criterion has local minima. Every order is started from subspace models, from the smaller model
 with states added that predict its innovations, and from the next larger model with its least
-balanced states cut; the best is polished. The likelihood never falls when the order grows, because
-the smaller model is always among the starts.
+balanced states cut; the best is polished. The likelihood never falls when the order grows: where
+all that ends above the smaller model, the start is that model itself with a state that nobody
+reads.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from greybox.linear.pem import (
     Nuisance,
     Settings,
     Solution,
+    Status,
     evaluate,
     minimise,
     start_nuisances,
@@ -31,6 +33,9 @@ from greybox.linear.records import Record
 from greybox.linear.subspace import Method, Subspace, subspace
 from greybox.model.matrices import Matrices, from_predictor, spectral_radius, truncated
 from greybox.symbolic import FloatArray
+
+RACE = 20
+"""Steps after which the better of two starts is known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,15 +178,13 @@ def sweep(
     """The best model of every order 1 .. largest, each started from its neighbours as well as from
     subspace models.
 
-    Polished to 0.3 of -2 log likelihood (at most 20 iterations), enough to compare orders: call
-    `refine` on the chosen. With `patience` the sweep stops once -2 log likelihood + penalty *
-    parameters has not improved for that many orders.
+    Two starts of each are polished by 20 steps, and the better of them to 0.3 of -2 log likelihood,
+    enough to compare orders: call `refine` on the chosen. With `patience` the sweep stops once -2
+    log likelihood + penalty * parameters has not improved for that many orders.
     """
     bank = decompose(records, largest, options)
-    coarse = replace(
-        options.settings, tolerance=max(0.3, options.settings.tolerance), max_iterations=20
-    )
-    options = replace(options, settings=coarse)
+    tolerance = max(0.3, options.settings.tolerance)
+    options = replace(options, settings=replace(options.settings, tolerance=tolerance))
     values = bank[0].singular_values
     found: dict[int, Found] = {}
     best_score, best_order = np.inf, 0
@@ -194,31 +197,78 @@ def sweep(
                     starts.append((f"order {order - back} + {back}", grown))
         if not starts:
             break
-        here = _polished(_ranked(records, starts, options)[:2], records, options, values)
-        found[order] = here
+        here = _raced(_ranked(records, starts, options)[:2], records, options, values)
+        found[order] = _nested(here, found.get(order - 1), records, options)
+        here = found[order]
         score = here.solution.evaluation.criterion + penalty * _dimension(here.solution)
         if score < best_score - 1e-6:
             best_score, best_order = score, order
         if patience is not None and order - best_order >= patience:
             break
     for order in sorted(found)[-2::-1]:
-        above = found[order + 1].solution
-        try:
-            start = truncated(above.system, order)
-        except (GreyboxError, np.linalg.LinAlgError):
+        start = _cut(found[order + 1].solution, order, options)
+        if start is None:
             continue
-        if not options.noise_model:
-            start = start._replace(k=np.zeros_like(start.k))
-        if not options.feedthrough:
-            start = start._replace(d=np.zeros_like(start.d))
-        if not _usable(start, options):
-            continue
-        rival = _polished(
+        rival = _raced(
             _ranked(records, [(f"order {order + 1} cut", start)], options), records, options, values
         )
         if rival.solution.evaluation.criterion < found[order].solution.evaluation.criterion - 1e-3:
             found[order] = rival
+    for order in sorted(found)[1:]:
+        found[order] = _nested(found[order], found[order - 1], records, options)
     return found
+
+
+def _cut(above: Solution, order: int, options: Options) -> Matrices | None:
+    """The next larger model without its least balanced states; None where that is no start."""
+    try:
+        start = truncated(above.system, order)
+    except (GreyboxError, np.linalg.LinAlgError):
+        return None
+    if not options.noise_model:
+        start = start._replace(k=np.zeros_like(start.k))
+    if not options.feedthrough:
+        start = start._replace(d=np.zeros_like(start.d))
+    return start if _usable(start, options) else None
+
+
+def _raced(
+    starts: Sequence[_Start], records: Sequence[Record], options: Options, values: FloatArray
+) -> Found:
+    """The start that leads after a few steps, polished to the end. Raises as `_polished`."""
+    few = min(RACE, options.settings.max_iterations)
+    short = replace(options, settings=replace(options.settings, max_iterations=few))
+    first = _polished(starts, records, short, values)
+    if first.solution.status is not Status.MAX_ITERATIONS:
+        return first
+    return refine(first, records, options)
+
+
+def _nested(
+    here: Found, smaller: Found | None, records: Sequence[Record], options: Options
+) -> Found:
+    """`here`, or a model that starts as the `smaller` one of the order below, where that is more
+    likely.
+
+    The added state is the last sample, all channels alike, and is not read: its first step decides
+    what it is worth.
+    """
+    if smaller is None:
+        return here
+    least = smaller.solution
+    if here.solution.evaluation.criterion <= least.evaluation.criterion or not options.polish:
+        return here
+    n, m, p = least.system.sizes
+    f = np.zeros((n + 1, n + 1))
+    f[:n, :n] = least.system.predictor
+    g = np.vstack([least.system.predictor_input, np.ones((1, m + p))])
+    if not options.noise_model:
+        g[n, m:] = 0.0
+    system = from_predictor(f, g, np.hstack([least.system.c, np.zeros((p, 1))]), least.system.d)
+    point = Free(system=system, noise_model=options.noise_model, feedthrough=options.feedthrough)
+    nuisances = [replace(v, x0=np.append(v.x0, 0.0)) for v in least.nuisances]
+    solution = minimise(point, records, options.settings, nuisances=nuisances)
+    return replace(here, solution=solution, start=f"order {n} + 1 unread")
 
 
 def refine(found: Found, records: Sequence[Record], options: Options) -> Found:
