@@ -16,6 +16,7 @@ from greybox.files import Json
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import physics_of
 from greybox.model.linear import LinearModel
+from greybox.model.verdict import Outcome
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import FloatArray, Layout
 from mpc_export.c_code import CSource
@@ -23,6 +24,8 @@ from mpc_export.c_model import CODES, scale_of, sizes_of
 from mpc_export.calibration import GAIN, LEVEL
 from mpc_export.functions import ModelFunctions
 from mpc_export.golden import Golden
+from mpc_export.innovation_form import BaseForm
+from mpc_export.model_parts import Exportable
 from mpc_export.points import Reduction
 from mpc_export.predictors import PredictorModel
 
@@ -410,9 +413,22 @@ def _c(source: CSource, work: Mapping[str, int], real: str) -> CPart:
     }
 
 
+def _doubts(model: Exportable) -> list[str]:
+    """What the model is worth, where it is not usable as it is: a fit that did not converge, the
+    line of a verdict."""
+    if isinstance(model, PredictorModel):
+        if not isinstance(model.form, BaseForm):
+            return []
+        return _doubts(model.form.base.model)
+    if isinstance(model, LinearModel):
+        return [model.unsettled] if model.unsettled else []
+    verdict = model.verdict
+    return [] if verdict is None or verdict.outcome is Outcome.USABLE else [verdict.line]
+
+
 def _notes(f: ModelFunctions) -> list[str]:
     """What a user must not overlook."""
-    out = []
+    out = _doubts(f.model)
     if f.discrete:
         out.append("the model is discrete: there is no f, only f_d")
     if isinstance(f.model, PredictorModel) and f.model.form.exogenous:

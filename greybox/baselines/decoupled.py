@@ -51,6 +51,7 @@ def combined(
         delays=tuple(d for m in models for d in m.delays),
         input_offset=np.concatenate([m.input_offset for m in models]),
         output_offset=np.concatenate([m.output_offset for m in models]),
+        unsettled="; ".join(f"{m.name}: {m.unsettled}" for m in models if m.unsettled),
     )
     return whole, {n: terms[n] for n in whole.inputs.names}
 

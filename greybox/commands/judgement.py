@@ -172,14 +172,15 @@ def gate(content: Parsed, path: str, *, even_so: bool) -> Gate:
     """Judge a model file (`content`, read from `path`) by the verdict that it carries.
 
     Closed where it says NOT USABLE and nobody said `even_so`. A file without a verdict (an older
-    one) passes with a warning. Raises `FileFormatError` for a verdict that is incomplete.
+    one) passes with a warning, and so does a linear model whose fit did not converge. Raises
+    `FileFormatError` for a verdict that is incomplete.
     """
     from greybox.errors import FileFormatError
     from greybox.model.identified import SCHEMA
     from greybox.model.verdict import NOT_JUDGED, Outcome, Verdict
 
-    if content.get("schema") != SCHEMA:  # linear models have tables of their own
-        return Gate(open=True, line="")
+    if content.get("schema") != SCHEMA:
+        return Gate(open=True, line=_unsettled(content, path))
     base = content.get("base")
     data = (base if isinstance(base, dict) else content).get("verdict")
     if data is None:
@@ -194,3 +195,11 @@ def gate(content: Parsed, path: str, *, even_so: bool) -> Gate:
         return Gate(open=False, line=f"{path}: {verdict.line}. To go on all the same: --even-so")
     mark = "" if verdict.outcome is Outcome.USABLE else "warning: "
     return Gate(open=True, line=f"{mark}{path}: {verdict.line}")
+
+
+def _unsettled(content: Parsed, path: str) -> str:
+    """The warning of a linear model, or of several in one file, that did not converge. Whether they
+    predict well stands in tables of their own."""
+    parts = content.get("models")
+    ends = [m["unsettled"] for m in (parts or [content]) if m.get("unsettled")]
+    return f"warning: {path}: {'; '.join(dict.fromkeys(ends))}" if ends else ""

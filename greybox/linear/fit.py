@@ -306,6 +306,7 @@ def _assemble(
         input_offset=scaling.input_offset,
         output_offset=weights @ offsets / weights.sum(),
         comment=f"{samples} samples, {len(scaled)} records",
+        unsettled="" if status.converged else status.value,
     )
     return LinearFit(
         model=model,

@@ -37,7 +37,8 @@ class LinearModel(Shown):
     and operating point.
 
     `delays` are whole samples per input; `input_offset` (m,) and `output_offset` (p,) are the
-    operating point in the units of the channels. Raises `ModelError` where the sizes do not fit or
+    operating point in the units of the channels. `unsettled` says how a fit ended that did not
+    converge ("" where it did). Raises `ModelError` where the sizes do not fit or
     Lambda is not a covariance.
     """
 
@@ -51,6 +52,7 @@ class LinearModel(Shown):
     input_offset: FloatArray = field(default_factory=lambda: np.zeros(0))
     output_offset: FloatArray = field(default_factory=lambda: np.zeros(0))
     comment: str = ""
+    unsettled: str = ""
 
     def __post_init__(self) -> None:
         m, p = len(self.inputs), len(self.outputs)
@@ -103,6 +105,8 @@ class LinearModel(Shown):
             f"  outputs {', '.join(self.outputs.names)}",
             f"  spectral radius {spectral_radius(self.matrices.a):.4f}",
         ]
+        if self.unsettled:
+            lines.append(f"  {self.unsettled}")
         return "\n".join(lines)
 
     def _shown_rows(self) -> list[dict[str, Cell]]:
@@ -334,6 +338,7 @@ class LinearModel(Shown):
             "schema": SCHEMA,
             "name": self.name,
             "comment": self.comment,
+            **({"unsettled": self.unsettled} if self.unsettled else {}),
             "dt": self.dt,
             "inputs": [{"name": s.name, "unit": s.unit} for s in self.inputs],
             "outputs": [{"name": s.name, "unit": s.unit} for s in self.outputs],
@@ -362,10 +367,11 @@ class LinearModel(Shown):
             texts = [
                 body["name"],
                 body.get("comment", ""),
+                body.get("unsettled", ""),
                 *(s[k] for s in ports for k in ("name", "unit")),
             ]
             if not all(isinstance(v, str) for v in texts):
-                raise ValueError("a name, unit or comment is not a text")
+                raise ValueError("a name, unit, comment or status is not a text")
             m, p = len(body["inputs"]), len(body["outputs"])
             n = len(body["A"])
             shapes = ((n, n), (n, m), (p, n), (p, m), (n, p))
@@ -375,6 +381,7 @@ class LinearModel(Shown):
             return LinearModel(
                 name=body["name"],
                 comment=body.get("comment", ""),
+                unsettled=body.get("unsettled", ""),
                 matrices=matrices,
                 noise=np.asarray(body["Lambda"], dtype=float),
                 dt=float(body["dt"]),

@@ -8,15 +8,19 @@ from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 
 from greybox.cli import main
 from greybox.commands.judgement import gate
 from greybox.errors import FileFormatError
-from greybox.files import read_json
+from greybox.files import read_json, write_json
 from greybox.model.identified import IdentifiedModel
+from greybox.model.linear import LinearModel
+from greybox.model.matrices import Matrices
 from greybox.model.verdict import NOT_JUDGED, GroupSkill, Outcome, Verdict
 from greybox.residual.files import load_model, save_model
+from greybox.symbolic import Layout, Signal
 from tests.mpc_export import cases
 
 LINES = {
@@ -107,6 +111,45 @@ def test_everything_else_passes_and_says_what_it_is_worth(
     assert found.open
     assert (NOT_JUDGED if outcome is None else LINES[outcome]) in found.line
     assert ("warning" in found.line) is (outcome is not Outcome.USABLE)
+
+
+UNSETTLED = "not converged: iteration limit reached"
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_linear_model_that_did_not_converge_says_so_wherever_it_goes(
+    count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    models = [
+        LinearModel(
+            name=f"linear-{o}",
+            matrices=Matrices(*[np.full((1, 1), v) for v in (0.9, 1.0, 1.0, 0.0, 0.1)]),
+            noise=np.eye(1),
+            dt=0.01,
+            inputs=Layout([Signal(name=f"u{o}", unit="1")]),
+            outputs=Layout([Signal(name=o, unit="rad/s")]),
+            unsettled="" if o == "r" else UNSETTLED,
+        )
+        for o in ("q", "r")[:count]
+    ]
+    rows = [m.to_dict() for m in models]
+    path = tmp_path / "model.json"
+    write_json(
+        path, rows[0] if count == 1 else {"schema": "greybox.linear_models/1", "models": rows}
+    )
+    out = tmp_path / "out"
+    assert main(["export", str(path), "--out", str(out), "--target", "casadi"]) == 0
+    assert f"warning: {path}: {UNSETTLED}" in capsys.readouterr().err
+    (note,) = [n for n in read_json(out / "manifest.json")["notes"] if UNSETTLED in n]
+    assert "Beware" in (text := (out / "README.md").read_text()) and note[1:] in text
+
+
+def test_a_bundle_carries_a_verdict_that_is_not_usable(tmp_path: Path) -> None:
+    path = written(tmp_path, Outcome.NOT_USABLE)
+    out = tmp_path / "out"
+    assert main(["export", str(path), "--out", str(out), "--target", "casadi", "--even-so"]) == 0
+    assert LINES[Outcome.NOT_USABLE] in read_json(out / "manifest.json")["notes"]
+    assert LINES[Outcome.NOT_USABLE] in (out / "README.md").read_text()
 
 
 def test_a_broken_verdict_is_bad_input(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from greybox.linear.fit import Options, Settings, fit_linear
 from greybox.linear.parametrisation import Free
 from greybox.linear.records import Record, prepare
 from greybox.linear.subspace import METHODS, subspace
+from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices, spectral_radius
 from scenarios.plants.linear_systems import random_system, simulate
 
@@ -134,6 +135,9 @@ def test_a_fit_that_ran_out_of_iterations_says_so():
     fit = fit_linear([record], 3, options=Options(settings=Settings(max_iterations=1)))
     assert not fit.converged
     assert any("not converged" in w for w in fit.warnings)
+    assert fit.model.unsettled == fit.status.value
+    assert "not converged" in str(fit.model)
+    assert LinearModel.from_dict(fit.model.to_dict()).unsettled == fit.status.value
 
 
 def test_too_many_states_fit_no_undamped_line():
