@@ -23,7 +23,6 @@ import numpy as np
 
 DELAY = {delay!r}                # s, of a command on its way to the motors
 U_MIN, U_MAX = {low!r}, {high!r}  # commands at which motors saturate
-STATED_MIN, STATED_MAX = {u_min!r}, {u_max!r}  # range of the command in the vehicle file
 CURVE = {curve!r}                # f of (1 - f) u + f u^2
 VOLTAGE_GAIN = {gain!r}          # c_V of 1 + c_V (V - V0) / V0
 NOMINAL_VOLTAGE = {nominal!r}    # V0 [V]
@@ -35,12 +34,9 @@ HOVER = {hover!r}                # nu that carries the weight
 
 
 def normalised_speed(u, voltage=None):
-    """Speeds nu (..., n) that rotors settle at for commands u (..., n) and a battery voltage [V]
-    (None: the nominal one)."""
-    u = np.asarray(u, dtype=float)
-    above = np.maximum(u - U_MAX, 0.0) - np.maximum(u - STATED_MAX, 0.0)
-    below = np.maximum(U_MIN - u, 0.0) - np.maximum(STATED_MIN - u, 0.0)
-    u = u - above + below
+    """Speeds nu (..., n) that rotors settle at for commands u (..., n), which U_MIN and U_MAX
+    limit, and a battery voltage [V] (None: the nominal one)."""
+    u = np.clip(np.asarray(u, dtype=float), U_MIN, U_MAX)
     nu = (1.0 - CURVE) * u + CURVE * u * u
     if voltage is not None and NOMINAL_VOLTAGE:
         sag = VOLTAGE_GAIN * (np.asarray(voltage) - NOMINAL_VOLTAGE) / NOMINAL_VOLTAGE
@@ -96,14 +92,11 @@ class Rotors:
 def command_text(craft: Craft) -> str:
     """The module for this craft."""
     low, high = craft.command_range
-    actuator = craft.physics.vehicle.actuator
     return _TEXT.format(
         title=craft.title.replace("\\", "/").replace('"""', "'"),
         delay=craft.get("command_delay.d"),
         low=low,
         high=high,
-        u_min=actuator.u_min,
-        u_max=actuator.u_max,
         curve=craft.get("thrust_curve.f"),
         # simulators lose the battery, so that the craft as they say it has none
         gain=float(craft.source.values.get("battery_sag.c_V", 0.0)),

@@ -228,9 +228,15 @@ class Craft:
     @property
     def command_range(self) -> tuple[float, float]:
         """Commands at which motors saturate."""
+        low, high = self.stated_range
+        low += self.get("command_saturation.a_lo")
+        return low, high - self.get("command_saturation.a_hi")
+
+    @property
+    def stated_range(self) -> tuple[float, float]:
+        """Range of a command in the vehicle file."""
         actuator = self.physics.vehicle.actuator
-        low = actuator.u_min + self.get("command_saturation.a_lo")
-        return low, actuator.u_max - self.get("command_saturation.a_hi")
+        return actuator.u_min, actuator.u_max
 
     @property
     def nominal_voltage(self) -> float | None:

@@ -21,7 +21,8 @@ A step lasts DT = {dt:g} s. x (..., {n_x}): STATES, SI units, world ENU, body FL
 (w, x, y, z) body to world. u (..., {n_u}): INPUTS. p ({n_p},) or (..., {n_p}): PARAMETERS, one
 row per craft for randomised ones. w (..., {n_w}): NOISES, zero for a calm flight, NOISE * standard
 normals for one that is pushed about as the real one was. Sensors: OUTPUTS, without
-noise. A window holds the last {past} commands, the present one{later}.
+noise. A window holds the last {past} commands, the present one{later}. Commands beyond LOW .. HIGH,
+the range in the vehicle file, are taken as these.
 """
 
 {imports}
@@ -37,6 +38,7 @@ NOISES = {noises}
 NOISE = np.array({noise})
 START = np.array({start})  # level, at rest, rotors at hover speed
 HOVER = np.array({hover})  # command that holds it there
+LOW, HIGH = np.array({low}, dtype=float), np.array({high}, dtype=float)
 
 
 '''
@@ -78,8 +80,17 @@ def pieces(craft: Craft) -> dict[str, object]:
         "noise": repr([level.get(n, 0.0) for n in dynamics.noises.names]),
         "start": repr(start.tolist()),
         "hover": repr(hover),
+        "low": _ends(craft, dynamics, 0),
+        "high": _ends(craft, dynamics, 1),
         "functions": _functions(dynamics, craft.sample_time),
     }
+
+
+def _ends(craft: Craft, dynamics: Dynamics, side: int) -> str:
+    """Lower (0) or upper (1) ends of the inputs as a list of Python; of a voltage there is none."""
+    ends = [repr(float(craft.stated_range[side]))] * craft.count
+    ends += [("-np.inf", "np.inf")[side]] * (len(dynamics.inputs) - craft.count)
+    return f"[{', '.join(ends)}]"
 
 
 def _value(craft: Craft, d: Parameter) -> float:

@@ -104,3 +104,18 @@ def test_commands_carry_the_battery(tmp_path: Path) -> None:
             given = ca.DM([*u, volt])
             ours = np.asarray(goal(given, craft.values), dtype=float).ravel()
             np.testing.assert_allclose(commands.normalised_speed(u, volt), ours, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 0.0), (0.04, 0.1)])
+def test_commands_beyond_what_motors_saturate_at_do_no_more(
+    low: float, high: float, tmp_path: Path
+) -> None:
+    """Without the effect, too: the range of the vehicle file is the motors' own."""
+    limits = {"command_saturation.a_lo": low, "command_saturation.a_hi": high}
+    twin(identified({"thrust_curve.f": 0.2, **limits}), ["mujoco"], out=tmp_path)
+    (commands,) = load(tmp_path / "mujoco", "commands")
+    found = commands.normalised_speed(np.array([-0.2, -5.0, 1.5, 1e9]))
+    ends = commands.normalised_speed(np.array([low, low, 1.0 - high, 1.0 - high]))
+    np.testing.assert_array_equal(found, ends)
+    if not low:
+        np.testing.assert_array_equal(ends, [0.0, 0.0, 1.0, 1.0])

@@ -106,6 +106,30 @@ def test_every_craft_of_a_batch_has_its_own_parameters(tmp_path: Path) -> None:
     assert abs(x[0, 5]) < 1e-9 and x[1, 5] < -0.01, "the heavier one sinks"
 
 
+def test_a_command_beyond_the_stated_range_does_what_its_end_does(tmp_path: Path) -> None:
+    """A voltage has no range, and a command that is negative no thrust upwards."""
+    model = identified({"motor_lag.tau": 0.02, "battery_sag.c_V": 0.5})
+    twin(model, ["numpy"], out=tmp_path)
+    (module,) = load(tmp_path / "numpy", "simulate")
+    for beyond, end in ((-1.0, 0.0), (1.7, 1.0)):
+        far, near = (module.Simulator(craft=n) for n in (None, 2))
+        for _ in range(3):
+            x = far.step(np.array([*[beyond] * 4, 11.0]))
+            y = near.step(np.array([*[end] * 4, 11.0]))
+        np.testing.assert_allclose(y, np.tile(x, (2, 1)), rtol=1e-12, atol=1e-13)
+        assert (x[5] > 0) == (end > 0), "only full thrust lifts it"
+
+
+def test_jax_limits_commands_as_numpy_does(tmp_path: Path) -> None:
+    jax = pytest.importorskip("jax")
+    jax.config.update("jax_enable_x64", True)
+    twin(identified({"motor_lag.tau": 0.02}), ["jax"], out=tmp_path)
+    (module,) = load(tmp_path / "jax", "simulate_jax")
+    u = np.full((5, len(module.INPUTS)), -1.0)
+    far, near = (np.asarray(module.rollout(module.START, v)) for v in (u, 0.0 * u))
+    np.testing.assert_array_equal(far, near)
+
+
 def test_jax_flies_the_model(tmp_path: Path) -> None:
     jax = pytest.importorskip("jax")
     jax.config.update("jax_enable_x64", True)

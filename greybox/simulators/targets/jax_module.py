@@ -36,16 +36,20 @@ WINDOW = np.broadcast_to(HOVER, (PAST + 1 + FUTURE, len(INPUTS)))
 CALM = np.zeros(len(NOISES))
 
 
+def _commands(window):
+    return jnp.ravel(jnp.clip(jnp.asarray(window), LOW, HIGH))
+
+
 def step(x, window, p=VALUES, w=CALM):
     """x (n_x,) one sample of DT later. window (PAST + 1 + FUTURE, n_u): commands, oldest first."""
     x, p, w = jnp.asarray(x), jnp.asarray(p), jnp.asarray(w)
-    return jnp.stack(_step(x, jnp.ravel(jnp.asarray(window)), p, w, _Functions))
+    return jnp.stack(_step(x, _commands(window), p, w, _Functions))
 
 
 def output(x, window, p=VALUES, w=CALM):
     """Sensors (n_y,) at x."""
     x, p, w = jnp.asarray(x), jnp.asarray(p), jnp.asarray(w)
-    return jnp.stack(_output(x, jnp.ravel(jnp.asarray(window)), p, w, _Functions))
+    return jnp.stack(_output(x, _commands(window), p, w, _Functions))
 
 
 def advance(x, window, u, p=VALUES, w=CALM):

@@ -49,7 +49,7 @@ def _entries(value):
 
 def _call(function, x, window, p, w):
     x, p = np.asarray(x, dtype=float), np.asarray(p, dtype=float)
-    window = np.asarray(window, dtype=float)
+    window = np.clip(np.asarray(window, dtype=float), LOW, HIGH)
     w = np.zeros(len(NOISES)) if w is None else np.asarray(w, dtype=float)
     flat = window.reshape(*window.shape[:-2], -1)
     batch = np.broadcast_shapes(x.shape[:-1], flat.shape[:-1], p.shape[:-1], w.shape[:-1])
