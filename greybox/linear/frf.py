@@ -121,8 +121,9 @@ def frf(
         & (r.shared < TOGETHER)[:, None, :]
     )
     beside = None if model is None else _of_model(model, c, f)
+    fed = [c.all[i].name for i in c.z or c.u if follows(used, i, c.y)]
     return FrequencyResponse(
-        pairs={p.name: p for p in _pairs(c, f, r, usable, beside)},
+        pairs={p.name: p for p in _pairs(c, f, r, usable, beside, bool(fed))},
         frequency=f,
         averages=s.averages,
         window=s.window,
@@ -130,15 +131,20 @@ def frf(
         sample_time=dt,
         references=tuple(x.name for x in c.references),
         model=None if model is None else model.name,
-        warnings=tuple(_warnings(c, used, r, usable, data, model)),
+        warnings=tuple(_warnings(c, fed, r, data, model)),
     )
 
 
 def _pairs(
-    c: _Channels, f: FloatArray, r: Response, usable: BoolArray, beside: ComplexArray | None
+    c: _Channels,
+    f: FloatArray,
+    r: Response,
+    usable: BoolArray,
+    beside: ComplexArray | None,
+    fed_back: bool,
 ) -> Iterator[Pair]:
     """Every output over every input, at the frequencies f (K,) [Hz]; `beside` (K, n_y, n_u): what
-    the model says."""
+    the model says; `fed_back`: whether what they are measured by follows the outputs."""
     half, radius = band_of(r), circle(r)
     for i, j in product(range(len(c.y)), range(len(c.u))):
         n = INTEGRATORS.get(c.outputs[i].name)
@@ -153,6 +159,7 @@ def _pairs(
             usable=usable[:, i, j],
             form=lag_and_gain(f, r.value[:, i, j], r.error[:, i, j], usable[:, i, j], n),
             model=None if beside is None else beside[:, i, j],
+            fed_back=fed_back,
         )
 
 
@@ -253,15 +260,13 @@ def _of_model(model: IdentifiedModel | LinearModel, c: _Channels, f: FloatArray)
 
 def _warnings(
     c: _Channels,
-    stretches: Sequence[FloatArray],
+    fed: Sequence[str],
     r: Response,
-    usable: BoolArray,
     data: Dataset,
     model: IdentifiedModel | LinearModel | None,
 ) -> list[str]:
+    """`fed`: references, or inputs where there are none, that follow the outputs."""
     said = []
-    watched = c.z or c.u
-    fed = [c.all[i].name for i in watched if follows(stretches, i, c.y)]
     if fed and c.z:
         said.append(
             f"{', '.join(fed)} follows the outputs itself: it is no reference from outside, and "
@@ -275,7 +280,6 @@ def _warnings(
             "turned round, however "
             "high the coherence. Excite the set points, log them, and name them: greybox frf "
             "--references"
-            + ("" if model is None else ". Where model and flights part, either may be wrong")
         )
     for j, spec in enumerate(c.inputs):
         if np.median(r.shared[:, j]) > TOGETHER:

@@ -32,7 +32,8 @@ class Pair:
     """One response over `frequency` (K,) [Hz]: `value` (K,) complex, `magnitude` and `phase` [deg]
     with the ends of their 95 % intervals, `radius` (K,) of the circle that holds the complex value,
     `coherence` (K,), and where it is `usable` (K,). `form`: lag and gain; `model`: the response
-    (K,) of a model, NaN above half its rate."""
+    (K,) of a model, NaN above half its rate. `fed_back`: a closed loop may bias `value` by more
+    than the circle says, so that it judges no model."""
 
     input: ChannelSpec
     output: ChannelSpec
@@ -44,6 +45,7 @@ class Pair:
     usable: BoolArray
     form: LagAndGain | None
     model: ComplexArray | None = None
+    fed_back: bool = False
 
     @property
     def name(self) -> str:
@@ -144,22 +146,29 @@ class Pair:
         if outside is None or self.model is None:
             return
         known = self.usable & np.isfinite(self.model)
-        inside = (
-            f"inside the 95 % circle at {int((known & ~outside).sum())} of "
-            f"{int(known.sum())} usable frequencies"
-        )
+        place = "the model lies outside the 95 % circle"
+        if self.fed_back:
+            place = "model and flights part"
+            yield (
+                "this does not judge the model: the closed loop may bias the response of the "
+                "flights by more than its 95 % circle; its predictions do (greybox validate)"
+            )
         bands = [slice(a, b) for a, b in runs(outside) if b - a > 1]
         for s in bands:
             f, ratio = self.frequency[s], self.model[s] / self.value[s]
             off = np.abs(ratio - 1)
             worst = int(np.argmax(off))
             yield (
-                f"the model lies outside the 95 % circle from {f[0]:.2g} to {f[-1]:.2g} Hz: "
+                f"{place} from {f[0]:.2g} to {f[-1]:.2g} Hz: "
                 f"{100 * np.median(off):.0f} % off, "
                 f"most at {f[worst]:.2g} Hz ({abs(ratio[worst]):.2f} times the magnitude, "
                 f"{np.rad2deg(np.angle(ratio[worst])):+.0f} deg)"
             )
-        yield f"the model is {inside}"
+        if not self.fed_back:
+            yield (
+                f"the model is inside the 95 % circle at {int((known & ~outside).sum())} of "
+                f"{int(known.sum())} usable frequencies"
+            )
 
     def to_dict(self) -> PairDocument:
         """Plain values, as in frf.json."""
@@ -279,12 +288,13 @@ class FrequencyResponse(Shown):
         )
 
     def summary(self) -> str:
-        """The result, then every pair, then the warnings."""
+        """The result, then the warnings, then every pair."""
         pairs = self.pairs.values()
-        lines = [self.line, *(line for p in pairs if p.usable.any() for line in p.lines())]
+        lines = [self.line, *(f"warning: {w}" for w in self.warnings)]
+        lines += [line for p in pairs if p.usable.any() for line in p.lines()]
         if rest := [f"{p.name} {p.coherence.max():.2f}" for p in pairs if not p.usable.any()]:
             lines.append(f"too low a coherence everywhere (highest): {', '.join(rest)}")
-        return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
+        return "\n".join(lines)
 
     def _shown_text(self) -> str:
         return self.summary()

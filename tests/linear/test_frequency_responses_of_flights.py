@@ -92,10 +92,19 @@ def test_a_closed_loop_is_said_and_a_reference_mends_it():
     data, vehicle = flights(count=3, feedback=0.2, noise=0.4), example_vehicle()
     direct = gb.frf(data, ["roll"], ["p"], vehicle=vehicle, model=linear_model())
     assert any("closed loop" in w and "--references" in w for w in direct.warnings)
+    said = list(direct.pairs["p/roll"].parts())
+    assert "does not judge the model" in said[0] and "closed loop" in said[0]
+    assert any(" % off" in line for line in said), "the numbers stay"
+    assert not any("inside" in line or "outside" in line for line in said)
+    summary = direct.summary()
+    assert summary.index("warning:") < summary.index("p/roll: coherence")
     by_reference = gb.frf(
         data, ["roll"], ["p"], vehicle=vehicle, model=linear_model(), references=["ref"]
     )
     assert by_reference.warnings == () and by_reference.references == ("ref",)
+    assert (
+        "the model is inside the 95 % circle at" in list(by_reference.pairs["p/roll"].parts())[-1]
+    )
     shares = []
     for found in (direct, by_reference):
         pair = found.pairs["p/roll"]
