@@ -317,7 +317,7 @@ def _lines(job: _Job, result: Fit, table: str, content: FitDocument) -> list[str
     estimates, the explicit command."""
     first, *rest = result.summary().splitlines()
     told = [f"warning: {w}" for some in job.warnings for w in some]
-    lines = [first, *told, *_sanity_lines(result)]
+    lines = [first, *_next(job, result), *told, *_sanity_lines(result)]
     if result.provenance.decisions:
         lines += ["", "Decided, because nothing else was said:"]
         lines += [f"  {decision.line()}" for decision in result.provenance.decisions]
@@ -328,6 +328,45 @@ def _lines(job: _Job, result: Fit, table: str, content: FitDocument) -> list[str
     if "explicit" in content:
         lines += ["The same as an explicit command:", f"  {content['explicit']['command']}"]
     return lines
+
+
+def _next(job: _Job, result: Fit) -> list[str]:
+    """The command that names what is missing, where pushes without a name follow the motion and
+    matter ahead."""
+    from greybox.errors import GreyboxError
+    from greybox.residual.followed import followed
+
+    verdict = result.verdict
+    if verdict is None or verdict.refused or not result.converged:
+        return []
+    errors = {g.name: g for g in verdict.groups}
+    ahead = verdict.groups[0].seconds
+    try:
+        found = followed(
+            result.model, job.prepared.data, {n: g.error for n, g in errors.items()}, ahead
+        )
+    except GreyboxError:  # too short to see pushes in
+        return []
+    told = [
+        f"the motion foretells {100 * p.share:.0f} % of the {p.group} without a name, which moves "
+        f"{p.channel} by {p.change:.2g} of {p.error:.2g} {errors[p.channel].unit} that the model "
+        f"errs {ahead:g} s ahead"
+        for p in found
+    ]
+    return [f"next: {_discover(job.arguments)}: {'; '.join(told)}"] if told else []
+
+
+def _discover(arguments: argparse.Namespace) -> str:
+    """The search in the same flights."""
+    words = ["greybox", "discover", "--vehicle", arguments.vehicle, "--train", *arguments.train]
+    for option, values in (
+        ("--test", arguments.test),
+        ("--mapping", [arguments.mapping] if arguments.mapping else []),
+        ("--effects-file", arguments.effects_file),
+    ):
+        words += [option, *values] if values else []
+    words += ["--keep-impossible"] if arguments.keep_impossible else []
+    return shlex.join(words)
 
 
 def _flights(

@@ -1,0 +1,152 @@
+"""Whether the pushes that a fit leaves without a name follow the motion: gusts do not, a missing
+law does.
+
+The disturbance states of a fitted model take up what no parameter explains. Their smoothed values
+are regressed on body velocity and rates in all flights but one, and foretold in that one. Most of
+what a law gives is foretold; of gusts nothing is, although a craft in a loop answers them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.data import Dataset
+from greybox.estimation.filtering import Filter
+from greybox.model.identified import IdentifiedModel
+from greybox.model.noise import disturbances
+from greybox.residual.discrepancy import (
+    GROUPS,
+    Discrepancy,
+    discrepancy,
+    feature_function,
+    smoothed_features,
+)
+from greybox.residual.features import available
+from greybox.symbolic import BoolArray, FloatArray
+
+MOST = 0.5
+"""Share of a push that the motion must foretell to be called its cause."""
+FELT = 0.1
+"""Share of the error ahead that the push must move the craft by to matter."""
+SHOWN = {"force": ("velocity", "position"), "torque": ("rate", "rotation")}
+"""What a push moves, after one integration and after two."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Followed:
+    """A push of `group` ("force", "torque") of which the motion foretells `share`, and which moves
+    `channel` by `change` in the time ahead, where the model errs by `error` (means of the norm, SI
+    units)."""
+
+    group: str
+    share: float
+    channel: str
+    change: float
+    error: float
+
+
+def followed(
+    model: IdentifiedModel, data: Dataset, errors: Mapping[str, float], ahead: float
+) -> tuple[Followed, ...]:
+    """The pushes of a fitted vehicle that follow the motion and matter; none where it has no
+    disturbance states, or its motion is not known.
+
+    `errors`: mean error of the model by channel group, `ahead` [s] ahead. A push that moves the
+    craft by more than the model errs is refuted by that. Raises `ModelError` where no flight is
+    long enough.
+    """
+    there = available(model.dynamics)
+    names = [n for n in there if n.split(".")[0] == "body_velocity" or n in ("p", "q", "r")]
+    groups = [d.group for d in disturbances(model.dynamics) if d.group in GROUPS]
+    if not groups or not {"body_velocity.x", "p"} <= set(names):
+        return ()
+    seen = discrepancy(model, data, names)
+    return tuple(
+        found
+        for group in groups
+        if (share := _foretold(seen, _columns(seen, group))) > MOST
+        for found in _felt(model, data, seen, group, share, errors, ahead)
+    )
+
+
+def _columns(seen: Discrepancy, group: str) -> list[int]:
+    return [i for i, n in enumerate(seen.outputs.names) if n.split(".")[0] == group]
+
+
+def _law(seen: Discrepancy, rows: BoolArray, columns: list[int]) -> FloatArray:
+    """Slopes (n_in, k) of the pushes by the features, of some rows."""
+    z, y = seen.z[rows], seen.y[rows][:, columns]
+    z = z - z.mean(axis=0)
+    size = np.maximum(z.std(axis=0), 1e-12)
+    return np.asarray(np.linalg.lstsq(z / size, y - y.mean(axis=0), rcond=1e-6)[0] / size[:, None])
+
+
+def _foretold(seen: Discrepancy, columns: list[int]) -> float:
+    """Share of the pushes' variance about the mean of each flight (halves of a single one) that the
+    law of the others foretells."""
+    flights = np.array(seen.flights)
+    names = dict.fromkeys(seen.flights)
+    first = np.arange(len(flights)) < len(flights) // 2
+    parts = [flights == n for n in names] if len(names) > 1 else [first, ~first]
+    left = total = 0.0
+    for part in parts:
+        if part.sum() < 2 or (~part).sum() < 2:
+            continue
+        y = seen.y[part][:, columns]
+        rest = y - seen.z[part] @ _law(seen, ~part, columns)
+        total += float(np.sum((y - y.mean(axis=0)) ** 2))
+        left += float(np.sum((rest - rest.mean(axis=0)) ** 2))
+    return 1.0 - left / total if total > 0 else 0.0
+
+
+def _felt(
+    model: IdentifiedModel,
+    data: Dataset,
+    seen: Discrepancy,
+    group: str,
+    share: float,
+    errors: Mapping[str, float],
+    ahead: float,
+) -> Iterator[Followed]:
+    """The push, if what it moves is a part of the error of the first channel that was judged."""
+    channel = next((c for c in SHOWN[group] if c in errors), None)
+    if channel is None:
+        return
+    law = _law(seen, np.ones(len(seen.z), dtype=bool), _columns(seen, group))
+    law = law @ _mobility(model, group)
+    runner, look = Filter(model), feature_function(model.dynamics, seen.inputs.names)
+    moved = np.concatenate(
+        [
+            _moved(smoothed_features(runner, s, look)[1] @ law, model, group, ahead)
+            for flight in data
+            for s in flight.segments
+        ]
+    )
+    if not len(moved):
+        return
+    change, error = float(moved.mean(axis=0)[SHOWN[group].index(channel)]), errors[channel]
+    if FELT * error < change < error:
+        yield Followed(group=group, share=share, channel=channel, change=change, error=error)
+
+
+def _mobility(model: IdentifiedModel, group: str) -> FloatArray:
+    """(3, 3) From a force [N] or torque [N m], a row, to the acceleration."""
+    if group == "force":
+        return np.eye(3) / model.values["mass"]
+    return np.diag([1.0 / model.values[f"inertia.{a}"] for a in ("xx", "yy", "zz")])
+
+
+def _moved(push: FloatArray, model: IdentifiedModel, group: str, ahead: float) -> FloatArray:
+    """How far (m, 2) accelerations (n, 3) that change have moved the craft `ahead` [s] later,
+    after one integration and after two; the present one fades, as the model lets it."""
+    dt, time = model.sample_time, model.values[f"disturbance.{group}.T"]
+    steps = round(ahead / dt)
+    m = max(len(push) - steps, 0)
+    once, twice = np.zeros((m, 3)), np.zeros((m, 3))
+    for k in range(1, steps + 1):
+        once += dt * (push[k : k + m] - push[:m] * np.exp(-k * dt / time))
+        twice += dt * once
+    return np.stack([np.linalg.norm(v, axis=1) for v in (once, twice)], axis=1)

@@ -1,0 +1,95 @@
+"""A push that follows the motion is a law that is missing; gusts are not, and what moves the craft
+by less than the model errs ahead is not worth a word."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import shlex
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.commands import discover
+from greybox.commands.fit import _discover
+from greybox.data import Dataset, dataset_from_arrays
+from greybox.estimation.fit import fit
+from greybox.excitation.waypoints import RandomWaypoints
+from greybox.model.identified import IdentifiedModel
+from greybox.model.vehicle import read_vehicle
+from greybox.plants.effects import ParasiticDrag
+from greybox.plants.flight_log import fly, member
+from greybox.plants.presets import controller_for, x250
+from greybox.plants.vehicle_file import write_vehicle
+from greybox.residual.followed import followed
+from greybox.residual.learn import disturbed_model
+
+ERRORS = {"velocity": 0.2, "rate": 0.5}
+"""Mean errors half a second ahead, of the size that such a model has."""
+TIME = 1.0
+"""Correlation time of the gusts [s]."""
+
+
+@functools.cache
+def flown(drag: float, gust: float) -> tuple[IdentifiedModel, Dataset]:
+    """Two flights of a craft with drag [N s^2/m^2] in gusts [N], and its model, which knows
+    neither."""
+    effects = [ParasiticDrag(c_x=drag, c_y=drag, c_z=drag)] if drag else []
+    calm = x250().process
+    blown = replace(calm, drift_force=gust * (2 / TIME) ** 0.5, drift_time=TIME)
+    plant = x250(effects, process=blown)
+    log = fly(plant, controller_for(plant), RandomWaypoints(), None, 15.0, seed=[1, 2], warm_up=1.0)
+    data = Dataset(flights=())
+    for i in range(2):
+        columns = {k: np.asarray(v) for k, v in member(log, i).items()}
+        t = columns.pop("t")
+        data = data + dataset_from_arrays(t, columns, name=f"run{i}")
+    with tempfile.TemporaryDirectory() as folder:
+        vehicle = read_vehicle(write_vehicle(Path(folder) / "v.toml", plant))
+    model = gb.build_model(vehicle, data.channels)
+    return disturbed_model(fit(model, data, free=()).model, data), data
+
+
+def test_drag_that_is_missing_follows_the_motion_and_is_felt() -> None:
+    (found,) = followed(*flown(0.1, 0.0), ERRORS, 0.5)
+    assert found.group == "force" and found.channel == "velocity"
+    assert found.share > 0.7 and 0.02 < found.change < 0.2
+
+
+def test_gusts_of_the_same_size_do_not() -> None:
+    """Although the craft in its loop answers them."""
+    assert not followed(*flown(0.0, 0.1), ERRORS, 0.5)
+
+
+@pytest.mark.parametrize("scale", [0.1, 100.0])
+def test_what_the_errors_refute_or_nobody_feels_is_not_said(scale: float) -> None:
+    errors = {k: scale * v for k, v in ERRORS.items()}
+    assert not followed(*flown(0.1, 0.0), errors, 0.5)
+
+
+def test_a_model_without_disturbances_and_a_channel_that_nobody_judged_say_nothing() -> None:
+    model, data = flown(0.1, 0.0)
+    assert not followed(model, data, {}, 0.5)
+    assert not followed(fit(model.physics, data, free=()).model, data, ERRORS, 0.5)
+
+
+def test_the_next_step_is_a_command_with_the_same_flights() -> None:
+    arguments = argparse.Namespace(
+        vehicle="my craft.toml",
+        train=["a.csv", "b.csv"],
+        test=["c.csv"],
+        mapping="m.toml",
+        effects_file=[],
+        keep_impossible=True,
+    )
+    assert _discover(arguments) == (
+        "greybox discover --vehicle 'my craft.toml' --train a.csv b.csv --test c.csv "
+        "--mapping m.toml --keep-impossible"
+    )
+    parser = argparse.ArgumentParser()
+    discover.add(parser.add_subparsers())
+    parser.parse_args(shlex.split(_discover(arguments))[1:])
