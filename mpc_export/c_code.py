@@ -34,7 +34,7 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.files import write_atomic
 from mpc_export.c_kernels_products import PRODUCTS
-from mpc_export.c_text import all_used, broken
+from mpc_export.c_text import all_used, broken, compared
 
 Real = Literal["double", "float"]
 RESTRICT = """#if defined(__cplusplus) && !defined(restrict)
@@ -170,7 +170,7 @@ def write_c(
         text = single_precision(text)
     described = tuple(_describe(f, prefix, text) for f in functions)
     text = _exported(text, {n: f"{prefix}_{n}" for n in names})
-    text = broken(all_used(text)).strip()
+    text = broken(compared(all_used(text))).strip()
     text = f'#include "{prefix}.h"\n\n{RESTRICT if "restrict" in text else ""}{text}\n'
     source, header = Path(folder) / f"{prefix}.c", Path(folder) / f"{prefix}.h"
     source.parent.mkdir(parents=True, exist_ok=True)

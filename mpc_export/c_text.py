@@ -1,5 +1,5 @@
 """What is done to all C of an export before it is written: no warning of a parameter that a function
-does not use, and no line that is too long to be read."""
+does not use or of a number that decides as a truth, and no line that is too long to be read."""
 
 from __future__ import annotations
 
@@ -11,6 +11,13 @@ _DEFINITION = re.compile(
     r"^(?:(?:static|CASADI_SYMBOL_EXPORT) )[^;{}#\n]*\b\w+\((?P<given>[^;{}()]*)\) \{\n(?P<body>.*?)^\}",
     re.MULTILINE | re.DOTALL,
 )
+_NUMBER = r"([aw]\d+|\(\*cr\+\+\))"
+_DECIDES = (
+    (re.compile(rf"\({_NUMBER}\?"), r"((\1!=0)?"),
+    (re.compile(rf"\(! ?{_NUMBER} ?\)"), r"(\1==0)"),
+    (re.compile(rf"\({_NUMBER} ?(&&|\|\|) ?{_NUMBER}\)"), r"((\1!=0)\2(\3!=0))"),
+)
+"""Numbers of CasADi as conditions, and the same compared with zero (NaN is true both ways)."""
 _WORD = re.compile(r"(?:\"(?:\\.|[^\"\\])*\"|\S)+|\s+")
 
 
@@ -26,6 +33,13 @@ def all_used(text: str) -> str:
         return f"{found[0][:start]}{idle}{found[0][start:]}"
 
     return _DEFINITION.sub(named, text)
+
+
+def compared(text: str) -> str:
+    """C of CasADi in which no number is taken as a truth, of which clang warns (-Wconversion)."""
+    for pattern, clear in _DECIDES:
+        text = pattern.sub(clear, text)
+    return text
 
 
 def broken(text: str) -> str:
