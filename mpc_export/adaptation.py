@@ -225,15 +225,16 @@ def authority(model: IdentifiedModel) -> dict[str, float]:
 
 def adapt_function(
     functions: Mapping[str, ca.Function],
-    innovation: ca.Function,
+    formed: tuple[ca.Function, ca.Function],
     own: Adapted,
     states: Layout,
     dt: float,
 ) -> ca.Function:
     """adapt_step(x, u, p, y, there, V, memory) -> x_next, p_next, V_next, e, y_hat.
 
-    `innovation` maps (y, y_hat, x) to e. `p_next` differs from p in what is adapted.
+    `formed` map (y, y_hat, x) to e, and `there` to which of e are whole. `p_next` differs from p in what is adapted.
     """
+    innovation, whole = formed
     n_a, n_t = len(own.names), len(own.rows)
     n_own, plus = n_a - n_t, _moved(functions["boxplus"], n_a - n_t)
     n_y, n_e = innovation.numel_in(0), innovation.numel_out(0)
@@ -245,9 +246,10 @@ def adapt_function(
     gain, spread = functions["innovation_gain"](there)
     gain = gain[:n_own, :]  # the history of commands is known
     found = innovation(y, seen, x)
-    e = ca.if_else(there != 0, found, 0.0)
+    on = whole(there)
+    e = ca.if_else(on != 0, found, 0.0)
     slopes = _slopes(innovation, plus, n_t)(y, seen, x, by_x, by_p[:, rows])
-    psi = ca.if_else(ca.repmat(there != 0, 1, n_a), slopes, 0.0)
+    psi = ca.if_else(ca.repmat(on != 0, 1, n_a), slopes, 0.0)
     through = psi @ v
     scaled = _whitened(n_e, n_a)(spread + through @ psi.T, ca.horzcat(through, e))
     across, left = scaled[:, :n_a], scaled[:, n_a]

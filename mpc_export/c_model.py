@@ -22,6 +22,7 @@ from mpc_export.c_code import CFunction, CSource, Port
 from mpc_export.c_text import broken
 from mpc_export.functions import ModelFunctions
 from mpc_export.golden import FARTHEST, Golden
+from mpc_export.model_parts import shared
 from mpc_export.template import filled
 
 CODES = (
@@ -31,11 +32,17 @@ CODES = (
         "results are written, but a command is out of its bounds or the quaternion is not of unit "
         "length",
     ),
-    ("NOT_FINITE_INPUT", "an argument is NaN or infinite: nothing is written"),
+    (
+        "NOT_FINITE_INPUT",
+        "an argument is NaN or infinite, or a measurement that is said to be there: nothing is "
+        "written",
+    ),
     ("NOT_FINITE_RESULT", "results are written, but one of them is NaN or infinite"),
     ("FAILED", "the evaluation failed"),
 )
 """Return codes by number."""
+MEASURED = frozenset({"y", "there"})
+"""Arguments of a function that measures."""
 LISTED = 120
 """A layout longer than this (the weights of a learned part) is not listed name by name."""
 
@@ -232,7 +239,25 @@ class CModel:
             numbers="\n".join(numbers),
             attitude=self._unit_quaternion(),
             commands=self._commands_in_bounds(),
+            seen=self._seen(),
             functions="\n".join(self._evaluation(f) for f in self.source.functions),
+        )
+
+    def _seen(self) -> str:
+        """C that says whether every measurement that counts is a number; empty where no function
+        measures."""
+        if not any({p.name for p in f.inputs if p.nnz} >= MEASURED for f in self.source.functions):
+            return ""
+        f = self.functions
+        columns = f.sampled.dynamics.innovation_columns
+        needs = [[int(c in own) for c in f.outputs.names] for own in columns]
+        with_ = [[int(j in own) for j in range(len(columns))] for own in shared(columns)]
+        return filled(
+            "model/seen.c",
+            real=self.real,
+            up=self.upper,
+            needs=_table(needs),
+            together=_table(with_),
         )
 
     def _unit_quaternion(self) -> str:
@@ -269,12 +294,13 @@ class CModel:
         """The plain C function around a generated one."""
         up = self.upper
         lines = ["", f"{self._prototype(f)} {{"]
-        # A measurement that is marked as missing may be NaN, and so is its innovation; x_next
-        # tells.
+        # A measurement that is missing may be NaN, and so is its innovation.
         checked = [p for p in f.inputs if p.nnz and p.name != "y"]
         if checked:
             test = " || ".join(f"!finite_all({p.name}, {p.nnz})" for p in checked)
             lines.append(f"  if ({test}) return {up}_NOT_FINITE_INPUT;")
+        if {p.name for p in f.inputs if p.nnz} >= MEASURED:
+            lines.append(f"  if (!finite_seen(y, there)) return {up}_NOT_FINITE_INPUT;")
         lines += [f"  work->arg[{i}] = {p.name};" for i, p in enumerate(f.inputs)]
         lines += [f"  work->res[{i}] = {p.name};" for i, p in enumerate(f.outputs)]
         lines.append(
@@ -379,6 +405,11 @@ def scale_of(results: npt.ArrayLike) -> float:
     everywhere)."""
     values = np.abs(np.asarray(results, dtype=float))
     return max(float(values.max(initial=0.0)), 1e-30)
+
+
+def _table(rows: Sequence[Sequence[int]]) -> str:
+    """A matrix as an initialiser in C."""
+    return ",\n".join(f"  {{{', '.join(map(str, row))}}}" for row in rows)
 
 
 def _shape(port: Port) -> str:

@@ -333,7 +333,7 @@ def _add_adaptation(parts: ModelParts, noise: Noise, values: FloatArray) -> Adap
     states = parts.sampled.dynamics.error_states
     own = adapted(parts.model, parts.parameters, values, weights, states, noise.covariance)
     parts.functions["adapt_step"] = adapt_function(
-        parts.functions, parts.innovation, own, parts.sampled.states, parts.dt
+        parts.functions, (parts.innovation, parts.whole), own, parts.sampled.states, parts.dt
     )
     return own
 
@@ -352,6 +352,6 @@ def _add_calibration(
     physics = physics_of(parts.sampled.dynamics)
     sensors = () if physics is None else physics.channel_groups
     own = calibration(parts.functions, stated, sensors, parts.dt)
-    parts.functions["forecast_step"] = forecast_function(parts.functions, parts.innovation, own)
+    parts.functions["forecast_step"] = forecast_function(parts.functions, (parts.innovation, parts.whole), own)
     parts.functions["calibrate_step"] = calibrate_function(own)
     return own

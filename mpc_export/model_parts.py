@@ -13,7 +13,9 @@ Jacobians. Without a learned part w is zero and everything is SX.
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Sequence
 from functools import cached_property
 
 import casadi as ca
@@ -38,6 +40,14 @@ WEIGHTS = "gp.weights"
 EULER = ("phi", "theta", "psi")
 
 Exportable = IdentifiedModel | LinearModel | PredictorModel
+
+
+def shared(columns: Sequence[Sequence[str]]) -> list[list[int]]:
+    """Per innovation, of the channels `columns` that each is formed from, those that share one."""
+    return [
+        [j for j, other in enumerate(columns) if set(own) & set(other)] or [i]
+        for i, own in enumerate(columns)
+    ]
 
 
 class ModelParts:
@@ -274,6 +284,20 @@ class ModelParts:
         y, y_hat = ca.SX.sym("y", ny), ca.SX.sym("y_hat", ny)
         found = self.sampled.innovation(y, y_hat, self.x)
         return ca.Function("innovation", [y, y_hat, self.x], [ca.densify(found)])
+
+    @cached_property
+    def together(self) -> list[list[int]]:
+        """Per innovation those that need a channel which it needs too, itself among them."""
+        return shared(self.sampled.dynamics.innovation_columns)
+
+    @cached_property
+    def whole(self) -> ca.Function:
+        """there (n_e) -> the same without the innovations whose channels are not all there: one
+        that is missing says that one of its channels is."""
+        there = ca.SX.sym("there", len(self.together))
+        on = [there[i] != 0 for i in range(len(self.together))]
+        both = [functools.reduce(ca.logic_and, [on[j] for j in own]) for own in self.together]
+        return ca.Function("whole", [there], [ca.densify(ca.vertcat(*both))])
 
     def add_value(self, name: str, result: str, expression: Expr, *, own: bool = False) -> None:
         """Adds name(x, u, p) -> result from an expression of x, u, p, w, closed with the learned

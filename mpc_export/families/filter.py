@@ -1,4 +1,9 @@
-"""filter_step and innovation_gain: one step of the identified filter, whatever is missing."""
+"""filter_step and innovation_gain: one step of the identified filter, whatever is missing.
+
+An innovation is formed from measured channels, and several may need the same one: of a position in
+body axes each needs x, y and z. Where one of such innovations is missing, a channel is, and so are
+all that need it.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +22,10 @@ def add_filter(parts: ModelParts, noise: Noise) -> None:
     ne, ny = len(s.dynamics.innovations), len(s.dynamics.outputs)
     fill = _filled_innovation(noise)
     mt = ca.MX.sym("there", ne)
-    on = ca.if_else(mt != 0, 1.0, 0.0)
+    whole = parts.whole(mt)
+    on = ca.if_else(whole != 0, 1.0, 0.0)
     gain = ca.MX(ca.DM(noise.gain)) @ ca.horzcat(
-        *(fill(ca.DM.eye(ne)[:, i], mt) for i in range(ne))
+        *(fill(ca.DM.eye(ne)[:, i], whole) for i in range(ne))
     )
     spread = ca.DM(noise.innovation) * (on @ on.T) + ca.diag(1 - on)
     parts.functions["innovation_gain"] = ca.Function(
@@ -32,7 +38,7 @@ def add_filter(parts: ModelParts, noise: Noise) -> None:
     if isinstance(parts.model, PredictorModel):
         # What was foretold of the innovation and what was not enter together, as in the predictor
         # itself.
-        push = fill(found, mt)
+        push = fill(found, whole)
         if parts.posterior is not None:
             push = push + parts.push(mx, mu, mp, "raw")
         step = s.step(parts.x, parts.u, parts.p, parts.w)
@@ -41,7 +47,7 @@ def add_filter(parts: ModelParts, noise: Noise) -> None:
         )
         after = moved(mx, mu, parts.own_p(mp), push)
     else:
-        correction = ca.mtimes(ca.DM(noise.gain), fill(found, mt))
+        correction = ca.mtimes(ca.DM(noise.gain), fill(found, whole))
         after = parts.functions["boxplus"](parts.functions["f_d"](mx, mu, mp), correction)
     labels = ["x", "u", "p", "y", "there"]
     parts.functions["filter_step"] = ca.Function(

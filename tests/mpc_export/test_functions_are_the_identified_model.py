@@ -171,7 +171,7 @@ def test_the_filter_is_the_identified_one(kind):
     rng = np.random.default_rng(5)
     for _ in range(5):
         point = cases.point(functions, rng)
-        there = point["there"]
+        there = whole(model, point["there"])
         gain, s = runner.riccati.gain(there)[:2]
         found = call(functions, "innovation_gain", point)
         np.testing.assert_allclose(found["S"], s, atol=1e-12 * s.max())
@@ -186,6 +186,37 @@ def test_the_filter_is_the_identified_one(kind):
         np.testing.assert_allclose(step["e"].ravel(), e, atol=1e-11)
         np.testing.assert_allclose(step["y_hat"].ravel(), y_hat, atol=1e-11)
         np.testing.assert_allclose(step["x_next"].ravel()[: x.size], corrected, atol=1e-9)
+
+
+def whole(model, there):
+    """`there` without the innovations that need a channel of one that is missing."""
+    columns = [set(c) for c in model.dynamics.innovation_columns]
+    gone = set().union(*(c for c, on in zip(columns, there, strict=True) if not on))
+    return np.array([float(not c & gone) for c in columns])
+
+
+@pytest.mark.parametrize("gone", ["position.x", "position.z", "attitude.y"])
+def test_a_missing_channel_takes_along_every_innovation_that_needs_it(gone):
+    """Positions are compared in body axes: without the world's x nothing is known of any."""
+    functions = exported("disturbed")
+    point = cases.point(functions, np.random.default_rng(6))
+    names = functions.innovations.names
+    kind = gone.split(".")[0]
+    own = [names.index(n) for n in names if n.split(".")[0] == kind]
+    assert len(own) == 3
+    for name in ("filter_step",):
+        found = []
+        for at in ([names.index(gone)], own):
+            point["there"] = np.ones(len(names))
+            point["there"][at] = 0.0
+            for wrong in (0.0, 1e9, np.nan):
+                columns = {"position": "xyz", "attitude": ("qw", "qx", "qy", "qz")}[kind]
+                for column in columns:
+                    point["y"][functions.outputs[column]] = wrong
+                found.append(call(functions, name, point)["x_next"])
+        assert np.isfinite(found[0]).all()
+        for other in found[1:]:
+            np.testing.assert_array_equal(found[0], other)
 
 
 def test_a_missing_channel_may_hold_nan():

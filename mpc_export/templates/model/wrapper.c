@@ -19,4 +19,4 @@ static int in_range(const @n@_real *x, const @n@_real *u) {
 @commands@
   return 1;
 }
-@functions@
+@seen@@functions@
