@@ -279,7 +279,7 @@ def adapt_function(
     v_next = on_step @ left_over @ on_step.T
     v_next[:n_t, :n_t] += (1 - keep**2) * ca.DM(own.covariance[:n_t, :n_t])
     # Rounding must not grow into two covariances of the same pair.
-    results = [_limited(after, own, states), q, 0.5 * (v_next + v_next.T), found, seen]
+    results = [limited(after, own.limits, states), q, 0.5 * (v_next + v_next.T), found, seen]
     return ca.Function(
         "adapt_step",
         [x, u, p, y, there, v, memory],
@@ -341,9 +341,9 @@ def _between(value: Expr, lower: FloatArray, upper: FloatArray) -> Expr:
     return ca.if_else(value < lower, lower, ca.if_else(value > upper, upper, value))
 
 
-def _limited(x: Expr, own: Adapted, states: Layout) -> Expr:
-    """x with its disturbances inside what the rotors could hold against."""
+def limited(x: Expr, limits: Mapping[str, float], states: Layout) -> Expr:
+    """x with its disturbances inside what the rotors could hold against, `limits` (authority)."""
     out = ca.MX(x)
-    for row, most in ((states[n], m) for n, m in own.limits.items() if n in states.names):
+    for row, most in ((states[n], m) for n, m in limits.items() if n in states.names):
         out[row] = _between(x[row], np.array(-most), np.array(most))
     return out

@@ -21,13 +21,14 @@ u, p).
 | consider_step | x u p K S c b -> S_next, c_next, b_next, total: learned and parameter errors constant over the horizon |
 | P_theta | x u p -> derivative of x_next in the uncertain parameters (n_d, n_theta); with "covariance" |
 | filter_step | x u p y there -> x_next, e, y_hat: one step of the identified filter |
+| follow_step | the same of the filter that follows standing forces and torques (standing.py) |
 | innovation_gain | there -> K, S |
 | adapt_step | x u p y there V memory -> x_next, p_next, V_next, e, y_hat: the filter that adapts (adaptation.py) |
 | forecast_step | x x_next u p y there F clock -> F_next, clock_next, E, seen: errors of forecasts (calibration.py) |
 | calibrate_step | theta E seen sigma level gain -> theta_next, scale: by how much wider they are than sigma says |
 | output_covariance, output_consider | x u p S [c] -> Y: of the next measurement (innovation form); with "covariance" |
 | target_step | x u p r -> x_next, u_next, residual: Newton step to the steady state that holds r (target.py) |
-| pilot_step | x u p y there r -> x_next, u_next, e, y_hat: the filter and a feedback to r (pilot.py) |
+| pilot_step | x u p y there r -> x_next, u_next, e, y_hat: follow_step and a feedback to r (pilot.py) |
 | f_d_nominal, f_d_nominal_jac_raw | as f_d and f_d_jac_raw, without the learned part: physics alone |
 | lagrangian_hessian | x u p lam -> H (n_x + n_u square): of lam' f_d in raw coordinates |
 
@@ -75,6 +76,7 @@ from mpc_export.pilot import UNPILOTED, Pilot, pilot_function
 from mpc_export.predictors import Fitted, Learned, PredictorModel, predictor_model
 from mpc_export.sampled import Sampled
 from mpc_export.scales import command_limits, typical_sizes
+from mpc_export.standing import PREFIX, in_flight
 from mpc_export.target import target_function, tracked
 
 GROUPS = ("covariance", "filter", "target", "hessian", "nominal", "adapt", "calibrate", "pilot")
@@ -205,11 +207,11 @@ def _assembled(parts: ModelParts, groups: set[str]) -> ModelFunctions:
     add_learned(parts, slopes.learned)
     add_domain(parts)
     x, u, p = _reference(parts)
-    noise = _noise(parts, (x, u, p), (slopes.noise, noise_output))
+    noise, flying = _noise(parts, (x, u, p), (slopes.noise, noise_output))
     if "covariance" in groups:
         add_covariance(parts, noise, noise_output)
     if "filter" in groups:
-        add_filter(parts, noise)
+        add_filter(parts, noise, flying)
     own = _add_adaptation(parts, noise, p) if "adapt" in groups else NOTHING
     forecasts = UNCALIBRATED
     if "calibrate" in groups:
@@ -301,13 +303,13 @@ def _reference(parts: ModelParts) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def _noise(
     parts: ModelParts, point: tuple[FloatArray, FloatArray, FloatArray], through: tuple[Expr, Expr]
-) -> Noise:
-    """The identified noise at `point` = (x, u, p); `through` are the slopes of x_next and of y -
-    y_hat in w."""
+) -> tuple[Noise, Noise | None]:
+    """(The identified noise at `point` = (x, u, p), that of a filter in flight where the model has
+    disturbances); `through` are the slopes of x_next and of y - y_hat in w."""
     (x, u, p), extra, model = point, len(parts.sampled.history), parts.model
     if isinstance(model, (LinearModel, PredictorModel)):
         gain = model.form.gain if isinstance(model, PredictorModel) else model.matrices.k
-        return innovation_noise(gain, model.noise, extra)
+        return innovation_noise(gain, model.noise, extra), None
     slopes = ca.Function(
         "noise", [parts.x, parts.u, parts.p, parts.w], [ca.densify(v) for v in through]
     )
@@ -320,7 +322,15 @@ def _noise(
         parts.functions["h_jac"](x, u, p)[1].full(),
     )
     n = len(parts.sampled.dynamics.error_states)
-    return identified_noise(model, parts.dt, (a[:n, :n], g[:n], c[:, :n], d), extra)
+    a, g, c = a[:n, :n], g[:n], c[:, :n]
+    own = identified_noise(model, parts.dt, (a, g, c, d), extra)
+    names = parts.sampled.dynamics.error_states.names
+    stays = [i for i, name in enumerate(names) if name.startswith(f"d_{PREFIX}")]
+    if not stays:
+        return own, None
+    kept = a.copy()
+    kept[stays] = np.eye(n)[stays]
+    return own, identified_noise(in_flight(model), parts.dt, (kept, g, c, d), extra)
 
 
 def _add_adaptation(parts: ModelParts, noise: Noise, values: FloatArray) -> Adapted:
@@ -352,6 +362,8 @@ def _add_calibration(
     physics = physics_of(parts.sampled.dynamics)
     sensors = () if physics is None else physics.channel_groups
     own = calibration(parts.functions, stated, sensors, parts.dt)
-    parts.functions["forecast_step"] = forecast_function(parts.functions, (parts.innovation, parts.whole), own)
+    parts.functions["forecast_step"] = forecast_function(
+        parts.functions, (parts.innovation, parts.whole), own
+    )
     parts.functions["calibrate_step"] = calibrate_function(own)
     return own

@@ -1,7 +1,7 @@
 """pilot_step: one sample of a filter and a linear feedback, as one function that an autopilot can
 call.
 
-    x_next = filter_step(x, u, p, y, there)
+    x_next = follow_step(x, u, p, y, there), or filter_step of a model without disturbances
     x_r    = hover at r = (position, heading), moved to what holds it there against the disturbances in x_next
     u_next = the command of that steady state + K (x_next boxminus x_r), within the limits of the commands
 
@@ -147,9 +147,10 @@ def _step(
 ) -> ca.Function:
     states, errors = layouts
     names = ("x", "u", "p", "y", "there")
-    arguments = [ca.MX.sym(n, functions["filter_step"].size1_in(i)) for i, n in enumerate(names)]
+    step = functions.get("follow_step", functions["filter_step"])
+    arguments = [ca.MX.sym(n, step.size1_in(i)) for i, n in enumerate(names)]
     r = ca.MX.sym("r", 4)
-    after, e, y_hat = functions["filter_step"](*arguments)
+    after, e, y_hat = step(*arguments)
     goal = ca.MX(ca.DM(own.x))
     goal[rows(states, "position")] = r[:3]
     turn = ca.vertcat(ca.cos(0.5 * r[3]), 0, 0, ca.sin(0.5 * r[3]))

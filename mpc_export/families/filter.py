@@ -1,4 +1,4 @@
-"""filter_step and innovation_gain: one step of the identified filter, whatever is missing.
+"""filter_step, follow_step and innovation_gain: one step of the filter, whatever is missing.
 
 An innovation is formed from measured channels, and several may need the same one: of a position in
 body axes each needs x, y and z. Where one of such innovations is missing, a channel is, and so are
@@ -10,17 +10,21 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from greybox.model.identified import IdentifiedModel
+from greybox.symbolic import Expr
+from mpc_export.adaptation import authority, limited
 from mpc_export.dense import cholesky, cholesky_solve
 from mpc_export.model_parts import ModelParts
 from mpc_export.noise import Noise
 from mpc_export.predictors import PredictorModel
+from mpc_export.standing import PREFIX
 
 
-def add_filter(parts: ModelParts, noise: Noise) -> None:
-    """The stationary filter with the gain of what is there."""
-    s = parts.sampled
-    ne, ny = len(s.dynamics.innovations), len(s.dynamics.outputs)
-    fill = _filled_innovation(noise)
+def add_filter(parts: ModelParts, noise: Noise, flying: Noise | None) -> None:
+    """The stationary filter with the gain of what is there; with `flying` also follow_step, the one
+    of standing.py, whose disturbances stay."""
+    ne = len(parts.sampled.dynamics.innovations)
+    fill = _filled_innovation(noise, "fill_innovation")
     mt = ca.MX.sym("there", ne)
     whole = parts.whole(mt)
     on = ca.if_else(whole != 0, 1.0, 0.0)
@@ -31,8 +35,20 @@ def add_filter(parts: ModelParts, noise: Noise) -> None:
     parts.functions["innovation_gain"] = ca.Function(
         "innovation_gain", [mt], [ca.densify(gain), ca.densify(spread)], ["there"], ["K", "S"]
     )
+    _add_step(parts, "filter_step", noise, fill)
+    if flying is not None:
+        _add_step(parts, "follow_step", flying, _filled_innovation(flying, "fill_following"), True)
+
+
+def _add_step(
+    parts: ModelParts, name: str, noise: Noise, fill: ca.Function, stays: bool = False
+) -> None:
+    """One step of the filter of these numbers; stays: its disturbances do not decay."""
+    s = parts.sampled
     mx, mu, mp = parts.arguments()
-    my = ca.MX.sym("y", ny)
+    my = ca.MX.sym("y", len(s.dynamics.outputs))
+    mt = ca.MX.sym("there", len(s.dynamics.innovations))
+    whole = parts.whole(mt)
     seen = parts.functions["h"](mx, mu, mp)
     found = parts.innovation(my, seen, mx)
     if isinstance(parts.model, PredictorModel):
@@ -48,14 +64,20 @@ def add_filter(parts: ModelParts, noise: Noise) -> None:
         after = moved(mx, mu, parts.own_p(mp), push)
     else:
         correction = ca.mtimes(ca.DM(noise.gain), fill(found, whole))
-        after = parts.functions["boxplus"](parts.functions["f_d"](mx, mu, mp), correction)
+        foretold: Expr = parts.functions["f_d"](mx, mu, mp)
+        if stays:
+            kept = [i for i, n in enumerate(s.states.names) if n.startswith(PREFIX)]
+            foretold[kept] = mx[kept]
+        after = parts.functions["boxplus"](foretold, correction)
+        if stays and isinstance(parts.model, IdentifiedModel):
+            after = limited(after, authority(parts.model), s.states)
     labels = ["x", "u", "p", "y", "there"]
-    parts.functions["filter_step"] = ca.Function(
-        "filter_step", [mx, mu, mp, my, mt], [after, found, seen], labels, ["x_next", "e", "y_hat"]
+    parts.functions[name] = ca.Function(
+        name, [mx, mu, mp, my, mt], [after, found, seen], labels, ["x_next", "e", "y_hat"]
     )
 
 
-def _filled_innovation(noise: Noise) -> ca.Function:
+def _filled_innovation(noise: Noise, name: str) -> ca.Function:
     """(e, there) -> e with what is missing replaced by its expectation given the others."""
     ne = len(noise.innovation)
     # With W = S^-1 it is e_gone = -W_gone,gone^-1 W_gone,there e_there, and the stationary gain
@@ -69,4 +91,4 @@ def _filled_innovation(noise: Noise) -> ca.Function:
     known = ca.vertcat(*(ca.if_else(there[i] != 0, e[i] / size[i], 0.0) for i in range(ne)))
     both = weight * (gone @ gone.T - ca.diag(gone)) + ca.SX.eye(ne)
     filled = (known - gone * cholesky_solve(cholesky(both), gone * (weight @ known))) * size
-    return ca.Function("fill_innovation", [e, there], [ca.cse(ca.densify(filled))])
+    return ca.Function(name, [e, there], [ca.cse(ca.densify(filled))])

@@ -17,8 +17,11 @@ import numpy as np
 
 from greybox.errors import ModelError
 from greybox.files import write_atomic
+from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
+from mpc_export.adaptation import authority
 from mpc_export.c_text import broken
+from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions
 from mpc_export.template import filled, places_in
 
@@ -111,6 +114,28 @@ def _starts(f: ModelFunctions) -> dict[str, str]:
     }
 
 
+LASTING = 2.0
+"""Seconds after which the pilot says what does not pass."""
+
+
+def _bounds(board: OnBoard) -> dict[str, str]:
+    """Words of flight.h and .c: what they say is judged by."""
+    f = board.functions
+    most = authority(f.model) if isinstance(f.model, IdentifiedModel) else {}
+    known = {n: m for n, m in most.items() if n in f.states.names}
+    return {
+        "pushes": str(len(known)),
+        "push_at": "".join(f"{f.states[n]}, " for n in known),
+        "most": board.array("most", np.array(list(known.values()))),
+        "position": board.number(NEAR["position"]),
+        "velocity": board.number(NEAR["velocity"]),
+        "near_position": f"{NEAR['position']:g}",
+        "near_velocity": f"{NEAR['velocity']:g}",
+        "lasting": str(max(1, round(LASTING / f.dt))),
+        "filter": "follow_step" if "follow_step" in f.functions else "filter_step",
+    }
+
+
 def write_flight(board: OnBoard, folder: Path) -> None:
     """NAME_flight.h, .c and NAME_bench.c beside the generated C in `folder`."""
     f = board.functions
@@ -127,6 +152,7 @@ def write_flight(board: OnBoard, folder: Path) -> None:
         ),
         "spread": board.array("spread", np.sqrt(np.diag(f.noise.innovation))),
         **_starts(f),
+        **_bounds(board),
         "columns": ",\n".join(f"  {{{row}}}" for row in rows),
         "parameters": f"  memcpy(f->p, {board.name}_p_identified, sizeof "
         f"{board.name}_p_identified);"

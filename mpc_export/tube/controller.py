@@ -43,6 +43,7 @@ from mpc_export.adaptation import UNBOUNDED, authority, flight_parameters, start
 from mpc_export.c_code import CKernel
 from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions, model_functions
+from mpc_export.standing import integrating
 from mpc_export.tube.calibrated import Calibrated
 from mpc_export.tube.correlation import innovations
 from mpc_export.tube.descent import AWAY, HELD, SLOW, UNSURE, Descent, Watch, Way, carried
@@ -55,8 +56,6 @@ from mpc_export.tube.rival import CLEARLY, Known, Rival, likelier
 from mpc_export.tube.solver import Outcome, TubeSolver
 from mpc_export.tube.stages import block
 
-FOREVER = 1e6
-"""Time constant [s] of a disturbance that is as good as constant."""
 LATE = 0.25
 """A longer pause between two calls is a fault of the clock [s]."""
 EARLY = 0.25
@@ -178,7 +177,7 @@ class TubeController:
     def __post_init__(self) -> None:
         self._blocks: dict[tuple[str, bool], list[int]] = {}
         self.every = max(1, round(self.problem.dt / self.model.sample_time))
-        model = _integrating(self.model) if self.integrate else self.model
+        model = integrating(self.model) if self.integrate else self.model
         if self.adapt is not None:
             if not 0.0 <= self.memory < math.inf:
                 raise ModelError(
@@ -798,13 +797,6 @@ class TubeController:
 def near_heading(problem: TubeProblem) -> float:
     """Error of the heading that weighs as much as UNSURE in the place [rad]."""
     return min(UNSURE * problem.weights.position / max(problem.weights.yaw, ROUNDING), math.pi)
-
-
-def _integrating(model: IdentifiedModel) -> IdentifiedModel:
-    """The model with disturbances that do not decay; the noise that drives them stays."""
-    return model.with_values(
-        {n: FOREVER for n in model.values if n.startswith("disturbance.") and n.endswith(".T")}
-    )
 
 
 def _uncertain(model: IdentifiedModel, spread: Mapping[str, float]) -> IdentifiedModel:

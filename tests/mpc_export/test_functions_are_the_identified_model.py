@@ -204,7 +204,7 @@ def test_a_missing_channel_takes_along_every_innovation_that_needs_it(gone):
     kind = gone.split(".")[0]
     own = [names.index(n) for n in names if n.split(".")[0] == kind]
     assert len(own) == 3
-    for name in ("filter_step",):
+    for name in ("filter_step", "follow_step"):
         found = []
         for at in ([names.index(gone)], own):
             point["there"] = np.ones(len(names))

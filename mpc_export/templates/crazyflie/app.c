@@ -27,6 +27,7 @@
 static @NAME@_flight flight;
 static bool flying;
 static @real@ heading;  /* to hold [rad] */
+static uint8_t said;
 static float ratio[4], predicted[@UPPER@_N_Y];
 
 void appMain(void) {
@@ -84,6 +85,7 @@ void controllerOutOfTree(control_t *control, const setpoint_t *setpoint, const s
       for (i = 0; i < 4; ++i) ratio[i] = (float)flight.u[i];
       measured(sensors, state, y, there);
 @battery@      @NAME@_flight_sample(&flight, y, there, goal);
+      said = (uint8_t)flight.said;
       for (i = 0; i < @UPPER@_N_Y; ++i) predicted[i] = (float)flight.y_hat[i];
     }
   }
@@ -94,4 +96,5 @@ void controllerOutOfTree(control_t *control, const setpoint_t *setpoint, const s
 /* Predictions, to be logged beside what was measured. */
 LOG_GROUP_START(@log@)
 @logged@
+LOG_ADD(LOG_UINT8, said, &said)
 LOG_GROUP_STOP(@log@)

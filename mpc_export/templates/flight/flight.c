@@ -16,6 +16,11 @@ static const unsigned char columns[@UPPER@_N_E][@UPPER@_N_Y] = {
 #define STARTS @starts@
 static const short start_from[STARTS + 1][2] = {@start_from@{0, 0}};
 
+/* disturbances, and the most that rotors hold against */
+#define PUSHES @pushes@
+static const short push_at[PUSHES + 1] = {@push_at@0};
+@most@
+
 static int is_finite(@real@ v) { return v - v == 0; }
 
 static int all_finite(const @real@ *v, int n) {
@@ -125,8 +130,29 @@ static int refuse(const @NAME@_flight *f, @real@ *there, int *poses) {
 
 static int evaluated(@NAME@_flight *f, const @real@ *clean, const @real@ *there, const @real@ *goal, @real@ *x_next,
                      @real@ *u_next) {
-  if (!goal) return @NAME@_eval_filter_step(f->x, f->u, f->p, clean, there, x_next, f->e, f->y_hat, &f->work);
+  if (!goal) return @NAME@_eval_@filter@(f->x, f->u, f->p, clean, there, x_next, f->e, f->y_hat, &f->work);
   return @NAME@_eval_pilot_step(f->x, f->u, f->p, clean, there, goal, x_next, u_next, f->e, f->y_hat, &f->work);
+}
+
+static int farther(const @real@ *from, const @real@ *to, @real@ most) {
+  const @real@ d[3] = {from[0] - to[0], from[1] - to[1], from[2] - to[2]};
+  return d[0] * d[0] + d[1] * d[1] + d[2] * d[2] > most * most;
+}
+
+static int lasts(unsigned *count, int now) {
+  *count = now ? *count + 1 : 0;
+  if (*count > @UPPER@_FLIGHT_LASTING) *count = @UPPER@_FLIGHT_LASTING;
+  return *count >= @UPPER@_FLIGHT_LASTING;
+}
+
+/* What the pilot cannot do, if it lasts. goal: 0 where somebody else flies. */
+static int said(@NAME@_flight *f, const @real@ *goal) {
+  const @real@ rest[3] = {0};
+  int k, pushed = 0;
+  const int far = goal && (farther(&f->x[@UPPER@_X_POSITION_X], goal, @position@) ||
+                           farther(&f->x[@UPPER@_X_VELOCITY_X], rest, @velocity@));
+  for (k = 0; k < PUSHES; ++k) pushed |= f->x[push_at[k]] >= most[k] || f->x[push_at[k]] <= -most[k];
+  return (lasts(&f->far, far) ? @UPPER@_FLIGHT_FAR : 0) | (lasts(&f->pushed, pushed) ? @UPPER@_FLIGHT_PUSHED : 0);
 }
 
 /* One sample, with a command for goal or, without goal, the filter alone. u_next is hover's where nothing else helped. */
@@ -159,6 +185,7 @@ static int stepped(@NAME@_flight *f, const @real@ *y, const unsigned char *given
     return f->code;
   }
   memcpy(f->x, x_next, sizeof f->x);
+  f->said = said(f, goal);
   if (poses) {
     ++f->missed;
   } else if (used || !POSE) {

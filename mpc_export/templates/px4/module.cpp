@@ -179,7 +179,7 @@ void @Class@::Run()
 
 	debug_array_s predicted{};
 	predicted.timestamp = now;
-	predicted.id = static_cast<uint16_t>(_flight.code);
+	predicted.id = static_cast<uint16_t>(_flight.code + 256 * _flight.said);
 
 	for (int i = 0; i < @UPPER@_N_Y && i < debug_array_s::ARRAY_SIZE; ++i) {
 		predicted.data[i] = static_cast<float>(_flight.y_hat[i]);
@@ -221,8 +221,8 @@ int @Class@::task_spawn(int /* argc */, char * /* argv */[])
 
 int @Class@::print_status()
 {
-	PX4_INFO("%s, %lu samples failed, %lu refused, last code %d", _flying ? "flies" : "watches", _flight.failures,
-		 _flight.refused, _flight.code);
+	PX4_INFO("%s, %lu samples failed, %lu refused, last code %d, said %d", _flying ? "flies" : "watches",
+		 _flight.failures, _flight.refused, _flight.code, _flight.said);
 	perf_print_counter(_loop_perf);
 	return 0;
 }

@@ -31,6 +31,7 @@ class @Class@ : public rclcpp::Node {
         "commands_given", sensors, [this](std_msgs::msg::Float64MultiArray::ConstSharedPtr m) { given(*m); });
 @battery_subscription@    commands_ = create_publisher<std_msgs::msg::Float64MultiArray>("commands", 1);
     predicted_ = create_publisher<std_msgs::msg::Float64MultiArray>("predicted", 1);
+    said_ = create_publisher<std_msgs::msg::Float64MultiArray>("said", 1);
     timer_ = create_wall_timer(std::chrono::nanoseconds(@nanos@), [this] { sample(); });
   }
 
@@ -105,6 +106,9 @@ class @Class@ : public rclcpp::Node {
     std_msgs::msg::Float64MultiArray predicted;
     predicted.data.assign(flight_.y_hat, flight_.y_hat + @UPPER@_N_Y);
     predicted_->publish(predicted);
+    std_msgs::msg::Float64MultiArray said;
+    said.data = {static_cast<double>(flight_.code), static_cast<double>(flight_.said)};
+    said_->publish(said);
   }
 
   void command(const @real@ *u) {
@@ -117,7 +121,7 @@ class @Class@ : public rclcpp::Node {
   rclcpp::Subscription<sensor_msgs::msg::Imu>::SharedPtr imu_;
   rclcpp::Subscription<geometry_msgs::msg::PoseStamped>::SharedPtr goal_;
   rclcpp::Subscription<std_msgs::msg::Float64MultiArray>::SharedPtr given_;
-@battery_member@  rclcpp::Publisher<std_msgs::msg::Float64MultiArray>::SharedPtr commands_, predicted_;
+@battery_member@  rclcpp::Publisher<std_msgs::msg::Float64MultiArray>::SharedPtr commands_, predicted_, said_;
   rclcpp::TimerBase::SharedPtr timer_;
   double place_[3] = {}, speed_[3] = {}, q_[4] = {1, 0, 0, 0}, rate_[3] = {}, force_[3] = {};
   @real@ aim_[4] = {}, others_[@UPPER@_N_U] = {};

@@ -43,7 +43,9 @@ int main(void) {
     for (i = 0; i < CALLS; ++i) controllerOutOfTree(&control, &setpoint, &sensors, &state, step++);
     printf("%d", control.controlMode == controlModeForce);
     for (i = 0; i < 4; ++i) printf(" %.9g", (double)control.normalizedForces[i]);
-    for (i = 0; logs_craft[i].name; ++i) printf(" %.9g", (double)*(const float *)logs_craft[i].address);
+    for (i = 0; logs_craft[i].name; ++i) {
+      if (logs_craft[i].type == LOG_FLOAT) printf(" %.9g", (double)*(const float *)logs_craft[i].address);
+    }
     printf("\n");
   }
   return n != 0;
