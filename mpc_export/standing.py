@@ -4,9 +4,9 @@ that trained its model showed none.
 A craft does not fly again as it was: the battery sits elsewhere, a propeller is worn. The torque of
 that is constant. A disturbance that decays as identified never holds it: the filter would need a
 standing innovation. So a filter in flight keeps its disturbances, and lets them walk, beside the
-identified noise, as far in one flight as they lie apart from one craft to the next:
+identified noise, as far in a day as the vehicle file leaves open:
 
-    d+ = d + w,   var(w) = identified + sigma^2 dt / FLIGHT
+    d+ = d + w,   var(w) = identified + sigma^2 dt / DAY
 
 sigma is what the vehicle file says is not known of a craft at hover: its mass, where its centre of
 mass is, what each rotor gives. What a fit found of them is exact for the flights that it saw, and
@@ -29,9 +29,10 @@ from greybox.model.vehicle import Vehicle
 
 FOREVER = 1e6
 """Time constant [s] of a disturbance that is as good as constant."""
-FLIGHT = 1000.0
-"""What a battery lasts [s]. It decides little: the time to follow a torque goes with its fourth
-root."""
+DAY = 86400.0
+"""[s]. What it is decides little: the time to follow a torque goes with its fourth root. A walk
+a hundred times faster follows no better, and its lag upsets a craft whose thrust is a third
+less than stated."""
 PREFIX = "disturbance."
 
 
@@ -46,7 +47,7 @@ def in_flight(model: IdentifiedModel) -> IdentifiedModel:
     """The model that a filter in flight is settled for: `integrating`, with disturbances that walk
     as far as the vehicle file leaves open."""
     kept, levels = integrating(model), model.process_noise.copy()
-    share = model.sample_time / FLIGHT
+    share = model.sample_time / DAY
     names = model.dynamics.noises.names
     for name, sigma in unknown(model).items():
         if name in names:

@@ -62,7 +62,7 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
     known = {column: f"state->{own}" for column, own in STATE.items()}
     known |= {column: f"sensors->gyro.{axis} * {degree}" for column, axis in zip("pqr", "xyz")}
     known |= {f"a{axis}": f"sensors->acc.{axis} * {g}" for axis in "xyz"}
-    battery = f.parameters["vbat"] if "vbat" in f.parameters.names else None
+    battery = board.battery
     place, log = folder / "crazyflie", board.name[:9].lower()
     words = {
         "calls": str(calls),
@@ -71,6 +71,9 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
         "measured": board.measured(known),
         "log": log,
         "battery_header": "" if battery is None else '#include "pm.h"\n',
+        "battery_line": ""
+        if battery is None
+        else "The battery's voltage is that of the firmware's power management.\n",
         "battery": ""
         if battery is None
         else f"      {board.name}_flight_parameter(&flight, {battery}, pmGetBatteryVoltage());\n",

@@ -17,13 +17,22 @@ import numpy as np
 
 from greybox.errors import ModelError
 from greybox.files import write_atomic
-from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
-from mpc_export.adaptation import authority
 from mpc_export.c_text import broken
 from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions
+from mpc_export.standing import PREFIX
 from mpc_export.template import filled, places_in
+
+LASTING = 2.0
+"""Seconds after which the pilot says what does not pass."""
+BATTERY = "vbat"
+BITS = (
+    f"1 where for {LASTING:g} s the goal was farther than {NEAR['position']:g} m or the speed "
+    f"above {NEAR['velocity']:g} m/s, more than the feedback corrects at a time, and 2 where for "
+    "as long a command stood at a limit"
+)
+"""What the bits of a flight mean."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,19 +50,43 @@ class OnBoard:
 
     def text(self, template: str, **said: str) -> str:
         """The template of that name with the bundle's words in it."""
-        pushed = any(n.startswith("disturbance.force.") for n in self.functions.states.names)
         words = (
             {
                 "NAME": self.name,
                 "UPPER": self.name.upper(),
                 "real": f"{self.name}_real",
-                "leans": " that leans against the force it estimates" if pushed else "",
+                "leans": self._leans(),
+                "bits": BITS,
             }
             | dict(self.said)
             | said
         )
         own = places_in(template)
         return filled(template, **{k: v for k, v in words.items() if k in own})
+
+    def _leans(self) -> str:
+        """What the feedback does against forces and torques that stay."""
+        there = {n.split(".")[1] for n in self.functions.states.names if n.startswith(PREFIX)}
+        known = [kind for kind in ("force", "torque") if kind in there]
+        unknown = [kind for kind in ("force", "torque") if kind not in there]
+        said = f" that leans against the {' and '.join(known)} it estimates" if known else ""
+        missed = f"; nothing holds against a lasting {' or '.join(unknown)}" if unknown else ""
+        return said + missed
+
+    def said_of_volts(self) -> str:
+        """What is believed of the battery where nobody tells."""
+        f = self.functions
+        return (
+            "Without it every sample takes the mean of the training flights, "
+            f"{f.parameter_values[f.parameters[BATTERY]]:.4g} V, and a battery that is lower "
+            "reads as a push downwards."
+        )
+
+    @property
+    def battery(self) -> int | None:
+        """Row of p of the battery's voltage, where the model has one."""
+        p = self.functions.parameters
+        return p[BATTERY] if BATTERY in p.names else None
 
     def number(self, value: float) -> str:
         """A number as a literal of the bundle's precision: firmware refuses doubles in float
@@ -114,19 +147,10 @@ def _starts(f: ModelFunctions) -> dict[str, str]:
     }
 
 
-LASTING = 2.0
-"""Seconds after which the pilot says what does not pass."""
-
-
 def _bounds(board: OnBoard) -> dict[str, str]:
     """Words of flight.h and .c: what they say is judged by."""
     f = board.functions
-    most = authority(f.model) if isinstance(f.model, IdentifiedModel) else {}
-    known = {n: m for n, m in most.items() if n in f.states.names}
     return {
-        "pushes": str(len(known)),
-        "push_at": "".join(f"{f.states[n]}, " for n in known),
-        "most": board.array("most", np.array(list(known.values()))),
         "position": board.number(NEAR["position"]),
         "velocity": board.number(NEAR["velocity"]),
         "near_position": f"{NEAR['position']:g}",

@@ -42,7 +42,7 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
     ):
         known |= {n: f"{own}[{i}]" for i, n in enumerate(names)}
         there |= dict.fromkeys(names, f"seen_{own}")
-    battery = f.parameters["vbat"] if "vbat" in f.parameters.names else None
+    battery = board.battery
     name = board.name
     words = {
         "Class": "".join(part.capitalize() for part in name.split("_")) + "Module",
@@ -51,6 +51,9 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
         "root": board.number(0.5**0.5),
         "quarter": board.number(1.5707963267948966),
         "battery_header": "" if battery is None else "#include <uORB/topics/battery_status.h>",
+        "battery_row": ""
+        if battery is None
+        else f"| battery_status | in | its voltage. {board.said_of_volts()} |\n",
         "battery_member": ""
         if battery is None
         else "	uORB::Subscription _battery_sub{ORB_ID(battery_status)};\n",

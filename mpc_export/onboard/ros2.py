@@ -43,7 +43,7 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
     ):
         known |= {n: f"static_cast<{real}>({own}[{i}])" for i, n in enumerate(names)}
         there |= dict.fromkeys(names, seen)
-    battery = f.parameters["vbat"] if "vbat" in f.parameters.names else None
+    battery = board.battery
     kind = "sensor_msgs::msg::BatteryState"
     words = {
         "Class": "".join(part.capitalize() for part in board.name.split("_")) + "Node",
@@ -63,6 +63,9 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
         "battery": ""
         if battery is None
         else f"    {board.name}_flight_parameter(&flight_, {battery}, static_cast<{real}>(volts_));\n",
+        "battery_row": ""
+        if battery is None
+        else f"| battery | sensor_msgs/BatteryState | in: its voltage. {board.said_of_volts()} |\n",
         "battery_member": ""
         if battery is None
         else f"  rclcpp::Subscription<{kind}>::SharedPtr battery_;\n  double volts_ = 0;\n",

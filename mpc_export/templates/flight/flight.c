@@ -16,11 +16,6 @@ static const unsigned char columns[@UPPER@_N_E][@UPPER@_N_Y] = {
 #define STARTS @starts@
 static const short start_from[STARTS + 1][2] = {@start_from@{0, 0}};
 
-/* disturbances, and the most that rotors hold against */
-#define PUSHES @pushes@
-static const short push_at[PUSHES + 1] = {@push_at@0};
-@most@
-
 static int is_finite(@real@ v) { return v - v == 0; }
 
 static int all_finite(const @real@ *v, int n) {
@@ -145,14 +140,14 @@ static int lasts(unsigned *count, int now) {
   return *count >= @UPPER@_FLIGHT_LASTING;
 }
 
-/* What the pilot cannot do, if it lasts. goal: 0 where somebody else flies. */
-static int said(@NAME@_flight *f, const @real@ *goal) {
+/* What the pilot cannot do, if it lasts, with the command u. goal: 0 where somebody else flies. */
+static int said(@NAME@_flight *f, const @real@ *goal, const @real@ *u) {
   const @real@ rest[3] = {0};
-  int k, pushed = 0;
+  int k, limit = 0;
   const int far = goal && (farther(&f->x[@UPPER@_X_POSITION_X], goal, @position@) ||
                            farther(&f->x[@UPPER@_X_VELOCITY_X], rest, @velocity@));
-  for (k = 0; k < PUSHES; ++k) pushed |= f->x[push_at[k]] >= most[k] || f->x[push_at[k]] <= -most[k];
-  return (lasts(&f->far, far) ? @UPPER@_FLIGHT_FAR : 0) | (lasts(&f->pushed, pushed) ? @UPPER@_FLIGHT_PUSHED : 0);
+  for (k = 0; goal && k < @UPPER@_N_U; ++k) limit |= u[k] <= @NAME@_u_lower[k] || u[k] >= @NAME@_u_upper[k];
+  return (lasts(&f->far, far) ? @UPPER@_FLIGHT_FAR : 0) | (lasts(&f->limit, limit) ? @UPPER@_FLIGHT_LIMIT : 0);
 }
 
 /* One sample, with a command for goal or, without goal, the filter alone. u_next is hover's where nothing else helped. */
@@ -185,7 +180,7 @@ static int stepped(@NAME@_flight *f, const @real@ *y, const unsigned char *given
     return f->code;
   }
   memcpy(f->x, x_next, sizeof f->x);
-  f->said = said(f, goal);
+  f->said = said(f, goal, u_next);
   if (poses) {
     ++f->missed;
   } else if (used || !POSE) {

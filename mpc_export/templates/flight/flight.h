@@ -6,8 +6,7 @@
    flight->said are bits, each for what held in FLIGHT_LASTING samples in a row:
    FLIGHT_FAR: the goal was more than @near_position@ m away, or the speed above @near_velocity@ m/s. The feedback corrects no more than that
    at a time: it is on its way to a far goal, or does not hold its place.
-   FLIGHT_PUSHED: a force or torque was believed to be as large as all that the rotors could hold against. It is believed to
-   be no larger.
+   FLIGHT_LIMIT: a command stood at one of its limits: what pushes is more than the rotors hold against.
 
    A sample that fails is run again without measurements, so that the prediction goes on. A measurement whose innovation is
    more than FLIGHT_GATE of its standard deviations is as if it were missing. After FLIGHT_RESTART samples that failed, or
@@ -28,7 +27,7 @@
 #define @UPPER@_FLIGHT_LASTING @lasting@
 #endif
 #define @UPPER@_FLIGHT_FAR 1
-#define @UPPER@_FLIGHT_PUSHED 2
+#define @UPPER@_FLIGHT_LIMIT 2
 
 #ifdef __cplusplus
 extern "C" {
@@ -44,8 +43,8 @@ typedef struct {
   @real@ goal[4];               /* the last that was finite */
   int begun;                    /* whether it knows where it is */
   int code;                     /* return code of the last sample */
-  int said;                     /* FLIGHT_FAR and FLIGHT_PUSHED */
-  unsigned far, pushed;         /* samples in a row of what they say */
+  int said;                     /* FLIGHT_FAR and FLIGHT_LIMIT */
+  unsigned far, limit;          /* samples in a row of what they say */
   unsigned missed;              /* of the samples since the last good pose: failed, or the pose refused */
   unsigned long failures;       /* samples that came to nothing, since the start */
   unsigned long refused;        /* samples with a measurement that was refused, since the start */

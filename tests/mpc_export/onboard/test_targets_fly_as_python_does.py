@@ -501,6 +501,8 @@ def test_a_bundle_says_what_is_still_to_do(target, part, real):
     text = (folder / part / "README.md").read_text(encoding="utf-8")
     assert "Before it flies, you must" in text
     assert "@" not in text.replace("nobody@example.com", ""), "a word was not filled in"
+    assert "2 where for as long a command stood at a limit" in text
+    assert "battery" not in text.replace("battery compensation", ""), "the model has none"
     assert f"For {target}: `{part}/README.md`" in (folder / "README.md").read_text(encoding="utf-8")
 
 
@@ -554,6 +556,9 @@ def test_every_target_takes_voltages_that_are_some_and_keeps_the_last(tmp_path):
         "ros2/src/craft_node.cpp",
     ):
         assert "craft_flight_parameter(&" in (made.folder / source).read_text(encoding="utf-8")
+    for place, topic in (("px4", "| battery_status |"), ("ros2", "| battery |")):
+        said = (made.folder / place / "README.md").read_text(encoding="utf-8")
+        assert topic in said and "mean of the training flights, 3.8 V" in said
     (made.folder / "volts.c").write_text(VOLTS, encoding="utf-8")
     write_target("ros2", made.functions, made.folder, "craft", "double")
     program = built(made.folder, "double", [made.folder / "volts.c"], out="volts")
