@@ -1,11 +1,12 @@
-/* A pilot in one call a sample: the filter and a linear feedback (@NAME@_eval_pilot_step), with their memory. World ENU, body FLU, SI units; columns of y, e and u as in @NAME@_model.h.
+/* A pilot in one call a sample: the filter and a linear feedback (@NAME@_eval_pilot_step), with their memory. World
+   ENU, body FLU, SI units; columns of y, e and u as in @NAME@_model.h.
 
    The command that a call returns is in force from the next sample on; what is in force now is flight->u before the call.
    Every command keeps its limits. There is no other limit: no wall, no floor, no largest tilt.
 
    flight->said are bits, each for what held in FLIGHT_LASTING samples in a row:
-   FLIGHT_FAR: the goal was more than @near_position@ m away, or the speed above @near_velocity@ m/s. The feedback corrects no more than that
-   at a time: it is on its way to a far goal, or does not hold its place.
+   FLIGHT_FAR: the goal was more than @near_position@ m away, or the speed above @near_velocity@ m/s. The feedback
+   corrects no more than that at a time: it is on its way to a far goal, or does not hold its place.
    FLIGHT_LIMIT: a command stood at one of its limits: what pushes is more than the rotors hold against.
 
    A sample that fails is run again without measurements, so that the prediction goes on. A measurement whose innovation is
