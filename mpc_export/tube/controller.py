@@ -55,6 +55,7 @@ from mpc_export.tube.restless import Restless
 from mpc_export.tube.rival import CLEARLY, Known, Rival, likelier
 from mpc_export.tube.solver import Outcome, TubeSolver
 from mpc_export.tube.stages import block
+from mpc_export.tube.told import PUSH, Telling, heaviest, told
 
 LATE = 0.25
 """A longer pause between two calls is a fault of the clock [s]."""
@@ -74,6 +75,8 @@ NEAR_STEADY = 1e-6
 """A steady state that misses its condition by less is not looked for anew."""
 ROUNDING = 1e-6
 """A command that its limits move by less is as it was decided: the QP is solved to this."""
+SLACK = 1e-3
+"""A plan that is farther beyond a tightened limit does not hold it [m, or cosine of the tilt]."""
 GIVEN = 0.7
 """Part of the hover command below which, in the mean, nothing is said of weak rotors."""
 MEAN = 0.3
@@ -206,6 +209,11 @@ class TubeController:
         self._spin = np.array([float(r.spin) for r in rotors])
         self._turning = turning(np.array([r.position for r in rotors], dtype=float), self._spin)
         self._turned = self._turned_by()
+        ends = self.problem.command_min, self.problem.command_max
+        self.told = Telling(
+            told(self.model, self.functions, self.solver.stages.steady, ends), self.filter
+        )
+        self._heaviest = heaviest(self.model)
         self.start()
 
     def _make_filter(self, model: IdentifiedModel) -> None:
@@ -280,6 +288,7 @@ class TubeController:
         ]
         self.steady = (self._state(), self.u.copy())
         self.p = self.functions.parameter_values.copy()
+        self.told.start()
         self._unsure = self.filter.adapted.covariance.copy()
         self._steps = self.restless.start()
         self.count = 0
@@ -296,7 +305,7 @@ class TubeController:
         self._first: float | None = None
         self._failures = 0
         self._mean, self._weak = self.u.copy(), np.zeros(len(self.u), dtype=bool)
-        self._adrift = False
+        self._adrift = self._heavy = False
         self._seen = [math.inf] * len(
             self._pose
         )  # when a pose was last believed; infinity before the first sample
@@ -422,12 +431,7 @@ class TubeController:
         return np.nan_to_num(y), there
 
     def _see(self, time: float, measured: Mapping[str, float | None], called: bool = True) -> None:
-        for i, name in enumerate(self.functions.parameters.names):
-            value = _number(measured.get(name))
-            low, high = self.model.domain.get(name, (-math.inf, math.inf))
-            room = 0.5 * (high - low) if math.isfinite(high - low) else 0.0
-            if math.isfinite(value) and low - room <= value <= high + room:
-                self.p[i] = value
+        self._hear(time, measured)
         y, there = self._there(measured)
         before = Known(self.estimate, self.p[self._learned], self._unsure, self._steps)
         after, innovation, expected = self._filtered(before, y, there)
@@ -447,6 +451,18 @@ class TubeController:
         else:
             self._note(time, "the filter's estimate is not finite")
         self._challenge(time, before, y, there, innovation, bool((share == 0.0).any()))
+
+    def _hear(self, time: float, measured: Mapping[str, float | None]) -> None:
+        """What is told of run-time parameters, and what the push along the thrust says of them."""
+        given = {one.name: _number(measured.get(one.name)) for one in self.told.own}
+        self.p, self.estimate = self.p.copy(), self.estimate.copy()
+        for what in self.told.sees(self.model.sample_time, given, self.p, self.estimate):
+            self._note(time, what)
+        names = self.filter.states.names
+        heavy = PUSH in names and self.estimate[names.index(PUSH)] < self._heaviest
+        if heavy and not self._heavy:
+            self._note(time, "pushed down by a third of the weight: a load, or thrust is lost")
+        self._heavy = heavy
 
     def _filtered(
         self, known: Known, y: FloatArray, there: FloatArray
@@ -599,6 +615,8 @@ class TubeController:
             self._note(
                 begin, f"a plan within its limits, but not the best (QP {outcome.qp_status})"
             )
+        if data["slack"][1:].max() > SLACK:
+            self._note(begin, "a limit is not held by the plan")
         if outcome.clipped > ROUNDING:
             self._note(begin, "a plan was clipped to its limits")
         self._failures, self._first = 0, begin

@@ -46,6 +46,7 @@ class TubeInC:
         library = ctypes.CDLL(str(build(sources, link=("-lm",))))
         self._start, self._step = library.flown_tube_start, library.flown_tube_step
         self._step.restype = ctypes.c_uint
+        self._tell = library.flown_tube_parameter
         library.flown_tube_state.restype = ctypes.c_void_p
         self._state, self._states = library.flown_tube_state, len(pilot.filter.states)
         self._type: Any = np.float32 if real == "float" else np.float64
@@ -54,6 +55,7 @@ class TubeInC:
         self.reference: Reference = pilot.reference
         self.planes: Planes | None = pilot.planes
         self.columns = pilot.columns
+        self.told = [one.name for one in pilot.told.own]
         self.u = np.zeros(len(pilot.u))
         self.said: list[int] = []
         self.start()
@@ -84,6 +86,10 @@ class TubeInC:
         u = np.zeros(len(self.u), dtype=self._type)
         pointers = [a if a is None else a.ctypes.data_as(ctypes.c_void_p) for a in (y, given, rows)]
         wall = None if planes is None else planes.ctypes.data_as(ctypes.c_void_p)
+        for i, name in enumerate(self.told):
+            value = _number(measured.get(name))
+            if not math.isnan(value):
+                self._tell(i, self._c(value))
         said = self._step(self._c(passed), *pointers, wall, u.ctypes.data_as(ctypes.c_void_p))
         self.said.append(int(said))
         self.u = u.astype(float)

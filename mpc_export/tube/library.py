@@ -17,6 +17,7 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.files import write_atomic
 from greybox.symbolic import FloatArray
+from mpc_export.adaptation import UNBOUNDED
 from mpc_export.c_code import CSource, Real, single_precision, write_c
 from mpc_export.c_kernels import kernels_of
 from mpc_export.c_names import renamed
@@ -29,6 +30,7 @@ from mpc_export.tube.controller import (
     MEASURED,
     NEAR_STEADY,
     ROUNDING,
+    SLACK,
     Reference,
     TubeController,
     near_heading,
@@ -38,6 +40,7 @@ from mpc_export.tube.heading import TURN
 from mpc_export.tube.rival import BELIEVED, CLEARLY
 from mpc_export.tube.solver import COARSE, PRIMAL, QP, QP_TOLERANCE, driver, settled
 from mpc_export.tube.stages import block
+from mpc_export.tube.told import PRESENT, PUSH, SLOW, heaviest
 
 CONDENSED = 20
 """Stages up to which the QP is condensed: its work grows with their cube, that of a Riccati recursion
@@ -84,7 +87,7 @@ def write_library(
     )
     words = _words(pilot, own, name, real)
     if linear:
-        words |= linear_library.words(name)
+        words |= linear_library.words(pilot, name)
     write_atomic(folder / f"{name}_tube.h", broken(filled_with("tube/tube.h", words)))
     text = _linear(pilot, model, words) if linear else _nonlinear(pilot, model, words)
     text = single_precision(text) if real == "float" else text
@@ -136,7 +139,7 @@ def _words(pilot: TubeController, own: CSource, name: str, real: Real) -> dict[s
     coarse = COARSE if real == "float" else 1.0
     words: Words = {"NAME": name, "UPPER": name.upper(), "real": real, "memory": MEMORY}
     words |= _limits(pilot) | _sizes(pilot) | _states(pilot) | _sensors(pilot)
-    words |= _filter(pilot, own) | _rules(pilot)
+    words |= _filter(pilot, own) | _rules(pilot) | _told(pilot)
     words |= {
         "tolerance": 1e-6 * coarse,
         "near_steady": NEAR_STEADY * coarse,
@@ -183,6 +186,29 @@ def _sizes(pilot: TubeController) -> Words:
         "horizon": problem.horizon,
         "planes": problem.planes,
         "attempts": problem.attempts,
+        "slack": SLACK,
+    }
+
+
+def _told(pilot: TubeController) -> Words:
+    """Run-time parameters whose value is told, and the push that speaks of them."""
+    own, names = pilot.told.own, pilot.filter.states.names
+    numbers = {
+        "told_low": [one.low for one in own],
+        "told_high": [one.high for one in own],
+        "seen_low": [max(one.seen[0], -UNBOUNDED) for one in own],
+        "seen_high": [min(one.seen[1], UNBOUNDED) for one in own],
+        "per_force": [one.per_force for one in own],
+    }
+    text = ", ".join(f"{i} {one.says()}" for i, one in enumerate(own))
+    return {
+        **{k: braced(v or [0.0]) for k, v in numbers.items()},
+        "n_p": len(own),
+        "told": text or "none",
+        "push": names.index(PUSH) if PUSH in names else -1,
+        "present": PRESENT,
+        "slow": SLOW,
+        "heaviest": heaviest(pilot.model),
     }
 
 
@@ -297,6 +323,7 @@ def flight(
             for c in f.outputs.names
         ]
     )
+    told = {one.name: one.reference for one in pilot.told.own}
     rows, commands, states = [], [], []
     for k in range(samples):
         y = f["h"](x, u, f.parameter_values).full().ravel()
@@ -306,7 +333,7 @@ def flight(
         if k == samples // 2:
             y[0] += 50.0
         y = y.astype(np.float32).astype(float)
-        known = dict(zip(f.outputs.names, y.tolist()))
+        known = dict(zip(f.outputs.names, y.tolist())) | told
         command = (flown or pilot).sample(k * pilot.model.sample_time, known)
         rows.append(y)
         commands.append(command)

@@ -8,7 +8,9 @@ responses G_k of the error states to the commands, the Hessian of the tracking c
     H = sum_k G_k' Q G_k + G_N' P G_N + changes and commands,
 
 the steady state that holds against a disturbance, and the tube (covariances of the closed loop
-along hover) are numbers of the library. A step computes the response to hover's command, the
+along hover) are numbers of the library. With another battery voltage hover's command is another,
+and so are all in proportion: a step plans with commands times the ratio of the hover command that
+it was made for to that of now. A step computes the response to hover's command, the
 gradient, the limits, and the QP by an active-set method (qp_active.c). Attitude is linear: planes
 are as they are, the tilt is held where the plan before tilts.
 """
@@ -27,6 +29,7 @@ from mpc_export.c_code import CSource, Real
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.solver import braced, included
 from mpc_export.tube.stages import block
+from mpc_export.tube.told import SAMPLES
 from mpc_export.tube.trusted import TRUSTED, trusted
 
 QP_ITERATIONS = 22
@@ -38,7 +41,7 @@ GROWTH = 2.0
 MEMORY = """  qp_solver solver;
   tube_qp qp;
   tube_real kappa[NL], kappa_u, before[N][NU], tilt[N + 1][2];
-  tube_real w[TUBE_W];
+  tube_real w[TUBE_W], ratio;
 """
 """What plans keep in the library's memory, besides the integers of the model's functions."""
 
@@ -65,9 +68,13 @@ class LinearTube:
     trusted: FloatArray
 
 
-def words(name: str) -> dict[str, str]:
+def words(pilot: TubeController, name: str) -> dict[str, str]:
     """Words of the templates that the linear tube has of its own, for a library of that name."""
+    own = pilot.told.own
     return {
+        "n_values": repr(SAMPLES),
+        "values": _nested([one.values for one in own] or [[0.0] * SAMPLES], "double"),
+        "ratios": _nested([one.ratio for one in own] or [[1.0] * SAMPLES], "double"),
         "memory": f"{MEMORY}  {name}_tube_model_int iw[TUBE_IW];\n",
         "trusted": repr(TRUSTED),
         "qp_iterations": repr(QP_ITERATIONS),

@@ -156,9 +156,11 @@ def _selftest(pilot: TubeController, words: Mapping[str, str], real: Real, linea
         pilot.reference, pilot.planes = kept
     numbers = f"static const {real}"
     missing = matrix(flown["measured"]).replace("nan", "NAN")
+    told = braced([*(one.reference for one in pilot.told.own), 0.0])
     data = [
         f"{numbers} place[4] = {braced(place)}, goal[4] = {braced(place)};",
         f"{numbers} lowest = {words['low']}, highest = {words['high']}, rate = {words['rate']};",
+        f"{numbers} told[{words['UPPER']}_TUBE_N_P + 1] = {told};",
         f"{numbers} measured[SAMPLES][NY] = {missing};",
         f"{numbers} wanted[SAMPLES][NU] = {matrix(flown['commands'])};",
     ]

@@ -12,6 +12,8 @@ static const tube_real level[2] = TUBE_LEVEL; /* hover's own tilt */
 /* tilt, speed and rate away from hover, each alone, at which the prediction misses by @trusted@ standard deviations of the
    tube */
 static const tube_real trusted[3] = TUBE_TRUSTED;
+/* the hover command that all this is made for over that at values of the run-time parameters */
+static const tube_real values[NP1][@n_values@] = @values@, ratios[NP1][@n_values@] = @ratios@;
 static const int keep[NK] = TUBE_KEEP, pushed_at[NFREE1] = TUBE_PUSHED;
 enum { K_POSITION = TUBE_K_POSITION, K_VELOCITY = TUBE_K_VELOCITY, K_ATTITUDE = TUBE_K_ATTITUDE, K_RATE = TUBE_K_RATE };
 
@@ -30,8 +32,20 @@ int @NAME@_tube_start(const tube_real place[4]) {
   @NAME@_tube_kappa((const tube_real[NL])@kappa@, @kappa_u@);
   c.qp.penalty = fmax(penalty, 1e-6);
   c.qp.penalty_square = fmax(penalty_square, 1e-3 * c.qp.penalty); /* a slack without a square has no end */
-  for (int j = 0; j < NU; j++) c.qp.rate_max[j] = rate_max;
+  c.ratio = 1;
   return 1;
+}
+
+/* Commands of the plan over the craft's, with the run-time parameters of now. */
+static tube_real proportion(void) {
+  tube_real product = 1;
+  for (int i = 0; i < TOLD; i++) {
+    int k = 1;
+    while (k + 1 < @n_values@ && c.p[i] > values[i][k]) k++;
+    tube_real wide = values[i][k] - values[i][k - 1], share = wide > 0 ? (c.p[i] - values[i][k - 1]) / wide : 0;
+    product *= ratios[i][k - 1] + clip(share, 0, 1) * (ratios[i][k] - ratios[i][k - 1]);
+  }
+  return product;
 }
 
 /* Rows of R: axes of the body at attitude q, in the world */
@@ -57,6 +71,7 @@ static int placed(const tube_real *place, tube_real d[ND], tube_real R[3][3]) {
   tube_real x[NX], base[NX], half = 0.5 * heading(c.known.estimate), q[4], w = cos(half), z = sin(half);
   const tube_real *h = hover_x + ATTITUDE;
   planned_from(x);
+  for (int i = OWN; i < NX; i++) x[i] *= c.ratio;
   memcpy(base, hover_x, sizeof base);
   memcpy(base + POSITION, place, 3 * sizeof *place);
   q[0] = w * h[0] - z * h[3];
@@ -119,16 +134,17 @@ static void limited(const tube_real *planes, int k, tube_real R[3][3], const tub
 /* Limits of the commands of stage k, from hover's command. */
 static void bounded(int k, const tube_real *rest) {
   for (int j = 0; j < NU; j++) {
-    tube_real u = hover_u[j] + rest[NK + j], room = fmin(command_max - u, u - command_min);
-    tube_real low, high, off = c.kappa_u * command_spread[k][j];
-    off = fmax(0, fmin(off, 0.5 * room));
-    low = command_min + off;
-    high = command_max - off;
+    tube_real u = hover_u[j] + rest[NK + j], least = c.ratio * command_min, most = c.ratio * command_max;
+    tube_real low, high, off = c.kappa_u * command_spread[k][j], now = c.ratio * c.u[j], rate = c.ratio * rate_max;
+    off = fmax(0, fmin(off, 0.5 * fmin(most - u, u - least)));
+    low = least + off;
+    high = most - off;
     if (k == 0) {
       /* a command in force beyond the limits goes back as fast as it may */
-      low = fmin(fmax(low, c.u[j] - rate_max), c.u[j] + rate_max);
-      high = fmax(fmin(high, c.u[j] + rate_max), c.u[j] - rate_max);
+      low = fmin(fmax(low, now - rate), now + rate);
+      high = fmax(fmin(high, now + rate), now - rate);
     }
+    c.qp.rate_max[j] = rate;
     c.qp.lower[k][j] = low - hover_u[j];
     c.qp.upper[k][j] = high - hover_u[j];
   }
@@ -162,6 +178,7 @@ static void held(const tube_real *d, const tube_real *goal, const tube_real *res
   for (int j = 0; j < NU; j++) {
     u[j] = hover_u[j] + rest[NK + j];
     for (int i = 0; i < ND; i++) u[j] += gain[j][i] * away[i];
+    u[j] /= c.ratio;
   }
 }
 
@@ -189,8 +206,16 @@ static tube_real beyond(void) {
     for (int j = 0; j < NU; j++) {
       tube_real v = c.solver.w[k][j];
       most = larger(most, larger(v - c.qp.upper[k][j], c.qp.lower[k][j] - v));
-      if (k > 0) most = larger(most, fabs(v - c.solver.w[k - 1][j]) - rate_max);
+      if (k > 0) most = larger(most, fabs(v - c.solver.w[k - 1][j]) - c.qp.rate_max[j]);
     }
+  return most;
+}
+
+/* By how much the plan is beyond a soft limit. */
+static tube_real slack(void) {
+  tube_real most = 0;
+  for (int i = 0; i < c.solver.active; i++)
+    if (c.solver.passed[i]) most = larger(most, (c.solver.of[i] - c.qp.penalty) / c.qp.penalty_square);
   return most;
 }
 
@@ -199,7 +224,7 @@ static void clipped(void) {
   for (int k = 0; k < N; k++)
     for (int j = 0; j < NU; j++) {
       tube_real v = clip(c.solver.w[k][j], c.qp.lower[k][j], c.qp.upper[k][j]), before = k > 0 ? c.solver.w[k - 1][j] : v;
-      c.solver.w[k][j] = clip(v, before - rate_max, before + rate_max);
+      c.solver.w[k][j] = clip(v, before - c.qp.rate_max[j], before + c.qp.rate_max[j]);
     }
 }
 
@@ -220,7 +245,7 @@ static void stated(const @NAME@_tube_path *path, const tube_real *planes, tube_r
     if (k < N) {
       bounded(k, rest);
       for (int j = 0; j < NU; j++) c.solver.g[k * NU + j] -= on_command * rest[NK + j];
-      for (int j = 0; k == 0 && j < NU; j++) c.solver.g[j] -= on_change * (c.u[j] - hover_u[j]);
+      for (int j = 0; k == 0 && j < NU; j++) c.solver.g[j] -= on_change * (c.ratio * c.u[j] - hover_u[j]);
     }
     if (k > 0) {
       asked(path, k, R, rest, goal);
@@ -241,8 +266,9 @@ static unsigned decided(const @NAME@_tube_path *path, const tube_real *planes, i
   tube_real R[3][3], d[ND], rest[NK + NU] = {0}, first[ND];
   unsigned said = 0;
   c.known.qp_iterations = 0;
+  c.ratio = proportion();
   if (placed(path->position, d, R)) {
-    memcpy(u, hover_u, sizeof hover_u);
+    for (int j = 0; j < NU; j++) u[j] = hover_u[j] / c.ratio;
     c.solver.active = 0;
     return unplanned(1, u);
   }
@@ -251,7 +277,7 @@ static unsigned decided(const @NAME@_tube_path *path, const tube_real *planes, i
   for (int i = 0; i < NK + NU; i++)
     for (int j = 0; j < NFREE; j++) rest[i] += steady[i][j] * d[pushed_at[j]];
   for (int j = 0; j < NU; j++)
-    if (hover_u[j] + rest[NK + j] > command_max) said |= @UPPER@_TUBE_WEAK;
+    if (hover_u[j] + rest[NK + j] > c.ratio * command_max) said |= @UPPER@_TUBE_WEAK;
   memcpy(first, d, sizeof first);
   stated(path, planes, R, rest, d);
   int status = qp_iterated(&c.solver, &c.qp, stages, @qp_tolerance@, @qp_iterations@, &c.known.qp_iterations);
@@ -266,6 +292,7 @@ static unsigned decided(const @NAME@_tube_path *path, const tube_real *planes, i
   if (status) said |= @UPPER@_TUBE_NOT_BEST;
   c.known.plan_status = 0;
   memcpy(c.before, c.solver.w, sizeof c.before);
-  for (int j = 0; j < NU; j++) u[j] = allowed(hover_u[j] + c.solver.w[0][j], c.u[j]);
+  for (int j = 0; j < NU; j++) u[j] = allowed((hover_u[j] + c.solver.w[0][j]) / c.ratio, c.u[j]);
+  if (slack() > @slack@) said |= @UPPER@_TUBE_SLACK;
   return said;
 }

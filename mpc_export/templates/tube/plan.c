@@ -264,6 +264,7 @@ static unsigned decided(const @NAME@_tube_path *asked, const tube_real *planes, 
   }
   if ((int)d->qp_status != 0) said |= @UPPER@_TUBE_NOT_BEST;
   if (d->clipped > @rounding@) said |= @UPPER@_TUBE_CLIPPED;
+  if (largest(d->slack[1], N * NL) > @slack@) said |= @UPPER@_TUBE_SLACK;
   c.failures = c.plan_age = 0;
   c.has_plan = 1;
   memcpy(u, d->u[0], sizeof d->u[0]);

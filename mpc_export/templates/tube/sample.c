@@ -10,6 +10,8 @@
 #define STARTS @n_starts@
 #define LAGS @lags@
 #define EVERY @every@
+#define TOLD @n_p@
+#define PUSH @push@ /* state of the push along the thrust, -1: none */
 
 static const tube_real hover_x[NX] = @hover_x@, hover_u[NU] = @hover_u@;
 static const tube_real sample = @sample@;
@@ -24,6 +26,9 @@ static const short start_from[STARTS + 1][2] = @start_from@; /* column, state */
 static const short lag_of[NX - OWN + 1] = @lag_of@, command_of[NX - OWN + 1] = @command_of@;
 static const int pushes[NFREE1] = TUBE_FREE;
 static const tube_real most_push[NFREE + 1] = @most@; /* that rotors hold against */
+/* run-time parameters: from where to where the model hovers with them, what was seen in training, what explains a push */
+static const tube_real told_low[NP1] = @told_low@, told_high[NP1] = @told_high@;
+static const tube_real seen_low[NP1] = @seen_low@, seen_high[NP1] = @seen_high@, per_force[NP1] = @per_force@;
 static const tube_real clearly = @clearly@, believed_at = @believed@; /* rival.py */
 
 enum { POSITION = @at_position@, VELOCITY = @at_velocity@, ATTITUDE = @at_attitude@, RATE = @at_rate@ };
@@ -37,7 +42,8 @@ static struct {
   tube_real u[NU], past[LAGS][NU], p[NP1];
   tube_real wide[SENSORS], calm[SENSORS], missing[SENSORS], unseen[SENSORS];
   tube_real rival[RIVALS][NF], evidence[RIVALS], phase;
-  int denied, has_rival[RIVALS], count, begun;
+  tube_real told[NP1], age[NP1], flown;
+  int heard[NP1], denied, has_rival[RIVALS], count, begun;
 } c;
 
 static int all_finite(const tube_real *v, int n) {
@@ -56,6 +62,7 @@ static tube_real norm(const tube_real *v, int n) {
 static void begin(const tube_real place[4], tube_real *x) {
   memset(&c, 0, sizeof c);
   memcpy(c.p, (const tube_real[NP1])@parameters@, sizeof c.p);
+  for (int i = 0; i < TOLD; i++) c.age[i] = 1e9;
   memcpy(x, hover_x, sizeof hover_x);
   memcpy(x + POSITION, place, 3 * sizeof *place);
   /* level: a model that hovers tilted finds its tilt by itself */
@@ -74,6 +81,52 @@ static void begin(const tube_real place[4], tube_real *x) {
 }
 
 const @NAME@_tube_known *@NAME@_tube_state(void) { return &c.known; }
+
+/* -------------------------------------------------------------------------------------------------- run-time parameters */
+
+void @NAME@_tube_parameter(int i, tube_real value) {
+  if (i < 0 || i >= TOLD) return;
+  c.told[i] = value;
+  c.heard[i] = 1;
+}
+
+/* The push along the thrust gives way to a change of a parameter, so that their sum stays. */
+static void explained(int i, tube_real by) {
+  if (PUSH >= 0 && per_force[i] != 0) c.known.estimate[PUSH < 0 ? 0 : PUSH] -= by / per_force[i];
+}
+
+/* What was told of the parameters, and what the push along the thrust says of those that are not known (told.py). */
+static unsigned heard(int called) {
+  unsigned said = 0;
+  for (int i = 0; i < TOLD; i++) {
+    tube_real dark = fmin(c.age[i] - @present@, c.flown), value = c.told[i];
+    c.age[i] += sample;
+    if (called && c.heard[i]) {
+      c.heard[i] = 0;
+      if (value >= told_low[i] && value <= told_high[i]) {
+        if (dark > 0) explained(i, (1 - exp(-dark / @slow@)) * (value - c.p[i]));
+        c.p[i] = value;
+        c.age[i] = 0;
+      } else if (value != value) {
+        c.age[i] = fmax(c.age[i], @present@ + sample);
+      } else {
+        said |= @UPPER@_TUBE_REFUSED;
+      }
+    }
+    if (c.age[i] > @present@) {
+      tube_real push = c.known.estimate[PUSH < 0 ? 0 : PUSH];
+      tube_real found = PUSH < 0 ? c.p[i] : c.p[i] + sample / @slow@ * per_force[i] * push;
+      found = clip(found, told_low[i], told_high[i]);
+      explained(i, found - c.p[i]);
+      c.p[i] = found;
+      said |= @UPPER@_TUBE_NOT_TOLD;
+    }
+    if (!(c.p[i] >= seen_low[i] && c.p[i] <= seen_high[i])) said |= @UPPER@_TUBE_UNTRAINED;
+  }
+  c.flown += sample;
+  if (PUSH >= 0 && c.known.estimate[PUSH < 0 ? 0 : PUSH] < @heaviest@) said |= @UPPER@_TUBE_HEAVY;
+  return said;
+}
 
 /* -------------------------------------------------------------------------------------------------------- measurements */
 
@@ -231,7 +284,8 @@ static unsigned challenged(const tube_real *before, const tube_real *y, const tu
 static unsigned seen(const tube_real *y, const unsigned char *given, int called) {
   tube_real clean[NY], there[NE], e[NE], y_hat[NY], next[NF], share[SENSORS], used[NE], moved[NY], before[NF];
   int whole[SENSORS], doubted = 0, denied = 0, failed;
-  unsigned said = present(y, given, clean, there) || !called ? 0 : @UPPER@_TUBE_NO_MEASUREMENT;
+  unsigned said = heard(called);
+  if (!present(y, given, clean, there) && called) said |= @UPPER@_TUBE_NO_MEASUREMENT;
   memcpy(before, c.known.estimate, sizeof before);
   failed = filtered(before, clean, there, next, e, y_hat);
   memcpy(moved, clean, sizeof moved);

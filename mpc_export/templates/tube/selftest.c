@@ -31,7 +31,12 @@ static const struct {
   {@UPPER@_TUBE_BEYOND_LIMITS, "BEYOND_LIMITS: limits moved the command"},
   {@UPPER@_TUBE_WEAK, "WEAK: no steady command holds the place"},
   {@UPPER@_TUBE_BLIND, "BLIND: no pose for too long"},
-  {@UPPER@_TUBE_FAR_FROM_HOVER, "FAR_FROM_HOVER: too tilted or fast for the linear plan"}};
+  {@UPPER@_TUBE_FAR_FROM_HOVER, "FAR_FROM_HOVER: too tilted or fast for the linear plan"},
+  {@UPPER@_TUBE_NOT_TOLD, "NOT_TOLD: a run-time parameter is not known"},
+  {@UPPER@_TUBE_REFUSED, "REFUSED: a told parameter cannot be used"},
+  {@UPPER@_TUBE_UNTRAINED, "UNTRAINED: a parameter beyond its training range"},
+  {@UPPER@_TUBE_SLACK, "SLACK: the plan does not hold a limit"},
+  {@UPPER@_TUBE_HEAVY, "HEAVY: pushed down by a third of the weight"}};
 
 @data@
 
@@ -51,6 +56,7 @@ int main(void) {
   for (int k = 0; k < SAMPLES; k++) {
     unsigned char given[NY];
     for (int i = 0; i < NY; i++) given[i] = measured[k][i] - measured[k][i] == 0;
+    for (int i = 0; i < @UPPER@_TUBE_N_P; i++) @NAME@_tube_parameter(i, told[i]);
     unsigned said = @NAME@_tube_step(@sample@, measured[k], given, path, 0, u);
     for (unsigned i = 0; i < sizeof bits / sizeof *bits; i++) times[i] += (said & bits[i].bit) != 0;
     for (int i = 0; i < NU; i++) {

@@ -19,7 +19,8 @@ enum {
   @UPPER@_TUBE_N_Y = @n_y@,
   @UPPER@_TUBE_N_U = @n_u@,
   @UPPER@_TUBE_STAGES = @horizon@,
-  @UPPER@_TUBE_PLANES = @planes@
+  @UPPER@_TUBE_PLANES = @planes@,
+  @UPPER@_TUBE_N_P = @n_p@ /* run-time parameters: @told@ */
 };
 
 /* What a call says, bits: it went as usual where it says 0. */
@@ -38,7 +39,12 @@ enum {
   @UPPER@_TUBE_BEYOND_LIMITS = 2048,  /* a command was not finite, or moved by its limits */
   @UPPER@_TUBE_WEAK = 4096,           /* no steady command within the limits holds the place: come down */
   @UPPER@_TUBE_BLIND = 8192,          /* no pose for longer than the filter may carry on: come down */
-  @UPPER@_TUBE_FAR_FROM_HOVER = 16384 /* the linear tube: so tilted or fast that its plan is not to be trusted */
+  @UPPER@_TUBE_FAR_FROM_HOVER = 16384, /* the linear tube: so tilted or fast that its plan is not to be trusted */
+  @UPPER@_TUBE_NOT_TOLD = 32768,      /* a run-time parameter is not known: it follows the push along the thrust */
+  @UPPER@_TUBE_REFUSED = 65536,       /* a told parameter at which the model cannot hover: the one before stays */
+  @UPPER@_TUBE_UNTRAINED = 131072,    /* a parameter is used beyond its training range */
+  @UPPER@_TUBE_SLACK = 262144,        /* the plan does not hold a plane or the tilt, by more than @slack@ */
+  @UPPER@_TUBE_HEAVY = 524288         /* pushed down by a third of the weight: a load, or thrust is lost */
 };
 
 /* The reference at one time [s, m, rad]. */
@@ -61,6 +67,10 @@ int @NAME@_tube_start(const @NAME@_tube_real place[4]);
 /* Standard deviations by which planes, the tilt (last) and the commands are tightened, from now to the
    next start, which sets @kappa@ and @kappa_u@. */
 void @NAME@_tube_kappa(const @NAME@_tube_real kappa[@UPPER@_TUBE_PLANES + 1], @NAME@_tube_real commands);
+
+/* The present value of run-time parameter i, of N_P, from the next step on; after a start, which forgets it. A value counts
+   as present for @present@ s. NaN: not known any more. See the bits. */
+void @NAME@_tube_parameter(int i, @NAME@_tube_real value);
 
 /* The command from the next sample on, given what is measured now. passed: time since the call before [s]. given: which y
    are measured. path: the reference one sample from now, and stage by stage from there. planes: (STAGES + 1, PLANES, 4),
