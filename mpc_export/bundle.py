@@ -472,5 +472,6 @@ def describe(bundle: ExportBundle) -> str:
             f"  {cost['points']} of {cost['of']} support points: the learned mean moved by at most "
             f"{worst:.2g} of its spread"
         )
-    lines += [f"  note: {n}" for n in m["notes"]]
+    notes = [*m["notes"], *(t["note"] for t in m["targets_written"].values() if "note" in t)]
+    lines += [f"  note: {n}" for n in notes]
     return "\n".join(lines)

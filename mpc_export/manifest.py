@@ -100,6 +100,8 @@ class TargetPart(TypedDict, total=False):
     selftest: str
     horizon: int
     attempts: int
+    stops_from: float | None
+    note: str
     every_calls: int
     interval_us: int
     period_ns: int

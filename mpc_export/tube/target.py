@@ -21,6 +21,8 @@ from mpc_export.tube.controller import TubeController
 from mpc_export.tube.in_process import TubeInC
 from mpc_export.tube.library import Still, braced, filled_with, flight, matrix, write_library
 from mpc_export.tube.problem import TubeProblem
+from mpc_export.tube.stopping import stopping
+from mpc_export.tube.told import PRESENT
 from mpc_export.tube.trusted import TRUSTED
 
 AGREE: dict[Real, float] = {"double": 1e-5, "float": 1e-3}
@@ -41,13 +43,21 @@ FAR = (
     "standard deviation of the tube away from the model's own: then limits are not kept as stated.\n"
 )
 """Of the README of the linear tube."""
+KNOWN = (
+    "\nRun-time parameters ({told}): `{name}_tube_parameter(i, value)` tells the present value, as\n"
+    f"often as it is measured. {PRESENT:g} s after the last, `{{upper}}_TUBE_NOT_TOLD` is said and the value follows\n"
+    "the push along the thrust, so that hover holds while a battery empties. A value with which the model\n"
+    "cannot hover is not taken (`{upper}_TUBE_REFUSED`); beyond the training range it is (`{upper}_TUBE_UNTRAINED`).\n"
+)
+"""Of the README of a model with run-time parameters."""
 STEP, KAPPA = 0.02, 2.81
 """Of the target: sample time of the plan, to whole samples of the model [s]; standard deviations of
 the tube (10 % a flight that touches 40 limits)."""
 LONGER_STEP = 0.05
 """Sample time of a plan of the linear tube [s]: five stages reach a quarter of a second."""
-HORIZONS = {False: 10, True: 5}
-"""Stages of the plan of the target tube, and of the linear one."""
+HORIZONS, CHIPS = {False: 10, True: 5}, {False: "Cortex-M7", True: "Cortex-M4F"}
+"""Stages of the plan of the target tube, and of the linear one: as many as these chips carry. What
+stopping takes is said where it is more (stopping.py)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,12 +122,29 @@ def write_target_tube(
     own = "tube_linear" if plan.linear else "tube"
     pilot = pilot_of(functions, plan)
     write_tube(pilot, folder / own, name=name, real=real, linear=plan.linear)
+    said, stops = too_short(pilot, plan), stopping(pilot)
     return {
         "folder": own,
         "horizon": plan.stages,
+        "stops_from": None if stops is None else stops.speed,
+        **({"note": said} if said else {}),
         **({} if plan.linear else {"attempts": plan.attempts}),
         "selftest": f"{own}/{name}_tube_selftest.c",
     }
+
+
+def too_short(pilot: TubeController, plan: Planning) -> str:
+    """What there is to say of a plan that cannot stop from the speed of the training; "" of one that
+    can."""
+    stops = stopping(pilot)
+    if stops is None or stops.trained is None or stops.speed >= stops.trained:
+        return ""
+    stages, most = stops.needed(stops.trained, pilot.problem.dt), HORIZONS[plan.linear]
+    return (
+        f"{'tube-linear' if plan.linear else 'tube'}: {stops.seconds:.2g} s are too short to stop at "
+        f"a plane from the trained {stops.trained:.2g} m/s: --horizon {stages} (a "
+        f"{CHIPS[plan.linear]} carries {most}), or no faster than {stops.speed:.2g} m/s"
+    )
 
 
 def write_tube(
@@ -133,6 +160,9 @@ def write_tube(
     words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE[real])}
     words |= dict(zip(("kind", "whose", "instead"), SAID[linear], strict=True))
     words["range"] = FAR.format(name.upper()) if linear else ""
+    words["known"] = KNOWN.format(**words, name=name, upper=name.upper()) if pilot.told.own else ""
+    stops = stopping(pilot)
+    words["stops"] = "a speed that nothing says" if stops is None else f"{stops.speed:.2g} m/s"
     selftest = folder / f"{name}_tube_selftest.c"
     write_atomic(selftest, _selftest(pilot, words, real, linear))
     write_atomic(folder / "README.md", filled_with("tube/README.md", words))
