@@ -612,7 +612,8 @@ def test_the_tube_node_flies_the_tube_controller(monkeypatch, tmp_path):
     ):
         made = types.ModuleType(name)
         made.Node, made.qos_profile_sensor_data = Node, 5
-        made.PoseStamped = made.Odometry = made.Imu = made.Float64MultiArray = Anything
+        made.PoseStamped = made.Odometry = made.Imu = Anything
+        made.BatteryState = made.Float64MultiArray = Anything
         monkeypatch.setitem(sys.modules, name, made)
     monkeypatch.setattr(
         Node, "given", {"model": str(save_model(cases.disturbed(), tmp_path / "model.json"))}
@@ -641,6 +642,8 @@ def test_the_tube_node_flies_the_tube_controller(monkeypatch, tmp_path):
         imu.linear_acceleration = Anything(x=at["ax"], y=at["ay"], z=at["az"])
         node.heard["odometry"](odometry)
         node.heard["imu"](imu)
+        node.heard["battery"](Anything(voltage=3.8))
+        assert node.seen["vbat"] == 3.8
         if k == 0:
             path.aims(here, here, 0.0)
             pilot.start()
