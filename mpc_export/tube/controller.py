@@ -20,6 +20,8 @@ What may go wrong, and what is done; `events` says what happened when:
   without them;
 - the estimate itself runs away: one begun at what is measured now takes over where that explains
   the measurements far better (rival.py);
+- a plane or the tilt is beyond what the plan holds: it is soft, and passed as little as may be;
+- a run-time parameter is not told, or cannot be: it follows the push along the thrust (told.py);
 - calls do not come: the filter predicts over the gap. A clock that jumps back or by more than LATE
   is not followed: one sample has passed;
 - flying on is not possible: a descent is declared (descent.py).
@@ -347,7 +349,8 @@ class TubeController:
         `time` by column.
 
         Whatever is measured or told, it raises nothing and the command keeps its limits. Columns
-        that are left out, None or no numbers are not measured; None for all: nothing is.
+        that are left out, None or no numbers are not measured; None for all: nothing is. The
+        present value of a run-time parameter stands beside them, `vbat` [V] (told.py).
         """
         # nothing that overflows on its way to being rejected is an error of the caller's
         with np.errstate(all="ignore"):
