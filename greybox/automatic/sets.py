@@ -42,6 +42,7 @@ BASE = Step(
         "motor_lag",
         "command_delay",
         "rotor_speed_delay",
+        "rotor_speed_scale",
         "gyro_bias",
         "accelerometer_bias",
     ),

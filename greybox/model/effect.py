@@ -10,7 +10,7 @@ one line in the catalogue tuple.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal, TypedDict, Unpack
 
@@ -181,15 +181,15 @@ class Declaration(TypedDict, total=False):
 
 def vector_parameters(
     prefix: str,
-    axes: str,
+    axes: Iterable[str],
     *,
     unit: str,
     scale: float,
     meaning: str,
     **declaration: Unpack[Declaration],
 ) -> tuple[Parameter, ...]:
-    """One parameter per letter of `axes`, named prefix + letter, all declared alike with null and
-    nominal 0."""
+    """One parameter per name among `axes` ("xyz"), named prefix + axis, all declared alike with null
+    and nominal 0."""
     return tuple(
         Parameter(
             name=f"{prefix}{a}",

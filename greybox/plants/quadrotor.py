@@ -98,6 +98,7 @@ class Quadrotor:
         self._gyro = hooks(self.effects, "gyro")
         self._accelerometer = hooks(self.effects, "accelerometer")
         self._attitude = hooks(self.effects, "attitude")
+        self._rotor_speed = hooks(self.effects, "rotor_speed")
         sizes = {np.size(v) for v in self.parameters().values()} - {1}
         if len(sizes) > 1:
             raise ValueError(
@@ -315,6 +316,9 @@ class Quadrotor:
             felt = hook(felt)
         for hook in self._attitude:
             attitude = hook(attitude)
+        speeds = [self.physics.scale * n for n in shown[16:]]
+        for hook in self._rotor_speed:
+            speeds = hook(speeds)
         gyro = _noisy(gyro, sensors.gyro, row, 12)
         felt = _noisy(felt, sensors.accelerometer, row, 15)
         attitude = multiply(attitude, quaternion_of(_noisy(ZERO, sensors.attitude, row, 18)))
@@ -328,8 +332,8 @@ class Quadrotor:
         out |= dict(zip(("p", "q", "r", "ax", "ay", "az"), (*gyro, *felt)))
         out |= dict(zip(("x", "y", "z", "vx", "vy", "vz"), (*position, *velocity)))
         out |= {
-            f"omega{i}": self.physics.scale * n + sensors.rotor_speed * row[27 + i]
-            for i, n in enumerate(shown[16:], 1)
+            f"omega{i}": speed + sensors.rotor_speed * row[27 + i]
+            for i, speed in enumerate(speeds, 1)
         }
         return out
 

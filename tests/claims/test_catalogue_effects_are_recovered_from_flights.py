@@ -13,7 +13,9 @@ from greybox import build_model, dataset_from_arrays, fit
 from greybox.excitation.injection import rich_excitation
 from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.vehicle import read_vehicle
+from greybox.plants.airframe import Airframe
 from greybox.plants.effects import CATALOGUE
+from greybox.plants.effects.base import PlantEffect
 from greybox.plants.flight_log import fly, member
 from greybox.plants.presets import controller_for
 from greybox.plants.quadrotor import Quadrotor
@@ -38,17 +40,26 @@ CASES = {
     "sensor_delay": {"d": 0.02},
     "pose_delay": {"d": 0.02},
     "rotor_speed_delay": {"d": 0.02},
+    "rotor_speed_scale": {"s_1": 0.05, "s_2": -0.02, "s_3": 0.03, "s_4": 0.01},
 }
+
+
+def in_the_plant(name: str, airframe: Airframe) -> PlantEffect:
+    """The plant's effect; it lists what each rotor has, and knows what the vehicle file states."""
+    sizes = CASES[name]
+    if name == "rotor_speed_scale":
+        return PLANTS[name](s=tuple(sizes.values()))
+    facts = {"rotor_radius": airframe.rotor_radius} if name == "ground_effect" else {}
+    return PLANTS[name](**sizes, **facts)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_the_true_size_is_within_the_error_bars(name: str) -> None:
     base, sizes = plant(), CASES[name]
-    facts = {"rotor_radius": base.airframe.rotor_radius} if name == "ground_effect" else {}
     true_plant = Quadrotor(
         base.airframe,
-        [*base.effects, PLANTS[name](**sizes, **facts)],
+        [*base.effects, in_the_plant(name, base.airframe)],
         sensors=base.sensors,
         process=base.process,
         sample_time=base.sample_time,
@@ -65,7 +76,7 @@ def test_the_true_size_is_within_the_error_bars(name: str) -> None:
         warm_up=1.0,
     )
     flights = []
-    left_out = () if name == "rotor_speed_delay" else ("omega",)
+    left_out = () if name.startswith("rotor_speed") else ("omega",)
     for i in range(2):
         one = {k: v for k, v in member(log, i).items() if not k.startswith(left_out)}
         flights.append(dataset_from_arrays(one.pop("t"), one, name=f"run{i}"))

@@ -81,7 +81,13 @@ def assert_felt(model, effect):
 @pytest.mark.parametrize("effect", effects_under_test())
 @pytest.mark.parametrize("craft", CRAFT)
 def test_every_parameter_is_felt(effect, craft):
-    assert_felt(model_on(CRAFT[craft], effect), effect)
+    lacking = effect.missing(replace(crooked(), **CRAFT[craft]), {s.name for s in SENSORS})
+    if lacking:
+        assert (craft, lacking) == ("speed unknown", ("actuator.speed_max in the vehicle file",))
+        with pytest.raises(ModelError, match=f"{effect.name} needs actuator.speed_max"):
+            model_on(CRAFT[craft], effect)
+    else:
+        assert_felt(model_on(CRAFT[craft], effect), effect)
 
 
 @pytest.mark.parametrize("effect", effects_under_test())
@@ -100,7 +106,9 @@ def test_measured_speeds_as_input(effect):
 @pytest.mark.parametrize("effect", effects_under_test())
 def test_what_an_effect_needs_is_said(effect):
     bare = replace(
-        crooked(), nominal_voltage=None, actuator=replace(crooked().actuator, rotor_radius=None)
+        crooked(),
+        nominal_voltage=None,
+        actuator=replace(crooked().actuator, rotor_radius=None, speed_max=None),
     )
     assert effect.missing(crooked(), {s.name for s in SENSORS}, {"vbat"}) == ()
     lacking = effect.missing(bare, (), ())

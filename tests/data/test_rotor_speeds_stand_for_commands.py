@@ -115,10 +115,17 @@ def test_speeds_too_far_from_the_motion_are_one_fault_with_its_cure(tmp_path, la
     assert not check([cured], vehicle()).blocking
 
 
-def test_the_automatic_fit_has_a_delay_for_speeds_that_are_an_output():
+@pytest.mark.parametrize("name", ["rotor_speed_delay", "rotor_speed_scale"])
+def test_the_automatic_fit_has_the_errors_of_speeds_that_are_an_output(name):
     measured = replace(FACTS, sensors=FACTS.sensors | {"rotor_speed"})
-    assert "rotor_speed_delay" in nested_sets(vehicle(), measured)[0].effects
-    assert "rotor_speed_delay" not in nested_sets(vehicle(), FACTS)[0].effects
+    assert name in nested_sets(vehicle(), measured)[0].effects
+    assert name not in nested_sets(vehicle(), FACTS)[0].effects
+
+
+def test_speeds_without_a_stated_maximum_have_no_scale_that_could_be_wrong():
+    silent = replace(vehicle(), actuator=replace(vehicle().actuator, speed_max=None))
+    measured = replace(FACTS, sensors=FACTS.sensors | {"rotor_speed"})
+    assert "rotor_speed_scale" not in nested_sets(silent, measured)[0].effects
 
 
 def test_rotors_in_another_order_are_named(tmp_path):

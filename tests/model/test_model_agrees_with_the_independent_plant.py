@@ -52,6 +52,7 @@ VALUES = {
     "pose_lever_arm": {"r_x": -0.02, "r_y": 0.01, "r_z": 0.04},
     "accelerometer_scale": {"s_x": 0.03, "s_y": -0.02, "s_z": 0.05},
     "gyro_scale": {"s_x": -0.03, "s_y": 0.02, "s_z": 0.05},
+    "rotor_speed_scale": {"s_1": 0.05, "s_2": -0.03, "s_3": 0.02, "s_4": 0.04},
 }
 NEEDED = {
     "steady_wind": (
@@ -75,10 +76,12 @@ BATTERY = Battery(
 
 
 def in_the_plant(name, values):
-    """The plant's effect; it lists the asymmetry of all rotors."""
+    """The plant's effect; it lists what each rotor has."""
     if name == "rotor_asymmetry":
         deltas = list(values.values())
         return PLANT_EFFECTS[name](delta=(*deltas, -sum(deltas)))
+    if name == "rotor_speed_scale":
+        return PLANT_EFFECTS[name](s=tuple(values.values()))
     facts = {
         "battery_sag": {"nominal_voltage": CROOKED.nominal_voltage},
         "ground_effect": {"rotor_radius": CROOKED.rotor_radius},

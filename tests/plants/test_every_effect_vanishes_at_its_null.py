@@ -36,6 +36,7 @@ from greybox.plants.effects import (
     RotorDrag,
     RotorGyroscopic,
     RotorSpeedDelay,
+    RotorSpeedScale,
     SensorDelay,
     SteadyWind,
     ThrustCurve,
@@ -77,6 +78,7 @@ AWAY = {
     ProductsOfInertia: ProductsOfInertia(Jxy=1e-6),
     RotorGyroscopic: RotorGyroscopic(J_r=1e-8),
     RotorSpeedDelay: RotorSpeedDelay(d=0.007),
+    RotorSpeedScale: RotorSpeedScale(s=(0.05, -0.02, 0.0, 0.01)),
     SensorDelay: SensorDelay(d=0.007),
     TranslationalLift: TranslationalLift(k_h=1e-3),
 }

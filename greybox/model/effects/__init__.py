@@ -34,6 +34,7 @@ from greybox.model.effects.rotor_asymmetry import RotorAsymmetry
 from greybox.model.effects.rotor_drag import RotorDrag
 from greybox.model.effects.rotor_gyroscopic import RotorGyroscopic
 from greybox.model.effects.rotor_speed_delay import RotorSpeedDelay
+from greybox.model.effects.rotor_speed_scale import RotorSpeedScale
 from greybox.model.effects.sensor_delay import SensorDelay
 from greybox.model.effects.steady_wind import SteadyWind
 from greybox.model.effects.thrust_curve import ThrustCurve
@@ -71,6 +72,7 @@ CATALOGUE: tuple[Effect, ...] = (
     PoseLeverArm(),
     AccelerometerScale(),
     GyroScale(),
+    RotorSpeedScale(),
     AccelerometerBias(),
     GyroBias(),
     SensorDelay(),

@@ -30,6 +30,7 @@ from greybox.plants.effects.rotor_asymmetry import RotorAsymmetry
 from greybox.plants.effects.rotor_drag import RotorDrag
 from greybox.plants.effects.rotor_gyroscopic import RotorGyroscopic
 from greybox.plants.effects.rotor_speed_delay import RotorSpeedDelay
+from greybox.plants.effects.rotor_speed_scale import RotorSpeedScale
 from greybox.plants.effects.sensor_delay import SensorDelay
 from greybox.plants.effects.steady_wind import SteadyWind
 from greybox.plants.effects.thrust_curve import ThrustCurve
@@ -64,6 +65,7 @@ CATALOGUE: tuple[type[PlantEffect], ...] = (
     RotorDrag,
     RotorGyroscopic,
     RotorSpeedDelay,
+    RotorSpeedScale,
     SensorDelay,
     SteadyWind,
     ThrustCurve,

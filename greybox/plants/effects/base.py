@@ -211,6 +211,10 @@ class PlantEffect:
         """Attitude reading after this effect."""
         return q
 
+    def rotor_speed(self, speeds: list[Number]) -> list[Number]:
+        """Readings of all rotors after this effect [rad/s]."""
+        return speeds
+
 
 def hooks(effects: tuple[PlantEffect, ...], hook: str) -> list[Callable[..., Any]]:
     """The bound methods `hook` of those effects that override it, in the order of the stage's
