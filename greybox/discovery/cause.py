@@ -26,8 +26,9 @@ from greybox.model.vehicle import Vehicle
 from greybox.residual.laws.effect_file import Law, proposal_text, proposed
 
 Kind = Literal["effect", "sensor noise"]
-BASE = ("gyro_bias", "accelerometer_bias", "thrust_level")
-"""From the start: no sensor is without a bias, and no file knows the air and the battery."""
+LEVELS = ("thrust_level", "rotor_speed_scale")
+BASE = ("gyro_bias", "accelerometer_bias", *LEVELS)
+"""From the start: no sensor is without a bias, no file knows the air and the battery (`LEVELS`)."""
 GROUPS = ("force", "torque")
 """Groups of the process noise that carry the unnamed discrepancy."""
 
@@ -228,17 +229,15 @@ def offer(
     there = {e.name for e in bare.effects}
     chosen: list[Effect] = []
     unjudged: dict[str, str] = {}
-    for effect in (*CATALOGUE, *own):
-        if effect.name in there:
-            continue
-        why = _not_offered(effect, bare, columns)
-        if why is None:
+    for effect in (e for e in (*CATALOGUE, *own) if e.name not in there):
+        if (why := _not_offered(effect, bare, columns)) is None:
             chosen.append(effect)
         else:
             unjudged[effect.name] = why
     model = build(chosen)
     causes = {e.name: cause_of(e, vehicle) for e in chosen}
     every = {p for c in causes.values() for p in c.parameters}
+    levels = [d.name for d in model.parameters if d.name.split(".")[0] in LEVELS]
     # Were these free in every model, their effect could never be needed.
     held = {*fixed, *(n for e in chosen for n in _moved(e, vehicle, "default"))}
     core = tuple(
@@ -251,7 +250,7 @@ def offer(
         offered=causes,
         core=core,
         unjudged=unjudged,
-        per_flight=(*per_flight, *(["thrust_level.s"] if "vbat" not in columns else [])),
+        per_flight=(*per_flight, *(levels if "vbat" not in columns else [])),
         known={} if known is None else known.prior,
     )
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from greybox.discovery import document
+from greybox.discovery.cause import LEVELS
 from greybox.discovery.left import Left
 from greybox.discovery.name import LOG10, Name
 from greybox.errors import GreyboxError
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SCHEMA = "greybox.discovery/2"
-LEVEL, WITH_LAWS = "thrust_level", "model_with_laws.json"
+WITH_LAWS = "model_with_laws.json"
 """File of the model that has the laws of the leftover as well."""
 SAYS = {
     "bad_data": "the data have faults that block the search",
@@ -267,8 +268,8 @@ class Discovery(Shown):
             lines.append(f"  not certified{', in the model' * n.kept}: {n.name} ({n.reason})")
         if self.base:
             drift = ", noise between attitude and gyro" * bool(self.settings.get("kinematic_noise"))
-            level = _in_words(LEVEL, self._parameters(LEVEL))
-            lines.append(f"  in every model: {', '.join(self.base)}{drift}".replace(LEVEL, level))
+            base = (_in_words(n, self._parameters(n)) if n in LEVELS else n for n in self.base)
+            lines.append(f"  in every model: {', '.join(base)}{drift}")
         for kind in dict.fromkeys(s["kind"] for s in self.sensors if s["kind"] != "white"):
             channels = [s["channel"] for s in self.sensors if s["kind"] == kind]
             lines.append(f"  sensors: {kind} in {', '.join(channels)}")

@@ -17,8 +17,9 @@ class RotorSpeedScale(Effect):
     """Omega_meas,i = (1 + s_i) Omega_i: pole pairs, the clock of a speed controller, or speed_max.
 
     Commands say nu, so that thrust and drag torque depend on no speed in rad/s: a share that all
-    s_i have in common is that of speed_max as well. Rotor speeds that drive the model have no such
-    scale, as their common factor is one of the thrust.
+    s_i have in common is that of speed_max as well, which falls with the battery. So every model of
+    `greybox discover` has them, for each flight where no log says how full the battery was. Rotor
+    speeds that drive the model have no such scale, as their common factor is one of the thrust.
     """
 
     name = "rotor_speed_scale"
@@ -55,4 +56,5 @@ class RotorSpeedScale(Effect):
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """One factor for each rotor."""
-        return {"rotor_speed": (1 + ca.vertcat(*p.values())) * flow.measured["rotor_speed"]}
+        scale: Expr = ca.vertcat(*p.values())
+        return {"rotor_speed": (1 + scale) * flow.measured["rotor_speed"]}
