@@ -121,14 +121,20 @@ def test_speeds_beside_commands_may_be_late(late: float) -> None:
         assert without["command_delay.d"].value > true["command_delay.d"] + 0.5 * late
 
 
-def test_the_plain_fit_takes_late_speeds_as_they_are() -> None:
+def test_the_plain_fit_takes_late_speeds_of_a_wrong_scale_as_they_are() -> None:
     logs = [late_log(0.014, seed) for seed in (5, 6)]
+    scales = {1: 0.05, 2: 0.05, 3: 0.05, 4: -0.03}
+    for log in logs:
+        for i, s in scales.items():
+            log[f"omega{i}"] = (1 + s) * log[f"omega{i}"]
     first, second = (
         dataset_from_arrays(log.pop("t"), log, name=f"run{i}") for i, log in enumerate(logs)
     )
     result = fit(vehicle(), first + second)
-    true = truth() | {"rotor_speed_delay.d": 0.014}
-    for name in ("command_delay.d", "motor_lag.tau", "rotor_speed_delay.d", "thrust.c2"):
+    shown = {"rotor_speed_delay.d": 0.014}
+    shown |= {f"rotor_speed_scale.s_{i}": s for i, s in scales.items()}
+    true = truth() | shown
+    for name in ("command_delay.d", "motor_lag.tau", "thrust.c2", *shown):
         estimate = result[name]
         assert abs(estimate.value - true[name]) < 3 * estimate.std, name
 
