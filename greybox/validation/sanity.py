@@ -69,6 +69,7 @@ LIMITS: Mapping[str, Limit] = {
     "motor time": Limit(
         value=0.3, source="s; large propellers take 0.2 s (greybox.model.plausibility: 0.2 s)"
     ),
+    "stamps": Limit(value=1e-4, source="s; what stamps of a log can tell, whose clocks jitter"),
     "louder": Limit(
         value=5.0,
         source="times the stated noise of a sensor; mounting and vibration make a few of it",
@@ -294,7 +295,7 @@ def _shown_early(late: Estimated, values: Values) -> Iterator[Insane]:
     """Rotor speeds that are earlier than the commands are late, beyond their error."""
     error = late.std if math.isfinite(late.std) else 0.0
     lead = -late.value - values.get("command_delay.d", 0.0)
-    if lead > FELT * error:
+    if lead > max(FELT * error, LIMITS["stamps"].value):
         yield Insane(
             severity="impossible",
             kind="value",

@@ -111,6 +111,7 @@ def test_a_delay_before_its_cause_is_impossible_and_a_slow_motor_doubtful():
     ("late", "std", "commands", "possible"),
     [
         (-5e-5, 9e-5, 0.0, True),
+        (-2e-6, float("nan"), 0.0, True),
         (-0.008, 1e-4, 0.01, True),
         (-0.015, 1e-4, 0.008, False),
         (-0.015, float("nan"), 0.008, False),
