@@ -20,7 +20,7 @@ from greybox.data.dataset import Flight
 from greybox.data.drive import drive_names
 from greybox.data.placing import at_rows, commands_at
 from greybox.data.raw import Column, RawLog
-from greybox.data.resampling import AVERAGE_FROM, continuous_signs, held
+from greybox.data.resampling import AVERAGE_FROM, held
 from greybox.data.segment import Segment
 from greybox.errors import DataError
 from greybox.runs import runs
@@ -187,21 +187,22 @@ def _resampled(part: Part, dt: float, step: float, flight: str, linear_hold: boo
     attitude = group_names("attitude")
     whole = all(k in channels for k in attitude)
     commands = set(command_names(channels))
-    source = dict(channels)
-    if whole:
-        smooth, _ = continuous_signs(np.stack([channels[k] for k in attitude], axis=1))
-        source.update({k: smooth[:, j] for j, k in enumerate(attitude)})
     out: dict[str, FloatArray] = {}
-    for name, values in source.items():
+    for name, values in channels.items():
+        if whole and name in attitude:
+            continue
         if name in commands and not linear_hold:
-            out[name] = commands_at(t, values[:, None], grid, dt, step)[:, 0]
+            sent = t[np.isfinite(values)]
+            pace = float(np.median(np.diff(sent))) if sent.size > 1 else step
+            out[name] = commands_at(t, values[:, None], grid, dt, pace)[:, 0]
             continue
         # A command that moves along a line is its mean over the row's step, where rows are averaged.
         ahead = 0.5 * dt if name in commands and dt > AVERAGE_FROM * step else 0.0
-        out[name] = at_rows(t, values[:, None], grid + ahead, dt)[:, 0]
+        out[name] = at_rows(t, values[:, None], grid + ahead, dt, sparse=name != "vbat")[:, 0]
     if whole:
-        norm = np.sqrt(sum(out[k] ** 2 for k in attitude))
-        out.update({k: out[k] / norm for k in attitude})
+        q = at_rows(t, np.stack([channels[k] for k in attitude], axis=1), grid, dt)
+        q /= np.linalg.norm(q, axis=1, keepdims=True)
+        out.update({k: q[:, j] for j, k in enumerate(attitude)})
     others = {k: held(t, v, grid) for k, v in extra.items()}
     return [Segment(t=grid, channels=out, flight=flight, extra=others)]
 
@@ -247,9 +248,7 @@ def _with_drive(
     if filled and measured:
         notes.append(f"rotor speeds interpolated over {filled} sample(s) without one")
     elif filled:
-        notes.append(
-            f"commands held over {filled} sample(s) without one; measurements there are missing"
-        )
+        notes.append(f"commands held over {filled} sample(s) without one")
     if lost:
         what = "rotor speeds are" if measured else "command is"
         notes.append(f"dropped {lost} sample(s) whose {what} not known")

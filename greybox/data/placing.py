@@ -13,10 +13,7 @@ import numpy as np
 
 from greybox.data.raw import FloatArray
 from greybox.data.resampling import AVERAGE_FROM, STRETCH, continuous_signs
-
-SLOW = 2.0
-"""A stream whose step is longer than this many rows is not interpolated: its samples stand in
-single rows."""
+from greybox.symbolic import BoolArray
 
 COMMAND_AGE = 0.1
 """A command is held for at most this time [s], or five of its steps where that is longer."""
@@ -43,41 +40,45 @@ def at_rows(
     if t.size == 1:
         return _beside(t, values, rows, row_step, np.inf)
     own = max(float(np.median(np.diff(t))), step if step is not None and np.isfinite(step) else 0.0)
-    if sparse and own > SLOW * row_step:
+    if sparse and own > AVERAGE_FROM * row_step:
         return _beside(t, values, rows, row_step, STRETCH * own)
     i = np.clip(np.searchsorted(t, rows, side="right") - 1, 0, t.size - 2)
-    width = t[i + 1] - t[i]
-    weight = ((rows - t[i]) / width)[:, None]
-    good = (rows >= t[0] - 0.5 * own) & (rows <= t[-1] + 0.5 * own)
-    good &= (
-        (width <= STRETCH * own) | (np.abs(weight[:, 0]) < 1e-9) | (np.abs(weight[:, 0] - 1) < 1e-9)
-    )
+    joined = np.diff(t) <= STRETCH * own
+    weight = (rows - t[i]) / (t[i + 1] - t[i])
+    there = joined[i] | (np.abs(weight) < 1e-9) | (np.abs(weight - 1) < 1e-9)
+    line = (1 - weight[:, None]) * values[i] + weight[:, None] * values[i + 1]
     if row_step > AVERAGE_FROM * own:
-        half = 0.5 * row_step
-        area = np.vstack(
-            [
-                np.zeros(values.shape[1]),
-                np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None], 0),
-            ]
-        )
-        end, start = np.clip(rows + half, t[0], t[-1]), np.clip(rows - half, t[0], t[-1])
-        mean = (_area(t, values, area, end) - _area(t, values, area, start)) / row_step
-        # At the ends a mean would be that of one side, at another time.
-        whole = end - start > (1 - 1e-9) * row_step
-        line = np.where(whole[:, None], mean, (1 - weight) * values[i] + weight * values[i + 1])
-    else:
-        line = (1 - weight) * values[i] + weight * values[i + 1]
+        mean, cover = _means(t, values, joined, rows, row_step)
+        # Of a window with a hole, or at an end, the mean would be that of another time.
+        whole = cover > (1 - 1e-9) * row_step
+        line = np.where((whole | ~there)[:, None], mean, line)
+        there |= cover >= 0.5 * row_step
+    good = there & (rows >= t[0] - 0.5 * own) & (rows <= t[-1] + 0.5 * own)
     out[good] = line[good]
     return out
 
 
-def _area(t: FloatArray, values: FloatArray, area: FloatArray, at: FloatArray) -> FloatArray:
-    """Integral from t[0] to `at` of the piecewise linear signal, given its values at the
-    samples."""
-    i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
-    s = (at - t[i])[:, None]
-    slope = (values[i + 1] - values[i]) / (t[i + 1] - t[i])[:, None]
-    return area[i] + values[i] * s + 0.5 * slope * s**2
+def _means(
+    t: FloatArray, values: FloatArray, joined: BoolArray, rows: FloatArray, width: float
+) -> tuple[FloatArray, FloatArray]:
+    """(means (M, K) of the piecewise linear signal over `width` around every row, of the steps that
+    are `joined` (N - 1,); how much of it these cover, (M,))."""
+    step = np.where(joined, np.diff(t), 0.0)
+    slope = np.diff(values, axis=0) / np.diff(t)[:, None]
+    area = 0.5 * (values[1:] + values[:-1]) * step[:, None]
+    whole = np.vstack([np.zeros(values.shape[1]), np.cumsum(area, axis=0)])
+    known = np.concatenate([[0.0], np.cumsum(step)])
+
+    def up_to(at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        at = np.clip(at, t[0], t[-1])
+        i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
+        s = np.where(joined[i], at - t[i], 0.0)
+        more = s[:, None] * values[i] + 0.5 * s[:, None] ** 2 * slope[i]
+        return whole[i] + more, known[i] + s
+
+    (area1, known1), (area0, known0) = up_to(rows + 0.5 * width), up_to(rows - 0.5 * width)
+    cover = known1 - known0
+    return (area1 - area0) / np.maximum(cover, 1e-12)[:, None], cover
 
 
 def _beside(
@@ -132,15 +133,15 @@ def commands_at(
         return area[i] + values[i] * (at - t[i])[:, None]
 
     i = np.searchsorted(t, rows, side="right") - 1
+    limit = max(COMMAND_AGE, 5 * step) + row_step
     begin = np.maximum(rows, t[0])
+    # What was sent too long ago no longer counts, from the next command on the row does.
+    stale = begin - t[np.clip(i, 0, t.size - 1)] > limit
+    begin = np.where(stale, np.minimum(t[np.clip(i + 1, 0, t.size - 1)], end), begin)
     mean = (up_to(end) - up_to(begin)) / np.maximum(end - begin, 1e-12)[:, None]
     last = np.searchsorted(t, end, side="left") - 1
     age = end - t[np.clip(last, 0, t.size - 1)]
-    good = (
-        (end - begin >= 0.5 * (end - rows))
-        & (last >= 0)
-        & (age <= max(COMMAND_AGE, 5 * step) + row_step)
-    )
+    good = (end - begin >= 0.5 * (end - rows)) & (last >= 0) & (age <= limit)
     # A row whose step holds one command takes it exactly, not as a quotient.
     single = good & (i >= 0) & (i == last)
     # Rounding leaves no command beyond all that were sent.

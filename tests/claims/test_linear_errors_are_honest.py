@@ -131,8 +131,8 @@ def test_profile_agrees_with_the_standard_error_of_a_strong_pole():
 
 
 def test_profile_of_a_weak_pole_is_wider_than_its_standard_error_on_one_side():
-    fit = fit_linear([weak(2, 0.04)], 2)
-    profile, poles = pole_profile(fit, [weak(2, 0.04)]), fit.uncertainty.poles()
+    fit = fit_linear([weak(2, 0.03)], 2)
+    profile, poles = pole_profile(fit, [weak(2, 0.03)]), fit.uncertainty.poles()
     i = int(np.argmax(np.abs(poles.value - 0.8)))
     found = profile.interval(i, "real")
     half = 1.96 * np.sqrt(poles.covariance[i, 0, 0])

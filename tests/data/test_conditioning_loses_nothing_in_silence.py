@@ -176,6 +176,64 @@ def test_a_slow_channel_keeps_its_samples_at_any_rate(every, phase, rate):
     assert segment.column("x")[known] == pytest.approx(3.0 - 2.0 * segment.t[known], abs=1e-6)
 
 
+def jittered(seed: int, n: int = 1500, jitter: float = 0.05) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.cumsum(0.01 * (1 + jitter * rng.uniform(-1, 1, n)))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_channel_of_half_the_rate_is_never_filled_up(seed):
+    """Each of its samples counts once, however the clock jitters."""
+    t = jittered(seed)
+    x = np.where(np.arange(t.size) % 2 == 0, t, np.nan)
+    flight = condition(raw_log(t, u1=np.full(t.size, 0.5), x=x), trim=False)
+    known = np.isfinite(flight.segments[0].column("x"))
+    assert known.mean() == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_slow_command_is_held_until_its_next():
+    t = jittered(1, jitter=0.2)
+    u = np.where(np.arange(t.size) % 30 == 0, 0.5, np.nan)
+    flight = condition(raw_log(t, u1=u, p=t), trim=False)
+    assert len(flight.segments) == 1
+    assert flight.segments[0].n > 0.99 * t.size
+
+
+def test_a_command_from_before_a_gap_is_in_no_mean():
+    t = np.arange(0, 3, 0.005)
+    u = np.where(t < 1.0, 0.2, np.where(t < 1.505, np.nan, 0.8))
+    flight = condition(raw_log(t, u1=u, p=t), rate=100, trim=False)
+    found = np.concatenate([s.column("u1") for s in flight.segments])
+    assert found == pytest.approx(np.where(found < 0.5, 0.2, 0.8))
+
+
+def test_a_hole_in_averaged_rows_loses_none_and_moves_none():
+    t = np.arange(0, 10, 0.002)
+    x = np.sin(2 * t)
+    x[(np.arange(t.size) + 1) % 25 < 3] = np.nan
+    flight = condition(raw_log(t, u1=np.full(t.size, 0.5), x=x), rate=20, trim=False)
+    (segment,) = flight.segments
+    # Nothing is known at the first row.
+    assert np.abs(segment.column("x") - np.sin(2 * segment.t))[1:].max() < 2e-3
+
+
+def test_an_attitude_that_misses_one_number_keeps_its_sign():
+    t = jittered(2)
+    half = 0.3 * t
+    sign = np.where(t > 7, -1.0, 1.0)
+    q = sign * np.array([np.cos(half), 0 * t, 0 * t, np.sin(half)])
+    q[0, 1000::7] = np.nan
+    names = ("qw", "qx", "qy", "qz")
+    flight = condition(raw_log(t, u1=np.full(t.size, 0.5), **dict(zip(names, q))), trim=False)
+    (segment,) = flight.segments
+    found = segment.matrix(names)
+    known = np.isfinite(found).all(axis=1)
+    turned = 2 * np.arctan2(found[known, 3], found[known, 0])
+    away = np.angle(np.exp(1j * (turned - 0.6 * segment.t[known])))
+    assert known.mean() > 0.99
+    assert np.abs(away).max() < 1e-3
+
+
 def test_quaternion_signs_do_not_spoil_resampling():
     t = np.cumsum(np.random.default_rng(0).uniform(8e-3, 12e-3, 500))
     sign = np.where(np.arange(500) % 2, 1.0, -1.0)
