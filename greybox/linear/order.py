@@ -113,13 +113,14 @@ def choose_order(
     by_rule = min(rows, key=lambda r: getattr(r, criterion)).order
     if cross_validate:
         rows = _held_out(rows, records, options)
-    while True:
-        order, told = _by_held_out(rows, by_rule)
+    order, told = _by_held_out(rows, by_rule)
+    refined: set[int] = set()
+    while order not in refined:
         found[order] = refine(found[order], records, options)
-        row = next(r for r in rows if r.order == order)
-        if found[order].solution.status.converged or not row.converged:
-            break
-        rows = [replace(r, converged=r.converged and r.order != order) for r in rows]
+        refined.add(order)
+        done = found[order].solution.status.converged
+        rows = [replace(r, converged=done) if r.order == order else r for r in rows]
+        order, told = _by_held_out(rows, by_rule)
     reasons = [f"{criterion.upper()} is smallest at order {by_rule}", *told]
     reasons += _left(next(r for r in rows if r.order == order))
     if order == max(found) and len(found) == largest:
