@@ -76,12 +76,14 @@ def _columns(seen: Discrepancy, group: str) -> list[int]:
     return [i for i, n in enumerate(seen.outputs.names) if n.split(".")[0] == group]
 
 
-def _law(seen: Discrepancy, rows: BoolArray, columns: list[int]) -> FloatArray:
-    """Slopes (n_in, k) of the pushes by the features, of some rows."""
+def _law(seen: Discrepancy, rows: BoolArray, columns: list[int]) -> tuple[FloatArray, FloatArray]:
+    """Slopes (n_in, k) of the pushes by the features, of some rows, and the pushes (k,) where the
+    features are zero."""
     z, y = seen.z[rows], seen.y[rows][:, columns]
-    z = z - z.mean(axis=0)
+    z_mean, y_mean = z.mean(axis=0), y.mean(axis=0)
     size = np.maximum(z.std(axis=0), 1e-12)
-    return np.asarray(np.linalg.lstsq(z / size, y - y.mean(axis=0), rcond=1e-6)[0] / size[:, None])
+    slopes = np.linalg.lstsq((z - z_mean) / size, y - y_mean, rcond=1e-6)[0] / size[:, None]
+    return slopes, y_mean - z_mean @ slopes
 
 
 def _foretold(seen: Discrepancy, columns: list[int]) -> float:
@@ -96,7 +98,8 @@ def _foretold(seen: Discrepancy, columns: list[int]) -> float:
         if part.sum() < 2 or (~part).sum() < 2:
             continue
         y = seen.y[part][:, columns]
-        rest = y - seen.z[part] @ _law(seen, ~part, columns)
+        slopes, level = _law(seen, ~part, columns)
+        rest = y - seen.z[part] @ slopes - level
         total += float(np.sum((y - y.mean(axis=0)) ** 2))
         left += float(np.sum((rest - rest.mean(axis=0)) ** 2))
     return 1.0 - left / total if total > 0 else 0.0
@@ -115,14 +118,15 @@ def _felt(
     channel = next((c for c in SHOWN[group] if c in errors), None)
     if channel is None:
         return
-    law = _law(seen, np.ones(len(seen.z), dtype=bool), _columns(seen, group))
-    law = law @ _mobility(model, group)
+    slopes, level = _law(seen, np.ones(len(seen.z), dtype=bool), _columns(seen, group))
+    mobility = _mobility(model, group)
     runner, look = Filter(model), feature_function(model.dynamics, seen.inputs.names)
     moved = np.concatenate(
         [
-            _moved(smoothed_features(runner, s, look)[1] @ law, model, group, ahead)
+            _moved((z @ slopes + level) @ mobility, model, group, ahead)
             for flight in data
             for s in flight.segments
+            for _, z in [smoothed_features(runner, s, look)]
         ]
     )
     if not len(moved):

@@ -25,8 +25,10 @@ from greybox.plants.effects import ParasiticDrag
 from greybox.plants.flight_log import fly, member
 from greybox.plants.presets import controller_for, x250
 from greybox.plants.vehicle_file import write_vehicle
-from greybox.residual.followed import followed
+from greybox.residual.discrepancy import Discrepancy
+from greybox.residual.followed import _law, followed
 from greybox.residual.learn import disturbed_model
+from greybox.symbolic import Layout, Signal
 
 ERRORS = {"velocity": 0.2, "rate": 0.5}
 """Mean errors half a second ahead, of the size that such a model has."""
@@ -58,6 +60,20 @@ def test_drag_that_is_missing_follows_the_motion_and_is_felt() -> None:
     (found,) = followed(*flown(0.1, 0.0), ERRORS, 0.5)
     assert found.group == "force" and found.channel == "velocity"
     assert found.share > 0.7 and 0.02 < found.change < 0.2
+
+
+def test_a_steady_velocity_is_no_push_of_its_own() -> None:
+    """At 8 m/s and half a metre per second about it, what drag leaves is about zero."""
+    model, _ = flown(0.1, 0.0)
+    rng, n = np.random.default_rng(0), 2000
+    z = 0.01 * rng.standard_normal((n, 6))
+    z[:, 0] = 8.0 + 0.5 * np.sin(np.arange(n) * model.sample_time)
+    push = np.column_stack([-0.05 * (z[:, 0] - 8.0), np.zeros(n), np.zeros(n)])
+    outputs = Layout([Signal(name=f"force.{a}", unit="N") for a in "xyz"])
+    inputs = Layout([Signal(name=f"feature.{i}", unit="m/s") for i in range(6)])
+    seen = Discrepancy(inputs=inputs, outputs=outputs, z=z, y=push, flights=("run0",) * n)
+    slopes, level = _law(seen, np.ones(n, dtype=bool), [0, 1, 2])
+    np.testing.assert_allclose(z @ slopes + level, push, atol=1e-9)
 
 
 def test_gusts_of_the_same_size_do_not() -> None:
