@@ -333,11 +333,13 @@ def _lines(job: _Job, result: Fit, table: str, content: FitDocument) -> list[str
 def _next(job: _Job, result: Fit) -> list[str]:
     """The command that names what is missing, where pushes without a name follow the motion and
     matter ahead."""
+    import numpy as np
+
     from greybox.errors import GreyboxError
     from greybox.residual.followed import followed
 
     verdict = result.verdict
-    if verdict is None or verdict.refused or not result.converged:
+    if verdict is None or verdict.refused or not verdict.groups or not result.converged:
         return []
     errors = {g.name: g for g in verdict.groups}
     ahead = verdict.groups[0].seconds
@@ -345,7 +347,7 @@ def _next(job: _Job, result: Fit) -> list[str]:
         found = followed(
             result.model, job.prepared.data, {n: g.error for n, g in errors.items()}, ahead
         )
-    except GreyboxError:  # too short to see pushes in
+    except (GreyboxError, np.linalg.LinAlgError):  # too short to see pushes in, or too wild
         return []
     told = [
         f"the motion foretells {100 * p.share:.0f} % of the {p.group} without a name, which moves "

@@ -125,6 +125,13 @@ def discrepancy(
     Where features look back rows are single samples, one per block: means would mix what lags tell
     apart.
     """
+    return discrepancy_and_features(model, data, names, block=block)[0]
+
+
+def discrepancy_and_features(
+    model: IdentifiedModel, data: Dataset, names: Sequence[str], *, block: int | None = None
+) -> tuple[Discrepancy, tuple[FloatArray, ...]]:
+    """`discrepancy` and the features (n, n_in) of every sample of the segments it is made of."""
     dynamics = model.dynamics
     rows = [i for i, n in enumerate(dynamics.states.names) if n.startswith("disturbance.")]
     if not rows:
@@ -139,12 +146,14 @@ def discrepancy(
     z: list[FloatArray] = []
     y: list[FloatArray] = []
     flights: list[str] = []
+    samples: list[FloatArray] = []
     for flight in data:
         for segment in flight.segments:
             n = segment.n // block * block
             if not n:
                 continue
             states, seen = smoothed_features(runner, segment, look)
+            samples.append(seen)
             for found, values in ((z, seen), (y, states[:, rows])):
                 blocks = values[:n].reshape(-1, block, values.shape[1])
                 found.append(blocks[:, block // 2] if reach(names) else blocks.mean(axis=1))
@@ -155,10 +164,11 @@ def discrepancy(
             expected=f"more than {block} samples",
         )
     outputs = Layout([dynamics.noises.signals[dynamics.noises[c]] for c in channels])
-    return Discrepancy(
+    seen_in_all = Discrepancy(
         inputs=feature_layout(dynamics, names),
         outputs=outputs,
         z=np.concatenate(z),
         y=np.concatenate(y),
         flights=tuple(flights),
     )
+    return seen_in_all, tuple(samples)

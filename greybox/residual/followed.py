@@ -8,22 +8,15 @@ what a law gives is foretold; of gusts nothing is, although a craft in a loop an
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.data import Dataset
-from greybox.estimation.filtering import Filter
 from greybox.model.identified import IdentifiedModel
 from greybox.model.noise import disturbances
-from greybox.residual.discrepancy import (
-    GROUPS,
-    Discrepancy,
-    discrepancy,
-    feature_function,
-    smoothed_features,
-)
+from greybox.residual.discrepancy import GROUPS, Discrepancy, discrepancy_and_features
 from greybox.residual.features import available
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -52,7 +45,7 @@ def followed(
     model: IdentifiedModel, data: Dataset, errors: Mapping[str, float], ahead: float
 ) -> tuple[Followed, ...]:
     """The pushes of a fitted vehicle that follow the motion and matter; none where it has no
-    disturbance states, or its motion is not known.
+    disturbance states, or its motion is not known or not finite.
 
     `errors`: mean error of the model by channel group, `ahead` [s] ahead. A push that moves the
     craft by more than the model errs is refuted by that. Raises `ModelError` where no flight is
@@ -60,15 +53,21 @@ def followed(
     """
     there = available(model.dynamics)
     names = [n for n in there if n.split(".")[0] == "body_velocity" or n in ("p", "q", "r")]
-    groups = [d.group for d in disturbances(model.dynamics) if d.group in GROUPS]
+    groups = [
+        d.group
+        for d in disturbances(model.dynamics)
+        if d.group in GROUPS and any(c in errors for c in SHOWN[d.group])
+    ]
     if not groups or not {"body_velocity.x", "p"} <= set(names):
         return ()
-    seen = discrepancy(model, data, names)
+    seen, samples = discrepancy_and_features(model, data, names)
+    if not all(np.isfinite(v).all() for v in (seen.y, *samples)):
+        return ()
     return tuple(
         found
         for group in groups
         if (share := _foretold(seen, _columns(seen, group))) > MOST
-        for found in _felt(model, data, seen, group, share, errors, ahead)
+        for found in _felt(model, seen, samples, group, share, errors, ahead)
     )
 
 
@@ -107,27 +106,19 @@ def _foretold(seen: Discrepancy, columns: list[int]) -> float:
 
 def _felt(
     model: IdentifiedModel,
-    data: Dataset,
     seen: Discrepancy,
+    samples: Sequence[FloatArray],
     group: str,
     share: float,
     errors: Mapping[str, float],
     ahead: float,
 ) -> Iterator[Followed]:
     """The push, if what it moves is a part of the error of the first channel that was judged."""
-    channel = next((c for c in SHOWN[group] if c in errors), None)
-    if channel is None:
-        return
+    channel = next(c for c in SHOWN[group] if c in errors)
     slopes, level = _law(seen, np.ones(len(seen.z), dtype=bool), _columns(seen, group))
     mobility = _mobility(model, group)
-    runner, look = Filter(model), feature_function(model.dynamics, seen.inputs.names)
     moved = np.concatenate(
-        [
-            _moved((z @ slopes + level) @ mobility, model, group, ahead)
-            for flight in data
-            for s in flight.segments
-            for _, z in [smoothed_features(runner, s, look)]
-        ]
+        [_moved((z @ slopes + level) @ mobility, model, group, ahead) for z in samples]
     )
     if not len(moved):
         return

@@ -9,13 +9,15 @@ import shlex
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import greybox as gb
 from greybox.commands import discover
-from greybox.commands.fit import _discover
+from greybox.commands.fit import _discover, _next
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.estimation.fit import fit
 from greybox.excitation.waypoints import RandomWaypoints
@@ -25,8 +27,9 @@ from greybox.plants.effects import ParasiticDrag
 from greybox.plants.flight_log import fly, member
 from greybox.plants.presets import controller_for, x250
 from greybox.plants.vehicle_file import write_vehicle
+from greybox.residual import discrepancy
 from greybox.residual.discrepancy import Discrepancy
-from greybox.residual.followed import _law, followed
+from greybox.residual.followed import _felt, _moved, followed
 from greybox.residual.learn import disturbed_model
 from greybox.symbolic import Layout, Signal
 
@@ -72,8 +75,9 @@ def test_a_steady_velocity_is_no_push_of_its_own() -> None:
     outputs = Layout([Signal(name=f"force.{a}", unit="N") for a in "xyz"])
     inputs = Layout([Signal(name=f"feature.{i}", unit="m/s") for i in range(6)])
     seen = Discrepancy(inputs=inputs, outputs=outputs, z=z, y=push, flights=("run0",) * n)
-    slopes, level = _law(seen, np.ones(n, dtype=bool), [0, 1, 2])
-    np.testing.assert_allclose(z @ slopes + level, push, atol=1e-9)
+    (felt,) = _felt(model, seen, [z], "force", 1.0, {"velocity": 0.02}, 0.5)
+    true = _moved(push / model.values["mass"], model, "force", 0.5).mean(axis=0)[0]
+    assert felt.change == pytest.approx(true, rel=1e-6)
 
 
 def test_gusts_of_the_same_size_do_not() -> None:
@@ -91,6 +95,53 @@ def test_a_model_without_disturbances_and_a_channel_that_nobody_judged_say_nothi
     model, data = flown(0.1, 0.0)
     assert not followed(model, data, {}, 0.5)
     assert not followed(fit(model.physics, data, free=()).model, data, ERRORS, 0.5)
+
+
+@pytest.mark.parametrize("broken", ["features", "pushes"])
+def test_what_is_not_finite_has_no_law(monkeypatch: pytest.MonkeyPatch, broken: str) -> None:
+    model, data = flown(0.1, 0.0)
+    smoothed = discrepancy.smoothed_features
+
+    def spoilt(*arguments: Any) -> tuple[np.ndarray, np.ndarray]:
+        states, seen = smoothed(*arguments)
+        (seen if broken == "features" else states)[3] = np.nan
+        return states, seen
+
+    monkeypatch.setattr(discrepancy, "smoothed_features", spoilt)
+    assert not followed(model, data, ERRORS, 0.5)
+
+
+def test_each_flight_is_smoothed_once_and_none_where_no_channel_was_judged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model, data = flown(0.1, 0.0)
+    smoothed, calls = discrepancy.smoothed_features, []
+
+    def counted(*arguments: Any) -> tuple[np.ndarray, np.ndarray]:
+        calls.append(arguments)
+        return smoothed(*arguments)
+
+    monkeypatch.setattr(discrepancy, "smoothed_features", counted)
+    assert followed(model, data, ERRORS, 0.5)
+    assert len(calls) == sum(len(f.segments) for f in data)
+    calls.clear()
+    assert not followed(model, data, {}, 0.5) and not calls
+
+
+def raising(*arguments: object) -> None:
+    raise np.linalg.LinAlgError("SVD did not converge")
+
+
+@pytest.mark.parametrize("groups", [(), (SimpleNamespace(name="rate", error=0.1, seconds=0.5),)])
+def test_the_next_step_is_left_out_where_it_cannot_be_told(
+    monkeypatch: pytest.MonkeyPatch, groups: tuple[SimpleNamespace, ...]
+) -> None:
+    """The files of the fit are written by then."""
+    monkeypatch.setattr("greybox.residual.followed.followed", raising)
+    verdict = SimpleNamespace(refused=False, groups=groups)
+    job: Any = SimpleNamespace(prepared=SimpleNamespace(data=None))
+    result: Any = SimpleNamespace(verdict=verdict, converged=True, model=None)
+    assert _next(job, result) == []
 
 
 def test_the_next_step_is_a_command_with_the_same_flights() -> None:
