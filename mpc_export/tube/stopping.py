@@ -50,16 +50,19 @@ class Stopping:
 
 
 def stopping(pilot: TubeController) -> Stopping | None:
-    """Of the pilot's plan; None for a model that does not tilt at once, or has no rotors."""
+    """Of the pilot's plan; None for a model that does not tilt at once, hovers with all that it has,
+    or has no rotors."""
     problem, rotors = pilot.problem, physics_of(pilot.model.dynamics)
     if rotors is None:
         return None
     hover = float(np.mean(pilot.solver.stages.steady[1]))
-    left = min(1.0, (hover / problem.command_max) ** 2)
-    tilt = min(problem.tilt_max, math.acos(left))
+    carried, most = _thrust(pilot, hover), _thrust(pilot, problem.command_max)
+    if not 0.0 < carried < most:
+        return None
+    tilt = min(problem.tilt_max, math.acos(carried / most))
     places = np.array([r.position for r in rotors.vehicle.rotors], dtype=float)
     turned = [_turned(pilot, sense, 0.5 * tilt) for sense in (places[:, 1], -places[:, 0])]
-    if not tilt > 0.0 or not max(turned) < LONGEST:
+    if not max(turned) < LONGEST:
         return None
     return Stopping(
         before=max(turned) + pilot.model.sample_time + 2.0 * problem.dt,
@@ -67,6 +70,11 @@ def stopping(pilot: TubeController) -> Stopping | None:
         seconds=problem.dt * problem.horizon,
         trained=_trained(pilot),
     )
+
+
+def _thrust(pilot: TubeController, command: float) -> float:
+    """Thrust [N] of a rotor at a command, by the model's curve."""
+    return sum(float(pilot.model.values[f"thrust.c{k}"]) * command**k for k in range(3))
 
 
 def _turned(pilot: TubeController, lever: FloatArray, tilt: float) -> float:

@@ -1,6 +1,8 @@
 """A battery that empties in flight: told or not, the tube holds its place, and says what it knows."""
 
 import functools
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -241,6 +243,29 @@ def test_stopping_takes_what_the_model_takes():
     said = too_short(own, Planning(horizon=8))
     assert said.startswith("tube: 0.16 s are too short to stop at a plane from the trained 2.5 m/s")
     assert f"--horizon {stops.needed(2.5, 0.02)} (a Cortex-M7 carries 10)" in said
+
+
+def limited(own, command_max, **values):
+    """The pilot with another limit of its commands, and other values of its model."""
+    names = ("solver", "filter", "functions", "_column")
+    curve = {f"thrust.{n}": v for n, v in values.items()}
+    model = {n: getattr(own.model, n) for n in ("dynamics", "sample_time", "domain")}
+    return SimpleNamespace(
+        problem=replace(own.problem, command_max=command_max),
+        model=SimpleNamespace(values=dict(own.model.values) | curve, **model),
+        **{n: getattr(own, n) for n in names},
+    )
+
+
+def test_what_is_left_to_brake_with_is_of_the_thrust_that_the_curve_gives():
+    own = pilot(False)
+    hover = float(np.mean(own.solver.stages.steady[1]))
+    for share in (1.0, 0.9):
+        assert stopping(limited(own, share * hover)) is None  # it hovers with all that it has
+    line = stopping(limited(own, 1.05 * hover, c0=0.0, c1=2.0, c2=0.0))
+    square = stopping(limited(own, 1.05 * hover, c0=0.0, c1=0.0, c2=4.0))
+    assert line.brakes == pytest.approx(9.80665 * np.sqrt(1.05**2 - 1.0))
+    assert square.brakes == pytest.approx(9.80665 * np.sqrt(1.05**4 - 1.0))
 
 
 class Dash:
