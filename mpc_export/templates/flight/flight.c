@@ -175,6 +175,9 @@ static int stepped(@NAME@_flight *f, const @real@ *y, const unsigned char *given
   for (i = 0; i < @UPPER@_N_E; ++i) used += there[i] != 0 && of_pose(i);
   if (f->code > @UPPER@_OUT_OF_RANGE) {
     memcpy(u_next, hover_u, sizeof f->u);
+    /* nothing is known of this sample: no row goes on */
+    f->said = 0;
+    f->far = f->limit = 0;
     ++f->failures;
     ++f->missed;
     return f->code;

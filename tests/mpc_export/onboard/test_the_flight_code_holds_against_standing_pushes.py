@@ -39,6 +39,7 @@ void start(const double *place) {
   for (int i = 0; i < 4; ++i) at[i] = (craft_real)place[i];
   craft_flight_start(&f, at);
 }
+void spoil(void) { f.x[0] = (craft_real)(0.0 / 0.0); }
 int sample(const double *y, const double *goal, double *u) {
   craft_real own[CRAFT_N_Y], aim[4];
   unsigned char there[CRAFT_N_Y];
@@ -85,7 +86,7 @@ def _folder():
 
 @functools.cache
 def pilot(real):
-    """The flight code as a library: (start, sample)."""
+    """The flight code as a library: (start, sample, its columns, what spoils its estimate)."""
     made = write_bundle(
         model(),
         Path(_folder().name) / real,
@@ -111,12 +112,13 @@ def pilot(real):
         code = library.sample(given(y), given(goal), u.ctypes.data_as(numbers))
         return u, code % 256, code // 256
 
-    return lambda place: library.start(given(place)), sample, made.functions.outputs.names
+    columns = made.functions.outputs.names
+    return lambda place: library.start(given(place)), sample, columns, library.spoil
 
 
 def flown(real, effects, *, mass=1.0, wait=2.0, seconds=6.0):
     """(Distances [m] from the goal after `wait` seconds (n,), codes, bits) of a flight to it."""
-    start, sample, columns = pilot(real)
+    start, sample, columns, _ = pilot(real)
     plant = Quadrotor(
         replace(X250, mass=mass * X250.mass), (MotorLag(tau=LAG), *effects), sensors=NOISE
     )
@@ -154,7 +156,7 @@ def test_centimetres_are_left_of_a_balance_that_no_flight_has_shown(real, effect
 
 
 def test_a_craft_that_is_held_says_that_it_does_not_get_there_and_gives_all_that_it_has():
-    start, sample, columns = pilot("double")
+    start, sample, columns, spoil = pilot("double")
     plant = Quadrotor(X250, (MotorLag(tau=LAG),))
     start([0.0, 0.0, 1.2, 0.0])
     plant.reset(1, position=(0.0, 0.0, 1.2))
@@ -163,6 +165,12 @@ def test_a_craft_that_is_held_says_that_it_does_not_get_there_and_gives_all_that
     assert said[198:200] == [0, 1], "two seconds farther from the goal than the feedback corrects"
     assert all(bits & 1 for bits in said[200:])
     assert said[-1] == 3, "a command that has stood at its limit"
+    spoil()
+    after = [sample([seen[c] for c in columns], GOAL)[1:] for _ in range(300)]
+    failed = sum(code != 0 for code, _ in after)
+    assert failed == 50, "until it starts again"
+    assert not any(bits for _, bits in after[: failed + 199]), "a failure ends the row"
+    assert after[failed + 199][1] == 1
 
 
 def test_a_filter_in_flight_walks_as_far_as_the_vehicle_file_leaves_open():
