@@ -179,6 +179,22 @@ class Declaration(TypedDict, total=False):
     scope: Scope
 
 
+def delay_parameters(meaning: str, lower: float, upper: float) -> tuple[Parameter, ...]:
+    """A delay d [s] from `lower` to `upper`; none is its null."""
+    return (
+        Parameter(
+            name="d",
+            unit="s",
+            nominal=0.0,
+            lower=lower,
+            upper=upper,
+            null=0.0,
+            scale=0.01,
+            meaning=meaning,
+        ),
+    )
+
+
 def vector_parameters(
     prefix: str,
     axes: Iterable[str],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from greybox.model.effect import Effect, Flow, ReferenceCase
+from greybox.model.effect import Effect, Flow, ReferenceCase, delay_parameters
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
@@ -32,18 +32,7 @@ class CommandDelay(Effect):
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """The delay d [s]."""
-        return (
-            Parameter(
-                name="d",
-                unit="s",
-                nominal=0.0,
-                lower=0.0,
-                upper=0.1,
-                null=0.0,
-                scale=0.01,
-                meaning="command delay",
-            ),
-        )
+        return delay_parameters("command delay", 0.0, 0.1)
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Delays of the command stage add."""

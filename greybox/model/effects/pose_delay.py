@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from greybox.model.effect import Effect, Flow, Needs, ReferenceCase
+from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, delay_parameters
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
@@ -42,18 +42,7 @@ class PoseDelay(Effect):
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """d [s]."""
-        return (
-            Parameter(
-                name="d",
-                unit="s",
-                nominal=0.0,
-                lower=-0.1,
-                upper=0.1,
-                null=0.0,
-                scale=0.01,
-                meaning="delay of the pose",
-            ),
-        )
+        return delay_parameters("delay of the pose", -0.1, 0.1)
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Constant mounting and scale are the same at t - d."""

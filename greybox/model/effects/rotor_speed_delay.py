@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from greybox.data.drive import LATE_SPEEDS
 from greybox.model.clock import ROTOR_CLOCK
-from greybox.model.effect import Effect, Flow, Needs, ReferenceCase
+from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, delay_parameters
 from greybox.model.parameter import Parameter
 from greybox.model.sensors import on_clock
 from greybox.model.vehicle import Vehicle
@@ -42,18 +42,7 @@ class RotorSpeedDelay(Effect):
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """d [s]."""
-        return (
-            Parameter(
-                name="d",
-                unit="s",
-                nominal=0.0,
-                lower=-LATE_SPEEDS,
-                upper=LATE_SPEEDS,
-                null=0.0,
-                scale=0.01,
-                meaning="delay of the rotor speeds",
-            ),
-        )
+        return delay_parameters("delay of the rotor speeds", -LATE_SPEEDS, LATE_SPEEDS)
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Delays of a clock add."""

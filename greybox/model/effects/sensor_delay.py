@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from greybox.model.effect import Effect, Flow, Needs, ReferenceCase
+from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, delay_parameters
 from greybox.model.parameter import Parameter
 from greybox.model.sensors import on_clock
 from greybox.model.vehicle import Vehicle
@@ -44,18 +44,7 @@ class SensorDelay(Effect):
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """The delay d [s]."""
-        return (
-            Parameter(
-                name="d",
-                unit="s",
-                nominal=0.0,
-                lower=0.0,
-                upper=0.05,
-                null=0.0,
-                scale=0.01,
-                meaning="delay of the IMU",
-            ),
-        )
+        return delay_parameters("delay of the IMU", 0.0, 0.05)
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Last in the chain: constant mounting, scale and bias are the same at t - d."""

@@ -253,7 +253,8 @@ def responses(
                 )
                 i = run.gains.pattern[k]
                 e = (c @ d + through[:, places] * pushes[k]) * there[i][:, None]
-                out[j] = white[i] @ np.column_stack([e, slopes[k - part.start]])
+                out[j, :, : len(places)] = white[i] @ e
+                out[j, :, len(places) :] = white[i] @ slopes[k - part.start]
                 target[j] = white[i] @ (run.innovations[k] * there[i])
                 d = a @ d + g[:, places] * pushes[k] - gain[i] @ e
             sums = sums + Normal.of(
