@@ -27,6 +27,7 @@ from greybox.estimation.solver import Value
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
 from greybox.estimation.status import Status
 from greybox.estimation.unknown import Unknown
+from greybox.estimation.varying import varying_spread
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.model.parameter import ParameterValues
@@ -72,7 +73,7 @@ def concluded(
 ) -> Fit:
     """The whole result of a search for the unknowns of `problem`, made of `data` and `options`,
     that `began` (`time.perf_counter`) and ended at `theta` (n,) with this status."""
-    block = _block(problem)
+    block = score_block(problem)
     value = problem.evaluate(theta, scores=block)
     seen = _innovations(problem, theta, value)
     aside = considered(problem, data, options, theta, block if seen.coloured else None)
@@ -144,7 +145,7 @@ def _settings(problem: Problem, options: FitOptions) -> FitSettings:
     }
 
 
-def _block(problem: Problem) -> int:
+def score_block(problem: Problem) -> int:
     """Samples that scores are summed over, longer than the errors' correlation: half a second,
     twice the window of a predictor that looks further ahead."""
     ahead = max(problem.predictor.horizons)
@@ -180,7 +181,7 @@ def _errors(
     matrix = spread.chosen(coloured)
     levels = any(u.kind == "noise" for u in problem.unknowns)
     if value.gradient is not None and not spread.enough and (levels or coloured):
-        seconds = _block(problem) * problem.dt
+        seconds = score_block(problem) * problem.dt
         doubt = too_short_for_errors(spread.blocks, seconds, levels, coloured)
         spread = replace(spread, doubt=doubt)
     alone = _without_priors(problem, told, precision, held)
@@ -226,9 +227,9 @@ def _spread(
     precision: FloatArray,
     considered: Considered,
 ) -> tuple[Covariance, BoolArray]:
-    """(covariances of the unknowns, with what `considered` parameters add; which unknowns are held
-    at a bound), nan and none where the cost has no derivatives. `told` (n, n) is the Hessian
-    without walls, `precision` (n,) that of the priors."""
+    """(covariances of the unknowns, with what `considered` parameters and those that differ between
+    flights add; which unknowns are held at a bound), nan and none where the cost has no
+    derivatives. `told` (n, n) is the Hessian without walls, `precision` (n,) that of the priors."""
     n = problem.n
     if value.gradient is None or told is None or value.data_hessian is None:
         unknown = np.full((n, n), np.nan)
@@ -236,11 +237,11 @@ def _spread(
     low, high = theta <= problem.lower, theta >= problem.upper
     held = (low & (value.gradient > 0)) | (high & (value.gradient < 0))
     spread = covariance(told, value.scores, precision, held)
+    more = varying_spread(problem, theta, told, held)
     if considered.spread is not None:
         free_rows = np.where(held, 0.0, 1.0)
-        more = considered.spread * np.outer(free_rows, free_rows)
-        spread = replace(spread, fisher=spread.fisher + more, sandwich=spread.sandwich + more)
-    return spread, held
+        more = more + considered.spread * np.outer(free_rows, free_rows)
+    return replace(spread, fisher=spread.fisher + more, sandwich=spread.sandwich + more), held
 
 
 UNFINISHED = "the solver stopped at its own tolerance, but a full step would still lower the cost"
