@@ -9,6 +9,7 @@ from greybox.automatic.borrow import decide_with_source
 from greybox.automatic.decide import Given, Say
 from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import adaptation, fit_decided, on_pieces, prepare
+from greybox.automatic.wanted import with_rivals
 from greybox.data import Dataset, Flight
 from greybox.data.halves import demand_disjoint
 from greybox.errors import GreyboxError
@@ -87,7 +88,7 @@ def _automatic(
     given = Given(choices=choices, source=source)
     vehicle, decided = decide_with_source(vehicle, prepared.data, facts, given, say=say)
     found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
-    found = calibrated(found, prepared.data)
+    found = calibrated(with_rivals(found, prepared.data), prepared.data)
     recipe = found.provenance.recipe
     assert recipe is not None
     hints: tuple[Hint, ...] = (

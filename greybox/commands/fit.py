@@ -162,6 +162,7 @@ class _Job:
 def _fitted(job: _Job, console: Console, source: IdentifiedModel | None) -> Fit:
     """The fit, which is saved before anything else can go wrong, with calibrated uncertainty. An
     interrupted one is saved, too."""
+    from greybox.automatic.wanted import with_rivals
     from greybox.commands.fit_own import RESULTS, interrupted
     from greybox.estimation.status import Interrupted
     from greybox.files import withdraw
@@ -180,7 +181,7 @@ def _fitted(job: _Job, console: Console, source: IdentifiedModel | None) -> Fit:
         raise
     withdraw(job.out, *RESULTS)
     job.save(result)
-    return calibrated(result, data)
+    return calibrated(with_rivals(result, data), data)
 
 
 def _judged(job: _Job, result: Fit) -> tuple[Fit, FitDocument, Validation | None]:
@@ -316,6 +317,8 @@ def _lines(job: _Job, result: Fit, table: str, content: FitDocument) -> list[str
     """The verdict and what the logs and physics say, the decisions with their reasons, the
     estimates, the explicit command."""
     first, *rest = result.summary().splitlines()
+    if result.diagnostics.form:  # it is said at once, with what to do next
+        rest.remove(f"warning: {result.diagnostics.form}")
     told = [f"warning: {w}" for some in job.warnings for w in some]
     lines = [first, *_next(job, result), *told, *_sanity_lines(result)]
     if result.provenance.decisions:
@@ -331,16 +334,17 @@ def _lines(job: _Job, result: Fit, table: str, content: FitDocument) -> list[str
 
 
 def _next(job: _Job, result: Fit) -> list[str]:
-    """The command that names what is missing, where pushes without a name follow the motion and
-    matter ahead."""
+    """The command that names what is missing, where parameters stand in for that, or pushes
+    without a name follow the motion and matter ahead."""
     import numpy as np
 
     from greybox.errors import GreyboxError
     from greybox.residual.followed import followed
 
-    verdict = result.verdict
+    verdict, form = result.verdict, result.diagnostics.form
+    bent = [f"next: {_discover(job.arguments)}: {form}"] if form else []
     if verdict is None or verdict.refused or not verdict.groups or not result.converged:
-        return []
+        return bent
     errors = {g.name: g for g in verdict.groups}
     ahead = verdict.groups[0].seconds
     try:
@@ -348,8 +352,9 @@ def _next(job: _Job, result: Fit) -> list[str]:
             result.model, job.prepared.data, {n: g.error for n, g in errors.items()}, ahead
         )
     except (GreyboxError, np.linalg.LinAlgError):  # too short to see pushes in, or too wild
-        return []
-    told = [
+        return bent
+    told = [form] if form else []
+    told += [
         f"the motion foretells {100 * p.share:.0f} % of the {p.group} without a name, which moves "
         f"{p.channel} by {p.change:.2g} of {p.error:.2g} {errors[p.channel].unit} that the model "
         f"errs {ahead:g} s ahead"

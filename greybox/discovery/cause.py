@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Literal, Self
 
 from greybox.discovery.rules import RULES
-from greybox.errors import GreyboxError
+from greybox.model.absence import absence, moved_numbers, not_offered
 from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
@@ -165,9 +165,8 @@ class VehicleCauses(Causes):
 
 
 def cause_of(effect: Effect, vehicle: Vehicle) -> Cause:
-    """An effect as a cause. A parameter without a null is a shape, typical at its nominal value."""
-    nulls = [(d, d.nominal if d.null is None else d.null) for d in effect.parameters(vehicle)]
-    prior = {f"{effect.name}.{d.name}": (float(n), RULES.typical * d.scale) for d, n in nulls}
+    """An effect as a cause."""
+    prior = absence(effect, vehicle)
     return Cause(
         name=effect.name,
         kind="effect",
@@ -230,7 +229,7 @@ def offer(
     chosen: list[Effect] = []
     unjudged: dict[str, str] = {}
     for effect in (e for e in (*CATALOGUE, *own) if e.name not in there):
-        if (why := _not_offered(effect, bare, columns)) is None:
+        if (why := not_offered(effect, bare, columns)) is None:
             chosen.append(effect)
         else:
             unjudged[effect.name] = why
@@ -239,7 +238,7 @@ def offer(
     every = {p for c in causes.values() for p in c.parameters}
     levels = [d.name for d in model.parameters if d.name.split(".")[0] in LEVELS]
     # Were these free in every model, their effect could never be needed.
-    held = {*fixed, *(n for e in chosen for n in _moved(e, vehicle, "default"))}
+    held = {*fixed, *(n for e in chosen for n in moved_numbers(e, vehicle, "default"))}
     core = tuple(
         d.name
         for d in model.parameters
@@ -253,25 +252,3 @@ def offer(
         per_flight=(*per_flight, *(levels if "vbat" not in columns else [])),
         known={} if known is None else known.prior,
     )
-
-
-def _moved(effect: Effect, vehicle: Vehicle, why: str) -> list[str]:
-    """Numbers that an effect moves under their own name, whose sigma is there for `why`."""
-    slots = effect.case.expected if effect.stage == "body" else ()
-    return [b.quantity for b in vehicle.beliefs.entries if b.why == why and b.group in slots]
-
-
-def _not_offered(effect: Effect, bare: PhysicsModel, columns: tuple[str, ...]) -> str | None:
-    """Why a log cannot judge an effect; None where it can."""
-    missing = [c for c in effect.needs.columns if c not in columns]
-    if missing:
-        return f"no {', '.join(missing)}"
-    if effect.name == "rotor_gyroscopic" and not bare.omega_known:
-        return "no speed_max in the vehicle file"
-    if stated := _moved(effect, bare.vehicle, "stated"):  # what flights deny of these is said
-        return f"the vehicle file states {', '.join(stated)}"
-    try:
-        bare.with_effect(effect)
-    except GreyboxError as error:
-        return str(error)
-    return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from greybox.model.absence import TYPICAL
 from greybox.validation.against import TRACE
 
 
@@ -11,10 +12,8 @@ from greybox.validation.against import TRACE
 class Rules:
     """Every number on which a verdict rests, besides the user's `alpha`."""
 
-    typical: float = 3.0
-    """Standard deviation of the prior of a cause in units of its declared typical size: weakly
-    informative (Gelman, Jakulin, Pittau and Su 2008, Annals of Applied Statistics 2(4)); a factor
-    of three in it moves log evidence by about one per parameter."""
+    typical: float = TYPICAL
+    """Standard deviation of the prior of a cause in units of its declared typical size."""
     trace: float = TRACE
     """Share of the squared error, ahead or of one reading, below which a name is worth nothing: one
     per cent of the error itself, which no flight controller feels."""

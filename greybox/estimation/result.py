@@ -95,7 +95,9 @@ class Diagnostics:
 
     `cost` is the negative log posterior, `loglik` the log likelihood without priors. `innovations`
     (flight -> list of (n, n_e)) are NaN where missing; `coloured` says whether they fail the
-    whiteness test, in which case `std` of the estimates is the sandwich one.
+    whiteness test, in which case `std` of the estimates is the sandwich one. `form`: which
+    parameters are no measurements, since flights want what the model lacks
+    (`greybox.automatic.wanted`); empty where nothing says so.
     """
 
     status: Status
@@ -106,6 +108,7 @@ class Diagnostics:
     coloured: bool
     covariance: Covariance
     warnings: tuple[str, ...]
+    form: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -436,8 +439,8 @@ class Fit(Shown):
             self.verdict is None and not self.converged
         ):  # nothing vouches for these numbers: the failure comes first
             lines.reverse()
-        doubt = self.diagnostics.covariance.doubt
-        lines += [f"warning: {doubt}"] if doubt else []
+        first = [d for d in (self.diagnostics.form, self.diagnostics.covariance.doubt) if d]
+        lines += [f"warning: {d}" for d in first]
         width = max((len(n) for n in self.parameters), default=4)
         for n, e in self.parameters.items():
             error = "at bound" if e.at_bound else f"+- {e.std:.2g}"
@@ -451,5 +454,5 @@ class Fit(Shown):
         lag = self.model.effective_lag
         lines += [] if lag is None else [lag.line]
         lines += [f"not identified: {c.text}" for c in self.unidentifiable]
-        lines += [f"warning: {w}" for w in self.warnings if w != doubt]
+        lines += [f"warning: {w}" for w in self.warnings if w not in first]
         return "\n".join(lines)

@@ -1,0 +1,171 @@
+"""Wanted: error bars that hold although the model may lack an effect.
+
+A fit that lacks an effect bends what it has into its place: a rotor drag stands for a drag of
+another form, a misalignment of the pose for an IMU that is turned in its mount. The predictions are
+good, the numbers are not, and no scatter shows it: every flight is bent alike. So every effect of
+the catalogue that the model lacks is asked for at the end of a fit (`greybox.statistics.rivals`):
+one run of the filter per parameter tells how much likelier the flights were with it, and where the
+estimates would go. Error bars hold that, and what would go further than its error allows is said to
+be no measurement. The model stays: naming what is missing is for `greybox discover`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from greybox.data import Dataset
+from greybox.errors import GreyboxError
+from greybox.estimation.conclusion import score_block
+from greybox.estimation.covariance import FEWEST_BLOCKS
+from greybox.estimation.differences import with_candidate_sensitivities
+from greybox.estimation.laplace import at_bound
+from greybox.estimation.problem import Problem
+from greybox.estimation.result import Estimate, Fit
+from greybox.model.absence import absence, not_offered
+from greybox.model.effect import Effect
+from greybox.model.effects import CATALOGUE
+from greybox.model.layer import physics_of, with_physics
+from greybox.model.model import PhysicsModel
+from greybox.statistics.evidence import FELT
+from greybox.statistics.rivals import Averaged, Parabola, averaged
+from greybox.symbolic import FloatArray
+
+Beliefs = Mapping[str, tuple[float, float]]
+
+
+def with_rivals(found: Fit, data: Dataset) -> Fit:
+    """The fit to `data` with errors that hold what effects which it lacks would change.
+
+    As it was where it did not end at a minimum of the likelihood, whose slope tells what is
+    missing, or where nothing is: predictions and the model's own covariance stay.
+    """
+    physics = physics_of(found.problem.dynamics)
+    if physics is None or found.settings["predictor"] != "innovation" or not found.converged:
+        return found
+    if found.settings["criterion"] != "gaussian":
+        return found
+    try:
+        with threadpool_limits(limits=1):
+            at = _parabola(found, data, physics)
+            seen = averaged(at)
+    except (GreyboxError, np.linalg.LinAlgError):  # a larger model that cannot predict
+        return found
+    return found if seen.best is None else _told(found, at, seen)
+
+
+def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> Parabola:
+    """The cost about the fit, with effects that it lacks. What is held for a ratio may move as far
+    as it is stated: an effect that does the same as its error is no news."""
+    small, theta = found.problem, found.theta
+    held = at_bound(small, theta, small.evaluate(theta))
+    effects = _offered(physics, data)
+    declared = {d.name: d for d in small.dynamics.parameters}
+    stated = {n: (float(small.base[i]), declared[n].sigma) for i, n in enumerate(declared)}
+    priors = {n: stated[n] for n in found.settings["considered"]}
+    for e in effects:
+        priors |= absence(e, physics.vehicle)
+    early = {e.name for e in effects if e.early or e.memory(physics.vehicle)}
+    near = [e for e in effects if e.name not in early]
+    wide, at = with_candidate_sensitivities(
+        small,
+        theta,
+        with_physics(small.dynamics, lambda m: m.with_effect(*near)),
+        data,
+        {n: null for n, (null, _) in priors.items()},
+        apart=with_physics(small.dynamics, lambda m: m.with_effect(*effects)) if early else None,
+    )
+    value = wide.evaluate(at, scores=score_block(small))
+    assert value.gradient is not None and value.data_hessian is not None
+    n, own = small.n, [priors[u.name] for u in wide.unknowns[small.n :]]
+    sigma = np.array([u.sigma for u in small.unknowns] + [s for _, s in own])
+    prior = np.where(np.isfinite(sigma), sigma, np.inf) ** -2.0
+    information = value.data_hessian + np.diag(prior)
+    gradient = value.gradient.copy()
+    gradient[n:] -= _pull_of_declared(wide, at)[n:]
+    places = {e.name: [i for i in range(n, wide.n) if _head(wide, i) == e.name] for e in effects}
+    loose = [*np.flatnonzero(~held).tolist(), *range(n, wide.n)]
+    of_causes = {i for rows in places.values() for i in rows}
+    scores = value.scores
+    return Parabola(
+        information=information,
+        gradient=gradient,
+        prior=prior,
+        fitted=[i for i in loose if i not in of_causes and information[i, i] > 0],
+        causes=places,
+        floor=at <= wide.lower,
+        ceiling=at >= wide.upper,
+        scatter=None
+        if not found.coloured or scores is None or len(scores) < FEWEST_BLOCKS
+        else scores.T @ scores,
+    )
+
+
+def _pull_of_declared(wide: Problem, at: FloatArray) -> FloatArray:
+    """Part of the gradient (n,) that is of the priors that unknowns were declared with."""
+    sigma = np.array([u.sigma for u in wide.unknowns])
+    mean = np.array([u.mean for u in wide.unknowns])
+    return np.where(np.isfinite(sigma), (at - mean) / sigma**2, 0.0)
+
+
+def _head(problem: Problem, i: int) -> str:
+    return problem.unknowns[i].name.split(".")[0]
+
+
+def _offered(physics: PhysicsModel, data: Dataset) -> list[Effect]:
+    """The effects of the catalogue that the model lacks and these flights can judge. One that
+    brings a motion which nothing measures has a state that nobody holds: only a fit can tell."""
+    there = {e.name for e in physics.effects}
+    absent = [e for e in CATALOGUE if e.name not in there]
+    judged = [e for e in absent if not_offered(e, physics, data.channels) is None]
+    pushed = physics.noises.names
+    return [e for e in judged if physics.with_effect(e).noises.names == pushed]
+
+
+def _told(found: Fit, at: Parabola, seen: Averaged) -> Fit:
+    """The fit with wider errors, and what is no measurement."""
+    assert seen.best is not None
+    by_name: dict[str, list[int]] = {}
+    row = {place: k for k, place in enumerate(at.fitted)}
+    for i, u in enumerate(found.problem.unknowns):
+        if i in row:
+            by_name.setdefault(u.name, []).append(row[i])
+    wider, away = {}, {}
+    for name, e in found.parameters.items():
+        rows = by_name.get(name, [])
+        wider[name] = _widened(e, seen.spread, rows) if rows else e
+        size = float(np.abs(seen.shift[rows].mean())) / e.std if rows and e.std > 0 else 0.0
+        if size > FELT and not name.startswith("disturbance."):
+            away[name] = size
+    line = ""
+    if away:
+        line = (
+            f"{', '.join(away)} {'is' if len(away) == 1 else 'are'} no measurement: the flights "
+            f"want {', '.join(seen.best.causes)}, which this model lacks and which would move "
+            f"{'it' if len(away) == 1 else 'them'} by up to {max(away.values()):.0f} standard "
+            "errors; the errors hold that now"
+        )
+    warnings = found.diagnostics.warnings
+    return replace(
+        found,
+        estimates=replace(found.estimates, parameters=wider),
+        diagnostics=replace(
+            found.diagnostics, form=line, warnings=(line, *warnings) if line else warnings
+        ),
+    )
+
+
+def _widened(e: Estimate, spread: FloatArray, rows: list[int]) -> Estimate:
+    """The estimate with its part of `spread`, whose `rows` are those of its flights, in order."""
+    own = np.diag(spread)[rows]
+    mean = float(spread[np.ix_(rows, rows)].mean())
+    each = dict(e.per_flight)
+    if len(each) == len(rows):
+        each = {
+            f: (v, float(np.hypot(s, np.sqrt(more))))
+            for (f, (v, s)), more in zip(each.items(), own, strict=True)
+        }
+    return replace(e, std=float(np.hypot(e.std, np.sqrt(max(mean, 0.0)))), per_flight=each)

@@ -1,0 +1,167 @@
+"""Rivals: what else the data may want in a model, and what that does to the estimates it has.
+
+At a minimum the cost is a parabola, in the unknowns that were fitted and in those of causes that
+were left out. Each set of causes then has its evidence and a shift of every estimate (the bias of an
+omitted variable), without a fit. An error bar that holds under any form is the average over forms,
+
+    variance = sum_f w_f (variance under f + shift_f shift_f'),
+
+with the posterior odds w_f (Hoeting, Madigan, Raftery and Volinsky 1999, Statistical Science
+14(4)). A set that is less likely than without its last cause is no rival (Occam's window: Madigan
+and Raftery 1994, JASA 89(428)): what the data do not ask for widens nothing. Scores that scatter
+more than the information says, as those of coloured errors do, count for less (Rotnitzky and Jewell
+1990, Biometrika 77(3)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+TOGETHER = 6
+"""Causes of one set at most: the later ones rest on a parabola about the fit without any."""
+DEAD = 1e-8
+"""Information per prior below which nothing is felt but rounding."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Parabola:
+    """The cost about a fit: `information` (n, n) with all priors and `gradient` (n,), by the
+    unknowns that are `fitted` and by those of `causes`, which stand at nothing with priors of
+    precision `prior` (n,). `floor`, `ceiling` (n,): which of these cannot go below or above.
+    `scatter` (n, n): sum of the outer products of block scores, None where errors are white."""
+
+    information: FloatArray
+    gradient: FloatArray
+    prior: FloatArray
+    fitted: Sequence[int]
+    causes: Mapping[str, Sequence[int]]
+    floor: BoolArray
+    ceiling: BoolArray
+    scatter: FloatArray | None = None
+
+    def felt(self) -> dict[str, list[int]]:
+        """Of every cause the places that the data feel."""
+        data = np.diag(self.information) - self.prior
+        found = {
+            n: [i for i in rows if data[i] > DEAD * self.prior[i]]
+            for n, rows in self.causes.items()
+        }
+        return {n: rows for n, rows in found.items() if rows}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Form:
+    """A set of causes: log of its odds against the fit without any, the `shift` (m,) of the fitted
+    unknowns with them, and what not knowing their size adds to the covariance (m, m)."""
+
+    causes: tuple[str, ...]
+    log_odds: float
+    shift: FloatArray
+    more: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Averaged:
+    """`spread` (m, m), to be added to the covariance of the fitted unknowns; `shift` (m,), how far
+    the average of all forms is from the fit; the likeliest form, None where that is the fit."""
+
+    spread: FloatArray
+    shift: FloatArray
+    best: Form | None
+
+
+def averaged(at: Parabola) -> Averaged:
+    """The average over the fit and its rivals, see the module. Forms are sought by steps, each
+    from the likeliest of the last one; each of k causes costs log k, since so many were asked."""
+    felt, size = at.felt(), len(at.fitted)
+    price = np.log(max(len(felt), 1))
+    found: list[Form] = []
+    best: Form | None = None
+    while len(() if best is None else best.causes) < TOGETHER:
+        names, odds = ((), 0.0) if best is None else (best.causes, best.log_odds)
+        asked = [_form(at, felt, best, n, price) for n in felt if n not in names]
+        likelier = [f for f in asked if f is not None and f.log_odds > odds]
+        if not likelier:
+            break
+        found += likelier
+        best = max(likelier, key=lambda f: f.log_odds)
+    spread, shift = np.zeros((size, size)), np.zeros(size)
+    if not found:
+        return Averaged(spread=spread, shift=shift, best=None)
+    logs = np.array([0.0, *(f.log_odds for f in found)])
+    weights = np.exp(logs - logs.max())
+    for form, weight in zip(found, (weights / weights.sum())[1:], strict=True):
+        spread += weight * (form.more + np.outer(form.shift, form.shift))
+        shift += weight * form.shift
+    return Averaged(spread=spread, shift=shift, best=best)
+
+
+def _form(
+    at: Parabola, felt: Mapping[str, Sequence[int]], before: Form | None, name: str, price: float
+) -> Form | None:
+    """The form with one more cause than `before`; None where bounds hold all of it back."""
+    there = () if before is None else before.causes
+    of_others = [i for n in there for i in felt[n]]
+    others, own = _inside(at, of_others, felt[name])
+    if not own:
+        return None
+    gain = _gain(at, [*at.fitted, *others], own)
+    information, score, moved = _projected(at, at.fitted, [*others, *own])
+    return Form(
+        causes=(*there, name),
+        log_odds=(0.0 if before is None else before.log_odds) + gain - price,
+        shift=np.asarray(moved @ np.linalg.solve(information, score)),
+        more=np.asarray(moved @ np.linalg.solve(information, moved.T)),
+    )
+
+
+def _inside(at: Parabola, others: Sequence[int], own: Sequence[int]) -> tuple[list[int], list[int]]:
+    """Those of both that do not run through a bound together."""
+    rows = [*others, *own]
+    while rows:
+        information, score, _ = _projected(at, at.fitted, rows)
+        falls = np.linalg.solve(information, score) > 0
+        free = np.where(falls, ~at.floor[rows], ~at.ceiling[rows])
+        if free.all():
+            break
+        rows = [i for i, inside in zip(rows, free, strict=True) if inside]
+    return [i for i in others if i in rows], [i for i in own if i in rows]
+
+
+def _gain(at: Parabola, rest: Sequence[int], own: Sequence[int]) -> float:
+    """Log evidence that the unknowns at `own` bring, those at `rest` along; coloured scores count
+    for less."""
+    information, score, moved = _projected(at, rest, own)
+    prior = np.diag(at.prior[own])
+    if at.scatter is not None:
+        through = np.zeros((len(at.prior), len(own)))
+        through[own, range(len(own))] = 1.0
+        through[rest] = -moved
+        scatter = through.T @ at.scatter @ through + prior
+        told = max(float(np.trace(np.linalg.solve(information, scatter))) / len(own), 1.0)
+        information, score = (information - prior) / told + prior, score / told
+    _, size = np.linalg.slogdet(information)
+    room = float(size - np.log(at.prior[own]).sum())
+    return 0.5 * float(score @ np.linalg.solve(information, score)) - 0.5 * room
+
+
+def _projected(
+    at: Parabola, rest: Sequence[int], rows: Sequence[int]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(information (k, k) on the unknowns at `rows` with their priors, score (k,), move (m, k) of
+    those at `rest` against one unit of each), those at `rest` projected out."""
+    size = np.sqrt(np.maximum(np.diag(at.information), 1e-300))
+    unit, slope = at.information / np.outer(size, size), at.gradient / size
+    inner = np.linalg.pinv(unit[np.ix_(rest, rest)], rcond=1e-12, hermitian=True)
+    moved = inner @ unit[np.ix_(rest, rows)]
+    information = unit[np.ix_(rows, rows)] - unit[np.ix_(rest, rows)].T @ moved
+    score = slope[rows] - moved.T @ slope[rest]
+    own = size[rows]
+    return information * np.outer(own, own), score * own, moved * own / size[rest][:, None]

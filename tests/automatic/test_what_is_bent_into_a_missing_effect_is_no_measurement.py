@@ -1,0 +1,95 @@
+"""A fit that lacks an effect bends other numbers into its place: their error bars hold the truth all
+the same, and the first lines say that they are no measurements. Where nothing is missing all errors
+stay as they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from greybox.automatic.wanted import with_rivals
+from greybox.cli import main
+from greybox.estimation.fit import fit
+from greybox.estimation.result import Fit
+from greybox.model.model import build_model
+from greybox.plants.flight_log import write_log
+from greybox.plants.vehicle_file import write_vehicle
+from tests.automatic.craft import RATES, flights, flown, plant, vehicle
+
+DAMPING = 5e-5
+"""Of the air against rotation [N m s], which the model lacks."""
+TRUE = {"motor_lag.tau": 0.05, "command_delay.d": 0.012, "thrust.c2": 0.14375}
+EFFECTS = ("motor_lag", "command_delay", "gyro_bias")
+
+
+def fitted(damping: float, predictor: str = "innovation") -> tuple[Fit, Fit]:
+    """A fit without damping, and with the errors that hold it."""
+    data = flights(RATES, damping=damping)
+    dt = data.flights[0].dt
+    model = build_model(vehicle(), data.channels, EFFECTS, sample_time=dt)
+    plain = fit(model, data, disturbance=("torque",), predictor=predictor)
+    return plain, with_rivals(plain, data)
+
+
+@pytest.fixture(scope="module")
+def damped() -> tuple[Fit, Fit]:
+    return fitted(DAMPING)
+
+
+def away(found: Fit, name: str) -> float:
+    return abs(found[name].value - TRUE[name]) / found[name].std
+
+
+def test_the_errors_hold_the_truth_although_the_form_is_wrong(damped):
+    plain, held = damped
+    assert max(away(plain, n) for n in TRUE) > 10
+    assert max(away(held, n) for n in TRUE) < 2
+    assert all(held[n].value == plain[n].value for n in plain.parameters)
+    assert all(held[n].std >= plain[n].std for n in TRUE)
+
+
+def test_it_is_said_first_and_what_the_flights_want(damped):
+    plain, held = damped
+    assert not plain.diagnostics.form
+    assert "motor_lag.tau" in held.diagnostics.form
+    assert "no measurement: the flights want rotational_damping" in held.diagnostics.form
+    assert held.warnings[0] == held.diagnostics.form
+    lines = held.summary().splitlines()
+    assert lines.index(f"warning: {held.diagnostics.form}") == 2
+    assert held.summary().count(held.diagnostics.form) == 1
+
+
+def test_predictions_stay(damped):
+    plain, held = damped
+    assert held.model is plain.model
+
+
+def test_where_nothing_is_missing_nothing_changes():
+    plain, held = fitted(0.0)
+    assert held is plain
+    assert max(away(plain, n) for n in TRUE) < 3
+
+
+def test_a_fit_that_is_no_minimum_of_the_likelihood_stays_as_it_is(damped):
+    data = flights(RATES, damping=DAMPING)
+    plain = damped[0]
+    lost = replace(plain.status, code=type(plain.status.code).MAX_ITERATIONS)
+    other = replace(plain, diagnostics=replace(plain.diagnostics, status=lost))
+    assert with_rivals(other, data) is other
+
+
+def test_the_command_says_it_on_its_second_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, columns in zip("ab", flown(damping=DAMPING), strict=True):
+        kept = {k: v for k, v in columns.items() if k in ("t", "u1", "u2", "u3", "u4", *RATES)}
+        write_log(tmp_path / f"{name}.csv", kept)
+    write_vehicle(tmp_path / "v.toml", plant(), sigma={"inertia": 0.2, "thrust.c2": 0.2})
+    command = (
+        "fit --vehicle v.toml --train a.csv b.csv --manual --disturbance torque "
+        f"--effects {','.join(EFFECTS)} --out out"
+    )
+    main(command.split())
+    second = capsys.readouterr().out.splitlines()[1]
+    assert second.startswith("next: greybox discover --vehicle v.toml --train a.csv b.csv")
+    assert "no measurement: the flights want rotational_damping" in second
