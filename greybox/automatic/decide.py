@@ -4,7 +4,7 @@
 2. The nested standard sets of effects (`sets`) are fitted one after the other to the first part of
    every flight, with disturbance states of force and torque, and foretell the part left out. Of
    the sets within one standard error of the best the one with the lowest BIC is taken, less the
-   steps that nothing feels: an effect that is there and left out bends what it is taken for.
+   effects that nothing feels: one that is there and left out bends what it is taken for.
 3. Gyro and accelerometer get a low-pass filter and coloured noise where the innovations are not
    white and BIC clearly asks for it: a filter that is left out looks like more lag of the motors,
    colour that is left out like a slower filter. What is not felt with them goes.
@@ -218,11 +218,10 @@ class _Decider:
         if first is None:
             return self._decided(steps[:1], options, None)
         tried = self._nested(steps, options, first, parts)
-        best = _best(tried)
-        chosen = self._without_unfelt(likeliest_of_the_good(tried), options, best, parts)
+        chosen = self._without_unfelt(likeliest_of_the_good(tried), options, parts)
         options, noisy, reason = self._filters(options, chosen, parts)
         if noisy is not chosen:
-            chosen = self._without_unfelt(noisy, options, noisy, parts)
+            chosen = self._without_unfelt(noisy, options, parts)
         self._say_noise(chosen, reason)
         self._say_effects(chosen, tried)
         options, chosen = self._thrust_per_flight(options, chosen, parts)
@@ -536,15 +535,14 @@ class _Decider:
         self,
         chosen: Candidate,
         options: FitOptions,
-        best: Candidate,
         parts: tuple[Dataset, Dataset],
     ) -> Candidate:
-        """`chosen` without what nothing feels, where that foretells as well as `best`."""
+        """`chosen` without what nothing feels, if that is `plainer`."""
         kept = _felt_steps(chosen)
         if kept == chosen.steps:
             return chosen
         less = self._try(kept, options, chosen, parts)
-        return less if less is not None and _as_good(less, best) else chosen
+        return chosen if less is None else plainer(chosen, less)
 
     def _say_effects(self, chosen: Candidate, tried: list[Candidate]) -> None:
         if self.given.effects is not None:
@@ -688,6 +686,12 @@ def likeliest_of_the_good(tried: Sequence[Candidate]) -> Candidate:
     """Of candidates that foretell as well as the best the one with the lowest BIC."""
     best = _best(tried)
     return min((c for c in tried if _as_good(c, best)), key=lambda c: c.likelihood.bic)
+
+
+def plainer(chosen: Candidate, less: Candidate) -> Candidate:
+    """`less`, which is `chosen` without effects that nothing feels one by one, unless BIC asks for
+    all of them together. Pieces that are foretold a little better with these are luck."""
+    return chosen if less.likelihood.bic > chosen.likelihood.bic else less
 
 
 def _best(tried: Sequence[Candidate]) -> Candidate:

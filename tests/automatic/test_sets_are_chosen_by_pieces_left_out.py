@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.automatic.decide import Candidate, Decided, Given, decide, likeliest_of_the_good
+from greybox.automatic.decide import (
+    Candidate,
+    Decided,
+    Given,
+    decide,
+    likeliest_of_the_good,
+    plainer,
+)
 from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import prepare
 from greybox.automatic.foretell import Score, foretell
@@ -96,6 +103,12 @@ def test_among_those_that_foretell_alike_the_likelihood_chooses():
         likeliest_of_the_good([replace(small, likelihood=SimpleNamespace(bic=-20.0)), large]).name
         == "small"
     )
+
+
+def test_of_what_nothing_feels_the_likelihood_decides_and_not_luck_on_a_few_pieces():
+    chosen, less = candidate("chosen", 0.0020, 133.0), candidate("less", 0.0022, 0.0)
+    assert plainer(chosen, less) is less
+    assert plainer(replace(chosen, likelihood=SimpleNamespace(bic=-9.0)), less).name == "chosen"
 
 
 def test_inflow_is_offered_where_something_shows_the_climb():
