@@ -11,7 +11,7 @@ be no measurement. The model stays: naming what is missing is for `greybox disco
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,8 +34,6 @@ from greybox.statistics.evidence import FELT
 from greybox.statistics.rivals import Averaged, Parabola, averaged
 from greybox.symbolic import FloatArray
 
-Beliefs = Mapping[str, tuple[float, float]]
-
 
 def with_rivals(found: Fit, data: Dataset) -> Fit:
     """The fit to `data` with errors that hold what effects which it lacks would change.
@@ -50,16 +48,17 @@ def with_rivals(found: Fit, data: Dataset) -> Fit:
         return found
     try:
         with threadpool_limits(limits=1):
-            at = _parabola(found, data, physics)
+            at, limits = _parabola(found, data, physics)
             seen = averaged(at)
     except (GreyboxError, np.linalg.LinAlgError):  # a larger model that cannot predict
         return found
-    return found if seen.best is None else _told(found, at, seen)
+    return found if seen.best is None else _told(found, at, seen, limits)
 
 
-def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> Parabola:
-    """The cost about the fit, with effects that it lacks. What is held for a ratio may move as far
-    as it is stated: an effect that does the same as its error is no news."""
+def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> tuple[Parabola, frozenset[str]]:
+    """(the cost about the fit, with effects that it lacks; those of them that are felt of a large
+    step alone). What is held for a ratio may move as far as it is stated: an effect that does the
+    same as its error is no news."""
     small, theta = found.problem, found.theta
     held = at_bound(small, theta, small.evaluate(theta))
     effects = _offered(physics, data)
@@ -90,7 +89,7 @@ def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> Parabola:
     loose = [*np.flatnonzero(~held).tolist(), *range(n, wide.n)]
     of_causes = {i for rows in places.values() for i in rows}
     scores = value.scores
-    return Parabola(
+    parabola = Parabola(
         information=information,
         gradient=gradient,
         prior=prior,
@@ -102,6 +101,7 @@ def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> Parabola:
         if not found.coloured or scores is None or len(scores) < FEWEST_BLOCKS
         else scores.T @ scores,
     )
+    return parabola, frozenset(n.split(".")[0] for n in wide.thresholds)
 
 
 def _pull_of_declared(wide: Problem, at: FloatArray) -> FloatArray:
@@ -125,8 +125,9 @@ def _offered(physics: PhysicsModel, data: Dataset) -> list[Effect]:
     return [e for e in judged if physics.with_effect(e).noises.names == pushed]
 
 
-def _told(found: Fit, at: Parabola, seen: Averaged) -> Fit:
-    """The fit with wider errors, and what is no measurement."""
+def _told(found: Fit, at: Parabola, seen: Averaged, limits: frozenset[str]) -> Fit:
+    """The fit with wider errors, and what is no measurement. How far a limit that is missing moves
+    numbers is not to be seen where it is not felt."""
     assert seen.best is not None
     by_name: dict[str, list[int]] = {}
     row = {place: k for k, place in enumerate(at.fitted)}
@@ -140,14 +141,7 @@ def _told(found: Fit, at: Parabola, seen: Averaged) -> Fit:
         size = float(np.abs(seen.shift[rows].mean())) / e.std if rows and e.std > 0 else 0.0
         if size > FELT and not name.startswith("disturbance."):
             away[name] = size
-    line = ""
-    if away:
-        line = (
-            f"{', '.join(away)} {'is' if len(away) == 1 else 'are'} no measurement: the flights "
-            f"want {', '.join(seen.best.causes)}, which this model lacks and which would move "
-            f"{'it' if len(away) == 1 else 'them'} by up to {max(away.values()):.0f} standard "
-            "errors; the errors hold that now"
-        )
+    line = _line(away, seen.best.causes, limits) if away else ""
     warnings = found.diagnostics.warnings
     return replace(
         found,
@@ -155,6 +149,19 @@ def _told(found: Fit, at: Parabola, seen: Averaged) -> Fit:
         diagnostics=replace(
             found.diagnostics, form=line, warnings=(line, *warnings) if line else warnings
         ),
+    )
+
+
+def _line(away: Mapping[str, float], causes: Sequence[str], limits: frozenset[str]) -> str:
+    """Which numbers are no measurement, by how many standard errors each would move, and why."""
+    one = len(away) == 1
+    known = "the errors hold that now"
+    if found := [n for n in causes if n in limits]:
+        known = f"how far {', '.join(found)} moves numbers needs a fit: trust no error before that"
+    return (
+        f"{', '.join(away)} {'is' if one else 'are'} no measurement: the flights want "
+        f"{', '.join(causes)}, which this model lacks and which would move "
+        f"{'it' if one else 'them'} by up to {max(away.values()):.0f} standard errors; {known}"
     )
 
 

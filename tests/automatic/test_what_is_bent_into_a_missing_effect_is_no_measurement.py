@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from greybox.automatic.wanted import with_rivals
+from greybox.automatic.wanted import _line, with_rivals
 from greybox.cli import main
 from greybox.estimation.fit import fit
 from greybox.estimation.result import Fit
@@ -58,6 +58,18 @@ def test_it_is_said_first_and_what_the_flights_want(damped):
     lines = held.summary().splitlines()
     assert lines.index(f"warning: {held.diagnostics.form}") == 2
     assert held.summary().count(held.diagnostics.form) == 1
+
+
+def test_how_far_a_limit_moves_numbers_is_not_claimed_to_be_known():
+    away, causes = {"thrust.c2": 4.2}, ("command_saturation", "thrust_curve")
+    assert _line(away, causes, frozenset()).endswith("the errors hold that now")
+    said = _line(away, causes, frozenset({"command_saturation", "ground_effect"}))
+    assert said.startswith(
+        "thrust.c2 is no measurement: the flights want command_saturation, thrust"
+    )
+    assert said.endswith(
+        "how far command_saturation moves numbers needs a fit: trust no error before that"
+    )
 
 
 def test_predictions_stay(damped):
