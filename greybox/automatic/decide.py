@@ -690,7 +690,8 @@ def likeliest_of_the_good(tried: Sequence[Candidate]) -> Candidate:
 
 def plainer(chosen: Candidate, less: Candidate) -> Candidate:
     """`less`, which is `chosen` without effects that nothing feels one by one, unless BIC asks for
-    all of them together. Pieces that are foretold a little better with these are luck."""
+    all of them together. Pieces that are foretold a little better with these are mostly luck, and
+    never worth a name that is not there."""
     return chosen if less.likelihood.bic > chosen.likelihood.bic else less
 
 
