@@ -142,14 +142,14 @@ def _told(found: Fit, at: Parabola, seen: Averaged, limits: frozenset[str]) -> F
         if size > FELT and not name.startswith("disturbance."):
             away[name] = size
     line = _line(away, seen.best.causes, limits) if away else ""
-    warnings = found.diagnostics.warnings
-    return replace(
-        found,
-        estimates=replace(found.estimates, parameters=wider),
-        diagnostics=replace(
-            found.diagnostics, form=line, warnings=(line, *warnings) if line else warnings
-        ),
+    old = found.diagnostics
+    said = replace(
+        old,
+        covariance=replace(old.covariance, form=line),
+        warnings=(line, *old.warnings) if line else old.warnings,
     )
+    estimates = replace(found.estimates, parameters=wider)
+    return replace(found, estimates=estimates, diagnostics=said)
 
 
 def _line(away: Mapping[str, float], causes: Sequence[str], limits: frozenset[str]) -> str:

@@ -317,8 +317,8 @@ def _lines(job: _Job, result: Fit, table: str, content: FitDocument) -> list[str
     """The verdict and what the logs and physics say, the decisions with their reasons, the
     estimates, the explicit command."""
     first, *rest = result.summary().splitlines()
-    if result.diagnostics.form:  # it is said at once, with what to do next
-        rest.remove(f"warning: {result.diagnostics.form}")
+    if result.covariance.form:  # it is said at once, with what to do next
+        rest.remove(f"warning: {result.covariance.form}")
     told = [f"warning: {w}" for some in job.warnings for w in some]
     lines = [first, *_next(job, result), *told, *_sanity_lines(result)]
     if result.provenance.decisions:
@@ -341,7 +341,7 @@ def _next(job: _Job, result: Fit) -> list[str]:
     from greybox.errors import GreyboxError
     from greybox.residual.followed import followed
 
-    verdict, form = result.verdict, result.diagnostics.form
+    verdict, form = result.verdict, result.covariance.form
     bent = [f"next: {_discover(job.arguments)}: {form}"] if form else []
     if verdict is None or verdict.refused or not verdict.groups or not result.converged:
         return bent

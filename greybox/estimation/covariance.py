@@ -24,12 +24,15 @@ FEWEST_BLOCKS = 8
 @dataclass(frozen=True, kw_only=True)
 class Covariance:
     """Matrices over all unknowns (n, n); rows and columns of held ones are zero. `blocks`: how many
-    scores were summed; `doubt`: why all errors are too small, empty where nothing says so."""
+    scores were summed; `doubt`: why all errors are too small, `form`: which parameters are no
+    measurement, since flights want what the model lacks (`greybox.automatic.wanted`); both empty
+    where nothing says so."""
 
     fisher: FloatArray
     sandwich: FloatArray
     blocks: int
     doubt: str = ""
+    form: str = ""
 
     @property
     def enough(self) -> bool:

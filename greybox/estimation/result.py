@@ -95,9 +95,7 @@ class Diagnostics:
 
     `cost` is the negative log posterior, `loglik` the log likelihood without priors. `innovations`
     (flight -> list of (n, n_e)) are NaN where missing; `coloured` says whether they fail the
-    whiteness test, in which case `std` of the estimates is the sandwich one. `form`: which
-    parameters are no measurements, since flights want what the model lacks
-    (`greybox.automatic.wanted`); empty where nothing says so.
+    whiteness test, in which case `std` of the estimates is the sandwich one.
     """
 
     status: Status
@@ -108,7 +106,6 @@ class Diagnostics:
     coloured: bool
     covariance: Covariance
     warnings: tuple[str, ...]
-    form: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -439,7 +436,7 @@ class Fit(Shown):
             self.verdict is None and not self.converged
         ):  # nothing vouches for these numbers: the failure comes first
             lines.reverse()
-        first = [d for d in (self.diagnostics.form, self.diagnostics.covariance.doubt) if d]
+        first = [d for d in (self.covariance.form, self.covariance.doubt) if d]
         lines += [f"warning: {d}" for d in first]
         width = max((len(n) for n in self.parameters), default=4)
         for n, e in self.parameters.items():

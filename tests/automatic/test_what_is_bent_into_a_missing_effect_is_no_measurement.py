@@ -51,13 +51,13 @@ def test_the_errors_hold_the_truth_although_the_form_is_wrong(damped):
 
 def test_it_is_said_first_and_what_the_flights_want(damped):
     plain, held = damped
-    assert not plain.diagnostics.form
-    assert "motor_lag.tau" in held.diagnostics.form
-    assert "no measurement: the flights want rotational_damping" in held.diagnostics.form
-    assert held.warnings[0] == held.diagnostics.form
+    assert not plain.covariance.form
+    assert "motor_lag.tau" in held.covariance.form
+    assert "no measurement: the flights want rotational_damping" in held.covariance.form
+    assert held.warnings[0] == held.covariance.form
     lines = held.summary().splitlines()
-    assert lines.index(f"warning: {held.diagnostics.form}") == 2
-    assert held.summary().count(held.diagnostics.form) == 1
+    assert lines.index(f"warning: {held.covariance.form}") == 2
+    assert held.summary().count(held.covariance.form) == 1
 
 
 def test_how_far_a_limit_moves_numbers_is_not_claimed_to_be_known():

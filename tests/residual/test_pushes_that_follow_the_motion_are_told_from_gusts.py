@@ -140,7 +140,8 @@ def test_the_next_step_is_left_out_where_it_cannot_be_told(
     monkeypatch.setattr("greybox.residual.followed.followed", raising)
     verdict = SimpleNamespace(refused=False, groups=groups)
     job: Any = SimpleNamespace(prepared=SimpleNamespace(data=None))
-    result: Any = SimpleNamespace(verdict=verdict, converged=True, model=None)
+    sure = SimpleNamespace(form="")
+    result: Any = SimpleNamespace(verdict=verdict, converged=True, model=None, covariance=sure)
     assert _next(job, result) == []
 
 
