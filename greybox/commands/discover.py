@@ -385,8 +385,21 @@ def run(arguments: argparse.Namespace) -> int:
     search.page()
     if found.fit is not None:
         write_if_asked(arguments.mcap, found.model, train, test)
-    console.result(search.content, *search.lines(found))
+    console.result(search.content, *search.lines(found), *_to_foretell(arguments, found))
     return 0 if faults.ok else 1
+
+
+def _to_foretell(arguments: argparse.Namespace, found: Discovery) -> list[str]:
+    """The command that makes a model to foretell with of what was named, where the one that named
+    does not foretell."""
+    verdict = found.model_verdict
+    if verdict is None or not verdict.refused or arguments.vehicle is None:
+        return []
+    named = [n.name for n in found.names if n.name in found.model.effects]
+    command = ["greybox", "fit", "--vehicle", arguments.vehicle, "--train", *arguments.train]
+    command += ["--test", *arguments.test] if arguments.test else []
+    command += ["--effects", ",".join(named)] if named else []
+    return [f"next: {shlex.join(command)}"]
 
 
 def _faults(arguments: argparse.Namespace, subject: Vehicle | StateSpaceModel) -> CheckReport:

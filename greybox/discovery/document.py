@@ -10,6 +10,7 @@ from typing import NotRequired, TypedDict
 
 from greybox.discovery.options import DiscoverOptions
 from greybox.estimation.noise_table import SensorRow
+from greybox.model.verdict import VerdictDocument
 from greybox.planning.experiment import Manoeuvres
 from greybox.residual.laws.axis import AxisRow
 from greybox.validation.gap import GapDocument
@@ -143,6 +144,7 @@ class DiscoveryDocument(TypedDict):
     schema: str
     verdict: str
     line: str
+    model_verdict: NotRequired[VerdictDocument | None]
     bar_log10_e: float
     alone_log10_e: NotRequired[float]
     effects: list[NamedRow]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -16,16 +16,17 @@ from greybox.discovery.name import LOG10, Name
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.estimation.noise_table import SensorRow
+from greybox.files import to_plain
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import physics_of
+from greybox.model.verdict import Verdict
 from greybox.planning.experiment import Manoeuvres
 from greybox.plots import bars
 from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import file_name
 from greybox.shown import Cell, Shown
-from greybox.validation.gap import GapRow, closed_in_words, doubt
-from greybox.validation.groups import GROUPS
+from greybox.validation.gap import GapRow, closing, doubt
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,6 +82,12 @@ class Discovery(Shown):
                 "no model: the data have blocking faults", fix="mend the log, then run again"
             )
         return self.fit.model
+
+    @property
+    def model_verdict(self) -> Verdict | None:
+        """What the flights that judge say of the model to go on with; None where nobody asked."""
+        final = self.lawful or (self.fit and self.fit.model)
+        return final.verdict if final else None
 
     def _shown_text(self) -> str:
         """The verdict in words."""
@@ -182,6 +189,7 @@ class Discovery(Shown):
             "schema": SCHEMA,
             "verdict": self.verdict,
             "line": self.line,
+            "model_verdict": to_plain(v.to_dict()) if (v := self.model_verdict) else None,
             "bar_log10_e": self.bar / LOG10,
             "alone_log10_e": self.alone / LOG10,
             "effects": self.effects() if fitted else [],
@@ -226,11 +234,14 @@ class Discovery(Shown):
         found += [f"laws without a name, of {', '.join(lawful)} (use {WITH_LAWS})"][: len(lawful)]
         held = [f"{u['channel']} {_size(u)}" for u in self.unnamed() if not u["file"]]
         kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
-        rough = "NOT CONVERGED, every number may move: " * bool(self.fit and not self.fit.converged)
+        told = self.model_verdict
+        rough = f"{told.line}. " if told and told.refused else doubt(self.gap)
+        if self.fit and not self.fit.converged:
+            rough += "NOT CONVERGED, every number may move: "
         rough += f"AGAINST THE FILE: {'; '.join(self.denied)}. " * bool(self.denied)
         what = f"MISSING: {'; '.join(found)}" if found else "nothing is missing that has a name"
         what += f"; in the model, not certified: {kept}" * bool(kept)
-        what = rough + doubt(self.gap) + what
+        what = rough + what
         if held:
             return f"{what}; without a name: {', '.join(held)}"
         if found or kept:
@@ -273,10 +284,10 @@ class Discovery(Shown):
         for kind in dict.fromkeys(s["kind"] for s in self.sensors if s["kind"] != "white"):
             channels = [s["channel"] for s in self.sensors if s["kind"] == kind]
             lines.append(f"  sensors: {kind} in {', '.join(channels)}")
-        for u in self.unnamed():
-            law = f"{u['proposal']} ({u['share']:.0%} of it)" if u["proposal"] else "no law found"
+        for u in (u for u in self.unnamed() if u["proposal"]):
+            law = f"{u['proposal']} ({u['share']:.0%} of it)"
             lines.append(f"  unnamed: {u['channel']}, {_size(u)}: {law}")
-        lines += _closing(self.gap)
+        lines += closing(self.gap)
         lines += [f"  cannot be judged: {n} ({why})" for n, why in self.unjudged.items()]
         return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
 
@@ -294,21 +305,6 @@ def _worth(w: document.WorthRow | None) -> str:
         return ""
     ahead = f"{w['horizon_s']:g} s" if w["horizon_s"] else "one sample"
     return f", removes {w['share']:.0%} of the squared error of {w['group']} {ahead} ahead"
-
-
-def _closing(rows: Sequence[GapRow]) -> list[str]:
-    out = []
-    for r in rows:
-        own = r.group not in GROUPS
-        if r.closed is None or (r.horizon_s == 0 if own else r.horizon_s not in (0.1, 0.5)):
-            continue
-        laws = r.with_proposals
-        more = "" if laws is None else f"; with the laws: {closed_in_words(laws, floor=not own)}"
-        out.append(
-            f"  {r.group} {r.horizon_s:g} s ahead: {r.before:.4g} -> {r.after:.4g} {r.unit} "
-            f"(of the gap closed: {closed_in_words(r.closed, floor=not own)}{more})"
-        )
-    return out
 
 
 def _size(axis: document.LeftRow) -> str:

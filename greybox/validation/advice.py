@@ -33,6 +33,7 @@ class Symptom(enum.Enum):
     """What was seen. The value is the section of the page, as an anchor."""
 
     LOG_FAULT = "a-log-has-a-fault"
+    FOR_NAMES = "a-model-that-was-made-to-name"
     DIVERGED = "the-prediction-is-not-finite"
     LATE_MOTORS = "the-motors-answer-late-and-the-model-does-not"
     IMPOSSIBLE = "a-parameter-has-an-impossible-value"
@@ -82,6 +83,11 @@ ADVICE: tuple[Advice, ...] = (
         symptom=Symptom.LOG_FAULT,
         reason="a log has a fault that a fit cannot repair",
         action="greybox check names it and its repair",
+    ),
+    Advice(
+        symptom=Symptom.FOR_NAMES,
+        reason="this model was fitted to tell causes apart, not to foretell",
+        action="greybox fit with the effects that were named",
     ),
     Advice(
         symptom=Symptom.LATE_MOTORS,

@@ -125,6 +125,23 @@ def closed_in_words(share: float, *, floor: bool = True) -> str:
     return whole if share >= 0.995 else f"{100 * share:.0f} %"
 
 
+def closing(rows: Iterable[GapRow]) -> list[str]:
+    """A line per group and horizon of 0.1 and 0.5 s (one's own model: all): errors before and after,
+    and how much of the gap was closed."""
+    out = []
+    for r in rows:
+        own = r.group not in GROUPS
+        if r.closed is None or (r.horizon_s == 0 if own else r.horizon_s not in (0.1, 0.5)):
+            continue
+        laws = r.with_proposals
+        more = "" if laws is None else f"; with the laws: {closed_in_words(laws, floor=not own)}"
+        out.append(
+            f"  {r.group} {r.horizon_s:g} s ahead: {r.before:.4g} -> {r.after:.4g} {r.unit} "
+            f"(of the gap closed: {closed_in_words(r.closed, floor=not own)}{more})"
+        )
+    return out
+
+
 def outgrown(
     before: HeldOutErrors | None, named: HeldOutErrors | None, lawful: HeldOutErrors | None
 ) -> list[str]:
