@@ -9,8 +9,7 @@ is an effect file and enters the race as any other cause: it stays where the evi
 from __future__ import annotations
 
 import contextlib
-import functools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.rules import RULES
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit, fit
+from greybox.estimation.state_taken_away import lost_without
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of, with_physics
 from greybox.model.noise import disturbances, without_parts
@@ -28,11 +28,6 @@ from greybox.residual.laws.effect_file import Law, file_name, proposal_text, pro
 from greybox.residual.laws.found import AxisLaw, laws_of
 from greybox.residual.laws.responses import library
 from greybox.residual.laws.terms import wanted_features
-
-SILENT = 12.0
-"""By how much the logarithm of a level falls when its state is taken away."""
-LOUDER = tuple(0.35 * i for i in range(11))
-"""By how much the logarithm of the white noise is tried to rise in its place."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,34 +68,10 @@ class Left:
 
 
 def axis_gains(at: Fitted, bar: float) -> dict[str, tuple[float, bool]]:
-    """Axis -> (log likelihood lost when its state is taken away and white noise takes over what it
-    can, whether that is clear and worth anything). All else stays, which overstates the loss."""
+    """Axis -> (log likelihood lost when its state is taken away, whether that is clear and worth
+    anything)."""
     least = -0.5 * np.log1p(-RULES.trace) * sum(r.n for r in at.problem.records)
-    return {axis: (lost, lost > max(bar, least)) for axis, lost in _lost(at).items()}
-
-
-@functools.lru_cache(maxsize=8)
-def _lost(at: Fitted) -> Mapping[str, float]:
-    """Axis -> its loss, see `axis_gains`; asked of one fit again and again."""
-    problem, theta = at.problem, at.theta
-    place = {u.name: i for i, u in enumerate(problem.unknowns)}
-    out: dict[str, float] = {}
-    for name, i in place.items():
-        axis = name.removeprefix("noise.process.disturbance.")
-        if axis == name:
-            continue
-        white = place[f"noise.process.{axis}"]
-        best = np.inf
-        for louder in LOUDER:
-            still = theta.copy()
-            still[i] = max(problem.lower[i], theta[i] - SILENT)
-            still[white] = min(max(theta[white], theta[i]) + louder, problem.upper[white])
-            likelihood = problem.evaluate(still, 0).likelihood
-            if likelihood > best:  # it has passed its minimum
-                break
-            best = likelihood
-        out[axis] = float(best - at.value.likelihood)
-    return out
+    return {axis: (lost, lost > max(bar, least)) for axis, lost in lost_without(at).items()}
 
 
 def left_over(

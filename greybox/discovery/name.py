@@ -11,10 +11,10 @@ import numpy as np
 from greybox.discovery.certificate import UNKNOWN, Certificate, Instead
 from greybox.discovery.document import Grounds, WorthRow
 from greybox.discovery.evidence import Fitted, Flights
-from greybox.discovery.worth import Worth
 from greybox.errors import GreyboxError
 from greybox.model.parameter import Parameter
 from greybox.planning.experiment import Manoeuvres, separating_manoeuvre
+from greybox.validation.worth import Worth
 
 Status = Literal["certified", "supported", "one of these", "trace", "impossible", "not certified"]
 LOG10 = float(np.log(10.0))
@@ -103,6 +103,11 @@ def judged(
         status = "trace"
         reason = f"it is there, and removes {max(worth.share, 0.0):.1%} of the error at most"
         reason += "" if worth.seen else ", less than one reading can show"
+    elif worth is not None and worth.harms:
+        status, kept = "not certified", True
+        reason = (
+            "flights are likelier with it and errors ahead larger: it stands for something else"
+        )
     elif alike:
         status = "one of these"
         shares = _shares(certificate, alike, alone + float(np.log(alpha)))

@@ -35,6 +35,11 @@ class Rules:
     look-alikes (`tests/discovery/test_more_effort_finds_more.py`): with two, 7 of 300 had another
     verdict than with all; with three, one."""
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """Shortest and longest horizon [s]."""
+        return self.fastest, self.longest
+
 
 RULES = Rules()
 

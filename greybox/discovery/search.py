@@ -95,6 +95,14 @@ class Search:
             self.interim(at)
         return at
 
+    def every(self, at: Fitted) -> Fitted | None:
+        """The structure with one more cause, where each is fitted: far from none a cause may gain
+        what the slope there does not promise."""
+        absent = set(self.flights.causes.effects) - at.structure
+        wanted = [at.structure | {n} for n in sorted(absent) if len(self.added(at)) < self.most]
+        moves: list[Move] = [(s, [at.known]) for s in wanted if self._new(at, s, True)]
+        return self._best(at, self._fits(at, moves))
+
     # ---------------------------------------------------------------- moves
 
     def _add(self, at: Fitted) -> Fitted | None:

@@ -30,8 +30,8 @@ from greybox.discovery.name import Name, held, impossible, judged, separating, u
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
 from greybox.discovery.own_cause import offer_own
 from greybox.discovery.result import Discovery
+from greybox.discovery.rules import RULES
 from greybox.discovery.search import Rival, Search
-from greybox.discovery.worth import worth
 from greybox.errors import DataError, GreyboxError, ModelError, UnknownNameError
 from greybox.estimation.fit import Fit
 from greybox.estimation.noise_table import sensor_table
@@ -45,6 +45,7 @@ from greybox.model.vehicle import Vehicle
 from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
 from greybox.statistics.betting import bar_of_several
+from greybox.validation.advice import Hint, Symptom
 from greybox.validation.gap import (
     GapRow,
     HeldOutErrors,
@@ -55,6 +56,8 @@ from greybox.validation.gap import (
     worsened,
 )
 from greybox.validation.sanity import denied
+from greybox.validation.validate import validate
+from greybox.validation.worth import worth
 
 SHORTEST_FLIGHT = 0.6
 """Seconds without an interruption: the first tenth tells only its commands."""
@@ -240,28 +243,16 @@ class _Run:
             interim=lambda at: self.save(self._so_far(self.settled(at))),
         )
         null = self.flights.fit(causes.base)
-        at = search.run(null)
-        if more := search.crowded_out(at):
-            more_said = f"{', '.join(more)} would make the flights likelier, too: --max-effects"
-            self.warnings.append(f"as many effects as were asked for ({search.most}); {more_said}")
-        rivals = search.contest(at)
-        names, at = self._named(at, rivals)
-        at = self.flights.arrived(at)
+        names, at, left = self._answer(search, null)
         found = self.settled(at)
-        self.say("what is left", 0.8)
-        left = self._left(null, at, found)
-        if left.written is not None:
-            names = [held(n) for n in names]
-            shorter, fewer = self._beside_laws(names, at, left.written)
-            if fewer is not at:
-                rest = self._left(null, fewer, self.settled(fewer))
-                if rest.written is not None:  # else the names had said what the laws say
-                    names, left, at, found = shorter, rest, fewer, self.settled(fewer)
         before = left_over(self.flights, null, self.settled(null), self.bar, seed=0)
         if not found.converged:
             self.warnings.append(f"the last fit: {found.status.advice}")
         self.say("gap", 0.9)
-        lawful = None if left.written is None else left.lawful(self.settled(left.written))
+        found = self._judged(found)
+        lawful = None
+        if left.written is not None:
+            lawful = left.lawful(self._judged(self.settled(left.written)))
         rows = self._gap(null, at, left.written)
         scores = search.scores
         taught, judging = (sum(f.n for f in d) for d in (self.flights.data, self.judges))
@@ -286,6 +277,37 @@ class _Run:
             lawful=lawful,
             denied=denied(found, causes.core),
         )
+
+    def _answer(self, search: Search, null: Fitted) -> tuple[list[Name], Fitted, Left]:
+        """The names, the structure with what is said, and what it leaves. A law is said only where
+        no cause on offer, each fitted beside what was found, takes its place."""
+        more: Fitted | None = search.run(null)
+        while more is not None:
+            at, said, offered = more, self.warnings.copy(), self.flights.causes
+            names, named = self._named(at, search.contest(at))
+            named = self.flights.arrived(named)
+            self.say("what is left", 0.8)
+            left, with_laws = self._left(null, named), self.flights.causes
+            self.flights.causes = offered
+            more = None if left.written is None else search.every(at)
+            more, self.warnings = (search.run(more), said) if more else (None, self.warnings)
+        self.flights.causes = with_laws
+        if full := search.crowded_out(at):
+            more_said = f"{', '.join(full)} would make the flights likelier, too: --max-effects"
+            self.warnings.append(f"as many effects as were asked for ({search.most}); {more_said}")
+        worse = {n.name for n in names if n.kept and n.worth and n.worth.harms}
+        if left.written is not None:
+            names = [held(n) for n in names]
+            shorter, fewer = self._beside_laws(names, named, left.written)
+            said = self.warnings.copy()
+            if fewer is not named and (rest := self._left(null, fewer)).written is not None:
+                return shorter, fewer, rest
+            self.warnings = said  # the names had said what the laws say
+        elif worse:
+            names = [replace(n, kept=n.kept and n.name not in worse) for n in names]
+            named = self.flights.arrived(self.flights.fit(named.structure - worse, [named.known]))
+            left = left_over(self.flights, named, self.settled(named), self.bar, seed=0)
+        return names, named, left
 
     def _so_far(self, found: Fit) -> Discovery:
         return Discovery(
@@ -319,6 +341,15 @@ class _Run:
     def _ahead(self, model: IdentifiedModel, unnamed: bool = False) -> HeldOutErrors:
         return predict_ahead(model, self.judges, adapt=self.options.adapt, unnamed=unnamed)
 
+    def _judged(self, found: Fit) -> Fit:
+        """With the verdict of the flights that judge, where they can tell."""
+        hints, some = (Hint(symptom=Symptom.FOR_NAMES),), 5  # neighbours tell the same
+        with contextlib.suppress(GreyboxError):
+            adapt = self.options.adapt
+            seen = validate(found.model, self.judges, adapt=adapt, hints=hints, every=some)
+            return found.judged(seen.verdict)
+        return found
+
     # ---------------------------------------------------------------- judging
 
     def _named(self, at: Fitted, rivals: Mapping[str, Sequence[Rival]]) -> Judged:
@@ -334,7 +365,7 @@ class _Run:
         for name, certificate in found.items():
             without = next(r.fitted for r in rivals[name] if not r.instead)
             old, new = self.held_out(without), self.held_out(at)
-            good = None if old is None or new is None else worth(old, new)
+            good = None if old is None or new is None else worth(old, new, RULES.span)
             names.append(judged(certificate, good, odd[name], self.needed, alpha, self.bar))
         keep = {"certified", "supported", "one of these", *["trace"] * self.options.trace}
         doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
@@ -354,10 +385,10 @@ class _Run:
         names = [n if n.name not in gone else unneeded(n, beside[n.name], self.bar) for n in names]
         return names, self.flights.fit(at.structure - gone, [at.known])
 
-    def _left(self, null: Fitted, at: Fitted, found: Fit) -> Left:
+    def _left(self, null: Fitted, at: Fitted) -> Left:
         holds, seed = functools.partial(self._holds, null, at), self.options.seed
         try:
-            return left_over(self.flights, at, found, self.bar, seed, holds=holds)
+            return left_over(self.flights, at, self.settled(at), self.bar, seed, holds=holds)
         except GreyboxError as error:
             self.warnings.append(f"what is left could not be looked at: {error}")
             return Left(axes=())

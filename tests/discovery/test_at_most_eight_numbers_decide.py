@@ -20,8 +20,6 @@ PROPOSES = "decides what is tried or how long; what is taken is the evidence"
 COMPUTES = "accuracy of a computation"
 SAYS = "how something is said"
 ELSEWHERE = {
-    "left.SILENT": COMPUTES,
-    "left.LOUDER": COMPUTES,
     "propose.CLEARLY": PROPOSES,
     "propose.LAGS": PROPOSES,
     "propose.LEVEL": PROPOSES,
@@ -32,11 +30,8 @@ ELSEWHERE = {
 }
 """module.CONSTANT -> what it does."""
 COMPARED = {
-    "result._closing: 0.1": SAYS,
-    "result._closing: 0.5": SAYS,
     "propose.instead: 0.5": PROPOSES,
     "search.doubted: 3": PROPOSES,
-    "worth.seconds: 6": COMPUTES,
 }
 """module.function: number in a comparison -> what it does. Zero, one and two need no reason."""
 
@@ -94,8 +89,8 @@ def test_every_other_number_has_another_purpose():
 
 
 def test_nothing_outside_of_the_record_reads_an_effort_to_judge():
-    """`name` says the verdicts, `worth` and `left` what they rest on."""
-    for module in ("name", "worth", "left", "result", "further"):
+    """`name` says the verdicts, `left` what is left of them."""
+    for module in ("name", "left", "result", "further"):
         assert "effort" not in (FOLDER / f"{module}.py").read_text(encoding="utf-8").lower(), module
 
 

@@ -15,11 +15,11 @@ from greybox.discovery.evidence import Fitted, Flights, problem_of
 from greybox.discovery.name import held, impossible, judged
 from greybox.discovery.rules import RULES
 from greybox.discovery.workflow import discover
-from greybox.discovery.worth import seconds, worth
 from greybox.errors import ModelError
 from greybox.estimation.problem import Value
 from greybox.estimation.status import Code, Status
 from greybox.validation.gap import HeldOutErrors
+from greybox.validation.worth import seconds, worth
 from tests.discovery import small_world
 
 BAR, ALPHA = 6.0, 0.05
@@ -46,11 +46,11 @@ def certificate(**rivals: float) -> Certificate:
 
 
 def test_worth_is_the_share_of_the_squared_error_that_goes():
-    found = worth(foresight(4.0), foresight(1.0))
+    found = worth(foresight(4.0), foresight(1.0), RULES.span)
     assert found.share == pytest.approx(0.75)
     assert found.matters
     assert found.seconds == 12
-    assert seconds(foresight(4.0), foresight(1.0)) == pytest.approx(np.full(12, 0.6))
+    assert seconds(foresight(4.0), foresight(1.0), RULES.span) == pytest.approx(np.full(12, 0.6))
     assert found.log_e > np.log(1 / ALPHA)
 
 
@@ -69,15 +69,30 @@ def test_flights_that_show_little_of_a_name_are_said_to_be_why():
 
 
 def test_what_is_certain_and_worth_nothing_is_a_trace():
-    little = worth(foresight(1.0), foresight(1.0 - 0.5 * RULES.trace))
+    little = worth(foresight(1.0), foresight(1.0 - 0.5 * RULES.trace), RULES.span)
     assert not little.matters
     assert judged(certificate(nothing=80.0), little, "", BAR, ALPHA).status == "trace"
+
+
+@pytest.mark.parametrize(("now", "harms"), [(1.2, True), (0.8, False)])
+def test_what_makes_errors_ahead_larger_is_no_name(now: float, harms: bool):
+    """A battery that emptied without a voltage was a thrust curve, and a pendulum two lever arms:
+    both certified, and the position half a second ahead got twice and four times worse."""
+    first = foresight(1.0, groups=("velocity",), noise=0.1)
+    shown = replace(first, own={**first.own, **foresight(1.0, groups=("rate",)).own})
+    later = foresight(now, groups=("velocity",), noise=0.1).own
+    better = replace(first, own={**later, **foresight(0.9, groups=("rate",)).own})
+    found = worth(shown, better, RULES.span)
+    assert found.matters and found.harms is harms
+    name = judged(certificate(nothing=80.0), found, "", BAR, ALPHA)
+    assert (name.status, name.kept) == (("not certified", True) if harms else ("certified", False))
+    assert ("stands for something else" in name.reason) is harms
 
 
 @pytest.mark.parametrize(("reading", "status"), [(0.5, "certified"), (0.6, "trace")])
 def test_a_share_of_what_no_reading_can_show_is_worth_nothing(reading: float, status: str):
     """A thrust curve of 1 % was worth 58 % where all else was exact: of next to nothing."""
-    most = worth(foresight(1.0, reading=reading), foresight(0.42, reading=reading))
+    most = worth(foresight(1.0, reading=reading), foresight(0.42, reading=reading), RULES.span)
     assert most.share == pytest.approx(0.58)
     name = judged(certificate(nothing=80.0), most, "", BAR, ALPHA)
     assert name.status == status
@@ -100,7 +115,11 @@ def test_the_status_follows_from_evidence_worth_and_size(
 ):
     bar = BAR if status != "supported" else 3.0  # twelve seconds of bets do not reach more
     name = judged(
-        certificate(**rivals), worth(foresight(1.0), foresight(1.0 - better)), odd, bar, ALPHA
+        certificate(**rivals),
+        worth(foresight(1.0), foresight(1.0 - better), RULES.span),
+        odd,
+        bar,
+        ALPHA,
     )
     assert name.status == status
 
@@ -109,7 +128,7 @@ def test_the_status_follows_from_evidence_worth_and_size(
 def test_flights_that_proposed_keep_a_cause_in_the_model_and_name_none(odd: str, kept: bool):
     """A wall in gusts was one of a drag and a steady force where all flights could support a name."""
     whole = {(): Whole(odds=9.0, log_e=9.0, judge=0.5)}
-    better = worth(foresight(1.0), foresight(0.5))
+    better = worth(foresight(1.0), foresight(0.5), RULES.span)
     for rivals in ({"nothing": 1.0}, {"nothing": 1.0, "b": 0.0}):
         name = judged(replace(certificate(**rivals), whole=whole), better, odd, BAR, ALPHA)
         assert (name.status, name.kept) == ("not certified", kept)
@@ -117,7 +136,7 @@ def test_flights_that_proposed_keep_a_cause_in_the_model_and_name_none(odd: str,
 
 
 def test_next_to_a_law_only_an_e_value_holds():
-    better = worth(foresight(1.0), foresight(0.2))
+    better = worth(foresight(1.0), foresight(0.2), RULES.span)
     name = judged(certificate(nothing=2.0), better, "", 3.0, ALPHA)
     assert name.status == "supported"
     assert (held(name).status, held(name).kept) == ("not certified", True)
@@ -126,7 +145,7 @@ def test_next_to_a_law_only_an_e_value_holds():
 def test_a_name_says_which_rivals_its_e_value_did_not_beat():
     whole = {("b", "c"): Whole(odds=40.0, log_e=40.0, judge=0.5)}
     found = replace(certificate(nothing=20.0, b_c=-3.0), whole=whole)
-    name = judged(found, worth(foresight(1.0), foresight(0.5)), "", BAR, ALPHA)
+    name = judged(found, worth(foresight(1.0), foresight(0.5), RULES.span), "", BAR, ALPHA)
     assert (name.status, name.certificate.log_e, name.shares) == ("certified", 20.0, {})
     assert held(name) is name
     (said,) = name.to_dict()["unlikely"]
@@ -136,7 +155,7 @@ def test_a_name_says_which_rivals_its_e_value_did_not_beat():
 def test_shares_of_a_set_are_probabilities_and_follow_the_evidence():
     name = judged(
         certificate(nothing=20.0, b=1.0, c_d=-5.0),
-        worth(foresight(1.0), foresight(0.5)),
+        worth(foresight(1.0), foresight(0.5), RULES.span),
         "",
         BAR,
         ALPHA,

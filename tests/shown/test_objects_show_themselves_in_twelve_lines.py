@@ -22,7 +22,6 @@ from greybox.data.inspection import inspect_log
 from greybox.discovery.certificate import Certificate
 from greybox.discovery.name import LOG10, Name
 from greybox.discovery.result import Discovery
-from greybox.discovery.worth import Worth
 from greybox.errors import GreyboxError, MissingExtraError
 from greybox.estimation.fit import Fit
 from greybox.estimation.profile import Profile
@@ -31,6 +30,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.plausibility import check_vehicle
 from greybox.plots import Curve, panels
 from greybox.shown import LINES, Row, Shown, columns_of, html_table, shortened
+from greybox.validation.worth import Worth
 from mpc_export.bundle import ExportBundle, write_bundle
 from scenarios.plants.linear_systems import random_system, simulate
 from tests import simulated

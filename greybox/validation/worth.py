@@ -18,17 +18,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.discovery.rules import RULES
 from greybox.statistics.betting import betting
 from greybox.symbolic import FloatArray
+from greybox.validation.against import TRACE
 from greybox.validation.gap import HeldOutErrors
+
+Span = tuple[float, float]
+"""Shortest and longest horizon [s], or hundreds of samples of one's own model."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Worth:
     """`share` of the squared error that a name removes where it does most, in `group` at `horizon`
     [s] (0: one sample), of what can be `seen`: whether it is more than the squared error of one
-    reading; `log_e` of the e-process over `seconds`."""
+    reading; `log_e` of the e-process over `seconds`; `harms`: the mean of their changes is below
+    zero by two standard errors."""
 
     share: float
     seen: bool
@@ -36,15 +40,16 @@ class Worth:
     horizon: float
     log_e: float
     seconds: int
+    harms: bool = False
 
     @property
     def matters(self) -> bool:
         """Whether the name is worth anything."""
-        return self.seen and self.share >= RULES.trace
+        return self.seen and self.share >= TRACE
 
 
-def worth(without: HeldOutErrors, named: HeldOutErrors) -> Worth:
-    """What a name removes of the errors `without` it."""
+def worth(without: HeldOutErrors, named: HeldOutErrors, span: Span) -> Worth:
+    """What a name removes of the errors `without` it; within `span` the forecasters are compared."""
     best = (False, -np.inf, "", 0.0)
     for key, blocks in without.own.items():
         new = named.own.get(key, [])
@@ -55,7 +60,8 @@ def worth(without: HeldOutErrors, named: HeldOutErrors) -> Worth:
         removed = old - sum(float(b.sum()) for b in new)
         if old > 0:
             best = max(best, (removed > size * named.reading.get(key[0], 0.0), removed / old, *key))
-    changes = seconds(without, named)
+    changes = seconds(without, named, span)
+    error = np.std(changes) / np.sqrt(max(changes.size - 1, 1))
     return Worth(
         share=float(best[1]),
         seen=best[0],
@@ -63,16 +69,17 @@ def worth(without: HeldOutErrors, named: HeldOutErrors) -> Worth:
         horizon=best[3],
         log_e=betting(changes),
         seconds=int(changes.size),
+        harms=changes.size > 1 and bool(changes.mean() + 2 * error < 0),
     )
 
 
-def seconds(without: HeldOutErrors, named: HeldOutErrors) -> FloatArray:
+def seconds(without: HeldOutErrors, named: HeldOutErrors, span: Span) -> FloatArray:
     """Per second of flight (hundred samples of one's own model), (old - new) / (old + new) of the
-    squared error `RULES.fastest` to `RULES.longest` ahead, mean over groups and horizons."""
+    squared error within `span` ahead, mean over groups and horizons."""
     rows: list[FloatArray] = []
     for (group, horizon), blocks in without.own.items():
         new = named.own.get((group, horizon), [])
-        asked = RULES.fastest <= round(horizon / without.second, 6) <= RULES.longest
+        asked = span[0] <= round(horizon / without.second, 6) <= span[1]
         if not asked or not blocks or len(new) != len(blocks):
             continue
         old = np.array([b.sum() for b in blocks])
