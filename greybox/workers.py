@@ -15,7 +15,7 @@ from multiprocessing import resource_tracker
 from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
-from greybox.cores import cores
+from greybox.cores import cores, limit_cores
 
 LONG = 1.0
 """Seconds that a task must take before processes are started: each takes as long to begin."""
@@ -45,7 +45,10 @@ class Workers(concurrent.futures.Executor):
             if self._pool is None:
                 spawn = multiprocessing.get_context("spawn")
                 self._pool = concurrent.futures.ProcessPoolExecutor(
-                    self._count, mp_context=spawn, initializer=_follow
+                    self._count,
+                    mp_context=spawn,
+                    initializer=_follow,
+                    initargs=(max(1, cores() // self._count),),
                 )
             return self._pool.submit(fn, *args, **kwargs)
 
@@ -98,9 +101,10 @@ def side_by_side(
         return None
 
 
-def _follow() -> None:
+def _follow(share: int) -> None:
     """In a worker: Ctrl-C is the main process's, and where that is gone there is nobody to work
-    for."""
+    for. It has a `share` of the cores: threads of busy processes only wait for each other."""
+    limit_cores(share)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
 

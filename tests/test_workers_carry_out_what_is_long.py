@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+import greybox.cores
 import greybox.workers
 from greybox.workers import Workers
 
@@ -55,6 +56,13 @@ def test_only_the_main_process_is_interrupted(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(greybox.workers, "cores", lambda: 2)
     with Workers() as workers:
         assert workers.submit(ignored).result()
+
+
+def test_a_worker_uses_its_share_of_the_cores(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(greybox.workers, "LONG", 0.0)
+    monkeypatch.setattr(greybox.workers, "cores", lambda: 2)
+    with Workers() as workers:
+        assert workers.submit(greybox.cores.cores).result() == 1
 
 
 PARENT = """
