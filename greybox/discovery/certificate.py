@@ -159,12 +159,12 @@ def _more_told(at: Fitted, name: str, judges: Sequence[Split]) -> float:
     rows = []
     for split in judges:
         first, both = (on.fit(at.structure, within=np.inf) for on in (split.first, split.both))
-        theta, keys = vector(both.problem, first.known), _keys(both, split, [name])
+        theta, keys = vector(both.space, first.known), _keys(both, split, [name])
         there = replace(both, theta=theta, value=both.problem.evaluate(theta))
         valid = first.value.valid and there.value.valid
-        if not valid or any(k not in first.problem.index for k in keys):
+        if not valid or any(k not in first.space.index for k in keys):
             return np.inf
-        old, new = (f.information([f.problem.index[k] for k in keys]) for f in (first, there))
+        old, new = (f.information([f.space.index[k] for k in keys]) for f in (first, there))
         rows.append(float(np.trace(np.linalg.solve(old, new))) / len(keys) - 1.0)
     return max(0.0, *rows)
 
@@ -280,18 +280,18 @@ def _predictives(
 
 def _keys(both: Fitted, split: Split, causes: Sequence[str]) -> list[Key]:
     own = {p for n in causes for p in split.both.causes.offered[n].parameters}
-    return [(u.name, u.flight) for u in both.problem.unknowns if u.name in own]
+    return [(u.name, u.flight) for u in both.space.unknowns if u.name in own]
 
 
 def regret(first: Fitted | None, both: Fitted, keys: Sequence[Key]) -> float:
     """`greybox.statistics.regret` of the unknowns `keys` of a rival, all others integrated, over
     what the fit `first` taught (None: the prior)."""
-    places = [both.problem.index[k] for k in keys]
-    unknowns = [both.problem.unknowns[i] for i in places]
+    places = [both.space.index[k] for k in keys]
+    unknowns = [both.space.unknowns[i] for i in places]
     v1 = np.diag([1.0 / u.sigma**2 for u in unknowns])
     theta1 = np.array([u.mean for u in unknowns])
-    old = [] if first is None else [i for i, k in enumerate(keys) if k in first.problem.index]
+    old = [] if first is None else [i for i, k in enumerate(keys) if k in first.space.index]
     if first is not None and old:
-        before = [first.problem.index[keys[i]] for i in old]
+        before = [first.space.index[keys[i]] for i in old]
         v1[np.ix_(old, old)], theta1[old] = first.information(before), first.theta[before]
     return of_arrays.regret(both.information(places), both.theta[places], v1, theta1)

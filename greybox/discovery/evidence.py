@@ -8,6 +8,7 @@ readings.
 from __future__ import annotations
 
 import concurrent.futures
+import functools
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,6 +28,7 @@ from greybox.estimation.problem import Problem, Value, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND, LevenbergMarquardt
 from greybox.estimation.start import Key, Start, vector
 from greybox.estimation.status import Code, Status
+from greybox.estimation.unknown import SearchSpace
 from greybox.model.dynamics import Dynamics
 from greybox.statistics.regret import information_on
 from greybox.symbolic import BoolArray, FloatArray
@@ -35,18 +37,19 @@ from greybox.workers import side_by_side
 Structure = frozenset[str]
 ARRIVED = (Code.CONVERGED, Code.NO_PROGRESS)
 """At the optimum, or at a kink (a delay of whole samples) where no step lowers the cost."""
-Solution = tuple[FloatArray, Status, Value]
-"""Unknowns (n,), how the solver ended, and the value there."""
+Solution = tuple[SearchSpace, FloatArray, Status, Value]
+"""What is sought, the unknowns (n,), how the solver ended, and the value there."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fitted:
     """A structure at its maximum a posteriori on some flights. `log_evidence` is that of the
-    flights, `theta` (n,) all unknowns of `problem`, `value` its cost, gradient and Hessian
-    there."""
+    flights, `theta` (n,) all unknowns of `space`, `value` cost, gradient and Hessian there;
+    `set_up` gives the problem, which another process may have solved."""
 
     structure: Structure
-    problem: Problem
+    space: SearchSpace
+    set_up: Callable[[], Problem]
     theta: FloatArray
     value: Value
     status: Status
@@ -61,15 +64,20 @@ class Fitted:
         return 0.0 if done else BEYOND * self.status.decrement
 
     @property
+    def problem(self) -> Problem:
+        """What was solved."""
+        return self.set_up()
+
+    @property
     def known(self) -> dict[Key, float]:
         """All unknowns by name and flight."""
-        pairs = zip(self.problem.unknowns, self.theta, strict=True)
+        pairs = zip(self.space.unknowns, self.theta, strict=True)
         return {(u.name, u.flight): float(t) for u, t in pairs}
 
     @property
     def held(self) -> BoolArray:
         """Which unknowns ended at a bound."""
-        return at_bound(self.problem, self.theta, self.value)
+        return at_bound(self.space, self.theta, self.value)
 
     def information(self, places: Sequence[int]) -> FloatArray:
         """On the unknowns at `places` (k, k), all others that are free integrated out."""
@@ -193,23 +201,26 @@ class Flights:
 
     def _solved(self, tasks: Sequence[Task]) -> None:
         """Tasks, side by side where there is an executor; what cannot be sent runs here. Who solves
-        them builds them, and leaves what is compiled for this process to open."""
+        them sets them up: most problems are never asked for here."""
         common = self.causes, self.data, self.options
         pool = self.executor if len(tasks) > 1 else None
         answers = None if pool is None else side_by_side(pool, solved, common, tasks)
-        problems = [self._problem(t.structure) for t in tasks]
+        new = [functools.partial(problem_of, *common, t.structure) for t in tasks]
+        known = [self._known.get(t.structure) for t in tasks]
+        set_up = [functools.cache(n) if k is None else k.set_up for n, k in zip(new, known)]
         if answers is None:
-            answers = [solution(p, t) for p, t in zip(problems, tasks, strict=True)]
-        for task, problem, (theta, status, value) in zip(tasks, problems, answers, strict=True):
+            answers = [solution(make(), t) for make, t in zip(set_up, tasks, strict=True)]
+        for task, make, (space, theta, status, value) in zip(tasks, set_up, answers, strict=True):
             evidence = -np.inf
             loose = min(status.decrement, task.tolerance) > self.effort.rough
             if loose and status.code in ARRIVED:  # all that was asked
                 status = replace(status, code=Code.BEHIND)
             if value.valid and value.hessian is not None:
-                evidence = log_evidence(problem, theta, value)
+                evidence = log_evidence(space, theta, value)
             self._known[task.structure] = Fitted(
                 structure=task.structure,
-                problem=problem,
+                space=space,
+                set_up=make,
                 theta=theta,
                 value=value,
                 status=status,
@@ -218,14 +229,6 @@ class Flights:
                 and task.iterations >= self.effort.iterations
                 and status.code is not Code.BEHIND,
             )
-
-    def _problem(self, structure: Structure) -> Problem:
-        """That of an earlier fit where there was one."""
-        known = self._known.get(structure)
-        if known is not None:
-            return known.problem
-        with threadpool_limits(limits=1):
-            return problem_of(self.causes, self.data, self.options, structure)
 
     def known(self, structure: Iterable[str]) -> Fitted | None:
         """The fit of a structure that was done already."""
@@ -236,9 +239,9 @@ class Flights:
         problem = found.problem
         demand_samples(problem)
         options = choices(self.causes, self.options, found.structure, problem.dynamics)
-        now = time.perf_counter()
+        given = problem, self.data, options, found.theta, found.status
         with threadpool_limits(limits=1):
-            return concluded(problem, self.data, options, found.theta, found.status, now)
+            return concluded(*given, time.perf_counter())
 
 
 def choices(
@@ -265,6 +268,7 @@ def choices(
     )
 
 
+@threadpool_limits.wrap(limits=1)
 def problem_of(causes: Causes, data: Dataset, options: FitOptions, structure: Structure) -> Problem:
     """The unknowns and the cost of a structure. Raises `DataError`, `ModelError`."""
     model = causes.built(sorted(structure))
@@ -273,13 +277,11 @@ def problem_of(causes: Causes, data: Dataset, options: FitOptions, structure: St
 
 def solved(causes: Causes, data: Dataset, options: FitOptions, task: Task) -> Solution:
     """Carry out one task that was sent."""
-    with threadpool_limits(limits=1):
-        problem = problem_of(causes.canonical(), data, options, task.structure)
-    return solution(problem, task)
+    return solution(problem_of(causes.canonical(), data, options, task.structure), task)
 
 
 def solution(problem: Problem, task: Task) -> Solution:
-    """Carry out one task on its problem."""
+    """Carry out one task on its problem, which keeps the value where a search ends."""
     with threadpool_limits(limits=1):
         starts = [problem.inside(vector(problem, s)) for s in task.starts] or [noise_start(problem)]
         start = starts[0]
@@ -289,4 +291,4 @@ def solution(problem: Problem, task: Task) -> Solution:
             tolerance=task.tolerance, max_iterations=task.iterations, target=task.target
         )
         theta, status = solver.solve(problem, start)
-        return theta, status, problem.evaluate(theta)  # kept by the problem
+        return SearchSpace(unknowns=problem.unknowns), theta, status, problem.evaluate(theta)

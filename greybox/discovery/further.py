@@ -120,9 +120,7 @@ def _log_e(flights: Flights, told: Fitted, effect: NamedRow, model: IdentifiedMo
     instead = frozenset(str(effect["against"]).split(" + "))
     if instead <= set(causes.effects):
         rival = flights.fit(left | instead, [told.known])
-        keys = [
-            (u.name, u.flight) for u in rival.problem.unknowns if u.name.split(".")[0] in instead
-        ]
+        keys = [(u.name, u.flight) for u in rival.space.unknowns if u.name.split(".")[0] in instead]
         paid = regret(None, rival, keys) if keys and rival.value.valid else 0.0
         logs.append(told.log_evidence - rival.log_evidence - paid - told.may_gain - rival.may_gain)
     return min(logs)

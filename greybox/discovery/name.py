@@ -148,7 +148,7 @@ def impossible(at: Fitted, flights: Flights, name: str) -> str:
     cause = flights.causes.offered[name]
     declared: dict[str, Parameter] = {d.name: d for d in at.problem.dynamics.parameters}
     bent = []
-    for u, value, held in zip(at.problem.unknowns, at.theta, at.held, strict=True):
+    for u, value, held in zip(at.space.unknowns, at.theta, at.held, strict=True):
         if u.name not in cause.parameters:
             continue
         null = cause.prior[u.name][0]

@@ -307,7 +307,7 @@ def _change(at: Fitted, structure: Structure) -> tuple[Structure, Structure]:
 def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
     """Log evidence that leaving a cause out is predicted to gain (Savage and Dickey)."""
     cause = flights.causes.offered[name]
-    rows = [i for i, u in enumerate(at.problem.unknowns) if u.name in cause.parameters]
+    rows = [i for i, u in enumerate(at.space.unknowns) if u.name in cause.parameters]
     if not rows or at.value.hessian is None:
         return 0.0 if rows else np.inf
     live = [i for i in rows if not at.held[i]]
@@ -316,9 +316,9 @@ def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
     told = at.information(live)
     if cause.kind == "sensor noise":  # its time constant is there, or at its bound within its error
         std = np.sqrt(np.diag(np.linalg.pinv(told, hermitian=True)))
-        clear = at.theta[live] - at.problem.lower[live] > FELT * std
+        clear = at.theta[live] - at.space.lower[live] > FELT * std
         return -np.inf if clear.all() else 0.0
-    null, sigma = np.array([cause.prior[at.problem.unknowns[i].name] for i in live]).T
+    null, sigma = np.array([cause.prior[at.space.unknowns[i].name] for i in live]).T
     off = at.theta[live] - null
     here = -0.5 * float(off @ told @ off) + 0.5 * float(np.linalg.slogdet(told)[1])
     return here + float(np.log(sigma).sum())

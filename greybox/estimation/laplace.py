@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.special
 
-from greybox.estimation.problem import Problem, Value
+from greybox.estimation.solver import Value
+from greybox.estimation.unknown import SearchSpace
 from greybox.statistics.normal_mass import log_mass
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -18,20 +19,20 @@ WEAK = 1e-8
 """Precision, per squared scale, of an unknown without prior that nothing tells: a flat prior."""
 
 
-def at_bound(problem: Problem, theta: FloatArray, value: Value) -> BoolArray:
+def at_bound(space: SearchSpace, theta: FloatArray, value: Value) -> BoolArray:
     """Which unknowns (n,) a bound holds back."""
     assert value.gradient is not None
-    low, high = theta <= problem.lower, theta >= problem.upper
+    low, high = theta <= space.lower, theta >= space.upper
     return np.asarray((low & (value.gradient > 0)) | (high & (value.gradient < 0)))
 
 
-def log_evidence(problem: Problem, theta: FloatArray, value: Value) -> float:
+def log_evidence(space: SearchSpace, theta: FloatArray, value: Value) -> float:
     """Log of the integral of likelihood times prior about `theta` (n,), see the module."""
     assert value.gradient is not None and value.hessian is not None
-    scale = problem.scale
+    scale = space.scale
     gradient = value.gradient * scale
-    h = value.hessian * np.outer(scale, scale) + WEAK * np.eye(problem.n)
-    held = at_bound(problem, theta, value)
+    h = value.hessian * np.outer(scale, scale) + WEAK * np.eye(space.n)
+    held = at_bound(space, theta, value)
     free = ~held
     told = h[np.ix_(free, free)]
     sign, logdet = np.linalg.slogdet(told)
@@ -44,9 +45,9 @@ def log_evidence(problem: Problem, theta: FloatArray, value: Value) -> float:
         g, c = abs(gradient[i]), h[i, i]
         ratio = scipy.special.erfcx(g / np.sqrt(2 * c))
         total += float(np.log(np.sqrt(np.pi / (2 * c)) * ratio))
-    spread = np.zeros(problem.n)
+    spread = np.zeros(space.n)
     spread[free] = np.sqrt(variance) * scale[free]
-    for i, u in enumerate(problem.unknowns):
+    for i, u in enumerate(space.unknowns):
         bounded = np.isfinite(u.lower) or np.isfinite(u.upper)
         if np.isfinite(u.sigma):
             total -= float(np.log(u.sigma)) + 0.5 * float(np.log(2 * np.pi))

@@ -29,7 +29,7 @@ from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.record import Record, channel_means, make_records, sample_time
 from greybox.estimation.settling import start_sigma
 from greybox.estimation.solver import IndexArray, Value
-from greybox.estimation.unknown import Unknown
+from greybox.estimation.unknown import SearchSpace, Unknown
 from greybox.model.dynamics import Dynamics
 from greybox.model.parameter import Parameter, ParameterValues
 from greybox.symbolic import BoolArray, FloatArray, Layout
@@ -41,7 +41,7 @@ _P = TypeVar("_P")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Problem:
+class Problem(SearchSpace):
     """A fit as a minimisation. Build it with `make_problem`. Nothing in it changes;
     `dataclasses.replace` makes another.
 
@@ -57,7 +57,6 @@ class Problem:
     predictor: Predictor[object]
     criterion: Criterion
     records: Sequence[Record]
-    unknowns: tuple[Unknown, ...]
     base: FloatArray
     process_level: FloatArray
     sensor_level: FloatArray
@@ -100,36 +99,11 @@ class Problem:
     # ------------------------------------------------------------ vectors
 
     @property
-    def n(self) -> int:
-        """Number of unknowns."""
-        return len(self.unknowns)
-
-    @property
     def start(self) -> FloatArray:
         """Start values, with inertia that a body can have."""
         return moved_inside(
             self.bodies, np.array([u.start for u in self.unknowns]), self.lower, self.upper
         )
-
-    @property
-    def lower(self) -> FloatArray:
-        """Lower bounds."""
-        return np.array([u.lower for u in self.unknowns])
-
-    @property
-    def upper(self) -> FloatArray:
-        """Upper bounds."""
-        return np.array([u.upper for u in self.unknowns])
-
-    @property
-    def scale(self) -> FloatArray:
-        """Typical sizes, for conditioning."""
-        return np.array([u.scale for u in self.unknowns])
-
-    @cached_property
-    def index(self) -> Mapping[tuple[str, str | None], int]:
-        """(name, flight) -> place among the unknowns; flight None: shared by all."""
-        return MappingProxyType({(u.name, u.flight): i for i, u in enumerate(self.unknowns)})
 
     def place(self, name: str, flight: str | None = None) -> int | None:
         """Index of an unknown (the flight's own copy, else the shared one), or None where it is

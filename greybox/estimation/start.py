@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from greybox.estimation.problem import Problem
+from greybox.estimation.unknown import SearchSpace
 from greybox.symbolic import FloatArray
 
 Key = tuple[str, str | None]
@@ -15,8 +15,8 @@ Key = tuple[str, str | None]
 Start = Mapping[Key, float]
 
 
-def vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:
-    """Unknowns of the problem (n,) at the known values; one flight's own at what all share, or at
+def vector(space: SearchSpace, known: Mapping[Key, float]) -> FloatArray:
+    """Unknowns (n,) at the known values; one flight's own at what all share, or at
     the mean of other flights, where that is known; else as they start."""
     others: dict[str, list[float]] = {}
     for (name, flight), value in known.items():
@@ -33,5 +33,5 @@ def vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:
         return start
 
     return np.array(
-        [of(u.name, u.flight, u.start, u.kind) for u in problem.unknowns], dtype=np.float64
+        [of(u.name, u.flight, u.start, u.kind) for u in space.unknowns], dtype=np.float64
     )

@@ -1,9 +1,16 @@
-"""Unknown: one scalar of the search space of a fit."""
+"""Unknown: one scalar of the search space of a fit; and all of them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+
+import numpy as np
+
+from greybox.symbolic import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,3 +35,35 @@ class Unknown:
     scale: float
     unit: str
     origin: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SearchSpace:
+    """The unknowns of a fit in their order. It can be sent to another process."""
+
+    unknowns: tuple[Unknown, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of unknowns."""
+        return len(self.unknowns)
+
+    @property
+    def lower(self) -> FloatArray:
+        """Lower bounds."""
+        return np.array([u.lower for u in self.unknowns])
+
+    @property
+    def upper(self) -> FloatArray:
+        """Upper bounds."""
+        return np.array([u.upper for u in self.unknowns])
+
+    @property
+    def scale(self) -> FloatArray:
+        """Typical sizes, for conditioning."""
+        return np.array([u.scale for u in self.unknowns])
+
+    @cached_property
+    def index(self) -> Mapping[tuple[str, str | None], int]:
+        """(name, flight) -> place among the unknowns; flight None: shared by all."""
+        return MappingProxyType({(u.name, u.flight): i for i, u in enumerate(self.unknowns)})

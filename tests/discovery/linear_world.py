@@ -128,7 +128,8 @@ class World:
         done = Status(code=Code.CONVERGED, iterations=1, evaluations=1, decrement=0.0)
         self.kept[chosen] = Fitted(
             structure=chosen,
-            problem=problem,
+            space=problem,
+            set_up=lambda: problem,
             theta=theta,
             value=value,
             status=done,

@@ -6,10 +6,13 @@ from __future__ import annotations
 import concurrent.futures
 import multiprocessing
 import pickle
+from typing import Any
 
 import pytest
 
-from greybox.discovery.evidence import Fitted, Flights, Structure, Task, solved
+from greybox.discovery import evidence
+from greybox.discovery.evidence import Fitted, Flights, Structure, Task, problem_of, solved
+from greybox.estimation.problem import Problem
 from tests.discovery import small_world
 
 RIVALS: list[Structure] = [frozenset({"rotational_damping"}), frozenset({"gyro_bias"})]
@@ -50,6 +53,25 @@ def test_what_cannot_be_sent_runs_here(alone: list[Fitted]):
     assert len(flights._carried_out([task, other])) == 2
 
 
+def test_what_others_solve_is_set_up_here_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch):
+    made = list[Structure]()
+
+    def counted(*given: Any) -> Problem:
+        made.append(given[-1])
+        return problem_of(*given)
+
+    monkeypatch.setattr(evidence, "problem_of", counted)
+    flights = small_world.damped()
+    tasks = [Task(structure=s, starts=(), tolerance=0.1, iterations=3) for s in RIVALS]
+    with concurrent.futures.ThreadPoolExecutor(2) as flights.executor:
+        first, _ = flights._carried_out(tasks)
+    assert sorted(made, key=sorted) == sorted(RIVALS, key=sorted)
+    assert len(first.known) == first.space.n and first.held.shape == (first.space.n,)
+    assert len(made) == 2
+    assert first.problem.unknowns == first.space.unknowns and first.problem is first.problem
+    assert len(made) == 3
+
+
 def test_tasks_survive_the_wire():
     flights = small_world.damped()
     task = Task(structure=RIVALS[0], starts=(), tolerance=0.1, iterations=3)
@@ -57,7 +79,7 @@ def test_tasks_survive_the_wire():
     there = solved(
         *pickle.loads(pickle.dumps((flights.causes, flights.data, flights.options, task)))
     )
-    assert here[0].tolist() == there[0].tolist()
+    assert here[1].tolist() == there[1].tolist()
 
 
 def test_nothing_is_fitted_twice():

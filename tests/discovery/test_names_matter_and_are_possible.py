@@ -199,7 +199,8 @@ def test_an_accelerometer_that_is_off_by_half_is_no_property_of_a_craft(size: fl
     status = Status(code=Code.CONVERGED, iterations=1, evaluations=1, decrement=0.0)
     at = Fitted(
         structure=structure,
-        problem=problem,
+        space=problem,
+        set_up=lambda: problem,
         theta=theta,
         value=value,
         status=status,
