@@ -20,12 +20,7 @@ import numpy.typing as npt
 
 from greybox.data import Dataset
 from greybox.errors import ModelError
-from greybox.estimation.covariance import (
-    FEWEST_BLOCKS,
-    NULL_SHARE,
-    scaled_eigen,
-    scaled_inverse,
-)
+from greybox.estimation.covariance import FEWEST_BLOCKS, scaled_eigen, scaled_inverse
 from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import Problem, make_problem
 from greybox.model.dynamics import Dynamics
@@ -33,8 +28,7 @@ from greybox.symbolic import FloatArray
 
 Places = npt.NDArray[np.intp]
 ROUNDING = 100 * float(np.finfo(float).eps)
-"""Error of a Hessian's entries, relative: sums over all samples. An inverse multiplies it by the
-condition number."""
+"""Error of a Hessian's entries, relative to their diagonal: sums over all samples."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,18 +112,11 @@ def by_flights_alone(
     """Standard error (n_c,) of every held parameter by the data's Hessian (n, n), the other held
     ones known to `sigma` (n_c,); infinite where the flights say nothing, or not more than rounding.
     With the `scores` (n_b, n) of blocks no less than their scatter says."""
-    inner = hessian[np.ix_(unknown, unknown)]
-    inverse, _ = scaled_inverse(inner)
-    _, level, _ = scaled_eigen(inner)
-    condition = level[-1] / max(level[0], NULL_SHARE * level[-1])
-    cross = hessian[np.ix_(held, unknown)]
-    whole = hessian[np.ix_(held, held)]
-    shown = whole - cross @ inverse @ cross.T
-    rounding = ROUNDING * condition * np.diag(whole)
+    moves, shown, rough = _eliminated(hessian, unknown, held)
     errors = np.full(held.size, np.inf)
     blocks = np.zeros((0, held.size))
     if scores is not None:
-        blocks = scores[:, held] - scores[:, unknown] @ inverse @ cross.T
+        blocks = scores[:, held] - scores[:, unknown] @ moves.T
         if len(blocks) < FEWEST_BLOCKS:
             return errors
     for i in range(held.size):
@@ -137,9 +124,34 @@ def by_flights_alone(
         others = shown[np.ix_(rest, rest)] + np.diag(sigma[rest] ** -2.0)
         share = np.linalg.solve(others, shown[rest, i])
         alone = shown[i, i] - shown[i, rest] @ share
-        if alone > rounding[i]:
+        if alone > (rough[i] + np.abs(share) @ rough[rest]) ** 2:
             own = blocks[:, i] - blocks[:, rest] @ share
             scatter = len(own) * float(own.var(ddof=1)) if own.size else 0.0
             scatter += float(((share / sigma[rest]) ** 2).sum()) if own.size else 0.0
             errors[i] = max(alone**-0.5, scatter**0.5 / alone)
     return errors
+
+
+def _eliminated(
+    hessian: FloatArray, unknown: Places, held: Places
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(by how much the unknowns follow the held parameters (n_c, n_u), what is then left of their
+    information (n_c, n_c), the square root of its rounding (n_c,)).
+
+    What is left is a minimum over how the unknowns follow: an error there counts by its square, so
+    that no condition number enters, only that of the Hessian's entries (Higham 2002, Accuracy and
+    Stability of Numerical Algorithms, sec. 10.3). Directions below rounding may hold all they can.
+    """
+    inner, cross = hessian[np.ix_(unknown, unknown)], hessian[np.ix_(held, unknown)]
+    whole = hessian[np.ix_(held, held)]
+    own = np.sqrt(np.maximum(np.diag(whole), 0.0))
+    if not unknown.size:
+        return cross, whole, ROUNDING**0.5 * own
+    size, level, vector = scaled_eigen(inner)
+    least = size.size * ROUNDING * level[-1]
+    good = level > least
+    along = cross / size @ vector
+    moves = (along[:, good] / level[good]) @ vector[:, good].T / size
+    shown = whole - cross @ moves.T - moves @ cross.T + moves @ inner @ moves.T
+    rough = ROUNDING**0.5 * (own + np.abs(moves) @ size)
+    return moves, shown, rough + np.sqrt((along[:, ~good] ** 2).sum(axis=1) / least)

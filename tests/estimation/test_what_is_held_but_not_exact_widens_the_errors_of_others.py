@@ -121,6 +121,34 @@ def test_rounding_of_an_ill_conditioned_ratio_tells_nothing():
             assert found[0] > 0.03
 
 
+def test_unknowns_that_are_hard_to_tell_apart_hide_nothing_of_what_is_told():
+    """Their condition number is not the rounding of what is left of a held parameter: one that
+    stands clear of that is told, whether or not its neighbours are."""
+    draw = np.random.default_rng(2)
+    for apart in (1e-5, 1e-4, 1e-3):
+        free = draw.normal(size=(4000, 6))
+        free[:, 1] = free[:, 0] + apart * free[:, 1]
+        own = 1e-4 * draw.normal(size=4000)
+        columns = np.column_stack([free, free @ draw.normal(size=6) + own])
+        (found,) = by_flights_alone(
+            columns.T @ columns, np.arange(6), np.array([6]), np.array([np.inf])
+        )
+        assert found == pytest.approx(np.sum(own**2) ** -0.5, rel=0.05)
+
+
+def test_one_anchor_of_a_common_factor_is_told_by_the_other_one():
+    """Record and scale tell two numbers as a ratio and, badly, a third one's: what is stated to
+    30 % is told by what is stated to 0.2 %, not the other way round."""
+    draw = np.random.default_rng(3)
+    ratio, nuisance = 1e3 * draw.normal(size=(2, 4000))
+    near = nuisance + 3e-5 * draw.normal(size=4000)
+    columns = np.column_stack([nuisance, near, ratio + nuisance, -ratio + near])
+    errors = by_flights_alone(
+        columns.T @ columns, np.arange(2), np.array([2, 3]), np.array([2e-3, 0.3])
+    )
+    assert errors[1] == pytest.approx(2e-3, rel=0.01) and errors[0] > 2e-3
+
+
 def test_the_model_keeps_how_well_the_ratio_is_known_and_its_file_too(tmp_path):
     found = fit(cart(), record(), fixed=["mass"], considered=["mass"], **CHOICES)
     joint = fit(cart(), record(), **CHOICES).model
