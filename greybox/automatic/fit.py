@@ -32,6 +32,7 @@ from greybox.estimation.record import sample_time
 from greybox.estimation.result import Estimate, Fit
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import own_parameters
 from greybox.model.model import build_model
 from greybox.model.vehicle import Vehicle
 from greybox.validation.calibration import calibrated
@@ -201,7 +202,7 @@ def _carried_out(
             continue
         bent = [n for n, e in found.parameters.items() if _at_bound(e)]
         null = {d.name: d.null for d in found.model.dynamics.parameters}
-        absent = tuple(n for n in bent if found.parameters[n].value == null[n])
+        absent = tuple(n for n in bent if found.parameters[n].value == null.get(n))
         if absent:
             step_down(
                 f"{', '.join(absent)} held at nothing", "where the search ended, at the bound"
@@ -239,7 +240,7 @@ def _with_what_flights_tell(
 ) -> Fit:
     """The fit, with the parameters estimated that were held for a ratio and that the flights tell
     better than they are stated; as it was where nothing is told, such a fit does not end well, or
-    it denies what was stated, which is said."""
+    it denies what was stated, which are said."""
     choices = said.choices
     own = {*choices.get("fixed", ()), *choices.get("considered", ())}
     told = {n: e for n, e in found.estimates.told.items() if n not in own}
@@ -254,16 +255,10 @@ def _with_what_flights_tell(
         again = None
         with contextlib.suppress(FitError):
             again, freed = _carried_out(vehicle, data, freed, decided, said, say, falls_back=False)
-        stuck = {n for n, e in found.parameters.items() if _at_bound(e)}
-        if (
-            again is None
-            or not again.converged
-            or any(_at_bound(e) and n not in stuck for n, e in again.parameters.items())
-        ):
-            say(
-                f"  {', '.join(told)}: held after all, as that fit does not end at a minimum "
-                "inside its bounds"
-            )
+        if again is None or (failed := _no_minimum(again, found)):
+            why = "that fit fails" if again is None else failed
+            say(f"  {', '.join(told)}: held after all, as {why}")
+            denied |= {n: _stays_held(n, e, why) for n, e in told.items()}
             break
         against = _denied(again, told)
         if not against:
@@ -273,6 +268,26 @@ def _with_what_flights_tell(
         denied |= against
         told = {n: e for n, e in told.items() if n not in against}
     return _said_of(found, denied).with_history(recipe, tuple(decisions))
+
+
+def _no_minimum(again: Fit, found: Fit) -> str:
+    """Why a fit with more estimated than in `found` is no minimum for its physics, "" where it is
+    one. The time constant of a noise may end at its bound: it is held there, as there is no such
+    noise, and that has no part in where a parameter of the craft is."""
+    if not again.converged:
+        return "that fit did not converge"
+    craft = own_parameters(again.model.dynamics)
+    stuck = {n for n, e in found.parameters.items() if _at_bound(e)}
+    new = [n for n, e in again.parameters.items() if n in craft - stuck and _at_bound(e)]
+    return f"that fit ends with {', '.join(new)} at a bound" if new else ""
+
+
+def _stays_held(name: str, told: tuple[float, float], why: str) -> str:
+    error, stated = told
+    return (
+        f"{name} is held, although these flights tell it to {error:.2g}, nearer than its stated "
+        f"error of {stated:.2g}: {why}; --fixed none estimates all that is not exact"
+    )
 
 
 def _freed(

@@ -5,7 +5,7 @@ and what must be said of all this.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,7 +29,7 @@ from greybox.estimation.status import Status
 from greybox.estimation.unknown import Unknown
 from greybox.estimation.varying import varying_spread
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import physics_of
+from greybox.model.layer import own_parameters, physics_of
 from greybox.model.parameter import ParameterValues
 from greybox.statistics.blocks import block_samples
 from greybox.statistics.whiteness import is_coloured
@@ -88,7 +88,7 @@ def concluded(
         *([] if status.converged else [status.advice]),
         *([errors.spread.doubt] if errors.spread.doubt else []),
         *([UNFINISHED] if status.converged and _unfinished(value, errors.held) else []),
-        *_bound_warnings(estimates),
+        *_bound_warnings(estimates, own_parameters(problem.dynamics)),
         *nearer_warnings(nearer),
         *_record_warnings(problem),
         *_combination_warnings(problem, kept, combinations),
@@ -254,10 +254,11 @@ def _unfinished(value: Value, held: BoolArray) -> bool:
     return newton_decrement(value.gradient, value.hessian, held) > 1e-2
 
 
-def _bound_warnings(estimates: Mapping[str, Estimate]) -> list[str]:
+def _bound_warnings(estimates: Mapping[str, Estimate], own: Collection[str]) -> list[str]:
+    advice = "check the vehicle file or the effect list"
+    noise = "these flights do not show how long such noise lasts, and nothing else depends on it"
     return [
-        f"{n} is at its bound {e.value:.4g} {e.unit}: no error bar; check the vehicle file or the "
-        "effect list"
+        f"{n} is at its bound {e.value:.4g} {e.unit}: no error bar; {advice if n in own else noise}"
         for n, e in estimates.items()
         if e.at_bound
     ]

@@ -223,6 +223,12 @@ def innermost(dynamics: Dynamics) -> Dynamics:
     return dynamics
 
 
+def own_parameters(dynamics: Dynamics) -> frozenset[str]:
+    """Names of the parameters of the plain model under all layers; all others say how long a noise
+    lasts."""
+    return frozenset(d.name for d in innermost(dynamics).parameters)
+
+
 def physics_of(dynamics: Dynamics) -> PhysicsModel | None:
     """The physics model under all layers; None for a model of another kind (linear, written by the
     user)."""

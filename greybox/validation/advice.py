@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from greybox.data.checks import CheckReport
 from greybox.errors import DataError
 from greybox.estimation.fit import Fit
+from greybox.model.layer import own_parameters
 from greybox.validation.sanity import Sanity
 
 PAGE = "docs/bad_fit.md"
@@ -246,7 +247,8 @@ def hints_of_checks(
 def hints_of_fit(fit: Fit) -> tuple[Hint, ...]:
     """What a fit says about itself: parameters at bounds, a solver that did not arrive."""
     out = []
-    bound = [n for n, e in fit.parameters.items() if e.at_bound]
+    own = own_parameters(fit.model.dynamics)
+    bound = [n for n, e in fit.parameters.items() if e.at_bound and n in own]
     if len(bound) > 1:
         out.append(Hint(symptom=Symptom.BOUNDS, detail=", ".join(bound)))
     if not fit.converged:

@@ -20,7 +20,7 @@ from greybox.files import Json
 from greybox.model.body import margins
 from greybox.model.composition import acts_on_speeds
 from greybox.model.effects import CATALOGUE
-from greybox.model.layer import physics_of
+from greybox.model.layer import own_parameters, physics_of
 from greybox.model.model import PhysicsModel
 from greybox.model.vehicle import Vehicle
 from greybox.statistics.evidence import FELT
@@ -166,7 +166,12 @@ def sanity_of(fit: Fit) -> Sanity:
     # Measured rotor speeds may be logged late: they then act before their stamps.
     delays = tuple(f"{e.name}." for e in physics.effects if "delay" in e.early)
     late = delays if physics.input == "speed" else ()
-    judged = {n: e for n, e in fit.parameters.items() if not n.startswith(late)}
+    own = own_parameters(fit.model.dynamics)  # a noise that is not there says nothing of physics
+    judged = {
+        n: e
+        for n, e in fit.parameters.items()
+        if not n.startswith(late) and (n in own or not e.at_bound)
+    }
     found = sanity(judged, physics.vehicle, fit.model.values)
     found = replace(found, findings=(*found.findings, *_louder(fit, physics)))
     there = frozenset(fit.model.effects)

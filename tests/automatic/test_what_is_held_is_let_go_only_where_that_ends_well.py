@@ -4,6 +4,8 @@ or was said."""
 from __future__ import annotations
 
 import importlib
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -43,9 +45,10 @@ def done(
     lines: list[str] = []
 
     def again(vehicle: object, data: object, recipe: Recipe, progress: object) -> Fit:
-        if answer is not None:
+        if isinstance(answer, Exception):
             raise answer
-        return fit(MODEL, FLIGHTS, recipe.options)
+        freed = fit(MODEL, FLIGHTS, recipe.options)
+        return freed if answer is None else answer(freed)
 
     monkeypatch.setattr(automatic, "fit_recipe", again)
     vehicle: Any = None
@@ -69,6 +72,31 @@ def test_it_stays_held_where_the_other_fit_fails(monkeypatch, found):
     assert "mass" not in result.parameters
     assert result.provenance.decisions == (HELD,)
     assert "held after all" in lines[-1]
+
+
+def at_bound(freed: Fit, name: str) -> Fit:
+    """The fit with one parameter, there or not, at a bound that is not its null."""
+    stuck = replace(freed["gain"], name=name, value=0.01, std=float("nan"), at_bound=True)
+    table = {**freed.parameters, name: stuck}
+    return replace(freed, estimates=replace(freed.estimates, parameters=table))
+
+
+def test_a_noise_that_is_not_there_takes_nothing_back(monkeypatch, found):
+    """A fit that is 650 nats better was thrown away, as there was no gust of torque."""
+    freed = partial(at_bound, name="disturbance.torque.T")
+    result, lines = done(monkeypatch, found, Given(), freed)
+    assert "mass" in result.parameters and len(lines) == 1
+    assert result.provenance.recipe.options.fixed == ()
+
+
+@pytest.mark.parametrize("name", ["mass", "gain"])
+def test_physics_at_a_bound_does_and_what_can_be_done_is_said(monkeypatch, found, name):
+    result, lines = done(monkeypatch, found, Given(), partial(at_bound, name=name))
+    assert "mass" not in result.parameters and result.provenance.decisions == (HELD,)
+    why = f"that fit ends with {name} at a bound"
+    assert f"held after all, as {why}" in lines[-1]
+    (warning,) = [w for w in result.diagnostics.warnings if w.startswith("mass ")]
+    assert why in warning and "--fixed none" in warning and "leave it out" not in warning
 
 
 @pytest.mark.parametrize(

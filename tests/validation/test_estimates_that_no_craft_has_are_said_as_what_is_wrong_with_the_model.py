@@ -8,9 +8,12 @@ from dataclasses import replace
 
 import pytest
 
+from greybox.estimation.conclusion import _bound_warnings
 from greybox.estimation.fit import Estimate, fit, noise_of
+from greybox.model.layer import own_parameters
 from greybox.model.model import build_model
 from greybox.model.vehicle import Quantity, Vehicle
+from greybox.validation.advice import Symptom, hints_of_fit
 from greybox.validation.sanity import ADVICE, LIMITS, sanity, sanity_of, untried
 from tests.simulated import ERRORS, flights, vehicle
 
@@ -191,6 +194,24 @@ def test_a_real_fit_with_an_honest_vehicle_file_is_possible():
     data = flights(1, 6.0)
     report = sanity_of(fit(build_model(vehicle(), data.channels, EFFECTS), data))
     assert report.possible and not any(f.kind in ("overruled", "bounds") for f in report.findings)
+
+
+@pytest.mark.parametrize(
+    ("names", "missing"),
+    [
+        (("disturbance.force.T", "disturbance.torque.T", "low_pass.gyro.T"), False),
+        (("mass", "inertia.xx", "thrust.c2"), True),
+    ],
+)
+def test_noise_that_is_not_there_is_no_missing_cause(names: tuple[str, ...], missing: bool):
+    data = flights(1, 3.0)
+    found = fit(build_model(vehicle(), data.channels), data, free=["mass"])
+    stuck = {n: replace(found["mass"], name=n, at_bound=True) for n in names}
+    found = replace(found, estimates=replace(found.estimates, parameters=stuck))
+    assert any(f.kind == "bounds" for f in sanity_of(found).findings) is missing
+    assert any(h.symptom is Symptom.BOUNDS for h in hints_of_fit(found)) is missing
+    said = _bound_warnings(found.parameters, own_parameters(found.model.dynamics))
+    assert all(("effect list" in w) is missing for w in said) and len(said) == len(names)
 
 
 def test_nobody_is_told_to_add_what_the_model_has():
