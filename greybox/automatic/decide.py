@@ -570,10 +570,13 @@ class _Decider:
         hides it: the two are tried together."""
         if "noise_parts" in self.given.choices:
             return options, first, ""
-        offered = () if self.kinematic_noise else offered_parts(first.likelihood)
+        named = "free" in self.given.choices  # nothing else is estimated, no time constant either
+        offered = () if self.kinematic_noise or named else offered_parts(first.likelihood)
         reason = "no time constant is longer than nothing within its error and possible"
         if self.kinematic_noise:
             reason = "the clocks of gyro and attitude wander by more than a filter is late"
+        elif named:
+            reason = "exactly the parameters that were named are estimated"
         elif not offered:
             reason = "the innovations of the IMU are white"
         steps = first.steps

@@ -58,3 +58,11 @@ def test_without_one_none_is_taken():
     assert said(found) == "white"
     off, error = lag(found)
     assert off == pytest.approx(0.0, abs=3 * error)
+
+
+def test_where_the_parameters_are_named_no_time_constant_of_a_filter_is_one():
+    """Colour was offered, and its time constant, which is not estimated, was asked for."""
+    found = decided(CUTOFF, free=("torque.c2",))
+    assert found.recipe.options.noise_parts == () and said(found) == "white"
+    assert found.candidate is not None
+    assert tuple(found.candidate.likelihood.parameters) == ("torque.c2",)
