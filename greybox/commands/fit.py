@@ -335,11 +335,11 @@ def _lines(job: _Job, result: Fit, table: str, content: FitDocument) -> list[str
 
 def _next(job: _Job, result: Fit) -> list[str]:
     """The command that names what is missing, where parameters stand in for that, or pushes
-    without a name follow the motion and matter ahead."""
+    without a name follow the motion and matter ahead or carry the craft."""
     import numpy as np
 
     from greybox.errors import GreyboxError
-    from greybox.residual.followed import followed
+    from greybox.residual.followed import pushes
 
     verdict, form = result.verdict, result.covariance.form
     bent = [f"next: {_discover(job.arguments)}: {form}"] if form else []
@@ -348,9 +348,9 @@ def _next(job: _Job, result: Fit) -> list[str]:
     errors = {g.name: g for g in verdict.groups}
     ahead = verdict.groups[0].seconds
     try:
-        found = followed(
-            result.model, job.prepared.data, {n: g.error for n, g in errors.items()}, ahead
-        )
+        seen = pushes(result.model, job.prepared.data, errors)
+        found = seen.followed({n: g.error for n, g in errors.items()}, ahead) if seen else ()
+        carried = seen.carried() if seen else 0.0
     except (GreyboxError, np.linalg.LinAlgError):  # too short to see pushes in, or too wild
         return bent
     told = [form] if form else []
@@ -360,6 +360,11 @@ def _next(job: _Job, result: Fit) -> list[str]:
         f"errs {ahead:g} s ahead"
         for p in found
     ]
+    if carried:
+        told.append(
+            f"a force without a name carries {100 * carried:.1f} % of the weight in every flight: "
+            "mass or thrust is off by that, or something pulls all the time"
+        )
     return [f"next: {_discover(job.arguments)}: {'; '.join(told)}"] if told else []
 
 

@@ -1,5 +1,5 @@
 """Whether the pushes that a fit leaves without a name follow the motion: gusts do not, a missing
-law does.
+law does. And whether a force without a name helps to carry the craft.
 
 The disturbance states of a fitted model take up what no parameter explains. Their smoothed values
 are regressed on body velocity and rates in all flights but one, and foretold in that one. Most of
@@ -8,7 +8,7 @@ what a law gives is foretold; of gusts nothing is, although a craft in a loop an
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,9 @@ MOST = 0.5
 """Share of a push that the motion must foretell to be called its cause."""
 FELT = 0.1
 """Share of the error ahead that the push must move the craft by to matter."""
+CARRIED = 0.01
+"""Share of the weight from which a steady force along the thrust is worth a word: a scale and a
+hover tell mass and thrust to that."""
 SHOWN = {"force": ("velocity", "position"), "torque": ("rate", "rotation")}
 """What a push moves, after one integration and after two."""
 
@@ -41,34 +44,62 @@ class Followed:
     error: float
 
 
-def followed(
-    model: IdentifiedModel, data: Dataset, errors: Mapping[str, float], ahead: float
-) -> tuple[Followed, ...]:
-    """The pushes of a fitted vehicle that follow the motion and matter; none where it has no
-    disturbance states, or its motion is not known or not finite.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pushes:
+    """What the flights of `model` were pushed by without a name, in the `groups` that were judged,
+    and the motion at every sample (`samples`, (n, n_in) of every segment)."""
 
-    `errors`: mean error of the model by channel group, `ahead` [s] ahead. A push that moves the
-    craft by more than the model errs is refuted by that. Raises `ModelError` where no flight is
-    long enough.
-    """
+    model: IdentifiedModel
+    seen: Discrepancy
+    samples: Sequence[FloatArray]
+    groups: Sequence[str]
+
+    def followed(self, errors: Mapping[str, float], ahead: float) -> tuple[Followed, ...]:
+        """Those that follow the motion and matter. `errors`: mean error of the model by channel
+        group, `ahead` [s] ahead. A push that moves the craft by more than the model errs is refuted
+        by that."""
+        return tuple(
+            found
+            for group in self.groups
+            if (share := _foretold(self.seen, _columns(self.seen, group))) > MOST
+            for found in _felt(self.model, self.seen, self.samples, group, share, errors, ahead)
+        )
+
+    def carried(self) -> float:
+        """Share of the weight that a force along the thrust carries (negative: pulls down) in every
+        flight, steadier than it varies; 0 where there is none that is worth a word. Thrust over
+        mass is off by that, or something pulls all the time."""
+        if "force" not in self.groups:
+            return 0.0
+        physics = self.model.physics
+        weight = self.model.values["mass"] * physics.vehicle.gravity
+        push = self.seen.y[:, _columns(self.seen, "force")[2]] / weight
+        flights = np.array(self.seen.flights)
+        parts = [push[flights == n] for n in dict.fromkeys(self.seen.flights)]
+        means = np.array([p.mean() for p in parts])
+        steady = all(abs(m) > p.std() for m, p in zip(means, parts, strict=True))
+        one_way = np.ptp(np.sign(means)) == 0
+        share = float(push.mean())
+        return share if steady and one_way and abs(share) > CARRIED else 0.0
+
+
+def pushes(model: IdentifiedModel, data: Dataset, channels: Collection[str]) -> Pushes | None:
+    """The pushes of a fitted vehicle of which one of the `channels` that were judged shows
+    anything; None where it has no disturbance states, or its motion is not known or not finite.
+    Raises `ModelError` where no flight is long enough."""
     there = available(model.dynamics)
     names = [n for n in there if n.split(".")[0] == "body_velocity" or n in ("p", "q", "r")]
     groups = [
         d.group
         for d in disturbances(model.dynamics)
-        if d.group in GROUPS and any(c in errors for c in SHOWN[d.group])
+        if d.group in GROUPS and any(c in channels for c in SHOWN[d.group])
     ]
     if not groups or not {"body_velocity.x", "p"} <= set(names):
-        return ()
+        return None
     seen, samples = discrepancy_and_features(model, data, names)
     if not all(np.isfinite(v).all() for v in (seen.y, *samples)):
-        return ()
-    return tuple(
-        found
-        for group in groups
-        if (share := _foretold(seen, _columns(seen, group))) > MOST
-        for found in _felt(model, seen, samples, group, share, errors, ahead)
-    )
+        return None
+    return Pushes(model=model, seen=seen, samples=samples, groups=groups)
 
 
 def _columns(seen: Discrepancy, group: str) -> list[int]:

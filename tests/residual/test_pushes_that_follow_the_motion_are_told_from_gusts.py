@@ -22,6 +22,7 @@ from greybox.data import Dataset, dataset_from_arrays
 from greybox.estimation.fit import fit
 from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.identified import IdentifiedModel
+from greybox.model.parameter import ParameterValues
 from greybox.model.vehicle import read_vehicle
 from greybox.plants.effects import ParasiticDrag
 from greybox.plants.flight_log import fly, member
@@ -29,7 +30,7 @@ from greybox.plants.presets import controller_for, x250
 from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual import discrepancy
 from greybox.residual.discrepancy import Discrepancy
-from greybox.residual.followed import _felt, _moved, followed
+from greybox.residual.followed import Followed, Pushes, _felt, _moved, pushes
 from greybox.residual.learn import disturbed_model
 from greybox.symbolic import Layout, Signal
 
@@ -57,6 +58,13 @@ def flown(drag: float, gust: float) -> tuple[IdentifiedModel, Dataset]:
         vehicle = read_vehicle(write_vehicle(Path(folder) / "v.toml", plant))
     model = gb.build_model(vehicle, data.channels)
     return disturbed_model(fit(model, data, free=()).model, data), data
+
+
+def followed(
+    model: IdentifiedModel, data: Dataset, errors: dict[str, float], ahead: float
+) -> tuple[Followed, ...]:
+    found = pushes(model, data, errors)
+    return found.followed(errors, ahead) if found else ()
 
 
 def test_drag_that_is_missing_follows_the_motion_and_is_felt() -> None:
@@ -128,6 +136,35 @@ def test_each_flight_is_smoothed_once_and_none_where_no_channel_was_judged(
     assert not followed(model, data, {}, 0.5) and not calls
 
 
+def seen_in(model: IdentifiedModel, data: Dataset, errors: dict[str, float] = ERRORS) -> Pushes:
+    found = pushes(model, data, errors)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("off", [0.9, 1.1])
+def test_a_thrust_that_is_off_leaves_a_force_that_carries_the_craft(off: float) -> None:
+    model, data = flown(0.0, 0.1)
+    assert seen_in(model, data).carried() == 0.0
+    values = {**model.values, "thrust.c2": off * model.values["thrust.c2"]}
+    wrong = replace(model, values=ParameterValues(values))
+    assert seen_in(wrong, data).carried() == pytest.approx(1.0 - off, abs=0.03)
+    assert seen_in(wrong, data, {"rate": 0.5}).carried() == 0.0
+
+
+def test_what_carries_one_flight_and_pulls_at_the_other_carries_nothing() -> None:
+    model, data = flown(0.0, 0.1)
+    found = seen_in(model, data)
+    names, weight = np.array(found.seen.flights), model.values["mass"] * 9.81
+    for signs, carried in (((1.0, 1.0), 0.05), ((1.0, -1.0), 0.0)):
+        push = np.zeros((len(names), found.seen.y.shape[1]))
+        push[:, 2] = 0.05 * weight * np.where(names == names[0], *signs)
+        own = replace(found, seen=replace(found.seen, y=push))
+        assert own.carried() == pytest.approx(carried, rel=0.01)
+        push[::2, 2] *= -1.0
+        assert own.carried() == 0.0
+
+
 def raising(*arguments: object) -> None:
     raise np.linalg.LinAlgError("SVD did not converge")
 
@@ -137,7 +174,7 @@ def test_the_next_step_is_left_out_where_it_cannot_be_told(
     monkeypatch: pytest.MonkeyPatch, groups: tuple[SimpleNamespace, ...]
 ) -> None:
     """The files of the fit are written by then."""
-    monkeypatch.setattr("greybox.residual.followed.followed", raising)
+    monkeypatch.setattr("greybox.residual.followed.pushes", raising)
     verdict = SimpleNamespace(refused=False, groups=groups)
     job: Any = SimpleNamespace(prepared=SimpleNamespace(data=None))
     sure = SimpleNamespace(form="")
