@@ -21,6 +21,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from greybox.validation.baselines import persistence
 from greybox.validation.groups import GROUPS, error_norms
+from greybox.validation.horizon import strided
 from greybox.validation.open_loop import GroupReader, IntArray, predict_from
 
 HORIZONS = (0.1, 0.5)
@@ -76,12 +77,12 @@ def foretell(model: IdentifiedModel, pieces: Dataset, *, use_compiler: bool = Tr
     held: list[FloatArray] = []
     labels: list[IntArray] = []
     count = 0
-    every = [_origins(s, dt, longest) for s in pieces.segments]
+    every = [_origins(s, groups, dt, longest) for s in pieces.segments]
     seconds = sum(float(o[-1] - o[0]) * dt for o in every if o.size)
     length = min(BLOCK, max(HORIZONS[-1], seconds / FEWEST))
     for flight in pieces:
         for segment in flight.segments:
-            origins = _origins(segment, dt, longest)
+            origins = _origins(segment, groups, dt, longest)
             if origins.size == 0:
                 continue
             run = runner.run(segment.without(flight.noncausal), p=model.flight_vector(flight.name))
@@ -144,10 +145,12 @@ def _shares(error: FloatArray, held: FloatArray) -> FloatArray:
     return np.minimum(error / np.maximum(scale, 1e-300), WORST)
 
 
-def _origins(segment: Segment, dt: float, longest: int) -> IntArray:
-    """Samples from which is foretold."""
-    settle = min(round(SETTLE / dt), segment.n // 4)
-    return np.arange(settle, segment.n - longest - 1, max(1, round(SPACING / dt)))
+def _origins(segment: Segment, groups: Sequence[str], dt: float, longest: int) -> IntArray:
+    """Samples from which is foretold, spread where a reference is slower than the rows."""
+    settle, every = min(round(SETTLE / dt), segment.n // 4), max(1, round(SPACING / dt))
+    rows = np.arange(settle, segment.n - longest - 1)
+    measured = [GROUPS[g].columns for g in groups if set(GROUPS[g].columns) <= set(segment.names)]
+    return strided(rows, every, map(segment.matrix, measured))
 
 
 def _safe(predicted: FloatArray, like: FloatArray) -> FloatArray:

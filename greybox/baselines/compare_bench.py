@@ -37,7 +37,7 @@ from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray, IntArray, Signal
 from greybox.validation.baselines import persistence
 from greybox.validation.groups import GROUPS
-from greybox.validation.horizon import REQUIRED, HorizonAccumulator
+from greybox.validation.horizon import REQUIRED, HorizonAccumulator, spread_origins
 from greybox.validation.horizon_table import HorizonTable
 from greybox.validation.samples import BoolArray
 from greybox.validation.validate import validate
@@ -274,7 +274,7 @@ class Bench:
             for segment in flight.segments:
                 i = next(numbers)
                 origins = np.flatnonzero(self.late[i])
-                origins = origins[origins < segment.n - REQUIRED][:: self.every]
+                origins = spread_origins(origins[origins < segment.n - REQUIRED], self.every)
                 references = {
                     g: segment.matrix(d.columns, missing_ok=True) for g, d in GROUPS.items()
                 }

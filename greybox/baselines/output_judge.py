@@ -14,6 +14,7 @@ from greybox.baselines.output_residual import OutputHybrid
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError
 from greybox.symbolic import BoolArray, FloatArray
+from greybox.validation.horizon import spread_origins
 from greybox.validation.predictive import score
 
 Ahead = tuple[FloatArray, FloatArray, FloatArray]
@@ -115,7 +116,8 @@ def _ahead(
     longest = max(horizons)
     for segment, rows in late:
         origins = np.flatnonzero(rows)
-        origins = origins[origins < segment.n - longest][:: max(1, round(SPACING / segment.dt))]
+        every = max(1, round(SPACING / segment.dt))
+        origins = spread_origins(origins[origins < segment.n - longest], every)
         if origins.size:
             y = segment.matrix(predictor.outputs)
             far, spread = predictor.free_run(segment, origins, longest)

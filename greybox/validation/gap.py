@@ -28,6 +28,7 @@ from greybox.symbolic import FloatArray, IntArray
 from greybox.validation.adapt import adapt_to_flight
 from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning
 from greybox.validation.groups import GROUPS, Groups, error_norms
+from greybox.validation.horizon import strided
 from greybox.validation.open_loop import GroupReader, predict_from
 
 SECONDS = (0.0, 0.1, 0.5, 1.0)
@@ -275,7 +276,11 @@ def predict_ahead(
             # What was commanded before a segment is not known, nor is its state.
             known = max(begin, float(segment.t[0]) + (_start(segment) if blind else 0.0))
             late = np.flatnonzero(segment.t >= known + START_SECONDS * second)
-            origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE * second / dt))]
+            references = {
+                g: segment.matrix(reader.table[g].columns, missing_ok=True) for g in groups
+            }
+            every = max(1, round(STRIDE * second / dt))
+            origins = strided(late[late < segment.n - longest - 1], every, references.values())
             if not origins.size:
                 continue
             x0, sigma = _begun(model, flight, segment, runner) if blind else (None, None)
@@ -284,9 +289,6 @@ def predict_ahead(
             begun[:, silent] = 0.0
             filtered = replace(filtered, states=begun)
             predicted = predict_from(runner.engine, reader, filtered, origins, steps=longest)
-            references = {
-                g: segment.matrix(reader.table[g].columns, missing_ok=True) for g in groups
-            }
             block = np.asarray((segment.t[origins] - segment.t[0]) // second, dtype=int)
             _collect(own, predicted, references, origins, steps, block, reader.table)
             dead = _floor(model, segment, filtered, reader, origins, longest, references)

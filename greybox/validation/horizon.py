@@ -11,7 +11,7 @@ Errors are summed while they are computed: one stretch of one flight at a time i
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,6 +32,9 @@ BLOCK_SECONDS = 2.0
 """Origins of so many seconds make one block: twice the longest horizon (1 s) that is judged by
 blocks, so that most errors of one block share no sample with those of the next but one, and a
 flight of 40 s still has twenty."""
+
+GOLDEN = (5.0**0.5 - 1.0) / 2.0
+"""The golden section: its multiples fill an interval evenly, and in step with no other number."""
 
 
 def find_origins(
@@ -64,6 +67,25 @@ def find_origins(
         for a, b in itertools.pairwise(edges)
     ]
     return [f for f in found if len(f)]
+
+
+def spread_origins(rows: IntArray, every: int) -> IntArray:
+    """One of every `every` consecutive `rows` (n,).
+
+    Its place among them moves on by the golden section: a fixed stride would keep step with a
+    sensor that is slower than the rows, and meet its samples at all origins or at none.
+    """
+    cell = np.arange(-(-len(rows) // every), dtype=np.int64)
+    at = every * cell + (every * (cell * GOLDEN % 1.0)).astype(np.int64)
+    return rows[at[at < len(rows)]]
+
+
+def strided(rows: IntArray, every: int, references: Iterable[FloatArray]) -> IntArray:
+    """Every `every`-th of the `rows`, spread where one of the `references` (N, dimension) is slower
+    than the rows."""
+    measured = [complete_rows(r) for r in references]
+    slow = any(m.any() and not m.all() for m in measured)
+    return spread_origins(rows, every) if slow else rows[::every]
 
 
 def complete_origins(

@@ -44,7 +44,7 @@ class ValidateOptions:
     measured_start: bool = False
     """Whether a row starts from the measured state, smoothed velocities included."""
     every: int | None = None
-    """Origins are every so many samples; None: every `SPACING` seconds."""
+    """One of so many samples is an origin; None: one per `SPACING` seconds."""
     skip: float = START_SECONDS
     """Seconds after the start of a segment before its first origin."""
     judged_on: str | None = None

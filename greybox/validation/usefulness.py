@@ -199,42 +199,27 @@ def judge(
 
     The tables are those of `greybox.validation.validate.Validation` (the same origins in all).
     Horizons are every sample up to `standard.longest`, as far as the tables reach. A group that was
-    measured and has no errors (`unjudged` of the model's table) is named, and what is left is at
-    best judged in part. `hints` are what else was seen (`greybox.validation.advice`). Raises
-    `DataError` where the tables share no group or end before `standard.minimum`.
+    measured and has no errors (`unjudged` of the model's table), or none where skill is stated, is
+    named, and what is left is at best judged in part. `hints` are what else was seen
+    (`greybox.validation.advice`). Raises `DataError` where the tables share no group or end before
+    `standard.minimum`.
     """
     rule = standard or Standard()
-    dt = model.sample_time
-    groups = [g for g in model.groups if g in last_value.groups]
-    steps = min(model.steps, last_value.steps, round(rule.longest / dt))
-    for g in groups:
-        count = np.minimum(model.groups[g].n, last_value.groups[g].n)
-        reached = np.flatnonzero(count >= np.maximum(rule.reach * count.max(initial=0), 1))
-        steps = min(steps, int(reached[-1]) + 1) if reached.size else 0
-    if not groups or steps * dt < rule.minimum - 1e-9:
-        raise DataError(
-            "not enough to judge a model by",
-            expected=f"errors up to {rule.minimum:g} s ahead of at least one channel group",
-            got=f"{len(groups)} group(s), {steps * dt:.3g} s",
-            fix="longer flights",
-        )
-    seconds: FloatArray = dt * np.arange(1, steps + 1, dtype=np.float64)
-    imu_only = set(groups) <= {"rate", "specific_force"}
-    at = _index(seconds, rule.look_ahead_imu if imu_only else rule.look_ahead)
+    groups, grid = _judged(model, last_value, rule)
+    lost = [g for g in model.groups if g in last_value.groups and g not in groups]
     floors = {} if measured_imu is None else measured_imu.groups
-    grid = _Grid(seconds=seconds, at=at, rule=rule)
     compared = [
         _compare(model.kinds[g], model.groups[g], last_value.groups[g], floors.get(g), grid)
         for g in groups
     ]
     weighed = _weigh(compared, grid)
-    found = _partly_judged(_conclude(weighed, grid, list(hints)), model.unjudged)
+    found = _partly_judged(_conclude(weighed, grid, list(hints)), [*lost, *model.unjudged])
     on = "" if judged_on == TEST_FLIGHTS else f" [judged on {judged_on}]"
     return Verdict(
         outcome=found.outcome,
         line=found.line + on,
         useful_seconds=weighed.useful(grid),
-        judged_seconds=float(seconds[-1]),
+        judged_seconds=float(grid.seconds[-1]),
         judged_on=judged_on,
         flights=tuple(model.flights),
         groups=tuple(_skill(c, grid) for c in compared),
@@ -242,6 +227,39 @@ def judge(
         action=found.action,
         anchor=found.anchor,
     )
+
+
+def _judged(
+    model: HorizonTable, last_value: HorizonTable, rule: Standard
+) -> tuple[list[str], _Grid]:
+    """The groups that have errors where skill is stated, and the horizons. Raises `DataError` as
+    `judge`."""
+    dt = model.sample_time
+    counts = {
+        g: np.minimum(model.groups[g].n, last_value.groups[g].n)
+        for g in model.groups
+        if g in last_value.groups
+    }
+    groups = [g for g, n in counts.items() if n.any()]
+    while True:
+        steps = min(model.steps, last_value.steps, round(rule.longest / dt)) if groups else 0
+        for g in groups:
+            reached = np.flatnonzero(counts[g] >= max(rule.reach * counts[g].max(), 1))
+            steps = min(steps, int(reached[-1]) + 1)
+        if steps * dt < rule.minimum - 1e-9:
+            raise DataError(
+                "not enough to judge a model by",
+                expected=f"errors up to {rule.minimum:g} s ahead of at least one channel group",
+                got=f"{len(groups)} group(s), {steps * dt:.3g} s",
+                fix="longer flights",
+            )
+        seconds: FloatArray = dt * np.arange(1, steps + 1, dtype=np.float64)
+        imu_only = set(groups) <= {"rate", "specific_force"}
+        at = _index(seconds, rule.look_ahead_imu if imu_only else rule.look_ahead)
+        there = [g for g in groups if counts[g][at]]
+        if there == groups:
+            return groups, _Grid(seconds=seconds, at=at, rule=rule)
+        groups = there
 
 
 def _compare(
@@ -504,7 +522,9 @@ def in_words(verdict: Verdict) -> list[str]:
     lines = []
     for g in verdict.groups:
         aim = "no error at all" if g.measured_imu is None else "the measured IMU"
-        if not math.isfinite(g.error):
+        if math.isnan(g.error):
+            said = "nothing was measured there"
+        elif not math.isfinite(g.error):
             said = "predictions are not finite"
         elif g.covered < 0:
             better = "no better" if g.worse_from is None else "worse"

@@ -39,7 +39,13 @@ from greybox.validation.baselines import (
     persistence,
 )
 from greybox.validation.groups import GROUPS
-from greybox.validation.horizon import BLOCK_SECONDS, REQUIRED, HorizonAccumulator, complete_origins
+from greybox.validation.horizon import (
+    BLOCK_SECONDS,
+    REQUIRED,
+    HorizonAccumulator,
+    complete_origins,
+    spread_origins,
+)
 from greybox.validation.horizon_table import HorizonTable
 from greybox.validation.horizons import HORIZONS, LONGEST, SAMPLES, horizons_of
 from greybox.validation.one_step import OneStep
@@ -94,9 +100,9 @@ def validate(
     value per flight and the initial state are fitted on its first seconds with everything else
     fixed (prior: the training flights), then frozen; origins start after them, and dead reckoning
     takes its IMU biases from the same seconds. `measured_start` adds the row that starts from the
-    measured state, smoothed velocities included, as the benchmark does. Origins are every
-    `every`-th sample (default: every `SPACING` seconds), `skip` seconds after the start of a
-    segment at the earliest. `judged_on` says in words what the flights are to the model (default:
+    measured state, smoothed velocities included, as the benchmark does. Of every
+    `every` samples (default: of `SPACING` seconds) one is an origin, `skip` seconds after the start
+    of a segment at the earliest. `judged_on` says in words what the flights are to the model (default:
     from the names of its training flights) and `hints` what else was seen; the verdict uses both.
     `progress` gets a line per flight. Raises `DataError` (no usable flight, another sample time),
     `ModelError` (a smoothed channel is a measurement of the filter), `FitError`,
@@ -246,7 +252,7 @@ class _Work:
     def _origins(self, late: BoolArray) -> IntArray:
         """The origins of a segment: late enough, and with all required steps ahead."""
         origins = np.flatnonzero(late)
-        return origins[origins < len(late) - REQUIRED][:: self.every]
+        return spread_origins(origins[origins < len(late) - REQUIRED], self.every)
 
     def _surviving(self, group: str) -> float:
         """Share of the origins with a reference at each required step, where the group was measured

@@ -267,6 +267,23 @@ def test_a_group_that_was_measured_and_could_not_be_judged_is_named() -> None:
     assert "Position could not be judged" in found.line
 
 
+def test_a_group_without_an_error_where_skill_is_stated_is_not_part_of_usable() -> None:
+    def lacking(label: str, curves: dict[str, np.ndarray], gone: np.ndarray) -> HorizonTable:
+        made = table(label, curves)
+        whole = made.groups["position"]
+        mae = np.where(gone, np.nan, whole.mae)
+        less = replace(whole, mae=mae, rmse=mae, n=np.where(gone, 0, whole.n))
+        return replace(made, groups={**made.groups, "position": less})
+
+    odd = np.arange(1, 101) % 2 == 0
+    for gone in (odd, np.ones(100, dtype=bool)):
+        found = judge(lacking("model", own(), gone), lacking("persistence", held(), gone))
+        assert found.outcome is Outcome.PARTLY_JUDGED
+        assert found.line.startswith("position could not be judged")
+        assert "nan" not in found.line
+        assert "position" not in {g.name for g in found.groups}
+
+
 def test_too_little_data_is_refused() -> None:
     short = {g: c[:5] for g, c in held().items()}
     with pytest.raises(DataError, match="not enough to judge"):

@@ -13,7 +13,7 @@ from greybox.errors import DataError, UnknownNameError
 from greybox.files import dump_json
 from greybox.validation.baselines import persistence
 from greybox.validation.groups import error_norms
-from greybox.validation.horizon import HorizonAccumulator, find_origins
+from greybox.validation.horizon import HorizonAccumulator, find_origins, spread_origins, strided
 
 DT = 0.01
 
@@ -185,3 +185,28 @@ def test_bad_input() -> None:
         accumulator.add("a", {"rate": np.zeros((1, 51, 3))}, {"rate": np.zeros((60, 3))}, [0])
     with pytest.raises(DataError, match="no origin"):
         accumulator.table()
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 5, 10])
+def test_spread_origins_keep_their_mean_spacing_and_no_step_with_a_slower_sensor(
+    every: int,
+) -> None:
+    rows = np.arange(7, 3007)
+    origins = spread_origins(rows, every)
+    assert abs(len(origins) - 3000 / every) <= 1
+    assert np.diff(origins).min() >= 1 and np.diff(origins).max() < 2 * every
+    for slower in (2, 3, 5, 7, 10):
+        share = np.bincount(origins % slower, minlength=slower) / len(origins)
+        assert np.allclose(share, 1 / slower, atol=0.02)
+
+
+def test_a_stride_is_fixed_where_every_row_is_measured() -> None:
+    rows, whole = np.arange(100), np.ones((200, 3))
+    slow = np.where(np.arange(200)[:, None] % 2, np.nan, whole)
+    never = np.full((200, 3), np.nan)
+    assert np.array_equal(strided(rows, 4, [whole, never]), rows[::4])
+    assert set(strided(rows, 4, [whole, slow]) % 2) == {0, 1}
+
+
+def test_every_row_is_an_origin_of_its_own_where_none_is_left_out() -> None:
+    assert np.array_equal(spread_origins(np.arange(30), 1), np.arange(30))

@@ -165,6 +165,24 @@ def test_drop_outs_here_and_there_take_no_group_from_the_verdict(share: float) -
     assert result.verdict.outcome is not Outcome.PARTLY_JUDGED
 
 
+@pytest.mark.parametrize(
+    ("slower", "every", "first"), [(2, 2, 0), (2, 2, 1), (3, 3, 2), (5, 10, 4)]
+)
+def test_a_pose_that_is_slower_than_the_imu_is_judged_at_every_horizon(
+    slower: int, every: int, first: int
+) -> None:
+    # A fixed stride meets every pose or none: 0.5 s ahead is no multiple of three samples.
+    model = make_model()
+    lost = np.arange(600) % slower != first
+    flight = dataset(without_samples(fly(model, 600, noise=1.0), lost))
+    result = validate(model, flight, every=every, use_compiler=False)
+    assert {g.name for g in result.verdict.groups} >= {"position", "rotation", "rate"}
+    for group in ("position", "rotation"):
+        counts = result.table.groups[group].n[:50]
+        assert counts.min() > 0.5 * counts.mean()
+    assert "nan" not in f"{result.verdict.line} {result.format()}"
+
+
 def test_a_group_measured_only_where_no_origin_is_could_not_be_judged() -> None:
     model = make_model()
     segment = fly(model, 400, noise=1.0)
