@@ -8,7 +8,7 @@ fails falls back to less, and says so.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,11 +106,12 @@ def prepare(
     keep_impossible: bool = False,
     all_flights: bool = False,
     decide_rate: bool = True,
+    accept: Iterable[str] = (),
 ) -> Prepared:
     """Clean, choose and resample. `rate` [Hz] is what the user asked for (None: open, or the logs'
-    own where it is not to be decided).
+    own where it is not to be decided). Findings of the checks in `accept` leave no flight out.
 
-    Raises `DataError` for logs that are no flights.
+    Raises `DataError` for logs that are no flights, `BadDataError` where no flight is left.
     """
     trim = not isinstance(logs, Dataset)
     raws = [raw_log(f) for f in logs] if isinstance(logs, Dataset) else list(logs)
@@ -122,13 +123,15 @@ def prepare(
     else:
         own_rate = rate if not decide_rate else None
         data = read_flights(raws, vehicle, rate=own_rate, trim=trim)
-    report = check(data, vehicle)
+    report = check(data, vehicle, accept=accept)
     kept, left_out = (data, ()) if all_flights else sound_flights(data, vehicle, report)
     wanted = rate if rate is not None or not decide_rate else needed_rate(kept)
     if wanted is not None and (decide_rate or isinstance(logs, Dataset)):
         chosen = [r for r in raws if r.flight in kept.names]
         kept = read_flights(chosen, vehicle, rate=wanted, trim=trim)
-        report = check(kept, vehicle)  # offsets in samples are those of this rate
+        report = check(
+            kept, vehicle, accept=report.accepted
+        )  # offsets in samples are those of this rate
     return Prepared(
         data=kept, report=report, removed=removed, left_out=left_out, rate=wanted, names=data.names
     )

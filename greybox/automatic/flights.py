@@ -16,6 +16,7 @@ from greybox.data import Dataset, Flight
 from greybox.data.checks import CheckReport
 from greybox.data.drive import drive
 from greybox.data.raw import RawLog
+from greybox.model.faults import demand_sound
 from greybox.model.vehicle import Vehicle
 
 ANOTHER = 1.4
@@ -77,12 +78,13 @@ def raw_log(flight: Flight) -> RawLog:
 def sound_flights(
     data: Dataset, vehicle: Vehicle, report: CheckReport
 ) -> tuple[Dataset, tuple[LeftOut, ...]]:
-    """The flights that take part, and those that do not; all take part where none would be left."""
+    """The flights that take part, and those that do not. Raises `BadDataError` where none is
+    left."""
     out: dict[str, str] = {}
     for finding in report.blocking:
         out.setdefault(finding.flight, f"data fault in {finding.where}: {finding.message}")
     if len(out) == len(data):
-        out = {}
+        demand_sound(report, "a fit")
     ratios = {f.name: thrust_share(f, vehicle) for f in data if f.name not in out}
     known = {n: r for n, r in ratios.items() if np.isfinite(r) and r > 0}
     if len(known) >= 3:

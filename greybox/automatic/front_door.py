@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Unpack
 
 from greybox.automatic.borrow import decide_with_source
@@ -19,6 +19,7 @@ from greybox.estimation.record import sample_time
 from greybox.estimation.result import Fit
 from greybox.estimation.solver import Progress
 from greybox.model.dynamics import Dynamics
+from greybox.model.faults import demand_sound, faults_of
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
@@ -42,6 +43,7 @@ def fit(
     *,
     test: Dataset | Flight | None = None,
     source: IdentifiedModel | None = None,
+    accept: Iterable[str] = (),
     progress: Progress | None = None,
     say: Callable[[str], None] = _quiet,
     **choices: Unpack[FitChoices],
@@ -51,19 +53,23 @@ def fit(
     A `Vehicle`: everything that no keyword says is decided from the flights (as plain `greybox fit`
     does), and the result is judged on `test`, or on pieces of `data` that were left out. `say` gets
     a line per decision; `source` is a model of a craft like this one, whose effects are where these
-    begin (`greybox fit --from`). A model (`build_model`, `StateSpaceModel`): exactly the fit that
-    `options` and the keywords describe, nothing is decided.
+    begin (`greybox fit --from`). Flights with a fault that blocks (`gb.check`) do not take part;
+    those of the checks named in `accept` ("motors", "vehicle", ...) do not block. A model
+    (`build_model`, `StateSpaceModel`): exactly the fit that `options` and the keywords describe,
+    nothing is decided or checked.
 
     The choices are keywords, fields of `FitOptions` with its defaults: predictor, criterion,
     solver, initialisation, disturbance, noise_parts, free, fixed, considered, per_flight, shared,
     values, priors, flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build,
-    use_compiler. Raises what `greybox.estimation.fit.fit` raises.
+    use_compiler. Raises what `greybox.estimation.fit.fit` raises, and `BadDataError` where the
+    vehicle or all flights have faults that block.
     """
     data = Dataset.of(data)
     if isinstance(subject, Vehicle):
         said: FitChoices = choices if options is None else {**_said(options), **choices}
         judged = Dataset(flights=(test,)) if isinstance(test, Flight) else test
-        return _automatic(subject, data, judged, source, said, say, progress)
+        given = Given(choices=said, source=source)
+        return _automatic(subject, data, judged, given, tuple(accept), say, progress)
     return explicit_fit(subject, data, FitOptions.of(options, choices), progress=progress)
 
 
@@ -76,16 +82,18 @@ def _automatic(
     vehicle: Vehicle,
     data: Dataset,
     test: Dataset | None,
-    source: IdentifiedModel | None,
-    choices: FitChoices,
+    given: Given,
+    accept: Sequence[str],
     say: Say,
     progress: Progress | None,
 ) -> Fit:
-    FitOptions.of(None, choices)  # an unknown keyword is said before any work is done
+    FitOptions.of(None, given.choices)  # an unknown keyword is said before any work is done
     demand_disjoint(data.files, () if test is None else test.files)
-    prepared = prepare(vehicle, data)
+    demand_sound(faults_of(vehicle, accept=accept), "a fit")
+    prepared = prepare(vehicle, data, accept=accept)
+    for line in prepared.report.accepted_lines():
+        say(line)
     facts = facts_of(prepared.data, vehicle, prepared.report)
-    given = Given(choices=choices, source=source)
     vehicle, decided = decide_with_source(vehicle, prepared.data, facts, given, say=say)
     found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
     found = calibrated(with_rivals(found, prepared.data), prepared.data)
@@ -102,7 +110,9 @@ def _automatic(
         if test is not None and len(test):
             dt = sample_time(prepared.data)
             rate = prepared.rate if all(abs(f.dt - dt) <= 1e-6 * dt for f in test) else 1 / dt
-            tested = prepare(vehicle, test, rate=rate, all_flights=True, decide_rate=False)
+            tested = prepare(
+                vehicle, test, rate=rate, all_flights=True, decide_rate=False, accept=accept
+            )
             for fault in tested.report.blocking:
                 say(f"data fault in {fault.flight}: {fault.message}")
             hints += hints_of_checks(

@@ -30,7 +30,7 @@ from greybox.baselines.regressors import Choice, NetworkReport, Point, Predictor
 from greybox.data import Segment
 from greybox.errors import DataError
 from greybox.estimation.record import hold_missing
-from greybox.residual.learn import learn
+from greybox.residual.learn import learn_checked
 from greybox.residual.learners import GP, learner_of
 from greybox.residual.weight_space import learned_numbers
 from greybox.symbolic import FloatArray, IntArray
@@ -131,7 +131,7 @@ def _nonlinear(bench: Bench) -> Outcome:
 
 def _hybrid(bench: Bench, learner: str = GP) -> Outcome:
     model, seconds = bench.physics
-    learned = learn(
+    learned = learn_checked(
         model,
         bench.train,
         points=bench.options.points,

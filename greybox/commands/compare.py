@@ -12,11 +12,11 @@ from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.judgement import (
     accept_option,
+    accepted,
     adapt_option,
     demand_adapt,
-    faults_of,
     horizon_options,
-    overruled,
+    log_faults,
     refuse_faults,
 )
 from greybox.commands.model_options import is_given, model_options, names
@@ -111,10 +111,10 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console.of(arguments)
     learners = _checked(arguments)  # what is wrong is said before logs are read
     vehicle = read_vehicle(arguments.vehicle)
-    faults = faults_of(arguments, vehicle)
+    faults = log_faults(arguments, vehicle)
     if not faults.ok:
         return refuse_faults(faults, console, "a comparison")
-    for warning in overruled(faults):
+    for warning in faults.accepted_lines():
         print(f"greybox compare: {warning}", file=sys.stderr)
     fitted = None if arguments.fitted is None else load_model(arguments.fitted)
     train = read_flight_logs(arguments, arguments.train, vehicle, rate=_rate(arguments, fitted))
@@ -207,7 +207,7 @@ def _fit(
 
     if is_given(arguments):
         return fit_with(arguments, vehicle, train, console.solver).model
-    prepared = prepare(vehicle, train, decide_rate=False)
+    prepared = prepare(vehicle, train, decide_rate=False, accept=accepted(arguments.accept))
     return calibrated(
         decided_fit(vehicle, prepared, given(arguments), console), prepared.data
     ).model

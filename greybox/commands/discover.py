@@ -7,7 +7,6 @@ import argparse
 import itertools
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,11 +26,10 @@ from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.judgement import (
     accept_option,
-    accepted,
     adapt_option,
     demand_adapt,
-    faults_of,
-    overruled,
+    log_faults,
+    next_of_faults,
     refuse_faults,
 )
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
@@ -229,7 +227,7 @@ class _Search:
 
     def warnings(self) -> tuple[list[str], list[str]]:
         """What the flights were searched in spite of: (faults that were accepted, warnings)."""
-        return overruled(self.faults), self.faults.warning_lines()
+        return self.faults.accepted_lines(), self.faults.warning_lines()
 
     @property
     def content(self) -> DiscoveryDocument:
@@ -256,6 +254,7 @@ class _Search:
         lines, laws = found.summary().splitlines(), list(found.proposals())
         first = 1 + len(found.faults)
         lines[first:first] = [f"warning: {w}" for some in self.warnings() for w in some]
+        lines += [] if self.faults.ok else [next_of_faults(self.faults)]
         written = ["discovery.json", *(["model.json"] if found.fit is not None else []), *laws]
         if found.lawful is not None:
             written.append(WITH_LAWS)
@@ -342,6 +341,7 @@ def _subject(
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, search, report."""
     from greybox.commands.vehicle_lines import say_vehicle
+    from greybox.data.checks import CheckReport
     from greybox.discovery.workflow import refused
     from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
@@ -357,7 +357,11 @@ def run(arguments: argparse.Namespace) -> int:
     own = [e for effects in offered.values() for e in effects]
     since = None if arguments.since is None else IdentifiedModel.load(arguments.since, effects=own)
     subject = _subject(arguments, since)
-    faults = _faults(arguments, subject)
+    faults = (
+        CheckReport(vehicle=subject.name, flights=(), findings=(), not_judged=())
+        if isinstance(subject, StateSpaceModel)
+        else log_faults(arguments, subject)
+    )
     search = _Search(out, f"What the model of {subject.name} misses", offered, faults)
     if faults.ok:
         train = read_flights_of(
@@ -399,39 +403,8 @@ def _to_foretell(arguments: argparse.Namespace, found: Discovery) -> list[str]:
     command = ["greybox", "fit", "--vehicle", arguments.vehicle, "--train", *arguments.train]
     command += ["--test", *arguments.test] if arguments.test else []
     command += ["--effects", ",".join(named)] if named else []
+    command += ["--accept", arguments.accept] if arguments.accept else []
     return [f"next: {shlex.join(command)}"]
-
-
-def _faults(arguments: argparse.Namespace, subject: Vehicle | StateSpaceModel) -> CheckReport:
-    """What is wrong with the vehicle file, and the logs; logs are not judged by a file that no
-    craft is like."""
-    from greybox.data.checks import VEHICLE, CheckReport, Finding, check_logs
-    from greybox.model.dynamics import StateSpaceModel
-    from greybox.model.plausibility import vehicle_findings
-
-    own: tuple[Finding, ...] = ()
-    accept = accepted(arguments.accept)
-    if not isinstance(subject, StateSpaceModel) and arguments.vehicle is not None:
-        own = tuple(
-            Finding(
-                check=VEHICLE,
-                severity="blocking",
-                flight=arguments.vehicle,
-                where=f.where,
-                message=f"{f.line()} (--accept vehicle searches all the same)",
-            )
-            for f in vehicle_findings(subject)
-            if f.severity == "blocking"
-        )
-    report = CheckReport(
-        vehicle=subject.name, flights=(), findings=own, not_judged=(), accepted=accept
-    )
-    if isinstance(subject, StateSpaceModel) or not report.ok:
-        return report
-    # The files show faults of their clocks, which reading mends.
-    logs = [*arguments.train, *arguments.test]
-    found = check_logs(logs, subject, mapping=arguments.mapping, accept=accept)
-    return replace(found, findings=(*own, *found.findings))
 
 
 def _choices(
@@ -514,7 +487,7 @@ def _go_on(arguments: argparse.Namespace) -> int:
             fix="greybox discover --from model.json --train LOGS",
         )
     rate = arguments.rate or 1 / model.sample_time
-    faults = faults_of(arguments, model.physics.vehicle)
+    faults = log_faults(arguments, model.physics.vehicle)
     if not faults.ok:
         return refuse_faults(faults, Console.of(arguments), "judging names by these flights")
     data = read_flight_logs(arguments, logs, model.physics.vehicle, rate=rate)

@@ -28,12 +28,15 @@ from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import (
+    accept_option,
+    accepted,
     adapt_option,
     demand_adapt,
     exit_code,
     fault_lines,
     given_horizons,
     horizon_options,
+    refuse_faults,
 )
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.model_options import fit_with, given, model_options
@@ -50,7 +53,7 @@ def add(subparsers: Subcommands) -> None:
         "from the flights, each choice with its reason, and the explicit command is printed. "
         "Writes fit.json, model.json "
         "and report.html. Exit code 0: usable (or the flights are too calm to judge), 1: not "
-        "usable, 2: bad input, 130: "
+        "usable, or a fault of all flights or of the vehicle file blocks, 2: bad input, 130: "
         "interrupted.",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
@@ -88,6 +91,7 @@ def add(subparsers: Subcommands) -> None:
         action="store_true",
         help="fit flights with blocking faults or of another craft, too",
     )
+    accept_option(p)
     p.add_argument("--seed", type=int, default=0, help="seed of random starts")
     p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
     mcap_option(p)
@@ -97,23 +101,47 @@ def add(subparsers: Subcommands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
+    from greybox.commands.fit_own import RESULTS
     from greybox.commands.fit_own import run as run_own
     from greybox.commands.vehicle_lines import say_vehicle
-    from greybox.data.checks import check
-    from greybox.model.identified import IdentifiedModel
+    from greybox.files import withdraw
+    from greybox.model.faults import BadDataError
     from greybox.model.vehicle import read_vehicle
 
     _check(arguments)
     if arguments.model_file is not None:
         return run_own(arguments)
-    console, horizons = Console.of(arguments), given_horizons(arguments)
-    vehicle = read_vehicle(arguments.vehicle)
+    console, vehicle = Console.of(arguments), read_vehicle(arguments.vehicle)
+    try:
+        job = _begun(arguments, vehicle, console)
+    except BadDataError as bad:
+        withdraw(Path(arguments.out), *RESULTS)
+        return refuse_faults(bad.report, console, "a fit")
+    say_vehicle(job.vehicle, console.say)
+    console.say(f"{job.prepared.data}")
+    result = _fitted(job, console)
+    result, content, seen = _judged(job, result)
+    written = _report(job, result, content, seen)
+    table = seen.table_text() if seen is not None and job.test.flights else ""
+    console.result(content, *_lines(job, result, table, content), f"wrote {written} in {job.out}")
+    return exit_code(result.verdict) if result.verdict is not None or result.converged else 1
+
+
+def _begun(arguments: argparse.Namespace, vehicle: Vehicle, console: Console) -> _Job:
+    """What is to be fitted and judged. Raises `BadDataError` where a fault of the vehicle file or
+    of all flights blocks."""
+    from greybox.data.checks import check
+    from greybox.model.faults import demand_sound, faults_of
+    from greybox.model.identified import IdentifiedModel
+
+    horizons, accept = given_horizons(arguments), accepted(arguments.accept)
     source = None if arguments.source is None else IdentifiedModel.load(arguments.source)
+    demand_sound(faults_of(vehicle, accept=accept, file=arguments.vehicle), "a fit")
     prepared, test, files = _flights(arguments, vehicle)
     if source is not None and arguments.manual:
         vehicle = _like(source, vehicle, prepared, console)
-    faults = check(test, vehicle) if test.flights else None
-    job = _Job(
+    faults = check(test, vehicle, accept=accept) if test.flights else None
+    return _Job(
         arguments=arguments,
         vehicle=vehicle,
         prepared=prepared,
@@ -121,15 +149,8 @@ def run(arguments: argparse.Namespace) -> int:
         faults=faults,
         horizons=horizons,
         warnings=_warnings(arguments, vehicle, (prepared.report, faults), files),
+        source=source,
     )
-    say_vehicle(vehicle, console.say)
-    console.say(f"{prepared.data}")
-    result = _fitted(job, console, source)
-    result, content, seen = _judged(job, result)
-    written = _report(job, result, content, seen)
-    table = seen.table_text() if seen is not None and test.flights else ""
-    console.result(content, *_lines(job, result, table, content), f"wrote {written} in {job.out}")
-    return exit_code(result.verdict) if result.verdict is not None or result.converged else 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,6 +165,7 @@ class _Job:
     faults: CheckReport | None
     horizons: HorizonChoices
     warnings: tuple[Sequence[str], Sequence[str]]
+    source: IdentifiedModel | None
 
     @property
     def out(self) -> Path:
@@ -159,7 +181,7 @@ class _Job:
         return content
 
 
-def _fitted(job: _Job, console: Console, source: IdentifiedModel | None) -> Fit:
+def _fitted(job: _Job, console: Console) -> Fit:
     """The fit, which is saved before anything else can go wrong, with calibrated uncertainty. An
     interrupted one is saved, too."""
     from greybox.automatic.wanted import with_rivals
@@ -171,9 +193,9 @@ def _fitted(job: _Job, console: Console, source: IdentifiedModel | None) -> Fit:
     arguments, data = job.arguments, job.prepared.data
     try:
         if arguments.manual:
-            result = fit_with(arguments, job.vehicle, data, console.solver, source)
+            result = fit_with(arguments, job.vehicle, data, console.solver, job.source)
         else:
-            result = _decided(job, console, source)
+            result = _decided(job, console)
     except Interrupted as stop:
         withdraw(job.out, *RESULTS)
         job.save(stop.kept)
@@ -219,7 +241,7 @@ def _warnings(
     """(faults of the flights and of their files and what no model can be fitted to, what the files
     warn of), which are also said. Files show what reading takes out."""
     reports = [r for r in (*flights, *files) if r is not None]
-    blocking = [line for r in reports for line in fault_lines(r)]
+    blocking = [line for r in reports for line in (*fault_lines(r), *r.accepted_lines())]
     first = [*dict.fromkeys(blocking), *_unfit(arguments, vehicle)]
     lines = [line for r in files for line in r.warning_lines()]
     for warning in (*first, *(f"warning: {line}" for line in lines)):
@@ -374,6 +396,7 @@ def _discover(arguments: argparse.Namespace) -> str:
     for option, values in (
         ("--test", arguments.test),
         ("--mapping", [arguments.mapping] if arguments.mapping else []),
+        ("--accept", [arguments.accept] if arguments.accept else []),
         ("--effects-file", arguments.effects_file),
     ):
         words += [option, *values] if values else []
@@ -412,8 +435,11 @@ def _flights(
         keep_impossible=keep,
         all_flights=arguments.all_flights or arguments.manual,
         decide_rate=not arguments.manual,
+        accept=accepted(arguments.accept),
     )
-    files = [check(some, vehicle) for some in (logs, others) if some]
+    files = [
+        check(some, vehicle, accept=prepared.report.accepted) for some in (logs, others) if some
+    ]
     if not others:
         return prepared, Dataset(flights=()), files
     test = read_flights(others, vehicle, rate=prepared.rate)
@@ -440,9 +466,9 @@ def _unfit(arguments: argparse.Namespace, vehicle: Vehicle) -> list[str]:
     ]
 
 
-def _decided(job: _Job, console: Console, source: IdentifiedModel | None) -> Fit:
+def _decided(job: _Job, console: Console) -> Fit:
     """The automatic fit."""
-    said = replace(given(job.arguments), source=source)
+    said = replace(given(job.arguments), source=job.source)
     return decided_fit(job.vehicle, job.prepared, said, console)
 
 
@@ -551,5 +577,6 @@ def _explicit(job: _Job, result: Fit) -> str:
     )
     more += ["--effects-file", *arguments.effects_file] if arguments.effects_file else []
     more += ["--keep-impossible"] if arguments.keep_impossible else []
+    more += ["--accept", arguments.accept] if arguments.accept else []
     more += ["--judge-left-out"] if arguments.judge_left_out or not arguments.test else []
     return words + (" " + shlex.join(more) if more else "")

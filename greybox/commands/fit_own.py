@@ -24,6 +24,7 @@ OF_VEHICLES: dict[str, object] = {
     "kinematic_noise": None,
     "keep_impossible": False,
     "all_flights": False,
+    "accept": "",
 }
 """Options that only a vehicle has, with the value that says nothing."""
 

@@ -78,6 +78,7 @@ def compare(
     *,
     methods: Sequence[str] | None = None,
     fit: Callable[[], Fit] | None = None,
+    accept: Iterable[str] = (),
     say: Callable[[str], None] = lambda text: None,
     **choices: Unpack[CompareChoices],
 ) -> CompareDocument:
@@ -87,18 +88,24 @@ def compare(
     The choices are keywords, fields of `CompareOptions` with its defaults, or `options` as a whole.
     `fit` makes the nonlinear model (default: `gb.fit(vehicle, train)`), `adapt` are seconds at the
     start of a test flight, `budget` the candidates of every method that is tuned, `horizons`
-    samples. Returns the content of compare.json; a method that fails has its error in its row.
-    Raises `UnknownNameError`, `DataError`.
+    samples. Findings of the checks named in `accept` do not block. Returns the content of
+    compare.json; a method that fails has its error in its row. Raises `UnknownNameError`,
+    `DataError` (`BadDataError` for faults that block).
     """
     from greybox.automatic import fit as automatic
     from greybox.baselines.compare import compare as run
     from greybox.baselines.compare_bench import Bench
+    from greybox.data import Dataset
+    from greybox.model.faults import demand_sound, faults_of
 
+    accept = tuple(accept)
+    both = Dataset.of(train) + Dataset.of(test)
+    demand_sound(faults_of(vehicle, both, accept=accept), "a comparison")
     bench = Bench(
         vehicle=vehicle,
         train=train,
         test=test,
-        fit=lambda: (fit() if fit else automatic(vehicle, train)).model,
+        fit=lambda: (fit() if fit else automatic(vehicle, train, accept=accept)).model,
         options=CompareOptions.of(options, choices),
         say=say,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
 import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -12,9 +13,9 @@ from greybox.commands.command_line import Options
 from greybox.commands.console import Console
 
 if TYPE_CHECKING:
-    from greybox.data.airframe import Airframe
     from greybox.data.checks import CheckReport
     from greybox.files import Parsed
+    from greybox.model.vehicle import Vehicle
     from greybox.model.verdict import Verdict
     from greybox.validation.options import HorizonChoices
 
@@ -57,20 +58,24 @@ def accepted(text: str) -> tuple[str, ...]:
     return tuple(n.strip() for n in text.split(",") if n.strip())
 
 
-def faults_of(arguments: argparse.Namespace, vehicle: Airframe) -> CheckReport:
-    """What the checks say of the logs of --train and --test (with --mapping and --accept), as
-    `greybox discover` asks them: of the files, which show faults of their clocks that reading
-    mends. Raises `DataError` for a flight in both."""
+def log_faults(arguments: argparse.Namespace, vehicle: Vehicle) -> CheckReport:
+    """What the checks say of the vehicle file, where the command has one, and of the logs of
+    --train and --test (with --mapping and --accept): of the files, which show faults of their
+    clocks that reading mends. Raises `DataError` for a flight in both."""
     from greybox.data.checks import check
     from greybox.data.halves import demand_disjoint
     from greybox.data.logs import read_table
+    from greybox.model.faults import faults_of
 
     train, test = (
         [read_table(p, vehicle, mapping=arguments.mapping) for p in paths]
         for paths in (arguments.train, arguments.test)
     )
     demand_disjoint(*([(r.flight, r.sha256) for r in logs] for logs in (train, test)))
-    return check([*train, *test], vehicle, accept=accepted(arguments.accept))
+    accept, file = accepted(arguments.accept), getattr(arguments, "vehicle", None)
+    if file is None:  # a model holds what its vehicle file said
+        return check([*train, *test], vehicle, accept=accept)
+    return faults_of(vehicle, [*train, *test], accept=accept, file=file)
 
 
 def fault_lines(faults: CheckReport) -> list[str]:
@@ -78,22 +83,25 @@ def fault_lines(faults: CheckReport) -> list[str]:
     return [f"data fault in {f.flight}: {f.message}" for f in faults.blocking]
 
 
-def overruled(faults: CheckReport) -> list[str]:
-    """The warnings that a result carries whose faults were accepted."""
-    return [f"accepted: {f.flight}: {f.message}" for f in faults.overruled]
+def next_of_faults(faults: CheckReport) -> str:
+    """What to do about faults that block, and how to go on all the same."""
+    from greybox.data.checks import VEHICLE
+    from greybox.validation.advice import Symptom, likely
+
+    _, action, anchor = likely((), Symptom.LOG_FAULT)
+    of_file = next((f for f in faults.blocking if f.check == VEHICLE), None)
+    action = action if of_file is None else f"greybox vehicle check {shlex.quote(of_file.flight)}"
+    accept = ",".join(dict.fromkeys(f.check for f in faults.blocking))
+    return f"  next: {action} ({anchor}); --accept {accept} goes on all the same"
 
 
 def refuse_faults(faults: CheckReport, console: Console, what: str) -> int:
     """Say which faults block `what`, and how to go on. Returns the exit code: the answer is no."""
-    from greybox.validation.advice import Symptom, likely
-
-    _, action, anchor = likely((), Symptom.LOG_FAULT)
-    accept = ",".join(dict.fromkeys(f.check for f in faults.blocking))
     console.result(
         faults.to_dict(),
         f"BAD DATA: the data have faults that block {what}",
         *(f"  fault: {f.flight}: {f.message}" for f in faults.blocking),
-        f"  next: {action} ({anchor}); --accept {accept} goes on all the same",
+        next_of_faults(faults),
     )
     return 1
 

@@ -17,10 +17,9 @@ from greybox.commands.judgement import (
     adapt_option,
     demand_adapt,
     exit_code,
-    faults_of,
     given_horizons,
     horizon_options,
-    overruled,
+    log_faults,
     refuse_faults,
 )
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
@@ -149,10 +148,10 @@ def run(arguments: argparse.Namespace) -> int:
     horizons = given_horizons(arguments, own=physics is None)
     accepted_faults: list[str] = []
     if physics is not None:
-        faults = faults_of(arguments, physics.vehicle)
+        faults = log_faults(arguments, physics.vehicle)
         if not faults.ok:
             return refuse_faults(faults, console, "learning")
-        accepted_faults = overruled(faults)
+        accepted_faults = faults.accepted_lines()
     elif arguments.accept:
         raise GreyboxError(
             "--accept is for vehicles",
@@ -173,14 +172,14 @@ def _learned(
     code."""
     from greybox.commands.learn_output import feature_names
     from greybox.data.halves import demand_disjoint
-    from greybox.residual.learn import learn
+    from greybox.residual.learn import learn_checked
 
     train, test = (
         read_flights_of(arguments, model.dynamics, paths, rate=1.0 / model.sample_time)
         for paths in (arguments.train, arguments.test)
     )
     demand_disjoint(train.files, test.files)
-    learned = learn(
+    learned = learn_checked(
         model,
         train,
         features=feature_names(arguments.inputs),

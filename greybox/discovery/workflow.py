@@ -9,7 +9,7 @@ import concurrent.futures
 import contextlib
 import functools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Unpack
 
@@ -17,7 +17,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
-from greybox.data.checks import CheckReport, check
+from greybox.data.checks import CheckReport
 from greybox.data.checks.finding import WANDER
 from greybox.data.halves import demand_apart
 from greybox.data.lead import without_lead_in
@@ -38,6 +38,7 @@ from greybox.estimation.noise_table import sensor_table
 from greybox.estimation.options import says_choices
 from greybox.estimation.record import sample_time
 from greybox.model.dynamics import StateSpaceModel
+from greybox.model.faults import faults_of
 from greybox.model.identified import IdentifiedModel
 from greybox.model.known import known_numbers, since
 from greybox.model.layer import physics_of
@@ -76,6 +77,7 @@ def discover(
     options: DiscoverOptions | None = None,
     *,
     faults: CheckReport | None = None,
+    accept: Iterable[str] = (),
     progress: Progress | None = None,
     save: Callable[[Discovery], None] | None = None,
     executor: concurrent.futures.Executor | None = None,
@@ -89,11 +91,10 @@ def discover(
     whole: own, alpha, max_effects, adapt, kinematic_noise, per_flight, fixed, hold_sensor_noise,
     attainable, trace, since, effort, seed.
 
-    `faults`: what `check_logs` said about the files (by default the data sets are checked, which no
-    longer show faults of their clock). `save` gets what is known after every step, with the verdict
-    "stopped", so that an interruption loses nothing. `executor` fits rivals side by side, with the
-    same result. Raises `DataError`, `ModelError`, `FitError`, `UnknownNameError` (of a choice,
-    too).
+    `faults`: what `check_logs` said about the files (by default the data are checked, which show no
+    faults of their clock; those of the checks in `accept` do not block). `save` gets what is known
+    after every step, with the verdict "stopped". `executor` fits rivals side by side, with the same
+    result. Raises `DataError`, `ModelError`, `FitError`, `UnknownNameError` (of a choice, too).
     """
     began = time.perf_counter()
     options = DiscoverOptions.of(options, choices)
@@ -109,11 +110,10 @@ def discover(
     if tested is not None:
         demand_apart(train, tested)
     if vehicle is not None:
-        if faults is None:
-            faults = check(train if tested is None else train + tested, vehicle)
+        both = train if tested is None else train + tested
+        faults = faults or faults_of(vehicle, both, accept=accept)
         if not faults.ok:
-            seconds = time.perf_counter() - began
-            return refused(faults, vehicle, settings=settings, seconds=seconds)
+            return refused(faults, vehicle, settings, time.perf_counter() - began)
         _long_enough(train)
         if options.kinematic_noise is None:  # as in the automatic fit, or in what changed since
             old = None if options.since is None else options.since.physics.kinematic_noise
@@ -181,15 +181,13 @@ def _offered(
 def refused(
     faults: CheckReport,
     vehicle: Vehicle,
-    *,
     settings: SearchSettings | None = None,
     seconds: float = 0.0,
 ) -> Discovery:
     """The answer "bad_data": faults that block would be read as physics."""
-    blocking = [f for f in faults.findings if f.severity == "blocking"]
     return Discovery(
         verdict="bad_data",
-        faults=tuple(f"{f.flight}: {f.message}" for f in blocking),
+        faults=tuple(f"{f.flight}: {f.message}" for f in faults.blocking),
         omega_known=vehicle.actuator.speed_max is not None,
         seconds=seconds,
         settings=settings or {},
@@ -446,10 +444,12 @@ class _Run:
 
     def _learned(self, null: Fitted) -> Squares | None:
         """Errors of the bare model with a Gaussian process that learned what it misses."""
-        from greybox.residual.learn import learn
+        from greybox.residual.learn import learn_checked
 
         try:
-            learned = learn(self.settled(null).model, self.flights.data, seed=self.options.seed)
+            learned = learn_checked(
+                self.settled(null).model, self.flights.data, seed=self.options.seed
+            )
             return self._ahead(learned.model).own
         except GreyboxError as error:
             self.warnings.append(f"no attainable line: {error}")

@@ -16,13 +16,15 @@ uncertainty.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from greybox.data import Dataset, Flight
+from greybox.data.checks import check
 from greybox.errors import ModelError
+from greybox.model.faults import demand_sound
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import LongerWindow, physics_of
 from greybox.progress import in_notebooks
@@ -188,6 +190,7 @@ def learn(
     points: int | str = 50,
     learner: str | Learner = GP,
     seed: int = 0,
+    accept: Iterable[str] = (),
     progress: Progress | None = None,
 ) -> Learned:
     """Learn what `model` misses on the flights of `train` (those it was fitted on).
@@ -197,14 +200,43 @@ def learn(
     room). kernel: "se", "matern32", "matern52", or "linear+" one of these. `points`: number of
     support points, or "auto". `learner`: what is learned, "gp" or another name of
     `greybox.residual.learners`, a file of the user's own ("own.py:Name", which is run), or a
-    `Learner`; `points` are then its features. Raises `UnknownNameError`, `DataError`,
-    `ModelError` (a learner that returns what is not finite, too).
+    `Learner`; `points` are then its features. Findings of the checks named in `accept` do not
+    block. Raises `UnknownNameError`, `DataError` (`BadDataError` for flights of a vehicle with
+    faults that block), `ModelError` (a learner that returns what is not finite, too).
     """
+    train, physics = Dataset.of(train), physics_of(model.dynamics)
+    if physics is not None:
+        demand_sound(check(train, physics.vehicle, accept=accept), "learning")
+    return learn_checked(
+        model,
+        train,
+        features=features,
+        place=place,
+        kernel=kernel,
+        points=points,
+        learner=learner,
+        seed=seed,
+        progress=progress,
+    )
+
+
+def learn_checked(
+    model: IdentifiedModel,
+    train: Dataset,
+    *,
+    features: Sequence[str] | None = None,
+    place: bool = False,
+    kernel: str = "se",
+    points: int | str = 50,
+    learner: str | Learner = GP,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Learned:
+    """`learn` on flights whose faults were looked for."""
     began = time.perf_counter()
     say = progress or (lambda _text, _share: None)
     other = _learner(model, learner, points, kernel)
     _check_features(model, features, place)
-    train = Dataset.of(train)
     say("disturbance states", 0.0)
     # What is learned changes what was judged.
     base = replace(disturbed_model(model, train), verdict=None)

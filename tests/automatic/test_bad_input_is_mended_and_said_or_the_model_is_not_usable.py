@@ -34,7 +34,7 @@ def logs(*seeds: int, sensors: Sequence[str] = RATES) -> list[RawLog]:
 
 
 def fitted(flights: Sequence[RawLog], of: Vehicle) -> Fit:
-    return gb.fit(of, read_flights(flights, of))
+    return gb.fit(of, read_flights(flights, of), accept=["vehicle"])
 
 
 def usable(found: Fit) -> bool:

@@ -11,6 +11,7 @@ import pytest
 from greybox.automatic.fit import prepare
 from greybox.automatic.flights import LEAST_RATE, MOST_RATE
 from greybox.estimation.record import sample_time
+from greybox.model.faults import BadDataError
 from tests.automatic.craft import IMU, POSE, flown, raw, vehicle
 
 
@@ -81,6 +82,25 @@ def test_a_log_of_another_vehicle_among_four_is_left_out_and_named():
     assert said.choice == "run3 left out"
     everyone = prepare(vehicle(), [*own[:2], heavy, own[3]], all_flights=True)
     assert len(everyone.data) == 4
+
+
+def swapped(log):
+    """The log with two motors exchanged."""
+    c = log.channels
+    return replace(log, channels={**c, "u1": c["u2"], "u2": c["u1"]})
+
+
+def test_a_faulty_flight_is_left_out_and_where_all_are_nothing_is_fitted():
+    sound, *others = logs(1, 2, 3, seconds=8.0)
+    faulty = [swapped(log) for log in others]
+    ready = prepare(vehicle(), [sound, *faulty])
+    assert ready.data.names == ("run1",)
+    assert all("motor order" in f.reason for f in ready.left_out)
+    with pytest.raises(BadDataError, match=r"run2: the motor order is wrong.*accept=") as refused:
+        prepare(vehicle(), faulty)
+    checks = {f.check for f in refused.value.report.blocking}
+    for choice in ({"accept": checks}, {"all_flights": True}):
+        assert len(prepare(vehicle(), faulty, **choice).data) == 2
 
 
 def test_four_flights_of_one_craft_all_take_part():

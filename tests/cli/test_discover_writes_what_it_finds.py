@@ -277,7 +277,7 @@ def test_a_vehicle_file_that_no_craft_is_like_is_not_searched(
     assert said[0].startswith("BAD DATA")
     assert "rotor.position: arms of no small multirotor" in said[1]
     assert "got 9.5" in said[1]
-    assert "--accept vehicle" in said[1]
+    assert "--accept vehicle" in said[2]
     assert valid(tmp_path / "out" / "discovery.json")["verdict"] == "bad_data"
 
 
@@ -305,7 +305,7 @@ BAD = {
     "alpha": (["--train", "a.csv", "--alpha", "2"], "--alpha"),
     "max effects": (["--train", "a.csv", "--max-effects", "-1"], "--max-effects"),
     "adapt": (["--train", "a.csv", "--adapt", "0"], "--adapt"),
-    "both": (["--train", "a.csv", "--test", "a.csv"], "twice"),
+    "both": (["--train", "a.csv", "--test", "a.csv"], "both train and test"),
     "no such effects file": (["--train", "a.csv", "--effects-file", "none.py"], "none.py"),
     "a model beside a vehicle": (
         ["--train", "a.csv", "--from", "model.json"],

@@ -1,14 +1,19 @@
-"""`learn` and `compare` refuse flights with a fault as `discover` does, `validate` says the fault
-first; what was accepted goes on and says so."""
+"""`fit`, `learn` and `compare` refuse flights with a fault, and a vehicle file that no craft is
+like, as `discover` does, here and in Python; `validate` says the fault first; what was accepted
+goes on and says so."""
 
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
+import greybox as gb
 from greybox.cli import main
+from greybox.model.faults import BadDataError
+from greybox.model.vehicle import Vehicle
 from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
 from tests.automatic.craft import flown, plant
@@ -50,6 +55,70 @@ def test_a_fault_in_any_flight_is_refused_with_its_name(command, what, capsys):
     assert all(line.startswith("  fault: ") for line in faults)
     assert "greybox check" in following and "--accept " in following
     assert not Path(command.split()[-1]).exists()
+
+
+def test_fit_refuses_where_every_flight_has_a_fault_and_leaves_no_old_result(capsys):
+    Path("again").mkdir()
+    Path("again/fit.json").write_text("{}")
+    assert main(["fit", "--vehicle", "v.toml", "--train", "faulty.csv", "--out", "again"]) == 1
+    first, *faults, following = capsys.readouterr().out.strip().splitlines()
+    assert first == f"{REFUSED}a fit"
+    assert faults and all(line.startswith("  fault: faulty: ") for line in faults)
+    assert "--accept " in following
+    assert not list(Path("again").iterdir())
+
+
+HEAVY = "--vehicle heavy.toml --train sound.csv"
+
+
+def heavy() -> Vehicle:
+    """A vehicle file in grams."""
+    text = Path("v.toml").read_text()
+    mass = re.search(r"^mass = .*$", text, re.MULTILINE)
+    assert mass is not None
+    Path("heavy.toml").write_text(text.replace(mass[0], "mass = 700.0"))
+    return gb.read_vehicle("heavy.toml")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        f"fit {HEAVY} --manual --out none",
+        f"compare {HEAVY} --test other.csv --methods persistence --out none",
+        f"discover {HEAVY} --out searched",
+    ],
+)
+def test_a_vehicle_file_that_no_craft_is_like_is_refused_by_all_alike(command, capsys):
+    heavy()
+    assert main(command.split()) == 1
+    out = capsys.readouterr().out
+    assert out.startswith("BAD DATA: ")
+    assert "  fault: heavy.toml: mass: no craft of this size has this mass" in out
+    assert "  next: greybox vehicle check heavy.toml" in out
+    assert "--accept vehicle goes on all the same" in out
+    assert not Path("none").exists()
+
+
+def test_a_vehicle_file_that_is_accepted_is_fitted_to(capsys):
+    heavy()
+    main(f"fit {HEAVY} --manual --accept vehicle --max-iterations 1 --out even_so".split())
+    assert Path("even_so/fit.json").exists()
+
+
+def test_so_do_the_functions(folder):
+    vehicle, model = gb.read_vehicle("v.toml"), gb.load("fit/model.json")
+    sound, faulty = (gb.read_logs([f"{n}.csv"], vehicle) for n in ("sound", "faulty"))
+    for refused in (
+        lambda: gb.fit(vehicle, faulty),
+        lambda: gb.learn(model, faulty),
+        lambda: gb.compare(vehicle, sound, faulty),
+    ):
+        with pytest.raises(BadDataError, match=r"block .*: faulty: .*accept="):
+            refused()
+    for refused in (lambda: gb.fit(heavy(), sound), lambda: gb.compare(heavy(), sound, faulty)):
+        with pytest.raises(BadDataError, match=r"mass: no craft.*accept=\['vehicle'\]"):
+            refused()
+    assert gb.discover(heavy(), sound).verdict == "bad_data"
 
 
 def test_the_findings_are_its_json(capsys):

@@ -190,6 +190,7 @@ def test_the_next_step_is_a_command_with_the_same_flights() -> None:
         mapping="m.toml",
         effects_file=[],
         keep_impossible=True,
+        accept="",
     )
     assert _discover(arguments) == (
         "greybox discover --vehicle 'my craft.toml' --train a.csv b.csv --test c.csv "

@@ -58,6 +58,7 @@ def identify(
     out: str | os.PathLike[str] = "greybox-identify",
     skip: Iterable[str] = (),
     even_so: bool = False,
+    accept: Iterable[str] = (),
     seed: int = 0,
     say: Callable[[str], None] = _quiet,
 ) -> Identified:
@@ -67,8 +68,8 @@ def identify(
     inspect, check, fit, discover, refit, learn, validate and export one after the other, each the
     plain command of its name with its results in a folder of `out`; what is done there already is
     kept. `test` are flights that only judge, `skip` names of stages, `even_so` learns and exports
-    although the model is not usable. `say` gets a line per step. Without a vehicle file (None) the
-    log is asked.
+    although the model is not usable, `accept` names checks whose findings do not block. `say` gets
+    a line per step. Without a vehicle file (None) the log is asked.
 
     Raises `GreyboxError` for bad input, `KeyboardInterrupt` when it is stopped (call it again to go
     on).
@@ -91,6 +92,7 @@ def identify(
         seed=seed,
         skip=frozenset(skip),
         even_so=even_so,
+        accept=tuple(accept),
     )
     words = ["greybox", "identify", path, *train, *(["--test", *held_out] if held_out else [])]
     found = run_chain(request, command=shlex.join([*words, "--out", str(folder)]), say=say)

@@ -120,6 +120,13 @@ class _Chain:
                 return self._end(
                     Outcome(line=f"stage {stage.name}: {last}", exit_code=2, stopped=stage.name)
                 )
+            if stage.needed and not all(
+                (self.folders[stage.name] / w).exists() for w in record.writes
+            ):
+                line = "; ".join(" ".join(text.split()) for text in record.lines)
+                return self._end(
+                    Outcome(line=f"stage {stage.name}: {line}", exit_code=1, stopped=stage.name)
+                )
         return self._end(self._outcome())
 
     @property

@@ -98,7 +98,7 @@ def _learn(so_far: SoFar) -> Work | Skip:
     first, last = (trained, []) if len(trained) < 2 else (trained[:-1], trained[-1:])
     words = ["learn", str(chosen.model), "--train", *first]
     words += ["--test", *last] if last else []
-    words += [*_mapping(so_far), *_adapt(chosen.model.parent)]
+    words += [*_mapping(so_far), *_accept(so_far), *_adapt(chosen.model.parent)]
     words += ["--seed", str(request.seed), "--out", str(folder)]
     return Work(
         commands=(tuple(words),),
@@ -153,7 +153,7 @@ def _mapping(so_far: SoFar) -> list[str]:
 def _fit_options(so_far: SoFar) -> list[str]:
     request = so_far.request
     words = ["--test", *request.test, "--judge-left-out"] if request.test else []
-    words += _mapping(so_far)
+    words += [*_mapping(so_far), *_accept(so_far)]
     words += [] if request.rate is None else ["--rate", f"{request.rate:g}"]
     return [*words, "--seed", str(request.seed)]
 

@@ -112,6 +112,10 @@ class CheckReport(Shown):
             f for f in self.findings if f.severity == "blocking" and f.check in self.accepted
         )
 
+    def accepted_lines(self) -> list[str]:
+        """What a result says that is made in spite of faults that were accepted."""
+        return [f"accepted: {f.flight}: {f.message}" for f in self.overruled]
+
     @property
     def ok(self) -> bool:
         """Whether nothing forbids a fit."""
