@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -44,6 +45,15 @@ KINDS = ("physics", "own")
 SHORTEST_SAMPLE = 1e-5
 """Sample time [s] below which a file is refused: a step sees as many commands as fit into the
 longest delay."""
+
+
+@runtime_checkable
+class OwnFile(Protocol):
+    """A layer that a model file of its own kind holds."""
+
+    def file_of(self, model: IdentifiedModel) -> dict[str, Json]:
+        """Plain values of the file of a model whose dynamics this is."""
+        ...
 
 
 def library_versions() -> dict[str, str]:
@@ -207,11 +217,16 @@ class IdentifiedModel(Shown):
 
     def to_dict(self) -> dict[str, Json]:
         """Plain values of the model file. Raises `ModelError` for other than catalogue parts."""
+        if isinstance(self.dynamics, OwnFile):
+            return self.dynamics.file_of(self)
         augmented = self.dynamics if isinstance(self.dynamics, Augmented) else None
         physics = self.dynamics if augmented is None else augmented.core
         parts = () if augmented is None else augmented.parts
         if physics is not self.core:
-            raise ModelError("a model with a learned part is saved by save_model", got=self.name)
+            raise ModelError(
+                "no model file holds this layer",
+                got=f"{type(self.dynamics).__name__} on {self.name}",
+            )
         if not isinstance(physics, (PhysicsModel, StateSpaceModel)):
             raise ModelError(
                 "only vehicles and models of the user's own (StateSpaceModel) can be saved",

@@ -269,8 +269,8 @@ class LinearModel(Shown):
         return 1e-3 * self.noise_scale(self.dt)
 
     def to_control(self, *, include_delays: bool = False) -> control.StateSpace:
-        """`control.StateSpace` from u to y (deviations from the operating point), with names and
-        dt.
+        """`control.StateSpace` from u to y (deviations from the operating point), with dt and
+        names, in which control allows no dot (position_x).
 
         With `include_delays` every sample of delay becomes a state; without, a model with delays is
         refused with `ModelError`, because a silent loss of delay would give wrong margins.
@@ -291,8 +291,8 @@ class LinearModel(Shown):
             c,
             d,
             self.dt,
-            inputs=list(self.inputs.names),
-            outputs=list(self.outputs.names),
+            inputs=[_plain(n) for n in self.inputs.names],
+            outputs=[_plain(n) for n in self.outputs.names],
             name=_plain(self.name),
         )
 

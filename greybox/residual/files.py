@@ -14,9 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from greybox.errors import FileFormatError, GreyboxError
-from greybox.files import Json, Parsed, checksum, read_json, write_json
+from greybox.files import Json, Parsed, checksum, read_json
 from greybox.model.effect import Effect
-from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
+from greybox.model.identified import SCHEMA, IdentifiedModel
 from greybox.model.sensor import Sensor
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.hybrid import HybridModel
@@ -24,26 +24,15 @@ from greybox.residual.posterior import GPPosterior
 
 
 def save_model(model: IdentifiedModel, path: str | os.PathLike[str]) -> Path:
-    """Write a model file atomically. Returns the path. Raises `ModelError` for a model not made of
-    catalogue parts."""
-    return write_json(path, model_to_dict(model))
+    """`model.save(path)`: write a model file atomically. Returns the path. Raises `ModelError` for
+    a model not made of catalogue parts."""
+    return model.save(path)
 
 
 def model_to_dict(model: IdentifiedModel) -> dict[str, Json]:
-    """Plain values of a model file of either kind. Raises `ModelError` for a model not made of
-    catalogue parts."""
-    dynamics = model.dynamics
-    if not isinstance(dynamics, HybridModel):
-        return model.to_dict()
-    body: dict[str, Json] = {
-        "schema": SCHEMA,
-        "kind": "hybrid",
-        "name": model.name,
-        "base": replace(model, dynamics=dynamics.inner).to_dict(),
-        _key(dynamics.posterior): dynamics.posterior.to_dict(),
-        "versions": library_versions(),
-    }
-    return {**body, "checksum": _checksum(body)}
+    """`model.to_dict()`: plain values of a model file of either kind. Raises `ModelError` as
+    `save_model`."""
+    return model.to_dict()
 
 
 def load_model(
@@ -87,10 +76,6 @@ def load_model(
         raise FileFormatError(
             f"incomplete or wrong ({error})", where=where, fix="write the file again"
         ) from None
-
-
-def _key(posterior: GPPosterior | FeaturePosterior) -> str:
-    return "learned" if isinstance(posterior, FeaturePosterior) else "gp"
 
 
 def _checksum(body: Mapping[str, Json]) -> str:

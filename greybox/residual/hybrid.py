@@ -18,7 +18,9 @@ from functools import cached_property
 import casadi as ca
 
 from greybox.errors import ModelError, UnknownNameError
+from greybox.files import Json, checksum
 from greybox.model.dynamics import Dynamics
+from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
 from greybox.model.layer import LearnedPush
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import features, reach
@@ -75,6 +77,18 @@ class HybridModel(LearnedPush):
         """Name of the inner model and what was learned."""
         label = self.posterior.method if isinstance(self.posterior, FeaturePosterior) else "GP"
         return f"{self.inner.name} + {label}({', '.join(self.posterior.outputs.names)})"
+
+    def file_of(self, model: IdentifiedModel) -> dict[str, Json]:
+        """The model file of the inner model and the posterior beside it, with a checksum."""
+        key = "learned" if isinstance(self.posterior, FeaturePosterior) else "gp"
+        body: dict[str, Json] = {
+            "schema": SCHEMA,
+            "kind": "hybrid",
+            "name": model.name,
+            "base": replace(model, dynamics=self.inner).to_dict(),
+            key: self.posterior.to_dict(),
+        }
+        return {**body, "versions": library_versions(), "checksum": checksum(body)}
 
     @cached_property
     def learned_rows(self) -> tuple[int, ...]:

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import casadi as ca
 import control
@@ -52,6 +53,12 @@ def test_casadi_dynamics_step_like_the_numpy_simulation(delays):
         out.append(np.asarray(model.output(0, x, window, p, w, 0.02)).ravel())
         x = model.step(0, x, window, p, w, 0.02)
     np.testing.assert_allclose(out, expected, atol=1e-12)
+
+
+def test_names_with_dots_are_names_that_control_takes():
+    signals = [Signal(name=n, unit="1") for n in ("position.x", "attitude.y")]
+    system = replace(example(), outputs=Layout(signals)).to_control()
+    assert list(system.output_labels) == ["position_x", "attitude_y"]
 
 
 def test_control_round_trip_keeps_gain_names_and_sample_time():

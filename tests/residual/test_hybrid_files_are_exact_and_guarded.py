@@ -17,11 +17,13 @@ import jsonschema
 import numpy as np
 import pytest
 
+import greybox as gb
 from greybox.cli import main
 from greybox.errors import FileFormatError
 from greybox.files import checksum, read_json, write_json
 from greybox.model.identified import IdentifiedModel
 from greybox.residual.files import load_model, save_model
+from greybox.residual.hybrid import HybridModel
 from tests.residual.hybrid_cases import craft_model, hybrid
 
 
@@ -53,6 +55,12 @@ def test_the_round_trip_is_exact(file: Path, tmp_path: Path) -> None:
     assert first.name == original.name
     assert first.trained_on == original.trained_on
     assert np.array_equal(first.process_noise, original.process_noise)
+
+
+def test_the_model_saves_itself_as_gb_load_reads_it(file: Path, tmp_path: Path) -> None:
+    again = gb.load(gb.load(file).save(tmp_path / "own.json"))
+    assert isinstance(again.dynamics, HybridModel)
+    assert read_json(tmp_path / "own.json")["checksum"] == read_json(file)["checksum"]
 
 
 def test_the_file_follows_the_published_schema(file: Path) -> None:
