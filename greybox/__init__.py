@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import importlib
 import pkgutil
+import sys
 import warnings
 from typing import Any
 
@@ -70,7 +71,9 @@ def __getattr__(name: str) -> Any:
         )
         value = getattr(importlib.import_module(module), name)
     else:
-        raise AttributeError(f"module 'greybox' has no attribute '{name}'")
+        raise AttributeError(
+            f"module 'greybox' has no attribute '{name}'", name=name, obj=sys.modules[__name__]
+        )
     globals()[name] = value
     return value
 

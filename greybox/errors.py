@@ -83,10 +83,11 @@ class UnknownNameError(GreyboxError, KeyError):
         where: str | None = None,
         fix: str | None = None,
     ) -> None:
-        names = sorted(known)
-        near = difflib.get_close_matches(
-            str(name)[:200], names, n=3, cutoff=0.5
-        )  # a file may say anything
+        names, said = sorted(known), str(name)[:200]  # a file may say anything
+        # What is the same but for capitals, or for what stands before a dot, comes first.
+        same = [n for n in names if said.lower() in (n.lower(), n.lower().rpartition(".")[2])]
+        close = difflib.get_close_matches(said, names, n=3, cutoff=0.5)
+        near = list(dict.fromkeys([*same, *close]))[:3]
         shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
         fix = fix or (f"did you mean {' or '.join(near)}?" if near else f"known: {shown}")
         super().__init__(f"unknown {kind} '{name}'", where=where, fix=fix)

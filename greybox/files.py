@@ -202,6 +202,13 @@ def write_json(path: str | os.PathLike[str], value: object) -> Path:
     return write_atomic(path, dump_json(value))
 
 
+READERS = {
+    ".toml": "greybox.read_vehicle reads a vehicle file",
+    ".csv": "greybox.read_logs reads logs",
+}
+"""What to do with a file that is no JSON, by how its name ends."""
+
+
 def read_json(path: str | os.PathLike[str], *, schema: str | None = None) -> Any:
     """Read a JSON object, whose shape the caller names; with `schema` also demand that its "schema"
     field is that string.
@@ -236,7 +243,9 @@ def read_json(path: str | os.PathLike[str], *, schema: str | None = None) -> Any
         raise FileFormatError(f"cannot read: {error.strerror}", where=where) from None
     except (ValueError, RecursionError) as error:
         raise FileFormatError(
-            f"not JSON ({error})", where=where, fix="pass a file that greybox wrote"
+            f"not JSON ({error})",
+            where=where,
+            fix=READERS.get(Path(path).suffix, "pass a file that greybox wrote"),
         ) from None
     except MemoryError:
         raise FileFormatError(

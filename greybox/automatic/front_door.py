@@ -23,6 +23,7 @@ from greybox.model.faults import demand_sound, faults_of
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
+from greybox.takes import FLIGHTS, MODEL, NAMES, SUBJECT, takes
 from greybox.validation.advice import Hint, hints_of_checks, hints_of_fit, hints_of_sanity
 from greybox.validation.calibration import calibrated
 from greybox.validation.sanity import sanity_of
@@ -36,6 +37,7 @@ def _quiet(text: str) -> None:
 
 @in_notebooks(progress="solver", say="say")
 @says_choices(FitOptions)
+@takes(subject=SUBJECT, data=FLIGHTS, test=FLIGHTS, source=MODEL, accept=NAMES)
 def fit(
     subject: Vehicle | Dynamics,
     data: Dataset | Flight,

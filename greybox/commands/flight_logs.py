@@ -52,6 +52,8 @@ def read_flight_logs(
             keep_impossible=arguments.keep_impossible,
         )
 
+    if not paths:
+        return Dataset(flights=())
     data = read(None if rate == "needed" else rate)
     if rate == "needed" and (enough := needed_rate(data)) is not None:
         data = read(enough)

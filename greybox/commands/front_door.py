@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from greybox.baselines.compare_options import CompareChoices, CompareOptions
 from greybox.estimation.options import says_choices
 from greybox.progress import in_notebooks
+from greybox.takes import FIT, FLIGHTS, NAMES, PATH, VEHICLE, takes
 
 if TYPE_CHECKING:
     from greybox.baselines.document import CompareDocument
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from greybox.model.vehicle import Vehicle
 
 
+@takes(path=PATH)
 def load(
     path: str | os.PathLike[str], *, effects: Iterable[Effect] = (), sensors: Iterable[Sensor] = ()
 ) -> IdentifiedModel | LinearModel | OutputHybrid:
@@ -70,6 +72,7 @@ def export(
 
 @in_notebooks(say="say")
 @says_choices(CompareOptions)
+@takes(vehicle=VEHICLE, train=FLIGHTS, test=FLIGHTS, methods=NAMES, accept=NAMES)
 def compare(
     vehicle: Vehicle,
     train: Dataset,
@@ -112,6 +115,7 @@ def compare(
     return list(run(bench, methods))[-1]
 
 
+@takes(fit=FIT)
 def profile(
     fit: Fit,
     name: str,
@@ -135,6 +139,7 @@ def profile(
     return along(fit.problem, solver, fit.theta, name, flight=flight, grid=grid, level=level)
 
 
+@takes(data=FLIGHTS, inputs=NAMES, outputs=NAMES, references=NAMES, vehicle=VEHICLE)
 def frf(
     data: Dataset,
     inputs: Sequence[str],

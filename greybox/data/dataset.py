@@ -17,9 +17,17 @@ from greybox.data.segment import Segment
 from greybox.errors import DataError, UnknownNameError
 from greybox.plots import Curve, panels
 from greybox.shown import Cell, Shown
+from greybox.takes import CHANNELS, FLIGHTS, NAMES, TEXT, Several, is_a, takes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+A_FLIGHT = Several(
+    words="a list of Flights",
+    fits=is_a("Flight"),
+    fix="Flight(name=..., segments=[...]) of each log",
+)
 
 
 class FlightFacts(TypedDict):
@@ -152,6 +160,7 @@ class Dataset(Shown):
     flights: tuple[Flight, ...]
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "flights", A_FLIGHT.taken("flights", self.flights))
         demand_names_once([f.name for f in self.flights])
 
     def __len__(self) -> int:
@@ -166,8 +175,14 @@ class Dataset(Shown):
                 return flight
         raise UnknownNameError("flight", name, self.names)
 
-    def __add__(self, other: Dataset) -> Dataset:
-        return Dataset(flights=self.flights + other.flights)
+    @takes(other=FLIGHTS)
+    def __add__(self, other: Dataset | Flight) -> Dataset:
+        more = (other,) if isinstance(other, Flight) else other.flights
+        return Dataset(flights=self.flights + more)
+
+    def __radd__(self, other: object) -> Dataset:
+        """That `sum` begins with 0."""
+        return self if other == 0 else NotImplemented
 
     @staticmethod
     def of(data: Dataset | Flight) -> Dataset:
@@ -242,10 +257,12 @@ class Dataset(Shown):
                     digest.update(f"channel {name}\n".encode() + _bytes(segment.channels[name]))
         return digest.hexdigest()
 
+    @takes(names=NAMES)
     def select(self, names: Iterable[str]) -> Dataset:
         """The named flights, in the order given. Raises `UnknownNameError`."""
         return Dataset(flights=tuple(self[n] for n in names))
 
+    @takes(test=NAMES)
     def split_by_flight(self, test: Iterable[str]) -> tuple[Dataset, Dataset]:
         """(train, test): the flights named in `test` go to the second. Raises
         `UnknownNameError`."""
@@ -339,6 +356,7 @@ def _bytes(values: npt.NDArray) -> bytes:
     return values.astype("<f8").tobytes()
 
 
+@takes(channels=CHANNELS, name=TEXT)
 def dataset_from_arrays(
     t: npt.ArrayLike,
     channels: Mapping[str, npt.ArrayLike],

@@ -31,6 +31,7 @@ from greybox.data.readers.recording import Source, Stream
 from greybox.data.resampling import STRETCH
 from greybox.errors import GreyboxError
 from greybox.shown import Cell, Shown
+from greybox.takes import MAPPING, PATH, VEHICLE, takes
 
 SCHEMA = "greybox.inspect/1"
 
@@ -194,6 +195,7 @@ class Inspection(Shown):
         }
 
 
+@takes(path=PATH, vehicle=VEHICLE, mapping=MAPPING)
 def inspect_log(
     path: str | os.PathLike[str],
     vehicle: Airframe | None = None,

@@ -26,8 +26,23 @@ CLOCK_TOLERANCE = 1e-3
 """Largest deviation of a sample from the uniform grid, as a share of the sample time."""
 
 
+def _numbers(values: npt.ArrayLike, what: str, flight: str) -> FloatArray:
+    """A copy as floats. Raises `DataError` for times of day, complex values and what is no
+    number."""
+    given = np.asarray(values)
+    wrong = {"M": "dates", "m": "time differences", "c": "complex numbers"}.get(given.dtype.kind)
+    if wrong is None:
+        try:
+            return np.array(given, dtype=np.float64)
+        except (TypeError, ValueError):
+            wrong = f"values that are no numbers, as {given.ravel()[:1].tolist()}"
+    timed = given.dtype.kind in "Mm"
+    fix = "seconds: (t - t[0]) / numpy.timedelta64(1, 's')" if timed else None
+    raise DataError(f"{what} has {wrong}", where=f"flight {flight}", expected="numbers", fix=fix)
+
+
 def _frozen_floats(values: npt.ArrayLike, n: int, what: str, flight: str) -> FloatArray:
-    array = np.array(values, dtype=np.float64)
+    array = _numbers(values, what, flight)
     if array.shape != (n,):
         raise DataError(
             f"{what} has shape {array.shape}",
@@ -63,7 +78,13 @@ class Segment(Shown):
                 f"a segment of {n} sample(s)", where=f"flight {self.flight}", expected="at least 2"
             )
         dt = (t[-1] - t[0]) / (n - 1)
-        if not np.isfinite(t).all() or dt <= 0:
+        if not np.isfinite(t).all():
+            raise DataError(
+                f"t has no value at sample {int(np.argmin(np.isfinite(t)))}",
+                where=f"flight {self.flight}",
+                fix="leave such rows out, and put the rest on a uniform clock (read_log does)",
+            )
+        if dt <= 0:
             raise DataError(
                 "t is not increasing",
                 where=f"flight {self.flight}",

@@ -46,6 +46,7 @@ from greybox.model.vehicle import Vehicle
 from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
 from greybox.statistics.betting import bar_of_several
+from greybox.takes import FLIGHTS, MODEL, NAMES, SEARCHED, SHARE, takes
 from greybox.validation.advice import Hint, Symptom
 from greybox.validation.gap import (
     GapRow,
@@ -70,6 +71,7 @@ Judged = tuple[list[Name], Fitted]
 @in_notebooks(progress="share")
 @says_choices(DiscoverOptions)
 @threadpool_limits.wrap(limits=1)  # small matrices: threads of BLAS only wait for each other
+@takes(subject=SEARCHED, train=FLIGHTS, test=FLIGHTS, accept=NAMES, since=MODEL, alpha=SHARE)
 def discover(
     subject: Vehicle | StateSpaceModel,
     train: Dataset,
@@ -98,12 +100,6 @@ def discover(
     """
     began = time.perf_counter()
     options = DiscoverOptions.of(options, choices)
-    if not isinstance(subject, Vehicle | StateSpaceModel):
-        raise ModelError(
-            "discover names what the model of a vehicle, or one of your own, misses",
-            expected="a vehicle (gb.read_vehicle) or a StateSpaceModel",
-            got=type(subject).__name__,
-        )
     train, vehicle = Dataset.of(train), subject if isinstance(subject, Vehicle) else None
     tested = test if test is not None and test.flights else None
     settings = settings_of(options)

@@ -17,6 +17,7 @@ from greybox.estimation.record import Record, make_record
 from greybox.estimation.settling import RecordGains, Settling
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
+from greybox.takes import COUNT, MODEL, SEGMENT, takes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +70,7 @@ class Filter:
     (`linear`: A, G, C, D there). `settling` follows them from the spread of a start, `riccati` is
     where they end with all channels there."""
 
+    @takes(model=MODEL)
     def __init__(self, model: IdentifiedModel, *, use_compiler: bool = True) -> None:
         self.model = model
         self.engine: Engine = engine_for(model.dynamics, (), use_compiler=use_compiler)
@@ -87,6 +89,7 @@ class Filter:
         )
         self.riccati: Riccati = self.settling.settled()[0]
 
+    @takes(segment=SEGMENT)
     def run(
         self,
         segment: Segment,
@@ -128,6 +131,7 @@ class Filter:
             p=vector,
         )
 
+    @takes(horizon=COUNT)
     def rollout(
         self,
         filtered: Filtered,

@@ -161,7 +161,7 @@ def profile(
     """
     place = problem.place(name, flight)
     if place is None:
-        raise UnknownNameError("unknown", name, {u.name for u in problem.unknowns})
+        raise UnknownNameError("estimated number", name, {u.name for u in problem.unknowns})
     u = problem.unknowns[place]
     logarithmic = u.kind == "noise"
     best = problem.evaluate(theta)

@@ -69,6 +69,13 @@ class Estimate:
         }
 
 
+class ByName(dict[str, Estimate]):
+    """Estimates by name; one that there is not is told with the nearest names."""
+
+    def __missing__(self, name: str) -> Estimate:
+        raise UnknownNameError("estimated parameter", name, self)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimates:
     """The numbers that a fit is made for.
@@ -87,6 +94,9 @@ class Estimates:
     correlations: FloatArray
     theta: FloatArray
     told: Mapping[str, tuple[float, float]]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parameters", ByName(self.parameters))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -338,10 +348,7 @@ class Fit(Shown):
         return self.status.converged
 
     def __getitem__(self, name: str) -> Estimate:
-        try:
-            return self.parameters[name]
-        except KeyError:
-            raise UnknownNameError("estimated parameter", name, self.parameters) from None
+        return self.parameters[name]
 
     @property
     def aic(self) -> float:

@@ -24,6 +24,7 @@ from greybox.model.matrices import spectral_radius
 from greybox.shown import Cell, Shown
 from greybox.statistics.whiteness import is_coloured
 from greybox.symbolic import FloatArray, Layout, Signal
+from greybox.takes import RECORDS, takes
 
 __all__ = ["LinearFit", "Options", "Record", "Settings", "fit_linear"]
 
@@ -167,6 +168,7 @@ class LinearSetup:
 
 
 @says_choices(LinearSetup)
+@takes(records=RECORDS)
 def fit_linear(
     records: Sequence[Record],
     order: int | str = "auto",

@@ -53,6 +53,7 @@ from greybox.model.state_blocks import BLOCKS, first_columns, first_times, start
 from greybox.model.vehicle import Vehicle
 from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
+from greybox.takes import EFFECTS, NAMES, POSITIVE, VEHICLE, takes
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -636,6 +637,7 @@ def input_of(columns: Iterable[str], vehicle: Vehicle) -> Literal["command", "sp
     return "speed" if names and not command_names(names) else "command"
 
 
+@takes(vehicle=VEHICLE, columns=NAMES, effects=EFFECTS, sample_time=POSITIVE, noncausal=NAMES)
 def build_model(
     vehicle: Vehicle,
     columns: Iterable[str],

@@ -28,6 +28,7 @@ from greybox.model.beliefs import Belief, Beliefs, Why, default_sigma
 from greybox.model.body import SINGULAR, STATED_SIGMAS, TRIANGLE_SLACK, may_be_stated
 from greybox.model.toml_table import TomlTable, describe
 from greybox.shown import Cell, Shown
+from greybox.takes import PATH, takes
 
 SCHEMA = "greybox.vehicle/2"
 EXACT_SCHEMA = "greybox.vehicle/1"
@@ -258,6 +259,7 @@ class Vehicle(Shown):
         return _vehicle(TomlTable(value, file=where))
 
 
+@takes(path=PATH)
 def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     """Read a vehicle file (TOML, schema "greybox.vehicle/2"; files of "greybox.vehicle/1" keep
     their meaning).

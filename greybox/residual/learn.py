@@ -41,6 +41,7 @@ from greybox.residual.open_loop_fit import OpenLoopFit, fit_open_loop
 from greybox.residual.training_report import TrainingDocument
 from greybox.residual.weight_space import Candidate
 from greybox.shown import Cell, Shown
+from greybox.takes import FLIGHTS, MODEL, NAMES, takes
 from greybox.validation.calibration import Calibration, calibrate_horizons
 
 Progress = Callable[[str, float], None]
@@ -180,6 +181,7 @@ def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tu
 
 
 @in_notebooks(progress="share")
+@takes(model=MODEL, train=FLIGHTS, features=NAMES, accept=NAMES)
 def learn(
     model: IdentifiedModel,
     train: Dataset | Flight,

@@ -24,6 +24,7 @@ from greybox.simulators.statement import Statement, state
 from greybox.simulators.target import Target
 from greybox.simulators.targets import TARGETS, target_by_name
 from greybox.simulators.words import Status
+from greybox.takes import FLIGHTS, MODEL, NAMES, takes
 
 SCHEMA = "greybox.twin/1"
 REST = """rest.py has what is folded or lost of forces and moments, to be applied from outside; learned and
@@ -120,6 +121,7 @@ def _listed(place: Path) -> set[str]:
     }
 
 
+@takes(model=MODEL, targets=NAMES, train=FLIGHTS, check=FLIGHTS)
 def twin(
     model: IdentifiedModel,
     targets: Sequence[str] = (),

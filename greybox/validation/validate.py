@@ -29,6 +29,7 @@ from greybox.model.layer import physics_of
 from greybox.model.noise import disturbances
 from greybox.model.verdict import Verdict
 from greybox.symbolic import FloatArray
+from greybox.takes import COUNT, FLIGHTS, MODEL, NUMBERS, POSITIVE, takes
 from greybox.validation.adapt import Adaptation, adapt_to_flight
 from greybox.validation.advice import Hint, Symptom, lacking
 from greybox.validation.baselines import (
@@ -81,6 +82,14 @@ leave a third of the origins of 51 samples, 10 % none)."""
 
 
 @says_choices(ValidateOptions)
+@takes(
+    model=MODEL,
+    dataset=FLIGHTS,
+    horizons=NUMBERS,
+    horizon_samples=NUMBERS,
+    adapt=POSITIVE,
+    every=COUNT,
+)
 def validate(
     model: IdentifiedModel,
     dataset: Dataset | Flight,
@@ -109,12 +118,6 @@ def validate(
     `UnknownNameError` (a choice that there is not).
     """
     o = ValidateOptions.of(options, choices)
-    if not isinstance(model, IdentifiedModel):
-        raise ModelError(
-            "validate judges models of fit, discover and learn",
-            got=type(model).__name__,
-            fix="fit_linear and greybox linear --test judge a linear model themselves",
-        )
     dataset = Dataset.of(dataset)
     dt = model.sample_time
     own = physics_of(model.dynamics) is None

@@ -19,6 +19,7 @@ BASE = (
     "symbolic",
     "frames",
     "errors",
+    "takes",
     "files",
     "runs",
     "cores",

@@ -41,6 +41,9 @@ from greybox.data.logs import read_table
 from greybox.data.raw import RawLog, measurable
 from greybox.data.readers import LogMapping
 from greybox.errors import UnknownNameError
+from greybox.takes import LOGS, takes
+from greybox.takes import NAMES as LIST_OF_NAMES
+from greybox.takes import VEHICLE as A_VEHICLE
 
 __all__ = [
     "CHECKS",
@@ -103,6 +106,7 @@ def _of_a_wrong_gyro(findings: Iterable[Finding]) -> set[str]:
     }
 
 
+@takes(data=LOGS, vehicle=A_VEHICLE, accept=LIST_OF_NAMES)
 def check(
     data: Dataset | Flight | Sequence[RawLog], vehicle: Airframe, *, accept: Iterable[str] = ()
 ) -> CheckReport:

@@ -17,6 +17,8 @@ from greybox.data.logs.canonical import to_channels
 from greybox.data.logs.table import Table
 from greybox.data.raw import RawLog
 from greybox.data.readers import LogMapping, read_columns, read_mapping
+from greybox.errors import DataError
+from greybox.takes import MAPPING, PATH, PATHS, VEHICLE, takes
 
 __all__ = ["RawLog", "Table", "read_log", "read_logs", "read_possible", "read_table"]
 
@@ -68,6 +70,7 @@ def read_possible(
     return raw if vehicle is None or keep_impossible else without_impossible(raw, vehicle)
 
 
+@takes(path=PATH, vehicle=VEHICLE, mapping=MAPPING)
 def read_log(
     path: Path,
     vehicle: Airframe | None = None,
@@ -92,6 +95,7 @@ def read_log(
     return condition(raw, vehicle, rate=rate, trim=trim, max_gap=max_gap, where=os.fspath(path))
 
 
+@takes(paths=PATHS, vehicle=VEHICLE, mapping=MAPPING)
 def read_logs(
     paths: Iterable[str | os.PathLike[str]] | str | os.PathLike[str],
     vehicle: Airframe | None = None,
@@ -104,8 +108,9 @@ def read_logs(
 ) -> Dataset:
     """Read one or several logs of one vehicle (see `read_log`) into a data set. Raises `DataError`
     for equal file names."""
-    if isinstance(paths, str | os.PathLike):
-        paths = [paths]
+    logs = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    if not logs:
+        raise DataError("no logs", expected="one path or more")
     if mapping is not None and not isinstance(mapping, LogMapping):
         mapping = read_mapping(mapping)
     return Dataset(
@@ -119,6 +124,6 @@ def read_logs(
                 mapping=mapping,
                 keep_impossible=keep_impossible,
             )
-            for p in paths
+            for p in logs
         )
     )

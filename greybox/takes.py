@@ -1,0 +1,212 @@
+"""What the arguments of public functions are: one guard, which says what came instead and the usual
+fix."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import inspect
+import math
+import numbers
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, ParamSpec, TypeVar
+
+from greybox.errors import DataError, GreyboxError, ModelError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+LONGEST_VALUE = 60
+"""Characters of a value that a message shows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """What an argument is, in words, and whether a value is that. `read` names the function
+    (module:function) that reads one from a path, which then is as good."""
+
+    words: str
+    fits: Callable[[Any], bool]
+    fix: str = ""
+    error: type[GreyboxError] = DataError
+    read: str = ""
+
+    def taken(self, name: str, value: object) -> object:
+        """The value, read from its file where it is a path. Raises `GreyboxError` for what it is
+        not."""
+        if self.read and isinstance(value, str | os.PathLike):
+            module, function = self.read.split(":")
+            return getattr(importlib.import_module(module), function)(value)
+        if not self.fits(value):
+            raise self.error(f"{name} takes {self.words}", got=shown(value), fix=self.fix or None)
+        return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Several(Kind):
+    """An iterable of what `fits`; a single text is none, as its letters would be taken for it."""
+
+    one_is_enough: bool = False
+
+    def taken(self, name: str, value: object) -> object:
+        """The elements as a tuple."""
+        single = isinstance(value, str | os.PathLike | numbers.Number)
+        if single and self.one_is_enough and self.fits(value):
+            return (value,)
+        fix = self.fix
+        if isinstance(value, str) and self.fits(value):
+            fix = fix or f"{name}={[word.strip() for word in value.split(',')]}"
+        elif single:
+            fix = fix or f"{name}=[{value}]"
+        # The columns of a data frame are no list that anybody meant.
+        if single or not isinstance(value, Iterable) or hasattr(value, "iloc"):
+            raise self.error(f"{name} takes {self.words}", got=shown(value), fix=fix or None)
+        elements = tuple(value)
+        for element in elements:
+            if not self.fits(element):
+                raise self.error(
+                    f"{name} takes {self.words}", got=f"{shown(element)} in it", fix=fix or None
+                )
+        return elements
+
+
+def shown(value: object) -> str:
+    """A plain value as it is, of anything else its class."""
+    plain = isinstance(value, str | numbers.Number | bytes)
+    text = repr(value)
+    return text if plain and len(text) <= LONGEST_VALUE else type(value).__name__
+
+
+def has(*attributes: str) -> Callable[[object], bool]:
+    """Whether an object has these attributes; no class is one."""
+    return lambda value: not isinstance(value, type) and all(hasattr(value, a) for a in attributes)
+
+
+def is_a(name: str) -> Callable[[object], bool]:
+    """Whether an object is of the class of this name, which need not be loaded to know it."""
+    return lambda value: name in {c.__name__ for c in type(value).__mro__}
+
+
+def is_path(value: object) -> bool:
+    """Whether it may name a file."""
+    return isinstance(value, str | os.PathLike)
+
+
+def is_number(value: object) -> bool:
+    """Whether it is a finite real number."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+VEHICLE = Kind(
+    words="a vehicle, or the path of its file",
+    fits=has("rotors", "actuator", "columns"),
+    fix="greybox.read_vehicle('V.toml')",
+    error=ModelError,
+    read="greybox.model.vehicle:read_vehicle",
+)
+SEARCHED = Kind(
+    words="a vehicle, the path of its file, or a StateSpaceModel",
+    fits=lambda v: VEHICLE.fits(v) or is_a("StateSpaceModel")(v),
+    fix=VEHICLE.fix,
+    error=ModelError,
+    read=VEHICLE.read,
+)
+SUBJECT = Kind(
+    words="a vehicle, the path of its file, or a model that is not fitted",
+    fits=lambda v: VEHICLE.fits(v) or has("states", "parameters", "step")(v),
+    fix="greybox.read_vehicle('V.toml'), greybox.build_model(...), StateSpaceModel(...); of an "
+    "IdentifiedModel its .physics",
+    error=ModelError,
+    read="greybox.model.vehicle:read_vehicle",
+)
+MODEL = Kind(
+    words="a model of fit, discover or learn, or the path of its file",
+    fits=has("dynamics", "sample_time"),
+    fix="greybox.load('model.json'), fit(...).model; a linear model is judged by its own fit",
+    error=ModelError,
+    read="greybox.residual.files:load_model",
+)
+FIT = Kind(
+    words="a Fit",
+    fits=has("problem", "theta", "settings"),
+    fix="what greybox.fit returns, not its model",
+    error=ModelError,
+)
+FLIGHTS = Kind(
+    words="flights: a Dataset or a Flight",
+    fits=has("segments", "channels"),
+    fix="greybox.read_logs(paths, vehicle), greybox.dataset_from_arrays(t, channels)",
+)
+LOGS = Kind(
+    words="flights (a Dataset, a Flight) or raw logs",
+    fits=lambda v: (
+        FLIGHTS.fits(v)
+        or (isinstance(v, Iterable) and all(has("flight", "rows", "channels")(log) for log in v))
+    ),
+    fix="greybox.read_logs(paths, vehicle), read_table(path) of each log",
+)
+RECORDS = Several(
+    words="a list of Records",
+    fits=has("u", "y"),
+    fix="[Record(u=u, y=y)] of greybox.linear.records",
+)
+SEGMENT = Kind(
+    words="a Segment", fits=has("column", "matrix", "dt"), fix="data.flights[0].segments[0]"
+)
+PATH = Kind(words="a path", fits=is_path)
+PATHS = Several(
+    words="a list of paths",
+    fits=is_path,
+    fix="arrays and data frames: greybox.dataset_from_arrays(t, channels)",
+    one_is_enough=True,
+)
+NAMES = Several(words="a list of names", fits=lambda v: isinstance(v, str), error=GreyboxError)
+EFFECTS = Several(
+    words="a list of effects, by name or as they are",
+    fits=lambda v: isinstance(v, str) or has("name", "parameters")(v),
+    error=ModelError,
+)
+MAPPING = Kind(
+    words="the path of a mapping file, or a LogMapping",
+    fits=lambda v: is_path(v) or is_a("LogMapping")(v),
+)
+CHANNELS = Kind(
+    words="channels by name: {'p': values, ...}, or a data frame",
+    fits=lambda v: hasattr(v, "items") and len(v) > 0 and all(isinstance(n, str) for n in v),
+    fix="dataset_from_arrays(t, {'u1': u1, 'p': p})",
+)
+TEXT = Kind(words="a text", fits=lambda v: isinstance(v, str))
+NUMBER = Kind(words="a number", fits=is_number)
+NUMBERS = Several(words="a list of numbers", fits=is_number)
+COUNT = Kind(
+    words="a whole number above zero",
+    fits=lambda v: is_number(v) and int(v) == v and v > 0,
+)
+POSITIVE = Kind(words="a number above zero", fits=lambda v: is_number(v) and v > 0)
+SHARE = Kind(words="a number between 0 and 1", fits=lambda v: is_number(v) and 0 < v < 1)
+
+
+def takes(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Decorator of a function whose arguments are of these kinds. None passes where it is the
+    default."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        parameters = inspect.signature(function).parameters
+        open_ones = {n for n in kinds if n not in parameters or parameters[n].default is None}
+        names = list(parameters)
+
+        def taken(name: str, value: Any) -> Any:
+            if name not in kinds or (value is None and name in open_ones):
+                return value
+            return kinds[name].taken(name, value)
+
+        @functools.wraps(function)
+        def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
+            known = [taken(n, v) for n, v in zip(names, args, strict=False)]
+            said: Mapping[str, Any] = {n: taken(n, v) for n, v in kwargs.items()}
+            return function(*known, *args[len(known) :], **said)  # type: ignore[arg-type]
+
+        return guarded
+
+    return decorate

@@ -1,0 +1,131 @@
+"""A wrong argument of a public function is one line with what came and the usual fix, never the
+traceback of something inside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.data import Dataset, Flight
+from greybox.data.inspection import inspect_log
+from greybox.data.logs import read_log
+from greybox.errors import GreyboxError, UnknownNameError
+from greybox.estimation.filtering import Filter
+from greybox.estimation.result import ByName
+from greybox.examples import flight_path, vehicle_path
+from greybox.takes import COUNT, NAMES, NUMBERS, takes
+from tests.residual.hybrid_cases import craft, craft_model
+
+T = 0.01 * np.arange(50)
+DATA = gb.dataset_from_arrays(T, {"p": T, "u1": T}, name="a")
+OTHER = gb.dataset_from_arrays(T, {"p": T, "u1": T}, name="b")
+VEHICLE = gb.read_vehicle(vehicle_path("arpl_crazyflie"))
+MODEL = craft_model(craft())
+FLIGHTS = "takes flights"
+A_MODEL = "takes a model of fit, discover or learn"
+A_VEHICLE = "takes a vehicle"
+LIST = "takes a list of names"
+CASES: dict[str, tuple[Callable[[], object], str]] = {
+    "text in a channel": (lambda: gb.dataset_from_arrays(T, {"p": ["a"] * 50}), "p has values"),
+    "text as time": (lambda: gb.dataset_from_arrays("time", {"p": T}), "t has values that are no"),
+    "no channels": (lambda: gb.dataset_from_arrays(T, None), "channels takes channels by name"),
+    "empty channels": (lambda: gb.dataset_from_arrays(T, {}), "channels takes channels by name"),
+    "numbers as names": (lambda: gb.dataset_from_arrays(T, {1: T}), "channels by name"),
+    "dates": (
+        lambda: gb.dataset_from_arrays(np.datetime64("2024-01-01") + np.arange(50), {"p": T}),
+        "t has dates.*seconds: ",
+    ),
+    "complex": (lambda: gb.dataset_from_arrays(T, {"p": T + 1j}), "p has complex numbers"),
+    "a gap in time": (
+        lambda: gb.dataset_from_arrays(np.where(T[7] == T, np.nan, T), {"p": T}),
+        "t has no value at sample 7",
+    ),
+    "no vehicle file": (lambda: gb.read_vehicle(None), "takes a path; got NoneType"),
+    "no model file": (lambda: gb.load(None), "takes a path; got NoneType"),
+    "a vehicle as model": (lambda: gb.load(vehicle_path("nanobench")), "read_vehicle"),
+    "no log": (lambda: inspect_log(None), "takes a path; got NoneType"),
+    "a mapping by hand": (lambda: read_log("a.csv", mapping={"rate": 1}), "mapping takes the path"),
+    "no logs": (lambda: gb.read_logs([], VEHICLE), "no logs"),
+    "logs of nothing": (lambda: gb.read_logs(None, VEHICLE), "takes a list of paths"),
+    "check turned round": (lambda: gb.check(VEHICLE, DATA), "data takes flights"),
+    "check of a list": (lambda: gb.check([DATA], VEHICLE), "data takes flights"),
+    "one check accepted": (lambda: gb.check(DATA, VEHICLE, accept="gaps"), r"accept=\['gaps'\]"),
+    "fit turned round": (lambda: gb.fit(DATA, VEHICLE), f"subject {A_VEHICLE}.*got Dataset"),
+    "fit of a fitted model": (lambda: gb.fit(MODEL, DATA), "subject .*got IdentifiedModel"),
+    "fit to arrays": (lambda: gb.fit(VEHICLE, {"p": T}), f"data {FLIGHTS}.*got dict"),
+    "columns of a data set": (lambda: gb.build_model(VEHICLE, DATA), f"columns {LIST}; got Flight"),
+    "one effect": (
+        lambda: gb.build_model(VEHICLE, ["p"], "motor_lag"),
+        r"effects=\['motor_lag'\]",
+    ),
+    "no sample time": (lambda: gb.build_model(VEHICLE, ["p"], sample_time=0), "above zero; got 0"),
+    "validate a vehicle": (lambda: gb.validate(VEHICLE, DATA), f"model {A_MODEL}.*got Vehicle"),
+    "one horizon": (lambda: gb.validate(MODEL, DATA, horizons=0.5), r"horizons=\[0.5\]"),
+    "horizons as text": (lambda: gb.validate(MODEL, DATA, horizons="0.1"), r"horizons=\[0.1\]"),
+    "adapt as text": (lambda: gb.validate(MODEL, DATA, adapt="5"), "adapt takes a number above"),
+    "pairs of arrays": (lambda: gb.fit_linear([(T, T)]), "records takes a list of Records"),
+    "learn turned round": (lambda: gb.learn(DATA, MODEL), f"model {A_MODEL}"),
+    "learn on a vehicle": (lambda: gb.learn(VEHICLE, DATA), f"model {A_MODEL}"),
+    "profile of a model": (lambda: gb.profile(MODEL, "mass"), "fit takes a Fit"),
+    "plan of nothing": (lambda: gb.plan("v.toml"), "v.toml: no such vehicle file"),
+    "identify a vehicle": (lambda: gb.identify(VEHICLE, ["a.csv"]), "vehicle takes a path"),
+    "identify a data set": (lambda: gb.identify("v.toml", DATA), "logs takes a list of paths"),
+    "probability": (lambda: gb.discover(VEHICLE, DATA, alpha=2.0), "alpha .* between 0 and 1"),
+    "one input": (lambda: gb.frf(DATA, "roll", ["p"]), r"inputs=\['roll'\]"),
+    "filter of a vehicle": (lambda: Filter(VEHICLE), f"model {A_MODEL}"),
+    "filter a flight": (
+        lambda: Filter(MODEL, use_compiler=False).run(DATA.flights[0]),
+        "segment takes a Segment; got Flight",
+    ),
+    "more than flights": (lambda: DATA + {}, FLIGHTS),
+    "segments as flights": (lambda: Dataset(flights=DATA.segments), "takes a list of Flights"),
+    "one flight by name": (lambda: DATA.select("a"), r"names=\['a'\]"),
+    "a twin of a vehicle": (lambda: gb.twin(VEHICLE), f"model {A_MODEL}"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_wrong_argument_is_named_with_what_came(case: str) -> None:
+    call, told = CASES[case]
+    with pytest.raises(GreyboxError, match=told):
+        call()
+
+
+def test_data_sets_add_up() -> None:
+    assert sum([DATA, OTHER]).names == (DATA + OTHER.flights[0]).names == ("a", "b")
+    assert isinstance(Dataset(flights=list(DATA.flights)).flights, tuple)
+
+
+def test_a_path_stands_for_what_is_read_from_it() -> None:
+    log, path = flight_path("arpl_crazyflie", "log15"), vehicle_path("arpl_crazyflie")
+    data = gb.read_logs(log, path)
+    assert isinstance(data.flights[0], Flight)
+    assert gb.check(data, path).vehicle == VEHICLE.name
+    assert gb.build_model(path, data.channels).vehicle.name == VEHICLE.name
+
+
+def test_a_name_that_is_near_is_told_whatever_its_capitals_and_its_group() -> None:
+    found = ByName({"motor_lag.tau": None, "mass": None})  # type: ignore[dict-item]
+    for wrong, right in (("tau", "motor_lag.tau"), ("MASS", "mass")):
+        with pytest.raises(UnknownNameError, match=f"did you mean {right}"):
+            found[wrong]
+    assert found.get("tau") is None
+
+
+def test_none_passes_where_it_is_the_default_and_positions_count() -> None:
+    @takes(names=NAMES, count=COUNT, levels=NUMBERS)
+    def function(first: object, names: object, count: object = None, **more: object) -> object:
+        return first, names, count, more
+
+    assert function(SimpleNamespace(), ["a"], levels=[1, 2.0])[1:] == (
+        ("a",),
+        None,
+        {"levels": (1, 2.0)},
+    )
+    for arguments in ((0, None), (0, "a"), (0, ["a"], 0.5), (0, [1])):
+        with pytest.raises(GreyboxError):
+            function(*arguments)
