@@ -3,7 +3,7 @@ satisfies it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 from greybox.data.readers.mapping import LogMapping
@@ -69,6 +69,10 @@ class Number(Protocol):
     def value(self) -> float:
         """In SI units."""
 
+    @property
+    def sigma(self) -> float:
+        """One standard deviation, in the same unit; 0 = exact."""
+
 
 @runtime_checkable
 class ThrustMap(Protocol):
@@ -90,6 +94,15 @@ class Weighed(Protocol):
     @property
     def inertia(self) -> Sequence[Sequence[float]]:
         """(3, 3) [kg m^2] about the centre of mass."""
+
+
+@runtime_checkable
+class WithEffects(Protocol):
+    """A vehicle whose file may state effects."""
+
+    @property
+    def effects(self) -> Mapping[str, Mapping[str, Number]]:
+        """Effect -> parameter -> number."""
 
 
 @runtime_checkable

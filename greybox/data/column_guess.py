@@ -271,17 +271,20 @@ def _unit_of_gravity(norm: float) -> str:
     return next((u for u, g in units if 0.7 < norm / g < 1.4), "")
 
 
+CUSTOMARY = (
+    (0.0, 1.0),
+    (0.0, 100.0),
+    (0.0, 255.0),
+    (1000.0, 2000.0),
+    (0.0, 2047.0),
+    (0.0, 65535.0),
+)
+"""Ranges that logs have their commands in."""
+
+
 def _range_of_commands(low: float, high: float) -> tuple[float, float] | None:
     """The customary range that commands from low to high are in; None for 0 to 1, or none."""
-    ranges = (
-        (0.0, 1.0),
-        (0.0, 100.0),
-        (0.0, 255.0),
-        (1000.0, 2000.0),
-        (0.0, 2047.0),
-        (0.0, 65535.0),
-    )
-    for least, most in ranges:
+    for least, most in CUSTOMARY:
         if high <= 1.05 * most and low >= least - 0.1 * (most - least):
             return None if (least, most) == (0.0, 1.0) else (least, most)
     return None

@@ -25,6 +25,7 @@ from greybox.data.checks import (
     motors,
     ranges,
     saturation,
+    thrust,
 )
 from greybox.data.checks.finding import (
     SEVERITIES,
@@ -77,6 +78,7 @@ CHECKS: tuple[Check, ...] = (
     KINEMATICS,
     alignment.CHECK,
     motors.CHECK,
+    thrust.CHECK,
     excitation.CHECK,
 )
 """All checks, in the order in which they are made: the motors are judged by gyros that are right."""

@@ -1,0 +1,119 @@
+"""A range of the commands that is not the log's is found by the thrust: where the commands begin by
+how steeply it grows, whatever thrust and mass the file states. Right ranges pass."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from faults import real, vehicle, with_channels
+
+from greybox.data import read_table
+from greybox.data.checks import check
+from greybox.data.readers.mapping import mapping_of
+from greybox.examples import SETS, flight_paths
+from greybox.excitation import FigureEight, rich_excitation
+from greybox.model.vehicle import Quantity, read_vehicle
+from greybox.plants.effects import MotorLag
+from greybox.plants.flight_log import fly, write_log
+from greybox.plants.presets import controller_for, nano, x250
+from greybox.plants.vehicle_file import write_vehicle
+
+CRAFT = {"nano": nano, "x250": x250}
+COMMANDS = ("u1", "u2", "u3", "u4")
+GIVEN = mapping_of({"command": {"fields": list(COMMANDS), "limits": [0.0, 2000.0]}}, where="test")
+
+
+@pytest.fixture(scope="module", params=sorted(CRAFT))
+def flown(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flown")
+    plant = CRAFT[request.param]([MotorLag(tau=0.03)])
+    log = fly(plant, controller_for(plant), FigureEight(), rich_excitation(), 12.0, seed=3)
+    craft = read_vehicle(write_vehicle(folder / "vehicle.toml", plant) or folder / "vehicle.toml")
+    return read_table(write_log(folder / "log.csv", log), craft), craft
+
+
+def said(raw, craft):
+    return check([raw], craft).of("thrust")
+
+
+def in_range(raw, low, high):
+    """The commands as they read where u = 0 is at low, and 1 at high."""
+    return with_channels(raw, **{n: low + (high - low) * raw.channels[n] for n in COMMANDS})
+
+
+def with_thrust(craft, factor, *, mass=1.0):
+    thrust = tuple(Quantity(value=factor * q.value) for q in craft.actuator.thrust)
+    weight = Quantity(value=mass * craft.mass.value)
+    return replace(craft, mass=weight, actuator=replace(craft.actuator, thrust=thrust))
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.0, 1.3])
+def test_a_right_range_passes_though_the_thrust_is_off(flown, factor):
+    raw, craft = flown
+    assert said(raw, with_thrust(craft, factor)) == ()
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.0, 1.3])
+def test_commands_that_begin_elsewhere_name_their_range_whatever_the_thrust(flown, factor):
+    raw, craft = flown
+    craft = replace(with_thrust(craft, factor), columns=GIVEN)
+    (found,) = said(in_range(raw, 0.5, 1.0), craft)
+    assert found.severity == "blocking"
+    assert found.evidence["begins_at"] == pytest.approx(0.5, abs=0.05)
+    assert "limits = [1000, 2000]" in found.fix
+    assert "in the log" in found.message
+
+
+def test_a_top_of_another_unit_is_found_too(flown):
+    raw, craft = flown
+    (found,) = said(in_range(raw, 1000 / 65535, 2000 / 65535), craft)
+    assert found.severity == "blocking"
+    assert found.evidence["begins_at"] == pytest.approx(1000 / 65535, rel=0.1)
+
+
+@pytest.mark.parametrize(("thrust", "mass"), [(2.0, 1.0), (1.0, 2.0)])
+def test_a_number_that_is_wrong_is_a_warning_and_no_range(flown, thrust, mass):
+    raw, craft = flown
+    (found,) = said(raw, with_thrust(craft, thrust, mass=mass))
+    assert found.severity == "warning"
+    assert found.evidence["thrust_over_promised"] == pytest.approx(mass / thrust, rel=0.1)
+    assert "weigh the craft" in found.fix
+    assert "begins_at" not in found.evidence
+
+
+def test_a_file_that_is_unsure_of_its_thrust_is_not_held_to_it(flown):
+    raw, craft = flown
+    c0, c1, c2 = (Quantity(value=2.0 * q.value, sigma=q.value) for q in craft.actuator.thrust)
+    unsure = replace(craft, actuator=replace(craft.actuator, thrust=(c0, c1, c2)))
+    assert said(raw, unsure) == ()
+
+
+@pytest.mark.parametrize("strength", [0.3, 0.5])
+def test_a_curve_of_the_commands_is_no_range(flown, strength):
+    raw, craft = flown
+    root = (1.0 - strength) / (2.0 * strength)
+    curved = {n: (raw.channels[n] / strength + root**2) ** 0.5 - root for n in COMMANDS}
+    assert said(with_channels(raw, **curved), craft) == ()
+
+
+@pytest.mark.parametrize("set_name", SETS)
+def test_real_flights_pass(set_name):
+    logs = [read_table(p, vehicle(set_name)) for p in flight_paths(set_name)]
+    report = check(logs, vehicle(set_name))
+    assert report.of("thrust") == ()
+    assert not [u for u in report.not_judged if u.check == "thrust"]
+
+
+@pytest.mark.parametrize("flight", ["log10", "log15"])
+def test_real_flights_with_commands_that_begin_elsewhere(flight):
+    (found,) = said(in_range(real("arpl_crazyflie", flight), 0.5, 1.0), vehicle("arpl_crazyflie"))
+    assert found.severity == "blocking"
+    assert found.evidence["begins_at"] == pytest.approx(0.5, abs=0.06)
+
+
+def test_what_cannot_be_judged_is_said():
+    raw = real("arpl_crazyflie", "log15")
+    blind = replace(raw, channels={k: v for k, v in raw.channels.items() if k != "az"})
+    report = check([blind], vehicle("arpl_crazyflie"))
+    assert [u.reason for u in report.not_judged if u.check == "thrust"] == ["no accelerometer"]
