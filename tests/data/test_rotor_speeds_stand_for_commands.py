@@ -203,3 +203,23 @@ def test_sound_speeds_are_usable(tmp_path):
     raw = read_table(written(tmp_path, columns()), vehicle())
     rates = {"rotor_speed": 100.0, "rate": 100.0, "specific_force": 100.0}
     assert not list(unfit(raw, rates))
+
+
+@pytest.mark.parametrize("late", [0.0, 0.045])
+@pytest.mark.parametrize("order", [(2, 1, 3, 4), (3, 2, 1, 4), (2, 3, 4, 1)])
+def test_speeds_in_another_order_than_right_commands_are_found(tmp_path, order, late):
+    log = columns(late, commands=True)
+    log |= {f"omega{i + 1}": columns(late)[f"omega{j}"] for i, j in enumerate(order)}
+    report = check([read_table(written(tmp_path, log), vehicle())], vehicle())
+    (found,) = report.of("rotor_speeds")
+    assert found.severity == "blocking"
+    for i, j in enumerate(order, 1):
+        assert (f"omega{i} follows u{j}" in found.message) == (i != j)
+    assert "[columns.rotor_speed]" in found.fix
+    assert not report.of("motors")
+
+
+def test_a_rotor_speed_that_stands_still_is_no_other_order(tmp_path):
+    log = columns(commands=True)
+    log["omega2"] = np.full_like(log["omega2"], float(np.mean(log["omega2"])))
+    assert not check([read_table(written(tmp_path, log), vehicle())], vehicle()).of("rotor_speeds")

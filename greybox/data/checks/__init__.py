@@ -24,6 +24,7 @@ from greybox.data.checks import (
     motion,
     motors,
     ranges,
+    rotor_speeds,
     saturation,
     thrust,
 )
@@ -78,6 +79,7 @@ CHECKS: tuple[Check, ...] = (
     KINEMATICS,
     alignment.CHECK,
     motors.CHECK,
+    rotor_speeds.CHECK,
     thrust.CHECK,
     excitation.CHECK,
 )
