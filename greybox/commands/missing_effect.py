@@ -72,7 +72,9 @@ def tell(folder: Path, hidden: Sequence[PlantEffect]) -> None:
     for r in found["gap"]:
         if r["horizon_s"] == 0.5:
             closed = (
-                "no gap" if r["closed"] is None else f"gap closed: {closed_in_words(r['closed'])}"
+                "no gap"
+                if r["closed"] is None
+                else f"gap closed: {closed_in_words(r['closed'], r['before'], r['floor'])}"
             )
             print(
                 f"{r['group']:10s} 0.5 s ahead: {r['before']:8.4g} -> {r['after']:8.4g} "

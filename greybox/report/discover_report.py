@@ -3,7 +3,6 @@ tells the story, a function per section, in the order in which they are read."""
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Literal
@@ -95,9 +94,7 @@ def _answer(report: Report, content: DiscoveryDocument) -> None:
     if best:
         texts.append(
             "share of the gap that closed half a second ahead: "
-            + ", ".join(
-                f"{g.replace('_', ' ')} {closed_in_words(share)}" for g, share in best.items()
-            )
+            + ", ".join(f"{r['group'].replace('_', ' ')} {_in_words(r, r['closed'])}" for r in best)
         )
     report.bullets(texts)
 
@@ -108,14 +105,20 @@ def _lawless(axis: LeftRow) -> str:
     return size + (f" that lasts {number(lasts, 2)} s" if lasts is not None else "")
 
 
-def _closed(content: DiscoveryDocument) -> dict[str, float]:
-    """Group -> share that closed of the gap half a second ahead, where there was one to close."""
+def _closed(content: DiscoveryDocument) -> list[GapDocument]:
+    """The rows half a second ahead of groups with a gap to close."""
     if not content["effects"] and not content["ambiguous"]:
-        return {}
-    rows = content["gap"]
-    return {
-        r["group"]: r["closed"] for r in rows if r["horizon_s"] == 0.5 and r["closed"] is not None
-    }
+        return []
+    return [r for r in content["gap"] if r["horizon_s"] == 0.5 and r["closed"] is not None]
+
+
+def _in_words(row: GapDocument, share: float | None) -> str | None:
+    """A share of the gap of a row; None where there is none."""
+    if share is None:
+        return None
+    factor = in_degrees(row["unit"])[1]
+    floor = row["floor"]
+    return closed_in_words(share, factor * row["before"], None if floor is None else factor * floor)
 
 
 def _percent(value: float) -> str:
@@ -378,7 +381,6 @@ def _closing(
 
 def _gap_table(report: Report, rows: Sequence[GapDocument]) -> None:
     body: list[list[Cell]] = []
-    words = functools.partial(closed_in_words, floor=any(r["floor"] is not None for r in rows))
     more: dict[Literal["with_proposals", "attainable"], str] = {
         "with_proposals": "closed with the proposed laws",
         "attainable": "closed by a learned part alone",
@@ -398,9 +400,9 @@ def _gap_table(report: Report, rows: Sequence[GapDocument]) -> None:
                 after,
                 floor,
                 unit,
-                None if r["closed"] is None else words(r["closed"]),
+                _in_words(r, r["closed"]),
                 interval,
-                *(None if v is None else words(v) for v in (r.get(k) for k in more)),
+                *(_in_words(r, r.get(k)) for k in more),
             ]
         )
     heads = [

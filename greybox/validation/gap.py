@@ -10,6 +10,7 @@ Kunsch 1989, Annals of Statistics 17(3)).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NotRequired, TypedDict
@@ -36,6 +37,8 @@ SECONDS = (0.0, 0.1, 0.5, 1.0)
 TENTH = 0.1
 """Share of the gap by which written laws must make it worse to be called that, and of the error by
 which names must for a word before all others."""
+ALL = 0.995
+"""A share that rounds to all of it."""
 NOTHING = 1.2
 """Below this ratio of before^2 to floor^2 there is no gap to close."""
 START = 2.0
@@ -119,11 +122,22 @@ class GapRow:
         }
 
 
-def closed_in_words(share: float, *, floor: bool = True) -> str:
-    """How much of the gap was closed. All of it, or more, is being at the floor, where there is
-    one: what lies below the floor is the noise of the sensors that the floor was made with."""
-    whole = "all of it: at the floor" if floor else "all of it"
-    return whole if share >= 0.995 else f"{100 * share:.0f} %"
+def closed_in_words(share: float, before: float, floor: float | None) -> str:
+    """How much of the gap between an error (RMSE) `before` and its `floor` (None: zero) was closed,
+    as a share of squares.
+
+    All of it, or more, is being at the floor, and so is an error a tenth above it: what lies below
+    is the noise of the sensors that the floor was made with.
+    """
+    if share < ALL:
+        return f"{100 * share:.0f} %"
+    base = floor or 0.0
+    after = math.sqrt(max(before**2 - share * (before**2 - base**2), 0.0))
+    if not floor:
+        return "all of it"
+    if after <= (1.0 + TENTH) * base:
+        return "all of it: at the floor"
+    return f"{math.floor(1e4 * share) / 100:.4g} %: {after / base:.2g} times the floor, {base:.2g}"
 
 
 def closing(rows: Iterable[GapRow]) -> list[str]:
@@ -135,10 +149,12 @@ def closing(rows: Iterable[GapRow]) -> list[str]:
         if r.closed is None or (r.horizon_s == 0 if own else r.horizon_s not in (0.1, 0.5)):
             continue
         laws = r.with_proposals
-        more = "" if laws is None else f"; with the laws: {closed_in_words(laws, floor=not own)}"
+        more = (
+            "" if laws is None else f"; with the laws: {closed_in_words(laws, r.before, r.floor)}"
+        )
         out.append(
             f"  {r.group} {r.horizon_s:g} s ahead: {r.before:.4g} -> {r.after:.4g} {r.unit} "
-            f"(of the gap closed: {closed_in_words(r.closed, floor=not own)}{more})"
+            f"(of the gap closed: {closed_in_words(r.closed, r.before, r.floor)}{more})"
         )
     return out
 

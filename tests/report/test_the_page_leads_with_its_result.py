@@ -88,16 +88,23 @@ def test_a_log_without_a_whole_quaternion_keeps_its_columns():
 
 
 @pytest.mark.parametrize(
-    ("share", "said"),
+    ("share", "floor", "said"),
     [
-        (1.03, "all of it: at the floor"),
-        (0.996, "all of it: at the floor"),
-        (0.99, "99 %"),
-        (-0.1, "-10 %"),
+        (1.03, 0.5, "all of it: at the floor"),
+        (0.996, 0.5, "all of it: at the floor"),
+        (0.99, 0.5, "99 %"),
+        (-0.1, 0.5, "-10 %"),
+        (0.996, None, "all of it"),
     ],
 )
-def test_more_than_all_of_a_gap_is_at_the_floor(share: float, said: str):
-    assert closed_in_words(share) == said
+def test_more_than_all_of_a_gap_is_at_the_floor(share: float, floor: float | None, said: str):
+    assert closed_in_words(share, 1.0, floor) == said
+
+
+def test_an_error_of_many_times_the_floor_is_not_at_it_however_much_closed():
+    before, after, floor = 1.455, 0.0243, 0.0061
+    share = 1 - (after**2 - floor**2) / (before**2 - floor**2)
+    assert closed_in_words(share, before, floor) == "99.97 %: 4 times the floor, 0.0061"
 
 
 def test_a_bar_shows_the_estimate_inside_its_prior():
