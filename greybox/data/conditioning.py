@@ -7,6 +7,7 @@ holds until the next one. A longer gap ends the segment.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TypeVar
 
 import numpy as np
@@ -69,9 +70,12 @@ def condition(
         notes += cuts
     clock = read_clock(raw.t, max_gap=max_gap)
     linear_hold = vehicle is not None and vehicle.actuator.hold == "linear"
+    own = None if clock.uniform else _clock_of_the_gyro(raw.t, channels, max_gap)
+    if own is not None and not (rate is None or abs(rate * own[0].dt - 1.0) < 1e-6):
+        own = None
     on_grid = clock.uniform and (rate is None or abs(rate * clock.dt - 1.0) < 1e-6)
-    dt = clock.dt if on_grid else 1.0 / (rate or _round_rate(clock.dt))
-    notes.append(_clock_note(clock, dt, on_grid))
+    dt = own[0].dt if own else clock.dt if on_grid else 1.0 / (rate or _round_rate(clock.dt))
+    notes.append(_clock_note(clock, dt, on_grid, own is not None))
     pieces: list[Segment] = []
     for start, stop in _stretches(clock, keep):
         if stop - start < 2:
@@ -86,12 +90,32 @@ def condition(
         if on_grid:
             pieces += _placed(part, clock.slots[rows], dt, raw.flight)
         else:
-            pieces += _resampled(part, dt, clock.dt, raw.flight, linear_hold)
+            start_at, step = (part[0][0], clock.dt) if own is None else _begins(*own, part[0])
+            pieces += _resampled(part, start_at, dt, step, raw.flight, linear_hold)
     pieces, said = _with_drive(pieces, driving, max_gap)
     notes += said
     if not pieces and (wrong := no_flight_log(1.0 / clock.dt)) is not None:
         raise DataError(wrong, where=where, fix=UNIT)
     return _flight(raw, pieces, notes, where)
+
+
+def _clock_of_the_gyro(
+    t: FloatArray, channels: Mapping[str, FloatArray], max_gap: float
+) -> tuple[Clock, FloatArray] | None:
+    """The uniform clock of the rows with a body rate, and their stamps, where only these have one:
+    a table that holds the rows of several streams, as an outer merge of them does."""
+    names = [n for n in group_names("rate") if n in channels]
+    known = np.isfinite([channels[n] for n in names]).all(axis=0) if names else np.zeros(0, bool)
+    if known.sum() < SHORT or known.all():
+        return None
+    clock = read_clock(t[known], max_gap=max_gap)
+    return (clock, t[known]) if clock.uniform else None
+
+
+def _begins(clock: Clock, stamps: FloatArray, t: FloatArray) -> tuple[float, float]:
+    """(first of the `stamps` in a stretch with rows at `t`, their sample time) [s]."""
+    at = int(np.searchsorted(stamps, t[0] - 1e-9))
+    return float(stamps[at]) if at < stamps.size and stamps[at] < t[-1] else float(t[0]), clock.dt
 
 
 def _demand_increasing(raw: RawLog, where: str) -> None:
@@ -125,7 +149,12 @@ def _round_rate(dt: float) -> float:
     return float(f"{1.0 / dt:.2g}")
 
 
-def _clock_note(clock: Clock, dt: float, on_grid: bool) -> str:
+def _clock_note(clock: Clock, dt: float, on_grid: bool, merged: bool) -> str:
+    if merged:
+        return (
+            f"clock: rows of several streams, {1 / clock.dt:.4g} Hz in all; those of the gyro are "
+            f"uniform, {1 / dt:.6g} Hz, and what the others hold is put beside them"
+        )
     if on_grid:
         return (
             f"clock: uniform, {1 / dt:.6g} Hz, stamps moved by at most {clock.shift * 1e3:.3g} ms"
@@ -176,14 +205,15 @@ def _scatter(values: npt.NDArray[Kind], slots: npt.NDArray[np.int64], n: int) ->
     return out
 
 
-def _resampled(part: Part, dt: float, step: float, flight: str, linear_hold: bool) -> list[Segment]:
-    """A stretch on a grid of `dt`; `step` is the log's own sample time."""
+def _resampled(
+    part: Part, first: float, dt: float, step: float, flight: str, linear_hold: bool
+) -> list[Segment]:
+    """A stretch on a grid of `dt` from `first` on; `step` is the log's own sample time."""
     t, channels, extra = part
-    grid: FloatArray
-    n = int(np.floor((t[-1] - t[0]) / dt + 1e-9)) + 1
+    n = int(np.floor((t[-1] - first) / dt + 1e-9)) + 1
     if n < 2:
         return []
-    grid = t[0] + dt * np.arange(n)
+    grid: FloatArray = np.asarray(first + dt * np.arange(n), dtype=np.float64)
     attitude = group_names("attitude")
     whole = all(k in channels for k in attitude)
     commands = set(command_names(channels))

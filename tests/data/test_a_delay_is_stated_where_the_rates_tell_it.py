@@ -10,25 +10,37 @@ from faults import vehicle
 from greybox.data import RawLog
 from greybox.data.checks import CheckReport, check
 
+Posed = slice | np.ndarray
 RATE = 100.0
 ATTITUDE_NOISE, GYRO_NOISE = 0.002, 0.015
 
 
-def flown(*, wobble: float, wander: float = 0.0, seed: int = 0) -> CheckReport:
+def flown(
+    *,
+    wobble: float,
+    wander: float = 0.0,
+    late: float = 0.0,
+    seed: int = 0,
+    posed: Posed = slice(None),
+) -> CheckReport:
     """Twenty seconds of banking to and fro once in five seconds, and by `wobble` [rad] thrice a
-    second; the gyro's clock is up to `wander` samples late and early."""
+    second; the gyro's clock is up to `wander` samples late and early, and `late` samples
+    throughout. Only the rows `posed` have an attitude."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 20.0, 1.0 / RATE)
 
     def bank(at: np.ndarray) -> np.ndarray:
         return 0.3 * np.sin(0.4 * np.pi * at) + wobble * np.sin(6.0 * np.pi * at)
 
-    felt = t - wander / RATE * np.sin(0.2 * np.pi * t)
+    felt = t - (late + wander * np.sin(0.2 * np.pi * t)) / RATE
     p = (bank(felt + 1e-4) - bank(felt - 1e-4)) / 2e-4 + GYRO_NOISE * rng.standard_normal(t.size)
     half = 0.5 * (bank(t) + ATTITUDE_NOISE * rng.standard_normal(t.size))
     still = {n: GYRO_NOISE * rng.standard_normal(t.size) for n in "qr"}
     channels = {f"u{i}": np.full(t.size, 0.6) for i in (1, 2, 3, 4)}
     channels |= {"qw": np.cos(half), "qx": np.sin(half), "qy": 0 * t, "qz": 0 * t, "p": p, **still}
+    for name in ("qw", "qx", "qy", "qz"):
+        whole, channels[name] = channels[name], np.full(t.size, np.nan)
+        channels[name][posed] = whole[posed]
     raw = RawLog(
         t=t,
         channels=channels,
@@ -54,3 +66,13 @@ def test_clocks_that_wander_are_found_by_as_much_where_the_rates_tell_it(seed: i
     report = flown(wobble=0.1, wander=4.0, seed=seed)
     assert report.wander == pytest.approx(7.0, abs=1.5)
     assert flown(wobble=0.1, seed=seed).wander == 0.0
+
+
+@pytest.mark.parametrize("late", [0.0, 6.0])
+@pytest.mark.parametrize("posed", ["second", "third", "two of five"])
+def test_a_pose_that_is_slower_than_the_rows_tells_the_delay_as_well(posed: str, late: float):
+    rows = np.arange(2000)
+    kept = {"second": rows[::2], "third": rows[::3], "two of five": rows[np.isin(rows % 5, (0, 2))]}
+    (found,) = flown(wobble=0.1, late=late, posed=kept[posed]).of("alignment")
+    assert found.evidence["offset_samples"] == pytest.approx(late, abs=0.5)
+    assert found.severity == ("blocking" if late else "info")

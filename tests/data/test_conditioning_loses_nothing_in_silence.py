@@ -299,3 +299,40 @@ def test_a_clock_in_the_wrong_unit_is_named_and_not_the_commands():
     raw = read_table(flight_path("nanobench", "B2_circle_fast_rep1"), vehicle)
     with pytest.raises(DataError, match=r"1e\+08 Hz, as no flight log has.*\[columns.time\] unit"):
         condition(replace(raw, t=1e-6 * raw.t), vehicle, rate=100.0)
+
+
+def merged(jitter: float = 0.0):
+    """A gyro with commands at 250 Hz and a position at 100 Hz, as an outer merge of both has them:
+    a row per stamp of either."""
+    fast, slow = np.arange(0.0, 8.0, 0.004), np.arange(0.001, 7.99, 0.01)
+    fast = fast + jitter * np.random.default_rng(0).uniform(-1.0, 1.0, fast.size)
+    t = np.union1d(fast, slow)
+    of_fast, of_slow = np.isin(t, fast), np.isin(t, slow)
+
+    def on(rows, values):
+        return np.where(rows, values, np.nan)
+
+    channels = {n: on(of_fast, np.sin(t + k)) for k, n in enumerate("pqr")}
+    channels |= {f"u{i}": on(of_fast, 0.6 + 0.1 * np.sin(3.0 * t + i)) for i in (1, 2, 3, 4)}
+    channels |= {n: on(of_slow, np.cos(t + k)) for k, n in enumerate("xyz")}
+    return raw_log(t, **channels), fast
+
+
+@pytest.mark.parametrize("rate", [None, 250.0])
+def test_rows_of_merged_streams_become_those_of_the_gyro(rate):
+    raw, stamps = merged()
+    (segment,) = condition(raw, trim=False, rate=rate).segments
+    np.testing.assert_allclose(segment.t, stamps, atol=1e-9)
+    np.testing.assert_array_equal(segment.column("p"), raw.channels["p"][np.isin(raw.t, stamps)])
+    np.testing.assert_array_equal(segment.column("u2"), raw.channels["u2"][np.isin(raw.t, stamps)])
+    there = np.isfinite(segment.column("x"))
+    assert there.sum() >= 795
+    np.testing.assert_allclose(segment.column("x")[there], np.cos(segment.t[there]), atol=2e-4)
+
+
+def test_merged_streams_say_so_and_a_gyro_without_a_rhythm_is_resampled_as_before():
+    (note,) = [n for n in condition(merged()[0], trim=False).notes if n.startswith("clock")]
+    assert "rows of several streams" in note
+    assert "250 Hz" in note
+    (note,) = [n for n in condition(merged(0.0015)[0], trim=False).notes if n.startswith("clock")]
+    assert "not uniform" in note

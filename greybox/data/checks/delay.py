@@ -23,6 +23,7 @@ from greybox.data.checks.signals import (
     windowed,
 )
 from greybox.data.checks.view import FloatArray, View
+from greybox.data.resampling import continuous_signs
 
 WINDOW = 2.0
 """Length of a window [s]."""
@@ -108,7 +109,7 @@ def delays(view: View) -> Delays:
     """The delay in every window in which gyro and attitude are alike."""
     half = max(1, round(HALF_WINDOW / view.dt))
     gyro = smoothed(bridged(view.group("rate"), half), half)
-    rate = attitude_rate(view.group("attitude"), view.dt, half)
+    rate = attitude_rate(_filled(view.group("attitude"), 2 * half), view.dt, half)
     length, reach = round(WINDOW / view.dt), round(LARGEST / view.dt)
     time = view.time
     lags = np.arange(-reach, reach + 1)
@@ -125,6 +126,13 @@ def delays(view: View) -> Delays:
             out.append((float(np.nanmean(time[rows])), late, error))
     found = np.array(out).reshape(-1, 3)
     return Delays(time=found[:, 0], late=found[:, 1], error=found[:, 2])
+
+
+def _filled(quaternions: FloatArray, most: int) -> FloatArray:
+    """Quaternions (N, 4) on the lines between those that are known, over at most `most` rows: a
+    pose that is slower than the rows is late nowhere then."""
+    out = bridged(continuous_signs(quaternions)[0], most)
+    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
 
 
 def _error(gyro: FloatArray, rate: FloatArray, rows: slice, late: int, half: int) -> float:
