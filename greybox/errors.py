@@ -71,6 +71,24 @@ class FileFormatError(GreyboxError, ValueError):
     """A result or model file has the wrong schema, version or checksum."""
 
 
+SLIP = 0.8
+"""Likeness (`difflib`) of two names, capitals apart, from which on one is a slip for the other."""
+
+
+def meant(name: str, known: Iterable[str]) -> str | None:
+    """The name that `name` is most likely a slip for; None where none is like it."""
+    small = {k.lower(): k for k in known}
+    near = difflib.get_close_matches(name.lower()[:200], small, n=1, cutoff=SLIP)
+    return small[near[0]] if near else None
+
+
+def did_you_mean(names: Iterable[str], known: Iterable[str]) -> str:
+    """ "; did you mean a, b?" of what `names` are slips for, empty where they are none."""
+    known = list(known)
+    found = [m for n in names if (m := meant(n, known)) is not None]
+    return f"; did you mean {', '.join(dict.fromkeys(found))}?" if found else ""
+
+
 class UnknownNameError(GreyboxError, KeyError):
     """A name that greybox does not know; the message carries the nearest names."""
 

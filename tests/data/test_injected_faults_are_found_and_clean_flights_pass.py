@@ -22,8 +22,9 @@ from faults import (
     without_rows,
 )
 
-from greybox.data import Dataset, read_log
+from greybox.data import Dataset, read_log, read_table
 from greybox.data.checks import CHECKS, check, check_logs
+from greybox.data.readers.mapping import mapping_of
 from greybox.errors import DataError
 from greybox.examples import SETS, flight_path, flight_paths
 
@@ -242,3 +243,41 @@ def test_checking_twice_gives_the_same_report_and_changes_nothing():
         check([raw], vehicle("nanobench")).to_dict() == check([raw], vehicle("nanobench")).to_dict()
     )
     assert all(np.array_equal(before[k], v, equal_nan=True) for k, v in raw.channels.items())
+
+
+@pytest.mark.parametrize("fields", [("gyrx", "gyrY", "gyrZ"), ("gyrx", "gyry", "gyrz")])
+@pytest.mark.parametrize("conditioned", [False, True])
+def test_a_column_that_is_mistyped_in_the_mapping_names_the_one_that_was_meant(
+    fields, conditioned, tmp_path
+):
+    raw, path = real(*CIRCLE), tmp_path / "flight.csv"
+    table = {"t": raw.t, **{n: raw.channels[n] for n in ("u1", "u2", "u3", "u4")}}
+    table |= {f"gyr{a.upper()}": raw.channels[n] for a, n in zip("xyz", "pqr", strict=True)}
+    np.savetxt(
+        path, np.column_stack([*table.values()]), delimiter=",", header=",".join(table), comments=""
+    )
+    columns = vehicle_columns({"rate": {"fields": list(fields)}})
+    craft = replace(vehicle(CIRCLE[0]), columns=columns)
+    log = read_log(path, craft) if conditioned else read_table(path, craft)
+    gaps = check(log if conditioned else [log], craft).of("gaps")
+    (found,) = [f for f in gaps if f.where.startswith("channel p")]
+    meant = ", ".join(f"gyr{f[3].upper()}" for f in fields if f[3].islower())
+    assert f"; did you mean {meant}?" in found.message
+    assert "[columns.rate]" in found.fix
+    assert any(f"; did you mean {meant}?" in n for n in log.notes)
+
+
+def vehicle_columns(content):
+    said = mapping_of(content, where="test", path="columns")
+    return replace(said, optional=frozenset(content))
+
+
+def test_the_range_that_is_said_is_the_one_without_slack_for_noise():
+    raw = real(*CIRCLE)
+    fast = with_channels(raw, omega1=np.full(raw.n, 9000.0), u1=raw.channels["u1"] + 2.0)
+    craft = replace(
+        vehicle(CIRCLE[0]), actuator=replace(vehicle(CIRCLE[0]).actuator, speed_max=2000.0)
+    )
+    said = [f.message for f in check([fast], craft).of("ranges")]
+    assert any("outside 0 .. 2600 rad/s" in m for m in said)
+    assert any(m.endswith("outside 0 .. 1") for m in said)

@@ -178,12 +178,13 @@ def check_logs(
 
 def _as_raw(flight: Flight) -> RawLog:
     t = np.concatenate([s.t for s in flight.segments])
+    others = set.intersection(*(set(s.extra) for s in flight.segments))
     return RawLog(
         t=t,
         channels={
             n: np.concatenate([s.channels[n] for s in flight.segments]) for n in flight.channels
         },
-        extra={},
+        extra={n: np.concatenate([s.extra[n] for s in flight.segments]) for n in others},
         rows=np.arange(1, t.size + 1, dtype=np.int64),
         flight=flight.name,
         source=flight.source,

@@ -10,6 +10,7 @@ from greybox.data.channel import GROUPS, group_names
 from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.view import FloatArray, View
 from greybox.data.conditioning import MAX_GAP
+from greybox.errors import did_you_mean
 
 LOST = 0.2
 """Share of the flight without rows from which a fit is blocked."""
@@ -107,26 +108,32 @@ def _missing(values: FloatArray) -> float:
 
 
 def _lost(view: View) -> Iterator[Finding]:
-    """A finding per group of channels that lacks a column, or the values of one."""
+    """A finding per group of channels that lacks a column, or the values of one; or all columns,
+    where the log has others whose names are nearly theirs."""
     raw, rotors = view.raw, len(view.vehicle.rotors)
     for group in GROUPS:
         names = group_names(group, rotors)
         there = [n for n in names if n in raw.channels]
         lost = [n for n in names if n not in raw.channels]
-        if not lost or not (there or set(lost) & set(raw.empty)):
-            continue
         source = view.vehicle.columns.sources.get(group)
         own = [f.lstrip("-") for f in source.fields] if source is not None else list(names)
-        columns = ", ".join(own[names.index(n)] for n in lost) if len(own) == len(names) else ""
+        each = len(own) == len(names)
+        wanted = [own[names.index(n)] for n in lost] if each else own
+        meant = did_you_mean(wanted, raw.extra) if lost and source is not None else ""
+        if not lost or not (there or set(lost) & set(raw.empty) or meant):
+            continue
+        columns = ", ".join(wanted) if each else " or ".join(own)
         yield Finding(
             check="gaps",
             severity="warning",
             flight=view.name,
             where=f"channel {', '.join(lost)}",
-            message=f"column {columns or ' or '.join(own)} is missing or holds no value: the "
+            message=f"column {columns} is missing or holds no value: the "
             f"{group.replace('_', ' ')} ({', '.join(names)}) is left out, of all that is fitted with "
-            "this log, too",
-            fix="log it, or drop what is left of the group",
+            f"this log, too{meant}",
+            fix=f"correct the names in [columns.{group}]"
+            if meant
+            else "log it, or drop what is left of the group",
         )
 
 

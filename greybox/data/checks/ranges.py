@@ -49,12 +49,17 @@ def run(view: View) -> Iterator[Finding]:
         if outside.size:
             share = outside.size / max(int(np.isfinite(values).sum()), 1)
             worst = values[outside[np.argmax(np.abs(values[outside]))]]
+            # Slack is for noise: what is said is the range itself.
+            low, high = declared.lower, upper
+            if declared.group == "command":
+                low, high = actuator.u_min, actuator.u_max
+            unit = "" if declared.unit == "1" else f" {declared.unit}"
             yield Finding(
                 check="ranges",
                 severity="blocking" if share > BLOCKING_SHARE else "warning",
                 flight=view.name,
                 where=f"channel {name}, row {log.rows[outside[0]]}",
-                message=f"{outside.size} value(s) outside {lower:g} .. {upper:g} {declared.unit}",
+                message=f"{outside.size} value(s) outside {low:g} .. {high:g}{unit}",
                 evidence={"rows": int(outside.size), "share": share, "worst": float(worst)},
                 fix=FIXES.get(declared.group, "check the unit in [columns]"),
             )

@@ -20,7 +20,7 @@ from greybox.data.raw import Column, FloatArray, is_numeric
 from greybox.data.readers.mapping import TABLE, TIME_UNITS, LogMapping
 from greybox.data.readers.recording import UNITS, Recording, Source, Stream
 from greybox.data.resampling import continuous_signs
-from greybox.errors import DataError, UnknownNameError
+from greybox.errors import DataError, UnknownNameError, did_you_mean
 
 EXCITATION = "chirp"
 """Column for what the firmware added to the set points of its own accord."""
@@ -186,7 +186,10 @@ def present(recording: Recording, mapping: LogMapping) -> tuple[LogMapping, tupl
                     where=f"{recording.source}: the command {channels[there.index('')]}",
                 )
             if lost:
-                notes.append(f"the log has no {', '.join(lost)} for the {group}")
+                others = {*stream.fields, *stream.unread} - mapping.names
+                notes.append(
+                    f"the log has no {', '.join(lost)} for the {group}{did_you_mean(lost, others)}"
+                )
             sources[group] = replace(source, fields=tuple(there))
             if not any(there):
                 gone.add(group)
