@@ -22,6 +22,7 @@ from greybox.linear.frf_result import TRUSTED, FrequencyResponse, Pair
 from greybox.linear.logs import ChannelSpec
 from greybox.model.frequency_response import response_of
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import physics_of
 from greybox.model.linear import LinearModel
 from greybox.runs import runs
 from greybox.statistics.feedback import follows
@@ -122,8 +123,13 @@ def frf(
     )
     beside = None if model is None else _of_model(model, c, f)
     fed = [c.all[i].name for i in c.z or c.u if follows(used, i, c.y)]
+    # A craft does not stay in the air by itself: its commands follow what it does, also where that
+    # is more than the outputs show, or where larger motions hide it.
+    flown = (
+        not c.z and isinstance(model, IdentifiedModel) and physics_of(model.dynamics) is not None
+    )
     return FrequencyResponse(
-        pairs={p.name: p for p in _pairs(c, f, r, usable, beside, bool(fed))},
+        pairs={p.name: p for p in _pairs(c, f, r, usable, beside, bool(fed) or flown)},
         frequency=f,
         averages=s.averages,
         window=s.window,

@@ -4,6 +4,8 @@ what cannot be told is refused in one line."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from greybox.model.example import example_vehicle
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
 from greybox.symbolic import Layout, Signal
+from tests.simulators.identified import identified
 from tests.statistics.test_frequency_responses_have_honest_bands import DT, GAIN, POLE, flown
 
 SIGNS = np.array([np.sign(r.position[1]) for r in example_vehicle().rotors])
@@ -112,6 +115,21 @@ def test_a_closed_loop_is_said_and_a_reference_mends_it():
         shares.append(np.mean(np.abs(pair.model - pair.value) < pair.radius))
     assert shares[0] < 0.3 and shares[1] > 0.7
     assert gb.frf(flights(), ["roll"], ["p"], vehicle=vehicle).warnings == ()
+
+
+def test_a_craft_is_flown_by_feedback_whether_its_outputs_show_it_or_not():
+    """The response of a model that flies is judged by references alone."""
+    data, vehicle = flights(noise=0.4), example_vehicle()
+    craft = replace(identified({}), sample_time=DT)
+    direct = gb.frf(data, ["roll"], ["p"], vehicle=vehicle, model=craft).pairs["p/roll"]
+    assert direct.fed_back
+    said = "\n".join(direct.parts())
+    assert "does not judge the model" in said and "circle at" not in said
+    by_reference = gb.frf(
+        data, ["roll"], ["p"], vehicle=vehicle, model=craft, references=["ref"]
+    ).pairs["p/roll"]
+    assert not by_reference.fed_back
+    assert "circle" in "\n".join(by_reference.parts())
 
 
 def test_gaps_cost_averages_and_no_honesty():
