@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from faults import real, vehicle, with_channels
+from faults import real, scaled, vehicle, with_channels
 
 from greybox.data import read_table
 from greybox.data.checks import check
@@ -117,3 +117,11 @@ def test_what_cannot_be_judged_is_said():
     blind = replace(raw, channels={k: v for k, v in raw.channels.items() if k != "az"})
     report = check([blind], vehicle("arpl_crazyflie"))
     assert [u.reason for u in report.not_judged if u.check == "thrust"] == ["no accelerometer"]
+
+
+def test_an_accelerometer_of_a_wrong_unit_is_no_wrong_thrust():
+    raw = real("arpl_crazyflie", "log15")
+    report = check([scaled(raw, "ax ay az", 1 / 9.81)], vehicle("arpl_crazyflie"))
+    assert report.of("gravity")
+    assert not report.of("thrust")
+    assert any(u.check == "thrust" and "unit" in u.reason for u in report.not_judged)

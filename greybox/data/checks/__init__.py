@@ -99,6 +99,7 @@ NAMES = tuple(
 FRAMES = (*(r.name for r in RELATIONS), "alignment")
 """Checks that find axes, units or clocks wrong."""
 WRONG = "the gyro's axes, unit or clock are wrong"
+WRONG_FORCE = "the accelerometer's unit or axes are wrong"
 
 
 def _of_a_wrong_gyro(findings: Iterable[Finding]) -> set[str]:
@@ -107,6 +108,15 @@ def _of_a_wrong_gyro(findings: Iterable[Finding]) -> set[str]:
         f.flight
         for f in findings
         if f.severity == "blocking" and f.check in FRAMES and "p, q, r" in f.where
+    }
+
+
+def _of_a_wrong_accelerometer(findings: Iterable[Finding]) -> set[str]:
+    """The flights whose accelerometer weighs no thrust."""
+    return {
+        f.flight
+        for f in findings
+        if f.severity == "blocking" and f.check == gravity.CHECK.name and "ax" in f.where
     }
 
 
@@ -136,8 +146,12 @@ def check(
     # What overflows in a check is a value that `ranges` names.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for one in CHECKS:
-            wrong = _of_a_wrong_gyro(findings) if one is motors.CHECK else set()
-            unjudged += [Unjudged(check=one.name, flight=n, reason=WRONG) for n in sorted(wrong)]
+            wrong, why = set[str](), WRONG
+            if one is motors.CHECK:
+                wrong = _of_a_wrong_gyro(findings)
+            elif one is thrust.CHECK:
+                wrong, why = _of_a_wrong_accelerometer(findings), WRONG_FORCE
+            unjudged += [Unjudged(check=one.name, flight=n, reason=why) for n in sorted(wrong)]
             for outcome in one.run([v for v in views if v.name not in wrong]):
                 if isinstance(outcome, Finding):
                     findings.append(outcome)
