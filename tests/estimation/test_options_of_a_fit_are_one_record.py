@@ -77,7 +77,11 @@ def test_keywords_and_record_are_the_same_fit():
             "per_flight",
         ),
         (lambda **k: FitOptions().but(**k), "prior", "priors"),
-        (lambda **k: discover(None, None, **k), "max_effect", "max_effects"),  # type: ignore[arg-type]
+        (
+            lambda **k: discover(motor.model(), motor.record(n=50), **k),
+            "max_effect",
+            "max_effects",
+        ),
         (lambda **k: GPOptions().but(**k), "kernal", "kernel"),
         (lambda **k: plan(**k), "second", "seconds"),
         (
