@@ -692,10 +692,12 @@ def likeliest_of_the_good(tried: Sequence[Candidate]) -> Candidate:
 
 
 def plainer(chosen: Candidate, less: Candidate) -> Candidate:
-    """`less`, which is `chosen` without effects that nothing feels one by one, unless BIC asks for
-    all of them together. Pieces that are foretold a little better with these are mostly luck, and
-    never worth a name that is not there."""
-    return chosen if less.likelihood.bic > chosen.likelihood.bic else less
+    """`less`, which is `chosen` without effects that nothing feels one by one, unless BIC and the
+    pieces left out both ask for all of them together. Pieces that are foretold a little better with
+    these are mostly luck where all errors are tiny; where no model is exact, BIC asks for what
+    foretells other flights worse."""
+    asked = less.likelihood.bic > chosen.likelihood.bic
+    return chosen if asked and not _as_good(less, chosen) else less
 
 
 def _best(tried: Sequence[Candidate]) -> Candidate:
