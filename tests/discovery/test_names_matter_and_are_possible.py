@@ -15,7 +15,7 @@ from greybox.discovery.evidence import Fitted, Flights, problem_of
 from greybox.discovery.name import held, impossible, judged
 from greybox.discovery.rules import RULES
 from greybox.discovery.workflow import discover
-from greybox.errors import ModelError
+from greybox.errors import ModelError, VehicleError
 from greybox.estimation.problem import Value
 from greybox.estimation.status import Code, Status
 from greybox.validation.gap import HeldOutErrors
@@ -211,5 +211,7 @@ def test_an_accelerometer_that_is_off_by_half_is_no_property_of_a_craft(size: fl
 
 
 def test_what_is_neither_a_vehicle_nor_a_model_is_refused_in_one_line() -> None:
-    with pytest.raises(ModelError, match=r"expected a vehicle .* or a StateSpaceModel"):
+    with pytest.raises(ModelError, match=r"takes a vehicle, .* or a StateSpaceModel; got 42"):
+        discover(42, Dataset(flights=()))  # type: ignore[arg-type]
+    with pytest.raises(VehicleError, match="craft: no such vehicle file"):
         discover("craft", Dataset(flights=()))  # type: ignore[arg-type]
