@@ -25,7 +25,6 @@ from greybox.data.checks.torque import (
     Torque,
     directions,
     expected_signs,
-    joined_sums,
     torque_regression,
 )
 from greybox.data.checks.view import FloatArray, View
@@ -92,7 +91,7 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
 
 
 def _joined(torques: Sequence[Torque]) -> Sums:
-    return joined_sums([t.sums for t in torques])
+    return Sums.joined([t.sums for t in torques])
 
 
 def _told(

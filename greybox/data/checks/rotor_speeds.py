@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
+from greybox.data.checks.block_sums import BlockSums
 from greybox.data.checks.finding import Check, Finding, Unjudged
 from greybox.data.checks.relations import CLEAR, LEAST, LEFT, SEEN, jackknife
 from greybox.data.checks.signals import bridged, peak, products, shifted, smoothed
@@ -31,13 +33,14 @@ FEWEST = 200
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Sums:
+class Sums(BlockSums):
     """Sums over blocks of time of speeds times commands `xy` (B, n, n), and of the squares of
     speeds `xx` and commands `yy` (B, n)."""
 
     xy: FloatArray
     xx: FloatArray
     yy: FloatArray
+    block_axis: ClassVar[int] = 0
 
     def left(self, order: Sequence[int]) -> FloatArray:
         """Log of what is left of the speeds (B,) that follow the commands in this order, by one
@@ -46,14 +49,6 @@ class Sums:
         size = self.xx.sum(axis=1) * self.yy.sum(axis=1)
         share = np.maximum(own, 0.0) ** 2 / np.maximum(size, 1e-300)
         return np.log(1.0 - share + LEAST)
-
-    def without(self) -> Sums:
-        """The sums of all blocks but one, for each block."""
-        return Sums(**{k: v.sum(axis=0) - v for k, v in vars(self).items()})
-
-    def total(self) -> Sums:
-        """Over all blocks, as one block."""
-        return Sums(**{k: v.sum(axis=0, keepdims=True) for k, v in vars(self).items()})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,9 +64,7 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
     found = {v.name: s for v in views if v.measured and (s := _sums(v)) is not None}
     told = alone_and_together(
         found,
-        lambda some: _verdict(
-            Sums(**{k: np.concatenate([vars(s)[k] for s in some]) for k in vars(some[0])})
-        ),
+        lambda some: _verdict(Sums.joined(some)),
         claim=lambda said: said.message,
     )
     for one in told:
@@ -118,14 +111,14 @@ def _sums(view: View) -> Sums | None:
 
 def _verdict(sums: Sums) -> Verdict | None:
     """Which speeds follow other commands than their own; None where that does not tell far more."""
-    total, without = sums.total(), sums.without()
+    total, left_out = sums.total, sums.left_out
     size = np.sqrt(np.maximum(np.outer(total.xx[0], total.yy[0]), 1e-300))
     order = np.argmax(total.xy[0] / size, axis=1).tolist()
     given = list(range(len(order)))
     if sorted(order) != given or order == given:
         return None
     other, own = (float(total.left(o)[0]) for o in (order, given))
-    error = jackknife(without.left(order) - without.left(given))
+    error = jackknife(left_out.left(order) - left_out.left(given))
     if other - own + CLEAR * error > math.log(LEFT) or math.exp(other) > 1.0 - SEEN:
         return None
     moved = [f"omega{i + 1} follows u{j + 1}" for i, j in enumerate(order) if i != j]

@@ -14,10 +14,12 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from greybox.data.airframe import Airframe, ThrustMap, Weighed, WithEffects
+from greybox.data.checks.block_sums import BlockSums
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged
 from greybox.data.checks.relations import CLEAR, LEAST, LEFT, SEEN, jackknife
 from greybox.data.checks.signals import best_lag, bridged, peak, shifted, smoothed
@@ -54,7 +56,7 @@ NEAR = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Sums:
+class Sums(BlockSums):
     """Sums over blocks of time (B,) of mass times specific force `y` [N], and for the map as given
     and all others, (K, B), of promised thrust `x`; products and squares are of what is quick. `u`
     (B,) are commands, `count` (B,) samples."""
@@ -66,14 +68,7 @@ class Sums:
     x: FloatArray
     xx: FloatArray
     xy: FloatArray
-
-    def without(self) -> Sums:
-        """The sums of all blocks but one, for each block."""
-        return Sums(**{k: v.sum(axis=-1, keepdims=True) - v for k, v in vars(self).items()})
-
-    def total(self) -> Sums:
-        """Over all blocks, as one block."""
-        return Sums(**{k: v.sum(axis=-1, keepdims=True) for k, v in vars(self).items()})
+    block_axis: ClassVar[int] = -1
 
     @property
     def level(self) -> FloatArray:
@@ -126,7 +121,7 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
     vehicle = views[0].vehicle
     told = alone_and_together(
         found,
-        lambda some: _verdict(vehicle, _joined(some)),
+        lambda some: _verdict(vehicle, Sums.joined(some)),
         claim=lambda said: said.claim,
         sure=lambda said: said.severity == "blocking",
     )
@@ -141,12 +136,6 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
                 evidence={**one.said.evidence, "flights": len(one.flights)},
                 fix=one.said.fix,
             )
-
-
-def _joined(flights: Sequence[Sums]) -> Sums:
-    return Sums(
-        **{k: np.concatenate([vars(s)[k] for s in flights], axis=-1) for k in vars(flights[0])}
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,7 +244,7 @@ def _verdict(vehicle: Airframe, sums: Sums) -> Verdict | None:
     """What is wrong with the scale of the commands; None where nothing clearly is."""
     known = _map(vehicle)
     assert known is not None
-    level = float(sums.total().level[0, 0])
+    level = float(sums.total.level[0, 0])
     u = float(sums.u.sum() / sums.count.sum())
     wrong = not level > 0.0 or abs(math.log(level)) > CLEAR * known.spread(u)
     impossible = wrong and not 1.0 / UNIT < level < UNIT
@@ -287,7 +276,7 @@ def _verdict(vehicle: Airframe, sums: Sums) -> Verdict | None:
 
 def _begins(vehicle: Airframe, known: _Map, sums: Sums) -> Verdict | None:
     """Where the commands begin, if not at u = 0; None where that does not tell far more."""
-    total, left = sums.total(), sums.without().left
+    total, left = sums.total, sums.left_out.left
     if not float(total.xx[0, 0]) > (LEAST * float(total.x[0, 0])) ** 2 / float(total.count[0]):
         return None  # the commands stand still
     rest, n = total.left[:, 0], ZEROS.size

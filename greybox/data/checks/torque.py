@@ -9,12 +9,13 @@ read as a property of the rotors, or of a clock, under feedback.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from greybox.data.checks.block_sums import BlockSums
 from greybox.data.checks.signals import derivative, peak, shifted, smoothed
 from greybox.data.checks.view import FloatArray, View
 from greybox.data.drive import LATE_SPEEDS
@@ -39,7 +40,7 @@ BLOCKS = 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Sums:
+class Sums(BlockSums):
     """Sums of the regression per axis and block, of one flight or several: `xx` (3, B, n, n) of the
     squared commands, `xy` (3, B, n) of these and the angular acceleration. Everything else and the
     sum of the commands are taken out."""
@@ -47,15 +48,7 @@ class Sums:
     xx: FloatArray
     xy: FloatArray
 
-    @property
-    def total(self) -> Sums:
-        """Over all blocks, as one block."""
-        return Sums(xx=self.xx.sum(axis=1, keepdims=True), xy=self.xy.sum(axis=1, keepdims=True))
-
-    @property
-    def left_out(self) -> Sums:
-        """Over all blocks but one, for each block."""
-        return Sums(xx=self.total.xx - self.xx, xy=self.total.xy - self.xy)
+    block_axis: ClassVar[int] = 1
 
     def gains(self) -> FloatArray:
         """Gains (3, n) [rad/s^2 per u^2], those of the sum of the commands left out."""
@@ -71,14 +64,6 @@ class Sums:
         along = np.einsum("ai,abi->ab", promised, self.xy)
         size = np.einsum("ai,abij,aj->ab", promised, self.xx, promised)
         return np.sign(along) * along**2 / np.maximum(size * most, 1e-300)
-
-
-def joined_sums(flights: Sequence[Sums]) -> Sums:
-    """The blocks of several flights together."""
-    return Sums(
-        xx=np.concatenate([f.xx for f in flights], axis=1),
-        xy=np.concatenate([f.xy for f in flights], axis=1),
-    )
 
 
 def _sums(
