@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 TILT_PER_METRE = 2.0
 """Planes that are moved by a constant take this much off the tilt [rad/m]."""
 DT = 0.01
+THERE = 0.05
+"""A lap ends when the craft stays so near to the end of the course [m]."""
 PROBLEM = TubeProblem(
     dt=0.02,
     horizon=20,
@@ -128,8 +130,8 @@ class Cascade:
 def flight(
     pilot: Any, seed: int, at: Callable[[int, Any, Any], None] | None = None, plant: Any = None
 ) -> dict[str, Any]:
-    """One flight over the course: margins, tracking error, cost, times. `at(k, plant, pilot)` is
-    called after every plan.
+    """One flight over the course: margins, tracking error, cost, lap [s], times.
+    `at(k, plant, pilot)` is called after every plan.
 
     plant: default the course's vehicle.
     """
@@ -165,12 +167,14 @@ def flight(
         )
     )
     error = np.linalg.norm(path[:, :3] - reference.position[: len(path)], axis=1)
+    away = np.linalg.norm(path[:, :3] - reference.position[-1], axis=1)
     out = {
         "seed": seed,
         "crashed": crashed,
         "margins": margins,
         "tilt": float(tilt.max()),
         "rmse": float(np.sqrt(np.mean(error**2))),
+        "lap": DT * (1 + int(np.flatnonzero(away > THERE).max())),
         "cost": CRASH if crashed else tracking_cost(path, given, reference, PROBLEM.weights),
         "events": len(pilot.events),
     }
@@ -178,6 +182,7 @@ def flight(
         out |= {
             "median_ms": 1e3 * float(np.median(seconds)),
             "p99_ms": 1e3 * float(np.quantile(seconds, 0.99)),
+            "most_ms": 1e3 * max(seconds),
         }
     return out
 

@@ -137,7 +137,7 @@ def summary(records: Sequence[dict[str, Any]]) -> str:
     lines = [
         f"{'controller':10s} {'flights':>7s} {'crossed':>7s} {'95 %':>13s} {'p(rate<=level)':>15s} "
         f"{'tilted':>7s} "
-        f"{'crashed':>8s} {'RMSE [m]':>9s} {'cost':>8s} {'ms':>10s}"
+        f"{'crashed':>8s} {'RMSE [m]':>9s} {'cost':>8s} {'lap [s]':>8s} {'ms: half, 99 %, all':>20s}"
     ]
     for name in CONTROLLERS:
         mine = [r for r in records if r["controller"] == name]
@@ -151,11 +151,14 @@ def summary(records: Sequence[dict[str, Any]]) -> str:
         middle, late = (
             np.median([r[k] for r in mine if k in r] or [math.nan]) for k in ("median_ms", "p99_ms")
         )
+        most = max((r["most_ms"] for r in mine if "most_ms" in r), default=math.nan)
+        lap = np.mean([r["lap"] for r in whole if "lap" in r] or [math.nan])
         lines.append(
             f"{name:10s} {n:7d} {hits / n:7.3f} {low:6.3f}-{high:.3f} {test:>15s} "
             f"{sum(map(tilted, mine)):7d} "
             f"{n - len(whole):8d} {np.mean([r['rmse'] for r in whole] or [math.nan]):9.4f} "
-            f"{np.mean([r['cost'] for r in mine]):8.4f} {f'{middle:.1f}/{late:.1f}':>10s}"
+            f"{np.mean([r['cost'] for r in mine]):8.4f} {lap:8.3f} "
+            f"{f'{middle:.1f}/{late:.1f}/{most:.1f}':>20s}"
         )
     return "\n".join(lines)
 
