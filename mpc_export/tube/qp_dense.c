@@ -11,6 +11,13 @@ typedef struct {
   tube_real d[N + 1][NK], moved[N + 1][NK][NU], on[NK][NU]; /* for condensing */
 } qp_steps;
 
+static tube_real qp_moves(const qp_steps *s, int k, int l) {
+  const tube_real *row = s->C[(k - 1) * NL + l];
+  tube_real sum = 0;
+  for (int j = 0; j < k * NU; j++) sum += row[j] * row[j] / s->H[j][j];
+  return sum;
+}
+
 /* Values of the soft limits, stage by stage; moved: of a change */
 static void qp_soft(const qp_steps *s, const tube_qp *q, int moved, tube_real w[N][NU], qp_limits value) {
   const tube_real *flat = w[0];

@@ -7,13 +7,16 @@
 
 #include <float.h>
 
+#define ROUNDING (sizeof(tube_real) == sizeof(float) ? FLT_EPSILON : (tube_real)DBL_EPSILON)
+
 enum { UP, DOWN = NU, RISE = 2 * NU, FALL = 3 * NU, SOFT = 4 * NU, LIMITS = 4 * NU + NL };
 typedef tube_real qp_limits[N + 1][LIMITS]; /* a number of every limit */
 
 static int qp_first(int k) { return k < N ? 0 : SOFT; }
 static int qp_last(int k) { return k > 0 ? LIMITS : RISE; }
 
-/* qp_steps, its memory, and what it does: qp_soft, values G d of the soft limits;
+/* qp_steps, its memory, and what it does: qp_soft, values G d of the soft limits; qp_moves, how far a unit of the cost moves
+   one of them, squared;
    qp_slope, the gradient of the Lagrangian in the commands, of which it returns the largest; qp_factorised; qp_stepped, the
    change of the commands that `push` on the limits asks for. */
 #include "qp_steps.c"
@@ -27,6 +30,7 @@ typedef struct {
   qp_point now, move;
   qp_limits room, value, weight, push; /* weight, push: of the limits in the Hessian, in the gradient */
   qp_limits left;                      /* by how much t is not what it says */
+  tube_real softest[N + 1][NL];        /* of the soft limits in the Hessian */
   tube_real w[N][NU], change[N][NU];
   qp_steps steps;
 } qp_solver;
@@ -75,6 +79,8 @@ static void qp_begin(qp_solver *s, const tube_qp *q) {
       if (w < inside - h[DOWN + j]) w = inside - h[DOWN + j];
       s->w[k][j] = w;
     }
+  for (int k = 1; k <= N; k++)
+    for (int j = 0; j < NL; j++) s->softest[k][j] = sqrt(ROUNDING) * (ROUNDING * ROUNDING + qp_moves(&s->steps, k, j));
   qp_values(s, q, 0, s->w, s->value);
   for (int k = 0; k <= N; k++)
     for (int i = qp_first(k); i < qp_last(k); i++) {
@@ -125,14 +131,15 @@ static qp_distance qp_judged(qp_solver *s, const tube_qp *q) {
   return far;
 }
 
-/* Of every limit in the Hessian. Weights stay finite. Where limits are soft by more, the first plans beside a wall hardly
-   converge: position feels the first commands of a horizon by less than a thousandth. */
+/* Of every limit in the Hessian. They stay finite: a limit is soft by half the digits of what commands move of it. With
+   fewer digits the first plans beside a wall hardly converge, with more than of them no limit is met of the positions
+   that commands hardly move, those at the beginning of a horizon. */
 static void qp_weights(qp_solver *s, const tube_qp *q) {
-  const tube_real softest = sizeof(tube_real) == sizeof(float) ? FLT_EPSILON : (tube_real)DBL_EPSILON;
   const qp_point *n = &s->now;
   for (int k = 0; k <= N; k++)
     for (int i = qp_first(k); i < qp_last(k); i++) {
       int j = i - SOFT;
+      tube_real softest = j < 0 ? ROUNDING : s->softest[k][j];
       tube_real soft = j < 0 ? 0 : n->s[k][j] / (n->of_s[k][j] + q->penalty_square * n->s[k][j]);
       s->weight[k][i] = 1 / (n->t[k][i] / n->of[k][i] + soft + softest);
     }
@@ -229,9 +236,9 @@ static void qp_moved(qp_solver *s, const tube_qp *q, tube_real by) {
    double. A slope moves them by its part of the curvature; it is a sum that rounds as its parts do, which are as large as at
    the beginning. */
 static int qp_solved(const qp_distance *far, tube_real tolerance, tube_real begun) {
-  const tube_real least = 1e-6, rounding = sizeof(tube_real) == sizeof(float) ? FLT_EPSILON : (tube_real)DBL_EPSILON;
+  const tube_real least = 1e-6;
   return far->missed <= 0.1 * tolerance && far->product <= 0.001 * (tolerance < least ? tolerance : least) &&
-         far->slope <= tolerance + 16 * rounding * begun;
+         far->slope <= tolerance + 16 * ROUNDING * begun;
 }
 
 /* Iterates from the beginning until the QP is solved to `tolerance`, or `most` times: 0 solved, 1 cut off, 2 a factor or the

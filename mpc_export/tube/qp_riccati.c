@@ -27,6 +27,14 @@ static void qp_prepared(qp_steps *s, const tube_qp *q) {
   (void)q;
 }
 
+/* Not known here, where no matrix is of the commands: little. */
+static tube_real qp_moves(const qp_steps *s, int k, int l) {
+  (void)s;
+  (void)k;
+  (void)l;
+  return sqrt(ROUNDING);
+}
+
 /* Values of the soft limits, stage by stage; moved: of a change. The states stay in d or change_d. */
 static void qp_soft(qp_steps *s, const tube_qp *q, int moved, tube_real w[N][NU], qp_limits value) {
   tube_real (*d)[NK] = moved ? s->change_d : s->d;
