@@ -67,11 +67,7 @@ def lasting(source: IdentifiedModel, groups: Iterable[str]) -> dict[str, tuple[f
 
 def _identified(source: IdentifiedModel, name: str) -> tuple[float, float]:
     """(value, standard error) of a number of another craft."""
-    value, own = source.values[name], 0.0
-    if name in source.covariance_names:
-        at = source.covariance_names.index(name)
-        own = float(source.covariance[at, at]) ** 0.5
-    return value, own
+    return source.values[name], source.standard_errors.get(name, 0.0)
 
 
 def grown(unit: str, vehicle: Vehicle, source: Vehicle) -> float:

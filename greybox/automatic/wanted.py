@@ -148,7 +148,10 @@ def _told(found: Fit, at: Parabola, seen: Averaged, limits: frozenset[str]) -> F
         covariance=replace(old.covariance, form=line),
         warnings=(line, *old.warnings) if line else old.warnings,
     )
-    estimates = replace(found.estimates, parameters=wider)
+    shared = found.model.covariance_names
+    more = {n: _mean(seen.spread, rows) ** 0.5 for n, rows in by_name.items() if n in shared}
+    model = replace(found.model, form_errors={n: s for n, s in more.items() if s > 0})
+    estimates = replace(found.estimates, parameters=wider, model=model)
     return replace(found, estimates=estimates, diagnostics=said)
 
 
@@ -165,14 +168,18 @@ def _line(away: Mapping[str, float], causes: Sequence[str], limits: frozenset[st
     )
 
 
+def _mean(spread: FloatArray, rows: list[int]) -> float:
+    """Variance of the mean of these rows."""
+    return max(float(spread[np.ix_(rows, rows)].mean()), 0.0)
+
+
 def _widened(e: Estimate, spread: FloatArray, rows: list[int]) -> Estimate:
     """The estimate with its part of `spread`, whose `rows` are those of its flights, in order."""
     own = np.diag(spread)[rows]
-    mean = float(spread[np.ix_(rows, rows)].mean())
     each = dict(e.per_flight)
     if len(each) == len(rows):
         each = {
             f: (v, float(np.hypot(s, np.sqrt(more))))
             for (f, (v, s)), more in zip(each.items(), own, strict=True)
         }
-    return replace(e, std=float(np.hypot(e.std, np.sqrt(max(mean, 0.0)))), per_flight=each)
+    return replace(e, std=float(np.hypot(e.std, np.sqrt(_mean(spread, rows)))), per_flight=each)

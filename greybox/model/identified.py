@@ -76,7 +76,9 @@ class IdentifiedModel(Shown):
     deviation between flights). `covariance` belongs to `covariance_names` (shared parameters).
     `considered`: of parameters that were held although they are not exact, name -> (standard error,
     how far each estimate moves per unit, per-flight ones on average); `covariance` includes what
-    that does, `flight_spread` does not.
+    that does, `flight_spread` does not. `form_errors`: of covariance_names, the further standard
+    deviation where the flights want an effect that the model lacks. Predictions of this model do
+    without it; whoever takes the number for one of the craft needs it (`standard_errors`).
     `process_noise` (n_w) and `sensor_noise` (n_e) are standard deviations per sample of
     `sample_time` seconds. `domain` maps channels to the (min, max) seen in training. `weak` (n_d)
     are the standard deviations of the pseudo-measurement that keeps undetectable states finite.
@@ -90,6 +92,7 @@ class IdentifiedModel(Shown):
     covariance_names: tuple[str, ...] = ()
     covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     considered: Mapping[str, tuple[float, Mapping[str, float]]] = field(default_factory=dict)
+    form_errors: Mapping[str, float] = field(default_factory=dict)
     per_flight: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     flight_spread: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     process_noise: FloatArray
@@ -121,7 +124,7 @@ class IdentifiedModel(Shown):
 
     def _shown_rows(self) -> list[dict[str, Cell]]:
         """One row per parameter; `std` is None for what was held."""
-        std = dict(zip(self.covariance_names, np.sqrt(np.diag(self.covariance)).tolist()))
+        std = self.standard_errors
         return [
             {
                 "parameter": d.name,
@@ -179,6 +182,12 @@ class IdentifiedModel(Shown):
         """Channel group of every innovation component (its own name without sensors)."""
         physics = physics_of(self.dynamics)
         return self.dynamics.innovations.names if physics is None else physics.channel_groups
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard error of every shared estimate, of its form too."""
+        own = zip(self.covariance_names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True)
+        return {n: float(np.hypot(s, self.form_errors.get(n, 0.0))) for n, s in own}
 
     @property
     def joint_covariance(self) -> tuple[tuple[str, ...], FloatArray]:
@@ -247,6 +256,7 @@ class IdentifiedModel(Shown):
                 "matrix": self.covariance.tolist(),
             },
             **({"considered": _considered_to_dict(self)} if self.considered else {}),
+            **({"form_errors": dict(self.form_errors)} if self.form_errors else {}),
             **(
                 {}
                 if self.effective_lag is None
@@ -368,6 +378,7 @@ def _identified_from_dict(data: Parsed, dynamics: Dynamics, where: str) -> Ident
             n: (float(v["std"]), {k: float(x) for k, x in v["moves"].items()})
             for n, v in data.get("considered", {}).items()
         },
+        form_errors={n: float(s) for n, s in data.get("form_errors", {}).items()},
         per_flight={k: {n: float(x) for n, x in v.items()} for k, v in data["per_flight"].items()},
         flight_spread={k: (float(v[0]), float(v[1])) for k, v in data["flight_spread"].items()},
         process_noise=np.array([float(data["process_noise"][n]) for n in dynamics.noises.names]),
@@ -475,6 +486,10 @@ def _check(model: IdentifiedModel) -> None:
         raise ValueError("a name is twice in the covariance")
     if doubled := set(model.considered) & {*model.covariance_names, *model.flight_spread}:
         raise ValueError(f"{min(doubled)} is both held and estimated")
+    if strange := set(model.form_errors) - set(model.covariance_names):
+        raise ValueError(f"{min(strange)} has an error of its form, but was not estimated")
+    if not all(0 <= s < np.inf for s in model.form_errors.values()):
+        raise ValueError("an error of a form is negative or not finite")
     errors = [x for s, by in model.considered.values() for x in (s, *by.values())]
     if not np.isfinite(errors).all():
         raise ValueError("an error of a held parameter is not finite")
@@ -482,7 +497,7 @@ def _check(model: IdentifiedModel) -> None:
     for name, (sigma, by) in model.considered.items():
         if sigma < 0:
             raise ValueError(f"the error of {name}, which was held, is negative: {sigma:g}")
-        if strange := sorted(set(by) - estimated):
-            raise ValueError(f"{name} moves {strange[0]}, which was not estimated")
+        if foreign := sorted(set(by) - estimated):
+            raise ValueError(f"{name} moves {foreign[0]}, which was not estimated")
     if not all(isinstance(n, str) for n in (*model.trained_on, *model.covariance_names)):
         raise ValueError("a name is not a text")

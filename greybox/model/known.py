@@ -47,6 +47,7 @@ def known_numbers(
         values += gain.T @ (np.array([given[names[i]] for i in at]) - values[at])
         told = (gain * model.covariance[at]).sum(axis=0)
         variances = np.maximum(variances - told, LEAST * variances)
+    variances += np.array([model.form_errors.get(n, 0.0) ** 2 for n in names])
     prior = {
         n: (float(v), float(np.sqrt(s)))
         for n, v, s in zip(names, values, variances, strict=True)

@@ -185,8 +185,7 @@ def _error(old: IdentifiedModel, new: IdentifiedModel, name: str) -> float | Non
     total, known = 0.0, False
     for model in (old, new):
         if name in model.covariance_names:
-            i = model.covariance_names.index(name)
-            total += float(model.covariance[i, i])
+            total += model.standard_errors[name] ** 2
             known = True
         if name in model.flight_spread and math.isfinite(model.flight_spread[name][1]):
             flights = max(1, len(model.per_flight))

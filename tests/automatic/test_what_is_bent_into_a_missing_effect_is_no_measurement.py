@@ -6,15 +6,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from greybox.automatic.wanted import _line, with_rivals
 from greybox.cli import main
 from greybox.estimation.fit import fit
 from greybox.estimation.result import Fit
+from greybox.model.known import known_numbers
 from greybox.model.model import build_model
 from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
+from greybox.residual.files import load_model, save_model
 from tests.automatic.craft import RATES, flights, flown, plant, vehicle
 
 DAMPING = 5e-5
@@ -74,7 +77,21 @@ def test_how_far_a_limit_moves_numbers_is_not_claimed_to_be_known():
 
 def test_predictions_stay(damped):
     plain, held = damped
-    assert held.model is plain.model
+    assert held.model.values == plain.model.values
+    np.testing.assert_array_equal(held.model.covariance, plain.model.covariance)
+    assert held.model.dynamics is plain.model.dynamics
+
+
+def test_the_kept_model_tells_the_same_errors_to_people_and_to_the_next_fit(damped, tmp_path):
+    """A file gave the narrow ones: a fit from it believed numbers that stood for a damping."""
+    _, held = damped
+    read = load_model(save_model(held.model, tmp_path / "model.json"))
+    known = known_numbers(read)
+    shown = {r["parameter"]: r["std"] for r in read._shown_rows()}
+    for name in TRUE:
+        assert read.standard_errors[name] == pytest.approx(held[name].std, rel=1e-9)
+        assert known[name] == pytest.approx((held[name].value, held[name].std), rel=1e-9)
+        assert shown[name] == pytest.approx(held[name].std, rel=1e-9)
 
 
 def test_where_nothing_is_missing_nothing_changes():
