@@ -226,13 +226,14 @@ class Discovery(Shown):
         """What a pilot wants to know, in one line."""
         if self.verdict in ("bad_data", "stopped"):
             return f"{self.verdict.replace('_', ' ').upper()}: {SAYS[self.verdict]}"
-        found = [_in_words(e["name"], e["parameters"]) for e in self.effects()]
+        found = [e["name"] for e in self.effects()]
+        if len(found) == 1:  # numbers of several stand below
+            found = [_in_words(e["name"], e["parameters"]) for e in self.effects()]
         for a in self.ambiguous():
-            own, *others = (c["name"] for c in a["candidates"])
-            found.append(" / ".join([f"one of {_in_words(own, a['parameters'])}", *others]))
+            found.append("one of " + " / ".join(c["name"] for c in a["candidates"]))
         lawful = [u["channel"] for u in self.unnamed() if u["file"]]
         found += [f"laws without a name, of {', '.join(lawful)} (use {WITH_LAWS})"][: len(lawful)]
-        held = [f"{u['channel']} {_size(u)}" for u in self.unnamed() if not u["file"]]
+        held = dict.fromkeys(u["channel"].split(".")[0] for u in self.unnamed() if not u["file"])
         kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
         told = self.model_verdict
         rough = f"{told.line}. " if told and told.refused else doubt(self.gap)
@@ -269,8 +270,10 @@ class Discovery(Shown):
             said = ", ".join(f"{n} = {laws[k]:.4g}" for n, k in its if k in laws)
             lines += [f"    with the laws: {said}"] if said else []
         for a in self.ambiguous():
-            rows = [f"{c['name']} ({c['weight']:.0%})" for c in a["candidates"]]
-            lines.append("  one of " + ", ".join(rows))
+            own = _in_words(a["candidates"][0]["name"], a["parameters"])
+            rows = [own, *(c["name"] for c in a["candidates"][1:])]
+            shares = (f", {c['weight']:.0%}" for c in a["candidates"])
+            lines.append("  one of " + " / ".join(map("".join, zip(rows, shares, strict=True))))
             if fly := a["separating_manoeuvre"]:
                 size = f", {fly['amplitude']:g} {fly['unit']}" if fly["unit"] else ""
                 lines.append(f"    to tell them apart, {fly['text']}{size}")
@@ -284,6 +287,8 @@ class Discovery(Shown):
         for kind in dict.fromkeys(s["kind"] for s in self.sensors if s["kind"] != "white"):
             channels = [s["channel"] for s in self.sensors if s["kind"] == kind]
             lines.append(f"  sensors: {kind} in {', '.join(channels)}")
+        if held := [f"{u['channel']} {_size(u)}" for u in self.unnamed() if not u["proposal"]]:
+            lines.append(f"  without a name: {', '.join(held)}")
         for u in (u for u in self.unnamed() if u["proposal"]):
             law = f"{u['proposal']} ({u['share']:.0%} of it)"
             lines.append(f"  unnamed: {u['channel']}, {_size(u)}: {law}")
