@@ -40,7 +40,8 @@ typedef struct {
 } tube_solver;
 
 static const int column[ND + 1] = TUBE_COLUMN, row[TUBE_NONZEROS] = TUBE_ROW;
-static const tube_real gain[NU][ND] = TUBE_GAIN;
+static const int places[2] = TUBE_PLACES;
+static const tube_real gain[NU][ND] = TUBE_GAIN, back[3] = TUBE_BACK;
 
 #ifdef TUBE_HOSTED
 #define TUBE_SOLVE
@@ -258,6 +259,20 @@ static int stage(tube_solver *s, tube_data *d, int k) {
   return 0;
 }
 
+/* How far stage k may be beyond plane j where the craft is beyond it already: as far as it is on the way back that half of
+   the limit of tilt brakes and turns. To want more would be paid in tilt, and come no sooner. */
+static tube_real returning(const tube_data *d, int j, int k) {
+  const tube_real t = back[0] * (tube_real)k;
+  tube_real beyond, away = 0;
+  if (j == NL - 1) return 0; /* the tilt */
+  beyond = -d->plane[0][j][3];
+  for (int i = 0; i < 3; i++) {
+    beyond += d->plane[0][j][i] * d->x0[places[0] + i];
+    away += d->plane[0][j][i] * d->x0[places[1] + i];
+  }
+  return beyond > 0 ? fmax(beyond + (away - 0.5 * back[1] * t) * t, 0) : 0;
+}
+
 static void bounds(tube_solver *s, tube_data *d, int k) {
   const tube_real *before = k > 0 ? d->u[k - 1] : d->u_before;
   for (int j = 0; k < N && j < NU; j++) {
@@ -274,7 +289,7 @@ static void bounds(tube_solver *s, tube_data *d, int k) {
     s->qp.change[k][j] = d->u[k][j] - before[j];
     s->qp.rate_max[j] = d->rate_max[j];
   }
-  for (int j = 0; k > 0 && j < NL; j++) s->qp.most[k][j] = -s->value[k][j] - d->backoff[k][j];
+  for (int j = 0; k > 0 && j < NL; j++) s->qp.most[k][j] = returning(d, j, k) - s->value[k][j] - d->backoff[k][j];
   s->qp.penalty = d->penalty;
   s->qp.penalty_square = d->penalty_square;
 }
@@ -321,7 +336,8 @@ static int moved_by_qp(tube_solver *s, tube_data *d, int warm) {
   d->qp_iterations += (tube_real)a->iterations;
   d->qp_residual = a->residual;
   for (int k = 0; k < N; k++) size = larger(size, larger(largest(a->d[k + 1], NK), largest(a->w[k], NU)));
-  memcpy(d->slack[1], a->slack[1], N * sizeof d->slack[1]);
+  for (int k = 1; k <= N; k++)
+    for (int j = 0; j < NL; j++) d->slack[k][j] = a->slack[k][j] + returning(d, j, k);
   /* A QP that broke down, or was cut off before it met its dynamics and limits, gives no plan. One that did meet them is
      a plan, if not the best. */
   if (!(size < 1e6) || a->status > 2 || !(d->qp_residual <= d->primal_tolerance)) return 2;
@@ -377,6 +393,15 @@ static tube_real contraction(const tube_data *d, int failed) {
   return d->missed <= d->primal_tolerance ? 0 : d->missed / d->step;
 }
 
+/* Once more about a plan that is moved far: its limits were linear where it was. The first stays where that does not bring
+   it nearer to its dynamics. */
+static int nearer(tube_solver *s, tube_data *d) {
+  s->first = *d;
+  if (!iterated(s, d) && contraction(d, 0) < 1 && d->missed < s->first.missed) return 1;
+  *d = s->first;
+  return 0;
+}
+
 /* The plan's commands, flown by the model from where the craft is: a start that owes nothing to the states planned before,
    which a wild measurement may have sent anywhere. */
 static int simulated(tube_solver *s, tube_data *d) {
@@ -420,6 +445,8 @@ TUBE_SOLVE int tube_solve(tube_solver *s, tube_data *d) {
       *d = s->first;
     }
   }
+  for (int more = 1; !failed && ratio < 1 && d->missed > back[2] && more < (int)d->attempts_max; more++)
+    if (!nearer(s, d)) break;
   if (!failed && ratio >= 1) failed = 3;
   d->failed = failed != 0;
   if (failed) {

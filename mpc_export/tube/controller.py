@@ -78,7 +78,8 @@ NEAR_STEADY = 1e-6
 ROUNDING = 1e-6
 """A command that its limits move by less is as it was decided: the QP is solved to this."""
 SLACK = 1e-3
-"""A plan that is farther beyond a tightened limit does not hold it [m, or cosine of the tilt]."""
+"""A plan that is farther beyond a tightened limit does not hold it [m, of the tilt's cosine a
+TILT_PRICE-th]."""
 GIVEN = 0.7
 """Part of the hover command below which, in the mean, nothing is said of weak rotors."""
 MEAN = 0.3
@@ -618,8 +619,11 @@ class TubeController:
             self._note(
                 begin, f"a plan within its limits, but not the best (QP {outcome.qp_status})"
             )
-        if data["slack"][1:].max() > SLACK:
-            self._note(begin, "a limit is not held by the plan")
+        beyond = data["slack"][1:].max(axis=0) > SLACK
+        if beyond.any():
+            names = [*(f"plane {j}" for j in range(problem.planes)), "the tilt"]
+            which = ", ".join(n for n, over in zip(names, beyond, strict=True) if over)
+            self._note(begin, f"a limit is not held by the plan: {which}")
         if outcome.clipped > ROUNDING:
             self._note(begin, "a plan was clipped to its limits")
         self._failures, self._first = 0, begin

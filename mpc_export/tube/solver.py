@@ -298,6 +298,8 @@ def settled(sizes: dict[str, int], made: Stages, source: CSource) -> str:
         "COST_ACROSS": _across(cost).tolist(),
         "ESTIMATE": made.estimate.ravel().tolist(),
         "FRESH": made.fresh.ravel().tolist(),
+        "PLACES": made.places,
+        "BACK": made.back,
     }
     for name, values in tables.items():
         lines.append(f"#define TUBE_{name} {braced(values, source.real)}")

@@ -29,6 +29,7 @@ inside E((1 + 1/a) X + (1 + a) Y), a = sqrt(tr X / tr Y) (Kurzhanski and Valyi 1
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -36,12 +37,18 @@ import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError
-from greybox.frames import rotation_matrix
+from greybox.frames import GRAVITY, rotation_matrix
 from greybox.symbolic import Expr, FloatArray
 from mpc_export.feedback import Weights, cost, demand_flight, hover, lqr, rows
 from mpc_export.functions import ModelFunctions
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.second_order import second_order
+
+TILT_PRICE = 20.0
+"""Metres beyond a plane that a unit of cosine beyond the limit of tilt weighs: who tilts too far
+comes back from nowhere."""
+FAR = 0.1
+"""A plan whose next step is larger is linear about another one [m, rad, ...]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +58,9 @@ class Stages:
     keep: error states (n_k) that the plan may change, disturbances left out; free: raw states of
     the disturbances; gain K (n_u, n_d); terminal P (n_k, n_k); steady = (x, u) at hover; estimate
     P_f and fresh W (n_d, n_d); bent D (N + 1, n_d, n_d), which `tube_spread` does not hold;
-    covariance of the parameters (n_theta, n_theta); white: see `stages`; worst_case: kind of the tube.
+    covariance of the parameters (n_theta, n_theta); white: see `stages`; worst_case: kind of the
+    tube; places: first rows of position and velocity in x; back: a stage [s], how hard a craft
+    beyond a plane is to brake and turn [m/s^2], and FAR.
 
     `tube_spread` says the recursion in symbols; controller.c computes it from `tube_linear` and
     `tube_unsure`, with A's zeros left out.
@@ -69,6 +78,8 @@ class Stages:
     covariance: FloatArray
     white: bool
     worst_case: bool
+    places: tuple[int, int]
+    back: tuple[float, float, float]
 
 
 def stages(
@@ -129,6 +140,8 @@ def stages(
         covariance=np.asarray(model.covariance, dtype=float),
         white=white,
         worst_case=problem.kind == "worst case",
+        places=(block(model, "position")[0], block(model, "velocity")[0]),
+        back=(problem.dt, 0.5 * GRAVITY * math.tan(min(problem.tilt_max, math.pi / 4)), FAR),
     )
 
 
@@ -300,7 +313,7 @@ def _limits(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) 
     place = moved[block(model, "position")]
     turn = rotation_matrix(moved[block(model, "attitude")])
     rows = [ca.dot(planes[:3, j], place) - planes[3, j] for j in range(problem.planes)]
-    values = ca.vertcat(*rows, np.cos(problem.tilt_max) - turn[2, 2])
+    values = ca.vertcat(*rows, TILT_PRICE * (np.cos(problem.tilt_max) - turn[2, 2]))
     found = ca.substitute([values, ca.jacobian(values, d)], [d], [ca.DM.zeros(d.shape)])
     return ca.Function("tube_limits", [x, planes], [ca.densify(v) for v in found])
 

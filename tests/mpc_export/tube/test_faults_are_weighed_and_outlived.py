@@ -206,7 +206,10 @@ def test_an_estimate_that_was_denied_stays_so_where_everything_is_believed_since
         return y
 
     fly(controller, 60 + 2 * SOON, seen=seen)
-    assert kinds(controller) == {"the filter starts anew", "a limit is not held by the plan"}
+    assert kinds(controller) == {
+        "the filter starts anew",
+        "a limit is not held by the plan: the tilt",
+    }
 
 
 def test_measurements_that_deny_every_estimate_replace_none(controller):
