@@ -227,7 +227,11 @@ def manifest_of(
         "flight_spread": {k: list(v) for k, v in model.flight_spread.items()}
         if isinstance(model, IdentifiedModel)
         else {},
-        "covariance": {"names": list(f.covariance_names), "matrix": f.covariance.tolist()},
+        "covariance": {
+            "names": list(f.covariance_names),
+            "matrix": f.covariance.tolist(),
+            "form_errors": dict(model.form_errors) if isinstance(model, IdentifiedModel) else {},
+        },
         "adapted": _adapted(f),
         "calibration": _calibration(f),
         "noise": {
