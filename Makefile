@@ -74,7 +74,7 @@ test-releases: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n 0 -s -rs tests/packaging
 
 docs: $(STAMP)
-	$(BIN)/python -m scenarios.studies.docs_reference docs
+	$(BIN)/python -m docs.tools.reference docs
 	$(BIN)/python -m greybox.commands.effects --markdown > docs/effects.new && mv docs/effects.new docs/effects.md
 
 # The documentation as a site that asks nothing of a network: python -m http.server -d site
