@@ -203,7 +203,7 @@ def takes(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
         open_ones = {n for n in kinds if n not in parameters or parameters[n].default is None}
         names = list(parameters)
 
-        def taken(name: str, value: Any) -> Any:
+        def taken(name: str, value: object) -> object:
             if name not in kinds or (value is None and name in open_ones):
                 return value
             return kinds[name].taken(name, value)
