@@ -486,10 +486,10 @@ class TubeController:
         if self._adapt is None:
             after, e, y_hat = self._step(known.x, self.u, p, y, there)
         else:
-            after, p, unsure, e, y_hat = self._adapt(
+            after, learned, spread, e, y_hat = self._adapt(
                 known.x, self.u, p, y, there, known.unsure, self.memory
             )
-            theta, unsure = p.full().ravel()[self._learned], unsure.full()
+            theta, unsure = learned.full().ravel()[self._learned], spread.full()
             steps = self.restless.sees(known.steps, np.where(there > 0.0, e.full().ravel(), 0.0))
             unsure[self._pushes, self._pushes] += self.restless.more(steps) * self._walk
             if np.isfinite(theta).all() and np.isfinite(unsure).all():
