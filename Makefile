@@ -1,5 +1,6 @@
 # make demo   (greybox demo) own environment, install, fit the shipped real flights, write a report, print where it is
-# make demo-mpc   the same for control: identify a simulated vehicle from one flight, fly it inside limits (about three minutes)
+# make demo-mpc   the same for control: identify a simulated vehicle from one flight, fly it inside limits; either takes
+#             about a minute and a half on two idle cores once it is installed
 # make test   own environment, install, lint, type check, the quick tests
 # make test-long   whole commands, fits, searches and exports: the other half of what every change is held against
 # make test-slow   the long studies (hours are not needed; minutes are)
@@ -74,7 +75,7 @@ test-releases: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n 0 -s -rs tests/packaging
 
 docs: $(STAMP)
-	$(BIN)/python -m scenarios.studies.docs_reference docs
+	$(BIN)/python -m docs.tools.reference docs
 	$(BIN)/python -m greybox.commands.effects --markdown > docs/effects.new && mv docs/effects.new docs/effects.md
 
 # The documentation as a site that asks nothing of a network: python -m http.server -d site

@@ -16,6 +16,7 @@ import os
 import subprocess
 import tempfile
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -56,31 +57,41 @@ def made(points: int, inputs: int) -> tuple[Model, gpytorch.likelihoods.Gaussian
     return model.eval(), likelihood.eval()
 
 
-def in_torch(model: Model, z: np.ndarray) -> float:
-    """Microseconds of mean and gradient."""
+TURNS = 21
+Call = Callable[[], object]
+ALIVE: list[object] = []
+"""What C functions read and write."""
+
+
+def in_torch(model: Model, z: np.ndarray) -> Call:
+    """Mean and gradient."""
     point = torch.tensor(z[None], requires_grad=True)
-    times = []
-    for _ in range(30):
-        start = time.process_time()
-        for _ in range(5):
-            torch.autograd.grad(model(point).mean.sum(), point)
-        times.append((time.process_time() - start) / 5)
-    return 1e6 * float(np.median(times[1:]))
+    return lambda: torch.autograd.grad(model(point).mean.sum(), point)
 
 
-def called(function: ca.Function, z: np.ndarray) -> float:
-    """Microseconds of one call of a CasADi function."""
+def called(function: ca.Function, z: np.ndarray) -> Call:
+    """A CasADi function, through its buffers."""
     buffer, run = function.buffer()
-    buffer.set_arg(0, memoryview(np.ascontiguousarray(z)))
-    for i in range(function.n_out()):
-        buffer.set_res(i, memoryview(np.zeros(function.nnz_out(i))))
-    times = []
-    for _ in range(21):
-        start = time.process_time()
-        for _ in range(200):
-            run()
-        times.append((time.process_time() - start) / 200)
-    return 1e6 * float(np.median(times[1:]))
+    sent = np.ascontiguousarray(z)
+    buffer.set_arg(0, memoryview(sent))
+    kept = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
+    for i, result in enumerate(kept):
+        buffer.set_res(i, memoryview(result))
+    ALIVE.append((buffer, sent, kept))
+    return run
+
+
+def in_turns(calls: Mapping[str, tuple[Call, int]]) -> dict[str, float]:
+    """Median CPU microseconds of each, so many calls a turn, all in every turn: what else the
+    machine does hits them alike. The first turn warms up."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(TURNS + 1):
+        for name, (call, count) in calls.items():
+            start = time.process_time()
+            for _ in range(count):
+                call()
+            times[name].append((time.process_time() - start) / count)
+    return {name: 1e6 * float(np.median(found[1:])) for name, found in times.items()}
 
 
 def compiled(function: ca.Function, folder: Path) -> ca.Function:
@@ -154,14 +165,20 @@ def main() -> None:
     everything = gp.function("all", ("mean", "variance", "mean_jacobian", "variance_jacobian"))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        rows = {
-            "GPyTorch, autograd": in_torch(model, z),
-            "l4casadi, float32, VM": other(options.l4casadi_python, model, z, folder),
-            "from_gpytorch, CasADi VM": called(function, z),
-            "from_gpytorch, C": called(compiled(function, folder / "a"), z),
-            "from_gpytorch, C, with variance and its Jacobian": called(
-                compiled(everything, folder / "b"), z
+        c, more = (
+            called(compiled(f, folder / name), z)
+            for f, name in ((function, "a"), (everything, "b"))
+        )
+        rows: dict[str, float | None] = {
+            **in_turns(
+                {
+                    "GPyTorch, autograd": (in_torch(model, z), 5),
+                    "from_gpytorch, CasADi VM": (called(function, z), 2000),
+                    "from_gpytorch, C": (c, 2000),
+                    "from_gpytorch, C, with variance and its Jacobian": (more, 2000),
+                }
             ),
+            "l4casadi, float32, VM": other(options.l4casadi_python, model, z, folder),
         }
     best = rows["from_gpytorch, C"]
     print(

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import ctypes
+import datetime
 import json
 import os
 import platform
@@ -203,7 +204,60 @@ def run_ours(name: str, folder: Path, runs: int) -> dict[str, Any]:
         "theta": list(theta),
         "converged": bool(converged),
         "evaluations": int(evaluations),
+        "evaluation": evaluation(problem),
     }
+
+
+def evaluation(problem: Any, runs: int = 31) -> dict[str, float]:
+    """What one pass for residuals and Jacobian costs: median CPU milliseconds `with_gain` and its
+    slopes, and of the `samples` alone, whose arithmetic is counted, in millions of `operations`."""
+    predictor, engine, record = problem.predictor, problem.engine, problem.records[0]
+    filters = predictor.gains(problem, problem.start, True)[0]
+    gains, _, _ = filters.tables()
+
+    def samples() -> None:
+        engine.run(
+            x0=record.x0,
+            inputs=record.inputs,
+            outputs=record.outputs,
+            mask=record.mask,
+            pattern=filters.pattern,
+            gains=gains,
+            p=problem.base,
+            dt=record.dt,
+            s0=np.zeros((engine.nd, problem.n)),
+            want=frozenset({"innovations", "sensitivity"}),
+        )
+
+    def with_gain() -> None:
+        list(predictor.blocks(problem, problem.start, True))
+
+    took: dict[str, list[float]] = {"with_gain": [], "samples": []}
+    for _ in range(runs):
+        for name, call in (("with_gain", with_gain), ("samples", samples)):
+            clock = Clock()
+            call()
+            took[name].append(clock.read()[0])
+    count = record.n * operations(engine, problem.n, gains.derivative is not None)
+    return {k: 1e3 * statistics.median(v) for k, v in took.items()} | {"operations": 1e-6 * count}
+
+
+def operations(engine: Any, n: int, moving_gain: bool) -> int:
+    """Additions, multiplications and function calls of one sample with `n` parameters: of the step,
+    of its slopes, and of the sparse products that carry the sensitivities S on (d: correction)."""
+    from greybox.symbolic import operation_names
+
+    names = operation_names()
+    idle = {"INPUT", "OUTPUT", "CONST", "ASSIGN"}
+    functions = (engine.value, engine.slope, engine.move, engine.turn)
+    expressions = sum(
+        names[f.instruction_id(k)] not in idle for f in functions for k in range(f.n_instructions())
+    )
+    a, b, ex, ep = (engine.slope.nnz_out(i) for i in range(4))
+    j1, j2 = (engine.turn.nnz_out(i) for i in range(2))
+    dense = engine.nd * engine.ne  # d = K e: dd = K de + dK e
+    products = 2 * n * (a + ex + j1 + j2 + dense * (2 if moving_gain else 1))
+    return expressions + products + b + ep
 
 
 def _trf_compiled(problem: Any) -> tuple[Any, bool, int]:
@@ -601,10 +655,16 @@ def main(argv: Sequence[str] | None = None) -> None:
                 "capped": row.get("capped", False),
                 "runs": len(row["solve"]),
                 "parameters": row["theta"],
+                "date": datetime.date.today().isoformat(),
             }
+            | ({"evaluation": row["evaluation"]} if "evaluation" in row else {})
         )
     print(render(table))
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    ran = [r["who"] for r in table]
+    if arguments.out.exists():  # peers that did not run keep their row, with the ratio of its day
+        kept = json.loads(arguments.out.read_text())["rows"]
+        table += [r for r in kept if r["who"] not in ran]
     result = {
         "question": __doc__.splitlines()[0] if __doc__ else "",
         "samples": problem.records[0].n,
@@ -650,6 +710,14 @@ def render(table: Sequence[dict[str, Any]]) -> str:
             f"{r['setup_cpu_s']:8.2f} {more + format(r['ratio_with_setup'], '.1f'):>8s} "
             f"{loglik:>11s}  {done}"
         )
+    lines += ["", "one evaluation of residuals and Jacobian, CPU:"]
+    for r in table:
+        if said := r.get("evaluation"):
+            lines.append(
+                f"{r['who']:50s} {said['with_gain']:.1f} ms with the gain, without it "
+                f"{said['samples']:.1f} ms for {said['operations']:.1f} million operations: "
+                f"{said['operations'] / said['samples']:.2f} in a nanosecond"
+            )
     return "\n".join(lines)
 
 

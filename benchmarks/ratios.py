@@ -97,14 +97,29 @@ def measured(name: str) -> Ratios:
         return {k: round(v, 3) for k, v in taken(json.loads(out.read_text())).items()}
 
 
+WIDTHS = {"avx512f": "AVX-512", "avx2": "AVX2", "avx": "AVX", "sse2": "SSE2"} | {
+    "sve": "SVE",
+    "asimd": "NEON",
+}
+"""Flags of Linux for vector units, the widest of a family first."""
+
+
 def processor() -> str:
-    """The kind of machine, as Linux names it."""
+    """The kind of machine: what Linux calls it, and its widest vector unit. One name may stand for
+    machines with different units."""
     info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.exists() else []
-    named = next(
-        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")), ""
-    )
-    return named or platform.machine()
+    return kind_of(info.read_text() if info.exists() else "")
+
+
+def kind_of(cpuinfo: str) -> str:
+    """The same out of the text of /proc/cpuinfo; the bare architecture where it says nothing."""
+    said: dict[str, str] = {}
+    for line in cpuinfo.splitlines():
+        key, _, value = line.partition(":")
+        said.setdefault(key.strip(), value.strip())
+    flags = (said.get("flags") or said.get("Features") or "").split()
+    widest = next((name for flag, name in WIDTHS.items() if flag in flags), "")
+    return ", ".join(filter(None, (said.get("model name") or platform.machine(), widest)))
 
 
 def fallen(now: Mapping[str, Ratios], before: Mapping[str, Ratios]) -> list[str]:

@@ -51,9 +51,9 @@ class Several(Kind):
 
     def taken(self, name: str, value: object) -> object:
         """The elements as a tuple."""
-        single = isinstance(value, str | os.PathLike | numbers.Number)
-        if single and self.one_is_enough and self.fits(value):
+        if self.one_is_enough and self.fits(value):
             return (value,)
+        single = isinstance(value, str | os.PathLike | numbers.Number)
         fix = self.fix
         if isinstance(value, str) and self.fits(value):
             fix = fix or f"{name}={[word.strip() for word in value.split(',')]}"
@@ -161,7 +161,14 @@ PATHS = Several(
     fix="arrays and data frames: greybox.dataset_from_arrays(t, channels)",
     one_is_enough=True,
 )
+LOG = Kind(words="a path, or a Recording", fits=lambda v: is_path(v) or is_a("Recording")(v))
+LOG_FILES = Several(words=PATHS.words, fits=LOG.fits, fix=PATHS.fix, one_is_enough=True)
 NAMES = Several(words="a list of names", fits=lambda v: isinstance(v, str), error=GreyboxError)
+SIMULATORS = Several(
+    words="a list of names, or of targets of your own",
+    fits=lambda v: isinstance(v, str) or has("words", "files")(v),
+    error=GreyboxError,
+)
 EFFECTS = Several(
     words="a list of effects, by name or as they are",
     fits=lambda v: isinstance(v, str) or has("name", "parameters")(v),
@@ -196,7 +203,7 @@ def takes(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
         open_ones = {n for n in kinds if n not in parameters or parameters[n].default is None}
         names = list(parameters)
 
-        def taken(name: str, value: Any) -> Any:
+        def taken(name: str, value: object) -> object:
             if name not in kinds or (value is None and name in open_ones):
                 return value
             return kinds[name].taken(name, value)

@@ -268,7 +268,7 @@ def adapt_function(
     q[rows] = theta
     after, a, _, by = functions["f_d_jac"](at, u, q)
     pushed = gain @ (e - psi @ moved)
-    turned, by_push = _carried(plus, functions["boxminus"])(after, pushed)
+    turned, by_push = _slopes_of_moved(plus, functions["boxminus"])(after, pushed)
     after = plus(after, pushed)
     keep = ca.if_else(memory > 0, ca.exp(-dt / ca.fmax(memory, 1e-12)), 1.0)
     q[rows] = own.mean + keep * (theta - own.mean)
@@ -312,7 +312,7 @@ def _slopes(innovation: ca.Function, plus: ca.Function, n_t: int) -> ca.Function
     return ca.Function("slopes", [y, seen, x, by_x, by_theta], [ca.densify(psi)])
 
 
-def _carried(plus: ca.Function, minus: ca.Function) -> ca.Function:
+def _slopes_of_moved(plus: ca.Function, minus: ca.Function) -> ca.Function:
     """(x, d) -> slopes (n_own, n_own) of the error of x moved by d in the error of x, and in d."""
     n_own = plus.numel_in(1)
     x = ca.MX.sym("x", plus.numel_in(0))
@@ -320,7 +320,7 @@ def _carried(plus: ca.Function, minus: ca.Function) -> ca.Function:
     apart = minus(plus(plus(x, own), d + small), plus(x, d))[:n_own]
     none = [ca.DM.zeros(n_own)] * 2
     found = ca.substitute([ca.jacobian(apart, own), ca.jacobian(apart, small)], [own, small], none)
-    return ca.Function("carried", [x, d], [ca.densify(v) for v in found])
+    return ca.Function("slopes_of_moved", [x, d], [ca.densify(v) for v in found])
 
 
 def _whitened(n: int, m: int) -> ca.Function:

@@ -69,7 +69,7 @@ from mpc_export.points import Reduction, with_points
 from mpc_export.predictors import Fitted, PredictorModel, predictor_model
 from mpc_export.readme import licences, readme
 from mpc_export.tape import write_tape
-from mpc_export.targets import NAMES, write_target
+from mpc_export.targets import TARGETS, write_target
 from mpc_export.tube.target import Planning
 
 GOLDEN_POINTS = 12
@@ -299,7 +299,7 @@ def _write_parts(
     targets = {
         target: write_target(target, functions, part, name, o.real, plan)
         for target in o.targets
-        if target in NAMES
+        if target in TARGETS
     }
     return Written(c=c, targets=targets, abi=abi)
 

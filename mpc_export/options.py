@@ -8,9 +8,9 @@ from typing import Literal, TypedDict
 
 from greybox.errors import UnknownNameError
 from greybox.estimation.options import chosen
-from mpc_export.targets import NAMES, NEEDS, ONBOARD
+from mpc_export.targets import TARGETS as ADDED
 
-TARGETS = ("c", "casadi", *NAMES)
+TARGETS = ("c", "casadi", *ADDED)
 """Those that `mpc_export.targets` adds come after the two that the bundle itself writes."""
 Real = Literal["double", "float"]
 
@@ -72,8 +72,9 @@ class ExportOptions:
         for target in targets:
             if target not in TARGETS:
                 raise UnknownNameError("export target", target, TARGETS)
-        groups = {*self.with_, *(g for target in targets for g in NEEDS.get(target, ()))}
-        if "c" not in targets and any(target in ONBOARD for target in targets):
+        added = [ADDED[target] for target in targets if target in ADDED]
+        groups = {*self.with_, *(g for target in added for g in target.needs)}
+        if "c" not in targets and any(target.around_c for target in added):
             targets = ("c", *targets)
         return replace(self, targets=targets, with_=tuple(sorted(groups)))
 

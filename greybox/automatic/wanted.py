@@ -137,7 +137,7 @@ def _told(found: Fit, at: Parabola, seen: Averaged, limits: frozenset[str]) -> F
     wider, away = {}, {}
     for name, e in found.parameters.items():
         rows = by_name.get(name, [])
-        wider[name] = _widened(e, seen.spread, rows) if rows else e
+        wider[name] = _with_spread(e, seen.spread, rows) if rows else e
         size = float(np.abs(seen.shift[rows].mean())) / e.std if rows and e.std > 0 else 0.0
         if size > FELT and not name.startswith("disturbance."):
             away[name] = size
@@ -173,7 +173,7 @@ def _mean(spread: FloatArray, rows: list[int]) -> float:
     return max(float(spread[np.ix_(rows, rows)].mean()), 0.0)
 
 
-def _widened(e: Estimate, spread: FloatArray, rows: list[int]) -> Estimate:
+def _with_spread(e: Estimate, spread: FloatArray, rows: list[int]) -> Estimate:
     """The estimate with its part of `spread`, whose `rows` are those of its flights, in order."""
     own = np.diag(spread)[rows]
     each = dict(e.per_flight)

@@ -7,7 +7,6 @@ import argparse
 import sys
 import time
 from collections.abc import Mapping
-from typing import Any
 
 from greybox.commands.command_line import Options
 
@@ -65,7 +64,7 @@ class Console:
             f"{decrement:.3g}{rest}"
         )
 
-    def result(self, content: Mapping[str, Any], *lines: str) -> None:
+    def result(self, content: Mapping[str, object], *lines: str) -> None:
         """`content` as JSON where it was asked for, and `lines` for people. Raises
         `OutputError`."""
         from greybox.files import dump_json, write_json

@@ -372,7 +372,7 @@ def _next(job: _Job, result: Fit) -> list[str]:
     try:
         seen = pushes(result.model, job.prepared.data, errors)
         found = seen.followed({n: g.error for n, g in errors.items()}, ahead) if seen else ()
-        carried = seen.carried() if seen else 0.0
+        carried = seen.weight_carried() if seen else 0.0
     except (GreyboxError, np.linalg.LinAlgError):  # too short to see pushes in, or too wild
         return bent
     told = [form] if form else []

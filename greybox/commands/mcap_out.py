@@ -123,7 +123,7 @@ class Recording:
         """Take message types besides `TYPES`, before their first message."""
         self._types.update(types)
 
-    def message(self, topic: str, kind: str, t: float, content: Mapping[str, Any]) -> None:
+    def message(self, topic: str, kind: str, t: float, content: Mapping[str, object]) -> None:
         """One message of a channel at `t` [s], without its stamp; `kind` is the full name of its
         type."""
         if topic not in self._channels:

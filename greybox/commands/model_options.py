@@ -8,14 +8,14 @@ was said.
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal, cast
 
 from greybox.commands.command_line import Options
 
 if TYPE_CHECKING:
     from greybox.automatic.decide import Given
     from greybox.data import Dataset
-    from greybox.estimation.options import FitOptions
+    from greybox.estimation.options import FitChoices, FitOptions
     from greybox.estimation.recipe import Recipe
     from greybox.estimation.result import Fit
     from greybox.estimation.solver import Progress, Solver
@@ -259,7 +259,7 @@ def is_given(arguments: argparse.Namespace) -> bool:
     return said or bool(_choices(arguments))
 
 
-def _choices(arguments: argparse.Namespace) -> Any:
+def _choices(arguments: argparse.Namespace) -> FitChoices:
     """The fields of `FitOptions` that were said."""
     held = () if arguments.hold_noise is None else names(arguments.hold_noise)
     groups = [word for word in held if word in HELD]
@@ -284,7 +284,7 @@ def _choices(arguments: argparse.Namespace) -> Any:
         "estimate_noise": HELD[groups[-1]] if groups else None,
         "held_noise": levels or None,
     }
-    return {name: value for name, value in said.items() if value is not None}
+    return cast("FitChoices", {name: v for name, v in said.items() if v is not None})
 
 
 def _own_effects(arguments: argparse.Namespace) -> list[Effect]:

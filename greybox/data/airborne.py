@@ -65,7 +65,7 @@ def airborne(
         return everything, ("the motors never ran: take-off and landing not looked for",)
     level = float(np.median(mean[mean > 0.3 * top]))
     height = channels.get("z")
-    ground = _widened(t, mean / level, height, _standing(t, mean / level, height))
+    ground = _with_take_off_and_landing(t, mean / level, height, _standing(t, mean / level, height))
     covers = np.zeros(t.size + 1, dtype=np.int64)
     for first, last in ground:
         covers[first] += 1
@@ -121,7 +121,7 @@ def _standing(
     return sorted(idle)
 
 
-def _widened(
+def _with_take_off_and_landing(
     t: FloatArray,
     share: FloatArray,
     height: FloatArray | None,

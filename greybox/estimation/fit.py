@@ -77,17 +77,9 @@ def fit(
     with threadpool_limits(limits=1):
         problem = make_problem(dynamics, data, options)
         demand_samples(problem)
-        if first is not None:
-            found = {
-                (u.name, u.flight): t
-                for u, t in zip(first.problem.unknowns, first.theta, strict=True)
-            }
-            start = np.array([found.get((u.name, u.flight), u.start) for u in problem.unknowns])
-        else:
-            start = _initialise(problem, options, solver)
-        start = predictor.approach(
-            problem, start, progress
-        )  # multiple shooting closes its gaps first
+        start = _initialise(problem, options, solver) if first is None else _as_in(first, problem)
+        # Multiple shooting closes its gaps first.
+        start = predictor.approach(problem, start, progress)
         try:
             theta, status = solver.solve(problem, problem.inside(start), progress)
         except Interrupted as stop:
@@ -96,6 +88,14 @@ def fit(
     if status.code is Code.INTERRUPTED:
         raise Interrupted(result)
     return result
+
+
+def _as_in(first: Fit, problem: Problem) -> FloatArray:
+    """The unknowns (n,) as a fit found them; what it had not keeps its start."""
+    found = {
+        (u.name, u.flight): t for u, t in zip(first.problem.unknowns, first.theta, strict=True)
+    }
+    return np.array([found.get((u.name, u.flight), u.start) for u in problem.unknowns])
 
 
 def _initialise(problem: Problem, options: FitOptions, solver: Solver) -> FloatArray:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -50,7 +49,7 @@ class PointFunction:
             return values, np.zeros((0, values.size))
         return self._asked(x, window, p, dt, np.eye(many))
 
-    def _asked(self, *arguments: Any) -> tuple[FloatArray, FloatArray]:
+    def _asked(self, *arguments: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         run, (some, moving) = self._made
         found, along = run(*arguments)
         values, slopes = np.zeros(some.size1()), np.zeros((len(along), some.size1()))
@@ -81,7 +80,7 @@ class PointFunction:
         return ca.Function(self._name, [at.x, at.window, at.p, at.dt, seed], [values, slope])
 
 
-def _in_vm(function: ca.Function, *arguments: Any) -> list[FloatArray]:
+def _in_vm(function: ca.Function, *arguments: FloatArray) -> list[FloatArray]:
     """As `Linear.at_points`."""
     *common, directions = arguments
     with CASADI:

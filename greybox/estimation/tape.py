@@ -152,7 +152,7 @@ class Linear:
         """Of result i, in CasADi's compressed form."""
         return self._sparsities[i]
 
-    def at_points(self, library: Any, *arguments: npt.ArrayLike) -> list[FloatArray]:
+    def at_points(self, library: ctypes.CDLL, *arguments: npt.ArrayLike) -> list[FloatArray]:
         """The structural nonzeros of every result, (points, numbers) each. The last argument has a
         row for every point, the others are the same for all. `library` holds `gb_tape`."""
         *common, own = (np.asarray(a, dtype=np.float64) for a in arguments)
@@ -202,11 +202,11 @@ class Linear:
 
 
 @functools.cache
-def tape_library() -> Any:
+def tape_library() -> ctypes.CDLL | None:
     """What writes and runs tapes, compiled; None without a compiler."""
     own = resources.files("greybox.estimation")
     texts = {n: own.joinpath(f"{n}.c").read_text(encoding="utf-8") for n in ("tape", "write_tape")}
-    library: Any = opened([(f"gb_{n}.c", text, DRIVER_FLAGS) for n, text in texts.items()])
+    library = opened([(f"gb_{n}.c", text, DRIVER_FLAGS) for n, text in texts.items()])
     if library is not None:
         library.gb_tape.restype = None
     return library
@@ -233,7 +233,9 @@ def tape_of(function: ca.Function) -> Tape:
     if max([constant.size, *sizes, *lengths]) < MOST:
         held = int(made.max(initial=0)) + 1
         arrays = [ctypes.c_void_p(v.ctypes.data) for v in (code, made, given, rows)]
-        many = tape_library().gb_write_tape(n, held, CHUNK, *arrays, ctypes.byref(slots))
+        library = tape_library()
+        assert library is not None
+        many = library.gb_write_tape(n, held, CHUNK, *arrays, ctypes.byref(slots))
         if many < 0:
             raise MemoryError(f"a tape of {n} operations")
         rows = rows[:many]

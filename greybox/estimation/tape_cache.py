@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import functools
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -66,7 +65,7 @@ def linears(
     return made
 
 
-def _read(path: Path, names: Mapping[str, Any]) -> dict[str, Linear]:
+def _read(path: Path, names: Iterable[str]) -> dict[str, Linear]:
     with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:
         return {
             name: Linear.from_arrays(

@@ -65,7 +65,7 @@ class Pushes:
             for found in _felt(self.model, self.seen, self.samples, group, share, errors, ahead)
         )
 
-    def carried(self) -> float:
+    def weight_carried(self) -> float:
         """Share of the weight that a force along the thrust carries (negative: pulls down) in every
         flight, steadier than it varies; 0 where there is none that is worth a word. Thrust over
         mass is off by that, or something pulls all the time."""

@@ -94,7 +94,7 @@ class Coordinates:
             fixed=np.array(fixed),
             bounds=np.array([[declared[n].lower, declared[n].upper] for n in names]).reshape(-1, 2),
         )
-        return empty._carried()
+        return empty._from_parameters()
 
     def values(self, steps: FloatArray) -> FloatArray:
         """Parameters (m, d) at steps (m, d) away from the centre, inside their bounds."""
@@ -106,7 +106,7 @@ class Coordinates:
             out[:, self.inertia] = _moments(out[:, self.inertia], self.fixed)
         return out
 
-    def _carried(self) -> Coordinates:
+    def _from_parameters(self) -> Coordinates:
         """From mean and covariance of the parameters to those of the coordinates."""
         centre, c = self.centre.copy(), self.covariance.copy()
         plain: _Numbers = centre

@@ -348,12 +348,12 @@ def _mjx(every: list[Craft]) -> dict[str, FloatArray]:
     }
 
 
-def _isaac(every: list[Craft], carried: FloatArray) -> dict[str, FloatArray]:
+def _isaac(every: list[Craft], command_strength: FloatArray) -> dict[str, FloatArray]:
     """Masses (n, 1), inertia about the centre of mass in body axes (n, 9), centre of mass from the
     body's origin (n, 3) with the axes of the body (w, x, y, z); and Pegasus' thrust curve and
-    linear drag. `carried`: strength (n,) of the rotors that commands.py scales speeds by."""
+    linear drag. `command_strength`: that (n,) of the rotors by which commands.py scales speeds."""
     square = 1.0 / every[0].speed_max ** 2
-    factor = square * np.array([c.strength for c in every]) / carried
+    factor = square * np.array([c.strength for c in every]) / command_strength
     thrust, torque = (
         np.array([[square_at_hover(getattr(c, key), c.hover_nu)] for c in every])
         for key in ("thrust", "torque")

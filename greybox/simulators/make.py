@@ -24,7 +24,7 @@ from greybox.simulators.statement import Statement, state
 from greybox.simulators.target import Target
 from greybox.simulators.targets import TARGETS, target_by_name
 from greybox.simulators.words import Status
-from greybox.takes import FLIGHTS, MODEL, NAMES, takes
+from greybox.takes import FLIGHTS, MODEL, SIMULATORS, takes
 
 SCHEMA = "greybox.twin/1"
 REST = """rest.py has what is folded or lost of forces and moments, to be applied from outside; learned and
@@ -121,10 +121,10 @@ def _listed(place: Path) -> set[str]:
     }
 
 
-@takes(model=MODEL, targets=NAMES, train=FLIGHTS, check=FLIGHTS)
+@takes(model=MODEL, targets=SIMULATORS, train=FLIGHTS, check=FLIGHTS)
 def twin(
     model: IdentifiedModel,
-    targets: Sequence[str] = (),
+    targets: Sequence[str | Target] = (),
     *,
     out: str | os.PathLike[str] | None = None,
     force: bool = False,
@@ -133,25 +133,26 @@ def twin(
     train: Dataset | None = None,
     check: Dataset | None = None,
 ) -> Twin:
-    """The model as files of `targets` (all, where none is named): one folder each, with
-    sensors.toml and a statement of what the simulator folds or loses. Written to `out`, if given.
-    `draws`: also so many craft as uncertain as the fit left them, from `seed`; `train`: the flights
-    of the fit, on which is counted how strongly they are pushed about; `check`: flights that no fit
-    saw, on which their band is counted.
+    """The model as files of `targets`, by name or as they are (all, where none is given): one
+    folder each, with sensors.toml and a statement of what the simulator folds or loses. Written to
+    `out`, if given. `draws`: also so many craft as uncertain as the fit left them, from `seed`;
+    `train`: the flights of the fit, on which is counted how strongly they are pushed about;
+    `check`: flights that no fit saw, on which their band is counted.
 
     Raises `UnknownNameError` for a target, `DataError` for one named twice, `ModelError` for a
     model that is no vehicle's, that no body is like, or whose rotors a named target cannot express,
     `OutputError` for files that exist.
     """
     craft = Craft.of(model)
-    names = tuple(targets) or tuple(t.name for t in TARGETS)
+    chosen = [target_by_name(t) if isinstance(t, str) else t for t in targets or TARGETS]
+    names = [t.name for t in chosen]
     if double := sorted({n for n in names if names.count(n) > 1}):
         raise DataError(f"target {double[0]} twice", fix="name every target once")
     sensors, pushes = sensor_text(craft, model.flight_spread), push_text(craft)
     statements: list[Statement] = []
     files: dict[str, str | bytes] = {}
     notes = [] if craft.speed_known else [_counted(craft)]
-    for target in [target_by_name(n) for n in names]:
+    for target in chosen:
         try:
             said = state(target, craft)
         except ModelError as error:

@@ -43,32 +43,13 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
     ):
         known |= {n: f"static_cast<{real}>({own}[{i}])" for i, n in enumerate(names)}
         there |= dict.fromkeys(names, seen)
-    battery = board.battery
-    kind = "sensor_msgs::msg::BatteryState"
     words = {
         "Class": "".join(part.capitalize() for part in board.name.split("_")) + "Node",
         "nanos": str(round(1e9 * f.dt)),
         "measured": board.measured(known, there)
         .replace("  y[", "    y[")
         .replace("  there[", "    there["),
-        "battery_header": ""
-        if battery is None
-        else "#include <sensor_msgs/msg/battery_state.hpp>\n",
-        "battery_subscription": ""
-        if battery is None
-        else f"""\
-    battery_ = create_subscription<{kind}>(
-        "battery", sensors, [this]({kind}::ConstSharedPtr m) {{ volts_ = m->voltage; }});
-""",
-        "battery": ""
-        if battery is None
-        else f"    {board.name}_flight_parameter(&flight_, {battery}, static_cast<{real}>(volts_));\n",
-        "battery_row": ""
-        if battery is None
-        else f"| battery | sensor_msgs/BatteryState | in: its voltage. {board.said_of_volts()} |\n",
-        "battery_member": ""
-        if battery is None
-        else f"  rclcpp::Subscription<{kind}>::SharedPtr battery_;\n  double volts_ = 0;\n",
+        **_battery(board, real),
         "stopped": ", ".join(board.number(v) for v in f.bounds[0]),
         "inputs": " ".join(f.inputs.names),
         "outputs": " ".join(f.outputs.names),
@@ -85,3 +66,26 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
     }.items():
         write_atomic(path, board.text(text, **words))
     return {"folder": "ros2", "period_ns": round(1e9 * f.dt)}
+
+
+def _battery(board: OnBoard, real: str) -> dict[str, str]:
+    """What the node has for the battery's voltage; nothing where the model asks for none."""
+    if board.battery is None:
+        parts = ("", "_header", "_subscription", "_row", "_member")
+        return dict.fromkeys((f"battery{part}" for part in parts), "")
+    kind = "sensor_msgs::msg::BatteryState"
+    said = board.said_of_volts()
+    row, volts = board.battery, f"static_cast<{real}>(volts_)"
+    return {
+        "battery": f"    {board.name}_flight_parameter(&flight_, {row}, {volts});\n",
+        "battery_header": "#include <sensor_msgs/msg/battery_state.hpp>\n",
+        "battery_subscription": f"""\
+    battery_ = create_subscription<{kind}>(
+        "battery", sensors, [this]({kind}::ConstSharedPtr m) {{ volts_ = m->voltage; }});
+""",
+        "battery_row": f"| battery | sensor_msgs/BatteryState | in: its voltage. {said} |\n",
+        "battery_member": f"""\
+  rclcpp::Subscription<{kind}>::SharedPtr battery_;
+  double volts_ = 0;
+""",
+    }

@@ -48,7 +48,16 @@ from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.standing import integrating
 from mpc_export.tube.calibrated import Calibrated
 from mpc_export.tube.correlation import innovations
-from mpc_export.tube.descent import AWAY, HELD, SLOW, UNSURE, Descent, Watch, Way, carried
+from mpc_export.tube.descent import (
+    AWAY,
+    HELD,
+    SLOW,
+    UNSURE,
+    Descent,
+    Watch,
+    Way,
+    longest_without_pose,
+)
 from mpc_export.tube.gate import Gate, plausible
 from mpc_export.tube.heading import TURN, room, turning, within
 from mpc_export.tube.native import native
@@ -251,7 +260,7 @@ class TubeController:
         groups = self.model.dynamics.innovation_columns
         self._present = [[self.columns.index(c) for c in names] for names in groups]
         self.gate = Gate(groups, self.filter.noise.innovation)
-        self.blind = carried(self.filter, groups)
+        self.blind = longest_without_pose(self.filter, groups)
         pose = ("x, y, z", "qw, qx, qy, qz")
         self._pose = [(k, rows) for k, (name, rows) in enumerate(self.gate.sensors) if name in pose]
 
@@ -478,10 +487,10 @@ class TubeController:
         if self._adapt is None:
             after, e, y_hat = self._step(known.x, self.u, p, y, there)
         else:
-            after, p, unsure, e, y_hat = self._adapt(
+            after, learned, spread, e, y_hat = self._adapt(
                 known.x, self.u, p, y, there, known.unsure, self.memory
             )
-            theta, unsure = p.full().ravel()[self._learned], unsure.full()
+            theta, unsure = learned.full().ravel()[self._learned], spread.full()
             steps = self.restless.sees(known.steps, np.where(there > 0.0, e.full().ravel(), 0.0))
             unsure[self._pushes, self._pushes] += self.restless.more(steps) * self._walk
             if np.isfinite(theta).all() and np.isfinite(unsure).all():

@@ -6,8 +6,8 @@ stated,
 
     no steady command within the limits holds the place, for HELD s (a rotor or the battery has lost
     too much), position or attitude is not measured, or not believed, for as long as the filter may
-    carry on without (`carried`; the first SLOW s of every gap do not count), or the estimate is
-    farther from the path than the controller's `lost` for AWAY s.
+    carry on without (`longest_without_pose`; the first SLOW s of every gap do not count), or the
+    estimate is farther from the path than the controller's `lost` for AWAY s.
 
 The reference brakes at BRAKE to a descent of SPEED straight down. Yaw is given up: its reference is
 where the plan turns to anyway, so that what thrust is left serves tilt and height. Planes are those
@@ -74,7 +74,7 @@ class Descent:
         )
 
 
-def carried(functions: ModelFunctions, columns: Sequence[Sequence[str]]) -> float:
+def longest_without_pose(functions: ModelFunctions, columns: Sequence[Sequence[str]]) -> float:
     """For how long the filter carries on without a pose [s]: until its covariance, propagated about
     hover and corrected by what is still measured (Kalman 1960), says of a coordinate UNSURE more
     than with one (whose position may itself be no better, from satellites); SLOW at least, BLIND at

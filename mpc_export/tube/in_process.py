@@ -7,7 +7,6 @@ import ctypes
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -49,7 +48,7 @@ class TubeInC:
         self._tell = library.flown_tube_parameter
         library.flown_tube_state.restype = ctypes.c_void_p
         self._state, self._states = library.flown_tube_state, len(pilot.filter.states)
-        self._type: Any = np.float32 if real == "float" else np.float64
+        self._type: type[np.floating] = np.float32 if real == "float" else np.float64
         self._c = ctypes.c_float if real == "float" else ctypes.c_double
         self.problem, self.dt = pilot.problem, pilot.model.sample_time
         self.reference: Reference = pilot.reference

@@ -18,9 +18,9 @@ are as they are, the tilt is held where the plan before tilts.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.errors import ModelError
 from greybox.frames import numeric
@@ -201,7 +201,7 @@ def settled(pilot: TubeController, model: CSource) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _tables(pilot: TubeController, made: LinearTube) -> dict[str, Any]:
+def _tables(pilot: TubeController, made: LinearTube) -> dict[str, npt.ArrayLike]:
     """Arrays of the library by name."""
     f, stages, nu = pilot.functions, pilot.solver.stages, len(pilot.functions.inputs)
     keep, root = list(stages.keep), inverse_root(made.hessian)
@@ -247,9 +247,10 @@ def _felt(responses: tuple[FloatArray, ...], root: FloatArray, rows: list[int]) 
     return felt
 
 
-def _nested(values: Any, real: Real) -> str:
-    if np.ndim(values) <= 1:
-        return braced(values.tolist() if isinstance(values, np.ndarray) else values, real)
+def _nested(values: npt.ArrayLike, real: Real) -> str:
+    values = np.asarray(values)
+    if values.ndim <= 1:
+        return braced(values.tolist(), real)
     return f"{{{', '.join(_nested(v, real) for v in values)}}}"
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 
@@ -13,7 +12,7 @@ from greybox.estimation.build import build
 from mpc_export.c_code import GENERATED_FLAGS, CKernel, write_c
 
 
-def native(function: Any, kernels: Sequence[CKernel] = ()) -> Any:
+def native(function: ca.Function, kernels: Sequence[CKernel] = ()) -> ca.Function:
     """`function` compiled (cached by content) and loaded. Raises `BuildError` without a C
     compiler."""
     with tempfile.TemporaryDirectory() as folder:

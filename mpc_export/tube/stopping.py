@@ -56,10 +56,10 @@ def stopping(pilot: TubeController) -> Stopping | None:
     if rotors is None:
         return None
     hover = float(np.mean(pilot.solver.stages.steady[1]))
-    carried, most = _thrust(pilot, hover), _thrust(pilot, problem.command_max)
-    if not 0.0 < carried < most:
+    to_hover, most = _thrust(pilot, hover), _thrust(pilot, problem.command_max)
+    if not 0.0 < to_hover < most:
         return None
-    tilt = min(problem.tilt_max, math.acos(carried / most))
+    tilt = min(problem.tilt_max, math.acos(to_hover / most))
     places = np.array([r.position for r in rotors.vehicle.rotors], dtype=float)
     turned = [_turned(pilot, sense, 0.5 * tilt) for sense in (places[:, 1], -places[:, 0])]
     if not max(turned) < LONGEST:

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.stopping import stopping
 from mpc_export.tube.told import PRESENT
 from mpc_export.tube.trusted import TRUSTED
+
+if TYPE_CHECKING:
+    from mpc_export.manifest import TargetPart
 
 AGREE: dict[Real, float] = {"double": 1e-5, "float": 1e-3}
 """Largest difference of commands from Python's in the self-test."""
@@ -117,7 +120,7 @@ def pilot_of(functions: ModelFunctions, plan: Planning) -> TubeController:
 
 def write_target_tube(
     functions: ModelFunctions, folder: Path, name: str, real: Real, plan: Planning
-) -> dict[str, Any]:
+) -> TargetPart:
     """The library in folder/tube, or tube_linear. Returns what the manifest says of it."""
     own = "tube_linear" if plan.linear else "tube"
     pilot = pilot_of(functions, plan)

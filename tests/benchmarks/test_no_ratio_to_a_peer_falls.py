@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import platform
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,14 @@ def test_the_committed_table_has_every_benchmark_its_date_and_machine():
         and table["machine"]["processor"]
         and table["machine"]["cores"] >= 1
     )
+
+
+def test_a_kind_of_machine_is_its_name_and_its_widest_vector_unit():
+    two = "model name\t: AMD EPYC\nflags\t\t: fpu sse2 avx avx2\n"
+    assert ratios.kind_of(two + two.replace("avx2", "avx2 avx512f")) == "AMD EPYC, AVX2"
+    assert ratios.kind_of(two.replace("avx2", "avx2 avx512f avx512dq")) == "AMD EPYC, AVX-512"
+    assert ratios.kind_of("Features\t: fp asimd\n").endswith(", NEON")
+    assert ratios.kind_of("") == platform.machine()
 
 
 @pytest.mark.slow

@@ -90,7 +90,7 @@ def test_nothing_is_said_of_the_flight_as_it_came() -> None:
     assert {f.check for f in report.findings if f.severity != "info"} == {"alignment"}
 
 
-def misread(raw: RawLog, group: str, frame: str, how: Callable[[np.ndarray], np.ndarray]) -> RawLog:
+def read_as(raw: RawLog, group: str, frame: str, how: Callable[[np.ndarray], np.ndarray]) -> RawLog:
     """The flight whose columns of a group, logged in that frame, are read wrongly."""
     names = group_names(group)
     logged = other_frame(np.column_stack([raw.channels[n] for n in names]), group, frame)
@@ -110,7 +110,7 @@ def misread(raw: RawLog, group: str, frame: str, how: Callable[[np.ndarray], np.
 def test_a_quaternion_read_wrongly_is_named_in_whatever_frame_it_is_logged(
     how: Callable[[np.ndarray], np.ndarray], words: str, frame: str
 ) -> None:
-    report = check([misread(real(SET, FLIGHT), "attitude", frame, how)], vehicle(SET))
+    report = check([read_as(real(SET, FLIGHT), "attitude", frame, how)], vehicle(SET))
     for of in ("attitude", "acceleration"):
         (found,) = report.of(of)
         assert words in found.message and "[columns.attitude]" in found.fix

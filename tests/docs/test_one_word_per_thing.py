@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from docs.tools.glossary import WORDS, table
 from greybox.cli import build_parser
-from scenarios.studies.docs_glossary import WORDS, table
 from tests.docs.pages import ROOT
 
 PAGES = {

@@ -13,8 +13,8 @@ import pytest
 
 import greybox
 import mpc_export
+from docs.tools.reference import commands, members, pages
 from greybox.cli import COMMANDS, build_parser
-from scenarios.studies.docs_reference import commands, members, pages
 from tests.docs.pages import PAGES, ROOT, blocks
 
 

@@ -15,12 +15,12 @@ from greybox.residual.files import save_model
 from mpc_export.bundle import ExportBundle, write_bundle
 from mpc_export.exported import load, of
 from mpc_export.functions import model_functions
-from mpc_export.targets import COMMON, EXAMPLES, MODULES
+from mpc_export.targets import COMMON, CONSUMERS
 from tests.mpc_export import cases, consumers
 
 ROOT = Path(__file__).resolve().parents[2] / "mpc_export"
-CARRIED = [ROOT / f"{m}.py" for m in (*COMMON, *MODULES.values()) if m]
-CARRIED += [ROOT / "examples" / f"{e}.py" for e in EXAMPLES.values()]
+CARRIED = [ROOT / f"{m}.py" for m in (*COMMON, *(c.module for c in CONSUMERS.values())) if m]
+CARRIED += [ROOT / "examples" / f"{c.example}.py" for c in CONSUMERS.values()]
 
 
 @pytest.mark.parametrize("path", CARRIED, ids=lambda p: p.name)
@@ -53,9 +53,9 @@ def test_a_bundle_lists_its_targets_and_carries_their_scripts():
     folder = consumers.bundle("hybrid")
     bundle = ExportBundle.load(folder)
     said = bundle.manifest["targets_written"]
-    assert set(said) == set(EXAMPLES)
+    assert set(said) == set(CONSUMERS)
     for target, entry in said.items():
-        assert entry["example"] == f"examples/{EXAMPLES[target]}.py"
+        assert entry["example"] == f"examples/{CONSUMERS[target].example}.py"
         assert (folder / entry["example"]).is_file()
         assert f"python {entry['example']}" in (folder / "README.md").read_text(encoding="utf-8")
     assert said["acados"]["f_expl_difference"]["rotor.1"] > 0

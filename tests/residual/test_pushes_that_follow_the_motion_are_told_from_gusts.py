@@ -145,11 +145,11 @@ def seen_in(model: IdentifiedModel, data: Dataset, errors: dict[str, float] = ER
 @pytest.mark.parametrize("off", [0.9, 1.1])
 def test_a_thrust_that_is_off_leaves_a_force_that_carries_the_craft(off: float) -> None:
     model, data = flown(0.0, 0.1)
-    assert seen_in(model, data).carried() == 0.0
+    assert seen_in(model, data).weight_carried() == 0.0
     values = {**model.values, "thrust.c2": off * model.values["thrust.c2"]}
     wrong = replace(model, values=ParameterValues(values))
-    assert seen_in(wrong, data).carried() == pytest.approx(1.0 - off, abs=0.03)
-    assert seen_in(wrong, data, {"rate": 0.5}).carried() == 0.0
+    assert seen_in(wrong, data).weight_carried() == pytest.approx(1.0 - off, abs=0.03)
+    assert seen_in(wrong, data, {"rate": 0.5}).weight_carried() == 0.0
 
 
 def test_what_carries_one_flight_and_pulls_at_the_other_carries_nothing() -> None:
@@ -160,9 +160,9 @@ def test_what_carries_one_flight_and_pulls_at_the_other_carries_nothing() -> Non
         push = np.zeros((len(names), found.seen.y.shape[1]))
         push[:, 2] = 0.05 * weight * np.where(names == names[0], *signs)
         own = replace(found, seen=replace(found.seen, y=push))
-        assert own.carried() == pytest.approx(carried, rel=0.01)
+        assert own.weight_carried() == pytest.approx(carried, rel=0.01)
         push[::2, 2] *= -1.0
-        assert own.carried() == 0.0
+        assert own.weight_carried() == 0.0
 
 
 def raising(*arguments: object) -> None:

@@ -17,11 +17,13 @@ import pytest
 
 import greybox as gb
 from greybox.commands.twin import NAMES
+from greybox.errors import DataError
 from greybox.files import OutputError
 from greybox.model.example import example_vehicle
 from greybox.simulators.craft import Craft
 from greybox.simulators.matrix import LEGEND, TOGETHER
 from greybox.simulators.targets import TARGETS
+from greybox.simulators.words import Word, Wording
 from tests.simulators.identified import AERODYNAMICS, identified
 
 NAME = "né \"<Craft> & \\ 'x' 7\""
@@ -30,6 +32,28 @@ NAME = "né \"<Craft> & \\ 'x' 7\""
 def test_the_command_offers_every_target() -> None:
     assert tuple(t.name for t in TARGETS) == NAMES
     assert all(t.simulator and t.source for t in TARGETS)
+
+
+class Own:
+    """A target that no catalogue has."""
+
+    name, simulator, source = "own", "Own", "nothing"
+
+    def words(self, craft: Craft) -> tuple[Word, ...]:
+        return Wording(craft, self.simulator).finish()
+
+    def files(self, craft: Craft) -> dict[str, str]:
+        return {"mass.txt": f"{craft.mass:g}"}
+
+
+def test_a_target_of_ones_own_stands_beside_those_of_the_catalogue() -> None:
+    model = identified({"motor_lag.tau": 0.05})
+    made = gb.twin(model, [Own(), "px4"])
+    assert [s.target for s in made.statements] == ["own", "px4"]
+    assert {"own/mass.txt", "own/LOST.txt", "own/sensors.toml"} <= set(made.files)
+    assert "motor_lag" in made.files["own/LOST.txt"]
+    with pytest.raises(DataError, match="own twice"):
+        gb.twin(model, [Own(), Own()])
 
 
 @pytest.fixture(scope="module")

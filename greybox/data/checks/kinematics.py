@@ -203,7 +203,7 @@ def judge(relation: Relation, views: Sequence[View]) -> tuple[list[Outcome], dic
         holds, lambda some: _better(relation, together(some)), claim=lambda better: better.text
     )
     for one in told:
-        out += [_misread(relation, name, holds.pop(name), one) for name in one.flights]
+        out += [_another_reading_fits(relation, name, holds.pop(name), one) for name in one.flights]
     for name, found in list(holds.items()):
         if _share(found.given) < SEEN:
             del holds[name]
@@ -225,7 +225,9 @@ def _better(relation: Relation, found: Related) -> Better | None:
     return better_reading(apart, found.streams.axes, relation.fix) if apart else better
 
 
-def _misread(relation: Relation, flight: str, found: Related, told: Told[Better]) -> Finding:
+def _another_reading_fits(
+    relation: Relation, flight: str, found: Related, told: Told[Better]
+) -> Finding:
     better = told.said
     evidence = {"share_as_given": better.given_share, "share_explained": better.share}
     if better.angle:

@@ -16,19 +16,27 @@ from greybox.data.impossible import without_impossible
 from greybox.data.logs.canonical import to_channels
 from greybox.data.logs.table import Table
 from greybox.data.raw import RawLog
-from greybox.data.readers import LogMapping, read_columns, read_mapping
+from greybox.data.readers import LogMapping, Recording, read_columns, read_mapping
 from greybox.errors import DataError
-from greybox.takes import MAPPING, PATH, PATHS, VEHICLE, takes
+from greybox.takes import LOG, LOG_FILES, MAPPING, VEHICLE, takes
 
 __all__ = ["RawLog", "Table", "read_log", "read_logs", "read_possible", "read_table"]
 
 Path = str | os.PathLike[str]
+Log = Path | Recording
+"""A log file, or what a reader of one's own made of one."""
+
+
+def _where(log: Log) -> str:
+    """What messages call a log."""
+    return log.source if isinstance(log, Recording) else os.fspath(log)
 
 
 def read_table(
-    path: Path, vehicle: Airframe | None = None, *, mapping: Path | LogMapping | None = None
+    path: Log, vehicle: Airframe | None = None, *, mapping: Path | LogMapping | None = None
 ) -> RawLog:
-    """Read a log of any format into canonical channels on its own clock, which is not judged here.
+    """A log of any format, or a `Recording`, in canonical channels on its own clock, which is not
+    judged here.
 
     `mapping` is a mapping file (schema "greybox.mapping/1") that says which fields are which
     channels, for logs whose names greybox does not know; what it leaves open the vehicle's
@@ -36,7 +44,7 @@ def read_table(
     vehicle.
     """
     return to_channels(
-        read_columns(path, mapping_for(vehicle, mapping)), vehicle, where=os.fspath(path)
+        read_columns(path, mapping_for(vehicle, mapping)), vehicle, where=_where(path)
     )
 
 
@@ -54,7 +62,7 @@ def mapping_for(vehicle: Airframe | None, mapping: Path | LogMapping | None) -> 
 
 
 def read_possible(
-    path: Path,
+    path: Log,
     vehicle: Airframe | None = None,
     *,
     mapping: Path | LogMapping | None = None,
@@ -70,9 +78,9 @@ def read_possible(
     return raw if vehicle is None or keep_impossible else without_impossible(raw, vehicle)
 
 
-@takes(path=PATH, vehicle=VEHICLE, mapping=MAPPING)
+@takes(path=LOG, vehicle=VEHICLE, mapping=MAPPING)
 def read_log(
-    path: Path,
+    path: Log,
     vehicle: Airframe | None = None,
     *,
     rate: float | None = None,
@@ -81,8 +89,8 @@ def read_log(
     mapping: Path | LogMapping | None = None,
     keep_impossible: bool = False,
 ) -> Flight:
-    """Read one log of any format and condition it: uniform clock, gaps as missing cells or breaks,
-    airborne part only.
+    """Read one log of any format (or a `Recording` that a reader of one's own made) and condition
+    it: uniform clock, gaps as missing cells or breaks, airborne part only.
 
     `rate` [Hz] resamples to that rate (None: the log's own); `trim=False` keeps take-off and
     landing; `max_gap` [s] is the longest stretch without samples inside a segment. Samples that the
@@ -92,12 +100,12 @@ def read_log(
     still, and `UnknownNameError` for a column that the vehicle names and the log has not.
     """
     raw = read_possible(path, vehicle, mapping=mapping, keep_impossible=keep_impossible)
-    return condition(raw, vehicle, rate=rate, trim=trim, max_gap=max_gap, where=os.fspath(path))
+    return condition(raw, vehicle, rate=rate, trim=trim, max_gap=max_gap, where=_where(path))
 
 
-@takes(paths=PATHS, vehicle=VEHICLE, mapping=MAPPING)
+@takes(paths=LOG_FILES, vehicle=VEHICLE, mapping=MAPPING)
 def read_logs(
-    paths: Iterable[str | os.PathLike[str]] | str | os.PathLike[str],
+    paths: Iterable[Log] | Log,
     vehicle: Airframe | None = None,
     *,
     rate: float | None = None,
@@ -108,7 +116,7 @@ def read_logs(
 ) -> Dataset:
     """Read one or several logs of one vehicle (see `read_log`) into a data set. Raises `DataError`
     for equal file names."""
-    logs = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    logs = [paths] if isinstance(paths, str | os.PathLike | Recording) else list(paths)
     if not logs:
         raise DataError("no logs", expected="one path or more")
     if mapping is not None and not isinstance(mapping, LogMapping):

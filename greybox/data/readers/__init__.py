@@ -112,10 +112,11 @@ def read_recording(path: str | os.PathLike[str], mapping: LogMapping | None = No
 
 
 def read_columns(
-    path: str | os.PathLike[str], mapping: str | os.PathLike[str] | LogMapping | None = None
+    path: str | os.PathLike[str] | Recording,
+    mapping: str | os.PathLike[str] | LogMapping | None = None,
 ) -> Table:
-    """A log of any format as one table. Logs that are a table keep their own columns where no
-    mapping is given.
+    """A log of any format, or what a reader of one's own made of it, as one table. Logs that are a
+    table keep their own columns where no mapping is given.
 
     All others, and all with a mapping (a `LogMapping` or the path of its file), come in canonical
     channels; what no channel is made of stays in a table. Raises `DataError` and
@@ -123,6 +124,8 @@ def read_columns(
     """
     if mapping is not None and not isinstance(mapping, LogMapping):
         mapping = read_mapping(mapping)
+    if isinstance(path, Recording):
+        return assemble(path, mapping)
     one = format_of(path)
     if one.table is not None:
         table = one.table(path)

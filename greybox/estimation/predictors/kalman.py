@@ -149,7 +149,7 @@ class Filter:
         self.lin = ca.Function("gb_ekf_lin", [x, u, y, p, dt], parts)
         z, k = ca.SX.sym("xF", len(dynamics.states)), ca.SX.sym("k", len(dynamics.error_states))
         self.move = ca.Function("gb_ekf_move", [z, k], [ca.densify(dynamics.boxplus(z, k))])
-        self._library: Any = None
+        self._library: ctypes.CDLL | None = None
         if use_compiler:
             generator = ca.CodeGenerator("gb_ekf_model.c", {"with_header": False})
             generator.add(self.lin)
@@ -214,6 +214,7 @@ class Filter:
         d = self.dynamics
         nx, nd, ne, nw = len(d.states), len(d.error_states), len(d.innovations), len(d.noises)
         a, b, i, w = self._work
+        assert self._library is not None
         buffer = np.zeros(int(self._library.gb_ekf_buffer(nx, nd, ne, nw)))
         q, r = np.ascontiguousarray(q), np.ascontiguousarray(r)
         return int(

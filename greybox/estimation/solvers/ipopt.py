@@ -20,7 +20,7 @@ from greybox.estimation.solver import Objective, Progress, Value
 from greybox.estimation.solvers.interior import on_bounds, standard_errors
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
 from greybox.estimation.status import Code, Interrupted, Status
-from greybox.symbolic import FloatArray
+from greybox.symbolic import Expr, FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +157,7 @@ class _Callback(ca.Callback):
     def _z(self, arg: Sequence[ca.DM]) -> FloatArray:
         return np.asarray(arg[0].full()).ravel()
 
-    def eval(self, arg: Sequence[ca.DM]) -> list[Any]:
+    def eval(self, arg: Sequence[ca.DM]) -> list[Expr | float]:
         """Compute; an interrupt from the keyboard ends the solver."""
         try:
             return self.compute(arg)
@@ -166,7 +166,7 @@ class _Callback(ca.Callback):
             raise
 
     @abstractmethod
-    def compute(self, arg: Sequence[ca.DM]) -> list[Any]:
+    def compute(self, arg: Sequence[ca.DM]) -> list[Expr | float]:
         """The function itself."""
 
 
@@ -185,7 +185,7 @@ class _Cost(_Callback):
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         return ca.Sparsity.dense(1, 1)
 
-    def compute(self, arg: Sequence[ca.DM]) -> list[Any]:
+    def compute(self, arg: Sequence[ca.DM]) -> list[Expr | float]:
         value = self.memory.at(self._z(arg))
         return [value.cost if value.valid else np.nan]
 
@@ -211,7 +211,7 @@ class _Gradient(_Callback):
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         return ca.Sparsity.dense(1 if i == 0 else self.n, 1)
 
-    def compute(self, arg: Sequence[ca.DM]) -> list[Any]:
+    def compute(self, arg: Sequence[ca.DM]) -> list[Expr | float]:
         z = self._z(arg)
         value = self.memory.at(z)
         return [value.cost if value.valid else np.nan, self.memory.gradient(z)]
@@ -247,7 +247,7 @@ class _Hessian(_Callback):
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         return ca.Sparsity.upper(self.n)
 
-    def compute(self, arg: Sequence[ca.DM]) -> list[Any]:
+    def compute(self, arg: Sequence[ca.DM]) -> list[Expr | float]:
         z = self._z(arg)
         memory = self.memory
         value = memory.at(z)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -135,14 +135,8 @@ def library(
     z, wrench = _smoothed(disturbed, [s for _, s in segments], names, axes)
     columns = _columns(model, z, names, axes, memory=memory)
     places = [model.dynamics.noises[axis] for axis in (*(axis for axis, _ in columns), *axes)]
-    blocks = sum(len(stretches(len(own), len(segments))) for own in wrench)
-    seen, follows, owners, at, number = (
-        dict[int, Normal](),
-        dict[int, list[Normal]](),
-        dict[int, str](),
-        0,
-        0,
-    )
+    many = sum(len(stretches(len(own), len(segments))) for own in wrench)
+    blocks, at = _Blocks(many=many), 0
     for (flight, segment), own in zip(segments, wrench, strict=True):
         pushes = np.column_stack(
             [*(t.values[at : at + len(own)] for _, t in columns), np.ones((len(own), len(axes)))]
@@ -153,31 +147,53 @@ def library(
         for part, normal in zip(
             parts, responses(plain, lin, run, pushes, places, parts, bends), strict=True
         ):
-            # A fleet has more stretches than are needed: neighbours are taken together.
-            block = number * min(MOST, blocks) // blocks
-            number += 1
             bent = bends.wrenches(run, part, lin, places[len(columns) :])
             x = np.column_stack([pushes[part, : len(columns) + 1], bent.reshape(len(bent), -1)])
-            shared = x.T @ x
-            each = [
-                Normal(xx=shared[None], xy=(w @ x)[None], yy=np.array([w @ w]), flights=(flight,))
-                for w in own[part].T
-            ]
-            if block in seen:
-                normal = seen[block] + normal
-                xx = follows[block][0].xx + shared
-                each = [replace(f + e, xx=xx) for f, e in zip(follows[block], each, strict=True)]
-            seen[block], follows[block], owners[block] = normal, each, owners.get(block, flight)
-    names_of = list(owners.values())
-    common = np.concatenate([f[0].xx for f in follows.values()])
-    smoothed = {
-        axis: Normal.joined([f[j] for f in follows.values()], names_of, common)
-        for j, axis in enumerate(axes)
-    }
-    innovations = Normal.joined(list(seen.values()), names_of)
+            blocks.add(flight, normal, x, own[part].T)
+    innovations, smoothed = blocks.joined(axes)
     for i, above, sigma in bends.beliefs():
         innovations = innovations.believing(len(places) + i, above, sigma)
     return Library(columns=columns, innovations=innovations, smoothed=smoothed)
+
+
+@dataclass(kw_only=True, eq=False)
+class _Blocks:
+    """Whitened innovations and smoothed pushes of `many` stretches that come one after the other. A
+    fleet has more of them than are needed: neighbours are taken together, `MOST` in all."""
+
+    many: int
+    number: int = 0
+    seen: dict[int, Normal] = field(default_factory=dict)
+    follows: dict[int, list[Normal]] = field(default_factory=dict)
+    owners: dict[int, str] = field(default_factory=dict)
+
+    def add(self, flight: str, normal: Normal, x: FloatArray, pushes: FloatArray) -> None:
+        """The next stretch: its innovations, and the terms x (n, k) that the pushes (n_axes, n)
+        follow."""
+        block = self.number * min(MOST, self.many) // self.many
+        self.number += 1
+        shared = x.T @ x
+        each = [
+            Normal(xx=shared[None], xy=(w @ x)[None], yy=np.array([w @ w]), flights=(flight,))
+            for w in pushes
+        ]
+        if block in self.seen:
+            normal = self.seen[block] + normal
+            before = self.follows[block]
+            xx = before[0].xx + shared  # the same of every axis
+            each = [replace(f + e, xx=xx) for f, e in zip(before, each, strict=True)]
+        self.seen[block], self.follows[block] = normal, each
+        self.owners.setdefault(block, flight)
+
+    def joined(self, axes: Sequence[str]) -> tuple[Normal, dict[str, Normal]]:
+        """All blocks: of the innovations, and of the pushes by axis."""
+        flights = list(self.owners.values())
+        common = np.concatenate([f[0].xx for f in self.follows.values()])
+        smoothed = {
+            axis: Normal.joined([f[j] for f in self.follows.values()], flights, common)
+            for j, axis in enumerate(axes)
+        }
+        return Normal.joined(list(self.seen.values()), flights), smoothed
 
 
 def _smoothed(

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greybox.data.logs import read_log, read_table
+from greybox.data.logs import read_log, read_logs, read_table
 from greybox.data.raw import RawLog
+from greybox.data.readers import read_recording
 from tests.data.readers import writers as w
 
 CASES: dict[str, tuple[str, Callable[[Path, dict[str, np.ndarray]], Path], str]] = {
@@ -114,3 +115,16 @@ def test_a_vehicle_file_with_columns_of_its_own_csv_does_not_disturb(
     assert flight.name == path.name.rpartition(".")[0] or flight.name == path.name
     assert flight.segments[0].n > 250
     assert abs(flight.segments[0].dt - 0.01) < 1e-6
+
+
+def test_what_a_reader_of_ones_own_hands_over_is_read_like_its_file(tmp_path: Path) -> None:
+    file, write, _ = CASES["crazyflie"]
+    path = write(tmp_path / file, w.channels(rows=400))
+    handed, (theirs,) = read_log(path), read_logs(read_recording(path), rate=50.0).flights
+    ours = read_log(read_recording(path))
+    assert (ours.name, ours.sha256, ours.notes) == (handed.name, handed.sha256, handed.notes)
+    for one, other in zip(ours.segments, handed.segments, strict=True):
+        assert set(one.channels) == set(other.channels)
+        for name, values in one.channels.items():
+            np.testing.assert_array_equal(values, other.channels[name])
+    assert theirs.segments[0].dt == 0.02

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mpc_export.tube.descent import BLIND, BRAKE, SLOW, SPEED, Descent, Watch, carried
+from mpc_export.tube.descent import BLIND, BRAKE, SLOW, SPEED, Descent, Watch, longest_without_pose
 from mpc_export.tube.gate import PARTLY, REACH, Gate, plausible
 from mpc_export.tube.rival import CLEARLY, Known, Rival, likelier
 from tests.mpc_export.tube.test_controller_flies_and_survives import fly, pilot
@@ -307,17 +307,17 @@ def test_a_filter_carries_on_without_a_pose_while_it_is_sure_of_its_place(contro
     assert not controller.descending
     np.testing.assert_allclose(path, np.tile([0.0, 0.0, 1.0], (200, 1)), atol=0.02)
     functions, columns = controller.filter, controller.model.dynamics.innovation_columns
-    assert carried(functions, columns) == controller.blind == pytest.approx(BLIND)
+    assert longest_without_pose(functions, columns) == controller.blind == pytest.approx(BLIND)
     pushed = replace(
         functions, noise=replace(functions.noise, filtered=1e4 * functions.noise.filtered)
     )
-    assert SLOW <= carried(pushed, columns) < BLIND
+    assert SLOW <= longest_without_pose(pushed, columns) < BLIND
     # Satellites: a position that is known to 10 cm with every measurement is not lost without one.
     known = functions.noise.covariance.copy()
     place = [i for i, n in enumerate(functions.error_states.names) if "position" in n]
     known[place, place] += 0.1**2
     vague = replace(functions, noise=replace(functions.noise, covariance=known))
-    assert carried(vague, columns) > SLOW
+    assert longest_without_pose(vague, columns) > SLOW
 
 
 def test_without_a_position_it_comes_down_and_says_so(controller):

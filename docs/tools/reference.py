@@ -1,7 +1,7 @@
 """The reference from the code: every command with every option, every public name with signature
 and docstring.
 
-    python -m scenarios.studies.docs_reference docs
+    python -m docs.tools.reference docs
 
 Why not a documentation generator: the page must be the same on every Python that we support, or the
 test that it is up to date fails on all but one; argparse and inspect print differently from version
@@ -19,14 +19,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from docs.tools.glossary import table
 from greybox import _MOVED
 from greybox.files import write_atomic
-from scenarios.studies.docs_glossary import table
 
 HEAD = """# Reference
 
 Every command with what it takes; [functions](functions.md) and [types](types.md) of Python have pages of their own. All
-three are written by `python -m scenarios.studies.docs_reference docs` from the code.
+three are written by `python -m docs.tools.reference docs` from the code.
 How to go about things: [tutorial](tutorial.md), [how-to](howto.md); files and exit codes: [files.md](files.md).
 """
 NOTE = (

@@ -1,6 +1,6 @@
 """The gallery: every report from shipped data, and one picture of each by headless Chromium.
 
-    python -m scenarios.studies.gallery --out gallery_out [--only fit,plan] [--pictures docs/images]
+    python -m docs.tools.gallery --out gallery_out [--only fit,plan] [--pictures docs/images]
 
 Minutes a report (`mpc` four, `discover` and `learn` about two on a calm machine). A report that is
 there is not made again. Pictures need Chromium, its driver and selenium (the extra `test`).

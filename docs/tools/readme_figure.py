@@ -2,7 +2,7 @@
 and ceiling.
 
 make demo
-python -m scenarios.studies.readme_figure demo_out/validate.json docs/images/nanobench.svg
+python -m docs.tools.readme_figure demo_out/validate.json docs/images/nanobench.svg
 """
 
 from __future__ import annotations
