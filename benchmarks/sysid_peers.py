@@ -10,7 +10,8 @@
 craft with known truth (`scenarios.foreign.draw`), three flights to fit, two to judge, with ideal
 and real sensors, gusts on and off. `greybox fit` runs as typed, with nothing but vehicle file and
 flights. The peers (`sysid_mujoco`, `sysid_aeroid`; --peers chooses) get the numbers of the same
-file; the true mass of a drawn craft is told to them, not to greybox. Free are a gain per rotor, the
+file; the true mass of a drawn craft is told to them, not to greybox. Without --peers names only our
+rows are made, and those of the peers in F.json stay. Free are a gain per rotor, the
 drag torque, the lag, damping of motion and rotation and the moments of inertia. They fit half a
 second from measured states, each signal scaled by what it changes in that time. Everybody then
 predicts from the same instants and the same measured pose, velocity and rates. In one row our
@@ -31,7 +32,7 @@ import argparse  # noqa: E402
 import json  # noqa: E402
 import tempfile  # noqa: E402
 import time  # noqa: E402
-from collections.abc import Mapping, Sequence  # noqa: E402
+from collections.abc import Iterable, Mapping, Sequence  # noqa: E402
 from dataclasses import replace  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any  # noqa: E402
@@ -225,6 +226,18 @@ def craft(
     return rows
 
 
+def with_kept(rows: Sequence[Row], path: Path) -> list[Row]:
+    """`rows` and what stands in the file, if there is one, of other craft and other methods."""
+    kept = json.loads(path.read_text())["rows"] if path.exists() else []
+    made = {(r.get("seed"), r["method"]) for r in rows}
+    return [*rows, *(r for r in kept if (r.get("seed"), r["method"]) not in made)]
+
+
+def deviating(rows: Iterable[Row]) -> list[tuple[float, float]]:
+    """Deviations from the truth in standard errors, and relative ones, of all numbers of `rows`."""
+    return [(z, d) for r in rows for z, d in r.get("off", {}).values()]
+
+
 def summary(rows: Sequence[Row]) -> str:
     """One line per method: RMSE, a mean over craft where there are several (their geometric mean),
     intervals that hold, CPU seconds."""
@@ -235,10 +248,15 @@ def summary(rows: Sequence[Row]) -> str:
         line = f"{method:28s}" + "".join(
             f"{np.exp(np.mean([np.log(r[k]) for r in own])):16.4g}" for k in keys
         )
-        off = [o for r in own for o in r.get("off", {}).values()]
-        if off:
-            inside = sum(abs(z) <= DEVIATIONS for z, _ in off)
-            line += f"  {inside} of {len(off)} inside"
+        line += "  " + ", ".join(
+            f"{sum(abs(z) <= DEVIATIONS for z, _ in off)} of {len(off)} inside {where}"
+            for where, off in (
+                ("in all", deviating(own)),
+                ("in gusts", deviating(r for r in own if r.get("gusts"))),
+            )
+            if off
+        )
+        if off := deviating(own):
             line += f", median error {100 * np.median([abs(d) for _, d in off]):.2f} %"
         for k in ("cpu", "cpu cold"):
             spent = [r[k] for r in own if k in r]
@@ -253,7 +271,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("part", choices=("nanobench", "craft"))
-    parser.add_argument("--peers", nargs="+", choices=tuple(PEERS), default=tuple(PEERS))
+    parser.add_argument("--peers", nargs="*", choices=tuple(PEERS), default=tuple(PEERS))
     parser.add_argument(
         "--train",
         nargs="+",
@@ -291,7 +309,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             rows = craft(range(first, last + 1), options.simulator, work, options.peers)
         print(summary(rows))
     if options.out:
-        write_json(options.out, {"part": options.part, "rows": rows})
+        write_json(options.out, {"part": options.part, "rows": with_kept(rows, options.out)})
 
 
 if __name__ == "__main__":

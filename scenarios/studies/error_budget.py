@@ -1,7 +1,7 @@
 """Where the errors of open-loop predictions come from: each cause is taken away, and what is left
 is measured.
 
-    python -m scenarios.studies.error_budget MODEL.json [--figure budget.svg] [--every 2]
+    python -m scenarios.studies.error_budget MODEL.json [--refitted R.json ...] [--figure F.svg]
 
 The model is fitted to nothing here. On every test flight the values of the flight come from its
 first five seconds, as in `greybox validate --adapt 5`; origins start after them. Rows use knowledge
@@ -24,6 +24,9 @@ cause can gain; only the two that are corrected use what a predictor has:
     force throughout          the smoothed force at every step
     both throughout           what remains is the start and what no push can mend
     rates measured            rates from the smoother at every step: the rotation is only integrated
+    thrust of each motor      trim, strength of every motor and the start from the whole judged flight
+    refitted, N effects       --refitted: models that were fitted to the judged flights themselves; what more
+                              effects gain there is the most that this form of the model lacks
     smoothed                  the smoothed state itself: noise and clock of the reference
 """
 
@@ -31,7 +34,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,11 +46,13 @@ from greybox.estimation.smoothing import Smoothed, smooth
 from greybox.examples import NANOBENCH_TEST, NANOBENCH_TRAIN, flight_paths, vehicle_path
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import physics_of
 from greybox.model.vehicle import read_vehicle
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import adapt_to_flight
 from greybox.validation.groups import error_vectors
 from greybox.validation.horizon import HorizonAccumulator
+from greybox.validation.horizon_table import HorizonTable
 from greybox.validation.open_loop import GroupReader, IntArray
 
 ADAPT = 5.0
@@ -62,6 +67,8 @@ BEFORE, ASKED = 0.3, 12
 after it."""
 RIDGE = 0.1
 """Ridge of the regression on features of unit variance, per sample."""
+STRENGTH = 0.1
+"""How far the motors of a flight may stand from those of the training flights, relative."""
 GROUPS = ("position", "velocity", "rotation", "rate")
 LISTED = (2, 10, 50, 100)
 DRAWN = (
@@ -87,13 +94,17 @@ class Replay:
     inputs: FloatArray
 
 
-def replay(runner: Filter, reader: GroupReader, flight: Flight, every: int) -> Replay:
-    """Filter and smooth the first segment of a flight."""
+def replay(
+    runner: Filter, reader: GroupReader, flight: Flight, every: int, known: float | None = ADAPT
+) -> Replay:
+    """Filter and smooth the first segment of a flight, whose own values come from its first `known`
+    seconds (None: from the fit, which saw the flight)."""
     model, segment = runner.model, flight.segments[0]
-    own = adapt_to_flight(model, flight, ADAPT, riccati=runner.riccati)
+    own = adapt_to_flight(model, flight, known or ADAPT, riccati=runner.riccati)
+    values = own.values if known else {**own.values, **model.per_flight.get(flight.name, {})}
     filtered = runner.run(
         segment.without(flight.noncausal),
-        p=model.parameter_vector(own.values),
+        p=model.parameter_vector(values),
         x0=own.x0,
         x0_sigma=own.x0_sigma,
     )
@@ -118,6 +129,16 @@ def replay(runner: Filter, reader: GroupReader, flight: Flight, every: int) -> R
         origins=first[complete],
         inputs=inputs,
     )
+
+
+def with_own_motors(model: IdentifiedModel) -> IdentifiedModel:
+    """The model where the strength of every motor belongs to the flight, not to the craft."""
+    strengths = {
+        d.name: (model.values[d.name], STRENGTH * (abs(d.nominal) or 1.0))
+        for d in model.dynamics.parameters
+        if d.name == "thrust.c2" or d.name.startswith("rotor_asymmetry.")
+    }
+    return replace(model, flight_spread={**model.flight_spread, **strengths})
 
 
 def asked(reader: GroupReader, r: Replay, past: int, h: int, ahead: bool) -> FloatArray:
@@ -333,16 +354,53 @@ class Budget:
 
 
 def run(
-    model: IdentifiedModel, train: Dataset, test: Dataset, every: int
+    model: IdentifiedModel,
+    train: Dataset,
+    test: Dataset,
+    every: int,
+    refitted: Sequence[IdentifiedModel] = (),
 ) -> dict[str, HorizonAccumulator]:
-    """Label -> errors over the flights of `test`; what corrects them was learned on `train`."""
+    """Label -> errors over the flights of `test`; what corrects them was learned on `train`, and
+    `refitted` on `test` itself."""
     budget = Budget(model)
+    others: dict[str, tuple[Budget, float | None]] = {
+        "thrust of each motor": (Budget(with_own_motors(model)), float("inf"))
+    }
+    others |= {f"refitted, {effects_of(m)} effects": (Budget(m), None) for m in refitted}
     seen = [replay(budget.runner, budget.reader, f, every) for f in train]
     budget.learn(seen)
     for flight in test:
         print(f"  {flight.name}", flush=True)
         budget.flight(replay(budget.runner, budget.reader, flight, every))
+        for label, (other, known) in others.items():
+            r = replay(other.runner, other.reader, flight, every, known)
+            budget.add(label, r, other.roll(r, r.filtered.states[r.origins + 1]))
     return budget.rows
+
+
+def effects_of(model: IdentifiedModel) -> int:
+    """How many effects a model of a vehicle has."""
+    physics = physics_of(model.dynamics)
+    return 0 if physics is None else len(physics.effects)
+
+
+def short(value: float) -> str:
+    """Three digits without the zero before the point."""
+    digits = 2 - int(np.floor(np.log10(value))) if value > 0 else 0
+    return f"{value:.{min(max(digits, 2), 4)}f}".removeprefix("0")
+
+
+def listed(tables: Mapping[str, HorizonTable], dt: float) -> str:
+    """RMSE of the norm of every group at `LISTED`, a line per row."""
+    ahead = ", ".join(f"{h * dt:g}" for h in LISTED)
+    lines = [f"{f'{ahead} s':26s}" + "".join(f"{g:24s}" for g in GROUPS).rstrip()]
+    for label, table in tables.items():
+        cells = (
+            " ".join(f"{short(float(table.groups[g].rmse[h - 1])):5s}" for h in LISTED)
+            for g in GROUPS
+        )
+        lines.append(f"{label:26s}" + " ".join(cells).rstrip())
+    return "\n".join(lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -355,6 +413,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         metavar="MODEL.json",
         help="a model of the NanoBench training flights with disturbance states",
     )
+    parser.add_argument(
+        "--refitted",
+        nargs="+",
+        default=(),
+        metavar="R.json",
+        help="models of the judged flights themselves",
+    )
     parser.add_argument("--every", type=int, default=2, help="samples between origins (2)")
     parser.add_argument(
         "--figure", metavar="FILE", help="draw rotation and rates against the horizon"
@@ -362,17 +427,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     vehicle, model = read_vehicle(vehicle_path("nanobench")), IdentifiedModel.load(options.model)
     data = read_logs(flight_paths("nanobench"), vehicle)
-    rows = run(model, data.select(NANOBENCH_TRAIN), data.select(NANOBENCH_TEST), options.every)
+    refitted = [IdentifiedModel.load(f) for f in options.refitted]
+    train, test = data.select(NANOBENCH_TRAIN), data.select(NANOBENCH_TEST)
+    rows = run(model, train, test, options.every, refitted)
     tables = {label: row.table() for label, row in rows.items()}
-    for g in GROUPS:
-        print(
-            f"\n{g}, RMSE of the norm "
-            + " ".join(f"{h * model.sample_time:7.2f} s" for h in LISTED)
-        )
-        for label, table in tables.items():
-            print(
-                f"  {label:24s}" + " ".join(f"{table.groups[g].rmse[h - 1]:9.4f}" for h in LISTED)
-            )
+    print(listed(tables, model.sample_time))
     if options.figure:
         draw(
             {k: {g: t.groups[g].rmse for g in GROUPS} for k, t in tables.items()},

@@ -13,7 +13,7 @@ from greybox.estimation.engine import engine_for
 from greybox.model.identified import IdentifiedModel
 from greybox.model.noise import with_disturbance
 from greybox.model.parameter import ParameterValues
-from scenarios.studies.error_budget import ADAPT, regressed, regression, run
+from scenarios.studies.error_budget import ADAPT, listed, regressed, regression, run, short
 from tests.validation.test_validate_judges_causally import COLUMNS, DT, make_model
 
 N = round((ADAPT + 2.5) / DT)
@@ -70,7 +70,8 @@ def errors() -> dict[str, dict[str, float]]:
     """Label -> group -> RMSE half a second ahead."""
     model = pushed_model()
     flights = Dataset(flights=(flown(model, "f", 2e-6),))
-    rows = run(model, flights, flights, 5)
+    rows = run(model, flights, flights, 5, [model])
+    assert "the model  " in listed({k: r.table() for k, r in rows.items()}, DT)
     return {
         label: {g: float(e.rmse[49]) for g, e in row.table().groups.items()}
         for label, row in rows.items()
@@ -87,6 +88,19 @@ def test_rotation_is_mended_by_the_torque_that_was_hidden_and_not_by_force(
         assert errors["start: pose and rates"][g] > 0.5 * plain[g]
         assert errors["smoothed"][g] < 0.1 * plain[g]
     assert errors["torque, mean ahead"]["rate"] < 0.5 * plain["rate"]
+    for g in plain:  # nothing of this craft belongs to a flight, and its form is right
+        assert errors["thrust of each motor"][g] == pytest.approx(plain[g], rel=0.1)
+        (same,) = (e for label, e in errors.items() if label.startswith("refitted, "))
+        assert same[g] == pytest.approx(plain[g], rel=0.1)
+
+
+def test_three_digits_are_shown() -> None:
+    assert [short(v) for v in (0.000412, 0.0501, 0.5034, 1.234)] == [
+        ".0004",
+        ".0501",
+        ".503",
+        "1.23",
+    ]
 
 
 def test_regression_finds_a_linear_law() -> None:
