@@ -41,7 +41,7 @@ typedef struct {
 
 static const int column[ND + 1] = TUBE_COLUMN, row[TUBE_NONZEROS] = TUBE_ROW;
 static const int places[2] = TUBE_PLACES;
-static const tube_real gain[NU][ND] = TUBE_GAIN, back[3] = TUBE_BACK;
+static const tube_real gain[NU][ND] = TUBE_GAIN, back[2] = TUBE_BACK;
 
 #ifdef TUBE_HOSTED
 #define TUBE_SOLVE
@@ -393,15 +393,6 @@ static tube_real contraction(const tube_data *d, int failed) {
   return d->missed <= d->primal_tolerance ? 0 : d->missed / d->step;
 }
 
-/* Once more about a plan that is moved far: its limits were linear where it was. The first stays where that does not bring
-   it nearer to its dynamics. */
-static int nearer(tube_solver *s, tube_data *d) {
-  s->first = *d;
-  if (!iterated(s, d) && contraction(d, 0) < 1 && d->missed < s->first.missed) return 1;
-  *d = s->first;
-  return 0;
-}
-
 /* The plan's commands, flown by the model from where the craft is: a start that owes nothing to the states planned before,
    which a wild measurement may have sent anywhere. */
 static int simulated(tube_solver *s, tube_data *d) {
@@ -445,8 +436,6 @@ TUBE_SOLVE int tube_solve(tube_solver *s, tube_data *d) {
       *d = s->first;
     }
   }
-  for (int more = 1; !failed && ratio < 1 && d->missed > back[2] && more < (int)d->attempts_max; more++)
-    if (!nearer(s, d)) break;
   if (!failed && ratio >= 1) failed = 3;
   d->failed = failed != 0;
   if (failed) {

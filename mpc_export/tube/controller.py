@@ -87,8 +87,7 @@ NEAR_STEADY = 1e-6
 ROUNDING = 1e-6
 """A command that its limits move by less is as it was decided: the QP is solved to this."""
 SLACK = 1e-3
-"""A plan that is farther beyond a tightened limit does not hold it [m, of the tilt's cosine a
-TILT_PRICE-th]."""
+"""A plan that is farther beyond a tightened limit does not hold it [m, or cosine of the tilt]."""
 GIVEN = 0.7
 """Part of the hover command below which, in the mean, nothing is said of weak rotors."""
 MEAN = 0.3

@@ -18,7 +18,7 @@ class TubeProblem:
     dt [s]: sample time of plan and controller; horizon: stages; planes: how many position
     constraints a stage has room for. command_min, command_max and rate_max (change per sample)
     bound every command and are hard; planes and tilt_max [rad] are soft with an exact penalty:
-    `penalty` per metre beyond (of the tilt's cosine per twentieth), `penalty_square` on its square.
+    `penalty` per metre (or unit of cosine) beyond, `penalty_square` on its square.
     A plane that the craft is beyond asks no more than the way back. feedback: whether the ancillary
     gain acts inside the tube; without it the covariance is that of an open loop. ancillary: weights
     of the LQR that gives this gain, default those of the tracking cost; a stiffer one makes the

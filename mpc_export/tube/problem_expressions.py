@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.frames import rotation_matrix
 from mpc_export.tube.solver import TubeSolver
-from mpc_export.tube.stages import TILT_PRICE, block
+from mpc_export.tube.stages import block
 
 
 class Problem:
@@ -47,7 +47,7 @@ class Problem:
         rows = [
             ca.dot(planes[4 * j : 4 * j + 3], place) - planes[4 * j + 3] for j in range(self.npl)
         ]
-        values = ca.vertcat(*rows, TILT_PRICE * (np.cos(self.task.tilt_max) - turn[2, 2]))
+        values = ca.vertcat(*rows, np.cos(self.task.tilt_max) - turn[2, 2])
         self.residual = ca.Function("r", [x, u, before, ref], [r])
         self.end = ca.Function("end", [x, goal], [end])
         self.limits = ca.Function("limits", [x, planes], [values])

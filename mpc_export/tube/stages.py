@@ -44,12 +44,6 @@ from mpc_export.functions import ModelFunctions
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.second_order import second_order
 
-TILT_PRICE = 20.0
-"""Metres beyond a plane that a unit of cosine beyond the limit of tilt weighs: who tilts too far
-comes back from nowhere."""
-FAR = 0.1
-"""A plan whose next step is larger is linear about another one [m, rad, ...]."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stages:
@@ -59,8 +53,8 @@ class Stages:
     the disturbances; gain K (n_u, n_d); terminal P (n_k, n_k); steady = (x, u) at hover; estimate
     P_f and fresh W (n_d, n_d); bent D (N + 1, n_d, n_d), which `tube_spread` does not hold;
     covariance of the parameters (n_theta, n_theta); white: see `stages`; worst_case: kind of the
-    tube; places: first rows of position and velocity in x; back: a stage [s], how hard a craft
-    beyond a plane is to brake and turn [m/s^2], and FAR.
+    tube; places: first rows of position and velocity in x; back: a stage [s] and how hard a craft
+    beyond a plane is to brake and turn [m/s^2].
 
     `tube_spread` says the recursion in symbols; controller.c computes it from `tube_linear` and
     `tube_unsure`, with A's zeros left out.
@@ -79,7 +73,7 @@ class Stages:
     white: bool
     worst_case: bool
     places: tuple[int, int]
-    back: tuple[float, float, float]
+    back: tuple[float, float]
 
 
 def stages(
@@ -141,7 +135,7 @@ def stages(
         white=white,
         worst_case=problem.kind == "worst case",
         places=(block(model, "position")[0], block(model, "velocity")[0]),
-        back=(problem.dt, 0.5 * GRAVITY * math.tan(min(problem.tilt_max, math.pi / 4)), FAR),
+        back=(problem.dt, 0.5 * GRAVITY * math.tan(min(problem.tilt_max, math.pi / 4))),
     )
 
 
@@ -313,7 +307,7 @@ def _limits(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) 
     place = moved[block(model, "position")]
     turn = rotation_matrix(moved[block(model, "attitude")])
     rows = [ca.dot(planes[:3, j], place) - planes[3, j] for j in range(problem.planes)]
-    values = ca.vertcat(*rows, TILT_PRICE * (np.cos(problem.tilt_max) - turn[2, 2]))
+    values = ca.vertcat(*rows, np.cos(problem.tilt_max) - turn[2, 2])
     found = ca.substitute([values, ca.jacobian(values, d)], [d], [ca.DM.zeros(d.shape)])
     return ca.Function("tube_limits", [x, planes], [ca.densify(v) for v in found])
 

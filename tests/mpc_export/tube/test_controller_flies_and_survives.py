@@ -103,3 +103,43 @@ def test_a_solver_that_fails_leaves_the_plan_before_and_the_ancillary_gain(contr
 def test_the_same_flight_twice_is_the_same_to_the_last_bit(controller):
     one, two = (fly(controller, 60, force=0.02)[1] for _ in range(2))
     np.testing.assert_array_equal(one, two)
+
+
+@functools.cache
+def far_sighted():
+    """The horizon and rates of a desktop, a wall 2 cm off its place."""
+    own = TubeController(
+        model=cases.disturbed(),
+        problem=TubeProblem(dt=0.02, horizon=20, planes=2),
+        reference=Hover(),
+        kappa=(2.0, 2.0, 2.0),
+        kappa_u=1.0,
+    )
+    wall = np.zeros((21, 2, 4))
+    wall[..., 3] = 1.0
+    wall[:, 0] = [1.0, 0.0, 0.0, 0.02]
+    own.planes = lambda times: wall
+    return own
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("beyond", "away"), [(1.0, 1.5), (2.0, 0.0)])
+def test_a_craft_far_beyond_a_wall_comes_back_upright(beyond, away):
+    """All sensors are well. A plane that was beyond reach bought any tilt: 97 and 154 degrees."""
+    own = far_sighted()
+    f, names = own.filter, own.filter.states.names
+    own.start()
+    x, tilts = own.estimate.copy(), []
+    x[names.index("position.x")], x[names.index("velocity.x")] = beyond, away
+    own.start(x)
+    u = own.u
+    for k in range(300):
+        y = f["h"](x, u, f.parameter_values).full().ravel().tolist()
+        new = own.sample(0.01 * k, dict(zip(f.outputs.names, y, strict=True)))
+        x, u = f["f_d"](x, u, f.parameter_values).full().ravel(), np.array(new)
+        turned = np.linalg.norm(x[[names.index(f"attitude.{a}") for a in "xy"]])
+        tilts.append(2 * np.arcsin(min(turned, 1.0)))
+    assert max(tilts) < own.problem.tilt_max + np.radians(5)
+    assert abs(x[names.index("position.x")]) < 0.02
+    said = [e for e in own.events if e.what.startswith("a limit is not held by the plan: plane 0")]
+    assert said and max(e.time for e in said) < 2.0

@@ -211,13 +211,13 @@ def walls(own, planes):
     return lambda times: every
 
 
-@pytest.mark.slow
 def not_held(own):
     """Which limits plans did not hold, one text a plan."""
     begin = "a limit is not held by the plan: "
     return [e.removeprefix(begin) for e in events(own) if e.startswith(begin)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("linear", [False, True])
 @pytest.mark.parametrize(
     ("planes", "slack"),

@@ -13,7 +13,6 @@ from mpc_export.tube.in_process import TubeInC
 from mpc_export.tube.library import flight
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.solver import TubeSolver
-from mpc_export.tube.stages import FAR
 from tests.mpc_export import cases
 
 HORIZON = 6
@@ -123,8 +122,6 @@ def test_with_one_attempt_the_next_call_begins_at_flown_commands():
         np.testing.assert_array_equal(now[1:], then[1:])
     assert one.solve().status == two.solve().status == 0
     assert float(one.data["failed"]) == 0.0
-    assert float(one.data["missed"]) > FAR  # two attempts went on about that plan at once
-    assert one.solve().status == 0
     assert np.abs(one.data["u"] - two.data["u"]).max() < 1e-9
 
 
