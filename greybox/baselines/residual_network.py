@@ -22,8 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from greybox.baselines.base_predictor import BasePredictor, Run
+from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.filter_predictor import FilterPredictor
 from greybox.baselines.lstm_train import LSTMSettings, Network, Schedule, descend
+from greybox.baselines.predictor_run import Run
 from greybox.baselines.regressors import NetworkReport, NotMeasured, Space
 from greybox.data import Dataset
 from greybox.errors import DataError
@@ -61,8 +63,8 @@ class ResidualSettings(Schedule):
 class PhysicsAlone:
     """The fitted model without its disturbance states, open loop from what its filter knows."""
 
-    def __init__(self, base: BasePredictor) -> None:
-        self.base, self.reader = base, GroupReader(base.model)  # type: ignore[arg-type]
+    def __init__(self, base: FilterPredictor) -> None:
+        self.base, self.reader = base, GroupReader(base.model)
         self.velocity, self.rate, self.attitude = (
             self.reader.state_rows(b) for b in ("velocity", "rate", "attitude")
         )
