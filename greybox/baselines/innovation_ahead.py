@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from greybox.baselines.predictor_features import column_of, given, last_errors, uses_errors
 from greybox.baselines.predictor_run import Run
+from greybox.baselines.regressors import inside
 from greybox.data import Segment
-from greybox.errors import DataError
 from greybox.residual.weight_space import Candidate
 from greybox.symbolic import BoolArray, FloatArray, IntArray, evaluate
 
@@ -42,10 +42,7 @@ def run_with_spread(
     Measured features keep their value at k; of the errors to come the mean is expected. NaN where
     nothing is known at k+1, and past the end. Raises `DataError` for an origin outside.
     """
-    k = np.asarray(origins, dtype=np.int64).ravel()
-    if k.size and (k.min() < 0 or k.max() >= segment.n):
-        raise DataError("an origin lies outside the segment", expected=f"0 .. {segment.n - 1}")
-    run = base.run(segment)
+    k, run = inside(segment, origins), base.run(segment)
     names = () if posterior is None else posterior.inputs.names
     columns = [c for n in names if (c := column_of(n)) is not None]
     beside = _Beside(
