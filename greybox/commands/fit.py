@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from greybox.automatic.decide import Given
     from greybox.automatic.fit import Prepared
     from greybox.data import Dataset
     from greybox.data.checks import CheckReport
     from greybox.data.raw import RawLog
     from greybox.estimation.document import FitDocument
+    from greybox.estimation.recipe import Recipe
     from greybox.estimation.result import Fit
     from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import Vehicle
@@ -39,7 +39,13 @@ from greybox.commands.judgement import (
     refuse_faults,
 )
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
-from greybox.commands.model_options import fit_with, given, model_options
+from greybox.commands.model_options import (
+    explicit_recipe,
+    fit_open,
+    fit_with,
+    given,
+    model_options,
+)
 from greybox.commands.own_model import model_file_option
 
 
@@ -195,7 +201,8 @@ def _fitted(job: _Job, console: Console) -> Fit:
         if arguments.manual:
             result = fit_with(arguments, job.vehicle, data, console.solver, job.source)
         else:
-            result = _decided(job, console)
+            said = replace(given(arguments), source=job.source)
+            result = fit_open(job.vehicle, job.prepared, said, console)
     except Interrupted as stop:
         withdraw(job.out, *RESULTS)
         job.save(stop.kept)
@@ -466,91 +473,26 @@ def _unfit(arguments: argparse.Namespace, vehicle: Vehicle) -> list[str]:
     ]
 
 
-def _decided(job: _Job, console: Console) -> Fit:
-    """The automatic fit."""
-    said = replace(given(job.arguments), source=job.source)
-    return decided_fit(job.vehicle, job.prepared, said, console)
-
-
-def decided_fit(vehicle: Vehicle, prepared: Prepared, said: Given, console: Console) -> Fit:
-    """The fit to prepared flights for which all is decided that was not `said`; `console` gets
-    every decision. Raises what `fit_decided` raises."""
-    from greybox.automatic.borrow import decide_with_source
-    from greybox.automatic.facts import facts_of
-    from greybox.automatic.fit import fit_decided
-    from greybox.estimation.status import Interrupted
-
-    console.say("deciding what is open, on pieces of the flights that are left out:")
-    for done in prepared.decisions():
-        console.say(f"  {done.about}: {done.choice} ({done.reason})")
-    facts = facts_of(prepared.data, vehicle, prepared.report)
-    try:
-        own, decided = decide_with_source(vehicle, prepared.data, facts, said, say=console.say)
-    except Interrupted:  # a trial on pieces of the flights is no result
-        raise KeyboardInterrupt from None
-    console.say("fitting all flights:")
-    return fit_decided(own, prepared, decided, say=console.say, progress=console.solver)
-
-
-def _pieces(job: _Job, result: Fit) -> tuple[IdentifiedModel, Dataset] | None:
-    """(model of the first parts of the flights, pieces left out) by the recipe of the fit; None
-    where nothing can be left out, and of a fit that did not arrive."""
-    from greybox.automatic.fit import on_pieces
-    from greybox.commands.model_options import explicit_recipe
-
-    recipe = result.provenance.recipe or explicit_recipe(job.arguments, result)
-    vehicle = result.model.physics.vehicle
-    return on_pieces(vehicle, job.prepared.data, recipe) if result.converged else None
+def _recipe(job: _Job, result: Fit) -> Recipe:
+    """What was fitted."""
+    return result.provenance.recipe or explicit_recipe(job.arguments, result)
 
 
 def _validated(job: _Job, result: Fit) -> tuple[Validation, Verdict | None]:
-    """(on test flights where there are any, else on pieces left out, else on the flights that were
-    fitted; the verdict on the pieces, where there are any)."""
-    from greybox.validation.advice import hints_of_checks, hints_of_fit, hints_of_sanity
-    from greybox.validation.sanity import sanity_of
-    from greybox.validation.usefulness import LEFT_OUT
-    from greybox.validation.validate import validate
+    """What `judged` gives."""
+    from greybox.automatic.judged import judged
 
-    arguments, test, horizons = job.arguments, job.test, job.horizons
-    recipe = result.provenance.recipe
-    kinematic = bool(arguments.kinematic_noise) if recipe is None else recipe.kinematic_noise
-    hints = (
-        *(
-            h
-            for report in (job.prepared.report, job.faults)
-            if report is not None
-            for h in hints_of_checks(
-                report, effects=result.model.effects, kinematic_noise=kinematic
-            )
-        ),
-        *hints_of_sanity(sanity_of(result)),
-        *hints_of_fit(result),
+    arguments, test = job.arguments, job.test
+    return judged(
+        result,
+        job.prepared,
+        _recipe(job, result),
+        test,
+        reports=() if job.faults is None else (job.faults,),
+        adapt=arguments.adapt,
+        left_out=arguments.judge_left_out or not (test.flights or arguments.manual),
+        horizons=job.horizons,
     )
-    pieces = None
-    if arguments.judge_left_out or not (test.flights or arguments.manual):
-        pieces = _pieces(job, result)
-    left_out = (
-        None if pieces is None else validate(*pieces, **horizons, hints=hints, judged_on=LEFT_OUT)
-    )
-    if test.flights:
-        seen = validate(result.model, test, **horizons, adapt=_adapted(job, result), hints=hints)
-    elif left_out is not None:
-        seen = left_out
-    else:
-        data = job.prepared.data
-        seen = validate(result.model, data, **horizons, adapt=arguments.adapt, hints=hints)
-    return seen, None if left_out is None else left_out.verdict
-
-
-def _adapted(job: _Job, result: Fit) -> float | None:
-    """Seconds that test flights are adapted on; a time that nobody asked for only where enough is
-    left to judge."""
-    from greybox.automatic.fit import adaptation
-
-    recipe, asked = result.provenance.recipe, job.arguments.adapt
-    if asked is not None or recipe is None:
-        return None if asked is None else float(asked)
-    return adaptation(recipe, job.test)
 
 
 def _sanity_lines(result: Fit) -> list[str]:
@@ -561,9 +503,10 @@ def _sanity_lines(result: Fit) -> list[str]:
 
 def _explicit(job: _Job, result: Fit) -> str:
     """The explicit command line: every choice is said, flights that were left out are not named."""
-    arguments, prepared, decided = job.arguments, job.prepared, result.provenance.recipe
-    assert decided is not None
-    recipe = replace(decided, adapt=_adapted(job, result))
+    from greybox.automatic.fit import adaptation
+
+    arguments, prepared, recipe = job.arguments, job.prepared, _recipe(job, result)
+    recipe = replace(recipe, adapt=adaptation(recipe, job.test, arguments.adapt))
     out = {f.flight for f in prepared.left_out}
     train = [p for p, name in zip(arguments.train, prepared.names, strict=True) if name not in out]
     words = recipe.command_line(arguments.vehicle, train, arguments.test)
