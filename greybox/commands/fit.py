@@ -365,35 +365,12 @@ def _lines(job: _Job, result: Fit, table: str, content: FitDocument) -> list[str
 def _next(job: _Job, result: Fit) -> list[str]:
     """The command that names what is missing, where parameters stand in for that, or pushes
     without a name follow the motion and matter ahead or carry the craft."""
-    import numpy as np
-
-    from greybox.errors import GreyboxError
-    from greybox.residual.followed import pushes
+    from greybox.residual.followed import told_of_pushes
 
     verdict, form = result.verdict, result.covariance.form
-    bent = [f"next: {_discover(job.arguments)}: {form}"] if form else []
-    if verdict is None or verdict.refused or not verdict.groups or not result.converged:
-        return bent
-    errors = {g.name: g for g in verdict.groups}
-    ahead = verdict.groups[0].seconds
-    try:
-        seen = pushes(result.model, job.prepared.data, errors)
-        found = seen.followed({n: g.error for n, g in errors.items()}, ahead) if seen else ()
-        carried = seen.carried() if seen else 0.0
-    except (GreyboxError, np.linalg.LinAlgError):  # too short to see pushes in, or too wild
-        return bent
     told = [form] if form else []
-    told += [
-        f"the motion foretells {100 * p.share:.0f} % of the {p.group} without a name, which moves "
-        f"{p.channel} by {p.change:.2g} of {p.error:.2g} {errors[p.channel].unit} that the model "
-        f"errs {ahead:g} s ahead"
-        for p in found
-    ]
-    if carried:
-        told.append(
-            f"a force without a name carries {100 * carried:.1f} % of the weight in every flight: "
-            "mass or thrust is off by that, or something pulls all the time"
-        )
+    if verdict is not None and not verdict.refused and verdict.groups and result.converged:
+        told += told_of_pushes(result.model, job.prepared.data, verdict.groups)
     return [f"next: {_discover(job.arguments)}: {'; '.join(told)}"] if told else []
 
 
