@@ -31,9 +31,11 @@ import numpy as np  # noqa: E402 (after the thread counts)
 from benchmarks.export_speed import POINTER, TURNS, Timer, shared_library  # noqa: E402
 from benchmarks.gpytorch_export import made  # noqa: E402
 from greybox.baselines.base_predictor import BasePredictor  # noqa: E402
+from greybox.baselines.linear_predictor import LinearPredictor  # noqa: E402
 from greybox.baselines.lstm import LSTMModel  # noqa: E402
 from greybox.baselines.narx import NARXModel  # noqa: E402
 from greybox.baselines.output_residual import OutputHybrid  # noqa: E402
+from greybox.baselines.predictor_features import layout_of  # noqa: E402
 from greybox.baselines.regressors import Lags  # noqa: E402
 from greybox.model.layer import LongerWindow  # noqa: E402
 from greybox.model.linear import LinearModel  # noqa: E402
@@ -94,7 +96,7 @@ def linear(outputs: tuple[str, ...], inputs: tuple[str, ...], order: int) -> Bas
         input_offset=np.zeros(len(inputs)),
         output_offset=np.zeros(len(outputs)),
     )
-    return BasePredictor(model=model, outputs=outputs, channels={n: ((1.0, n),) for n in inputs})
+    return LinearPredictor(model=model, outputs=outputs, channels={n: ((1.0, n),) for n in inputs})
 
 
 def siso() -> BasePredictor:
@@ -107,7 +109,7 @@ def mimo() -> BasePredictor:
 
 def output_hybrid(base: BasePredictor) -> OutputHybrid:
     names = (*base.outputs, *(f"{u}[t-{k}]" for u in COMMANDS for k in (1, 2)))[:10]
-    layout = base.feature_layout(names)
+    layout = layout_of(base, names)
     return OutputHybrid(base=base, posterior=posterior(layout, signals(base.outputs), 0, POINTS))
 
 

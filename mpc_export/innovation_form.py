@@ -26,11 +26,11 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from greybox.baselines.base_predictor import LAST_ERROR, LATE, BasePredictor
+from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.predictor_features import column_of, layout_of, uses_errors
 from greybox.baselines.regressors import Lags
 from greybox.data.channel import channel, is_canonical
 from greybox.errors import ModelError
-from greybox.model.linear import LinearModel
 from greybox.model.parameter import Parameter
 from greybox.residual import features as model_features
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, sum_of
@@ -290,12 +290,7 @@ class BaseForm(InnovationForm):
     @cached_property
     def sampled(self) -> Sampled:
         """The base model with its delayed commands as states."""
-        model = self.base.model
-        values = (
-            {d.name: d.nominal for d in model.parameters}
-            if isinstance(model, LinearModel)
-            else dict(model.values)
-        )
+        values = dict(self.base.model.values)
         return Sampled(dynamics=self.base.dynamics, dt=self.base.dt, values=values)
 
     # -------------------- what is where
@@ -303,42 +298,26 @@ class BaseForm(InnovationForm):
     @cached_property
     def given(self) -> tuple[str, ...]:
         """Features that are columns of the log which do not drive the model."""
-        late = [
-            (n, m)
-            for n in self.looked_at
-            if not LAST_ERROR.fullmatch(n) and (m := LATE.fullmatch(n))
-        ]
-        return tuple(n for n, m in late if m["name"] not in self._columns)
+        late = [(n, c) for n in self.looked_at if (c := column_of(n)) is not None]
+        return tuple(n for n, (column, _) in late if column not in self._columns)
 
     @cached_property
     def _columns(self) -> tuple[str, ...]:
         """Commands as columns of the log."""
-        own = (
-            self.base.commands
-            if isinstance(self.base.model, LinearModel)
-            else self.sampled.inputs.names
-        )
-        return tuple(own)
+        return tuple(c for c in self.base.commands if c not in self.sampled.parameters.names)
 
     @cached_property
     def _offsets(self) -> tuple[str, ...]:
-        """Outputs whose offset an adapted linear model finds anew on every flight."""
-        adapted = isinstance(self.base.model, LinearModel) and self.base.adapt is not None
-        return tuple(f"{OFFSET}{n}" for n in self.base.outputs) if adapted else ()
+        """Outputs whose offset an adapted model finds anew on every flight."""
+        return tuple(f"{OFFSET}{n}" for n in self.base.offsets)
 
     @cached_property
     def _lagged(self) -> tuple[tuple[str, int], ...]:
         """(command column, lag) of every state that remembers one for the features."""
         deepest: dict[str, int] = {}
-        for n in self.looked_at:
-            late = LATE.fullmatch(n)
-            if (
-                late
-                and not LAST_ERROR.fullmatch(n)
-                and late["name"] in self._columns
-                and late["lag"]
-            ):
-                deepest[late["name"]] = max(deepest.get(late["name"], 0), int(late["lag"]))
+        for column, lag in filter(None, map(column_of, self.looked_at)):
+            if column in self._columns and lag:
+                deepest[column] = max(deepest.get(column, 0), lag)
         return tuple(
             (c, i)
             for i in range(1, max(deepest.values(), default=0) + 1)
@@ -349,7 +328,7 @@ class BaseForm(InnovationForm):
     @cached_property
     def _errors(self) -> tuple[str, ...]:
         """Outputs whose last one-step error is remembered: all, where one is."""
-        return self.base.outputs if any(LAST_ERROR.fullmatch(n) for n in self.looked_at) else ()
+        return self.base.outputs if uses_errors(self.looked_at) else ()
 
     def _extra(self, prefix: str) -> list[Signal]:
         units = {s.name: s.unit for s in self.base.dynamics.outputs}
@@ -385,7 +364,7 @@ class BaseForm(InnovationForm):
     def inputs(self) -> Layout:
         """Command columns, then what is given: exogenous inputs of the model, measured features,
         offsets."""
-        units = {s.name: s.unit for s in self.base.feature_layout(self.given)}
+        units = {s.name: s.unit for s in layout_of(self.base, self.given)}
         units |= {s.name: s.unit for s in self.base.dynamics.outputs}
         units |= {s.name: s.unit for s in (*self.sampled.inputs, *self.sampled.parameters)}
         names = (*self._columns, *self.exogenous)
@@ -434,14 +413,11 @@ class BaseForm(InnovationForm):
     # -------------------- the maps
 
     def _command(self, u: Expr) -> Expr:
-        """The model's own commands: sums of columns for a linear model."""
-        if not isinstance(self.base.model, LinearModel):
-            return u[: len(self._columns)]
+        """The model's own commands: sums of columns."""
         table = {n: u[i] for i, n in enumerate(self._columns)}
         rows = []
         for n in self.sampled.inputs.names:
-            terms = self.base.channels.get(n, ((1.0, n),))
-            rows.append(sum(w * table[c] for w, c in terms))
+            rows.append(sum(w * table[c] for w, c in self.base.terms(n)))
         return ca.vertcat(*rows) if rows else ca.SX(0, 1)
 
     def _split(self, x: Expr, u: Expr) -> tuple[Expr, Expr, Expr]:
@@ -480,12 +456,11 @@ class BaseForm(InnovationForm):
         table |= {n: y[self.outputs[n]] for n in self.base.outputs}
         table |= {f"{n}[t]": u[i] for i, n in enumerate(self._columns)}
         table |= {n: u[self.inputs[n]] for n in self.given}
-        if not isinstance(self.base.model, LinearModel):
-            there = model_features.available(self.base.dynamics)
-            inner = [n for n in names if n in there]
-            if inner:
-                found = self.sampled.features(inner, own, command, p)
-                table |= {n: found[i] for i, n in enumerate(inner)}
+        there = model_features.available(self.base.dynamics)
+        inner = [n for n in names if n in there]
+        if inner:
+            found = self.sampled.features(inner, own, command, p)
+            table |= {n: found[i] for i, n in enumerate(inner)}
         return ca.vertcat(*(table[n] for n in names))
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:

@@ -376,7 +376,7 @@ def _function(function: ca.Function, golden: Golden) -> FunctionRow:
 
 
 def _domain(f: ModelFunctions) -> dict[str, Json]:
-    channels = {} if isinstance(f.model, LinearModel) else f.model.domain
+    channels = f.model.domain
     out: dict[str, Json] = {
         "channels": {k: [float(v[0]), float(v[1])] for k, v in channels.items()},
         "learned": None,

@@ -91,7 +91,7 @@ class ModelParts:
             self.sampled = Sampled(
                 dynamics=dynamics,
                 dt=self.dt,
-                values=_values(model, dynamics),
+                values=dict(model.values),
                 runtime=tuple(n for n in runtime if n != WEIGHTS),
                 sensitive=self.theta_names,
                 looks_back=looks_back,
@@ -389,12 +389,3 @@ def _dynamics(model: Exportable) -> Dynamics:
     if isinstance(model, IdentifiedModel):
         return model.dynamics
     return model if isinstance(model, LinearModel) else model.form
-
-
-def _values(model: IdentifiedModel | LinearModel, dynamics: Dynamics) -> dict[str, float]:
-    """Identified values by name; a linear model carries its own as nominals."""
-    return (
-        dict(model.values)
-        if isinstance(model, IdentifiedModel)
-        else {d.name: d.nominal for d in dynamics.parameters}
-    )

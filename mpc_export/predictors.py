@@ -16,11 +16,14 @@ import casadi as ca
 import numpy as np
 
 from greybox.baselines import lstm, narx
+from greybox.baselines.as_predictor import LINEAR_SCHEMAS
 from greybox.baselines.base_predictor import BasePredictor
 from greybox.baselines.decoupled import combined
+from greybox.baselines.innovation_ahead import foretold_covariance
+from greybox.baselines.linear_predictor import LinearPredictor
 from greybox.baselines.lstm import LSTMModel
 from greybox.baselines.narx import NARXModel
-from greybox.baselines.output_residual import KIND, LINEAR_SCHEMAS, OutputHybrid, read_linear
+from greybox.baselines.output_residual import KIND, OutputHybrid, read_linear
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.files import read_json
 from greybox.model.effect import Effect
@@ -253,22 +256,14 @@ def _typical(learned: Learned | None) -> dict[str, float]:
 
 def _base_state(form: BaseForm, typical: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
     """The base's own reference, the lags and errors beside it."""
-    model = form.base.model
     _, inputs = _reference(form, typical)
-    if isinstance(model, LinearModel):
-        own = np.zeros(model.order)
-        command = np.array(
-            [
-                sum(w * inputs[form.inputs[c]] for w, c in form.base.channels.get(n, ((1.0, n),)))
-                for n in model.inputs.names
-            ]
-        )
-        past = [command[i] for i, _ in form.sampled.history]
-        state = np.concatenate([own, past])
-    else:
-        at = dict(zip(form.base.dynamics.inputs.names, model.reference_inputs.tolist()))
-        inputs = np.array([at.get(n, v) for n, v in zip(form.inputs.names, inputs.tolist())])
-        state = form.sampled.extended(model.reference_state, model.reference_inputs)[0]
+    own, known = form.base.reference
+    inputs = np.array([known.get(n, v) for n, v in zip(form.inputs.names, inputs.tolist())])
+    command = [
+        sum(w * inputs[form.inputs[c]] for w, c in form.base.terms(n))
+        for n in form.base.dynamics.inputs.names
+    ]
+    state = form.sampled.extended(own, np.array(command))[0]
     rest = form.states.names[len(state) :]
     lags = [typical.get(n, 0.0) for n in rest]
     return np.concatenate([state, lags]), inputs
@@ -278,15 +273,14 @@ def _base(base: BasePredictor, dt: float | None) -> PredictorModel:
     """A linear or physical model alone, driven by columns of the log."""
     form = BaseForm(base=base)
     form.check()
-    domain = dict(base.model.domain) if isinstance(base.model, IdentifiedModel) else {}
     return PredictorModel(
         name=str(base.model.name),
-        kind="linear" if isinstance(base.model, LinearModel) else "physics",
+        kind=base.kind,
         form=form,
         learned=None,
         noise=base.gain[1],
         dt=_time(base.dt, dt, str(base.model.name)),
-        domain=domain,
+        domain=base.model.domain,
         reference=_base_state(form, {}),
     )
 
@@ -296,20 +290,16 @@ def _hybrid(hybrid: OutputHybrid, dt: float | None) -> PredictorModel:
     base, learned = hybrid.base, hybrid.posterior
     form = BaseForm(base=base, looked_at=tuple(learned.inputs.names))
     form.check()
-    covariance = base.gain[1]
-    scale = np.ones(len(covariance))
-    scale[base.rows] = np.sqrt(learned.noise / np.diag(covariance)[base.rows])
-    domain = dict(base.model.domain) if isinstance(base.model, IdentifiedModel) else {}
     return PredictorModel(
         name=hybrid.name,
         kind="output-hybrid",
         form=form,
         learned=learned,
-        noise=covariance * scale * scale[:, None],
+        noise=foretold_covariance(base, learned),
         dt=_time(base.dt, dt, hybrid.name),
-        domain=domain | _ranges(learned),
+        domain={**base.model.domain, **_ranges(learned)},
         reference=_base_state(form, _typical(learned)),
-        trained_on=base.model.trained_on if isinstance(base.model, IdentifiedModel) else (),
+        trained_on=base.model.trained_on,
     )
 
 
@@ -364,7 +354,7 @@ def read_model(
     if schema == MANY_LINEAR:
         models, inputs, _, _ = read_linear(path)
         model, channels = combined(models, {s.name: s.terms for s in inputs})
-        return BasePredictor(model=model, outputs=model.outputs.names, channels=channels)
+        return LinearPredictor(model=model, outputs=model.outputs.names, channels=channels)
     if schema == MODEL:
         return (
             OutputHybrid.load(path, effects=effects)

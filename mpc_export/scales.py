@@ -9,7 +9,6 @@ import numpy as np
 
 from greybox.model.layer import physics_of
 from greybox.symbolic import FloatArray
-from mpc_export.families.domain import training_ranges
 from mpc_export.model_parts import ModelParts
 
 SCALES = {"position": 1.0, "velocity": 1.0, "attitude": 1.0, "rate": 1.0, "rotor": 1.0}
@@ -18,7 +17,7 @@ SCALES = {"position": 1.0, "velocity": 1.0, "attitude": 1.0, "rate": 1.0, "rotor
 def command_limits(parts: ModelParts) -> tuple[FloatArray, FloatArray]:
     """(lower, upper) of the commands: 0 .. 1, rotor speeds 0 .. speed_max, else what was seen in
     training."""
-    domain = training_ranges(parts.model)
+    domain = parts.model.domain
     physics = physics_of(parts.sampled.dynamics)
     rows = []
     for name in parts.sampled.inputs.names:
@@ -34,7 +33,7 @@ def command_limits(parts: ModelParts) -> tuple[FloatArray, FloatArray]:
 def typical_sizes(parts: ModelParts) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Typical sizes of x, u and y: dimensionless = value / scale. Of outputs half the range seen in
     training."""
-    s, domain = parts.sampled, training_ranges(parts.model)
+    s, domain = parts.sampled, parts.model.domain
 
     def half(name: str, default: float) -> float:
         low, high = domain.get(name, (0.0, 0.0))

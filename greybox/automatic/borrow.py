@@ -6,13 +6,25 @@ from __future__ import annotations
 from dataclasses import replace
 
 from greybox.automatic.decide import Decided, Given, Say, decide
-from greybox.automatic.facts import Facts
-from greybox.automatic.fit import fit_recipe
+from greybox.automatic.facts import Facts, facts_of
+from greybox.automatic.fit import Prepared, fit_recipe
 from greybox.automatic.like import like
 from greybox.data import Dataset
 from greybox.errors import FitError
 from greybox.estimation.recipe import Decision
+from greybox.estimation.status import Interrupted
 from greybox.model.vehicle import Vehicle
+
+
+def decide_for(
+    vehicle: Vehicle, prepared: Prepared, given: Given, *, say: Say = lambda text: None
+) -> tuple[Vehicle, Decided]:
+    """`decide_with_source` for flights that are prepared. An interrupted trial is no result."""
+    facts = facts_of(prepared.data, vehicle, prepared.report)
+    try:
+        return decide_with_source(vehicle, prepared.data, facts, given, say=say)
+    except Interrupted:
+        raise KeyboardInterrupt from None
 
 
 def decide_with_source(

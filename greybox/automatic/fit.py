@@ -42,9 +42,11 @@ LEFT_TO_JUDGE = 3.0
 """Times the seconds of adaptation that a test flight must last: two thirds of it judge."""
 
 
-def adaptation(recipe: Recipe, test: Dataset) -> float | None:
-    """Seconds at the start of `test` flights that a recipe's own time of adaptation takes; None
-    where a flight is too short for it, or nothing is to be adapted."""
+def adaptation(recipe: Recipe, test: Dataset, asked: float | None = None) -> float | None:
+    """Seconds at the start of `test` flights to adapt on: what was `asked`, else the recipe's own
+    time; None where a flight is too short for that, or nothing is to be adapted."""
+    if asked is not None:
+        return float(asked)
     if recipe.adapt is None or not test.flights:
         return None
     return recipe.adapt if min(f.duration for f in test) >= LEFT_TO_JUDGE * recipe.adapt else None

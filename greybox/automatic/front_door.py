@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Unpack
 
-from greybox.automatic.borrow import decide_with_source
+from greybox.automatic.borrow import decide_for
 from greybox.automatic.decide import Given, Say
-from greybox.automatic.facts import facts_of
-from greybox.automatic.fit import adaptation, fit_decided, on_pieces, prepare
+from greybox.automatic.fit import fit_decided, prepare
+from greybox.automatic.judged import judged
 from greybox.automatic.wanted import with_rivals
 from greybox.data import Dataset, Flight
 from greybox.data.halves import demand_disjoint
@@ -24,11 +24,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
 from greybox.takes import FLIGHTS, MODEL, NAMES, SUBJECT, takes
-from greybox.validation.advice import Hint, hints_of_checks, hints_of_fit, hints_of_sanity
 from greybox.validation.calibration import calibrated
-from greybox.validation.sanity import sanity_of
-from greybox.validation.usefulness import LEFT_OUT
-from greybox.validation.validate import validate
 
 
 def _quiet(text: str) -> None:
@@ -69,9 +65,9 @@ def fit(
     data = Dataset.of(data)
     if isinstance(subject, Vehicle):
         said: FitChoices = choices if options is None else {**_said(options), **choices}
-        judged = Dataset(flights=(test,)) if isinstance(test, Flight) else test
+        held_out = Dataset(flights=(test,)) if isinstance(test, Flight) else test
         given = Given(choices=said, source=source)
-        return _automatic(subject, data, judged, given, tuple(accept), say, progress)
+        return _automatic(subject, data, held_out, given, tuple(accept), say, progress)
     return explicit_fit(subject, data, FitOptions.of(options, choices), progress=progress)
 
 
@@ -95,19 +91,12 @@ def _automatic(
     prepared = prepare(vehicle, data, accept=accept)
     for line in prepared.report.accepted_lines():
         say(line)
-    facts = facts_of(prepared.data, vehicle, prepared.report)
-    vehicle, decided = decide_with_source(vehicle, prepared.data, facts, given, say=say)
+    vehicle, decided = decide_for(vehicle, prepared, given, say=say)
     found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
     found = calibrated(with_rivals(found, prepared.data), prepared.data)
     recipe = found.provenance.recipe
     assert recipe is not None
-    hints: tuple[Hint, ...] = (
-        *hints_of_checks(
-            prepared.report, effects=found.model.effects, kinematic_noise=recipe.kinematic_noise
-        ),
-        *hints_of_sanity(sanity_of(found)),
-        *hints_of_fit(found),
-    )
+    held_out, reports = Dataset(flights=()), []
     try:
         if test is not None and len(test):
             dt = sample_time(prepared.data)
@@ -117,17 +106,10 @@ def _automatic(
             )
             for fault in tested.report.blocking:
                 say(f"data fault in {fault.flight}: {fault.message}")
-            hints += hints_of_checks(
-                tested.report,
-                effects=found.model.effects,
-                kinematic_noise=recipe.kinematic_noise,
-            )
-            held_out = tested.data
-            seen = validate(found.model, held_out, adapt=adaptation(recipe, held_out), hints=hints)
-        elif found.converged and (pieces := on_pieces(vehicle, prepared.data, recipe)):
-            seen = validate(pieces[0], pieces[1], hints=hints, judged_on=LEFT_OUT)
-        else:
-            seen = validate(found.model, prepared.data, hints=hints)
+            held_out, reports = tested.data, [tested.report]
+        seen, _ = judged(
+            found, prepared, recipe, held_out, reports=reports, left_out=not held_out.flights
+        )
     except GreyboxError as error:  # the fit is not lost: it was not judged, and says so
         say(f"not judged: {error}")
         return found

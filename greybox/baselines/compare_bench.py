@@ -11,18 +11,19 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from greybox.baselines.base_predictor import RUN_IN, BasePredictor
+from greybox.baselines.base_predictor import BasePredictor
 from greybox.baselines.compare_options import CompareOptions
 from greybox.baselines.compare_scores import SPACING
 from greybox.baselines.decoupled import Terms, combined
+from greybox.baselines.filter_predictor import FilterPredictor
 from greybox.baselines.kinematics import IMU, black_box_view, motion
-from greybox.baselines.output_residual import OutputHybrid
+from greybox.baselines.linear_predictor import RUN_IN, LinearPredictor
 from greybox.baselines.regressors import Point, Predictor
 from greybox.data import Dataset, Segment
 from greybox.data.channel import channel
@@ -71,6 +72,15 @@ class OneStep(Protocol):
 
     def one_step(self, segment: Segment) -> tuple[FloatArray, FloatArray]:
         """As in `greybox.baselines.regressors.Predictor`."""
+        ...
+
+
+@runtime_checkable
+class Adapts(OneStep, Protocol):
+    """What may adapt to a flight before it predicts it."""
+
+    def unadapted(self) -> OneStep:
+        """The same without that."""
         ...
 
 
@@ -220,23 +230,23 @@ class Bench:
         return first if len(few) == len(records) else found(first.order, records)
 
     @cached_property
-    def siso(self) -> tuple[BasePredictor, list[LinearFit]]:
+    def siso(self) -> tuple[LinearPredictor, list[LinearFit]]:
         """The decoupled linear models as one predictor."""
         began = time.perf_counter()
         fits = [self.linear({AXES[n]: self.mixes[AXES[n]]}, (n,), 6) for n in self.outputs]
         model, channels = combined([f.model for f in fits], self.mixes)
         seconds = time.perf_counter() - began
-        return BasePredictor(
+        return LinearPredictor(
             model=model, channels=channels, adapt=self.options.adapt, train_seconds=seconds
         ), fits
 
     @cached_property
-    def mimo(self) -> tuple[BasePredictor, int]:
+    def mimo(self) -> tuple[LinearPredictor, int]:
         """The linear model from rotor commands to all outputs, and its order."""
         began = time.perf_counter()
         found = self.linear({c: ((1.0, c),) for c in self.commands}, self.outputs, 8)
         seconds = time.perf_counter() - began
-        return BasePredictor(
+        return LinearPredictor(
             model=found.model, adapt=self.options.adapt, train_seconds=seconds
         ), found.order
 
@@ -254,7 +264,7 @@ class Bench:
         """(means, variances) of the judged channels on `views`, and microseconds per sample."""
         both = [predictor.one_step(s) for s in views]
         # Adaptation to the flight and compilation are no part of a prediction.
-        bare = _unadapted(predictor)
+        bare = predictor.unadapted() if isinstance(predictor, Adapts) else predictor
         bare.one_step(views[0])
         began = time.perf_counter()
         bare.one_step(views[0])
@@ -339,7 +349,7 @@ class Bench:
         settings: Point | None = None,
     ) -> Outcome:
         """Everything of a model of motion: its filter one step ahead, `validate` further on."""
-        base = BasePredictor(model=model, outputs=self.outputs, adapt=self.options.adapt)
+        base = FilterPredictor(model=model, outputs=self.outputs, adapt=self.options.adapt)
         mean, variance, microseconds = self.channels_of(base, self.segments)
         level = self.level(base)
         checked = validate(
@@ -370,12 +380,3 @@ class Bench:
             mean, variance = base.one_step(s)
             ratios.append((s.matrix(self.outputs) - mean) ** 2 / variance)
         return np.asarray(np.nanmean(np.concatenate(ratios), axis=0))
-
-
-def _unadapted(predictor: OneStep) -> OneStep:
-    """The predictor without adaptation to the flight, where it has one."""
-    if isinstance(predictor, BasePredictor):
-        return replace(predictor, adapt=None)
-    if isinstance(predictor, OutputHybrid):
-        return replace(predictor, base=replace(predictor.base, adapt=None))
-    return predictor

@@ -20,6 +20,7 @@ import numpy as np
 
 from greybox.baselines.base_predictor import BasePredictor
 from greybox.baselines.compare_bench import Ahead, Bench, OneStep, Outcome
+from greybox.baselines.filter_predictor import FilterPredictor
 from greybox.baselines.kinematics import BODY_VELOCITY, GRAVITY_DIRECTION, black_box_view
 from greybox.baselines.output_residual import (
     fit_output_residual,
@@ -218,7 +219,7 @@ def _choices(bench: Bench, plain: Sequence[str]) -> dict[str, Sequence[str]]:
 
 def _nonlinear_output(bench: Bench) -> Outcome:
     model, seconds = bench.physics
-    base = BasePredictor(
+    base = FilterPredictor(
         model=model, outputs=bench.outputs, adapt=bench.options.adapt, train_seconds=seconds
     )
     state = output_features(base, bench.train_segments[0].names)
@@ -316,7 +317,7 @@ def _on_physics(bench: Bench, *, label: str, space: str) -> Outcome:
 
     model, seconds = bench.physics
     began = time.perf_counter()
-    base = BasePredictor(model=model, outputs=bench.outputs, adapt=bench.options.adapt)
+    base = FilterPredictor(model=model, outputs=bench.outputs, adapt=bench.options.adapt)
     physics = rn.PhysicsAlone(base)
     own, judge = (rn.known(base, part) for part in bench.parts)
     tried: list[Point] = []

@@ -11,7 +11,7 @@ free air feels where north is.
 Where errors are correlated in time (sensors with memory, resampled packets) the model's own last
 errors foretell more than anything else: `error.ax[t-1]`. r is the mean of the next innovation. In a
 free run it therefore moves the state as a measured innovation would
-(`greybox.baselines.base_predictor`).
+(`greybox.baselines.innovation_ahead`).
 """
 
 from __future__ import annotations
@@ -27,20 +27,22 @@ from typing import TypedDict, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from greybox.baselines.base_predictor import RUN_IN, Base, BasePredictor
-from greybox.baselines.decoupled import Terms, combined
+from greybox.baselines.as_predictor import LINEAR_SCHEMAS, as_predictor, from_dict
+from greybox.baselines.base_predictor import Base, BasePredictor
+from greybox.baselines.decoupled import Terms
+from greybox.baselines.innovation_ahead import run_with_spread
 from greybox.baselines.output_learner import fit_features
+from greybox.baselines.predictor_features import features_of, layout_of
 from greybox.baselines.regressors import segments_of
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError, FileFormatError, GreyboxError, ModelError
 from greybox.files import Json, checksum, read_json, to_plain, write_json
 from greybox.linear.logs import ChannelSpec, parse_channels
 from greybox.model.effect import Effect
-from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
+from greybox.model.identified import SCHEMA, library_versions
 from greybox.model.linear import LinearModel
 from greybox.residual.discrepancy import Discrepancy
 from greybox.residual.feature_posterior import FeaturePosterior
-from greybox.residual.features import default_features
 from greybox.residual.learners import GP, Learner, LooksBack, learner_for
 from greybox.residual.left_out import judged_on_left_out
 from greybox.residual.options import GPChoices, GPOptions
@@ -51,7 +53,6 @@ from greybox.shown import Row, Shown
 from greybox.symbolic import FloatArray, Layout, Signal
 
 KIND = "output-hybrid"
-LINEAR_SCHEMAS = ("greybox.linear_model/1", "greybox.linear_models/1")
 
 
 class HybridReport(TypedDict, total=False):
@@ -69,7 +70,7 @@ class OutputHybrid(Shown):
     features. Plain numbers, no torch.
 
     The posterior's outputs are those of `base`, its inputs features of
-    `BasePredictor.feature_layout`. Raises `ModelError`.
+    `greybox.baselines.predictor_features`. Raises `ModelError`.
     """
 
     base: BasePredictor
@@ -84,7 +85,7 @@ class OutputHybrid(Shown):
                 expected=", ".join(self.base.outputs),
                 got=", ".join(self.posterior.outputs.names),
             )
-        self.base.feature_layout(self.posterior.inputs.names)
+        layout_of(self.base, self.posterior.inputs.names)
 
     def _shown_text(self) -> str:
         """What it is, and its learned part."""
@@ -130,7 +131,7 @@ class OutputHybrid(Shown):
         it; NaN where too little is (starts, holes in the features, the seconds that were adapted
         on)."""
         run = self.base.run(segment)
-        z = self.base.features(segment, run, self.features)
+        z = features_of(self.base, segment, run, self.features)
         whole = np.isfinite(z).all(axis=1) & run.known
         mean, variance = np.full((2, segment.n, len(self.outputs)), np.nan)
         if whole.any():
@@ -143,7 +144,11 @@ class OutputHybrid(Shown):
     ) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (m, horizon, n_o) of the samples k+1 .. k+horizon from every origin k;
         recorded commands."""
-        return self.base.rolled(segment, origins, horizon, self.posterior)
+        return run_with_spread(self.base, segment, origins, horizon, self.posterior)
+
+    def unadapted(self) -> OutputHybrid:
+        """The same without adaptation to the flight."""
+        return replace(self, base=self.base.unadapted())
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write one JSON file, atomically: schema "greybox.model/1", kind "output-hybrid". Raises
@@ -153,15 +158,11 @@ class OutputHybrid(Shown):
             "schema": SCHEMA,
             "kind": KIND,
             "name": self.name,
-            "base": base.model.to_dict(),
-            "channels": {n: [list(t) for t in terms] for n, terms in base.channels.items()},
-            "outputs": list(base.outputs),
-            "adapt": base.adapt,
+            **base.to_dict(),
             "learned"
             if isinstance(self.posterior, FeaturePosterior)
             else "gp": self.posterior.to_dict(),
             "train_seconds": self.train_seconds,
-            "base_seconds": base.train_seconds,
             "report": {**self.report},
         }
         body = to_plain(content)
@@ -189,22 +190,7 @@ class OutputHybrid(Shown):
                 "the checksum does not fit", where=where, fix="the file was edited; write it again"
             )
         try:
-            linear = body["base"]["schema"] in LINEAR_SCHEMAS
-            model: Base = (
-                LinearModel.from_dict(body["base"], where=where)
-                if linear
-                else IdentifiedModel.from_dict(body["base"], where=where, effects=effects)
-            )
-            base = BasePredictor(
-                model=model,
-                outputs=tuple(body["outputs"]),
-                channels={
-                    n: tuple((float(w), c) for w, c in terms)
-                    for n, terms in body["channels"].items()
-                },
-                adapt=body["adapt"],
-                train_seconds=float(body["base_seconds"]),
-            )
+            base = from_dict(body, where=where, effects=effects)
             learned: Candidate = (
                 GPPosterior.from_dict(body["gp"])
                 if "gp" in body
@@ -246,14 +232,7 @@ def output_features(
     if isinstance(learner, LooksBack):
         lags = range(2, learner.lags(base.dt) + 2)
         earlier = tuple(f"{c}[t-{k}]" for k in lags for c in base.commands)
-    if isinstance(base.model, LinearModel):
-        return (*base.outputs, *angles, *commands, *earlier)
-    own = [n for n in default_features(base.dynamics) if n not in base.dynamics.inputs.names]
-    attitude = (
-        ("phi", "theta") if "rate" in {n.split(".")[0] for n in base.dynamics.states.names} else ()
-    )
-    rotors = any(n.startswith("nu") for n in own) and not earlier
-    return (*attitude, *own, *(() if rotors else commands), *earlier)
+    return base.default_features(angles, commands, earlier)
 
 
 def residual_rows(
@@ -262,17 +241,15 @@ def residual_rows(
     """(features (N, n_z), one-step errors (N, n_o), flight of each row (N,)) of all complete
     samples. Raises `DataError`.
 
-    Of a linear model that is not adapted to the flight the first seconds, in which it forgets its
-    start, are left out.
+    The first seconds, in which a model forgets its start, are left out.
     """
     z, r, flights = [], [], []
     for segment in segments_of(data):
         run = base.run(segment)
-        rows = base.features(segment, run, names)
+        rows = features_of(base, segment, run, names)
         errors = segment.matrix(base.outputs) - run.mean
         whole = np.asarray(np.isfinite(rows).all(axis=1) & np.isfinite(errors).all(axis=1))
-        if isinstance(base.model, LinearModel) and base.adapt is None:
-            whole[: min(round(RUN_IN / segment.dt), segment.n // 3)] = False
+        whole[: min(round(base.run_in / segment.dt), segment.n // 3)] = False
         z.append(rows[whole])
         r.append(errors[whole])
         flights.append(np.full(int(whole.sum()), segment.flight))
@@ -314,7 +291,7 @@ def fit_output_residual(
     """Learn the one-step errors of `model` (decoupled linear models: several) on the flights of
     `train`.
 
-    `outputs`, `channels` and `adapt` are those of `BasePredictor`; `features` default to
+    `outputs`, `channels` and `adapt` are those of `as_predictor`; `features` default to
     `output_features`; the choices (`kernel`, `points`, `seed`, `hold_out`, ...) are those of
     `train_gp`, of which another `learner` (as in `greybox.residual.learn.learn`) knows `points` and
     `seed`. Raises `DataError`, `UnknownNameError`, `ModelError`; svgp and polish
@@ -323,13 +300,7 @@ def fit_output_residual(
     options = GPOptions.of(GPOptions(noise_inflation=1.0), choices)
     other = learner_for(learner, options.points, options.kernel)
     began = time.perf_counter()
-    if isinstance(model, BasePredictor):
-        base = model
-    else:
-        given = dict(channels or {})
-        if not isinstance(model, (LinearModel, IdentifiedModel)):
-            model, given = combined(model, given)
-        base = BasePredictor(model=model, outputs=tuple(outputs), channels=given, adapt=adapt)
+    base = as_predictor(model, outputs=outputs, channels=channels, adapt=adapt)
     rows = _errors(base, segments_of(train), features, other)
     posterior: Candidate
     if other is None:
@@ -366,7 +337,7 @@ def _errors(
         [n for n in segments[0].names if all(n in s.channels for s in segments)] if segments else []
     )
     names = tuple(features) if features is not None else output_features(base, common, learner)
-    inputs = base.feature_layout(names)
+    inputs = layout_of(base, names)
     z, r, flights = residual_rows(base, segments, names)
     units = {s.name: s.unit for s in base.dynamics.outputs}
     return Discrepancy(

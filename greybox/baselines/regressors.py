@@ -18,7 +18,7 @@ import numpy.typing as npt
 from greybox.data import Dataset, Segment
 from greybox.data.channel import channel, is_canonical
 from greybox.errors import DataError
-from greybox.symbolic import FloatArray, Layout, Signal
+from greybox.symbolic import FloatArray, IntArray, Layout, Signal
 
 Choice = bool | int | float | str
 Space = Mapping[str, Sequence[Choice]]
@@ -191,9 +191,7 @@ class Lags:
 
         Raises `DataError` for origins outside the segment.
         """
-        k = np.asarray(origins, dtype=np.int64).ravel()
-        if k.size and (k.min() < 0 or k.max() >= segment.n):
-            raise DataError("an origin lies outside the segment", expected=f"0 .. {segment.n - 1}")
+        k = inside(segment, origins)
         y = self.measured(segment)
         past = self.past_outputs(np.vstack([y, np.full((1, y.shape[1]), np.nan)]))[k + 1]
         u = segment.matrix(self.inputs)
@@ -228,6 +226,14 @@ def segments_of(data: Dataset | Segment | Sequence[Segment]) -> tuple[Segment, .
     if isinstance(data, Segment):
         return (data,)
     return data.segments if isinstance(data, Dataset) else tuple(data)
+
+
+def inside(segment: Segment, origins: npt.ArrayLike) -> IntArray:
+    """Origins (m,) of a free run. Raises `DataError` for one outside the segment."""
+    k = np.asarray(origins, dtype=np.int64).ravel()
+    if k.size and (k.min() < 0 or k.max() >= segment.n):
+        raise DataError("an origin lies outside the segment", expected=f"0 .. {segment.n - 1}")
+    return k
 
 
 def _lagged(values: FloatArray, lags: Iterable[int]) -> FloatArray:

@@ -22,11 +22,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from greybox.baselines.base_predictor import BasePredictor, Run
+from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.filter_predictor import FilterPredictor
 from greybox.baselines.lstm_train import LSTMSettings, Network, Schedule, descend
+from greybox.baselines.predictor_run import Run
 from greybox.baselines.regressors import NetworkReport, NotMeasured, Space
 from greybox.data import Dataset
 from greybox.errors import DataError
+from greybox.estimation.ahead import Between, run_ahead
 from greybox.frames import numeric
 from greybox.symbolic import FloatArray
 from greybox.validation.groups import GROUPS, error_vectors
@@ -60,8 +63,8 @@ class ResidualSettings(Schedule):
 class PhysicsAlone:
     """The fitted model without its disturbance states, open loop from what its filter knows."""
 
-    def __init__(self, base: BasePredictor) -> None:
-        self.base, self.reader = base, GroupReader(base.model)  # type: ignore[arg-type]
+    def __init__(self, base: FilterPredictor) -> None:
+        self.base, self.reader = base, GroupReader(base.model)
         self.velocity, self.rate, self.attitude = (
             self.reader.state_rows(b) for b in ("velocity", "rate", "attitude")
         )
@@ -99,32 +102,39 @@ class PhysicsAlone:
         `added`: windows (m, width, n_z) -> what g adds to body velocity and rates (m, 6) per
         second.
         """
-        engine, dt = self.base.filter.engine, self.base.dt
-        more = np.repeat(run.inputs[-1:], steps + 2, axis=0)
-        inputs = np.concatenate([run.inputs, more])
-        x = run.states[origins + 1].copy()
-        x[:, self.pushes] = 0.0
-        window = self.windows(run, origins, width) if added else np.zeros(0)
-        outputs, states = [], []
-        for h in range(steps):
-            rows = origins + 1 + h
-            y, after = engine.rollout(
-                starts=x, rows=rows, horizon=2, inputs=inputs, p=run.p, dt=dt, want_states=True
+        starts = run.states[origins + 1].copy()
+        starts[:, self.pushes] = 0.0
+        return self.reader.read(
+            run_ahead(
+                self.base.filter.engine,
+                starts=starts,
+                rows=origins + 1,
+                steps=steps,
+                inputs=run.inputs,
+                p=run.p,
+                dt=self.base.dt,
+                want_states=True,
+                between=self._pushed(run, origins, added, width) if added else None,
             )
-            assert after is not None
-            outputs.append(y[:, 0])
-            states.append(x)
-            moved = after[:, 1].copy()
-            if added:
-                told = dt * added(window)
-                q = x[:, self.attitude]
-                moved[:, self.velocity] += numeric("rotate", q, told[:, :3])
-                moved[:, self.rate] += told[:, 3:]
-                new = self.seen(run, moved, rows + 1)
-                window = np.concatenate([window[:, 1:], new[:, None]], axis=1)
-            x = moved
-        ahead = inputs[origins[:, None] + 1 + np.arange(steps) + engine.past]
-        return self.reader.values(np.stack(outputs, axis=1), np.stack(states, axis=1), run.p, ahead)
+        )
+
+    def _pushed(
+        self, run: Run, origins: IntArray, added: Callable[[FloatArray], FloatArray], width: int
+    ) -> Between:
+        """What g adds from sample to sample; it remembers the window that g sees."""
+        window = self.windows(run, origins, width)
+
+        def pushed(h: int, x: FloatArray, following: FloatArray) -> FloatArray:
+            nonlocal window
+            told = self.base.dt * added(window)
+            q = x[:, self.attitude]
+            following[:, self.velocity] += numeric("rotate", q, told[:, :3])
+            following[:, self.rate] += told[:, 3:]
+            new = self.seen(run, following, origins + 2 + h)
+            window = np.concatenate([window[:, 1:], new[:, None]], axis=1)
+            return following
+
+        return pushed
 
 
 class Perceptron(torch.nn.Module):

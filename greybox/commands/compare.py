@@ -201,16 +201,14 @@ def _fit(
 ) -> IdentifiedModel:
     """The model that plain `greybox fit` decides on; with options of it exactly what they say."""
     from greybox.automatic.fit import prepare
-    from greybox.commands.fit import decided_fit
-    from greybox.commands.model_options import fit_with, given
+    from greybox.commands.model_options import fit_open, fit_with, given
     from greybox.validation.calibration import calibrated
 
     if is_given(arguments):
         return fit_with(arguments, vehicle, train, console.solver).model
     prepared = prepare(vehicle, train, decide_rate=False, accept=accepted(arguments.accept))
-    return calibrated(
-        decided_fit(vehicle, prepared, given(arguments), console), prepared.data
-    ).model
+    found = fit_open(vehicle, prepared, given(arguments), console)
+    return calibrated(found, prepared.data).model
 
 
 def _rate(

@@ -4,16 +4,13 @@ discovery.json, model.json, laws of what is left, report.html."""
 from __future__ import annotations
 
 import argparse
-import itertools
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from greybox.data import Dataset
-    from greybox.data.checks import CheckReport
-    from greybox.discovery.document import DiscoveryDocument
     from greybox.discovery.options import DiscoverChoices
     from greybox.discovery.result import Discovery
     from greybox.model.dynamics import StateSpaceModel
@@ -21,37 +18,19 @@ if TYPE_CHECKING:
     from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import Vehicle
 
-from greybox.commands.command_line import Subcommands, typed
+from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
-from greybox.commands.flight_logs import flight_log_options, read_flight_logs
+from greybox.commands.discover_folder import SearchFolder
+from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import (
     accept_option,
     adapt_option,
     demand_adapt,
     log_faults,
-    next_of_faults,
-    refuse_faults,
 )
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.model_options import names
 from greybox.commands.own_model import model_file_option, read_flights_of
-
-
-def set_aside(path: Path) -> Path:
-    """The file, of an earlier search and perhaps edited since, under the first free name F.old,
-    F.old2, ..."""
-    names = (path.with_name(f"{path.name}.old{n if n > 1 else ''}") for n in itertools.count(1))
-    return path.replace(next(name for name in names if not name.exists()))
-
-
-def _set_aside_laws(out: Path, laws: Mapping[str, str]) -> None:
-    """Set laws of an earlier search aside, but for those that are the same now (`laws`: file name
-    -> text)."""
-    from greybox.residual.laws.effect_file import LAW_FILE
-
-    for old in out.glob("proposal_*.py"):
-        if LAW_FILE.fullmatch(old.name) and old.read_bytes() != laws.get(old.name, "").encode():
-            set_aside(old)
 
 
 def add(subparsers: Subcommands) -> None:
@@ -181,91 +160,6 @@ def _search_options(p: argparse.ArgumentParser) -> None:
     )
 
 
-class _Search:
-    """The folder of a search: what it wrote so far (`written`: discovery.json), rewritten after
-    every step."""
-
-    def __init__(
-        self, out: Path, title: str, offered: Mapping[str, Sequence[Effect]], faults: CheckReport
-    ) -> None:
-        self.written: DiscoveryDocument | None = None
-        self._out, self._title, self._offered, self.faults = out, title, offered, faults
-        self._began = False
-
-    def write(self, found: Discovery) -> None:
-        """Write what is found. The result comes last: until then it says that the search was
-        stopped."""
-        from greybox.discovery.result import WITH_LAWS
-        from greybox.files import withdraw, write_atomic, write_json
-
-        out, content = self._out, found.to_dict()
-        first, told = self.warnings()
-        content["warnings"] = [*first, *content["warnings"], *told]
-        content["command"] = typed("discover")
-        has = () if found.fit is None else found.model.effects
-        content["effects_files"] = [
-            path for path, effects in self._offered.items() if {e.name for e in effects} & set(has)
-        ]
-        self.written = content
-        withdraw(out, "report.html")
-        if found.fit is None:
-            write_json(out / "discovery.json", content)
-            return
-        if not self._began:
-            withdraw(out, "discovery.json", WITH_LAWS)
-            self._began = True
-        found.model.save(out / "model.json")
-        laws = found.proposals()
-        _set_aside_laws(out, laws)
-        for name, text in laws.items():
-            write_atomic(out / name, text)
-        if found.lawful is not None:
-            found.lawful.save(out / WITH_LAWS)
-        else:
-            withdraw(out, WITH_LAWS)
-        write_json(out / "discovery.json", content)
-
-    def warnings(self) -> tuple[list[str], list[str]]:
-        """What the flights were searched in spite of: (faults that were accepted, warnings)."""
-        return self.faults.accepted_lines(), self.faults.warning_lines()
-
-    @property
-    def content(self) -> DiscoveryDocument:
-        """discovery.json as it was written last."""
-        assert self.written is not None
-        return self.written
-
-    def page(self) -> None:
-        """Write report.html of what is found so far."""
-        from greybox.files import write_atomic
-        from greybox.report.discover_report import discover_report
-
-        write_atomic(self._out / "report.html", discover_report(self.content, title=self._title))
-
-    def kept(self) -> str:
-        """What an interrupted search leaves."""
-        return f"what was found until then, not judged, is in {self._out}; the same command starts anew"
-
-    def lines(self, found: Discovery) -> list[str]:
-        """The result for people, and what was written."""
-        from greybox.discovery.result import WITH_LAWS
-        from greybox.model.layer import physics_of
-
-        lines, laws = found.summary().splitlines(), list(found.proposals())
-        first = 1 + len(found.faults)
-        lines[first:first] = [f"warning: {w}" for some in self.warnings() for w in some]
-        lines += [] if self.faults.ok else [next_of_faults(self.faults)]
-        written = ["discovery.json", *(["model.json"] if found.fit is not None else []), *laws]
-        if found.lawful is not None:
-            written.append(WITH_LAWS)
-            own = physics_of(found.lawful.dynamics) is None
-            files = [*self.content["effects_files"], *(str(self._out / name) for name in laws)]
-            more = "" if own else f" --effects-file {shlex.join(files)}"
-            model = shlex.quote(str(self._out / WITH_LAWS))
-            lines.append(f"what laws leave: greybox learn {model}{more} --train ...")
-        return [*lines, f"wrote {', '.join(written)} and report.html in {self._out}"]
-
-
 def _check(arguments: argparse.Namespace, out: Path) -> None:
     """Raise `GreyboxError` for options that do not fit together, before anything is read."""
     from greybox.cluster import host_of
@@ -340,6 +234,7 @@ def _subject(
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, search, report."""
+    from greybox.commands.discover_further import go_on
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data.checks import CheckReport
     from greybox.discovery.workflow import refused
@@ -352,7 +247,7 @@ def run(arguments: argparse.Namespace) -> int:
     out, console = Path(arguments.out or "greybox-discover"), Console.of(arguments)
     _check(arguments, out)
     if arguments.folder is not None:
-        return _go_on(arguments)
+        return go_on(arguments)
     offered = {path: load_effects(path) for path in arguments.effects_file}
     own = [e for effects in offered.values() for e in effects]
     since = None if arguments.since is None else IdentifiedModel.load(arguments.since, effects=own)
@@ -362,7 +257,7 @@ def run(arguments: argparse.Namespace) -> int:
         if isinstance(subject, StateSpaceModel)
         else log_faults(arguments, subject)
     )
-    search = _Search(out, f"What the model of {subject.name} misses", offered, faults)
+    search = SearchFolder(out, f"What the model of {subject.name} misses", offered, faults)
     if faults.ok:
         train = read_flights_of(
             arguments, subject, arguments.train, rate=arguments.rate or "needed"
@@ -431,7 +326,7 @@ def _searched(
     train: Dataset,
     test: Dataset,
     asked: DiscoverChoices,
-    search: _Search,
+    search: SearchFolder,
     console: Console,
     address: str | None,
 ) -> Discovery:
@@ -455,58 +350,3 @@ def _searched(
             executor=workers if side_by_side else None,
             **asked,
         )
-
-
-def _go_on(arguments: argparse.Namespace) -> int:
-    """Multiply the evidence of the names of an earlier search by that of further flights."""
-    from greybox.discovery.further import further
-    from greybox.discovery.result import WITH_LAWS
-    from greybox.errors import GreyboxError
-    from greybox.files import read_json, withdraw, write_atomic, write_json
-    from greybox.model.effects_file import load_effects
-    from greybox.model.identified import IdentifiedModel
-    from greybox.model.layer import physics_of
-    from greybox.report.discover_report import discover_report
-
-    if any((arguments.vehicle, arguments.since, arguments.model_file)):
-        raise GreyboxError(
-            "--continue goes on with its own model",
-            fix="leave --vehicle, --model-file and --from out",
-        )
-    folder, logs = Path(arguments.folder), [*arguments.train, *arguments.test]
-    if not logs:
-        raise GreyboxError("--continue needs further flights", fix="--train LOGS or --test LOGS")
-    content: DiscoveryDocument = read_json(folder / "discovery.json")
-    files = [*content.get("effects_files", ()), *arguments.effects_file]
-    own = [e for path in files for e in load_effects(path)]
-    model = IdentifiedModel.load(folder / "model.json", effects=own)
-    if physics_of(model.dynamics) is None:
-        raise GreyboxError(
-            "--continue is for vehicles",
-            got=f"the model {model.name} of your own",
-            fix="greybox discover --from model.json --train LOGS",
-        )
-    rate = arguments.rate or 1 / model.sample_time
-    faults = log_faults(arguments, model.physics.vehicle)
-    if not faults.ok:
-        return refuse_faults(faults, Console.of(arguments), "judging names by these flights")
-    data = read_flight_logs(arguments, logs, model.physics.vehicle, rate=rate)
-    content = further(content, model, data, own)
-    out = Path(arguments.out or folder)
-    withdraw(out, "report.html")
-    if out != folder:
-        withdraw(out, "discovery.json", "model.json", WITH_LAWS)
-        _set_aside_laws(out, {})
-        write_atomic(out / "model.json", (folder / "model.json").read_bytes())
-    write_json(out / "discovery.json", content)
-    title = f"What the model of {model.physics.vehicle.name} misses"
-    write_atomic(out / "report.html", discover_report(content, title=title))
-    names = (
-        f"  {e['name']}: {e['status']}, log10 e {e['log10_e']:.1f} ({e.get('further', 0.0):+.1f} "
-        "by these flights)"
-        for e in (*content["effects"], *content["not_certified"])
-    )
-    Console.of(arguments).result(
-        content, content["line"], *names, f"wrote discovery.json and report.html in {out}"
-    )
-    return 0

@@ -29,10 +29,9 @@ if TYPE_CHECKING:
     from greybox.data import Dataset
     from greybox.model.identified import IdentifiedModel
     from greybox.model.verdict import Verdict
-    from greybox.residual.document import BeforeAfter, LearnDocument
+    from greybox.residual.document import LearnDocument
     from greybox.residual.learn import Learned
     from greybox.validation.options import HorizonChoices
-    from greybox.validation.result import Validation
 
 
 def add(subparsers: Subcommands) -> None:
@@ -219,6 +218,7 @@ def _judge_and_report(
     from greybox.commands.learn_output import RESULTS
     from greybox.files import withdraw, write_atomic, write_json
     from greybox.report.learn_report import learn_report
+    from greybox.residual.before_after import judge_both
     from greybox.residual.files import save_model
 
     out = Path(arguments.out)
@@ -230,8 +230,15 @@ def _judge_and_report(
         f"what was learned is in {out}, not judged: greybox validate "
         f"{shlex.quote(str(out / 'hybrid.json'))} --log LOGS judges it"
     )
-    judged, models = test if test.flights else train, (model, learned.model)
-    verdict = _validated(arguments, console, content, models, judged, horizons)
+    verdict = judge_both(
+        content,
+        (model, learned.model),
+        test if test.flights else train,
+        base=shlex.quote(arguments.model),
+        horizons=horizons,
+        adapt=arguments.adapt,
+        say=lambda text: console.share(text, 1.0),
+    )
     hybrid = replace(learned.model, verdict=verdict)
     save_model(hybrid, out / "hybrid.json")
     if not test.flights:
@@ -323,41 +330,3 @@ def _demand_options(arguments: argparse.Namespace, *, linear: bool) -> None:
             "--guard is for linear models: what is learned of physics has its variance from the "
             "errors ahead"
         )
-
-
-def _validated(
-    arguments: argparse.Namespace,
-    console: Console,
-    content: LearnDocument,
-    models: tuple[IdentifiedModel, IdentifiedModel],
-    judged: Dataset,
-    horizons: HorizonChoices,
-) -> Verdict | None:
-    """Verdict of the second of `models` (before and after), which has to be no worse than the
-    first; puts the validation of both into `content`."""
-    from greybox.errors import GreyboxError
-    from greybox.residual.document import HALVES
-    from greybox.validation.against import against
-    from greybox.validation.validate import validate
-
-    validation: BeforeAfter = {}
-    content["validation"] = validation
-    seen: list[Validation] = []
-    for label, model in zip(HALVES, models):
-        console.share(f"validate {label}", 1.0)
-        try:
-            seen.append(validate(model, judged, **horizons, adapt=arguments.adapt))
-            validation[label] = seen[-1].to_dict()
-        except GreyboxError as error:
-            content["warnings"].append(f"no validation {label}: {error}")
-    verdict = seen[-1].verdict if HALVES[-1] in validation else None
-    if verdict is not None and len(seen) == len(HALVES) and seen[0].verdict is not None:
-        base, beside = shlex.quote(arguments.model), against(*seen)
-        document = beside.to_dict(f"the physics alone ({base})")
-        content["against_physics"] = document
-        if content["null"]:
-            document["line"] = f"nothing was learned; {document['line']}"
-        else:
-            verdict = beside.judged(verdict, base)
-    content["verdict"] = None if verdict is None else verdict.to_dict()
-    return verdict

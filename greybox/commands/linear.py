@@ -4,14 +4,13 @@ a report."""
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greybox.commands.command_line import Subcommands
+from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.judgement import given_horizons, horizon_options, horizon_steps
 
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from greybox.linear.fit import LinearFit
     from greybox.linear.logs import ChannelSpec, Logs
     from greybox.linear.records import Record
-    from greybox.linear.validation import Identified, Interval
+    from greybox.linear.validation import Identified
 
 Group = tuple[tuple[int, ...], tuple[int, ...]]
 """Columns of the inputs and of the outputs of one model."""
@@ -198,9 +197,8 @@ def _asked(arguments: argparse.Namespace) -> _Asked:
 
 
 def _logs(arguments: argparse.Namespace, asked: _Asked) -> tuple[Logs, Logs | None]:
-    """(training logs, test logs): at one sample time, and no flight in both."""
-    from greybox.errors import DataError
-    from greybox.linear.logs import read_records
+    """(training logs, test logs)."""
+    from greybox.linear.logs import demand_alike, read_records
     from greybox.model.vehicle import read_vehicle
 
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
@@ -209,16 +207,7 @@ def _logs(arguments: argparse.Namespace, asked: _Asked) -> tuple[Logs, Logs | No
     if not arguments.test:
         return train, None
     test = read_records(arguments.test, asked.inputs, asked.outputs, vehicle, **how)
-    if abs(test.dt - train.dt) > 1e-6 * train.dt:
-        raise DataError(
-            f"test logs have sample time {test.dt:g} s", expected=f"{train.dt:g} s", fix="--rate"
-        )
-    same = sorted({f.sha256 for f in train.flights} & {f.sha256 for f in test.flights} - {""})
-    if same:
-        twice = next(f.name for f in test.flights if f.sha256 == same[0])
-        raise DataError(
-            f"log '{twice}' is both train and test", fix="give every log to one of the two"
-        )
+    demand_alike(train, test)
     return train, test
 
 
@@ -231,10 +220,12 @@ def _identified(
     horizons: Sequence[int],
 ) -> Identified:
     """The model of one group, fitted, said and validated."""
+    from greybox.linear.pole_profile import pole_intervals
     from greybox.linear.validation import validate_linear
 
     (columns, rows), (train, test) = group, logs
-    fit = _fit(arguments, train, asked, group)
+    own = [r.part(columns, rows) for r in train.records]
+    fit = _fit(arguments, own, train.dt, asked, group)
     if not console.quiet:
         said = [
             fit.model.name,
@@ -252,20 +243,26 @@ def _identified(
         horizons=horizons,
         adapt_seconds=arguments.adapt,
         feedback=not arguments.open_loop,
-        intervals=_intervals(fit, train.records, columns, rows) if arguments.profile else (),
+        intervals=pole_intervals(fit, own) if arguments.profile else (),
     )
 
 
-def _fit(arguments: argparse.Namespace, train: Logs, asked: _Asked, group: Group) -> LinearFit:
-    from greybox.linear.fit import Options, Record, Settings, fit_linear
+def _fit(
+    arguments: argparse.Namespace,
+    records: Sequence[Record],
+    dt: float,
+    asked: _Asked,
+    group: Group,
+) -> LinearFit:
+    from greybox.linear.fit import Options, Settings, fit_linear
 
     columns, rows = group
     outputs = asked.outputs
     whole = len(rows) == len(outputs) and not arguments.siso
     return fit_linear(
-        [Record(u=r.u[:, list(columns)], y=r.y[:, list(rows)], name=r.name) for r in train.records],
+        records,
         asked.order,
-        dt=train.dt,
+        dt=dt,
         inputs=[asked.inputs[i].signal for i in columns],
         outputs=[outputs[i].signal for i in rows],
         delays=asked.delays
@@ -304,7 +301,7 @@ def _content(
 
     return {
         "schema": "greybox.linear_fit/1",
-        "command": "greybox linear " + " ".join(shlex.quote(a) for a in _shown(arguments)),
+        "command": typed("linear"),
         "sample_time": train.dt,
         "inputs": channels(asked.inputs),
         "outputs": channels(asked.outputs),
@@ -339,25 +336,6 @@ def _write(
     return f"{out / 'fit.json'}, {out / 'model.json'}, {out / 'report.html'}"
 
 
-def _intervals(
-    fit: LinearFit, records: Sequence[Record], columns: tuple[int, ...], rows: tuple[int, ...]
-) -> tuple[Interval, ...]:
-    """Profile likelihood intervals of every pole: real part, and imaginary part of the complex ones
-    above the axis."""
-    from greybox.linear.fit import Record
-    from greybox.linear.pole_profile import pole_profile
-
-    own = [Record(u=r.u[:, list(columns)], y=r.y[:, list(rows)], name=r.name) for r in records]
-    profile = pole_profile(fit, own)
-    out = []
-    for i, pole in enumerate(fit.uncertainty.poles().value):
-        if pole.imag >= 0:
-            out.append(profile.interval(i, "real"))
-        if pole.imag > 0:
-            out.append(profile.interval(i, "imag"))
-    return tuple(out)
-
-
 def _whole_numbers(text: str, what: str, least: int) -> list[int]:
     from greybox.errors import DataError
 
@@ -384,39 +362,3 @@ def _delays(text: str, count: int) -> list[int] | str:
             expected="one, or one per input",
         )
     return values
-
-
-def _shown(arguments: argparse.Namespace) -> list[str]:
-    """The options of this run as they would be typed, for the report."""
-    out: list[str] = []
-    for key in ("train", "test"):
-        if getattr(arguments, key):
-            out += [f"--{key}", *getattr(arguments, key)]
-    for key in (
-        "inputs",
-        "outputs",
-        "order",
-        "max_order",
-        "criterion",
-        "delay",
-        "vehicle",
-        "rate",
-        "adapt",
-        "horizons",
-        "out",
-    ):
-        value = getattr(arguments, key)
-        if value is not None:
-            out += [f"--{key.replace('_', '-')}", str(value)]
-    for key in (
-        "exact_order",
-        "siso",
-        "feedthrough",
-        "output_error",
-        "stable",
-        "open_loop",
-        "profile",
-    ):
-        if getattr(arguments, key):
-            out.append(f"--{key.replace('_', '-')}")
-    return out

@@ -14,6 +14,8 @@ from greybox.commands.command_line import Options
 
 if TYPE_CHECKING:
     from greybox.automatic.decide import Given
+    from greybox.automatic.fit import Prepared
+    from greybox.commands.console import Console
     from greybox.data import Dataset
     from greybox.estimation.options import FitChoices, FitOptions
     from greybox.estimation.recipe import Recipe
@@ -214,6 +216,20 @@ def fit_with(
     if source is not None:
         options = options.but(priors=lasting(source, options.disturbance))
     return fit(model, train, options, progress=progress)
+
+
+def fit_open(vehicle: Vehicle, prepared: Prepared, said: Given, console: Console) -> Fit:
+    """The fit to prepared flights for which all is decided that was not `said`; `console` gets
+    every decision. Raises what `fit_decided` raises."""
+    from greybox.automatic.borrow import decide_for
+    from greybox.automatic.fit import fit_decided
+
+    console.say("deciding what is open, on pieces of the flights that are left out:")
+    for done in prepared.decisions():
+        console.say(f"  {done.about}: {done.choice} ({done.reason})")
+    own, decided = decide_for(vehicle, prepared, said, say=console.say)
+    console.say("fitting all flights:")
+    return fit_decided(own, prepared, decided, say=console.say, progress=console.solver)
 
 
 def explicit_recipe(arguments: argparse.Namespace, fitted: Fit) -> Recipe:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from greybox.data import Segment
 from greybox.errors import FitError
+from greybox.estimation.ahead import run_ahead
 from greybox.estimation.engine import Engine, engine_for
 from greybox.estimation.gain import Riccati, linearisation_anywhere
 from greybox.estimation.lost_commands import lost_commands
@@ -148,13 +149,12 @@ class Filter:
         rows = np.asarray(origins) + 1
         if rows.size and rows.max() + horizon > filtered.record.n:
             raise FitError("an origin has fewer samples after it than the horizon")
-        begin = filtered.states[rows] if starts is None else starts
-        outputs, _ = self.engine.rollout(
-            starts=begin,
+        return run_ahead(
+            self.engine,
+            starts=filtered.states[rows] if starts is None else starts,
             rows=rows,
-            horizon=horizon,
+            steps=horizon,
             inputs=filtered.record.inputs,
             p=filtered.p,
             dt=filtered.record.dt,
-        )
-        return outputs
+        ).outputs

@@ -144,6 +144,20 @@ def read_records(
     return Logs(records=tuple(records), dt=dt, flights=tuple(flights), notes=tuple(notes))
 
 
+def demand_alike(train: Logs, test: Logs) -> None:
+    """Raise `DataError` for test logs of another sample time, and for a log in both."""
+    if abs(test.dt - train.dt) > 1e-6 * train.dt:
+        raise DataError(
+            f"test logs have sample time {test.dt:g} s", expected=f"{train.dt:g} s", fix="--rate"
+        )
+    same = {f.sha256 for f in train.flights} & {f.sha256 for f in test.flights} - {""}
+    if same:
+        twice = next(f.name for f in test.flights if f.sha256 == min(same))
+        raise DataError(
+            f"log '{twice}' is both train and test", fix="give every log to one of the two"
+        )
+
+
 def _records(
     flight: Flight,
     inputs: Sequence[ChannelSpec],

@@ -263,3 +263,15 @@ def pole_profile(fit: LinearFit, records: Sequence[Record]) -> PoleProfile:
     ]
     start = minimise(point, scaled, nuisances=nuisances)
     return PoleProfile(fit=fit, records=scaled, start=start)
+
+
+def pole_intervals(fit: LinearFit, records: Sequence[Record]) -> tuple[Interval, ...]:
+    """Profile likelihood intervals of every pole: real part, and imaginary part of the complex ones
+    above the axis. Raises as `pole_profile`."""
+    profile, out = pole_profile(fit, records), []
+    for i, pole in enumerate(fit.uncertainty.poles().value):
+        if pole.imag >= 0:
+            out.append(profile.interval(i, "real"))
+        if pole.imag > 0:
+            out.append(profile.interval(i, "imag"))
+    return tuple(out)

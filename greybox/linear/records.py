@@ -45,6 +45,10 @@ class Record:
     def __len__(self) -> int:
         return len(self.u)
 
+    def part(self, columns: Sequence[int], outputs: Sequence[int]) -> Record:
+        """Some `columns` of the inputs and some of the outputs."""
+        return Record(u=self.u[:, list(columns)], y=self.y[:, list(outputs)], name=self.name)
+
     @cached_property
     def missing(self) -> int:
         """Number of samples at which at least one output is missing."""

@@ -148,13 +148,13 @@ def validate_linear(
     starts at zero and the first 2 s are run in but not scored. Under `feedback` the verdict of the
     input test uses positive lags only. Raises `DataError` where test records are too short.
     """
-    own = [_part(r, columns, outputs) for r in train]
+    own = [r.part(columns, outputs) for r in train]
     moved = [delayed(r, fit.model.delays) for r in own]
     e = list(fit.innovations)
     rows: list[TestRow] = []
     one_step: list[FloatArray] = []
     for r in test:
-        mine = _part(r, columns, outputs)
+        mine = r.part(columns, outputs)
         rows += _test_rows(fit, mine, horizons, adapt_seconds, one_step)
     y = np.vstack([r.y for r in moved])
     share = np.sqrt(np.nanmean(np.vstack(e) ** 2, axis=0) / np.nanvar(y, axis=0))
@@ -233,10 +233,6 @@ def _interval(i: Interval) -> dict[str, Json]:
         "upper": ends[1],
         "level": i.level,
     }
-
-
-def _part(record: Record, columns: Sequence[int], outputs: Sequence[int]) -> Record:
-    return Record(u=record.u[:, list(columns)], y=record.y[:, list(outputs)], name=record.name)
 
 
 def _test_rows(

@@ -139,6 +139,21 @@ class LinearModel(Shown):
         return self.dt
 
     @property
+    def values(self) -> dict[str, float]:
+        """The entries of A, B, C, D, K by name, as of an identified model."""
+        return {q.name: q.nominal for q in self.parameters}
+
+    @property
+    def domain(self) -> Mapping[str, tuple[float, float]]:
+        """Nothing: the ranges of the training are not kept."""
+        return {}
+
+    @property
+    def trained_on(self) -> tuple[str, ...]:
+        """Nothing: the flights of the training are not kept."""
+        return ()
+
+    @property
     def order(self) -> int:
         """Number of states n."""
         return self.matrices.order

@@ -14,8 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.data import Dataset
+from greybox.errors import GreyboxError
 from greybox.model.identified import IdentifiedModel
 from greybox.model.noise import disturbances
+from greybox.model.verdict import GroupSkill
 from greybox.residual.discrepancy import GROUPS, Discrepancy, discrepancy_and_features
 from greybox.residual.features import available
 from greybox.symbolic import BoolArray, FloatArray
@@ -100,6 +102,33 @@ def pushes(model: IdentifiedModel, data: Dataset, channels: Collection[str]) -> 
     if not all(np.isfinite(v).all() for v in (seen.y, *samples)):
         return None
     return Pushes(model=model, seen=seen, samples=samples, groups=groups)
+
+
+def told_of_pushes(
+    model: IdentifiedModel, data: Dataset, judged: Sequence[GroupSkill]
+) -> list[str]:
+    """In words, the pushes that follow the motion and matter beside the errors of the `judged`
+    groups, and the force that carries the craft; nothing of flights that are too short to see
+    pushes in, or too wild."""
+    errors, ahead = {g.name: g for g in judged}, judged[0].seconds
+    try:
+        seen = pushes(model, data, errors)
+        found = seen.followed({n: g.error for n, g in errors.items()}, ahead) if seen else ()
+        carried = seen.weight_carried() if seen else 0.0
+    except (GreyboxError, np.linalg.LinAlgError):
+        return []
+    told = [
+        f"the motion foretells {100 * p.share:.0f} % of the {p.group} without a name, which moves "
+        f"{p.channel} by {p.change:.2g} of {p.error:.2g} {errors[p.channel].unit} that the model "
+        f"errs {ahead:g} s ahead"
+        for p in found
+    ]
+    if carried:
+        told.append(
+            f"a force without a name carries {100 * carried:.1f} % of the weight in every flight: "
+            "mass or thrust is off by that, or something pulls all the time"
+        )
+    return told
 
 
 def _columns(seen: Discrepancy, group: str) -> list[int]:

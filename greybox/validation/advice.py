@@ -11,12 +11,13 @@ import enum
 import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from itertools import chain
 
 from greybox.data.checks import CheckReport
 from greybox.errors import DataError
 from greybox.estimation.fit import Fit
 from greybox.model.layer import own_parameters
-from greybox.validation.sanity import Sanity
+from greybox.validation.sanity import Sanity, sanity_of
 
 PAGE = "docs/bad_fit.md"
 """The page whose sections the anchors name."""
@@ -214,6 +215,15 @@ def likely(hints: Iterable[Hint], fallback: Symptom) -> tuple[str, str, str]:
                 return reason, advice.action, advice.symptom.anchor
     advice = next(a for a in ADVICE if a.symptom is fallback)
     return advice.reason, advice.action, advice.symptom.anchor
+
+
+def hints_of(
+    fit: Fit, reports: Iterable[CheckReport], *, kinematic_noise: bool = False
+) -> tuple[Hint, ...]:
+    """All that the checks of the logs, physics and the fit itself say about a fit."""
+    effects = fit.model.effects
+    checks = (hints_of_checks(r, effects=effects, kinematic_noise=kinematic_noise) for r in reports)
+    return (*chain(*checks), *hints_of_sanity(sanity_of(fit)), *hints_of_fit(fit))
 
 
 def hints_of_checks(

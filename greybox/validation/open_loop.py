@@ -13,7 +13,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from greybox.errors import FitError
+from greybox.estimation.ahead import OpenLoop, run_ahead
 from greybox.estimation.engine import Engine
 from greybox.estimation.filtering import Filtered
 from greybox.frames import numeric
@@ -82,6 +82,12 @@ class GroupReader:
             read["velocity"] = evaluate(reading(p), flat).reshape(*states.shape[:-1], 3)
         return {g: read[g] for g in self.groups}
 
+    def read(self, ahead: OpenLoop) -> dict[str, FloatArray]:
+        """Group -> (m, steps, dimension) of runs in open loop, their states among them where
+        `needs_states`."""
+        commands = ahead.commands if self.needs_states else None
+        return self.values(ahead.outputs, ahead.states, ahead.p, commands)
+
 
 def _velocity_reading(
     model: IdentifiedModel,
@@ -132,32 +138,20 @@ def predict_from(
     `measured_start` the state at k is the measured one (`references`, smoothed velocities
     included), rotors and disturbances the filter's.
     """
-    record = filtered.record
-    past = engine.past
-    inputs = np.concatenate([record.inputs, np.repeat(record.inputs[-1:], steps + 1, axis=0)])
-    first = np.asarray(origins, dtype=np.int64)
-    if measured_start:
-        begin = started_at_measurement(filtered, reader, first, references or {}, past)
-        rows, length = first, steps + 1
-    else:
-        begin, rows, length = filtered.states[first + 1], first + 1, steps
-    if len(rows) and rows.max() + length + past > len(inputs):
-        raise FitError("an origin lies outside its record")
-    outputs, states = engine.rollout(
-        starts=begin,
+    rows = np.asarray(origins, dtype=np.int64) + (0 if measured_start else 1)
+    ahead = run_ahead(
+        engine,
+        starts=started_at_measurement(filtered, reader, rows, references or {}, engine.past)
+        if measured_start
+        else filtered.states[rows],
         rows=rows,
-        horizon=length,
-        inputs=inputs,
+        steps=steps + 1 if measured_start else steps,
+        inputs=filtered.record.inputs,
         p=filtered.p,
-        dt=record.dt,
+        dt=filtered.record.dt,
         want_states=reader.needs_states,
     )
-    ahead = first[:, None] + np.arange(1, steps + 1) + past
-    if measured_start:
-        outputs, states = outputs[:, 1:], None if states is None else states[:, 1:]
-    return reader.values(
-        outputs, states, filtered.p, inputs[ahead] if reader.needs_states else None
-    )
+    return reader.read(ahead.without_first() if measured_start else ahead)
 
 
 def started_at_measurement(

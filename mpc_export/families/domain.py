@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import casadi as ca
 
 from greybox.estimation.engine import unfelt_place
-from greybox.model.linear import LinearModel
 from greybox.symbolic import Expr
-from mpc_export.model_parts import Exportable, ModelParts
+from mpc_export.model_parts import ModelParts
 
 NOWHERE = 1e30
 """Out-of-domain number of arguments that are NaN or absurd."""
-
-
-def training_ranges(model: Exportable) -> Mapping[str, tuple[float, float]]:
-    """Training ranges by name, where they are known."""
-    return {} if isinstance(model, LinearModel) else model.domain
 
 
 def add_domain(parts: ModelParts) -> None:
@@ -49,7 +42,7 @@ def _box(parts: ModelParts) -> ca.Function | None:
     Quaternions are left out, and coordinates of the place that no motion depends on: physics
     that was learned in one corner of a room holds in the other.
     """
-    s, domain = parts.sampled, training_ranges(parts.model)
+    s, domain = parts.sampled, parts.model.domain
     u, p = parts.u, parts.p
     signals = {n: u[i] for i, n in enumerate(s.inputs.names)}
     signals |= {n: p[s.parameters[n]] for n in s.exogenous}

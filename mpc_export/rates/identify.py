@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.linear_predictor import LinearPredictor
 from greybox.baselines.output_residual import OutputHybrid, fit_output_residual
 from greybox.data import Segment, dataset_from_arrays
 from greybox.files import read_json, write_json
@@ -81,7 +81,7 @@ def fitted(logs: Sequence[Mapping[str, FloatArray]], say: Callable[[str], None])
         records, ORDER, dt=DT, inputs=list(CHANNELS), outputs=list(OUTPUTS), name="rates"
     ).model
     say(f"a Gaussian process of {POINTS} points on what it leaves")
-    base = BasePredictor(model=linear, outputs=OUTPUTS, channels=CHANNELS)
+    base = LinearPredictor(model=linear, outputs=OUTPUTS, channels=CHANNELS)
     return fit_output_residual(base, segments_of_logs(logs), points=POINTS, seed=0)
 
 

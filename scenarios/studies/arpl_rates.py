@@ -22,6 +22,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from greybox.data import Dataset, Segment
 from greybox.data.logs import read_logs
+from greybox.estimation.ahead import run_ahead
 from greybox.estimation.engine import engine_for
 from greybox.estimation.filtering import Filter
 from greybox.estimation.fit import Fit, fit
@@ -95,17 +96,18 @@ def from_commands(result: Fit, segment: Segment) -> tuple[FloatArray, FloatArray
     gyro, _ = hold_missing(record.outputs[:, [dynamics.outputs[c] for c in "pqr"]])
 
     def run(starts: FloatArray, rows: npt.NDArray[np.int_], horizon: int) -> FloatArray:
-        _, states = engine.rollout(
+        ahead = run_ahead(
+            engine,
             starts=starts,
             rows=rows,
-            horizon=horizon,
+            steps=horizon,
             inputs=record.inputs,
             p=p,
             dt=record.dt,
             want_states=True,
         )
-        assert states is not None
-        return states
+        assert ahead.states is not None
+        return ahead.states
 
     names = dynamics.states.names
     rate = [dynamics.states[f"rate.{a}"] for a in "xyz"]

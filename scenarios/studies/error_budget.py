@@ -41,6 +41,7 @@ import numpy as np
 
 from greybox.data import Dataset, Flight
 from greybox.data.logs import read_logs
+from greybox.estimation.ahead import run_ahead
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.smoothing import Smoothed, smooth
 from greybox.examples import NANOBENCH_TEST, NANOBENCH_TRAIN, flight_paths, vehicle_path
@@ -203,28 +204,25 @@ class Budget:
         `overwritten`: state -> what it is at each step, (m, steps). `shift`: samples by which the
         commands come later.
         """
-        engine, rows = self.runner.engine, (r.origins if origins is None else origins) + 1
-        inputs = np.roll(r.inputs, shift, axis=0)
-        x, outputs, states = starts.copy(), [], []
-        for h in range(steps):
-            for i, value in (overwritten or {}).items():
+        told = overwritten or {}
+
+        def written(h: int, x: FloatArray) -> FloatArray:
+            for i, value in told.items():
                 x[:, i] = value[:, h]
-            y, after = engine.rollout(
-                starts=x,
-                rows=rows + h,
-                horizon=2,
-                inputs=inputs,
+            return x
+
+        return self.reader.read(
+            run_ahead(
+                self.runner.engine,
+                starts=written(0, starts.copy()),
+                rows=(r.origins if origins is None else origins) + 1,
+                steps=steps,
+                inputs=np.roll(r.inputs, shift, axis=0),
                 p=r.filtered.p,
                 dt=self.dt,
                 want_states=True,
+                between=(lambda h, _, following: written(h + 1, following)) if told else None,
             )
-            assert after is not None
-            outputs.append(y[:, 0])
-            states.append(x)
-            x = after[:, 1].copy()
-        ahead = inputs[rows[:, None] + np.arange(steps) + engine.past]
-        return self.reader.values(
-            np.stack(outputs, axis=1), np.stack(states, axis=1), r.filtered.p, ahead
         )
 
     def add(self, label: str, r: Replay, predicted: Mapping[str, FloatArray]) -> None:

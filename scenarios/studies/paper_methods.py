@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.filter_predictor import FilterPredictor
+from greybox.baselines.linear_predictor import LinearPredictor
 from greybox.baselines.narx import search_narx
 from greybox.data.segment import Segment
 from greybox.estimation.filtering import Filter, Filtered
@@ -170,7 +171,7 @@ class Bench:
             seconds=seconds,
             microseconds=1e6 * spent / self.data.segment.n,
             named=len(found.parameters),
-            ahead=_ahead(BasePredictor(model=found.model, outputs=OUTPUTS), self.data.segment),
+            ahead=_ahead(FilterPredictor(model=found.model, outputs=OUTPUTS), self.data.segment),
             notes={
                 "converged": found.converged,
                 "values": {n: e.value for n, e in found.parameters.items()},
@@ -223,7 +224,7 @@ def _linear(
         seconds=seconds,
         microseconds=1e6 * spent / segment.n,
         ahead=_ahead(
-            BasePredictor(model=found.model, outputs=tuple(outputs), channels=channels), segment
+            LinearPredictor(model=found.model, outputs=tuple(outputs), channels=channels), segment
         ),
         notes={"order": found.order, "status": found.status.value},
     )

@@ -22,7 +22,10 @@ import numpy as np
 
 from greybox.baselines.base_predictor import BasePredictor
 from greybox.baselines.decoupled import Terms, combined
+from greybox.baselines.filter_predictor import FilterPredictor
+from greybox.baselines.linear_predictor import LinearPredictor
 from greybox.baselines.output_residual import output_features, residual_rows
+from greybox.baselines.predictor_features import layout_of
 from greybox.data import Dataset
 from greybox.data.logs import read_logs
 from greybox.examples import NANOBENCH_TEST, NANOBENCH_TRAIN, flight_paths, vehicle_path
@@ -73,7 +76,7 @@ def _thinned(
     units = {s.name: s.unit for s in base.dynamics.outputs}
     return Residuals(
         name=name,
-        inputs=base.feature_layout(features),
+        inputs=layout_of(base, features),
         outputs=Layout([Signal(name=n, unit=units[n]) for n in base.outputs]),
         train=(z[few], r[few], flights[few]),
         test=(z_test[some], r_test[some]),
@@ -84,7 +87,7 @@ def simulated(seeds: int, rows: int) -> Iterator[Residuals]:
     """Of the nonlinear model on the record of each seed: 0-20 s and 25-30 s."""
     for seed in range(seeds):
         data = paper_data(seed)
-        base = BasePredictor(model=Bench(data=data).physics.model, outputs=OUTPUTS)
+        base = FilterPredictor(model=Bench(data=data).physics.model, outputs=OUTPUTS)
         yield _thinned(f"simulated {seed}", base, data.part(TRAIN), data.part(TEST), rows, seed)
 
 
@@ -108,7 +111,7 @@ def real(rows: int) -> Residuals:
     }
     model, channels = combined(models, mixes)
     return _thinned(
-        "NanoBench", BasePredictor(model=model, channels=channels), train, test, rows, 0
+        "NanoBench", LinearPredictor(model=model, channels=channels), train, test, rows, 0
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.filter_predictor import FilterPredictor
 from greybox.data import Dataset, Flight
 from greybox.errors import DataError
 from greybox.model.noise import with_disturbance
@@ -33,7 +33,7 @@ def physics():
     model = craft_model(
         with_disturbance(craft(("motor_lag", "command_delay")), ("force", "torque"))
     )
-    return rn.PhysicsAlone(BasePredictor(model=model))
+    return rn.PhysicsAlone(FilterPredictor(model=model))
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.baselines.base_predictor import BasePredictor
 from greybox.baselines.decoupled import combined
+from greybox.baselines.filter_predictor import FilterPredictor
+from greybox.baselines.linear_predictor import LinearPredictor
 from greybox.baselines.output_residual import OutputHybrid, fit_output_residual
+from greybox.baselines.predictor_features import layout_of
 from greybox.data import dataset_from_arrays
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.estimation.filtering import Filter
@@ -122,7 +124,7 @@ def test_the_first_step_of_a_free_run_is_the_one_step_prediction(trained):
 
 def test_without_a_gp_it_is_the_linear_predictor():
     segment = flight(8).segments[0]
-    base = BasePredictor(model=linear(), channels=CHANNELS)
+    base = LinearPredictor(model=linear(), channels=CHANNELS)
     record = Record(
         u=(segment.channels["u1"] - segment.channels["u2"])[:, None], y=segment.matrix(("p",))
     )
@@ -196,11 +198,11 @@ def test_last_errors_foretell_coloured_noise_and_their_spread_runs_on():
 def test_decoupled_models_are_one(trained):
     both, channels = combined([linear("a", "p"), linear("b", "q", gain=0.1, delay=3)], CHANNELS)
     assert both.inputs.names == ("roll.p", "roll.q")
-    base = BasePredictor(model=both, channels=channels)
+    base = LinearPredictor(model=both, channels=channels)
     segment = flight(10).segments[0]
-    alone, _ = BasePredictor(model=linear("b", "q", gain=0.1, delay=3), channels=CHANNELS).one_step(
-        segment
-    )
+    alone, _ = LinearPredictor(
+        model=linear("b", "q", gain=0.1, delay=3), channels=CHANNELS
+    ).one_step(segment)
     mean, _ = base.one_step(segment)
     assert mean[4:, 1] == pytest.approx(alone[4:, 0], abs=1e-12)
     assert base.commands == ("u1", "u2")
@@ -226,13 +228,13 @@ def test_a_file_keeps_it_and_says_what_it_is(trained, tmp_path):
 
 
 def test_what_it_may_not_see_is_refused():
-    base = BasePredictor(model=linear(), channels=CHANNELS)
+    base = LinearPredictor(model=linear(), channels=CHANNELS)
     with pytest.raises(ModelError, match="measurement of the predicted instant"):
-        base.feature_layout(("q[t]",))
+        layout_of(base, ("q[t]",))
     for name in ("height", "error.q[t-1]"):
         with pytest.raises(UnknownNameError):
-            base.feature_layout((name,))
-    assert base.feature_layout(("u1[t]", "q[t-1]", "x1", "p")).units[1] == "rad/s"
+            layout_of(base, (name,))
+    assert layout_of(base, ("u1[t]", "q[t-1]", "x1", "p")).units[1] == "rad/s"
 
 
 @pytest.fixture(scope="module")
@@ -247,7 +249,7 @@ def physics():
 
 def test_on_a_physical_model_it_starts_from_the_filters_prediction(physics):
     model, data = physics
-    base = BasePredictor(model=model)
+    base = FilterPredictor(model=model)
     assert base.outputs == ("p", "q", "r", "ax", "ay", "az")
     segment = data.segments[0]
     runner = Filter(model)

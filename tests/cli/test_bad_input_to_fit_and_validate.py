@@ -217,7 +217,7 @@ def test_fit_then_validate_on_another_flight(
 ) -> None:
     monkeypatch.chdir(files)
     doubt = "doubtful: no body has these moments"
-    monkeypatch.setattr("greybox.commands.fit._sanity_lines", lambda result: [doubt])
+    monkeypatch.setattr("greybox.commands.fit_said.sanity_lines", lambda result: [doubt])
     out = tmp_path / "out"
     code = main(
         [

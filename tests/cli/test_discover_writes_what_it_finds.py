@@ -19,7 +19,7 @@ import pytest
 import greybox.discovery.cause
 import greybox.discovery.workflow
 from greybox.cli import main
-from greybox.commands.discover import set_aside
+from greybox.commands.discover_folder import set_aside
 from greybox.commands.flight_logs import read_flight_logs
 from greybox.estimation.record import sample_time
 from greybox.examples import flight_path, vehicle_path

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 
 from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.linear_predictor import LinearPredictor
 from greybox.baselines.output_learner import fit_features
 from greybox.baselines.output_residual import OutputHybrid, fit_output_residual, output_features
+from greybox.baselines.predictor_features import features_of
 from greybox.data import Segment, dataset_from_arrays
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
@@ -46,7 +48,7 @@ def coupled() -> BasePredictor:
             np.array([[0.3, 0.0], [0.1, 0.2]]),
         )
     )
-    return BasePredictor(model=model, outputs=("p", "q"), channels=CHANNELS)
+    return LinearPredictor(model=model, outputs=("p", "q"), channels=CHANNELS)
 
 
 BASES = {"linear SISO": axes, "linear MIMO": coupled}
@@ -135,7 +137,7 @@ def test_its_file_and_its_export_are_the_same_predictor(
     functions = model_functions(back)
     mean, variance = hybrid.free_run(new, [39], 1)
     run, names = hybrid.base.run(new), hybrid.posterior.inputs.names
-    z = hybrid.base.features(new, run, names)[40]
+    z = features_of(hybrid.base, new, run, names)[40]
     told = np.asarray(functions["gp_mean"](z, functions.parameter_values)).ravel()
     assert told == pytest.approx(mean[0, 0] - run.mean[40], rel=1e-9, abs=1e-12)
     own = np.asarray(functions["gp_variance"](z, functions.parameter_values)).ravel()

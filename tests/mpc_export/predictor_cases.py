@@ -9,9 +9,11 @@ import numpy as np
 
 from greybox.baselines.base_predictor import BasePredictor
 from greybox.baselines.decoupled import combined
+from greybox.baselines.linear_predictor import LinearPredictor
 from greybox.baselines.lstm import LSTMModel
 from greybox.baselines.narx import NARXModel
 from greybox.baselines.output_residual import OutputHybrid
+from greybox.baselines.predictor_features import layout_of
 from greybox.baselines.regressors import Lags
 from greybox.data import Segment, dataset_from_arrays
 from greybox.model.linear import LinearModel
@@ -112,9 +114,7 @@ def hybrid(base: BasePredictor, features: tuple[str, ...], seed: int = 0) -> Out
     """A GP of these features on the errors of the base."""
     units = {s.name: s.unit for s in base.dynamics.outputs}
     outputs = Layout([Signal(name=n, unit=units[n]) for n in base.outputs])
-    return OutputHybrid(
-        base=base, posterior=posterior(base.feature_layout(features), outputs, seed)
-    )
+    return OutputHybrid(base=base, posterior=posterior(layout_of(base, features), outputs, seed))
 
 
 @functools.cache
@@ -202,18 +202,18 @@ def pieced() -> GaussianProcess:
 def axes() -> BasePredictor:
     """Two SISO models, one per axis."""
     model, channels = combined([siso("p", "roll"), siso("q", "pitch", 1)], CHANNELS)
-    return BasePredictor(model=model, outputs=("p", "q"), channels=channels)
+    return LinearPredictor(model=model, outputs=("p", "q"), channels=channels)
 
 
 PREDICTORS = {
     "linear, per axis": axes,
     "output hybrid, SISO": lambda: hybrid(
-        BasePredictor(model=siso(), outputs=("p",), channels=CHANNELS),
+        LinearPredictor(model=siso(), outputs=("p",), channels=CHANNELS),
         ("p", "x1", "phi[t-1]", "u1[t-2]", "u2[t]"),
     ),
     "output hybrid, per axis": lambda: hybrid(axes(), ("p", "q", "phi[t-1]", "u1[t-1]")),
     "output hybrid, MIMO": lambda: hybrid(
-        BasePredictor(model=mimo(), outputs=("p", "q"), channels=CHANNELS),
+        LinearPredictor(model=mimo(), outputs=("p", "q"), channels=CHANNELS),
         ("q", "u2[t-1]", "error.p[t-1]", "theta[t-2]"),
     ),
     "NARX": lambda: narx(1, False),

@@ -13,6 +13,7 @@ import pytest
 
 from greybox.baselines.base_predictor import BasePredictor
 from greybox.baselines.output_residual import OutputHybrid
+from greybox.baselines.predictor_features import last_errors
 from greybox.data.channel import is_canonical
 from greybox.errors import FileFormatError, GreyboxError, ModelError
 from greybox.model.linear import LinearModel
@@ -87,7 +88,7 @@ def base_state(source, flight, functions, k):
     """The state that the source itself has at sample k, in the export's order (linear bases)."""
     run = source.base.run(flight) if isinstance(source, OutputHybrid) else source.run(flight)
     base = source.base if isinstance(source, OutputHybrid) else source
-    errors = base.errors(flight, run)
+    errors = last_errors(base, flight, run)
     out = []
     for n in functions.states.names:
         if n.startswith("history."):

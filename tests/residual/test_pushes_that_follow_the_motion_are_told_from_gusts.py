@@ -17,7 +17,7 @@ import pytest
 
 import greybox as gb
 from greybox.commands import discover
-from greybox.commands.fit import _discover, _next
+from greybox.commands.fit_said import discover_command, next_step
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.estimation.fit import fit
 from greybox.excitation.waypoints import RandomWaypoints
@@ -179,7 +179,7 @@ def test_the_next_step_is_left_out_where_it_cannot_be_told(
     job: Any = SimpleNamespace(prepared=SimpleNamespace(data=None))
     sure = SimpleNamespace(form="")
     result: Any = SimpleNamespace(verdict=verdict, converged=True, model=None, covariance=sure)
-    assert _next(job, result) == []
+    assert next_step(job, result) == []
 
 
 def test_the_next_step_is_a_command_with_the_same_flights() -> None:
@@ -192,10 +192,10 @@ def test_the_next_step_is_a_command_with_the_same_flights() -> None:
         keep_impossible=True,
         accept="",
     )
-    assert _discover(arguments) == (
+    assert discover_command(arguments) == (
         "greybox discover --vehicle 'my craft.toml' --train a.csv b.csv --test c.csv "
         "--mapping m.toml --keep-impossible"
     )
     parser = argparse.ArgumentParser()
     discover.add(parser.add_subparsers())
-    parser.parse_args(shlex.split(_discover(arguments))[1:])
+    parser.parse_args(shlex.split(discover_command(arguments))[1:])

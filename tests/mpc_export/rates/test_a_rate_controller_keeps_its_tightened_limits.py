@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.linear_predictor import LinearPredictor
 from greybox.errors import ModelError
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
@@ -35,7 +35,7 @@ def base():
         input_offset=np.zeros(2),
         output_offset=np.zeros(2),
     )
-    return BasePredictor(model=model, outputs=("p", "q"), channels=CHANNELS)
+    return LinearPredictor(model=model, outputs=("p", "q"), channels=CHANNELS)
 
 
 @pytest.fixture(scope="module")

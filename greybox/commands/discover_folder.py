@@ -1,0 +1,120 @@
+"""The folder of `greybox discover`: files that are whole after every step of a search."""
+
+from __future__ import annotations
+
+import itertools
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from greybox.data.checks import CheckReport
+    from greybox.discovery.document import DiscoveryDocument
+    from greybox.discovery.result import Discovery
+    from greybox.model.effect import Effect
+
+from greybox.commands.command_line import typed
+from greybox.commands.judgement import next_of_faults
+
+
+def set_aside(path: Path) -> Path:
+    """The file, of an earlier search and perhaps edited since, under the first free name F.old,
+    F.old2, ..."""
+    names = (path.with_name(f"{path.name}.old{n if n > 1 else ''}") for n in itertools.count(1))
+    return path.replace(next(name for name in names if not name.exists()))
+
+
+def set_aside_laws(out: Path, laws: Mapping[str, str]) -> None:
+    """Set laws of an earlier search aside, but for those that are the same now (`laws`: file name
+    -> text)."""
+    from greybox.residual.laws.effect_file import LAW_FILE
+
+    for old in out.glob("proposal_*.py"):
+        if LAW_FILE.fullmatch(old.name) and old.read_bytes() != laws.get(old.name, "").encode():
+            set_aside(old)
+
+
+class SearchFolder:
+    """The folder of a search: what it wrote so far (`written`: discovery.json), rewritten after
+    every step."""
+
+    def __init__(
+        self, out: Path, title: str, offered: Mapping[str, Sequence[Effect]], faults: CheckReport
+    ) -> None:
+        self.written: DiscoveryDocument | None = None
+        self._out, self._title, self._offered, self.faults = out, title, offered, faults
+        self._began = False
+
+    def write(self, found: Discovery) -> None:
+        """Write what is found. The result comes last: until then it says that the search was
+        stopped."""
+        from greybox.discovery.result import WITH_LAWS
+        from greybox.files import withdraw, write_atomic, write_json
+
+        out, content = self._out, found.to_dict()
+        first, told = self.warnings()
+        content["warnings"] = [*first, *content["warnings"], *told]
+        content["command"] = typed("discover")
+        has = () if found.fit is None else found.model.effects
+        content["effects_files"] = [
+            path for path, effects in self._offered.items() if {e.name for e in effects} & set(has)
+        ]
+        self.written = content
+        withdraw(out, "report.html")
+        if found.fit is None:
+            write_json(out / "discovery.json", content)
+            return
+        if not self._began:
+            withdraw(out, "discovery.json", WITH_LAWS)
+            self._began = True
+        found.model.save(out / "model.json")
+        laws = found.proposals()
+        set_aside_laws(out, laws)
+        for name, text in laws.items():
+            write_atomic(out / name, text)
+        if found.lawful is not None:
+            found.lawful.save(out / WITH_LAWS)
+        else:
+            withdraw(out, WITH_LAWS)
+        write_json(out / "discovery.json", content)
+
+    def warnings(self) -> tuple[list[str], list[str]]:
+        """What the flights were searched in spite of: (faults that were accepted, warnings)."""
+        return self.faults.accepted_lines(), self.faults.warning_lines()
+
+    @property
+    def content(self) -> DiscoveryDocument:
+        """discovery.json as it was written last."""
+        assert self.written is not None
+        return self.written
+
+    def page(self) -> None:
+        """Write report.html of what is found so far."""
+        from greybox.files import write_atomic
+        from greybox.report.discover_report import discover_report
+
+        write_atomic(self._out / "report.html", discover_report(self.content, title=self._title))
+
+    def kept(self) -> str:
+        """What an interrupted search leaves."""
+        return f"what was found until then, not judged, is in {self._out}; the same command starts anew"
+
+    def lines(self, found: Discovery) -> list[str]:
+        """The result for people, and what was written."""
+        from greybox.discovery.result import WITH_LAWS
+        from greybox.model.layer import physics_of
+
+        lines, laws = found.summary().splitlines(), list(found.proposals())
+        first = 1 + len(found.faults)
+        lines[first:first] = [f"warning: {w}" for some in self.warnings() for w in some]
+        lines += [] if self.faults.ok else [next_of_faults(self.faults)]
+        written = ["discovery.json", *(["model.json"] if found.fit is not None else []), *laws]
+        if found.lawful is not None:
+            written.append(WITH_LAWS)
+            own = physics_of(found.lawful.dynamics) is None
+            files = [*self.content["effects_files"], *(str(self._out / name) for name in laws)]
+            more = "" if own else f" --effects-file {shlex.join(files)}"
+            model = shlex.quote(str(self._out / WITH_LAWS))
+            lines.append(f"what laws leave: greybox learn {model}{more} --train ...")
+        return [*lines, f"wrote {', '.join(written)} and report.html in {self._out}"]
