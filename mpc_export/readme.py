@@ -155,7 +155,8 @@ def _targets(m: Manifest) -> list[str]:
             continue
         if "folder" in said:
             lines += [
-                f"For {target}: `{said['folder']}/README.md`; `c/{m['name']}_bench.c` reads a recording.",
+                f"For {target}: `{said['folder']}/README.md`; `c/{m['name']}_bench.c` holds the "
+                "predictions against a recording of outputs y and commands u that were flown.",
                 "",
             ]
             continue

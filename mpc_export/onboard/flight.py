@@ -57,12 +57,37 @@ class OnBoard:
                 "real": f"{self.name}_real",
                 "leans": self._leans(),
                 "bits": BITS,
+                "check": self._check(),
             }
             | dict(self.said)
             | said
         )
         own = places_in(template)
         return filled(template, **{k: v for k, v in words.items() if k in own})
+
+    def _check(self) -> str:
+        """How to hold the predictions against a flight that somebody else flew."""
+        f, n = self.functions, self.name
+        acted = [*f.inputs.names, *f.sampled.exogenous]
+        return "\n".join(
+            [
+                "## The check before the first flight",
+                "",
+                "Fly with another controller and write one line a sample, nan where nothing was "
+                f"measured: {' '.join(f.outputs.names)}, then {' '.join(acted)} as they were given "
+                f"from this sample to the next, {f.dt:g} s a sample, with the meaning that "
+                "`../README.md` states. Without the commands that flew it is no check.",
+                "",
+                "```sh",
+                f"cd ../c && cc -std=c99 -O2 -o bench {n}_bench.c {n}_flight.c {n}_model.c {n}.c -lm",
+                "./bench < flight.csv > predicted.txt",
+                "```",
+                "",
+                "It says of every innovation how many times as large it was as the model states: "
+                "about 1 on the craft that was fitted, ten and more for motors in another order, "
+                "another range of commands, other units or axes.",
+            ]
+        )
 
     def _leans(self) -> str:
         """What the feedback does against forces and torques that stay."""
@@ -160,6 +185,23 @@ def _bounds(board: OnBoard) -> dict[str, str]:
     }
 
 
+def _bench(f: ModelFunctions) -> dict[str, str]:
+    """Words of bench.c: what acts on the model besides its commands, and how errors are named."""
+    given = [n for n in f.parameters.names if n in f.sampled.exogenous]
+    told = "".join(f"\n       {n} [{f.parameters.units[f.parameters[n]]}]" for n in given)
+    whole = _starts(f)["pose"] != "0"
+    return {
+        "n_u": str(len(f.inputs)),
+        "given": told,
+        "n_given": str(len(given)),
+        "given_rows": "".join(f"{f.parameters[n]}, " for n in given),
+        "innovations": ", ".join(
+            f'"{n} [{unit}]"' for n, unit in zip(f.innovations.names, f.innovations.units)
+        ),
+        "nowhere": "nan" if whole else "0",
+    }
+
+
 def write_flight(board: OnBoard, folder: Path) -> None:
     """NAME_flight.h, .c and NAME_bench.c beside the generated C in `folder`."""
     f = board.functions
@@ -189,6 +231,7 @@ def write_flight(board: OnBoard, folder: Path) -> None:
         "n_y": str(len(f.outputs)),
         "outputs": " ".join(f.outputs.names),
         "inputs": " ".join(f.inputs.names),
+        **_bench(f),
     }
     for end, template in (
         ("flight.h", "flight/flight.h"),
