@@ -112,14 +112,18 @@ def _in_c(n: str, c: CPart) -> list[str]:
         "Build and run the self-test (any C99 compiler):",
         "",
         "```sh",
-        f"cc -std=c99 -O2 -o selftest c/{n}.c c/{n}_model.c c/{n}_selftest.c -lm",
-        "./selftest",
+        f"mkdir -p build && cc -std=c99 -O2 -o build/selftest c/{n}.c c/{n}_model.c "
+        f"c/{n}_selftest.c -lm",
+        "build/selftest",
         "```",
         "",
         f"In C and C++ include `c/{n}_model.h`, in CMake `add_subdirectory(c)` and link `{n}`. "
         f"`c/{n}_example.cpp` is a program to start from. For speed add `-O3 -march=native "
         "-ffp-contract=fast`, never "
         "`-ffast-math`.",
+        "",
+        "Another export into this folder replaces files that are as they were written, and `build/`. "
+        "It stops at any that was changed or added.",
         "",
         f"Source {c['source_bytes'] / 1e3:.0f} kB, numbers in {c['real']}, work "
         f"space {c['work_bytes']} "

@@ -114,7 +114,12 @@ def check_files(folder: Path, manifest: Manifest) -> list[str]:
         if total > LARGEST or len(there) > MOST_FILES:
             raise VerifyError(f"{folder}: more than {LARGEST} bytes or {MOST_FILES} files")
     own = {*there} - {*manifest["files"], "manifest.json"}
-    return sorted(n for n in own if not n.startswith("build/") and "__pycache__/" not in n)
+    return sorted(n for n in own if not made_on_the_way(n))
+
+
+def made_on_the_way(name: str) -> bool:
+    """Whether a file of a bundle comes of building or running it, by its name."""
+    return name.startswith("build/") or "__pycache__/" in name
 
 
 def check_names(manifest: Manifest) -> None:

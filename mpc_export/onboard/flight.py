@@ -79,12 +79,14 @@ class OnBoard:
                 "`../README.md` states. Without the commands that flew it is no check.",
                 "",
                 "```sh",
-                f"cd ../c && cc -std=c99 -O2 -o bench {n}_bench.c {n}_flight.c {n}_model.c {n}.c -lm",
+                "mkdir -p ../build && cd ../build",
+                f"cc -std=c99 -O2 -o bench ../c/{n}_bench.c ../c/{n}_flight.c ../c/{n}_model.c "
+                f"../c/{n}.c -lm",
                 "./bench < flight.csv > predicted.txt",
                 "```",
                 "",
                 "It says of every innovation how many times as large it was as the model states: "
-                "about 1 on the craft that was fitted, ten and more for motors in another order, "
+                "about 1 on the craft that was fitted, several times more for motors in another order, "
                 "another range of commands, other units or axes.",
             ]
         )
