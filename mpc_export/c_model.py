@@ -22,15 +22,16 @@ from mpc_export.c_code import CFunction, CSource, Port
 from mpc_export.c_text import broken
 from mpc_export.functions import ModelFunctions
 from mpc_export.golden import FARTHEST, Golden
-from mpc_export.model_parts import shared
+from mpc_export.model_parts import Reading, readings, shared
 from mpc_export.template import filled
 
 CODES = (
     ("OK", "results are written"),
     (
         "OUT_OF_RANGE",
-        "results are written, but a command is out of its bounds or the quaternion is not of unit "
-        "length",
+        "results are written, but a command is out of its bounds, the state's quaternion is not of "
+        "unit length, or a measured one is shorter than half of that or longer than twice: then it "
+        "counts as missing",
     ),
     (
         "NOT_FINITE_INPUT",
@@ -258,6 +259,18 @@ class CModel:
             up=self.upper,
             needs=_table(needs),
             together=_table(with_),
+            possible="".join(self._possible(read) for read in readings(f.sampled.dynamics)),
+        )
+
+    def _possible(self, read: Reading) -> str:
+        """C that returns 0 where this reading counts and is too short or too long."""
+        square = " + ".join(f"y[{i}] * y[{i}]" for i in read.columns)
+        low, high = (self._literal(v**2) for v in (read.shortest, read.longest))
+        return (
+            f"  if (counts(there, {read.innovations[0]})) {{\n"
+            f"    const {self.real} square = {square};\n"
+            f"    if (!(square >= {low} && square <= {high})) return 0;\n"
+            "  }\n"
         )
 
     def _unit_quaternion(self) -> str:
@@ -311,6 +324,8 @@ class CModel:
             test = " || ".join(f"!finite_all({p.name}, {p.nnz})" for p in results)
             lines.append(f"  if ({test}) return {up}_NOT_FINITE_RESULT;")
         if {"x", "u"} <= {p.name for p in f.inputs}:
+            if {p.name for p in f.inputs if p.nnz} >= MEASURED:
+                lines.append(f"  if (!possible_seen(y, there)) return {up}_OUT_OF_RANGE;")
             lines.append(
                 f"  return x == 0 || u == 0 || in_range(x, u) ? {up}_OK : {up}_OUT_OF_RANGE;"
             )

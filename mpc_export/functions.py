@@ -343,7 +343,7 @@ def _add_adaptation(parts: ModelParts, noise: Noise, values: FloatArray) -> Adap
     states = parts.sampled.dynamics.error_states
     own = adapted(parts.model, parts.parameters, values, weights, states, noise.covariance)
     parts.functions["adapt_step"] = adapt_function(
-        parts.functions, (parts.innovation, parts.whole), own, parts.sampled.states, parts.dt
+        parts.functions, (parts.innovation, parts.counted), own, parts.sampled.states, parts.dt
     )
     return own
 
@@ -363,7 +363,7 @@ def _add_calibration(
     sensors = () if physics is None else physics.channel_groups
     own = calibration(parts.functions, stated, sensors, parts.dt)
     parts.functions["forecast_step"] = forecast_function(
-        parts.functions, (parts.innovation, parts.whole), own
+        parts.functions, (parts.innovation, parts.counted), own
     )
     parts.functions["calibrate_step"] = calibrate_function(own)
     return own

@@ -21,6 +21,7 @@ from greybox.symbolic import FloatArray
 from mpc_export.c_text import broken
 from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions
+from mpc_export.model_parts import readings
 from mpc_export.standing import PREFIX
 from mpc_export.template import filled, places_in
 
@@ -187,6 +188,26 @@ def _bounds(board: OnBoard) -> dict[str, str]:
     }
 
 
+def _lengths(board: OnBoard) -> str:
+    """C that takes away a reading that is too short or too long."""
+    out = ""
+    for read in readings(board.functions.sampled.dynamics):
+        square = " + ".join(f"y[{i}] * y[{i}]" for i in read.columns)
+        there = " && ".join(f"given[{i}]" for i in read.columns)
+        low, high = (board.number(v**2) for v in (read.shortest, read.longest))
+        gone = " = ".join(f"kept[{i}]" for i in read.columns)
+        out += (
+            f"  if ({there}) {{\n"
+            f"    const {board.name}_real square = {square};\n"
+            f"    if (square < {low} || square > {high}) {{\n"
+            f"      {gone} = 0;\n"
+            "      bad = 1;\n"
+            "    }\n"
+            "  }\n"
+        )
+    return out
+
+
 def _bench(f: ModelFunctions) -> dict[str, str]:
     """Words of bench.c: what acts on the model besides its commands, and how errors are named."""
     given = [n for n in f.parameters.names if n in f.sampled.exogenous]
@@ -221,6 +242,7 @@ def write_flight(board: OnBoard, folder: Path) -> None:
         "spread": board.array("spread", np.sqrt(np.diag(f.noise.innovation))),
         **_starts(f),
         **_bounds(board),
+        "lengths": _lengths(board),
         "columns": ",\n".join(f"  {{{row}}}" for row in rows),
         "parameters": f"  memcpy(f->p, {board.name}_p_identified, sizeof "
         f"{board.name}_p_identified);"

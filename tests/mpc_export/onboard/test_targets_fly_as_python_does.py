@@ -290,6 +290,20 @@ def test_one_absurd_measurement_is_as_good_as_none(wrong):
     np.testing.assert_array_equal(bench_of(absurd), bench_of(missing))
 
 
+@pytest.mark.parametrize("length", [0.0, 0.3, 5.0])
+def test_a_quaternion_of_no_length_is_as_good_as_none(length):
+    rows = [at_hover() for _ in range(40)]
+    absurd, missing = [list(r) for r in rows], [list(r) for r in rows]
+    for k in range(20, 30):
+        for i in range(3, 7):
+            absurd[k][i], missing[k][i] = rows[k][i] * length, math.nan
+    np.testing.assert_array_equal(bench_of(absurd), bench_of(missing))
+    never = [[v * length if 3 <= i < 7 else v for i, v in enumerate(r)] for r in rows]
+    for r in never:
+        r[-1] = math.nan  # a goal that is none: the start waits for a pose
+    assert (bench_of(never)[:, 0] > 1).all(), "there is no attitude to start from"
+
+
 def test_a_filter_that_is_lost_starts_again_from_a_pose():
     rows = [at_hover()] * 5 + [at_hover(x=500.0, goal=(500.0, 0.0, 1.0, 0.0))] * 60
     out = bench_of(rows)
