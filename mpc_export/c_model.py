@@ -42,6 +42,17 @@ CODES = (
     ("FAILED", "the evaluation failed"),
 )
 """Return codes by number."""
+FRESH = (
+    "no errors of parameters, and the learned error fresh at every sample: too narrow beyond a few "
+    "samples, where consider_step holds"
+)
+WORTH = {
+    "covariance_step": FRESH,
+    "covariance_feedback": FRESH,
+    "adapt_step": "V: parameters, and what they add to the state's errors; the whole covariance of "
+    "the state is covariance_0 + its block",
+}
+"""What the covariance of a function holds and what it leaves out."""
 MEASURED = frozenset({"y", "there"})
 """Arguments of a function that measures."""
 LISTED = 120
@@ -129,7 +140,8 @@ class CModel:
             ("THETA", "uncertain parameters (columns of b)", f.covariance_names),
             (
                 "A",
-                "adapted parameters, then errors of the state (rows and columns of V)",
+                "adapted parameters, then what the state's errors have beyond covariance_0 (rows and "
+                "columns of V)",
                 f.adapted.names,
             ),
             (
@@ -176,7 +188,7 @@ class CModel:
             "gain": ("n_d x n_e, stationary gain K of the identified filter", f.noise.gain),
             "theta_covariance": ("n_theta x n_theta, of the uncertain parameters", f.covariance),
             "adapted_covariance": (
-                "n_a x n_a, before a flight: a start for V",
+                "n_a x n_a, before a flight: a start for V, the state's block without covariance_0",
                 f.adapted.covariance,
             ),
             "calibration_sigma": (
@@ -202,7 +214,8 @@ class CModel:
                 + " -> "
                 + ", ".join(_shape(p) for p in c.outputs)
             )
-            signatures += [f"/* {shape} */", f"{self._prototype(c)};"]
+            worth = f"\n   {WORTH[c.name]}" if c.name in WORTH else ""
+            signatures += [f"/* {shape}{worth} */", f"{self._prototype(c)};"]
         return filled(
             "model/header.h",
             n=n,

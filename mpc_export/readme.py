@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from greybox.errors import printable
+from mpc_export.c_model import WORTH
 from mpc_export.manifest import Column, CPart, Manifest, PortRow, SignalRow
 
 LISTED = 60
@@ -223,9 +224,12 @@ def _functions(m: Manifest) -> list[str]:
     for f in m["functions"]:
         given, got = (", ".join(_shape(p) for p in f[k]) for k in ("arguments", "results"))
         lines.append(f"| `{f['name']}` | {given} | {got} |")
+    worth = [(f["name"], WORTH[f["name"]]) for f in m["functions"] if f["name"] in WORTH]
     return [
         *lines,
         "",
+        *(f"- `{name}`: {said}." for name, said in worth),
+        *([""] if worth else []),
         f"Integrator: {m['integrator']}. Command: {m['hold']}.",
         "",
         "Return codes in C: "
