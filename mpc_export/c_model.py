@@ -59,6 +59,10 @@ LISTED = 120
 """A layout longer than this (the weights of a learned part) is not listed name by name."""
 
 
+OUTSIDE = frozenset("UPY")
+"""Vectors that a caller fills or reads as signals of the machine: the header says what they mean."""
+
+
 def identifier(name: str) -> str:
     """A signal's name as part of a C macro."""
     return re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_").upper()
@@ -152,15 +156,17 @@ class CModel:
         ):
             names = layout.names if isinstance(layout, Layout) else tuple(layout)
             units = layout.units if isinstance(layout, Layout) else ("",) * len(names)
+            meant = [""] * len(names)
+            if letter in OUTSIDE and isinstance(layout, Layout):
+                meant = [s.meaning for s in layout]
             out += ["", f"/* {what} */", f"#define {self.upper}_N_{letter} {len(names)}"]
             if len(names) > LISTED:
                 out.append(f"/* {names[0]} .. {names[-1]}: the manifest lists them all */")
                 continue
-            out += [
-                f"#define {self.upper}_{letter}_{identifier(n)} "
-                f"{i}{f'  /* [{_comment(unit)}] */' if unit else ''}"
-                for i, (n, unit) in enumerate(zip(names, units))
-            ]
+            for i, (n, unit, meaning) in enumerate(zip(names, units, meant, strict=True)):
+                out += [f"/* {_comment(f'{n}: {meaning}')} */"] * bool(meaning)
+                said = f"  /* [{_comment(unit)}] */" if unit else ""
+                out.append(f"#define {self.upper}_{letter}_{identifier(n)} {i}{said}")
         return out
 
     def _numbers(self) -> dict[str, tuple[str, FloatArray]]:

@@ -266,8 +266,8 @@ def _fit(arguments: argparse.Namespace, train: Logs, asked: _Asked, group: Group
         [Record(u=r.u[:, list(columns)], y=r.y[:, list(rows)], name=r.name) for r in train.records],
         asked.order,
         dt=train.dt,
-        inputs=[asked.inputs[i].signal for i in columns],
-        outputs=[outputs[i].signal for i in rows],
+        inputs=[asked.inputs[i].made_of(train.recipes) for i in columns],
+        outputs=[outputs[i].made_of(train.recipes) for i in rows],
         delays=asked.delays
         if isinstance(asked.delays, str)
         else [asked.delays[i] for i in columns],

@@ -22,6 +22,7 @@ from mpc_export.c_text import broken
 from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions
 from mpc_export.model_parts import readings
+from mpc_export.readme import plain
 from mpc_export.standing import PREFIX
 from mpc_export.template import filled, places_in
 
@@ -59,12 +60,23 @@ class OnBoard:
                 "leans": self._leans(),
                 "bits": BITS,
                 "check": self._check(),
+                "commands": self._commands(),
             }
             | dict(self.said)
             | said
         )
         own = places_in(template)
         return filled(template, **{k: v for k, v in words.items() if k in own})
+
+    def _commands(self) -> str:
+        """A table of what the commands are, from what the model knows of its rotors and logs."""
+        f = self.functions
+        lower, upper = f.bounds
+        rows = [
+            f"| {plain(s.name)} | {low:g} to {high:g} | {plain(s.meaning)} |"
+            for s, low, high in zip(f.inputs, lower, upper, strict=True)
+        ]
+        return "\n".join(["| command | from | what it is |", "|---|---|---|", *rows])
 
     def _check(self) -> str:
         """How to hold the predictions against a flight that somebody else flew."""
