@@ -123,7 +123,7 @@ def _in_c(n: str, c: CPart) -> list[str]:
         "-ffp-contract=fast`, never "
         "`-ffast-math`.",
         "",
-        "Another export into this folder replaces files that are as they were written, and `build/`. "
+        "Another export into this folder replaces files that are as they were written, and any `build/`. "
         "It stops at any that was changed or added.",
         "",
         f"Source {c['source_bytes'] / 1e3:.0f} kB, numbers in {c['real']}, work "

@@ -119,7 +119,7 @@ def check_files(folder: Path, manifest: Manifest) -> list[str]:
 
 def made_on_the_way(name: str) -> bool:
     """Whether a file of a bundle comes of building or running it, by its name."""
-    return name.startswith("build/") or "__pycache__/" in name
+    return bool({"build", "__pycache__"} & {*PurePosixPath(name).parts[:-1]})
 
 
 def check_names(manifest: Manifest) -> None:

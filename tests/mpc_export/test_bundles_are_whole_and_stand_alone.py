@@ -148,7 +148,7 @@ def test_what_was_changed_or_added_in_a_bundle_is_not_deleted(tmp_path, kept):
 def test_what_runs_leave_behind_and_what_is_gone_is_replaced(tmp_path):
     place = tmp_path / "b"
     write_bundle(cases.linear(), place, use_cache=False)
-    for made in ("build/selftest", "python/__pycache__/rebuild.pyc"):
+    for made in ("build/selftest", "c/build/b.o", "python/__pycache__/rebuild.pyc"):
         (place / made).parent.mkdir()
         (place / made).write_text("")
     (place / "README.md").unlink()
