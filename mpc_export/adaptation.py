@@ -232,9 +232,9 @@ def adapt_function(
 ) -> ca.Function:
     """adapt_step(x, u, p, y, there, V, memory) -> x_next, p_next, V_next, e, y_hat.
 
-    `formed` map (y, y_hat, x) to e, and `there` to which of e are whole. `p_next` differs from p in what is adapted.
+    `formed` map (y, y_hat, x) to e, and (there, y) to which of e count. `p_next` differs from p in what is adapted.
     """
-    innovation, whole = formed
+    innovation, counted = formed
     n_a, n_t = len(own.names), len(own.rows)
     n_own, plus = n_a - n_t, _moved(functions["boxplus"], n_a - n_t)
     n_y, n_e = innovation.numel_in(0), innovation.numel_out(0)
@@ -243,10 +243,10 @@ def adapt_function(
     v = ca.MX.sym("V", n_a, n_a)
     rows = list(own.rows)
     seen, by_x, _, by_p = functions["h_jac_raw"](x, u, p)
-    gain, spread = functions["innovation_gain"](there)
+    on = counted(there, y)
+    gain, spread = functions["innovation_gain"](on)
     gain = gain[:n_own, :]  # the history of commands is known
     found = innovation(y, seen, x)
-    on = whole(there)
     e = ca.if_else(on != 0, found, 0.0)
     slopes = _slopes(innovation, plus, n_t)(y, seen, x, by_x, by_p[:, rows])
     psi = ca.if_else(ca.repmat(on != 0, 1, n_a), slopes, 0.0)

@@ -9,9 +9,8 @@ greybox.
     golden/           one CSV per function: arguments and results
     LICENSES/         of everything inside
 
-A bundle is written beside its place and then moved there; an existing folder is replaced only when
-it is a bundle too. The same model with the same options comes from a cache
-(`greybox.estimation.cache`), whose key covers the code.
+A bundle is written beside its place and then moved there (mpc_export/place.py). The same model with
+the same options comes from a cache (`greybox.estimation.cache`), whose key covers the code.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path, PurePosixPath
@@ -36,7 +35,6 @@ from greybox.errors import FileFormatError, ModelError
 from greybox.estimation.cache import cache_root
 from greybox.estimation.options import says_choices
 from greybox.files import (
-    OutputError,
     Parsed,
     checksum,
     file_sha256,
@@ -65,6 +63,7 @@ from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.golden import Golden, golden_vectors
 from mpc_export.manifest import SCHEMA, Manifest, PortRow, Written, manifest_of
 from mpc_export.options import ExportChoices, ExportOptions
+from mpc_export.place import beside, check_place, is_bundle, move
 from mpc_export.points import Reduction, with_points
 from mpc_export.predictors import Fitted, PredictorModel, predictor_model
 from mpc_export.readme import licences, readme
@@ -154,7 +153,9 @@ class ExportBundle(Shown):
             except (OSError, ValueError, RuntimeError):  # no name for a file, a loop of links
                 whole = False
             if not whole:
-                raise FileFormatError("missing or changed", where=str(path), fix="export again")
+                raise FileFormatError(
+                    "missing or changed", where=str(path), fix="export again, with --force"
+                )
         return ExportBundle(folder=where, manifest=manifest)
 
     def rebuild(self, names: Iterable[str] | None = None) -> dict[str, ca.Function]:
@@ -219,19 +220,20 @@ def write_bundle(
     `points` projects the learned part on that many support points first, `horizon` are the stages
     of the target tube, `attempts` how many a step may make at its plan. Raises `ModelError` (a name
     that is no C identifier, see `model_functions`), `UnknownNameError` (a target), `OutputError` (a
-    folder that is not a bundle, or cannot be written).
+    folder that is not a bundle, one with changed or foreign files unless `force`, or one that
+    cannot be written).
     """
     place, o = Path(folder), ExportOptions.of(options, choices)
     name = name_of_folder(place.resolve().name) if o.name is None else check_name(o.name)
     o = o.completed()
-    check_place(place)
+    check_place(place, force=o.force)
     shaping: list[object] = [name, *o.shaping]
     if not isinstance(model, (IdentifiedModel, LinearModel)):
         model, o = predictor_model(model, dt=o.dt, name=name), replace(o, dt=None)
     key = None
     if o.use_cache and not isinstance(model, PredictorModel):
         key = _cache_key(model, shaping)
-    if key is not None and (found := _from_cache(key, place)) is not None:
+    if key is not None and (found := _from_cache(key, place, force=o.force)) is not None:
         again = model if o.points is None else with_points(model, o.points)[0]
         return replace(found, source=lambda: _functions(again, o))
     reduction: Reduction | None = None
@@ -239,7 +241,7 @@ def write_bundle(
         model, reduction = with_points(model, o.points)
     functions = _functions(model, o)
     golden = golden_vectors(functions, GOLDEN_POINTS)
-    with _beside(place) as part:
+    with beside(place) as part:
         written = _write_parts(functions, golden, part, name, o)
         manifest = manifest_of(functions, golden, written, name=name, real=o.real, groups=o.with_)
         manifest["reduction"] = reduction
@@ -253,7 +255,7 @@ def write_bundle(
         write_json(part / "manifest.json", {**manifest, "checksum": checksum(manifest)})
         if key is not None:
             _into_cache(key, part)
-        _move(part, place)
+        move(part, place, force=o.force)
     return ExportBundle(
         folder=place, manifest=read_json(place / "manifest.json"), source=lambda: functions
     )
@@ -302,69 +304,6 @@ def _write_parts(
         if target in TARGETS
     }
     return Written(c=c, targets=targets, abi=abi)
-
-
-# ----------------------------------------------------------------------------------------- places
-
-
-def is_bundle(folder: Path) -> bool:
-    """Whether a folder holds a manifest of ours."""
-    try:
-        path = folder / "manifest.json"  # a pipe of that name would never end
-        return path.is_file() and bool(
-            json.loads(path.read_text(encoding="utf-8")).get("schema") == SCHEMA
-        )
-    except (OSError, ValueError, AttributeError, RecursionError):
-        return False
-
-
-def check_place(place: Path) -> None:
-    """Raises `OutputError` unless `place` is free, an empty folder, or a bundle."""
-    if not os.path.lexists(place):
-        return
-    if place.is_symlink() or not place.is_dir():
-        raise OutputError("not a folder", where=str(place), fix="choose another --out")
-    if not is_bundle(place) and any(place.iterdir()):
-        raise OutputError(
-            "the folder holds something else than a bundle",
-            where=str(place),
-            fix="choose another --out",
-        )
-
-
-@contextlib.contextmanager
-def _beside(place: Path) -> Iterator[Path]:
-    """A temporary folder on the same file system, gone afterwards."""
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(dir=place.parent, prefix=f".{place.name}.", suffix=".part"))
-    except OSError as error:
-        raise OutputError(
-            f"cannot write: {error.strerror}", where=str(place), fix="choose another --out"
-        ) from None
-    try:
-        (part / "bundle").mkdir()
-        yield part / "bundle"
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-
-
-def _move(part: Path, place: Path) -> None:
-    """Put a finished bundle in its place; the old one is there until the new one is."""
-    check_place(place)
-    old = part.parent / "old"
-    try:
-        if place.exists():
-            os.rename(place, old)
-        os.rename(part, place)
-    except BaseException as error:  # an interrupt between the two must not cost the old one
-        if old.exists() and not place.exists():
-            os.rename(old, place)
-        if not isinstance(error, OSError):
-            raise
-        raise OutputError(
-            f"cannot write: {error.strerror}", where=str(place), fix="choose another --out"
-        ) from None
 
 
 # ------------------------------------------------------------------------------------------ cache
@@ -416,7 +355,7 @@ def _has_unknown_code(model: IdentifiedModel | LinearModel) -> bool:
     return any(type(s) not in known for s in core.sensors) or any(e["sha256"] is None for e in own)
 
 
-def _from_cache(key: str, place: Path) -> ExportBundle | None:
+def _from_cache(key: str, place: Path, *, force: bool) -> ExportBundle | None:
     kept = cache_root() / "export" / key
     if not is_bundle(kept):
         return None
@@ -425,9 +364,9 @@ def _from_cache(key: str, place: Path) -> ExportBundle | None:
     except FileFormatError:
         shutil.rmtree(kept, ignore_errors=True)
         return None
-    with _beside(place) as part:
+    with beside(place) as part:
         shutil.copytree(kept, part, dirs_exist_ok=True)
-        _move(part, place)
+        move(part, place, force=force)
     return ExportBundle(folder=place, manifest=read_json(place / "manifest.json"), cached=True)
 
 

@@ -22,15 +22,16 @@ from mpc_export.c_code import CFunction, CSource, Port
 from mpc_export.c_text import broken
 from mpc_export.functions import ModelFunctions
 from mpc_export.golden import FARTHEST, Golden
-from mpc_export.model_parts import shared
+from mpc_export.model_parts import Reading, readings, shared
 from mpc_export.template import filled
 
 CODES = (
     ("OK", "results are written"),
     (
         "OUT_OF_RANGE",
-        "results are written, but a command is out of its bounds or the quaternion is not of unit "
-        "length",
+        "results are written, but a command is out of its bounds, the state's quaternion is not of "
+        "unit length, or a measured one is shorter than half of that or longer than twice: then it "
+        "counts as missing",
     ),
     (
         "NOT_FINITE_INPUT",
@@ -41,10 +42,25 @@ CODES = (
     ("FAILED", "the evaluation failed"),
 )
 """Return codes by number."""
+FRESH = (
+    "no errors of parameters, and the learned error fresh at every sample: too narrow beyond a few "
+    "samples, where consider_step holds"
+)
+WORTH = {
+    "covariance_step": FRESH,
+    "covariance_feedback": FRESH,
+    "adapt_step": "V: parameters, and what they add to the state's errors; the whole covariance of "
+    "the state is covariance_0 + its block",
+}
+"""What the covariance of a function holds and what it leaves out."""
 MEASURED = frozenset({"y", "there"})
 """Arguments of a function that measures."""
 LISTED = 120
 """A layout longer than this (the weights of a learned part) is not listed name by name."""
+
+
+OUTSIDE = frozenset("UPY")
+"""Vectors that a caller fills or reads as signals of the machine: the header says what they mean."""
 
 
 def identifier(name: str) -> str:
@@ -128,7 +144,8 @@ class CModel:
             ("THETA", "uncertain parameters (columns of b)", f.covariance_names),
             (
                 "A",
-                "adapted parameters, then errors of the state (rows and columns of V)",
+                "adapted parameters, then what the state's errors have beyond covariance_0 (rows and "
+                "columns of V)",
                 f.adapted.names,
             ),
             (
@@ -139,15 +156,17 @@ class CModel:
         ):
             names = layout.names if isinstance(layout, Layout) else tuple(layout)
             units = layout.units if isinstance(layout, Layout) else ("",) * len(names)
+            meant = [""] * len(names)
+            if letter in OUTSIDE and isinstance(layout, Layout):
+                meant = [s.meaning for s in layout]
             out += ["", f"/* {what} */", f"#define {self.upper}_N_{letter} {len(names)}"]
             if len(names) > LISTED:
                 out.append(f"/* {names[0]} .. {names[-1]}: the manifest lists them all */")
                 continue
-            out += [
-                f"#define {self.upper}_{letter}_{identifier(n)} "
-                f"{i}{f'  /* [{_comment(unit)}] */' if unit else ''}"
-                for i, (n, unit) in enumerate(zip(names, units))
-            ]
+            for i, (n, unit, meaning) in enumerate(zip(names, units, meant, strict=True)):
+                out += [f"/* {_comment(f'{n}: {meaning}')} */"] * bool(meaning)
+                said = f"  /* [{_comment(unit)}] */" if unit else ""
+                out.append(f"#define {self.upper}_{letter}_{identifier(n)} {i}{said}")
         return out
 
     def _numbers(self) -> dict[str, tuple[str, FloatArray]]:
@@ -175,7 +194,7 @@ class CModel:
             "gain": ("n_d x n_e, stationary gain K of the identified filter", f.noise.gain),
             "theta_covariance": ("n_theta x n_theta, of the uncertain parameters", f.covariance),
             "adapted_covariance": (
-                "n_a x n_a, before a flight: a start for V",
+                "n_a x n_a, before a flight: a start for V, the state's block without covariance_0",
                 f.adapted.covariance,
             ),
             "calibration_sigma": (
@@ -201,7 +220,8 @@ class CModel:
                 + " -> "
                 + ", ".join(_shape(p) for p in c.outputs)
             )
-            signatures += [f"/* {shape} */", f"{self._prototype(c)};"]
+            worth = f"\n   {WORTH[c.name]}" if c.name in WORTH else ""
+            signatures += [f"/* {shape}{worth} */", f"{self._prototype(c)};"]
         return filled(
             "model/header.h",
             n=n,
@@ -258,6 +278,18 @@ class CModel:
             up=self.upper,
             needs=_table(needs),
             together=_table(with_),
+            possible="".join(self._possible(read) for read in readings(f.sampled.dynamics)),
+        )
+
+    def _possible(self, read: Reading) -> str:
+        """C that returns 0 where this reading counts and is too short or too long."""
+        square = " + ".join(f"y[{i}] * y[{i}]" for i in read.columns)
+        low, high = (self._literal(v**2) for v in (read.shortest, read.longest))
+        return (
+            f"  if (counts(there, {read.innovations[0]})) {{\n"
+            f"    const {self.real} square = {square};\n"
+            f"    if (!(square >= {low} && square <= {high})) return 0;\n"
+            "  }\n"
         )
 
     def _unit_quaternion(self) -> str:
@@ -311,6 +343,8 @@ class CModel:
             test = " || ".join(f"!finite_all({p.name}, {p.nnz})" for p in results)
             lines.append(f"  if ({test}) return {up}_NOT_FINITE_RESULT;")
         if {"x", "u"} <= {p.name for p in f.inputs}:
+            if {p.name for p in f.inputs if p.nnz} >= MEASURED:
+                lines.append(f"  if (!possible_seen(y, there)) return {up}_OUT_OF_RANGE;")
             lines.append(
                 f"  return x == 0 || u == 0 || in_range(x, u) ? {up}_OK : {up}_OUT_OF_RANGE;"
             )

@@ -189,13 +189,13 @@ def forecast_function(
 ) -> ca.Function:
     """forecast_step(x, x_next, u, p, y, there, F, clock) -> F_next, clock_next, E, seen.
 
-    `formed` map (y, y_hat, x) to e, and `there` to which of e are whole.
+    `formed` map (y, y_hat, x) to e, and (there, y) to which of e count.
 
     x is the filter's state before the sample's measurement y, x_next after it and one sample on. F
     (n_x, COLUMNS): forecasts under way. E, seen (n_e, n_h): errors at the horizons, and whether
     each is one.
     """
-    innovation, whole = formed
+    innovation, counted = formed
     step, out = functions["f_d"], functions["h"]
     x, u, p = (ca.MX.sym(n, step.numel_in(n)) for n in ("x", "u", "p"))
     x_next, y = ca.MX.sym("x_next", x.numel()), ca.MX.sym("y", innovation.numel_in(0))
@@ -206,7 +206,7 @@ def forecast_function(
         *(ca.if_else(clock > k * own.every, given[:, k], x) for k in range(COLUMNS))
     )
     due = ca.fmod(clock, own.every) == 0
-    on = ca.if_else(whole(there) != 0, 1.0, 0.0)
+    on = ca.if_else(counted(there, y) != 0, 1.0, 0.0)
     errors, seen = [], []
     for k in own.multiples:
         at = x if k == 0 else under_way[:, k - 1]

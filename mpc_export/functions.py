@@ -76,6 +76,7 @@ from mpc_export.pilot import UNPILOTED, Pilot, pilot_function
 from mpc_export.predictors import Fitted, Learned, PredictorModel, predictor_model
 from mpc_export.sampled import Sampled
 from mpc_export.scales import command_limits, typical_sizes
+from mpc_export.signals import told
 from mpc_export.standing import PREFIX, in_flight
 from mpc_export.target import target_function, tracked
 
@@ -230,9 +231,9 @@ def _assembled(parts: ModelParts, groups: set[str]) -> ModelFunctions:
         functions=functions,
         states=s.states,
         error_states=s.error_states,
-        inputs=s.inputs,
-        parameters=parts.parameters,
-        outputs=s.dynamics.outputs,
+        inputs=told(s.inputs, parts.model, s.dynamics),
+        parameters=told(parts.parameters, parts.model, s.dynamics),
+        outputs=told(s.dynamics.outputs, parts.model, s.dynamics),
         innovations=s.dynamics.innovations,
         features=parts.learned_inputs,
         learned=parts.learned_outputs,
@@ -343,7 +344,7 @@ def _add_adaptation(parts: ModelParts, noise: Noise, values: FloatArray) -> Adap
     states = parts.sampled.dynamics.error_states
     own = adapted(parts.model, parts.parameters, values, weights, states, noise.covariance)
     parts.functions["adapt_step"] = adapt_function(
-        parts.functions, (parts.innovation, parts.whole), own, parts.sampled.states, parts.dt
+        parts.functions, (parts.innovation, parts.counted), own, parts.sampled.states, parts.dt
     )
     return own
 
@@ -363,7 +364,7 @@ def _add_calibration(
     sensors = () if physics is None else physics.channel_groups
     own = calibration(parts.functions, stated, sensors, parts.dt)
     parts.functions["forecast_step"] = forecast_function(
-        parts.functions, (parts.innovation, parts.whole), own
+        parts.functions, (parts.innovation, parts.counted), own
     )
     parts.functions["calibrate_step"] = calibrate_function(own)
     return own

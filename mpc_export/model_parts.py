@@ -16,6 +16,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -24,7 +25,7 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import LongerWindow, learned_push_of
+from greybox.model.layer import LongerWindow, learned_push_of, physics_of
 from greybox.model.linear import LinearModel
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import lag_of, reach
@@ -299,6 +300,20 @@ class ModelParts:
         both = [functools.reduce(ca.logic_and, [on[j] for j in own]) for own in self.together]
         return ca.Function("whole", [there], [ca.densify(ca.vertcat(*both))])
 
+    @cached_property
+    def counted(self) -> ca.Function:
+        """(there, y) -> `whole` of what is there and can be a reading: a quaternion of no length,
+        which no attitude has, counts as missing."""
+        there = ca.SX.sym("there", len(self.together))
+        y = ca.SX.sym("y", len(self.sampled.dynamics.outputs))
+        given = there[:]
+        for read in readings(self.sampled.dynamics):
+            square = ca.sumsqr(y[read.columns])
+            can_be = ca.logic_and(square >= read.shortest**2, square <= read.longest**2)
+            for i in read.innovations:
+                given[i] = ca.if_else(can_be, there[i], 0.0)
+        return ca.Function("counted", [there, y], [self.whole(given)])
+
     def add_value(self, name: str, result: str, expression: Expr, *, own: bool = False) -> None:
         """Adds name(x, u, p) -> result from an expression of x, u, p, w, closed with the learned
         mean."""
@@ -383,6 +398,38 @@ class ModelParts:
         self.functions[name] = ca.Function(
             name, [mx, mu, mp], values, ["x", "u", "p"], list(results)
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """A sensor whose reading has a length: rows of y, rows of e, and what it lies between."""
+
+    columns: list[int]
+    innovations: list[int]
+    shortest: float
+    longest: float
+
+
+def readings(dynamics: Dynamics) -> list[Reading]:
+    """The sensors of a model that state the length of a reading; none for what is no physics."""
+    physics = physics_of(dynamics)
+    if physics is None:
+        return []
+    out, rows, of_e = [], 0, 0
+    for sensor in physics.sensors:
+        columns = len(sensor.signals(physics.vehicle))
+        innovations = len(sensor.innovation_signals(physics.vehicle))
+        if sensor.length is not None:
+            out.append(
+                Reading(
+                    columns=list(range(rows, rows + columns)),
+                    innovations=list(range(of_e, of_e + innovations)),
+                    shortest=sensor.length[0],
+                    longest=sensor.length[1],
+                )
+            )
+        rows, of_e = rows + columns, of_e + innovations
+    return out
 
 
 def _dynamics(model: Exportable) -> Dynamics:

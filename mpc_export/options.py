@@ -28,6 +28,7 @@ class ExportChoices(TypedDict, total=False):
     horizon: int | None
     attempts: int
     use_cache: bool
+    force: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +55,8 @@ class ExportOptions:
     """Attempts at a plan of the target tube within one step: 2 may take twice as long."""
     use_cache: bool = True
     """Whether the same bundle may come from the cache."""
+    force: bool = False
+    """Whether files of a bundle in the same place go that were changed or added since."""
 
     def __post_init__(self) -> None:
         for name in ("targets", "with_", "runtime_parameters"):

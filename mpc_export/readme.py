@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from greybox.errors import printable
+from mpc_export.c_model import WORTH
 from mpc_export.manifest import Column, CPart, Manifest, PortRow, SignalRow
 
 LISTED = 60
@@ -112,14 +113,18 @@ def _in_c(n: str, c: CPart) -> list[str]:
         "Build and run the self-test (any C99 compiler):",
         "",
         "```sh",
-        f"cc -std=c99 -O2 -o selftest c/{n}.c c/{n}_model.c c/{n}_selftest.c -lm",
-        "./selftest",
+        f"mkdir -p build && cc -std=c99 -O2 -o build/selftest c/{n}.c c/{n}_model.c "
+        f"c/{n}_selftest.c -lm",
+        "build/selftest",
         "```",
         "",
         f"In C and C++ include `c/{n}_model.h`, in CMake `add_subdirectory(c)` and link `{n}`. "
         f"`c/{n}_example.cpp` is a program to start from. For speed add `-O3 -march=native "
         "-ffp-contract=fast`, never "
         "`-ffast-math`.",
+        "",
+        "Another export into this folder replaces files that are as they were written, and any `build/`. "
+        "It stops at any that was changed or added.",
         "",
         f"Source {c['source_bytes'] / 1e3:.0f} kB, numbers in {c['real']}, work "
         f"space {c['work_bytes']} "
@@ -155,7 +160,8 @@ def _targets(m: Manifest) -> list[str]:
             continue
         if "folder" in said:
             lines += [
-                f"For {target}: `{said['folder']}/README.md`; `c/{m['name']}_bench.c` reads a recording.",
+                f"For {target}: `{said['folder']}/README.md`; `c/{m['name']}_bench.c` holds the "
+                "predictions against a recording of outputs y and commands u that were flown.",
                 "",
             ]
             continue
@@ -218,9 +224,12 @@ def _functions(m: Manifest) -> list[str]:
     for f in m["functions"]:
         given, got = (", ".join(_shape(p) for p in f[k]) for k in ("arguments", "results"))
         lines.append(f"| `{f['name']}` | {given} | {got} |")
+    worth = [(f["name"], WORTH[f["name"]]) for f in m["functions"] if f["name"] in WORTH]
     return [
         *lines,
         "",
+        *(f"- `{name}`: {said}." for name, said in worth),
+        *([""] if worth else []),
         f"Integrator: {m['integrator']}. Command: {m['hold']}.",
         "",
         "Return codes in C: "

@@ -19,7 +19,8 @@ sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*.py"))
 # The verifier compiles the C and holds it against recorded numbers, without greybox.
 
 # %%
-done = subprocess.run([sys.executable, str(folder / "verify.py")], capture_output=True, text=True)
+verify = [sys.executable, "-m", "mpc_export.verify", str(folder)]
+done = subprocess.run(verify, capture_output=True, text=True, check=True)  # raises where anything differs
 print(done.stdout[-300:])
 
 # %% [markdown]

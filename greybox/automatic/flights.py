@@ -70,6 +70,7 @@ def raw_log(flight: Flight) -> RawLog:
         source=flight.source,
         sha256=flight.sha256,
         noncausal=flight.noncausal,
+        recipes=flight.recipes,
         notes=flight.notes,
         removed=flight.removed,
     )

@@ -37,7 +37,7 @@ def add(commands: Subcommands) -> None:
         "process) as a folder that a controller can use without "
         "greybox: C with a self-test, CasADi functions rebuilt from numbers, golden vectors, a "
         "manifest. An existing folder "
-        "is replaced only when it is such a bundle. Exit code 0: done, 1: refused, as the model is "
+        "is replaced only when it is such a bundle, as it was written. Exit code 0: done, 1: refused, as the model is "
         "not usable, 2: bad "
         "input.",
     )
@@ -103,6 +103,11 @@ def add(commands: Subcommands) -> None:
     p.add_argument(
         "--no-cache", action="store_true", help="build anew even if the same export is in the cache"
     )
+    p.add_argument(
+        "--force",
+        action="store_true",
+        help="replace a bundle although files in it were changed or added",
+    )
     json_option(p, "the manifest")
     p.set_defaults(run=run)
 
@@ -152,6 +157,7 @@ def run(arguments: argparse.Namespace) -> int:
         horizon=arguments.horizon,
         attempts=arguments.attempts,
         use_cache=not arguments.no_cache,
+        force=arguments.force,
     )
     judged.say("export")
     Console.of(arguments).result(bundle.manifest, describe(bundle))

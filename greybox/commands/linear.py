@@ -225,7 +225,7 @@ def _identified(
 
     (columns, rows), (train, test) = group, logs
     own = [r.part(columns, rows) for r in train.records]
-    fit = _fit(arguments, own, train.dt, asked, group)
+    fit = _fit(arguments, own, train, asked, group)
     if not console.quiet:
         said = [
             fit.model.name,
@@ -250,7 +250,7 @@ def _identified(
 def _fit(
     arguments: argparse.Namespace,
     records: Sequence[Record],
-    dt: float,
+    train: Logs,
     asked: _Asked,
     group: Group,
 ) -> LinearFit:
@@ -262,9 +262,9 @@ def _fit(
     return fit_linear(
         records,
         asked.order,
-        dt=dt,
-        inputs=[asked.inputs[i].signal for i in columns],
-        outputs=[outputs[i].signal for i in rows],
+        dt=train.dt,
+        inputs=[asked.inputs[i].made_of(train.recipes) for i in columns],
+        outputs=[outputs[i].made_of(train.recipes) for i in rows],
         delays=asked.delays
         if isinstance(asked.delays, str)
         else [asked.delays[i] for i in columns],

@@ -311,5 +311,6 @@ def _flight(raw: RawLog, pieces: list[Segment], notes: list[str], where: str) ->
         sha256=raw.sha256,
         notes=tuple(notes),
         noncausal=raw.noncausal,
+        recipes=raw.recipes,
         removed=raw.removed,
     )

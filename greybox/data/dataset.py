@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NotRequired, TypedDict
 
 import numpy as np
@@ -48,7 +48,8 @@ class Flight(Shown):
 
     `source` is the file name, `sha256` the checksum of its bytes ("" for data from memory), `notes`
     say what conditioning did, `removed` which samples were taken as missing because no craft can
-    have made them. `noncausal` are channels whose values were smoothed with later samples. Raises
+    have made them. `noncausal` are channels whose values were smoothed with later samples,
+    `recipes` say how channels were made of what the log holds (data/readers/recipes.py). Raises
     `DataError` where there is no segment or the sample times differ.
     """
 
@@ -58,6 +59,7 @@ class Flight(Shown):
     sha256: str = ""
     notes: tuple[str, ...] = ()
     noncausal: frozenset[str] = frozenset()
+    recipes: Mapping[str, str] = field(default_factory=dict)
     removed: tuple[Removed, ...] = ()
 
     def __post_init__(self) -> None:
@@ -256,6 +258,17 @@ class Dataset(Shown):
                 for name in sorted(segment.channels):
                     digest.update(f"channel {name}\n".encode() + _bytes(segment.channels[name]))
         return digest.hexdigest()
+
+    @property
+    def recipes(self) -> dict[str, str]:
+        """How channels were made of what the logs hold; of flights that differ all that there
+        are."""
+        said: dict[str, list[str]] = {}
+        for flight in self.flights:
+            for name in flight.channels:
+                said.setdefault(name, []).append(flight.recipes.get(name, name))
+        told = {n: " or ".join(dict.fromkeys(texts)) for n, texts in said.items()}
+        return {n: text for n, text in told.items() if text != n}
 
     @takes(names=NAMES)
     def select(self, names: Iterable[str]) -> Dataset:

@@ -4,7 +4,7 @@ one."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TypeGuard
 
 import numpy as np
@@ -53,8 +53,8 @@ class RawLog:
 
     `t` (N,) finite [s]; `channels` name -> (N,), NaN = missing; `extra` unknown columns as they
     came; `rows` (N,) line numbers in the file; `empty` canonical channels whose column holds no
-    value; `notes` what the reader has to say; `removed` the samples that were taken as missing
-    because no craft can have made them.
+    value; `recipes` how a channel was made of what the log holds; `notes` what the reader has to
+    say; `removed` the samples that were taken as missing because no craft can have made them.
     """
 
     t: FloatArray
@@ -65,6 +65,7 @@ class RawLog:
     source: str
     sha256: str
     noncausal: frozenset[str] = frozenset()
+    recipes: Mapping[str, str] = field(default_factory=dict)
     empty: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     removed: tuple[Removed, ...] = ()

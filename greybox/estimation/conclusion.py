@@ -486,6 +486,7 @@ def _identified(
         domain=_domain(data),
         data_hash=data.hash,
         trained_on=problem.flights,
+        recipes=data.recipes,
     )
 
 

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from greybox.data.channel import channel, is_canonical
 from greybox.data.conditioning import condition
-from greybox.data.dataset import Flight
+from greybox.data.dataset import Dataset, Flight
 from greybox.data.logs import read_possible
 from greybox.data.raw import RawLog, is_numeric
 from greybox.data.readers import LogMapping
@@ -61,9 +61,23 @@ class ChannelSpec:
 
     @property
     def signal(self) -> Signal:
-        """Name with unit where the log contract knows it, else "1"."""
-        plain = len(self.terms) == 1 and self.terms[0][1] == self.name and is_canonical(self.name)
-        return Signal(name=self.name, unit=channel(self.name).unit if plain else "1")
+        """Name with unit where the log contract knows it, else "1"; what it means where it is more
+        than a column of its name."""
+        return self.made_of({})
+
+    def made_of(self, recipes: Mapping[str, str]) -> Signal:
+        """The same, with how the columns were made of what the logs hold."""
+        own = len(self.terms) == 1 and self.terms[0][1] == self.name
+        unit = channel(self.name).unit if own and is_canonical(self.name) else "1"
+        if own and self.terms[0][0] == 1.0:
+            return Signal(name=self.name, unit=unit, meaning=recipes.get(self.name, ""))
+        sums = "".join(
+            f" {'-' if w < 0 else '+'} {'' if abs(w) == 1.0 else f'{abs(w):g} '}{c}"
+            for w, c in self.terms
+        )
+        made = [f"{c} = {recipes[c]}" for _, c in self.terms if c in recipes]
+        text = sums[3:] if sums.startswith(" + ") else f"-{sums[3:]}"
+        return Signal(name=self.name, unit=unit, meaning="; ".join([text, *made]))
 
 
 def parse_channels(text: str, what: str) -> tuple[ChannelSpec, ...]:
@@ -88,6 +102,11 @@ class Logs:
     dt: float
     flights: tuple[Flight, ...]
     notes: tuple[str, ...]
+
+    @property
+    def recipes(self) -> dict[str, str]:
+        """How columns were made of what the logs hold."""
+        return Dataset(flights=self.flights).recipes
 
 
 def read_records(

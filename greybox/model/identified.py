@@ -84,7 +84,8 @@ class IdentifiedModel(Shown):
     are the standard deviations of the pseudo-measurement that keeps undetectable states finite.
     `horizon_noise` (n_w) replaces `process_noise` where uncertainty is propagated without
     measurements (calibrated on multi-step errors); None: the same. `verdict` says what judging it
-    on flights found, None where nobody did (or it was changed since).
+    on flights found, None where nobody did (or it was changed since). `recipes`: channel -> how it
+    was made of what the training logs hold, where it is not a column of that name as it stands.
     """
 
     dynamics: Dynamics
@@ -105,6 +106,7 @@ class IdentifiedModel(Shown):
     domain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     data_hash: str = ""
     trained_on: tuple[str, ...] = ()
+    recipes: Mapping[str, str] = field(default_factory=dict)
     source: str = ""
     verdict: Verdict | None = None
 
@@ -281,6 +283,7 @@ class IdentifiedModel(Shown):
             "domain": {k: list(v) for k, v in self.domain.items()},
             "data_hash": self.data_hash,
             "trained_on": list(self.trained_on),
+            **({"recipes": dict(self.recipes)} if self.recipes else {}),
             **({} if self.verdict is None else {"verdict": to_plain(self.verdict.to_dict())}),
             "versions": library_versions(),
         }
@@ -393,6 +396,7 @@ def _identified_from_dict(data: Parsed, dynamics: Dynamics, where: str) -> Ident
         domain={k: (float(v[0]), float(v[1])) for k, v in data["domain"].items()},
         data_hash=str(data["data_hash"]),
         trained_on=tuple(data["trained_on"]),
+        recipes=dict(data.get("recipes", {})),
         source=where,
         verdict=None if data.get("verdict") is None else Verdict.from_dict(data["verdict"]),
     )
@@ -499,5 +503,6 @@ def _check(model: IdentifiedModel) -> None:
             raise ValueError(f"the error of {name}, which was held, is negative: {sigma:g}")
         if foreign := sorted(set(by) - estimated):
             raise ValueError(f"{name} moves {foreign[0]}, which was not estimated")
-    if not all(isinstance(n, str) for n in (*model.trained_on, *model.covariance_names)):
+    texts = (*model.trained_on, *model.covariance_names, *model.recipes.values())
+    if not all(isinstance(n, str) for n in texts):
         raise ValueError("a name is not a text")

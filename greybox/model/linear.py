@@ -355,8 +355,8 @@ class LinearModel(Shown):
             "comment": self.comment,
             **({"unsettled": self.unsettled} if self.unsettled else {}),
             "dt": self.dt,
-            "inputs": [{"name": s.name, "unit": s.unit} for s in self.inputs],
-            "outputs": [{"name": s.name, "unit": s.unit} for s in self.outputs],
+            "inputs": [_port(s) for s in self.inputs],
+            "outputs": [_port(s) for s in self.outputs],
             "delays": list(self.delays),
             "input_offset": self.input_offset,
             "output_offset": self.output_offset,
@@ -384,6 +384,7 @@ class LinearModel(Shown):
                 body.get("comment", ""),
                 body.get("unsettled", ""),
                 *(s[k] for s in ports for k in ("name", "unit")),
+                *(s.get("meaning", "") for s in ports),
             ]
             if not all(isinstance(v, str) for v in texts):
                 raise ValueError("a name, unit, comment or status is not a text")
@@ -400,8 +401,8 @@ class LinearModel(Shown):
                 matrices=matrices,
                 noise=np.asarray(body["Lambda"], dtype=float),
                 dt=float(body["dt"]),
-                inputs=Layout([Signal(name=s["name"], unit=s["unit"]) for s in body["inputs"]]),
-                outputs=Layout([Signal(name=s["name"], unit=s["unit"]) for s in body["outputs"]]),
+                inputs=Layout([_signal(s) for s in body["inputs"]]),
+                outputs=Layout([_signal(s) for s in body["outputs"]]),
                 delays=tuple(body["delays"]),
                 input_offset=np.asarray(body["input_offset"], dtype=float),
                 output_offset=np.asarray(body["output_offset"], dtype=float),
@@ -417,6 +418,16 @@ class LinearModel(Shown):
     def load(path: str | os.PathLike[str]) -> LinearModel:
         """Read what `save` wrote. Raises `FileFormatError`."""
         return LinearModel.from_dict(read_json(path, schema=SCHEMA), where=str(path))
+
+
+def _port(signal: Signal) -> dict[str, str]:
+    """An input or output of the file."""
+    own = {"name": signal.name, "unit": signal.unit}
+    return {**own, "meaning": signal.meaning} if signal.meaning else own
+
+
+def _signal(port: Mapping[str, str]) -> Signal:
+    return Signal(name=port["name"], unit=port["unit"], meaning=port.get("meaning", ""))
 
 
 def _with_delays(

@@ -50,7 +50,8 @@ class Sensor(ABC):
     else. `mistaken_for` are the pushes (force, torque) that an error of its own looks like.
     `colour_time` [s] is where a search for coloured noise begins, None where none is looked for;
     colour is told from forces only where one of the sensors `witnesses` sees the motion too (empty:
-    always).
+    always). `length` is what its columns together are at least and at most long, None where that
+    is open: what is shorter or longer is no reading.
     """
 
     name: ClassVar[str]
@@ -65,6 +66,7 @@ class Sensor(ABC):
     mistaken_for: ClassVar[tuple[str, ...]] = ()
     colour_time: ClassVar[float | None] = None
     witnesses: ClassVar[frozenset[str]] = frozenset()
+    length: ClassVar[tuple[float, float] | None] = None
 
     @abstractmethod
     def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:

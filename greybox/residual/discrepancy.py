@@ -101,6 +101,7 @@ def disturbed_model(model: IdentifiedModel, data: Dataset) -> IdentifiedModel:
         form_errors=model.form_errors,
         source=model.source,
         trained_on=model.trained_on,
+        recipes=model.recipes,
         data_hash=model.data_hash,
     )
 

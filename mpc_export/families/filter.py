@@ -48,7 +48,7 @@ def _add_step(
     mx, mu, mp = parts.arguments()
     my = ca.MX.sym("y", len(s.dynamics.outputs))
     mt = ca.MX.sym("there", len(s.dynamics.innovations))
-    whole = parts.whole(mt)
+    whole = parts.counted(mt, my)
     seen = parts.functions["h"](mx, mu, mp)
     found = parts.innovation(my, seen, mx)
     if isinstance(parts.model, PredictorModel):

@@ -21,6 +21,8 @@ from greybox.symbolic import FloatArray
 from mpc_export.c_text import broken
 from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions
+from mpc_export.model_parts import readings
+from mpc_export.readme import plain
 from mpc_export.standing import PREFIX
 from mpc_export.template import filled, places_in
 
@@ -57,12 +59,50 @@ class OnBoard:
                 "real": f"{self.name}_real",
                 "leans": self._leans(),
                 "bits": BITS,
+                "check": self._check(),
+                "commands": self._commands(),
             }
             | dict(self.said)
             | said
         )
         own = places_in(template)
         return filled(template, **{k: v for k, v in words.items() if k in own})
+
+    def _commands(self) -> str:
+        """A table of what the commands are, from what the model knows of its rotors and logs."""
+        f = self.functions
+        lower, upper = f.bounds
+        rows = [
+            f"| {plain(s.name)} | {low:g} to {high:g} | {plain(s.meaning)} |"
+            for s, low, high in zip(f.inputs, lower, upper, strict=True)
+        ]
+        return "\n".join(["| command | from | what it is |", "|---|---|---|", *rows])
+
+    def _check(self) -> str:
+        """How to hold the predictions against a flight that somebody else flew."""
+        f, n = self.functions, self.name
+        acted = [*f.inputs.names, *f.sampled.exogenous]
+        return "\n".join(
+            [
+                "## The check before the first flight",
+                "",
+                "Fly with another controller and write one line a sample, nan where nothing was "
+                f"measured: {' '.join(f.outputs.names)}, then {' '.join(acted)} as they were given "
+                f"from this sample to the next, {f.dt:g} s a sample, with the meaning that "
+                "`../README.md` states. Without the commands that flew it is no check.",
+                "",
+                "```sh",
+                "mkdir -p ../build && cd ../build",
+                f"cc -std=c99 -O2 -o bench ../c/{n}_bench.c ../c/{n}_flight.c ../c/{n}_model.c "
+                f"../c/{n}.c -lm",
+                "./bench < flight.csv > predicted.txt",
+                "```",
+                "",
+                "It says of every innovation how many times as large it was as the model states: "
+                "about 1 on the craft that was fitted, several times more for motors in another order, "
+                "another range of commands, other units or axes.",
+            ]
+        )
 
     def _leans(self) -> str:
         """What the feedback does against forces and torques that stay."""
@@ -160,6 +200,43 @@ def _bounds(board: OnBoard) -> dict[str, str]:
     }
 
 
+def _lengths(board: OnBoard) -> str:
+    """C that takes away a reading that is too short or too long."""
+    out = ""
+    for read in readings(board.functions.sampled.dynamics):
+        square = " + ".join(f"y[{i}] * y[{i}]" for i in read.columns)
+        there = " && ".join(f"given[{i}]" for i in read.columns)
+        low, high = (board.number(v**2) for v in (read.shortest, read.longest))
+        gone = " = ".join(f"kept[{i}]" for i in read.columns)
+        out += (
+            f"  if ({there}) {{\n"
+            f"    const {board.name}_real square = {square};\n"
+            f"    if (square < {low} || square > {high}) {{\n"
+            f"      {gone} = 0;\n"
+            "      bad = 1;\n"
+            "    }\n"
+            "  }\n"
+        )
+    return out
+
+
+def _bench(f: ModelFunctions) -> dict[str, str]:
+    """Words of bench.c: what acts on the model besides its commands, and how errors are named."""
+    given = [n for n in f.parameters.names if n in f.sampled.exogenous]
+    told = "".join(f"\n       {n} [{f.parameters.units[f.parameters[n]]}]" for n in given)
+    whole = _starts(f)["pose"] != "0"
+    return {
+        "n_u": str(len(f.inputs)),
+        "given": told,
+        "n_given": str(len(given)),
+        "given_rows": "".join(f"{f.parameters[n]}, " for n in given),
+        "innovations": ", ".join(
+            f'"{n} [{unit}]"' for n, unit in zip(f.innovations.names, f.innovations.units)
+        ),
+        "nowhere": "nan" if whole else "0",
+    }
+
+
 def write_flight(board: OnBoard, folder: Path) -> None:
     """NAME_flight.h, .c and NAME_bench.c beside the generated C in `folder`."""
     f = board.functions
@@ -177,6 +254,7 @@ def write_flight(board: OnBoard, folder: Path) -> None:
         "spread": board.array("spread", np.sqrt(np.diag(f.noise.innovation))),
         **_starts(f),
         **_bounds(board),
+        "lengths": _lengths(board),
         "columns": ",\n".join(f"  {{{row}}}" for row in rows),
         "parameters": f"  memcpy(f->p, {board.name}_p_identified, sizeof "
         f"{board.name}_p_identified);"
@@ -189,6 +267,7 @@ def write_flight(board: OnBoard, folder: Path) -> None:
         "n_y": str(len(f.outputs)),
         "outputs": " ".join(f.outputs.names),
         "inputs": " ".join(f.inputs.names),
+        **_bench(f),
     }
     for end, template in (
         ("flight.h", "flight/flight.h"),

@@ -106,3 +106,16 @@ def test_a_folder_of_somebody_else_is_left_alone(models, tmp_path, capsys):
     assert main(["export", str(models / "linear.json"), "--out", str(tmp_path), "--name", "b"]) == 2
     assert "something else" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_an_edited_file_stops_the_next_export(models, tmp_path, capsys):
+    command = ["export", str(models / "linear.json"), "--out", str(tmp_path / "b")]
+    assert main(command) == 0
+    (tmp_path / "b" / "README.md").write_text("mine")
+    capsys.readouterr()
+    assert main(command) == 2
+    said = capsys.readouterr().err.strip()
+    assert "README.md" in said and "--force" in said and len(said.splitlines()) == 1
+    assert (tmp_path / "b" / "README.md").read_text() == "mine"
+    assert main([*command, "--force"]) == 0
+    assert (tmp_path / "b" / "README.md").read_text() != "mine"

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import tomllib
 from dataclasses import replace
 from importlib.resources import files
@@ -43,6 +44,13 @@ def test_every_template_is_read_and_plausible(name):
     report = check_vehicle(Vehicle.from_dict(tomllib.loads(template_text(name))))
     assert report.verdict == "plausible", report.summary()
     assert set(command.TEMPLATES) == set(TEMPLATES)
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_the_title_of_a_file_holds_no_number_that_a_setting_changes(name):
+    title = vehicle_text(name, {"mass": 0.6, "arm": 0.13}).splitlines()[0]
+    assert title.startswith("# ")
+    assert not re.search(r"\d (kg|g|mm|cm|m)\b", title), title
 
 
 @pytest.mark.parametrize("name", ["nanobench", "arpl_crazyflie"])

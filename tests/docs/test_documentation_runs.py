@@ -52,6 +52,20 @@ def test_every_block_runs(page: Path, tmp_path: Path, monkeypatch: pytest.Monkey
     assert run_page(page, tmp_path) > 0
 
 
+def test_what_a_sketch_imports_is_there() -> None:
+    ours = re.compile(r"^\s*((?:from|import) (?:greybox|mpc_export)\b[^(\n]*)$", re.MULTILINE)
+    told = {
+        line.split("  #")[0]
+        for page in PAGES
+        for block in blocks(page.read_text())
+        if block.language == "text"
+        for line in ours.findall(block.text)
+    }
+    assert any("TubeController" in line for line in told)
+    for line in told:
+        exec(line, {})
+
+
 def test_every_block_says_what_it_is() -> None:
     strange = [
         f"{page.relative_to(ROOT)}:{block.line - 1}: '{block.language}'"

@@ -58,6 +58,17 @@ def test_it_is_short_and_its_cells_are_of_the_format(path: Path):
     assert sum(kind == "code" for kind, _ in found) >= 3
 
 
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_a_program_that_it_starts_must_end_well(path: Path):
+    calls = [
+        n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.Call)
+    ]
+    started = [c for c in calls if ast.unparse(c.func).startswith("subprocess.")]
+    for call in started:
+        told = {k.arg: ast.unparse(k.value) for k in call.keywords}
+        assert told.get("check") == "True", ast.unparse(call)
+
+
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder to work in, with the logs that a reader brings along; figures stay in memory."""

@@ -111,10 +111,8 @@ def test_two_exports_are_the_same_bytes(tmp_path):
 def test_only_a_bundle_is_replaced(tmp_path):
     place = tmp_path / "b"
     write_bundle(cases.linear(), place, use_cache=False)
-    (place / "extra.txt").write_text("mine")
     again = write_bundle(cases.linear((1, 0)), place, use_cache=False)
     assert again.manifest["delay"]["history"] == {"u": 1}
-    assert not (place / "extra.txt").exists()
     other = tmp_path / "other"
     other.mkdir()
     (other / "thesis.tex").write_text("years of work")
@@ -127,6 +125,39 @@ def test_only_a_bundle_is_replaced(tmp_path):
     (tmp_path / "link").symlink_to(place)
     with pytest.raises(OutputError, match="not a folder"):
         write_bundle(cases.linear(), tmp_path / "link", use_cache=False)
+
+
+@pytest.mark.parametrize("kept", [False, True], ids=["built", "from the cache"])
+def test_what_was_changed_or_added_in_a_bundle_is_not_deleted(tmp_path, kept):
+    place = tmp_path / "b"
+    write_bundle(cases.linear(), place, use_cache=kept)
+    (place / "README.md").write_text("mine now")
+    (place / "notes").mkdir()
+    (place / "notes" / "thesis.tex").write_text("years of work")
+    before = content(place)
+    with pytest.raises(OutputError) as refused:
+        write_bundle(cases.linear(), place, use_cache=kept)
+    assert "README.md, notes/thesis.tex" in str(refused.value)
+    assert "--force" in str(refused.value)
+    assert content(place) == before and os.listdir(tmp_path) == ["b"]
+    forced = write_bundle(cases.linear(), place, use_cache=kept, force=True)
+    assert "mine now" not in (place / "README.md").read_text(encoding="utf-8")
+    assert not (place / "notes").exists() and forced.cached == kept
+
+
+def test_what_runs_leave_behind_and_what_is_gone_is_replaced(tmp_path):
+    place = tmp_path / "b"
+    write_bundle(cases.linear(), place, use_cache=False)
+    for made in ("build/selftest", "c/build/b.o", "python/__pycache__/rebuild.pyc"):
+        (place / made).parent.mkdir()
+        (place / made).write_text("")
+    (place / "README.md").unlink()
+    assert write_bundle(cases.linear(), place, use_cache=False).cached is False
+    ExportBundle.load(place)
+    manifest = (place / "manifest.json").read_text(encoding="utf-8")
+    (place / "manifest.json").write_text(manifest.replace('"u"', '"mine"'), encoding="utf-8")
+    with pytest.raises(OutputError, match=r"manifest\.json"):
+        write_bundle(cases.linear(), place, use_cache=False)
 
 
 def test_a_failed_export_leaves_the_old_bundle_and_no_rubbish(tmp_path, monkeypatch):

@@ -354,6 +354,49 @@ def test_a_missing_measurement_may_be_nan_and_a_wrong_one_may_not(hybrid, object
     assert done.stdout.split() == [word for pair in pairs for word in pair]
 
 
+NO_LENGTH = """
+#include <stdio.h>
+#include "NAME_model.h"
+int main(void) {
+  static NAME_work work;
+  const double sizes[] = {1, 0.51, 1.99, 0, 0.49, 2.01, 5, 1e-200, 1e200};
+  double y[UP_N_Y], there[UP_N_E], next[UP_N_X], without[UP_N_X];
+  int i, k, code, same;
+  for (i = 0; i < UP_N_E; ++i) there[i] = 1;
+  there[UP_E_ATTITUDE_X] = 0;
+  NAME_eval_h(NAME_x_reference, NAME_u_reference, 0, y, &work);
+  y[UP_Y_X] += 0.1;
+  NAME_eval_filter_step(NAME_x_reference, NAME_u_reference, 0, y, there, without, 0, 0, &work);
+  for (k = 0; k < 10; ++k) {
+    there[UP_E_ATTITUDE_X] = k < 9;  /* the last says itself that it is missing */
+    NAME_eval_h(NAME_x_reference, NAME_u_reference, 0, y, &work);
+    y[UP_Y_X] += 0.1;
+    y[UP_Y_QW] = k < 9 ? sizes[k] * 0.995 : 0;
+    y[UP_Y_QX] = k < 9 ? sizes[k] * 0.0998749 : 0;
+    y[UP_Y_QY] = y[UP_Y_QZ] = 0;
+    code = NAME_eval_filter_step(NAME_x_reference, NAME_u_reference, 0, y, there, next, 0, 0, &work);
+    for (same = 1, i = 0; i < UP_N_X; ++i) same = same && next[i] == without[i];
+    printf("%d %d ", code, same);
+  }
+  return 0;
+}
+"""
+
+
+def test_a_quaternion_of_no_length_counts_as_missing_and_the_code_says_so(
+    hybrid, objects, tmp_path
+):
+    text = NO_LENGTH.replace("NAME", hybrid.name).replace("UP_", f"{hybrid.name.upper()}_")
+    (tmp_path / "length.c").write_text(text)
+    program = tmp_path / "length"
+    command = ["gcc", "-std=c99", "-O0", f"-I{hybrid.folder / 'c'}", tmp_path / "length.c"]
+    subprocess.run([*command, *objects, "-o", program, "-lm"], check=True)
+    done = subprocess.run([program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["0", "0"] * 3 + ["1", "1"] * 6 + ["0", "1"]
+    header = (hybrid.folder / "c" / f"{hybrid.name}_model.h").read_text(encoding="utf-8")
+    assert "counts as missing" in header
+
+
 def test_the_layout_number_knows_every_order(hybrid):
     functions = hybrid.functions
     source = write_c(

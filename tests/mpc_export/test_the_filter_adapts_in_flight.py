@@ -381,6 +381,7 @@ def test_the_stated_error_is_the_one_made_with_a_memory_too(states, memory):
         functions.noise.covariance + functions.adapted.covariance[1:, 1:], 1.0
     )
     step, made, stated, best = functions["adapt_step"].map(flights), [], [], []
+    whole, wholly, inside = [], [], []
     blank, there, memories = (
         np.zeros((1, flights)),
         np.ones((1, flights)),
@@ -393,12 +394,19 @@ def test_the_stated_error_is_the_one_made_with_a_memory_too(states, memory):
         judge = on @ (judge - gain @ judge[:1]) @ on.T + noise
         true = a @ true + by[:, :1] * b + root @ rng.standard_normal((states, flights))
         b = keep * b + np.sqrt(1 - keep**2) * rng.standard_normal(flights)
+        # of the state V holds what is beyond the settled filter's: the two together are the whole
+        state = functions.noise.covariance + v.reshape(states + 1, flights, -1)[1:, 0, 1:]
+        whole.append(state)
+        wholly.append(judge[:states, :states])
         if k >= n // 4:
+            inside.append((x - true) ** 2 < 1.96**2 * np.diag(state)[:, None])
             made.append(np.mean((p[0] - b) ** 2))
             stated.append(v[0, 0])
             best.append(judge[-1, -1])
     assert np.sqrt(np.mean(stated)) == pytest.approx(np.sqrt(np.mean(made)), rel=0.1)
     assert stated == pytest.approx(best, rel=0.02)
+    np.testing.assert_allclose(whole[n // 4 :], wholly[n // 4 :], rtol=0.02, atol=1e-9)
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.01)
 
 
 def test_a_torque_is_bounded_by_what_the_mixer_makes_of_full_and_idle_rotors():

@@ -204,4 +204,5 @@ def _as_raw(flight: Flight) -> RawLog:
         source=flight.source,
         sha256=flight.sha256,
         noncausal=flight.noncausal,
+        recipes=flight.recipes,
     )

@@ -65,6 +65,7 @@ def to_channels(table: Table, vehicle: Airframe | None, *, where: str) -> RawLog
         source=table.source,
         sha256=table.sha256,
         noncausal=table.noncausal,
+        recipes=table.recipes,
         empty=tuple(empty),
         notes=tuple(notes),
     )

@@ -20,7 +20,8 @@ class Table:
 
     `rows` (N,) are the line numbers in the file, for messages. `canonical` tables are in channels,
     units and frames of the contract already; `noncausal` and `notes` are then the reader's, and
-    `origins` maps channels to the columns of the file, where that is one table. `seconds` names the
+    `origins` maps channels to the columns of the file, where that is one table, and `recipes` to
+    how they were made of what it holds. `seconds` names the
     columns whose type says that they are times.
     """
 
@@ -32,6 +33,7 @@ class Table:
     noncausal: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
     origins: Mapping[str, str] = field(default_factory=dict)
+    recipes: Mapping[str, str] = field(default_factory=dict)
     seconds: frozenset[str] = frozenset()
 
 

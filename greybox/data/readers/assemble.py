@@ -18,6 +18,7 @@ from greybox.data.logs.table import Table, text_error
 from greybox.data.placing import at_rows, commands_at
 from greybox.data.raw import Column, FloatArray, is_numeric
 from greybox.data.readers.mapping import TABLE, TIME_UNITS, LogMapping
+from greybox.data.readers.recipes import recipes
 from greybox.data.readers.recording import UNITS, Recording, Source, Stream
 from greybox.data.resampling import continuous_signs
 from greybox.errors import DataError, UnknownNameError, did_you_mean
@@ -299,6 +300,7 @@ class _Grid:
         self.columns: dict[str, Column] = {"t": self.rows - self.zero}
         self.notes = list(recording.notes)
         self.noncausal: set[str] = set()
+        self.recipes: dict[str, str] = {}
         self.attitude: tuple[FloatArray, FloatArray] | None = None
 
     def add(self, group: str, source: Source) -> None:
@@ -333,6 +335,7 @@ class _Grid:
             placed = np.where(infinite, np.inf, placed)  # refused later by the number of its row
         names = group_names(group, values.shape[1])
         self.columns.update({n: np.ascontiguousarray(placed[:, j]) for j, n in enumerate(names)})
+        self.recipes.update(recipes(source))
         if not source.causal:
             self.noncausal.update(names)
         self.notes.append(describe(source, stream))
@@ -375,6 +378,7 @@ class _Grid:
             sha256=recording.sha256,
             canonical=True,
             noncausal=frozenset(self.noncausal),
+            recipes=self.recipes,
             notes=tuple(notes),
         )
 

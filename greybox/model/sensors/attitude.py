@@ -23,6 +23,7 @@ class Attitude(Sensor):
     noisiest = 0.2
     noisiest_hint = "rad, not degrees"
     shows = "attitude"
+    length = (0.5, 2.0)
     colour_time = 0.2
 
     def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:

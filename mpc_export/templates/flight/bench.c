@@ -1,36 +1,122 @@
-/* A recording through the pilot, on any computer. Every line of the standard input is one sample:
+/* A recording against the predictions, on any computer, before the first flight. Every line of the standard input is one
+   sample of a flight that somebody else flew, numbers between spaces or commas, nan where nothing was measured:
 
-       y (@n_y@ numbers, nan where it is not measured: @outputs@) x y z heading
+       y (@n_y@: @outputs@)
+       u (@n_u@: @inputs@), what was commanded from this sample to the next@given@
 
-   and gives one line: the code, the command in force until the next sample (@inputs@), and what was predicted of y.
+   in the model's units and order (@NAME@_model.h). It gives one line: the code, and what was predicted of y. At the end
+   the standard error says per innovation its root mean square after the first FLIGHT_LASTING samples, and what the model
+   states of it. Code 2: a line has another number of numbers, or nothing was judged.
 
-       cc -std=c99 -O2 -o bench @NAME@_bench.c @NAME@_flight.c @NAME@_model.c @NAME@.c -lm */
+       cc -std=c99 -O2 -o bench @NAME@_bench.c @NAME@_flight.c @NAME@_model.c @NAME@.c -lm
+       ./bench < recording.csv > predicted.txt
+
+   `./bench pilot` is no such check: a line has the goal (x y z heading) in place of what acted, and the line that it gives
+   has the pilot's own command after the code. It predicts as if that command had flown. */
+#include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
 
 #include "@NAME@_flight.h"
 
-static @NAME@_flight flight;
+#define GIVEN @n_given@
+#define MOST (@UPPER@_N_Y + @UPPER@_N_U + 4 + GIVEN)
 
-int main(void) {
-  double row[@UPPER@_N_Y + 4];
-  int n = 0, begun = 0, i;
-  while (scanf("%lf", &row[n]) == 1) {
-    @real@ y[@UPPER@_N_Y], goal[4];
+static @NAME@_flight flight;
+/* rows of p that a line tells */
+static const int given_rows[GIVEN + 1] = {@given_rows@0};
+static const char *const names[@UPPER@_N_E] = {@innovations@};
+static const unsigned char columns[@UPPER@_N_E][@UPPER@_N_Y] = {
+@columns@
+};
+@spread@
+static double squares[@UPPER@_N_E];
+static long judged[@UPPER@_N_E];
+
+/* How many numbers a line has; -1 for what is none. */
+static int numbers(char *line, double *row) {
+  char *at = line, *end;
+  int n = 0;
+  for (;;) {
+    at += strspn(at, " \t\r\n,;");
+    if (!*at) return n;
+    if (n == MOST) return -1;
+    row[n++] = strtod(at, &end);
+    if (end == at) return -1;
+    at = end;
+  }
+}
+
+/* Only what was measured is judged. */
+static void judge(const unsigned char *there) {
+  int i, k, whole;
+  for (i = 0; i < @UPPER@_N_E; ++i) {
+    whole = 1;
+    for (k = 0; k < @UPPER@_N_Y; ++k) whole = whole && (!columns[i][k] || there[k]);
+    if (!whole) continue;
+    squares[i] += (double)flight.e[i] * (double)flight.e[i];
+    ++judged[i];
+  }
+}
+
+static int said(void) {
+  int i, any = 0;
+  for (i = 0; i < @UPPER@_N_E; ++i) {
+    const double rms = judged[i] ? sqrt(squares[i] / (double)judged[i]) : 0;
+    if (!judged[i]) continue;
+    any = 1;
+    fprintf(stderr, "%s: rms %.3g, the model states %.3g: %.2f times\n", names[i], rms, (double)spread[i],
+            rms / (double)spread[i]);
+  }
+  fprintf(stderr, "%lu samples failed, %lu with a measurement refused%s\n", flight.failures, flight.refused,
+          any ? "" : "; nothing was judged");
+  return any ? 0 : 2;
+}
+
+int main(int count, char **words) {
+  static char line[65536];
+  double row[MOST];
+  const int pilot = count == 2 && !strcmp(words[1], "pilot");
+  const int wanted = @UPPER@_N_Y + (pilot ? 4 : @UPPER@_N_U + GIVEN);
+  long sample = 0;
+  if (count > 1 && !pilot) {
+    fprintf(stderr, "%s: what is %s? nothing, or pilot\n", words[0], words[1]);
+    return 2;
+  }
+  while (fgets(line, sizeof line, stdin)) {
+    const double *told = row + @UPPER@_N_Y, *given = told + @UPPER@_N_U;
+    @real@ y[@UPPER@_N_Y], own[@UPPER@_N_U + 4];
     unsigned char there[@UPPER@_N_Y];
-    if (++n < @UPPER@_N_Y + 4) continue;
-    n = 0;
+    int i;
+    const int n = numbers(line, row);
+    if (n == 0) continue;
+    if (n != wanted) {
+      fprintf(stderr, "line %ld: expected %d numbers\n", sample + 1, wanted);
+      return 2;
+    }
     for (i = 0; i < @UPPER@_N_Y; ++i) {
       y[i] = (@real@)row[i];
       there[i] = row[i] - row[i] == 0;
     }
-    for (i = 0; i < 4; ++i) goal[i] = (@real@)row[@UPPER@_N_Y + i];
-    if (!begun) @NAME@_flight_start(&flight, goal);
-    begun = 1;
-    @NAME@_flight_sample(&flight, y, there, goal);
+    for (i = 0; i < (pilot ? 4 : @UPPER@_N_U); ++i) own[i] = (@real@)told[i];
+    if (!sample) {
+      /* without a place it starts from the first pose, if the model measures one */
+      const @real@ place = (@real@)strtod("@nowhere@", 0), at[4] = {place, place, place, place};
+      @NAME@_flight_start(&flight, pilot ? own : at);
+    }
+    for (i = 0; !pilot && i < GIVEN; ++i) @NAME@_flight_parameter(&flight, given_rows[i], (@real@)given[i]);
+    if (pilot) {
+      @NAME@_flight_sample(&flight, y, there, own);
+    } else {
+      @NAME@_flight_watch(&flight, y, there, own);
+      if (sample >= @UPPER@_FLIGHT_LASTING && flight.code <= @UPPER@_OUT_OF_RANGE) judge(there);
+    }
+    ++sample;
     printf("%d", flight.code);
-    for (i = 0; i < @UPPER@_N_U; ++i) printf(" %.17g", (double)flight.u[i]);
+    for (i = 0; pilot && i < @UPPER@_N_U; ++i) printf(" %.17g", (double)flight.u[i]);
     for (i = 0; i < @UPPER@_N_Y; ++i) printf(" %.17g", (double)flight.y_hat[i]);
     printf("\n");
   }
-  return n != 0;
+  return pilot ? 0 : said();
 }

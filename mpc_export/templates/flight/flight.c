@@ -46,6 +46,14 @@ void @NAME@_flight_parameter(@NAME@_flight *f, int i, @real@ value) {
   if (i >= 0 && i < @UPPER@_N_P && is_finite(value) && value > 0) f->p[i] = value;
 }
 
+/* What is there, without a vector whose length no measurement has. Returns whether one was. */
+static int absurd(const @real@ *y, const unsigned char *given, unsigned char *kept) {
+  int bad = 0;
+  memcpy(kept, given, @UPPER@_N_Y);
+@lengths@  (void)y;
+  return bad;
+}
+
 /* Starts again from a whole pose that is measured; a model that measures none keeps the pose that it believes in. */
 static int begin(@NAME@_flight *f, const @real@ *y, const unsigned char *given) {
   @real@ old[@UPPER@_N_X];
@@ -151,9 +159,12 @@ static int said(@NAME@_flight *f, const @real@ *goal, const @real@ *u) {
 }
 
 /* One sample, with a command for goal or, without goal, the filter alone. u_next is hover's where nothing else helped. */
-static int stepped(@NAME@_flight *f, const @real@ *y, const unsigned char *given, const @real@ *goal, @real@ *u_next) {
+static int stepped(@NAME@_flight *f, const @real@ *y, const unsigned char *told, const @real@ *goal, @real@ *u_next) {
   @real@ clean[@UPPER@_N_Y], there[@UPPER@_N_E], x_next[@UPPER@_N_X];
-  int i, poses = 0, refused, used = 0;
+  unsigned char given[@UPPER@_N_Y];
+  int i, poses, refused, used = 0;
+  const int without = absurd(y, told, given);
+  poses = without;
   memcpy(u_next, hover_u, sizeof f->u);
   if ((!f->begun || f->missed >= @UPPER@_FLIGHT_RESTART) && !begin(f, y, given) && !f->begun) {
     ++f->failures;
@@ -171,7 +182,7 @@ static int stepped(@NAME@_flight *f, const @real@ *y, const unsigned char *given
     poses = refused = 1;
     f->code = evaluated(f, clean, there, goal, x_next, u_next);
   }
-  if (refused) ++f->refused;
+  if (refused || without) ++f->refused;
   for (i = 0; i < @UPPER@_N_E; ++i) used += there[i] != 0 && of_pose(i);
   if (f->code > @UPPER@_OUT_OF_RANGE) {
     memcpy(u_next, hover_u, sizeof f->u);

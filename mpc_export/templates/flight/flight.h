@@ -10,8 +10,9 @@
    FLIGHT_LIMIT: a command stood at one of its limits: what pushes is more than the rotors hold against.
 
    A sample that fails is run again without measurements, so that the prediction goes on. A measurement whose innovation is
-   more than FLIGHT_GATE of its standard deviations is as if it were missing. After FLIGHT_RESTART samples that failed, or
-   whose pose was refused, without a good pose between them, the filter starts again from the next whole pose. */
+   more than FLIGHT_GATE of its standard deviations, or a quaternion far from unit length, is as if it were missing. After
+   FLIGHT_RESTART samples that failed, or whose pose was refused, without a good pose between them, the filter starts
+   again from the next whole pose. */
 #ifndef @UPPER@_FLIGHT_H
 #define @UPPER@_FLIGHT_H
 

@@ -1,6 +1,8 @@
 /* A flight of @samples@ samples against the commands that Python gave, damaged measurements among them.
 
-       cc -O2 -o selftest @NAME@_tube_selftest.c @NAME@_tube.c @NAME@_tube_model.c @NAME@_tube_filter.c -lm && ./selftest
+       mkdir -p build
+       cc -O2 -o build/selftest @NAME@_tube_selftest.c @NAME@_tube.c @NAME@_tube_model.c @NAME@_tube_filter.c -lm
+       build/selftest
 
    Prints the largest difference and what the calls said; exit code 1 where it is beyond @tolerance@, or a command beyond
    its limits. */

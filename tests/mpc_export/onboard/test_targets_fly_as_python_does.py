@@ -171,7 +171,8 @@ def test_a_recording_through_the_bench_gives_pythons_commands(real, limit):
     y, goal = recording()
     given = np.ones(y.shape, dtype=bool)
     given[20:30, :7], given[40:45] = False, False  # no pose, then nothing
-    out = ran(program, [[*np.where(g, row, np.nan), *goal] for row, g in zip(y, given)])
+    rows = [[*np.where(g, row, np.nan), *goal] for row, g in zip(y, given)]
+    out = ran(program, rows, "pilot")
     _, after, y_hat = expected(y, given, goal, goal)
     assert all(line[0] == 0 for line in out)
     close(np.array([line[1:5] for line in out]), after, limit)
@@ -188,14 +189,73 @@ def test_no_recording_gives_a_command_beyond_its_limits():
         + y
     )
     wild[rng.random(y.shape) < 0.05] = np.inf
-    out = np.array(ran(program, [[*row, *goal] for row in [*wild, *y]]))[:, 1:5]
+    out = np.array(ran(program, [[*row, *goal] for row in [*wild, *y]], "pilot"))[:, 1:5]
     assert np.isfinite(out).all() and out.min() >= 0.0 and out.max() <= 1.0
 
 
 def bench_of(rows):
     folder = bundle()
     program = built(folder, "double", [folder / "c" / "craft_bench.c"], out="bench")
-    return np.array(ran(program, rows))
+    return np.array(ran(program, rows, "pilot"))
+
+
+@functools.cache
+def watched(samples=400):
+    """(y, u) of a flight that another pilot flies: the model's own, with noise as it states."""
+    f, rng = functions(), np.random.default_rng(6)
+    x, u, rows, given = placed(f.pilot.x, (0.5, -0.3, 1.2, 0.4)), f.pilot.u, [], []
+    truth, aim = x.copy(), np.array([0.0, 0.2, 1.0, -0.6])
+    size = np.repeat([1e-3, 2e-3, 0.02, 0.1], [3, 4, 3, 3])
+    for k in range(samples):
+        y = f["h"](truth, u, f.parameter_values).full().ravel()
+        y += size * rng.standard_normal(y.size)
+        flown = np.clip(u + 0.1 * np.sin(k * np.array([0.1, 0.47, 0.23, 0.71])), 0, 1)
+        rows.append(y)
+        given.append(flown)
+        truth = f["f_d"](truth, flown, f.parameter_values).full().ravel()
+        x, u, _ = step(x, flown, y, np.ones(y.size, dtype=bool), aim)
+    return np.array(rows), np.array(given)
+
+
+def checked(rows, *arguments):
+    """(predictions, what is said per innovation: times what the model states, return code)."""
+    folder = bundle()
+    program = built(folder, "double", [folder / "c" / "craft_bench.c"], out="bench")
+    text = "\n".join(",".join(repr(float(v)) for v in row) for row in rows)
+    done = subprocess.run(
+        [program, *arguments], input=text, capture_output=True, text=True, check=False
+    )
+    out = [np.array(line.split(), dtype=float) for line in done.stdout.splitlines()]
+    said = [line.split() for line in done.stderr.splitlines() if "states" in line]
+    return np.array(out), {line[0]: float(line[-2]) for line in said}, done.returncode
+
+
+def test_the_check_before_a_flight_takes_the_commands_that_were_flown():
+    y, u = watched()
+    out, times, code = checked(np.column_stack([y, u]))
+    f = functions()
+    x, wanted = f.pilot.x.copy(), []
+    for place, column in (("xyz", "position.{}"), ("wxyz", "attitude.{}")):
+        for a in place:
+            x[f.states[column.format(a)]] = y[0, f.outputs[a if len(place) == 3 else f"q{a}"]]
+    for a, c in zip("xyz", "pqr"):
+        x[f.states[f"rate.{a}"]] = y[0, f.outputs[c]]
+    for row, flown in zip(y, u):
+        x, _, y_hat = step(x, flown, row, np.ones(row.size, dtype=bool), (0, 0, 1, 0))
+        wanted.append(y_hat)
+    close(out[:, 1:], np.array(wanted), 1e-9)
+    assert code == 0 and (out[:, 0] == 0).all()
+    others = checked(np.column_stack([y, u[:, [1, 0, 2, 3]]]))[1]
+    assert set(times) == set(f.innovations.names)
+    assert max(times.values()) < 3.0
+    assert all(others[n] > 3 * times[n] for n in "qr"), "motors in another order must show"
+
+
+def test_a_check_without_the_commands_is_refused():
+    y, u = watched()
+    assert checked(y)[2] == 2
+    assert checked(np.column_stack([y, u]), "watch")[2] == 2
+    assert checked(np.full((40, 17), np.nan))[2] == 2, "nothing was measured"
 
 
 @functools.cache
@@ -228,6 +288,20 @@ def test_one_absurd_measurement_is_as_good_as_none(wrong):
     absurd, missing = [list(r) for r in rows], [list(r) for r in rows]
     absurd[20][0], missing[20][0] = wrong, math.nan
     np.testing.assert_array_equal(bench_of(absurd), bench_of(missing))
+
+
+@pytest.mark.parametrize("length", [0.0, 0.3, 5.0])
+def test_a_quaternion_of_no_length_is_as_good_as_none(length):
+    rows = [at_hover() for _ in range(40)]
+    absurd, missing = [list(r) for r in rows], [list(r) for r in rows]
+    for k in range(20, 30):
+        for i in range(3, 7):
+            absurd[k][i], missing[k][i] = rows[k][i] * length, math.nan
+    np.testing.assert_array_equal(bench_of(absurd), bench_of(missing))
+    never = [[v * length if 3 <= i < 7 else v for i, v in enumerate(r)] for r in rows]
+    for r in never:
+        r[-1] = math.nan  # a goal that is none: the start waits for a pose
+    assert (bench_of(never)[:, 0] > 1).all(), "there is no attitude to start from"
 
 
 def test_a_filter_that_is_lost_starts_again_from_a_pose():
@@ -502,6 +576,7 @@ def test_a_bundle_says_what_is_still_to_do(target, part, real):
     assert "Before it flies, you must" in text
     assert "@" not in text.replace("nobody@example.com", ""), "a word was not filled in"
     assert "2 where for as long a command stood at a limit" in text
+    assert "./bench < flight.csv" in text and "x y z qw qx qy qz p q r ax ay az, then u1" in text
     assert "battery" not in text.replace("battery compensation", ""), "the model has none"
     assert f"For {target}: `{part}/README.md`" in (folder / "README.md").read_text(encoding="utf-8")
 
@@ -545,7 +620,9 @@ int main(void) {
 
 @pytest.mark.slow
 def test_every_target_takes_voltages_that_are_some_and_keeps_the_last(tmp_path):
-    craft = cases.identified(hybrid_cases.craft(("motor_lag", "battery_sag")))
+    craft = cases.identified(
+        hybrid_cases.craft(("motor_lag", "battery_sag")), **{"battery_sag.c_V": 1.0}
+    )
     model = replace(craft, reference_inputs=np.array([0.7, 0.7, 0.7, 0.7, 3.8]))
     targets = ("px4-module", "ros2")
     made = write_bundle(model, tmp_path / "b", name="craft", targets=targets, use_cache=False)
@@ -564,6 +641,17 @@ def test_every_target_takes_voltages_that_are_some_and_keeps_the_last(tmp_path):
     program = built(made.folder, "double", [made.folder / "volts.c"], out="volts")
     got = ran(program, [[v] for v in (3.5, math.nan, 0.0, -3.0, math.inf, 3.4)])
     assert [v[0] for v in got] == [3.5] * 5 + [3.4]
+    # the check before a flight takes the voltage that acted, too, and none as the one before
+    program = built(made.folder, "double", [made.folder / "c" / "craft_bench.c"], out="bench")
+    f, rows = made.functions, []
+    y = f["h"](f.pilot.x, f.pilot.u, f.parameter_values).full().ravel()
+    for low in (3.8, 3.2, math.nan):
+        rows.append([[*y, *f.pilot.u, volts] for volts in [3.8] * 5 + [low] * 250])
+    full, empty, none = (ran(program, own) for own in rows)
+    az = 1 + f.outputs["az"]
+    assert empty[8][az] < full[8][az] - 0.5 and none[8][az] == full[8][az]
+    with pytest.raises(subprocess.CalledProcessError):
+        ran(program, [row[:-1] for row in rows[0]])
 
 
 class Anything:
