@@ -118,7 +118,8 @@ def lines(job: Job, result: Fit, table: str, content: FitDocument) -> list[str]:
     if result.covariance.form:  # it is said at once, with what to do next
         rest.remove(f"warning: {result.covariance.form}")
     told = [f"warning: {w}" for some in job.warnings for w in some]
-    lines = [first, *next_step(job, result), *told, *sanity_lines(result)]
+    reserve, following = next_step(job, result)
+    lines = [f"{reserve}{first}", *following, *told, *sanity_lines(result)]
     if result.provenance.decisions:
         lines += ["", "Decided, because nothing else was said:"]
         lines += [f"  {decision.line()}" for decision in result.provenance.decisions]
@@ -138,16 +139,20 @@ def sanity_lines(result: Fit) -> list[str]:
     return sanity_of(result).lines()
 
 
-def next_step(job: Job, result: Fit) -> list[str]:
-    """The command that names what is missing, where parameters stand in for that, or pushes
-    without a name follow the motion and matter ahead or carry the craft."""
+def next_step(job: Job, result: Fit) -> tuple[str, list[str]]:
+    """What stands before a verdict on a model that pushes without a name carry; and the command
+    that names what is missing, where parameters stand in for that, or such pushes follow the motion
+    and matter ahead or carry the craft."""
     from greybox.residual.followed import told_of_pushes
 
     verdict, form = result.verdict, result.covariance.form
-    told = [form] if form else []
+    reserve, told = "", [form] if form else []
     if verdict is not None and not verdict.refused and verdict.groups and result.converged:
-        told += told_of_pushes(result.model, job.prepared.data, verdict.groups)
-    return [f"next: {discover_command(job.arguments)}: {'; '.join(told)}"] if told else []
+        pushed, reserve = told_of_pushes(result.model, job.prepared.data, verdict.groups)
+        told += pushed
+    if not told:
+        return reserve, []
+    return reserve, [f"next: {discover_command(job.arguments)}: {'; '.join(told)}"]
 
 
 def discover_command(arguments: argparse.Namespace) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
+from greybox.frames import GRAVITY
 from greybox.model.identified import IdentifiedModel
 from greybox.model.noise import disturbances
 from greybox.model.verdict import GroupSkill
@@ -106,17 +107,18 @@ def pushes(model: IdentifiedModel, data: Dataset, channels: Collection[str]) -> 
 
 def told_of_pushes(
     model: IdentifiedModel, data: Dataset, judged: Sequence[GroupSkill]
-) -> list[str]:
+) -> tuple[list[str], str]:
     """In words, the pushes that follow the motion and matter beside the errors of the `judged`
-    groups, and the force that carries the craft; nothing of flights that are too short to see
-    pushes in, or too wild."""
+    groups, and the force that carries the craft; and what is to be said first where the model is
+    worse than holding the last value as soon as that force is not told. Nothing of flights that
+    are too short to see pushes in, or too wild."""
     errors, ahead = {g.name: g for g in judged}, judged[0].seconds
     try:
         seen = pushes(model, data, errors)
         found = seen.followed({n: g.error for n, g in errors.items()}, ahead) if seen else ()
         carried = seen.weight_carried() if seen else 0.0
     except (GreyboxError, np.linalg.LinAlgError):
-        return []
+        return [], ""
     told = [
         f"the motion foretells {100 * p.share:.0f} % of the {p.group} without a name, which moves "
         f"{p.channel} by {p.change:.2g} of {p.error:.2g} {errors[p.channel].unit} that the model "
@@ -128,7 +130,21 @@ def told_of_pushes(
             f"a force without a name carries {100 * carried:.1f} % of the weight in every flight: "
             "mass or thrust is off by that, or something pulls all the time"
         )
-    return told
+    return told, _filter_only(carried, judged)
+
+
+def _filter_only(carried: float, judged: Sequence[GroupSkill]) -> str:
+    """What a fall by this share of the weight says of a model that knows it from its filter."""
+    pull = abs(carried) * GRAVITY
+    for g in judged:
+        fall = {"velocity": pull * g.seconds, "position": 0.5 * pull * g.seconds**2}
+        if fall.get(g.name, 0.0) > g.last_value:
+            return (
+                f"USE WITH ITS FILTER ONLY (a force without a name carries {100 * carried:.0f} % of "
+                f"the weight: thrust, mass or inertia is wrong; alone the model errs by "
+                f"{fall[g.name]:.2g} {g.unit} in {g.name} {g.seconds:g} s ahead). "
+            )
+    return ""
 
 
 def _columns(seen: Discrepancy, group: str) -> list[int]:

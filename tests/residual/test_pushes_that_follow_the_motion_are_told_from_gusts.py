@@ -30,7 +30,7 @@ from greybox.plants.presets import controller_for, x250
 from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual import discrepancy
 from greybox.residual.discrepancy import Discrepancy
-from greybox.residual.followed import Followed, Pushes, _felt, _moved, pushes
+from greybox.residual.followed import Followed, Pushes, _felt, _moved, pushes, told_of_pushes
 from greybox.residual.learn import disturbed_model
 from greybox.symbolic import Layout, Signal
 
@@ -165,6 +165,25 @@ def test_what_carries_one_flight_and_pulls_at_the_other_carries_nothing() -> Non
         assert own.weight_carried() == 0.0
 
 
+@pytest.mark.parametrize(
+    ("off", "last_value", "said"), [(0.6, 0.8, True), (0.6, 3.0, False), (0.95, 0.8, False)]
+)
+def test_a_model_that_falls_without_its_force_is_used_with_its_filter_only(
+    off: float, last_value: float, said: bool
+) -> None:
+    """A sure inertia that was wrong halved the thrust: a force carried half of the weight, and the
+    fit was useful. 0.4 of the weight is 2 m/s in half a second."""
+    model, data = flown(0.0, 0.1)
+    values = {**model.values, "thrust.c2": off * model.values["thrust.c2"]}
+    wrong = replace(model, values=ParameterValues(values))
+    judged: Any = SimpleNamespace(
+        name="velocity", unit="m/s", error=0.1, last_value=last_value, seconds=0.5
+    )
+    told, reserve = told_of_pushes(wrong, data, [judged])
+    assert any("carries" in line for line in told)
+    assert reserve.startswith("USE WITH ITS FILTER ONLY (a force without a name carries 4") == said
+
+
 def raising(*arguments: object) -> None:
     raise np.linalg.LinAlgError("SVD did not converge")
 
@@ -179,7 +198,7 @@ def test_the_next_step_is_left_out_where_it_cannot_be_told(
     job: Any = SimpleNamespace(prepared=SimpleNamespace(data=None))
     sure = SimpleNamespace(form="")
     result: Any = SimpleNamespace(verdict=verdict, converged=True, model=None, covariance=sure)
-    assert next_step(job, result) == []
+    assert next_step(job, result) == ("", [])
 
 
 def test_the_next_step_is_a_command_with_the_same_flights() -> None:
