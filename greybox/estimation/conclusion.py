@@ -468,7 +468,6 @@ def _identified(
         good = np.isfinite(stacked).any(axis=0)
         rms = np.sqrt(np.nanmean(np.where(good, stacked, 0.0) ** 2, axis=0))
         sensor = np.where(good & (rms > 0), rms, sensor)
-    x_ref = d.reference(problem.means)
     u_ref = np.array([problem.means.get(n, 0.0) for n in d.inputs.names])
     return IdentifiedModel(
         dynamics=d,
@@ -480,7 +479,7 @@ def _identified(
         process_noise=process,
         sensor_noise=sensor,
         weak=100.0 * np.max([r.x0_sigma for r in problem.records], axis=0),
-        reference_state=x_ref,
+        reference_state=d.reference(problem.means),
         reference_inputs=u_ref,
         sample_time=problem.dt,
         domain=_domain(data),

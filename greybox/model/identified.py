@@ -258,7 +258,7 @@ class IdentifiedModel(Shown):
                 "matrix": self.covariance.tolist(),
             },
             **({"considered": _considered_to_dict(self)} if self.considered else {}),
-            **({"form_errors": dict(self.form_errors)} if self.form_errors else {}),
+            **_said(form_errors=self.form_errors, recipes=self.recipes),
             **(
                 {}
                 if self.effective_lag is None
@@ -283,7 +283,6 @@ class IdentifiedModel(Shown):
             "domain": {k: list(v) for k, v in self.domain.items()},
             "data_hash": self.data_hash,
             "trained_on": list(self.trained_on),
-            **({"recipes": dict(self.recipes)} if self.recipes else {}),
             **({} if self.verdict is None else {"verdict": to_plain(self.verdict.to_dict())}),
             "versions": library_versions(),
         }
@@ -400,6 +399,11 @@ def _identified_from_dict(data: Parsed, dynamics: Dynamics, where: str) -> Ident
         source=where,
         verdict=None if data.get("verdict") is None else Verdict.from_dict(data["verdict"]),
     )
+
+
+def _said(**tables: Mapping[str, object]) -> dict[str, Json]:
+    """Tables of the file that say something."""
+    return {key: to_plain(table) for key, table in tables.items() if table}
 
 
 def _demand_sample(data: Parsed, key: str) -> None:
