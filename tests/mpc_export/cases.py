@@ -106,11 +106,15 @@ def point(functions, rng: np.random.Generator, spread: float = 1.0) -> dict[str,
         if name.startswith("disturbance"):
             x[i] = functions.scales[0][i] * rng.standard_normal()
     root = 0.1 * rng.standard_normal((n["n_d"], n["n_d"]))
+    u, y = rng.uniform(0.1, 0.9, n["n_u"]), rng.standard_normal(n["n_y"])
+    if "qw" in functions.outputs:  # what has another length is no measurement
+        at = [functions.outputs[f"q{a}"] for a in "wxyz"]
+        y[at] /= np.linalg.norm(y[at])
     return {
         "x": x,
-        "u": rng.uniform(0.1, 0.9, n["n_u"]),
+        "u": u,
         "p": functions.parameter_values.copy(),
-        "y": rng.standard_normal(n["n_y"]),
+        "y": y,
         "there": (rng.random(n["n_e"]) < 0.7).astype(float),
         "S": root @ root.T,
         "K": 0.1 * rng.standard_normal((n["n_u"], n["n_d"])),
