@@ -15,7 +15,7 @@ from mpc_export.feedback import Weights
 class TubeProblem:
     """Horizon, weights and limits of the controller.
 
-    dt [s]: sample time of plan and controller; horizon: stages; planes: how many position
+    dt [s]: length of a stage; horizon: stages; planes: how many position
     constraints a stage has room for. command_min, command_max and rate_max (change per sample)
     bound every command and are hard; planes and tilt_max [rad] are soft with an exact penalty:
     `penalty` per metre (or unit of cosine) beyond, `penalty_square` on its square.
