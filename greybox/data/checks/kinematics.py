@@ -27,6 +27,7 @@ from greybox.data.checks.relations import (
     mixed,
     moments,
 )
+from greybox.data.checks.spans import STARTS, Spans
 from greybox.data.checks.together import Told, alone_and_together
 from greybox.data.checks.view import View
 from greybox.data.raw import FloatArray
@@ -41,14 +42,14 @@ LATE = 0.05
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Streams:
-    """Two streams of a flight in all readings, the one given first. `axes` names those of x, `span`
-    [samples] of the increments. A clock that runs c times as fast makes y c ** `power` times as
+    """Two streams of a flight in all readings, the one given first. `axes` names those of x, `spans`
+    those of the increments. A clock that runs c times as fast makes y c ** `power` times as
     large against x; `scaled` is False where sizes mean nothing. `apart` gives the readings with
     what a craft may have besides set aside: another reading must be better there, too."""
 
     readings: tuple[Reading, ...]
     axes: tuple[str, str, str]
-    span: int
+    spans: Spans
     power: float = -1.0
     scaled: bool = True
     where: str = ""
@@ -100,57 +101,62 @@ def related(relation: Relation, view: View) -> Related | str:
     streams = relation.streams_of(view)
     if isinstance(streams, str):
         return streams
-    first = streams.readings[0]
+    first, spans = streams.readings[0], streams.spans
     # A stream of the wrong unit may seem to stand still: the craft moves where either says so.
-    size = max(_moved(first.y), _moved(first.x))
-    if size < relation.least:
-        return f"the craft hardly moves ({size:.2g} per {streams.span * view.dt:.2g} s)"
-    tried = _tried(streams.readings, view.dt, streams.span)
+    size = max(_moved(first.y, spans), _moved(spans.over(first.x), spans))
+    tried = _tried(streams.readings, view.dt, spans)
     if not tried:
-        return _too_few(first, view.dt, streams.span)
+        return _too_few(view, first, spans)
+    if size < relation.least:
+        return f"the craft hardly moves ({size:.2g} per {spans.length * view.dt:.2g} s)"
     other = streams.apart
     return Related(
         streams=streams,
         tried=tried,
-        prompt=moments(first, view.dt, streams.span, 0.0),
+        prompt=moments(first, spans, view.dt, 0.0),
         size=size,
         sample=view.dt,
-        apart=None if other is None else lambda: _tried(other(), view.dt, streams.span),
+        apart=None if other is None else lambda: _tried(other(), view.dt, spans),
     )
 
 
-def _too_few(first: Reading, dt: float, span: int) -> str:
-    """Why a reading has too few rows: the flight is too short, or too much of it is missing."""
-    seconds = len(first.y) * dt
-    if not long_enough(len(first.y), dt, span, REACH):
+def _too_few(view: View, first: Reading, spans: Spans) -> str:
+    """Why a reading has too few spans: the flight is too short, or too much of it is missing."""
+    rows = len(view.time)
+    seconds = rows * view.dt
+    if not long_enough(rows, view.dt, spans.length, REACH):
         return f"too short: {seconds:.2g} s"
-    known = np.isfinite(first.y).all(axis=1) & np.isfinite(first.x).all(axis=1)
+    known = np.isfinite(first.y).all(axis=1) & spans.known(first.x, 0)
+    whole = max(1, (rows - spans.length) // max(1, spans.length // STARTS))
     return (
-        f"too many gaps: only {100 * known.mean():.0f} % of {seconds:.2g} s have no missing sample "
-        f"within {span * dt:.2g} s"
+        f"too many gaps: only {100 * known.sum() / whole:.0f} % of {seconds:.2g} s have no missing "
+        f"sample within {spans.length * view.dt:.2g} s"
     )
 
 
-def _tried(readings: Sequence[Reading], dt: float, span: int) -> tuple[Tried, ...]:
+def _tried(readings: Sequence[Reading], dt: float, spans: Spans) -> tuple[Tried, ...]:
     """Readings with their sums; none where that of the first has too few rows."""
     tried: list[Tried] = []
     for reading in readings:
         if tried and _share(tried[0].sums) > WHOLE:
             break
-        found = moments(reading, dt, span, REACH)
+        found = moments(reading, spans, dt, REACH)
         if found is not None:
             lag = tried[0].sums.lag if tried else 0.0
-            between = mixed(readings[0], reading, dt, span, lag) if tried else None
+            between = mixed(readings[0], reading, spans, dt, lag) if tried else None
             tried.append(Tried(text=reading.text, fix=reading.fix, sums=found, mixed=between))
         elif not tried:
             break
     return tuple(tried)
 
 
-def _moved(stream: FloatArray) -> float:
-    """Size of the motion (rms) in a stream (N, 3)."""
-    known = stream[np.isfinite(stream).all(axis=1)]
-    return float(np.sqrt((known**2).sum(axis=1).mean())) if known.size else 0.0
+def _moved(increments: FloatArray, spans: Spans) -> float:
+    """Size of the motion (rms) in increments (M, 3)."""
+    known = np.flatnonzero(np.isfinite(increments).all(axis=1))
+    if not known.size:
+        return 0.0
+    moved = spans.without_bias(increments[known], known)
+    return float(np.sqrt((moved**2).sum(axis=1).mean()))
 
 
 def together(parts: Sequence[Related]) -> Related:
