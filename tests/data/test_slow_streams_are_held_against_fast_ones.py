@@ -19,7 +19,7 @@ from greybox.plants.effects import MotorLag, RotorDrag
 from greybox.plants.flight_log import fly, write_log
 from greybox.plants.presets import controller_for, x250
 from greybox.plants.vehicle_file import write_vehicle
-from tests.hardening.channel_faults import CHANNEL_FAULTS, A, P, Q, V, linear, signs, yaw
+from tests.hardening.channel_faults import CHANNEL_FAULTS, A, P, Q, V, late, linear, signs, yaw
 
 PLACES = {
     "outdoor": (0.01, {P: 10, V: 10, Q: 2}),
@@ -113,3 +113,22 @@ def test_a_fault_of_axes_or_units_blocks(place: str, fault: str, of: str, words:
 def test_a_position_upside_down_blocks(place: str) -> None:
     raw, vehicle = flown(place)
     assert check([signs("z")(raw)], vehicle).blocking
+
+
+@pytest.mark.parametrize("seconds", [-0.4, -0.2, 0.1, 0.15, 0.2, 0.3, 0.4])
+def test_a_delay_of_up_to_half_a_second_is_found_and_is_no_sign(seconds: float) -> None:
+    raw, vehicle = flown("outdoor")
+    report = check([late(seconds, P, V)(raw)], vehicle)
+    (found,) = report.of("acceleration")
+    assert report.ok and found.severity == "warning"
+    assert found.evidence["delay_s"] == pytest.approx(seconds, abs=0.02)
+    assert ("late" if seconds > 0 else "early") + " against specific force" in found.message
+
+
+def test_a_delay_where_the_search_ends_is_no_estimate() -> None:
+    raw, vehicle = flown("outdoor")
+    report = check([late(0.53, P, V)(raw)], vehicle)
+    (found,) = report.of("acceleration")
+    assert report.ok
+    assert "late against specific force by about 500 ms or more" in found.message
+    assert "which is no estimate" in found.message

@@ -275,7 +275,7 @@ def test_readings_that_differ_by_less_than_sensors_resolve_are_not_told_apart(
     ]
     tried = []
     for r in readings:
-        sums = moments(r, at, 0.01, 0.0)
+        sums = moments(r, at, 0.01, np.array([0]), np.array([0]))
         assert sums is not None
         tried.append(
             Tried(text=r.text, fix="", sums=sums, mixed=mixed(readings[0], r, at, 0.01, 0.0))

@@ -12,6 +12,8 @@ import numpy as np
 from greybox.data.checks import mixture
 from greybox.data.checks.finding import Finding, Outcome, Severity, Unjudged
 from greybox.data.checks.relations import (
+    FARTHEST,
+    REACH,
     SEEN,
     WHOLE,
     Better,
@@ -19,21 +21,20 @@ from greybox.data.checks.relations import (
     Moments,
     Reading,
     Tried,
+    at_the_edge,
     better_reading,
     factor,
     far_better,
     joined,
     long_enough,
     mixed,
-    moments,
+    searched,
 )
 from greybox.data.checks.spans import STARTS, Spans
 from greybox.data.checks.together import Told, alone_and_together
 from greybox.data.checks.view import View
 from greybox.data.raw import FloatArray
 
-REACH = 0.15
-"""Largest delay between two streams that is looked for [s]."""
 MOST_OTHERS = 2
 """Other readings that are named where they explain about as much."""
 LATE = 0.05
@@ -104,16 +105,16 @@ def related(relation: Relation, view: View) -> Related | str:
     first, spans = streams.readings[0], streams.spans
     # A stream of the wrong unit may seem to stand still: the craft moves where either says so.
     size = max(_moved(first.y, spans), _moved(spans.over(first.x), spans))
-    tried = _tried(streams.readings, view.dt, spans)
-    if not tried:
+    given = searched(first, spans, view.dt)
+    if given is None:
         return _too_few(view, first, spans)
     if size < relation.least:
         return f"the craft hardly moves ({size:.2g} per {spans.length * view.dt:.2g} s)"
     other = streams.apart
     return Related(
         streams=streams,
-        tried=tried,
-        prompt=moments(first, spans, view.dt, 0.0),
+        tried=_tried(streams.readings, view.dt, spans, given[0]),
+        prompt=given[1],
         size=size,
         sample=view.dt,
         apart=None if other is None else lambda: _tried(other(), view.dt, spans),
@@ -134,17 +135,22 @@ def _too_few(view: View, first: Reading, spans: Spans) -> str:
     )
 
 
-def _tried(readings: Sequence[Reading], dt: float, spans: Spans) -> tuple[Tried, ...]:
-    """Readings with their sums; none where that of the first has too few rows."""
+def _tried(
+    readings: Sequence[Reading], dt: float, spans: Spans, given: Moments | None = None
+) -> tuple[Tried, ...]:
+    """Readings with their sums (those of the first where they are `given`); none where that of the
+    first has too few spans."""
     tried: list[Tried] = []
     for reading in readings:
         if tried and _share(tried[0].sums) > WHOLE:
             break
-        found = moments(reading, spans, dt, REACH)
-        if found is not None:
+        sums = None if tried else given
+        if sums is None and (found := searched(reading, spans, dt)) is not None:
+            sums = found[0]
+        if sums is not None:
             lag = tried[0].sums.lag if tried else 0.0
             between = mixed(readings[0], reading, spans, dt, lag) if tried else None
-            tried.append(Tried(text=reading.text, fix=reading.fix, sums=found, mixed=between))
+            tried.append(Tried(text=reading.text, fix=reading.fix, sums=sums, mixed=between))
         elif not tried:
             break
     return tuple(tried)
@@ -413,13 +419,19 @@ def _late(relation: Relation, flight: str, found: Related) -> Iterator[Finding]:
     if shares is None:
         return
     first, _, second = relation.streams.partition(" and ")
+    way = "late" if late > 0 else "early"
+    message = f"{first} is {1e3 * abs(late):.0f} ms {way} against {second}"
+    if at_the_edge(late):
+        message = (
+            f"{first} is {way} against {second} by about {1e3 * FARTHEST:.0f} ms or more: the search "
+            "ends there, which is no estimate"
+        )
     yield Finding(
         check=relation.name,
         severity="warning",
         flight=flight,
         where=found.streams.where or relation.where,
-        message=f"{first} is {1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'} against "
-        f"{second}",
+        message=message,
         evidence={"delay_s": late, "share_explained": shares[0], "share_as_given": shares[1]},
         fix="log all streams with one clock, stamped at the source; or shift one of them",
     )

@@ -26,8 +26,14 @@ BLOCK = 2.0
 """Length of the blocks [s] that are left out one by one; shorter where a flight has fewer than
 8."""
 FEWEST_BLOCKS = 5
+REACH = 0.15
+"""Largest delay of a block of time from the common one [s]."""
+FARTHEST = 0.5
+"""Largest delay between two streams that is looked for [s]."""
 LAG_STEP = 0.01
-"""Steps of the lags that are tried [s]."""
+"""Steps of the lags that are tried [s], ..."""
+COARSE = 0.03
+"""... and of the common one."""
 LEFT = 0.7
 """What another reading may leave unexplained, as a share of what the one given leaves ..."""
 CLEAR = 3.0
@@ -160,10 +166,10 @@ def long_enough(rows: int, dt: float, span: int, reach: float) -> bool:
     return _blocks(np.arange(most, rows - span - most, max(1, span // STARTS)), dt) is not None
 
 
-def _lags(dt: float, reach: float) -> IntArray:
-    """The lags within `reach` [s] that are tried [samples]."""
-    most, step = round(reach / dt), max(1, round(LAG_STEP / dt))
-    return step * np.arange(-(most // step), most // step + 1)
+def _lags(dt: float, reach: float, centre: float = 0.0, step: float = LAG_STEP) -> IntArray:
+    """The lags within `reach` [s] of the centre that are tried, a `step` [s] apart [samples]."""
+    most, step = round(reach / dt), max(1, round(step / dt))
+    return round(centre / dt) + step * np.arange(-(most // step), most // step + 1)
 
 
 def mixed(given: Reading, other: Reading, spans: Spans, dt: float, lag: float) -> Mixture | None:
@@ -185,14 +191,73 @@ def mixed(given: Reading, other: Reading, spans: Spans, dt: float, lag: float) -
     return mixture(size * y, x[0], x[1], starts)
 
 
-def moments(reading: Reading, spans: Spans, dt: float, reach: float) -> Moments | None:
-    """The sums of a reading; None where fewer than `FEWEST_BLOCKS` blocks are left.
+def searched(reading: Reading, spans: Spans, dt: float) -> tuple[Moments, Moments] | None:
+    """(the sums of a reading at the delays of its blocks, and over the same spans without a delay);
+    None where fewer than `FEWEST_BLOCKS` blocks are left.
 
-    Clocks wander, so every block has its own lag within `reach` [s]: the one at which y and x are
-    most alike, in whatever axes.
+    The blocks' delays lie within `REACH` of a common one, which is looked for within `FARTHEST`.
     """
-    lags = _lags(dt, reach)
-    found = _rows(reading.y, (reading.x,), spans, dt, lags)
+    centre = _centre(reading, spans, dt)
+    found = _around(reading, spans, dt, centre) or _around(reading, spans, dt, 0.0)
+    for _ in range(round(FARTHEST / REACH)):
+        if found is None or at_the_edge(found[0].lag):
+            break
+        if abs(found[0].lag - centre) < REACH - 1.5 * LAG_STEP:
+            break
+        centre = found[0].lag
+        found = _around(reading, spans, dt, centre) or found
+    return found
+
+
+def at_the_edge(lag: float) -> bool:
+    """Whether a delay [s] is where the search ends: no estimate."""
+    return abs(lag) > FARTHEST - 1.5 * LAG_STEP
+
+
+def _around(
+    reading: Reading, spans: Spans, dt: float, centre: float
+) -> tuple[Moments, Moments] | None:
+    """The sums at the blocks' own lags around a common one, and at none."""
+    lags = _lags(dt, REACH, centre)
+    lags = lags[np.abs(lags) <= round(FARTHEST / dt)]
+    every = np.union1d(lags, [0])
+    own, none = (moments(reading, spans, dt, at, every) for at in (lags, np.array([0])))
+    return None if own is None or none is None else (own, none)
+
+
+def _centre(reading: Reading, spans: Spans, dt: float) -> float:
+    """The delay [s] around which blocks look for theirs: none, unless one of the whole flight
+    leaves far less than those near none."""
+    known, alike = np.isfinite(reading.y).all(axis=1), []
+    lags = _lags(dt, FARTHEST, step=COARSE)
+    least = 0.5 * float((known & spans.known(reading.x, 0)).sum())
+    for lag in lags.tolist():
+        which = np.flatnonzero(known & spans.known(reading.x, lag))
+        if which.size < max(20.0, least):
+            alike.append(0.0)
+            continue
+        y, x = (
+            spans.without_bias(v, which)
+            for v in (reading.y[which], spans.over(reading.x, lag, which))
+        )
+        size = float(np.sqrt((y**2).sum() * (x**2).sum()))
+        alike.append(float(np.linalg.svd(y.T @ x, compute_uv=False).sum()) / max(size, 1e-300))
+    left = 1.0 - np.array(alike) ** 2
+    near = np.abs(lags) <= round(0.5 * REACH / dt)
+    best = int(np.argmin(left))
+    return float(lags[best] * dt) if left[best] + LEAST < LEFT * left[near].min() else 0.0
+
+
+def moments(
+    reading: Reading, spans: Spans, dt: float, lags: IntArray, known_at: IntArray
+) -> Moments | None:
+    """The sums of a reading over the spans at which x is known at all lags `known_at` [samples];
+    None where fewer than `FEWEST_BLOCKS` blocks are left.
+
+    Clocks wander, so every block has its own of the `lags`: the one at which y and x are most
+    alike, in whatever axes.
+    """
+    found = _rows(reading.y, (reading.x,), spans, dt, known_at)
     if found is None:
         return None
     which, starts = found
