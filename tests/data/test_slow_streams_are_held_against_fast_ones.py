@@ -109,6 +109,14 @@ def test_a_fault_of_axes_or_units_blocks(place: str, fault: str, of: str, words:
     assert any(words in m for m in said), said
 
 
+def test_longitude_and_latitude_of_few_digits_block() -> None:
+    raw, vehicle = flown("outdoor")
+    degrees = {n: np.round(8.5 + raw.channels[n] / 111e3, 6) for n in "xy"}
+    report = check([replace(raw, channels={**raw.channels, **degrees})], vehicle)
+    (found,) = [f for f in report.blocking if f.check == "motion"]
+    assert "in vx, vy" in found.message and "degrees of longitude" in found.fix
+
+
 @pytest.mark.parametrize("place", PLACES)
 def test_a_position_upside_down_blocks(place: str) -> None:
     raw, vehicle = flown(place)

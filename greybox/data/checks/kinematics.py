@@ -35,6 +35,8 @@ from greybox.data.checks.together import Told, alone_and_together
 from greybox.data.checks.view import View
 from greybox.data.raw import FloatArray
 
+PART = 0.1
+"""Share of the motion that is a good part of it."""
 MOST_OTHERS = 2
 """Other readings that are named where they explain about as much."""
 LATE = 0.05
@@ -266,16 +268,32 @@ def _another_reading_fits(
 
 def _unlike(relation: Relation, flight: str, found: Related) -> Finding:
     share = _share(found.given)
+    message = f"{relation.streams} agree poorly (correlation {np.sqrt(share):.2f}) in every reading"
+    fix = "check what both columns hold, their noise, and that both are on one clock"
+    apart = _apart(found) if found.streams.scaled else {}
+    if apart:
+        least = min(apart.values(), key=lambda f: -abs(np.log(f)))
+        message += f": {relation.factor.format(f'{least:.2g}')} in {', '.join(apart)}"
+        fix = "check the units in [columns]; degrees of longitude and latitude are no metres"
     return Finding(
         check=relation.name,
-        severity="warning",
+        severity="blocking" if apart else "warning",
         flight=flight,
         where=found.streams.where or relation.where,
-        message=f"{relation.streams} agree poorly (correlation {np.sqrt(share):.2f}) in every "
-        "reading",
+        message=message,
         evidence={"share_as_given": share, "motion_rms": found.size},
-        fix="check what both columns hold, their noise, and that both are on one clock",
+        fix=fix,
     )
+
+
+def _apart(found: Related) -> dict[str, float]:
+    """Axis -> by which factor y is larger there, where a good part of the motion is in one of both
+    and next to nothing of it in the other."""
+    yy, xx = (v.sum(axis=0) for v in (found.given.yy, found.given.xx))
+    sizes = np.sqrt(np.maximum(yy, 1e-300) / np.maximum(xx, 1e-300))
+    part = np.maximum(yy / max(float(yy.sum()), 1e-300), xx / max(float(xx.sum()), 1e-300))
+    other = (part > PART) & (np.abs(np.log10(sizes)) > 1.0)
+    return {a: float(f) for a, f, o in zip(found.streams.axes, sizes, other, strict=True) if o}
 
 
 def run(views: Sequence[View], relations: Sequence[Relation]) -> Iterator[Outcome]:
