@@ -23,6 +23,7 @@ from greybox.data.checks import CheckReport, check
 from greybox.data.conditioning import condition
 from greybox.data.impossible import without_impossible
 from greybox.data.raw import RawLog, Removed
+from greybox.data.repeats import without_repeats
 from greybox.errors import FitError
 from greybox.estimation.conclusion import nearer_warnings
 from greybox.estimation.fit import Progress, fit, noise_of
@@ -117,6 +118,7 @@ def prepare(
     """
     trim = not isinstance(logs, Dataset)
     raws = [raw_log(f) for f in logs] if isinstance(logs, Dataset) else list(logs)
+    raws = [without_repeats(r) for r in raws]
     if not keep_impossible:  # a log that was read with this vehicle has nothing left to remove
         raws = [r if r.removed else without_impossible(r, vehicle) for r in raws]
     removed = tuple(x for r in raws for x in r.removed)

@@ -3,6 +3,8 @@ Where the rates tell it, how far the clocks wander is found."""
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from faults import vehicle
@@ -59,6 +61,22 @@ def test_clocks_of_a_smooth_circle_do_not_wander(seed: int) -> None:
     assert report.wander == 0.0
     assert not report.of("alignment")
     assert any("change too little" in u.reason for u in report.not_judged)
+
+
+@pytest.mark.parametrize("every", [1, 2, 3])
+@pytest.mark.parametrize("noise", [(0.002, 0.015), (0.001, 0.005)])
+def test_a_slow_pose_of_a_gentle_flight_makes_no_clock_wander(
+    noise: tuple[float, float], every: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lines between its samples have noise of their own, and a delay at which the correlation
+    happens to be higher is no other one."""
+    monkeypatch.setattr(sys.modules[__name__], "ATTITUDE_NOISE", noise[0])
+    monkeypatch.setattr(sys.modules[__name__], "GYRO_NOISE", noise[1])
+    for wobble in (0.0, 0.01):
+        for seed in range(3):
+            report = flown(wobble=wobble, seed=seed, posed=slice(None, None, every))
+            assert report.wander == 0.0
+            assert report.ok
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -232,7 +232,7 @@ def test_a_dataset_can_be_checked_and_names_must_differ():
 
 
 def test_checks_have_distinct_names_and_questions():
-    assert len({c.name for c in CHECKS}) == len(CHECKS) == 13
+    assert len({c.name for c in CHECKS}) == len(CHECKS) == 14
     assert all(c.question.endswith("?") for c in CHECKS)
 
 

@@ -20,7 +20,8 @@ from greybox.data.checks.finding import CheckReport
 from greybox.data.checks.kinematics import common_rate
 from greybox.data.checks.mixture import mixture
 from greybox.data.checks.relations import Factor, Reading, Tried, better_reading, mixed, moments
-from greybox.data.checks.signals import turned
+from greybox.data.checks.signals import Integral, turned
+from greybox.data.checks.spans import spans
 from greybox.data.raw import RawLog
 from greybox.data.readers.assemble import other_frame
 from tests.data.faults import real, vehicle
@@ -253,6 +254,12 @@ def test_readings_that_differ_by_a_constant_matrix_are_not_told_apart_by_the_way
     assert np.isnan(weight)
 
 
+def summed(increments: np.ndarray) -> Integral:
+    """What has these increments (N, 3) from each row to the next."""
+    total = np.vstack([np.zeros((1, 3)), np.cumsum(increments, axis=0)])
+    return Integral(total=total, lost=np.zeros(len(total), dtype=np.int64))
+
+
 @pytest.mark.parametrize(("apart", "told"), [(0.01, False), (0.1, True)])
 def test_readings_that_differ_by_less_than_sensors_resolve_are_not_told_apart(
     apart: float, told: bool
@@ -262,13 +269,16 @@ def test_readings_that_differ_by_less_than_sensors_resolve_are_not_told_apart(
     draw = np.random.default_rng(5)
     x, d = draw.normal(size=(2, 2000, 3))
     y = x + 0.9 * apart * d + 0.03 * draw.normal(size=x.shape)
-    readings = [Reading(text=t, fix="", y=y, x=z) for t, z in (("", x), ("another", x + apart * d))]
+    at = spans(np.zeros((2001, 1)), 1)
+    readings = [
+        Reading(text=t, fix="", y=y, x=summed(z)) for t, z in (("", x), ("another", x + apart * d))
+    ]
     tried = []
     for r in readings:
-        sums = moments(r, 0.01, 8, 0.0)
+        sums = moments(r, at, 0.01, np.array([0]), np.array([0]))
         assert sums is not None
         tried.append(
-            Tried(text=r.text, fix="", sums=sums, mixed=mixed(readings[0], r, 0.01, 8, 0.0))
+            Tried(text=r.text, fix="", sums=sums, mixed=mixed(readings[0], r, at, 0.01, 0.0))
         )
     assert tried[1].sums.total().share(np.eye(3)) > tried[0].sums.total().share(np.eye(3)) > 0.98
     assert (better_reading(tried, ("ax", "ay", "az"), "") is not None) is told

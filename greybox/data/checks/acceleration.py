@@ -22,20 +22,20 @@ from greybox.data.checks.relations import Reading
 from greybox.data.checks.signals import (
     BRIDGED,
     FloatArray,
-    bridged,
-    centred,
+    Integral,
+    attitude_joined_up,
     derivative,
-    increments,
-    shifted,
-    smoothed,
+    integral,
+    pace,
     turned,
 )
+from greybox.data.checks.spans import Spans, length_of, spans
 from greybox.data.checks.view import View
 
 SPAN = 0.4
-"""Time [s] over which changes of velocity are taken."""
+"""Time [s] over which changes of velocity are taken, and longer where streams are slow."""
 HALF_WINDOW = 0.05
-"""A velocity from the position is its difference over twice this time [s]."""
+"""A velocity from the position is its difference over twice this time [s], or two samples."""
 
 ABOUT_THRUST = {
     "ax = ay, ay = -ax": ((0.0, 1.0), (-1.0, 0.0)),
@@ -58,37 +58,38 @@ def streams(view: View) -> Streams | str:
         return "no attitude"
     if not (view.has("velocity") or view.has("position")):
         return "no velocity or position"
-    n, dt = max(1, round(SPAN / view.dt)), view.dt
-    quaternions = view.group("attitude")
-    measured = view.has("specific_force")
+    dt, quaternions = view.dt, view.group("attitude")
+    measured, moving = view.has("specific_force"), view.has("velocity")
     force = view.group("specific_force") if measured else _thrust(view)
+    track = view.group("velocity" if moving else "position")
+    n = length_of(SPAN / dt, between=track, of=force)
+    quaternions = attitude_joined_up(quaternions, n // BRIDGED)
     half = max(1, round(HALF_WINDOW / dt))
-    moving = view.has("velocity")
-    velocity = view.group("velocity") if moving else derivative(view.group("position"), dt, half)
-    change = centred(velocity[n:] - velocity[:-n])
+    window = 0 if moving else 2 * max(half, pace(track))
+    at = spans(track, n, window=window, dt=dt, centred=True)
+    change, times = at.of(track), 1 if moving else 2
 
     def reading(text: str, fix: str, world: FloatArray) -> Reading:
-        same = world if moving else smoothed(bridged(world, n // BRIDGED), half)
-        return Reading(text=text, fix=fix, y=change, x=centred(increments(same, dt, n)))
+        return Reading(text=text, fix=fix, y=change, x=integral(world, dt, n // BRIDGED, times))
 
     readings = [reading(*r) for r in _worlds(quaternions, force, measured)]
     if moving:
-        for text, fix, body in in_body_axes(velocity):
-            world = turned("rotate", quaternions, body)
-            moved = centred(world[n:] - world[:-n])
+        for text, fix, body in in_body_axes(track):
+            moved = at.of(turned("rotate", quaternions, body))
             readings.append(Reading(text=text, fix=fix, y=moved, x=readings[0].x))
 
     def apart() -> tuple[Reading, ...]:
-        arms = [derivative(a, dt, 1 if moving else half) for a in _body_axes(quaternions)]
-        added = [a[n:] - a[:-n] for a in arms]
-        y = _without_lever_arm(change, readings[0].x, added, half)
+        arms = _body_axes(quaternions)
+        if moving:
+            arms = [derivative(a, dt, pace(view.group("attitude"))) for a in arms]
+        y = _without_lever_arm(at, change, readings[0].x, [at.of(a) for a in arms], half)
         return tuple(replace(r, y=y) if r.y is change else r for r in readings)
 
     return Streams(
         readings=tuple(readings),
         apart=apart,
         axes=("the world's x", "y", "z"),
-        span=n,
+        spans=at,
         power=-1.0 if moving else -2.0,
         scaled=measured,
         where=f"{'vx, vy, vz' if moving else 'x, y, z'} against {'ax..az' if measured else 'u1..'} "
@@ -119,21 +120,22 @@ def _body_axes(quaternions: FloatArray) -> list[FloatArray]:
 
 
 def _without_lever_arm(
-    change: FloatArray, told: FloatArray, arms: Sequence[FloatArray], late: int
+    at: Spans, change: FloatArray, integrated: Integral, arms: Sequence[FloatArray], late: int
 ) -> FloatArray:
-    """A change of velocity (N, 3) less that of a point off the centre of mass.
+    """A change of velocity (M, 3) less that of a point off the centre of mass.
 
-    Its place is found by least squares beside any matrix times what is `told` (N, 3), and how that
+    Its place is found by least squares beside any matrix times what is `integrated`, and how that
     changes over `late` samples either way, so that no frame, factor or delay is taken for a place.
-    `arms` (N, 3) is what a metre along each body axis adds.
+    `arms` (M, 3) is what a metre along each body axis adds.
     """
-    drift = shifted(told, late) - shifted(told, -late)
+    told = at.over(integrated)
+    drift = at.over(integrated, late) - at.over(integrated, -late)
     axes = np.stack(arms, axis=2)
     known = np.isfinite(np.column_stack([change, told, drift, axes.reshape(-1, 9)]))
-    rows = known.all(axis=1)
-    if not rows.any():
+    rows = np.flatnonzero(known.all(axis=1))
+    if not rows.size:
         return change
-    beside = np.column_stack([told, drift])[rows]
+    beside = at.without_bias(np.column_stack([told, drift])[rows], rows)
     basis, size, _ = np.linalg.svd(beside, full_matrices=False)
     basis = basis[:, size > 1e-9 * size[0]]
 
@@ -141,7 +143,8 @@ def _without_lever_arm(
         return np.asarray(values - basis @ (basis.T @ values))
 
     moved = np.concatenate([left(axes[rows, i]) for i in range(3)])
-    place = np.linalg.lstsq(moved, left(change[rows]).T.ravel(), rcond=None)[0]
+    wanted = left(at.without_bias(change[rows], rows))
+    place = np.linalg.lstsq(moved, wanted.T.ravel(), rcond=None)[0]
     return np.asarray(change - axes @ place)
 
 
@@ -163,7 +166,7 @@ RELATION = Relation(
     "ours (east, north, up)",
     least=0.05,
     much=0.4,
-    units=(),
+    units=((1e3, "the position or velocity is in mm", "set its unit = 'mm' in [columns]"),),
     blocking=1.7,
     streams_of=streams,
 )

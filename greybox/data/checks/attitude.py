@@ -12,13 +12,21 @@ import numpy as np
 
 from greybox.data.checks.kinematics import Relation, Streams
 from greybox.data.checks.relations import Reading
-from greybox.data.checks.signals import FloatArray, centred, increments, turned, turns
+from greybox.data.checks.signals import (
+    BRIDGED,
+    FloatArray,
+    attitude_joined_up,
+    integral,
+    turned,
+    turns_between,
+)
+from greybox.data.checks.spans import length_of, spans
 from greybox.data.checks.view import View
 from greybox.data.readers.assemble import other_frame
 from greybox.data.readers.recording import FRAMES
 
 SPAN = 0.2
-"""Time [s] over which turns are taken."""
+"""Time [s] over which turns are taken, and longer where streams are slow."""
 DEGREES = 180.0 / np.pi
 MEND = (
     "correct the order or the signs of the quaternion in [columns.attitude] (body to world, "
@@ -52,22 +60,25 @@ def streams(view: View) -> Streams | str:
     against that of a gyro in world axes. Means are left out: a gyro has a bias."""
     if not view.has("attitude", "rate"):
         return "no attitude" if view.has("rate") else "no gyro"
-    n = max(1, round(SPAN / view.dt))
     gyro, quaternions = view.group("rate"), view.group("attitude")
-    told = centred(increments(gyro, view.dt, n))
+    n = length_of(SPAN / view.dt, between=quaternions, of=gyro)
+    at = spans(quaternions, n, centred=True)
+    told = integral(gyro, view.dt, n // BRIDGED)
+    first, last = at.rows.T
     readings = [
-        Reading(text=text, fix=MEND, y=centred(turns(read, n)), x=told)
+        Reading(text=text, fix=MEND, y=turns_between(read[first], read[last]), x=told)
         for text, read in quaternion_readings(quaternions)
     ]
+    joined = attitude_joined_up(quaternions, n // BRIDGED)
     readings.append(
         Reading(
             text="the gyro is in world axes",
             fix="log the body rate as the gyro measures it, or rotate p, q, r into body axes",
             y=readings[0].y,
-            x=centred(increments(turned("rotate_inverse", quaternions, gyro), view.dt, n)),
+            x=integral(turned("rotate_inverse", joined, gyro), view.dt, n // BRIDGED),
         )
     )
-    return Streams(readings=tuple(readings), axes=("p", "q", "r"), span=n)
+    return Streams(readings=tuple(readings), axes=("p", "q", "r"), spans=at)
 
 
 RELATION = Relation(

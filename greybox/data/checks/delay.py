@@ -14,16 +14,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.data.checks.signals import (
+    IntArray,
+    attitude_joined_up,
     attitude_rate,
     bridged,
     centred,
+    pace,
     peak,
     shifted,
     smoothed,
     windowed,
 )
 from greybox.data.checks.view import FloatArray, View
-from greybox.data.resampling import continuous_signs
 
 WINDOW = 2.0
 """Length of a window [s]."""
@@ -109,7 +111,9 @@ def delays(view: View) -> Delays:
     """The delay in every window in which gyro and attitude are alike."""
     half = max(1, round(HALF_WINDOW / view.dt))
     gyro = smoothed(bridged(view.group("rate"), half), half)
-    rate = attitude_rate(_filled(view.group("attitude"), 2 * half), view.dt, half)
+    quaternions = view.group("attitude")
+    rate = attitude_rate(attitude_joined_up(quaternions, 2 * half), view.dt, half)
+    alone = 2 * half + pace(quaternions)  # rows over which the noise of a mean is alike
     length, reach = round(WINDOW / view.dt), round(LARGEST / view.dt)
     time = view.time
     lags = np.arange(-reach, reach + 1)
@@ -118,28 +122,38 @@ def delays(view: View) -> Delays:
     starts = starts[starts + length <= rate.shape[0]]
     starts = starts[there[starts + length] - there[starts] >= 0.8 * length]
     out = []
-    for start, scores in zip(starts, windowed(gyro, rate, lags, starts, length), strict=True):
+    # The noisier stream stands still: over others of its samples the correlation is another one.
+    told = windowed(rate, gyro, lags, starts, length)[:, ::-1]
+    for start, scores in zip(starts, told, strict=True):
         late, top = peak(scores, lags)
         if top >= CREDIBLE and abs(late) < reach:
             rows = slice(int(start), int(start) + length)
-            error = _error(gyro, rate, rows, round(late), half)
+            error = _error(gyro, rate, rows, round(late), half, alone)
+            error = max(error, _spread(scores, lags, late, length / alone))
             out.append((float(np.nanmean(time[rows])), late, error))
     found = np.array(out).reshape(-1, 3)
     return Delays(time=found[:, 0], late=found[:, 1], error=found[:, 2])
 
 
-def _filled(quaternions: FloatArray, most: int) -> FloatArray:
-    """Quaternions (N, 4) on the lines between those that are known, over at most `most` rows: a
-    pose that is slower than the rows is late nowhere then."""
-    out = bridged(continuous_signs(quaternions)[0], most)
-    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+def _spread(scores: FloatArray, lags: IntArray, late: float, samples: float) -> float:
+    """How far [samples] lags that are about as likely as the one found lie from it, rms, by the
+    correlations (L,) of so many independent samples of three axes.
+
+    The correlation may be nearly as high at another lag: the slopes at the highest do not tell.
+    """
+    alike = np.clip(scores, 0.0, 1.0 - 1e-9)
+    chance = -1.5 * samples * np.log(1.0 - alike**2)
+    chance = np.exp(chance - chance.max())
+    return float(np.sqrt(chance @ (lags - late) ** 2 / chance.sum()))
 
 
-def _error(gyro: FloatArray, rate: FloatArray, rows: slice, late: int, half: int) -> float:
-    """Standard error [samples] of the delay in these rows.
+def _error(
+    gyro: FloatArray, rate: FloatArray, rows: slice, late: int, half: int, alone: int
+) -> float:
+    """Standard error [samples] of the delay in these rows, as far as the slopes tell it.
 
-    Sizes mean nothing. The noise of both is alike over the samples of a mean. It makes the slopes of
-    each stream larger, but not what they have in common.
+    Sizes mean nothing. The noise of both is alike over `alone` rows. It makes the slopes of each
+    stream larger, but not what they have in common.
     """
     first, last = max(rows.start - half, 0), rows.stop + half
     y, x = gyro[first:last], shifted(rate, late)[first:last]
@@ -150,7 +164,7 @@ def _error(gyro: FloatArray, rate: FloatArray, rows: slice, late: int, half: int
     if common <= 0.0:
         return float("inf")
     size = np.sqrt((y**2).sum() / (x**2).sum())
-    noise = float(((y - size * x) ** 2).mean()) * (2 * half + 1)
+    noise = float(((y - size * x) ** 2).mean()) * alone
     return float(np.sqrt(noise * (slope**2).sum() / 3.0)) / common
 
 

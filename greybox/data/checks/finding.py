@@ -14,6 +14,8 @@ from greybox.shown import Cell, Shown
 Severity = Literal["info", "warning", "blocking"]
 SEVERITIES: tuple[Severity, ...] = ("blocking", "warning", "info")
 
+TOGETHER = ("motion", "attitude", "acceleration", "alignment")
+"""Checks that hold one stream against another: without them axes and units may be wrong."""
 SCHEMA = "greybox.check/1"
 WANDER = 1.0
 """Samples by which gyro and attitude must drift apart before their clocks count as wandering."""
@@ -177,6 +179,13 @@ class CheckReport(Shown):
             groups.setdefault((f.severity, f.check, f.where, f.message), []).append(f)
         return list(groups.values())
 
+    @property
+    def _but(self) -> str:
+        """What the verdict is not on, as its end: checks of one stream against another that could
+        not be made on some flight."""
+        some = dict.fromkeys(u.check for u in self.not_judged if u.check in TOGETHER)
+        return f" (not judged: {', '.join(some)})" if some else ""
+
     def _shown_text(self) -> str:
         """The summary."""
         return self.summary()
@@ -197,7 +206,7 @@ class CheckReport(Shown):
 
     def summary(self) -> str:
         """The report as text for a terminal."""
-        lines = [f"checked {len(self.flights)} log(s) of {self.vehicle}: {self.verdict}"]
+        lines = [f"checked {len(self.flights)} log(s) of {self.vehicle}: {self.verdict}{self._but}"]
         for same in self._alike():
             finding = same[0]
             word = "accepted" if finding in self.overruled else finding.severity

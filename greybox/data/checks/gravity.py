@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.relations import ANGLES
-from greybox.data.checks.signals import correlation, derivative, smoothed
+from greybox.data.checks.signals import correlation, derivative, joined_up, smoothed
 from greybox.data.checks.view import FloatArray, View
 from greybox.data.drive import drive_names
 from greybox.frames import GRAVITY, numeric
@@ -160,7 +160,7 @@ def _up(view: View, force: FloatArray, evidence: dict[str, float]) -> Iterator[F
         yield _finding(view, "blocking", text, DOWN, {**evidence, "depth_m": depth}, "z")
         return
     half = max(1, round(0.1 / view.dt))
-    climb = derivative(view.joined(["z"]), view.dt, half)
+    climb = derivative(joined_up(view.joined(["z"])), view.dt, half)
     if np.isfinite(climb).sum() < 10 or float(np.nanstd(climb)) < FAST:
         return
     acceleration = derivative(smoothed(climb, half), view.dt, half)

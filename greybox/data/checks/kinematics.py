@@ -12,6 +12,8 @@ import numpy as np
 from greybox.data.checks import mixture
 from greybox.data.checks.finding import Finding, Outcome, Severity, Unjudged
 from greybox.data.checks.relations import (
+    FARTHEST,
+    REACH,
     SEEN,
     WHOLE,
     Better,
@@ -19,20 +21,22 @@ from greybox.data.checks.relations import (
     Moments,
     Reading,
     Tried,
+    at_the_edge,
     better_reading,
     factor,
     far_better,
     joined,
     long_enough,
     mixed,
-    moments,
+    searched,
 )
+from greybox.data.checks.spans import STARTS, Spans
 from greybox.data.checks.together import Told, alone_and_together
 from greybox.data.checks.view import View
 from greybox.data.raw import FloatArray
 
-REACH = 0.15
-"""Largest delay between two streams that is looked for [s]."""
+PART = 0.1
+"""Share of the motion that is a good part of it."""
 MOST_OTHERS = 2
 """Other readings that are named where they explain about as much."""
 LATE = 0.05
@@ -41,14 +45,14 @@ LATE = 0.05
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Streams:
-    """Two streams of a flight in all readings, the one given first. `axes` names those of x, `span`
-    [samples] of the increments. A clock that runs c times as fast makes y c ** `power` times as
+    """Two streams of a flight in all readings, the one given first. `axes` names those of x, `spans`
+    those of the increments. A clock that runs c times as fast makes y c ** `power` times as
     large against x; `scaled` is False where sizes mean nothing. `apart` gives the readings with
     what a craft may have besides set aside: another reading must be better there, too."""
 
     readings: tuple[Reading, ...]
     axes: tuple[str, str, str]
-    span: int
+    spans: Spans
     power: float = -1.0
     scaled: bool = True
     where: str = ""
@@ -100,57 +104,67 @@ def related(relation: Relation, view: View) -> Related | str:
     streams = relation.streams_of(view)
     if isinstance(streams, str):
         return streams
-    first = streams.readings[0]
+    first, spans = streams.readings[0], streams.spans
     # A stream of the wrong unit may seem to stand still: the craft moves where either says so.
-    size = max(_moved(first.y), _moved(first.x))
+    size = max(_moved(first.y, spans), _moved(spans.over(first.x), spans))
+    given = searched(first, spans, view.dt)
+    if given is None:
+        return _too_few(view, first, spans)
     if size < relation.least:
-        return f"the craft hardly moves ({size:.2g} per {streams.span * view.dt:.2g} s)"
-    tried = _tried(streams.readings, view.dt, streams.span)
-    if not tried:
-        return _too_few(first, view.dt, streams.span)
+        return f"the craft hardly moves ({size:.2g} per {spans.length * view.dt:.2g} s)"
     other = streams.apart
     return Related(
         streams=streams,
-        tried=tried,
-        prompt=moments(first, view.dt, streams.span, 0.0),
+        tried=_tried(streams.readings, view.dt, spans, given[0]),
+        prompt=given[1],
         size=size,
         sample=view.dt,
-        apart=None if other is None else lambda: _tried(other(), view.dt, streams.span),
+        apart=None if other is None else lambda: _tried(other(), view.dt, spans),
     )
 
 
-def _too_few(first: Reading, dt: float, span: int) -> str:
-    """Why a reading has too few rows: the flight is too short, or too much of it is missing."""
-    seconds = len(first.y) * dt
-    if not long_enough(len(first.y), dt, span, REACH):
+def _too_few(view: View, first: Reading, spans: Spans) -> str:
+    """Why a reading has too few spans: the flight is too short, or too much of it is missing."""
+    rows = len(view.time)
+    seconds = rows * view.dt
+    if not long_enough(rows, view.dt, spans.length, REACH):
         return f"too short: {seconds:.2g} s"
-    known = np.isfinite(first.y).all(axis=1) & np.isfinite(first.x).all(axis=1)
+    known = np.isfinite(first.y).all(axis=1) & spans.known(first.x, 0)
+    whole = max(1, (rows - spans.length) // max(1, spans.length // STARTS))
     return (
-        f"too many gaps: only {100 * known.mean():.0f} % of {seconds:.2g} s have no missing sample "
-        f"within {span * dt:.2g} s"
+        f"too many gaps: only {100 * known.sum() / whole:.0f} % of {seconds:.2g} s have no missing "
+        f"sample within {spans.length * view.dt:.2g} s"
     )
 
 
-def _tried(readings: Sequence[Reading], dt: float, span: int) -> tuple[Tried, ...]:
-    """Readings with their sums; none where that of the first has too few rows."""
+def _tried(
+    readings: Sequence[Reading], dt: float, spans: Spans, given: Moments | None = None
+) -> tuple[Tried, ...]:
+    """Readings with their sums (those of the first where they are `given`); none where that of the
+    first has too few spans."""
     tried: list[Tried] = []
     for reading in readings:
         if tried and _share(tried[0].sums) > WHOLE:
             break
-        found = moments(reading, dt, span, REACH)
-        if found is not None:
+        sums = None if tried else given
+        if sums is None and (found := searched(reading, spans, dt)) is not None:
+            sums = found[0]
+        if sums is not None:
             lag = tried[0].sums.lag if tried else 0.0
-            between = mixed(readings[0], reading, dt, span, lag) if tried else None
-            tried.append(Tried(text=reading.text, fix=reading.fix, sums=found, mixed=between))
+            between = mixed(readings[0], reading, spans, dt, lag) if tried else None
+            tried.append(Tried(text=reading.text, fix=reading.fix, sums=sums, mixed=between))
         elif not tried:
             break
     return tuple(tried)
 
 
-def _moved(stream: FloatArray) -> float:
-    """Size of the motion (rms) in a stream (N, 3)."""
-    known = stream[np.isfinite(stream).all(axis=1)]
-    return float(np.sqrt((known**2).sum(axis=1).mean())) if known.size else 0.0
+def _moved(increments: FloatArray, spans: Spans) -> float:
+    """Size of the motion (rms) in increments (M, 3)."""
+    known = np.flatnonzero(np.isfinite(increments).all(axis=1))
+    if not known.size:
+        return 0.0
+    moved = spans.without_bias(increments[known], known)
+    return float(np.sqrt((moved**2).sum(axis=1).mean()))
 
 
 def together(parts: Sequence[Related]) -> Related:
@@ -254,16 +268,32 @@ def _another_reading_fits(
 
 def _unlike(relation: Relation, flight: str, found: Related) -> Finding:
     share = _share(found.given)
+    message = f"{relation.streams} agree poorly (correlation {np.sqrt(share):.2f}) in every reading"
+    fix = "check what both columns hold, their noise, and that both are on one clock"
+    apart = _apart(found) if found.streams.scaled else {}
+    if apart:
+        least = min(apart.values(), key=lambda f: -abs(np.log(f)))
+        message += f": {relation.factor.format(f'{least:.2g}')} in {', '.join(apart)}"
+        fix = "check the units in [columns]; degrees of longitude and latitude are no metres"
     return Finding(
         check=relation.name,
-        severity="warning",
+        severity="blocking" if apart else "warning",
         flight=flight,
         where=found.streams.where or relation.where,
-        message=f"{relation.streams} agree poorly (correlation {np.sqrt(share):.2f}) in every "
-        "reading",
+        message=message,
         evidence={"share_as_given": share, "motion_rms": found.size},
-        fix="check what both columns hold, their noise, and that both are on one clock",
+        fix=fix,
     )
+
+
+def _apart(found: Related) -> dict[str, float]:
+    """Axis -> by which factor y is larger there, where a good part of the motion is in one of both
+    and next to nothing of it in the other."""
+    yy, xx = (v.sum(axis=0) for v in (found.given.yy, found.given.xx))
+    sizes = np.sqrt(np.maximum(yy, 1e-300) / np.maximum(xx, 1e-300))
+    part = np.maximum(yy / max(float(yy.sum()), 1e-300), xx / max(float(xx.sum()), 1e-300))
+    other = (part > PART) & (np.abs(np.log10(sizes)) > 1.0)
+    return {a: float(f) for a, f, o in zip(found.streams.axes, sizes, other, strict=True) if o}
 
 
 def run(views: Sequence[View], relations: Sequence[Relation]) -> Iterator[Outcome]:
@@ -407,13 +437,19 @@ def _late(relation: Relation, flight: str, found: Related) -> Iterator[Finding]:
     if shares is None:
         return
     first, _, second = relation.streams.partition(" and ")
+    way = "late" if late > 0 else "early"
+    message = f"{first} is {1e3 * abs(late):.0f} ms {way} against {second}"
+    if at_the_edge(late):
+        message = (
+            f"{first} is {way} against {second} by about {1e3 * FARTHEST:.0f} ms or more: the search "
+            "ends there, which is no estimate"
+        )
     yield Finding(
         check=relation.name,
         severity="warning",
         flight=flight,
         where=found.streams.where or relation.where,
-        message=f"{first} is {1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'} against "
-        f"{second}",
+        message=message,
         evidence={"delay_s": late, "share_explained": shares[0], "share_as_given": shares[1]},
         fix="log all streams with one clock, stamped at the source; or shift one of them",
     )

@@ -7,12 +7,19 @@ from collections.abc import Iterator
 
 from greybox.data.checks.kinematics import Relation, Streams
 from greybox.data.checks.relations import Reading
-from greybox.data.checks.signals import FloatArray, increments, turned
+from greybox.data.checks.signals import (
+    BRIDGED,
+    FloatArray,
+    attitude_joined_up,
+    integral,
+    turned,
+)
+from greybox.data.checks.spans import length_of, spans
 from greybox.data.checks.view import View
 from greybox.data.readers.assemble import other_frame
 
 SPAN = 0.5
-"""Time [s] over which displacements are taken."""
+"""Time [s] over which displacements are taken, and longer where streams are slow."""
 
 
 BODY_AXES = (("FLU", "ENU"), ("FRD", "NED"), ("FRD", "ENU"))
@@ -35,15 +42,20 @@ def streams(view: View) -> Streams | str:
     """Displacement against integrated velocity, and against that of a velocity in body axes."""
     if not view.has("position", "velocity"):
         return "no position with velocity"
-    n = max(1, round(SPAN / view.dt))
     position, velocity = view.group("position"), view.group("velocity")
-    moved = position[n:] - position[:-n]
-    readings = [Reading(text="", fix="", y=moved, x=increments(velocity, view.dt, n))]
+    n = length_of(SPAN / view.dt, between=position, of=velocity)
+    at = spans(position, n)
+    moved = at.of(position)
+
+    def reading(text: str, fix: str, world: FloatArray) -> Reading:
+        return Reading(text=text, fix=fix, y=moved, x=integral(world, view.dt, n // BRIDGED))
+
+    readings = [reading("", "", velocity)]
     if view.has("attitude"):
+        quaternions = attitude_joined_up(view.group("attitude"))
         for text, fix, body in in_body_axes(velocity):
-            world = turned("rotate", view.group("attitude"), body)
-            readings.append(Reading(text=text, fix=fix, y=moved, x=increments(world, view.dt, n)))
-    return Streams(readings=tuple(readings), axes=("vx", "vy", "vz"), span=n)
+            readings.append(reading(text, fix, turned("rotate", quaternions, body)))
+    return Streams(readings=tuple(readings), axes=("vx", "vy", "vz"), spans=at)
 
 
 RELATION = Relation(

@@ -19,14 +19,21 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.checks.mixture import FLOOR, Mixture, mixture
-from greybox.data.checks.signals import FloatArray
+from greybox.data.checks.signals import FloatArray, IntArray, Integral
+from greybox.data.checks.spans import STARTS, Spans
 
 BLOCK = 2.0
 """Length of the blocks [s] that are left out one by one; shorter where a flight has fewer than
 8."""
 FEWEST_BLOCKS = 5
+REACH = 0.15
+"""Largest delay of a block of time from the common one [s]."""
+FARTHEST = 0.5
+"""Largest delay between two streams that is looked for [s]."""
 LAG_STEP = 0.01
-"""Steps of the lags that are tried [s]."""
+"""Steps of the lags that are tried [s], ..."""
+COARSE = 0.03
+"""... and of the common one."""
 LEFT = 0.7
 """What another reading may leave unexplained, as a share of what the one given leaves ..."""
 CLEAR = 3.0
@@ -50,12 +57,12 @@ Matrix = npt.NDArray[np.float64]
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reading:
     """One reading of the columns: what it says ("" for the one given), how to mend the columns, and
-    the increments that it makes equal, (N, 3) each."""
+    what it makes equal: increments y (M, 3) over spans, and those of the integral x."""
 
     text: str
     fix: str
     y: FloatArray
-    x: FloatArray
+    x: Integral
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,65 +138,136 @@ def joined(parts: Sequence[Moments]) -> Moments:
 
 
 def _rows(
-    y: FloatArray, x: FloatArray, dt: float, span: int, lags: npt.NDArray[np.int64]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None:
-    """(rows at which y, and x at all of these lags [samples], are known; where blocks of them
+    y: FloatArray, x: Sequence[Integral], spans: Spans, dt: float, lags: IntArray
+) -> tuple[IntArray, IntArray] | None:
+    """(spans over which y, and x at all of these lags [samples], are known; where blocks of them
     start); None where fewer than `FEWEST_BLOCKS` blocks are left."""
-    most = int(np.abs(lags).max())
-    rows = np.arange(most, y.shape[0] - most, max(1, span // 8))
-    rows = rows[np.isfinite(y[rows]).all(axis=1)]
-    there = np.asarray(np.isfinite(x).all(axis=1))
-    rows = rows[there[rows[:, None] - lags].all(axis=1)]
+    there = np.isfinite(y).all(axis=1)
+    for of in x:
+        for lag in lags.tolist():
+            there &= spans.known(of, lag)
+    which = np.flatnonzero(there)
+    starts = _blocks(spans.rows[which, 0], dt)
+    return None if starts is None else (which, starts)
+
+
+def _blocks(rows: IntArray, dt: float) -> IntArray | None:
+    """Where blocks of time start in increasing rows; None where there are too few."""
     if rows.size < 20:
         return None
     length = max(min(BLOCK / dt, (rows[-1] - rows[0]) / 8.0), 1.0)
     starts = np.flatnonzero(np.diff(rows // length, prepend=-1.0) > 0)
-    return (rows, starts) if starts.size >= FEWEST_BLOCKS else None
+    return starts if starts.size >= FEWEST_BLOCKS else None
 
 
 def long_enough(rows: int, dt: float, span: int, reach: float) -> bool:
-    """Whether so many rows of y are enough for lags within `reach` [s] where none is missing."""
-    whole = np.zeros((rows, 3))
-    return _rows(whole, whole, dt, span, _lags(dt, reach)) is not None
+    """Whether so many rows are enough for lags within `reach` [s] where none is missing."""
+    most = round(reach / dt)
+    return _blocks(np.arange(most, rows - span - most, max(1, span // STARTS)), dt) is not None
 
 
-def _lags(dt: float, reach: float) -> npt.NDArray[np.int64]:
-    """The lags within `reach` [s] that are tried [samples]."""
-    most, step = round(reach / dt), max(1, round(LAG_STEP / dt))
-    return step * np.arange(-(most // step), most // step + 1)
+def _lags(dt: float, reach: float, centre: float = 0.0, step: float = LAG_STEP) -> IntArray:
+    """The lags within `reach` [s] of the centre that are tried, a `step` [s] apart [samples]."""
+    most, step = round(reach / dt), max(1, round(step / dt))
+    return round(centre / dt) + step * np.arange(-(most // step), most // step + 1)
 
 
-def mixed(given: Reading, other: Reading, dt: float, span: int, lag: float) -> Mixture | None:
+def mixed(given: Reading, other: Reading, spans: Spans, dt: float, lag: float) -> Mixture | None:
     """Sums that say where y stands between two readings of it, at one lag [s]; None where y is not
-    the same, or too few rows are left."""
+    the same, or too few spans are left."""
     if other.y is not given.y:
         return None
-    late = np.array([round(lag / dt)])
-    found = _rows(given.y, given.x + other.x, dt, span, late)
+    late = round(lag / dt)
+    found = _rows(given.y, (given.x, other.x), spans, dt, np.array([late]))
     if found is None:
         return None
-    rows, starts = found
-    return mixture(given.y[rows], given.x[rows - late], other.x[rows - late], starts)
+    which, starts = found
+    y, *x = (
+        spans.without_bias(v, which)
+        for v in (given.y[which], *(spans.over(r.x, late, which) for r in (given, other)))
+    )
+    # The way between two readings is not one between sizes: a position in mm is no other frame.
+    size = float(np.sqrt((x[0] ** 2).sum() / max(float((y**2).sum()), 1e-300)))
+    return mixture(size * y, x[0], x[1], starts)
 
 
-def moments(reading: Reading, dt: float, span: int, reach: float) -> Moments | None:
-    """The sums of a reading; None where fewer than `FEWEST_BLOCKS` blocks are left.
+def searched(reading: Reading, spans: Spans, dt: float) -> tuple[Moments, Moments] | None:
+    """(the sums of a reading at the delays of its blocks, and over the same spans without a delay);
+    None where fewer than `FEWEST_BLOCKS` blocks are left.
 
-    Clocks wander, so every block has its own lag within `reach` [s]: the one at which y and x are
-    most alike, in whatever axes.
+    The blocks' delays lie within `REACH` of a common one, which is looked for within `FARTHEST`.
     """
-    lags = _lags(dt, reach)
-    found = _rows(reading.y, reading.x, dt, span, lags)
+    centre = _centre(reading, spans, dt)
+    found = _around(reading, spans, dt, centre) or _around(reading, spans, dt, 0.0)
+    for _ in range(round(FARTHEST / REACH)):
+        if found is None or at_the_edge(found[0].lag):
+            break
+        if abs(found[0].lag - centre) < REACH - 1.5 * LAG_STEP:
+            break
+        centre = found[0].lag
+        found = _around(reading, spans, dt, centre) or found
+    return found
+
+
+def at_the_edge(lag: float) -> bool:
+    """Whether a delay [s] is where the search ends: no estimate."""
+    return abs(lag) > FARTHEST - 1.5 * LAG_STEP
+
+
+def _around(
+    reading: Reading, spans: Spans, dt: float, centre: float
+) -> tuple[Moments, Moments] | None:
+    """The sums at the blocks' own lags around a common one, and at none."""
+    lags = _lags(dt, REACH, centre)
+    lags = lags[np.abs(lags) <= round(FARTHEST / dt)]
+    every = np.union1d(lags, [0])
+    own, none = (moments(reading, spans, dt, at, every) for at in (lags, np.array([0])))
+    return None if own is None or none is None else (own, none)
+
+
+def _centre(reading: Reading, spans: Spans, dt: float) -> float:
+    """The delay [s] around which blocks look for theirs: none, unless one of the whole flight
+    leaves far less than those near none."""
+    known, alike = np.isfinite(reading.y).all(axis=1), []
+    lags = _lags(dt, FARTHEST, step=COARSE)
+    least = 0.5 * float((known & spans.known(reading.x, 0)).sum())
+    for lag in lags.tolist():
+        which = np.flatnonzero(known & spans.known(reading.x, lag))
+        if which.size < max(20.0, least):
+            alike.append(0.0)
+            continue
+        y, x = (
+            spans.without_bias(v, which)
+            for v in (reading.y[which], spans.over(reading.x, lag, which))
+        )
+        size = float(np.sqrt((y**2).sum() * (x**2).sum()))
+        alike.append(float(np.linalg.svd(y.T @ x, compute_uv=False).sum()) / max(size, 1e-300))
+    left = 1.0 - np.array(alike) ** 2
+    near = np.abs(lags) <= round(0.5 * REACH / dt)
+    best = int(np.argmin(left))
+    return float(lags[best] * dt) if left[best] + LEAST < LEFT * left[near].min() else 0.0
+
+
+def moments(
+    reading: Reading, spans: Spans, dt: float, lags: IntArray, known_at: IntArray
+) -> Moments | None:
+    """The sums of a reading over the spans at which x is known at all lags `known_at` [samples];
+    None where fewer than `FEWEST_BLOCKS` blocks are left.
+
+    Clocks wander, so every block has its own of the `lags`: the one at which y and x are most
+    alike, in whatever axes.
+    """
+    found = _rows(reading.y, (reading.x,), spans, dt, known_at)
     if found is None:
         return None
-    rows, starts = found
-    y = reading.y[rows]
+    which, starts = found
+    y = spans.without_bias(reading.y[which], which)
     yy = np.add.reduceat(y * y, starts, axis=0)
     cross, xx = np.zeros((lags.size, starts.size, 3, 3)), np.zeros((lags.size, starts.size, 3))
     for i, lag in enumerate(
         lags.tolist()
     ):  # one at a time: all of them together are too much memory
-        x = reading.x[rows - lag]
+        x = spans.without_bias(spans.over(reading.x, lag, which), which)
         cross[i] = np.add.reduceat(y[:, :, None] * x[:, None, :], starts, axis=0)
         xx[i] = np.add.reduceat(x * x, starts, axis=0)
     size = np.sqrt(yy.sum(axis=1) * xx.sum(axis=2))

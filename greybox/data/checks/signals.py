@@ -3,12 +3,17 @@ missing samples out."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
+from greybox.data.resampling import continuous_signs
 from greybox.frames import numeric
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 MINIMUM = 10
 """Fewer samples than this are not correlated."""
@@ -39,22 +44,56 @@ def derivative(values: FloatArray, dt: float, half: int) -> FloatArray:
 
 
 BRIDGED = 8
-"""Gaps of up to this part of the time over which is integrated are bridged."""
+"""Gaps of up to this part of the time over which is integrated are bridged, ..."""
+OWN_PACE = 1.5
+"""... and those of up to this many usual steps of a stream that is slower than the rows."""
 
 
-def increments(values: FloatArray, dt: float, n: int) -> FloatArray:
-    """Integral over n samples from each on, (N - n, k): across short gaps that of a line, missing
-    where longer ones are."""
-    values = bridged(values, n // BRIDGED)
-    steps = 0.5 * (values[1:] + values[:-1]) * dt
-    there = np.asarray(np.isfinite(steps).all(axis=1))
-    total = np.vstack(
-        [np.zeros((1, values.shape[1])), np.cumsum(np.where(there[:, None], steps, 0.0), axis=0)]
-    )
+def pace(values: FloatArray) -> int:
+    """Usual number of rows from one sample of a stream (N, k) to the next."""
+    rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+    return max(1, round(float(np.median(np.diff(rows))))) if rows.size > 1 else 1
+
+
+def joined_up(values: FloatArray, most: int = 0) -> FloatArray:
+    """Values (N, k) on the lines between those that are known, over at most `most` missing samples
+    or over the stream's own pace."""
+    return bridged(values, max(most, int(OWN_PACE * pace(values)) - 1))
+
+
+def attitude_joined_up(quaternions: FloatArray, most: int = 0) -> FloatArray:
+    """Quaternions (N, 4) on the lines between those that are known, as `joined_up`."""
+    out = joined_up(continuous_signs(quaternions)[0], most)
+    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Integral:
+    """Integral (N, k) of a stream from the first row on, missing samples as zero, and how many
+    steps are `lost` (N,) before each row."""
+
+    total: FloatArray
+    lost: npt.NDArray[np.int64]
+
+    def known(self, first: IntArray, last: IntArray) -> BoolArray:
+        """Whether nothing is missing from each row to the other; they may lie outside."""
+        inside = (first >= 0) & (last < self.lost.size)
+        first, last = (np.clip(r, 0, self.lost.size - 1) for r in (first, last))
+        return np.asarray(inside & (self.lost[first] == self.lost[last]))
+
+
+def integral(values: FloatArray, dt: float, most: int, times: int = 1) -> Integral:
+    """Values (N, k) integrated once or twice, across gaps of at most `most` samples, or of the
+    stream's own pace, as those of a line."""
+    total = joined_up(values, most)
+    there = np.asarray(np.isfinite(total).all(axis=1))
+    there = there[1:] & there[:-1]
     lost = np.concatenate([[0], np.cumsum(~there)])
-    out = total[n:] - total[:-n]
-    out[lost[n:] != lost[:-n]] = np.nan
-    return out
+    for _ in range(times):
+        steps = np.where(there[:, None], 0.5 * (total[1:] + total[:-1]) * dt, 0.0)
+        total = np.vstack([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
+        there = np.ones_like(there)
+    return Integral(total=total, lost=lost)
 
 
 def bridged(values: FloatArray, most: int) -> FloatArray:
@@ -84,8 +123,12 @@ def turned(how: str, quaternions: FloatArray, vectors: FloatArray) -> FloatArray
 def turns(quaternions: FloatArray, n: int) -> FloatArray:
     """Rotation vector (N - n, 3) [rad] in body axes over n samples from each on, of quaternions (N,
     4)."""
-    out = np.full((max(quaternions.shape[0] - n, 0), 3), np.nan)
-    before, after = quaternions[:-n], quaternions[n:]
+    return turns_between(quaternions[: max(quaternions.shape[0] - n, 0)], quaternions[n:])
+
+
+def turns_between(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Rotation vector (N, 3) [rad] in body axes from the one attitude to the other, (N, 4) each."""
+    out = np.full((before.shape[0], 3), np.nan)
     known = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
     if known.any():
         out[known] = numeric("difference", before[known], after[known])

@@ -18,6 +18,7 @@ from greybox.data.dataset import Flight
 from greybox.data.drive import drive_names, full_drive
 from greybox.data.impossible import without_impossible
 from greybox.data.raw import RawLog
+from greybox.data.repeats import without_repeats
 from greybox.errors import DataError
 
 FloatArray = npt.NDArray[np.float64]
@@ -43,8 +44,9 @@ class View:
 
     @functools.cached_property
     def possible(self) -> RawLog:
-        """The log without the samples that no craft can have made, as every command reads it."""
-        return without_impossible(self.raw, self.vehicle)
+        """The log without the repeats of slow streams and the samples that no craft can have made,
+        as every command reads it."""
+        return without_impossible(without_repeats(self.raw), self.vehicle)
 
     @functools.cached_property
     def increasing(self) -> RawLog:

@@ -17,6 +17,7 @@ from greybox.data.logs.canonical import to_channels
 from greybox.data.logs.table import Table
 from greybox.data.raw import RawLog
 from greybox.data.readers import LogMapping, Recording, read_columns, read_mapping
+from greybox.data.repeats import without_repeats
 from greybox.errors import DataError
 from greybox.takes import LOG, LOG_FILES, MAPPING, VEHICLE, takes
 
@@ -69,12 +70,12 @@ def read_possible(
     keep_impossible: bool = False,
 ) -> RawLog:
     """`read_table` with samples that this vehicle cannot have made as missing cells, listed in
-    `removed`.
+    `removed`, and with what only repeats a slow stream's last sample (`without_repeats`).
 
     The door by which every command and `read_logs` get logs; a data-fault check looks at
     `read_table`.
     """
-    raw = read_table(path, vehicle, mapping=mapping)
+    raw = without_repeats(read_table(path, vehicle, mapping=mapping))
     return raw if vehicle is None or keep_impossible else without_impossible(raw, vehicle)
 
 
