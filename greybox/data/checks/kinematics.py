@@ -28,6 +28,7 @@ from greybox.data.checks.relations import (
     joined,
     long_enough,
     mixed,
+    moments,
     searched,
 )
 from greybox.data.checks.spans import STARTS, Spans
@@ -116,7 +117,7 @@ def related(relation: Relation, view: View) -> Related | str:
     return Related(
         streams=streams,
         tried=_tried(streams.readings, view.dt, spans, given[0]),
-        prompt=given[1],
+        prompt=moments(first, spans, view.dt, np.array([0]), given[1]),
         size=size,
         sample=view.dt,
         apart=None if other is None else lambda: _tried(other(), view.dt, spans),

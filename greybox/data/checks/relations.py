@@ -191,9 +191,9 @@ def mixed(given: Reading, other: Reading, spans: Spans, dt: float, lag: float) -
     return mixture(size * y, x[0], x[1], starts)
 
 
-def searched(reading: Reading, spans: Spans, dt: float) -> tuple[Moments, Moments] | None:
-    """(the sums of a reading at the delays of its blocks, and over the same spans without a delay);
-    None where fewer than `FEWEST_BLOCKS` blocks are left.
+def searched(reading: Reading, spans: Spans, dt: float) -> tuple[Moments, IntArray] | None:
+    """(the sums of a reading at the delays of its blocks, the lags at which these know x, 0 among
+    them); None where fewer than `FEWEST_BLOCKS` blocks are left.
 
     The blocks' delays lie within `REACH` of a common one, which is looked for within `FARTHEST`.
     """
@@ -216,13 +216,13 @@ def at_the_edge(lag: float) -> bool:
 
 def _around(
     reading: Reading, spans: Spans, dt: float, centre: float
-) -> tuple[Moments, Moments] | None:
-    """The sums at the blocks' own lags around a common one, and at none."""
+) -> tuple[Moments, IntArray] | None:
+    """The sums at the blocks' own lags around a common one, and the lags at which x is known."""
     lags = _lags(dt, REACH, centre)
     lags = lags[np.abs(lags) <= round(FARTHEST / dt)]
     every = np.union1d(lags, [0])
-    own, none = (moments(reading, spans, dt, at, every) for at in (lags, np.array([0])))
-    return None if own is None or none is None else (own, none)
+    found = moments(reading, spans, dt, lags, every)
+    return None if found is None else (found, every)
 
 
 def _centre(reading: Reading, spans: Spans, dt: float) -> float:

@@ -6,6 +6,7 @@ of one rate have spans that start at every eighth of their length.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,16 +60,21 @@ class Spans:
         out[~there] = np.nan
         return np.asarray(out)
 
+    @functools.cached_property
+    def rates(self) -> FloatArray:
+        """What a constant rate makes of every increment (M,)."""
+        since = (self.rows - self.rows[:, :1]).astype(np.float64)
+        if self.rows.shape[1] > 2:
+            since *= 0.5 * since
+        return np.asarray((self.weights * since).sum(axis=1))
+
     def without_bias(self, values: FloatArray, which: IntArray) -> FloatArray:
         """Increments (len(which), k) of these spans, none missing, without what a constant rate
         explains of them."""
         if not self.centred:
             return values
-        since = (self.rows[which] - self.rows[which, :1]).astype(np.float64)
-        if self.rows.shape[1] > 2:
-            since *= 0.5 * since
-        rate = (self.weights[which] * since).sum(axis=1)
-        return np.asarray(values - np.outer(rate, rate @ values / max(float(rate @ rate), 1e-300)))
+        rate = self.rates[which]
+        return values - rate[:, None] * (rate @ values / max(float(rate @ rate), 1e-300))
 
 
 def spans(
