@@ -237,6 +237,7 @@ def estimate_imu_bias(
     *,
     attitude: FloatArray,
     velocity: FloatArray | None = None,
+    position: FloatArray | None = None,
     horizon: int = 25,
     gravity: float = GRAVITY,
     iterations: int = 3,
@@ -245,45 +246,52 @@ def estimate_imu_bias(
     """Biases that make dead reckoning over `horizon` steps agree with the measured pose of an
     adaptation window.
 
-    `attitude` (N, 4), `velocity` (N, 3) measured in the window, NaN = missing; the window lies
-    before every origin that the biases are used for, so that smoothed velocities are fair here.
-    Without velocity the accelerometer bias stays 0. `with_attitude_record` as in `dead_reckoning`.
+    `attitude` (N, 4), `velocity` (N, 3), `position` (N, 3) measured in the window, NaN = missing;
+    the window lies before every origin that the biases are used for, so that smoothed velocities
+    are fair here. Every measured attitude is an origin. A sensor that is slower than the IMU is
+    compared where it was measured next. Positions stand in for a velocity that is not measured;
+    without either the accelerometer bias stays 0. `with_attitude_record` as in `dead_reckoning`.
     Gauss-Newton on the errors in units of their typical size. Raises `DataError` for a window that
     is too short.
     """
-    starts = np.arange(len(imu.rate) - horizon)
-    usable = complete_rows(attitude)
-    if velocity is not None:
-        usable &= complete_rows(velocity)
-    starts = starts[usable[starts] & usable[starts + horizon]] if len(starts) else starts
-    if len(starts) < 2 * horizon:
+    starts = np.flatnonzero(complete_rows(attitude))
+    turned = _next_measured(attitude, starts + horizon)
+    moves, record = _moves(velocity, position, starts, horizon)
+    inside = np.all([row < len(attitude) for row in (turned, *moves)], axis=0)
+    reach = np.ptp(starts[inside]) + 1 if inside.any() else 0
+    if reach < 2 * horizon:
         raise DataError(
-            f"IMU bias: {len(starts)} origins in the adaptation window",
-            expected=f"at least {2 * horizon}",
+            f"IMU bias: origins over {reach * imu.sample_time:.3g} s of the adaptation window",
+            expected=f"at least {2 * horizon * imu.sample_time:.3g} s",
             fix="adapt on more seconds",
         )
     # Neighbouring origins share most of their samples.
-    starts = starts[:: max(1, horizon // 5)]
+    cell = (starts - starts[inside][0]) // max(1, horizon // 5)
+    kept = np.flatnonzero(inside)[np.unique(cell[inside], return_index=True)[1]]
+    starts, turned, moves = starts[kept], turned[kept], [row[kept] for row in moves]
 
     def errors(value: FloatArray) -> FloatArray:
         predicted = dead_reckoning(
             imu,
             starts,
             attitude=attitude[starts],
-            velocity=None if velocity is None else velocity[starts],
-            steps=horizon,
+            velocity=np.zeros((len(starts), 3)),
+            position=np.zeros((len(starts), 3)),
+            steps=int(np.max([turned, *moves] - starts)),
             bias=ImuBias(gyro=value[:3], accelerometer=value[3:]),
             gravity=gravity,
             attitude_record=attitude if with_attitude_record else None,
         )
-        turned = error_vectors("rotation", predicted["rotation"][:, -1], attitude[starts + horizon])
-        if velocity is None:
-            return turned.ravel() / 0.01
-        moved = error_vectors("velocity", predicted["velocity"][:, -1], velocity[starts + horizon])
+        end = predicted["rotation"][np.arange(len(starts)), turned - starts - 1]
         # 0.01 rad and 0.05 m/s are typical of a quarter of a second; only their ratio matters.
-        return np.concatenate([turned.ravel() / 0.01, moved.ravel() / 0.05])
+        out = [error_vectors("rotation", end, attitude[turned]).ravel() / 0.01]
+        if record is not None:
+            path = predicted["position" if velocity is None else "velocity"]
+            typical = 0.05 * (horizon * imu.sample_time if velocity is None else 1.0)
+            out.append(_moved(path, record, starts, moves).ravel() / typical)
+        return np.concatenate(out)
 
-    value, free = np.zeros(6), 3 if velocity is None else 6
+    value, free = np.zeros(6), 3 if record is None else 6
     for _ in range(iterations):
         at = errors(value)
         jacobian = np.stack(
@@ -291,3 +299,37 @@ def estimate_imu_bias(
         )
         value[:free] -= np.linalg.lstsq(jacobian, at, rcond=None)[0]
     return ImuBias(gyro=value[:3], accelerometer=value[3:])
+
+
+def _next_measured(record: FloatArray, rows: IntArray) -> IntArray:
+    """The first complete samples of `record` (N, d) at or after `rows`; N where there is none."""
+    seen = np.append(np.flatnonzero(complete_rows(record)), len(record))
+    return seen[np.minimum(np.searchsorted(seen, rows), len(seen) - 1)]
+
+
+def _moves(
+    velocity: FloatArray | None, position: FloatArray | None, starts: IntArray, horizon: int
+) -> tuple[list[IntArray], FloatArray | None]:
+    """(samples after every start between which the motion is compared, the record of it): two
+    velocities, or else three positions, whose start needs no velocity."""
+    record = position if velocity is None else velocity
+    if record is None:
+        return [], None
+    rows = [_next_measured(record, starts)]
+    for _ in range(1 if velocity is not None else 2):
+        rows.append(_next_measured(record, rows[-1] + horizon))
+    return rows, record
+
+
+def _moved(
+    path: FloatArray, record: FloatArray, starts: IntArray, rows: list[IntArray]
+) -> FloatArray:
+    """Errors (n, 3) of what a `path` (n, steps, 3) that starts from zero changes by between `rows`,
+    against the `record`; of three rows less what an unknown constant rate adds."""
+    begin = np.zeros((len(starts), 1, 3))
+    whole, each = np.concatenate([begin, path], axis=1), np.arange(len(starts))
+    first, *more = [whole[each, row - starts] - record[row] for row in rows]
+    if len(more) == 1:
+        return more[0] - first
+    share = ((rows[2] - rows[0]) / (rows[1] - rows[0]))[:, None]
+    return more[1] - first - share * (more[0] - first)

@@ -292,12 +292,15 @@ class _Work:
             return ImuBias.zero()
         begin = float(flight.segments[0].t[0])
         window = flight.segments[0].between(begin, begin + self.options.adapt - 1e-9)
-        velocity = _matrix(window, "velocity") if _has(flight.channels, "velocity") else None
+        moved = {
+            g: _matrix(window, g) for g in ("velocity", "position") if _has(flight.channels, g)
+        }
         try:
             return estimate_imu_bias(
                 _imu(window),
                 attitude=_matrix(window, "rotation"),
-                velocity=velocity,
+                velocity=moved.get("velocity"),
+                position=moved.get("position"),
                 gravity=self._gravity,
             )
         except DataError as error:

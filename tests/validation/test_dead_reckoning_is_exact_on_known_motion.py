@@ -83,6 +83,24 @@ def test_biases_are_recovered_from_an_adaptation_window_and_removed() -> None:
     assert with_bias["rotation"][-1] < 0.05 * without["rotation"][-1]
 
 
+@pytest.mark.parametrize("moved", ["velocity", "position"])
+@pytest.mark.parametrize(("every", "later"), [(1, 0), (10, 0), (10, 3), (40, 7)])
+def test_biases_are_recovered_whatever_the_rates_of_the_sensors(
+    moved: str, every: int, later: int
+) -> None:
+    """A pose of 10 Hz and less, which meets the attitude at no sample where it is `later`."""
+    position, velocity, attitude, rate, force = _motion()
+    gyro, acc = np.array([0.02, -0.03, 0.01]), np.array([0.1, 0.2, -0.15])
+    imu = ImuRecord.of(rate[:500] + gyro, force[:500] + acc, sample_time=DT)
+    slow = {"velocity": velocity, "position": position}[moved][:500].copy()
+    slow[np.arange(500) % every != later] = np.nan
+    posed = attitude[:500].copy()
+    posed[np.arange(500) % min(every, 5) != 0] = np.nan
+    bias = estimate_imu_bias(imu, attitude=posed, **{moved: slow})
+    np.testing.assert_allclose(bias.gyro, gyro, atol=2e-4)
+    np.testing.assert_allclose(bias.accelerometer, acc, atol=1e-2)
+
+
 def test_the_past_of_an_origin_does_not_matter_and_the_end_of_the_record_is_not_invented() -> None:
     position, velocity, attitude, rate, force = _motion()
     imu = ImuRecord.of(rate, force, sample_time=DT)
