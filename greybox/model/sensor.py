@@ -51,7 +51,9 @@ class Sensor(ABC):
     `colour_time` [s] is where a search for coloured noise begins, None where none is looked for;
     colour is told from forces only where one of the sensors `witnesses` sees the motion too (empty:
     always). `length` is what its columns together are at least and at most long, None where that
-    is open: what is shorter or longer is no reading.
+    is open: what is shorter or longer is no reading. A sensor of a `world` vector has its
+    innovation in body axes, and its own errors that last in those of the world, where they stay
+    while the craft turns.
     """
 
     name: ClassVar[str]
@@ -67,6 +69,7 @@ class Sensor(ABC):
     colour_time: ClassVar[float | None] = None
     witnesses: ClassVar[frozenset[str]] = frozenset()
     length: ClassVar[tuple[float, float] | None] = None
+    world: ClassVar[bool] = False
 
     @abstractmethod
     def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
@@ -86,12 +89,12 @@ class Sensor(ABC):
         """Ideal reading of the sensor at its own point, before the sensor-stage effects."""
 
     def innovation(self, y: Expr, y_hat: Expr, rotation: Expr) -> Expr:
-        """e = y - y_hat, in body axes where the sensor measures a world vector (see the members).
+        """e = y - y_hat, in body axes where the sensor measures a `world` vector.
 
         `rotation` is the predicted attitude, body to world. A filter has one gain for all headings:
         an innovation should depend on its error alike at all of them.
         """
-        return y - y_hat
+        return rotation.T @ (y - y_hat) if self.world else y - y_hat
 
     def starts(self, readings: FloatArray, t: FloatArray) -> tuple[Start, ...]:
         """What the first samples say of the states: `readings` (n, columns), NaN = missing, at the

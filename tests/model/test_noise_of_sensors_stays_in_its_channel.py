@@ -3,14 +3,17 @@ record."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from greybox.errors import ModelError, UnknownNameError
+from greybox.frames import numeric
 from greybox.model.dynamics import Dynamics
 from greybox.model.layer import physics_of
-from greybox.model.model import build_model
+from greybox.model.model import build_model, sensors_for
 from greybox.model.noise import Augmented, Coloured, Drift, Line, LowPass, with_white_sensors
 from greybox.model.vehicle import read_vehicle
 from greybox.plants.presets import x250
@@ -98,6 +101,47 @@ def test_noise_adds_to_the_innovation_of_its_sensor_alone(physics):
     assert after[model.states["line.accelerometer.s.az"]] == pytest.approx(
         0.7 * decay * np.sin(turn)
     )
+
+
+def test_errors_of_a_world_vector_stay_in_the_world_while_the_craft_turns(physics):
+    """A craft that turns by 3 rad/s: what GPS is off by stays where it is, the filter corrects it
+    alike at all headings, and a gyro's error goes along."""
+    sensors = sensors_for((*COLUMNS, "x", "y", "z"), physics.vehicle)
+    parts = (Coloured(sensor="position", time=10.0), Line(sensor="position", time=0.5))
+    model = Augmented(core=replace(physics, sensors=sensors), parts=parts)
+    step, _, innovation = functions(model)
+    x, p = start(model)
+    u, quiet = np.full(4, 0.5), np.zeros(len(model.noises))
+    own, seen = model.states["coloured.position.c.x"], model.innovations["position.x"]
+    x[own : own + 3], x[model.states["rate.z"]] = (0.3, -0.2, 0.1), 3.0
+    for _ in range(40):
+        x = step(x, u, p, quiet).full().ravel()
+    decayed = np.exp(-40 * DT / 10.0) * np.array([0.3, -0.2, 0.1])
+    assert x[own : own + 3] == pytest.approx(decayed, rel=1e-9)
+    y = np.zeros(len(model.outputs))
+    y[model.outputs["qw"]] = 1.0
+    without = x.copy()
+    without[own : own + 3] = 0.0
+    change = (innovation(y, x, u, p, quiet) - innovation(y, without, u, p, quiet)).full().ravel()
+    turn = numeric("matrix", x[[model.states[f"attitude.{c}"] for c in "wxyz"]]).reshape(3, 3)
+    assert abs(turn[0, 1]) > 0.5
+    assert change[seen : seen + 3] == pytest.approx(-turn.T @ decayed, abs=1e-12)
+    assert np.abs(np.delete(change, range(seen, seen + 3))).max() < 1e-12
+
+    d = np.zeros(len(model.error_states))
+    at = model.error_states["d_coloured.position.c.x"]
+    d[at : at + 9] = np.linspace(-0.4, 0.4, 9)
+    state, error = ca.SX.sym("x", x.size), ca.SX.sym("d", d.size)
+    plus = ca.Function("plus", [state, error], [model.boxplus(state, error)])
+    moved = plus(x, d).full().ravel()
+    assert moved[own : own + 3] - x[own : own + 3] == pytest.approx(turn @ d[at : at + 3])
+    other = ca.SX.sym("y", x.size)
+    minus = ca.Function("minus", [other, state], [model.boxminus(other, state)])
+    assert minus(moved, x).full().ravel() == pytest.approx(d, abs=1e-12)
+    corrected = (innovation(y, moved, u, p, quiet) - innovation(y, x, u, p, quiet)).full().ravel()
+    line = model.error_states["d_line.position.c.x"]
+    pushed = d[at : at + 3] + d[line : line + 3]
+    assert corrected[seen : seen + 3] == pytest.approx(-pushed, abs=1e-12)
 
 
 def test_a_filter_is_the_one_that_smooths_a_record(physics):

@@ -4,6 +4,9 @@
     w = (core's w, driving noise of every part); disturbances push the core's w
     e = core's e - own noise of the sensors; filtered sensors show their filter
 
+What errs in the world's axes enters e turned into the body's, and is driven and corrected in those:
+so the gain of the filter is one for all headings.
+
 White noise is no parts. Parts of sensors come first, in the order in which they were added, then
 disturbances in the order of the process noise. What the parts are is in their own files.
 """
@@ -19,6 +22,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError
+from greybox.frames import rotation_matrix
 from greybox.model.dynamics import Dynamics
 from greybox.model.layer import Layer, layers
 from greybox.model.noise.disturbance import Disturbance
@@ -172,6 +176,21 @@ class Augmented(Layer):
     def _core_p(self, p: Expr) -> Expr:
         return p[: len(self.core.parameters)]
 
+    def _turned(self, core: Expr, own: Expr, *, into_world: bool = True) -> Expr:
+        """What is in body axes of all own states, with those of the world's axes turned there; or
+        back."""
+        if not any(a.place.world for a in self._placed):
+            return own
+        rotation = rotation_matrix(core[[self.core.states[f"attitude.{c}"] for c in "wxyz"]])
+        turn = rotation if into_world else rotation.T
+        out = []
+        for a in self._placed:
+            mine = own[a.own]
+            if a.place.world:
+                mine = ca.vec(turn @ ca.reshape(mine, 3, len(a.part.copies)))
+            out.append(mine)
+        return ca.vertcat(*out)
+
     def _values(self, placed: _Placed, p: Expr) -> dict[str, Expr]:
         """Short name -> value of the part's parameters."""
         n = len(self.core.parameters) + placed.quantities.start
@@ -237,7 +256,8 @@ class Augmented(Layer):
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """Core's step with the disturbances held over it, and the step of every part."""
         core, own = self._split(x)
-        pushed, driving = self._pushed(own, w), w[len(self.core.noises) :]
+        pushed = self._pushed(own, w)
+        driving = self._turned(core, w[len(self.core.noises) :])
         y = (
             self.core.output(
                 t, core, window, self._core_p(p), self._white(w), dt, *given(self._push(own))
@@ -285,18 +305,21 @@ class Augmented(Layer):
         """That of the core less the sensors' own noise."""
         core, own = self._split(x)
         e = self.core.innovation(y, y_hat, core)
-        return e - self._errs @ own if self._errs.nnz() else e
+        if not self._errs.nnz():
+            return e
+        return e - self._errs @ self._turned(core, own, into_world=False)
 
     def boxplus(self, x: Expr, d: Expr) -> Expr:
-        """Core's chart, own states by addition."""
+        """Core's chart, own states by addition, in body axes."""
         core, own = self._split(x)
         n = len(self.core.error_states)
-        return ca.vertcat(self.core.boxplus(core, d[:n]), own + d[n:])
+        return ca.vertcat(self.core.boxplus(core, d[:n]), own + self._turned(core, d[n:]))
 
     def boxminus(self, x2: Expr, x1: Expr) -> Expr:
-        """Core's chart, own states by subtraction."""
+        """Core's chart, own states by subtraction, in body axes."""
         (core1, own1), (core2, own2) = self._split(x1), self._split(x2)
-        return ca.vertcat(self.core.boxminus(core2, core1), own2 - own1)
+        change = self._turned(core1, own2 - own1, into_world=False)
+        return ca.vertcat(self.core.boxminus(core2, core1), change)
 
     # ---------------------------------------------------------------- starts
 
@@ -363,6 +386,19 @@ def sensor_parts(dynamics: Dynamics) -> tuple[SensorPart, ...]:
 def disturbances(dynamics: Dynamics) -> tuple[Disturbance, ...]:
     """The disturbances of a model, under whatever layers; none without disturbance states."""
     return tuple(p for p in _parts(dynamics) if isinstance(p, Disturbance))
+
+
+def sensor_errors(dynamics: Dynamics) -> dict[tuple[str, ...], list[list[str]]]:
+    """Columns of a sensor -> names of the states that add to its innovation, components in order,
+    for each of its noise parts; of a model under whatever layers."""
+    found: dict[tuple[str, ...], list[list[str]]] = {}
+    for layer in layers(dynamics):
+        for part in layer.parts if isinstance(layer, Augmented) else ():
+            if isinstance(part, SensorPart) and not part.filters:
+                place = part.place(layer.base)
+                own = part.signals(place)[: len(place.rows)]
+                found.setdefault(place.readings, []).append([s.name for s in own])
+    return found
 
 
 def noise_states(dynamics: Dynamics) -> frozenset[str]:

@@ -29,14 +29,14 @@ class Coloured(SensorPart):
     time: float = 0.1
 
     def parameters(self, core: Dynamics) -> tuple[Parameter, ...]:
-        """T [s], one for all components."""
+        """T [s], one for all components (bounds 0.001 .. 100 s: as long as flights last)."""
         return (
             Parameter(
                 name=f"{self.name}.T",
                 unit="s",
                 nominal=self.time,
                 lower=0.001,
-                upper=1.0,
+                upper=100.0,
                 scale=self.time,
                 meaning=f"time constant, {self.kind} {self.sensor}",
             ),

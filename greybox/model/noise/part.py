@@ -26,12 +26,14 @@ from greybox.symbolic import Expr, FloatArray, Signal
 class Place:
     """Where a part acts: `signals` are its components (of the process noise, or of the innovation
     of a sensor), `rows` their places there, `readings` the names of the outputs of the sensor and
-    `columns` their places among the outputs."""
+    `columns` their places among the outputs. The own states of errors of a `world` vector are in
+    the axes of the world."""
 
     signals: tuple[Signal, ...]
     rows: tuple[int, ...]
     readings: tuple[str, ...] = ()
     columns: tuple[int, ...] = ()
+    world: bool = False
 
 
 class NoisePart(ABC):
@@ -145,6 +147,7 @@ class SensorPart(NoisePart):
                     rows=tuple(range(e, e + len(own))),
                     readings=tuple(c.name for c in columns),
                     columns=tuple(range(y, y + len(columns))),
+                    world=s.world and not self.filters,
                 )
             e, y = e + len(own), y + len(columns)
         raise UnknownNameError("sensor", self.sensor, [s.name for s in physics.sensors])

@@ -22,6 +22,7 @@ class Position(Sensor):
     noisiest_hint = "m, not mm"
     shows = "position"
     colour_time = 0.2
+    world = True
 
     def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """x, y, z."""
@@ -47,7 +48,3 @@ class Position(Sensor):
     def reading(self, flow: Flow, specific_force: Expr) -> Expr:
         """p - R c, c the centre of mass from the body origin."""
         return flow.position - flow.rotation @ flow.center_of_mass
-
-    def innovation(self, y: Expr, y_hat: Expr, rotation: Expr) -> Expr:
-        """R^T (y - y_hat)."""
-        return rotation.T @ (y - y_hat)

@@ -21,6 +21,7 @@ class Velocity(Sensor):
     noisiest_hint = "m/s, not mm/s"
     shows = "velocity"
     colour_time = 0.2
+    world = True
 
     def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """vx, vy, vz."""
@@ -42,7 +43,3 @@ class Velocity(Sensor):
     def reading(self, flow: Flow, specific_force: Expr) -> Expr:
         """v - R (omega x c), c the centre of mass from the body origin."""
         return flow.velocity_world - flow.rotation @ ca.cross(flow.omega, flow.center_of_mass)
-
-    def innovation(self, y: Expr, y_hat: Expr, rotation: Expr) -> Expr:
-        """R^T (y - y_hat)."""
-        return rotation.T @ (y - y_hat)
