@@ -3,6 +3,9 @@
 From origin k the state is x_hat(k+1 | k), the filter's, from measurements up to k; recorded
 commands drive k+1 .. k+H. Groups that the filter does not measure but whose state it carries
 (velocity, where only the position is measured causally) are read from the predicted state.
+
+What a sensor will read is predicted, its own lasting noise included as far as the filter knows it:
+the reference is that sensor, and holding its last value repeats that noise too.
 """
 
 from __future__ import annotations
@@ -19,9 +22,10 @@ from greybox.estimation.filtering import Filtered
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of, with_physics
+from greybox.model.noise import sensor_errors
 from greybox.model.sensors import SENSORS
 from greybox.symbolic import FloatArray, IntArray, evaluate
-from greybox.validation.groups import GROUPS, groups_of
+from greybox.validation.groups import GROUPS, Group, groups_of
 
 POSE = ("position", "velocity", "rotation")
 
@@ -39,6 +43,12 @@ class GroupReader:
             if all(c in outputs for c in g.columns)
         }
         self._velocity = None if "velocity" in self._columns else _velocity_reading(model)
+        errors, at = sensor_errors(model.dynamics), model.dynamics.states
+        self._errors = {
+            name: [[at[n] for n in own] for own in errors[self.table[name].columns]]
+            for name in self._columns
+            if self.table[name].columns in errors
+        }
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -61,7 +71,7 @@ class GroupReader:
     @property
     def needs_states(self) -> bool:
         """Whether the values are read from states too, not from the outputs alone."""
-        return self._velocity is not None
+        return self._velocity is not None or bool(self._errors)
 
     def values(
         self,
@@ -80,6 +90,10 @@ class GroupReader:
             parts = [states[..., rows], commands[..., moves]]
             flat = np.concatenate(parts, axis=-1).reshape(-1, len(rows) + len(moves))
             read["velocity"] = evaluate(reading(p), flat).reshape(*states.shape[:-1], 3)
+        for g, own in self._errors.items():
+            assert states is not None
+            error = np.sum([states[..., at] for at in own], axis=0)
+            read[g] = _erring(self.table[g], read[g], error)
         return {g: read[g] for g in self.groups}
 
     def read(self, ahead: OpenLoop) -> dict[str, FloatArray]:
@@ -87,6 +101,14 @@ class GroupReader:
         `needs_states`."""
         commands = ahead.commands if self.needs_states else None
         return self.values(ahead.outputs, ahead.states, ahead.p, commands)
+
+
+def _erring(kind: Group, value: FloatArray, error: FloatArray) -> FloatArray:
+    """Values (..., dimension) that differ by `error` (..., error dimension) from `value`."""
+    if kind.dimension == kind.error_dimension:
+        return value + error
+    turn = numeric("exp", error.reshape(-1, 3))
+    return numeric("multiply", value.reshape(-1, 4), turn).reshape(value.shape)
 
 
 def _velocity_reading(

@@ -46,6 +46,7 @@ from greybox.validation.horizon import (
     HorizonAccumulator,
     complete_origins,
     spread_origins,
+    strided,
 )
 from greybox.validation.horizon_table import HorizonTable
 from greybox.validation.horizons import HORIZONS, LONGEST, SAMPLES, horizons_of
@@ -338,7 +339,7 @@ class _Work:
                 predicted,
                 references,
                 part,
-                self._stated(propagator, filtered, part, predicted),
+                self._stated(propagator, filtered, part, predicted, references),
             )
             if self.options.measured_start:
                 predicted = predict_from(
@@ -419,11 +420,11 @@ class _Work:
         filtered: Filtered,
         origins: IntArray,
         predicted: Mapping[str, FloatArray],
+        references: Mapping[str, FloatArray],
     ) -> dict[str, FloatArray]:
         """Covariances of the errors ahead of every so many origins, NaN for the others."""
-        chosen = np.arange(
-            0, len(origins), max(1, round(STATED / self.model.sample_time / self.every))
-        )
+        every = max(1, round(STATED / self.model.sample_time / self.every))
+        chosen = strided(np.arange(len(origins)), every, references.values())
         try:
             some = stated_covariances(
                 propagator, filtered, origins[chosen], steps=self.steps, groups=predicted
