@@ -42,6 +42,7 @@ class Symptom(enum.Enum):
     OVERRULED = "a-measured-number-was-overruled"
     BOUNDS = "several-parameters-at-their-bounds"
     NOT_CONVERGED = "the-fit-did-not-converge"
+    START = "the-start-is-off"
     CLOCKS = "the-clocks-wander"
     FLIGHT_DIFFERS = "this-flight-differs-from-the-training-flights"
     SATURATED = "a-command-saturates"
@@ -118,6 +119,13 @@ ADVICE: tuple[Advice, ...] = (
         symptom=Symptom.NOT_CONVERGED,
         reason="the fit did not converge",
         action="fewer free parameters (--fixed), or better numbers in the vehicle file",
+    ),
+    Advice(
+        symptom=Symptom.START,
+        reason="a sensor errs for seconds, or the start is wrong: dead reckoning from there loses to "
+        "the last value too, whatever the forces are",
+        action="greybox fit without --noise-parts asks for noise that lasts; greybox check names "
+        "other faults",
     ),
     Advice(
         symptom=Symptom.CLOCKS,

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SCHEMA = "greybox.validate/1"
+HOLDS = 0.9
+"""Share of the errors below which a stated 95 % region is said to be too narrow: twice the misses."""
 
 
 class AdaptedOn(TypedDict):
@@ -164,8 +166,25 @@ class Validation(Shown):
         }
 
     def table_text(self) -> str:
-        """The multi-step tables as text, "" where there are none."""
-        return format_tables(self.tables, self.horizons) if self.tables else ""
+        """The multi-step tables as text, and which stated regions do not hold; "" where there are
+        no tables."""
+        if not self.tables:
+            return ""
+        return "\n".join([format_tables(self.tables, self.horizons), *self._too_narrow()])
+
+    def _too_narrow(self) -> list[str]:
+        """A line of the groups whose stated 95 % regions hold clearly fewer of the errors, each
+        where it holds the fewest."""
+        found = []
+        for name, errors in () if self.table is None else self.table.groups.items():
+            listed = [h for h in self.horizons if h <= len(errors.mae)]
+            if errors.coverage is None or not listed:
+                continue
+            share, least = min((float(errors.coverage[0.95][h - 1]), h) for h in listed)
+            if share < HOLDS:
+                at = f"{least * self.sample_time:.3g} s ahead"
+                found.append(f"{name.replace('_', ' ')} {share:.0%} {at}")
+        return [f"too narrow: the stated 95 % regions hold {', '.join(found)}"] if found else []
 
     def format(self) -> str:
         """Text for the terminal: the verdict, warnings, the multi-step tables, one-step errors and

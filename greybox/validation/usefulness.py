@@ -376,6 +376,8 @@ def _not_usable(weighed: _Weighed, grid: _Grid, hints: list[Hint]) -> _Finding:
         worst = next(c for c in weighed.idle if not c.calm)
     if np.isinf(worst.model[: at + 1]).any():
         hints = [*hints, Hint(symptom=Symptom.DIVERGED)]
+    if _starts_off(worst, grid):
+        hints = [*hints, Hint(symptom=Symptom.START)]
     lost = weighed.lost(grid)
     reason, action, anchor = likely(hints, _symptom(worst.kind, lost))
     line = (
@@ -385,6 +387,17 @@ def _not_usable(weighed: _Weighed, grid: _Grid, hints: list[Hint]) -> _Finding:
     return _Finding(
         outcome=Outcome.NOT_USABLE, line=line, reason=reason, action=action, anchor=anchor
     )
+
+
+def _starts_off(worst: _Comparison, grid: _Grid) -> bool:
+    """Whether dead reckoning, which knows all forces, loses to the last value too before the model
+    does, or where it does: what the two share is the start and the reference."""
+    if worst.floor is None or not worst.worse.any():
+        return False
+    until = slice(int(np.argmax(worst.worse)) + 1)
+    with np.errstate(invalid="ignore"):
+        lost = worst.floor[until] > (1.0 + grid.rule.equal) * worst.last[until]
+    return bool(lost.any())
 
 
 def _too_calm(weighed: _Weighed, grid: _Grid) -> _Finding:

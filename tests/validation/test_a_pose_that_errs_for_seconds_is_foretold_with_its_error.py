@@ -98,3 +98,13 @@ def test_one_sample_ahead_the_error_is_the_innovation(group: str):
     reference = segment.matrix(reader.table[group].columns)[origins + 1]
     expected = np.linalg.norm(run.innovations[origins + 1, rows], axis=1)
     np.testing.assert_allclose(error_norms(group, ahead, reference), expected, atol=2e-5)
+
+
+def test_regions_that_are_too_narrow_are_said_to_be():
+    sure = replace(white(1e-3), sensor_noise=np.append([1e-4] * 3, white(1e-3).sensor_noise[3:]))
+    sure = replace(sure, process_noise=0.01 * sure.process_noise)
+    segment = flown(every=1, seconds=8.0)
+    told = validate(sure, dataset(segment), use_compiler=False).format()
+    assert "too narrow: the stated 95 % regions hold position" in told
+    held = validate(white(1.0), dataset(segment), use_compiler=False).format()
+    assert "hold position" not in held

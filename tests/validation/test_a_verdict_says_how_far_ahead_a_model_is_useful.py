@@ -132,6 +132,22 @@ def test_worse_within_a_tenth_of_a_second_is_not_usable_and_says_from_where() ->
     assert found.line.count("\n") == 0
 
 
+@pytest.mark.parametrize("too", [True, False])
+def test_forces_are_not_to_blame_where_dead_reckoning_loses_as_well(too: bool) -> None:
+    """A position whose sensor errs for seconds, taken for white noise: the start is off."""
+    curve = held()["position"] + 0.5
+    best = {**floor(), "position": curve} if too else floor()
+    found = judge(
+        table("model", {**own(), "position": curve}),
+        table("persistence", held()),
+        table("dead reckoning", best),
+        hints=[Hint(symptom=Symptom.CLOCKS)] if too else [],
+    )
+    assert found.outcome is Outcome.NOT_USABLE
+    assert found.anchor == (Symptom.START if too else Symptom.POSITION).anchor
+    assert ("forces are wrong" in found.line) is not too
+
+
 def test_far_worse_at_half_a_second_is_not_usable_even_where_the_start_is_good() -> None:
     late = np.where(SECONDS < 0.3, 1.0, 8.0)
     assert verdict_of(own(rotation=late)).outcome is Outcome.NOT_USABLE
