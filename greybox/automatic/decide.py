@@ -5,9 +5,10 @@
    every flight, with disturbance states of force and torque, and foretell the part left out. Of
    the sets within one standard error of the best the one with the lowest BIC is taken, less the
    effects that nothing feels: one that is there and left out bends what it is taken for.
-3. Gyro and accelerometer get a low-pass filter and coloured noise where the innovations are not
-   white and BIC clearly asks for it: a filter that is left out looks like more lag of the motors,
-   colour that is left out like a slower filter. What is not felt with them goes.
+3. Where innovations are not white and BIC clearly asks for it, sensors of the pose get coloured
+   noise, then gyro and accelerometer a low-pass filter and coloured noise: a pose that errs for
+   seconds looks like force, a filter that is left out like more lag of the motors, colour that is
+   left out like a slower filter. What is not felt with them goes.
 4. The thrust scale gets a value per flight where flights differ by more than their errors.
 5. Errors up to half a second ahead replace the likelihood where that foretells better.
 """
@@ -22,8 +23,10 @@ import numpy as np
 
 from greybox.automatic.facts import Facts
 from greybox.automatic.filters import (
+    Part,
     described,
     is_felt,
+    lasting_poses,
     offered_parts,
     with_noise_parts,
     without_noise_of,
@@ -55,6 +58,7 @@ from greybox.model.given_values import demand_given
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel, build_model, input_of
 from greybox.model.noise import Coloured, LowPass, part_named
+from greybox.model.noise.low_pass import FILTERED
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
 from greybox.statistics.distributions import chi_square_tail
@@ -219,6 +223,9 @@ class _Decider:
             return self._decided(steps[:1], options, None)
         tried = self._nested(steps, options, first, parts)
         chosen = self._without_unfelt(likeliest_of_the_good(tried), options, parts)
+        options, posed = self._poses(options, chosen, parts)
+        if posed is not chosen:
+            chosen = self._without_unfelt(posed, options, parts)
         options, noisy, reason = self._filters(options, chosen, parts)
         if noisy is not chosen:
             chosen = self._without_unfelt(noisy, options, parts)
@@ -583,40 +590,77 @@ class _Decider:
         if offered and self._pose_may_be_late() and not _shared(steps, LATE_POSE):
             clocks = [s for s in self.largest if _shared((s,), LATE_POSE)]
             steps = (*steps, *(clocks or [LATE_POSE]))
+        own, again, said = self._with_noise(options, first, steps, offered, parts)
+        if again is None:
+            return options, first, said or reason
+        better = again.score.mean < max(1.0, first.score.mean)
+        said += "; a filter that is left out looks like more lag of the motors"
+        if self._clearer(again, first) and better:
+            return own, again, said
+        return options, first, said
+
+    def _poses(
+        self, options: FitOptions, first: Candidate, parts: tuple[Dataset, Dataset]
+    ) -> tuple[FitOptions, Candidate]:
+        """(options, candidate) with coloured noise of the sensors of the pose whose innovations are
+        not white, where BIC clearly asks for it and pieces left out are foretold better."""
+        if "noise_parts" in self.given.choices or "free" in self.given.choices:
+            return options, first
+        offered = lasting_poses(first.likelihood)
+        own, again, said = self._with_noise(options, first, first.steps, offered, parts)
+        if not offered or not said:
+            return options, first
+        better = again is not None and again.score.mean < first.score.mean
+        if again is None or not better or not self._clearer(again, first):
+            self._note("noise of the pose", "white", said, "--noise-parts")
+            return options, first
+        felt = [p for p in map(part_named, own.noise_parts) if isinstance(p, Coloured)]
+        choice = ", ".join(described(p, again.likelihood) for p in felt)
+        self._note("noise of the pose", choice, said, "--noise-parts")
+        return own, again
+
+    def _clearer(self, again: Candidate, first: Candidate) -> bool:
+        return first.likelihood.bic - again.likelihood.bic > CLEAR_EVIDENCE
+
+    def _with_noise(
+        self,
+        options: FitOptions,
+        first: Candidate,
+        steps: tuple[Step, ...],
+        offered: Sequence[Part],
+        parts: tuple[Dataset, Dataset],
+    ) -> tuple[FitOptions, Candidate | None, str]:
+        """(options, candidate, reason) with those of the `offered` parts that are felt together;
+        None where none is."""
         while offered:
             own = with_noise_parts(options, offered, first.likelihood)
             # a delay has taken what a filter is late: it lets go, or the search stays where it was
             begun = self._likelihood(steps, own, first, parts, afresh=TAKES_LATENESS)
-            felt = offered
+            felt = tuple(offered)
             if begun is not None:
                 felt = tuple(p for p in offered if is_felt(p, begun.likelihood))
-            if felt != offered:
+            if felt != tuple(offered):
                 offered = felt
                 continue
             again = None if begun is None else self._judged(begun, parts)
             if again is None:
-                reason = "no fit with one"
-                break
+                return options, None, "no fit with one"
             gain, score = first.likelihood.bic - again.likelihood.bic, again.score.mean
             both = " together with a late pose" if steps != first.steps else ""
-            reason = (
+            return (
+                own,
+                again,
                 f"its innovations are not white; BIC {'falls' if gain > 0 else 'rises'} by "
                 f"{abs(gain):.0f}{both}, the squared error ahead goes from {first.score.mean:.3f} "
-                "to "
-                f"{score:.3f} of the last value's; a filter that is left out looks like more lag "
-                "of "
-                "the motors"
+                f"to {score:.3f} of the last value's",
             )
-            if gain > CLEAR_EVIDENCE and score < max(1.0, first.score.mean):
-                return own, again, reason
-            break
-        return options, first, reason
+        return options, None, ""
 
     def _say_noise(self, chosen: Candidate, reason: str) -> None:
         if "noise_parts" in self.given.choices:
             return
         parts = [part_named(n) for n in chosen.likelihood.settings["noise_parts"]]
-        of_imu = [p for p in parts if isinstance(p, LowPass | Coloured)]
+        of_imu = [p for p in parts if isinstance(p, LowPass | Coloured) and p.sensor in FILTERED]
         said = ", ".join(described(p, chosen.likelihood) for p in of_imu) or "white"
         self._note("noise of the IMU", said, reason, "--noise-parts")
 

@@ -1,10 +1,13 @@
-"""Noise of gyro and accelerometer: filters and colour, which are offered, and which are felt.
+"""Noise of sensors: filters and colour, which are offered, and which are felt.
 
 An IMU that is filtered at 30 Hz answers 5 ms late. Left out, that is taken for lag of the motors
 and motion that the gyro did not see; as a part of the model it is a time constant with an error. A
 filter also colours the noise that passes it. Errors that last longer than a filter (temperature,
 structure) are colour, too: in a model without `Coloured` the filter's time constant explains them.
 So both are offered together, and every level is free.
+
+A pose may err for seconds (GPS, the attitude of an estimator). Taken for white noise, such an error
+drags the craft along, and its time constant is then looked for in forces and in the gyro.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from greybox.estimation.fit import noise_of
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.model.layer import physics_of
-from greybox.model.noise import Coloured, LowPass
+from greybox.model.noise import Coloured, LowPass, NoisePart, SensorPart
 from greybox.model.noise.low_pass import FILTERED
 from greybox.statistics.evidence import FELT
 from greybox.statistics.whiteness import is_coloured
@@ -46,12 +49,42 @@ def offered_parts(fitted: Fit) -> tuple[Part, ...]:
     return parts if rows and is_coloured(records) else ()
 
 
+def lasting_poses(fitted: Fit) -> tuple[Coloured, ...]:
+    """Colour for each sensor of the pose and its rate whose innovations are not white, each in its
+    own samples: most are slower than the model."""
+    physics = physics_of(fitted.model.dynamics)
+    if physics is None:
+        return ()
+    found = []
+    for s in physics.sensors:
+        if s.colour_time is None or s.name in FILTERED:
+            continue
+        part = Coloured(sensor=s.name)
+        rows = list(part.place(physics).rows)
+        each = [e[:, rows] for own in fitted.innovations.values() for e in own]
+        if is_coloured([e[np.isfinite(e).all(axis=1)] for e in each]):
+            found.append(part)
+    return tuple(found)
+
+
 def is_felt(part: Part, fitted: Fit) -> bool:
-    """Whether its time constant is clear of its lower bound, and that of a filter of an IMU."""
+    """Whether its time constant is clear of its lower bound, and that of a filter of an IMU. Of
+    noise that lasts few flights know how long: its error counts in factors, as its scale does."""
+    if is_endless(part, fitted):
+        return True
     found = fitted.parameters[f"{part.name}.T"]
     lower = next(d.lower for d in fitted.model.dynamics.parameters if d.name == f"{part.name}.T")
-    clear = not found.at_bound and lower + FELT * found.std < found.value
-    return clear and (not part.filters or found.value < LONGEST)
+    if found.at_bound or not part.filters:
+        return not found.at_bound and lower * np.exp(FELT * found.std / found.value) < found.value
+    return lower + FELT * found.std < found.value < LONGEST
+
+
+def is_endless(part: NoisePart, fitted: Fit) -> bool:
+    """Whether it is noise that lasts longer than any flight, which is at its upper bound."""
+    found = fitted.parameters[f"{part.name}.T"]
+    upper = next(d.upper for d in fitted.model.dynamics.parameters if d.name == f"{part.name}.T")
+    filters = isinstance(part, SensorPart) and part.filters
+    return not filters and found.at_bound and found.value == upper
 
 
 def described(part: Part, fitted: Fit) -> str:

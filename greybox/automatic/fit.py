@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.automatic.decide import QUICK, Decided, Given, Say
-from greybox.automatic.filters import without_parts
+from greybox.automatic.filters import is_endless, without_parts
 from greybox.automatic.flights import LeftOut, needed_rate, raw_log, sound_flights
 from greybox.automatic.pieces import first_parts
 from greybox.automatic.sets import BASE
@@ -35,6 +35,7 @@ from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import own_parameters
 from greybox.model.model import build_model
+from greybox.model.noise import part_named
 from greybox.model.vehicle import Vehicle
 from greybox.validation.calibration import calibrated
 from greybox.validation.sanity import sanity_of
@@ -225,7 +226,8 @@ def _carried_out(
             recipe = _without(recipe, gone)
             continue
         filters = () if "noise_parts" in said.choices else recipe.options.noise_parts
-        if lost := tuple(f for f in filters if any(n.startswith(f"{f}.") for n in bent)):
+        short = [f for f in filters if not is_endless(part_named(f), found)]
+        if lost := tuple(f for f in short if any(n.startswith(f"{f}.") for n in bent)):
             step_down(f"without {', '.join(lost)}", "its time constant ran to a bound")
             recipe = replace(recipe, options=without_parts(recipe.options, lost))
             continue
