@@ -112,6 +112,7 @@ class _Sums:
     blocks: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
     origins: int = 0
     left_out: int = 0
+    interval: int = 1
 
     @classmethod
     def zeros(cls, steps: int) -> _Sums:
@@ -202,6 +203,8 @@ class HorizonAccumulator:
             if not present.any():
                 continue
             own = sums.setdefault(name, _Sums.zeros(self.steps))
+            apart = np.diff(np.flatnonzero(present))
+            own.interval = max(own.interval, int(np.median(apart)) if apart.size else 1)
             keep = self._usable(present, starts)
             own.left_out += int(len(starts) - keep.sum())
             own.origins += int(keep.sum())
@@ -315,4 +318,5 @@ def _finish(parts: Sequence[_Sums]) -> GroupErrors:
         block_counts=np.array([count for p in parts for _, count in p.blocks]),
         coverage=coverage,
         nlpd=nlpd,
+        interval=min(p.interval for p in parts),
     )

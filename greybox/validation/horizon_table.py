@@ -63,7 +63,8 @@ class GroupErrors:
     a standard error is made of. Predictors that were given the same origins have the same blocks.
     `coverage` maps a level to the fraction of error vectors inside the ellipsoid that the stated
     covariance gives to that level, (H,); `nlpd` (H,) is the mean negative log density of the error
-    vectors [nat]. None: nothing stated.
+    vectors [nat]. None: nothing stated. References are mostly `interval` samples apart: tables list
+    no horizon below that, where an error is that of the last reference's age.
     """
 
     mae: FloatArray
@@ -76,6 +77,11 @@ class GroupErrors:
     block_counts: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     coverage: Mapping[float, FloatArray] | None = None
     nlpd: FloatArray | None = None
+    interval: int = 1
+
+    def lists(self, h: int) -> bool:
+        """Whether a table has something to say `h` samples ahead."""
+        return self.interval <= h <= len(self.mae)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -131,6 +137,7 @@ class HorizonTable(Shown):
             for h in steps
             if h <= self.steps
             for name, e in self.groups.items()
+            if e.lists(h)
         ]
 
     def plot(self, ax: Sequence[Axes] | None = None) -> list[Axes]:
@@ -149,7 +156,7 @@ class HorizonTable(Shown):
                 "groups": {
                     g: _cell(self.kinds[g].unit, e, h - 1)
                     for g, e in groups.items()
-                    if e.n[h - 1] > 0
+                    if e.n[h - 1] > 0 and e.lists(h)
                 },
             }
             for h in horizons
@@ -247,7 +254,8 @@ def format_tables(tables: Sequence[HorizonTable], horizons: Sequence[int] | None
             if g not in t.groups:
                 continue
             cells = "".join(
-                f"{t.groups[g].mae[h - 1]:>10.4f}" if h <= t.steps else f"{'-':>10}" for h in wanted
+                f"{t.groups[g].mae[h - 1]:>10.4f}" if t.groups[g].lists(h) else f"{'-':>10}"
+                for h in wanted
             )
             lines.append(f"  {t.label:<{width}}{cells}{t.simerr()[g]:>10.3f}")
     return "\n".join(lines)

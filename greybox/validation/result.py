@@ -177,7 +177,7 @@ class Validation(Shown):
         where it holds the fewest."""
         found = []
         for name, errors in () if self.table is None else self.table.groups.items():
-            listed = [h for h in self.horizons if h <= len(errors.mae)]
+            listed = [h for h in self.horizons if errors.lists(h)]
             if errors.coverage is None or not listed:
                 continue
             share, least = min((float(errors.coverage[0.95][h - 1]), h) for h in listed)

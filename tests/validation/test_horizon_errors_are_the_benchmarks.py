@@ -210,3 +210,18 @@ def test_a_stride_is_fixed_where_every_row_is_measured() -> None:
 
 def test_every_row_is_an_origin_of_its_own_where_none_is_left_out() -> None:
     assert np.array_equal(spread_origins(np.arange(30), 1), np.arange(30))
+
+
+def test_a_table_lists_no_horizon_that_a_slower_reference_has_not() -> None:
+    """One sample ahead of a reference of 10 Hz is the age of the last one, not .01 s."""
+    reference = np.full((200, 3), np.nan)
+    reference[::10] = np.arange(20)[:, None]
+    origins = np.arange(10, 140)
+    held = persistence({"position": reference}, origins, steps=50)
+    rows = HorizonAccumulator(label="held", sample_time=0.01, missing="step")
+    rows.add("a", held, {"position": reference}, origins)
+    table = rows.table()
+    assert table.groups["position"].interval == 10
+    one, ten = table.to_dict([1, 10])["horizons"]
+    assert one["groups"] == {} and ten["groups"]["position"]["mae"] == pytest.approx(3**0.5)
+    assert table.format([1, 10]).splitlines()[-1].split()[1:3] == ["-", "1.7321"]
