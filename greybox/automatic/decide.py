@@ -29,6 +29,7 @@ from greybox.automatic.filters import (
     lasting_poses,
     offered_parts,
     with_noise_parts,
+    without_least_sure,
     without_noise_of,
 )
 from greybox.automatic.foretell import Score, foretell
@@ -610,6 +611,12 @@ class _Decider:
         own, again, said = self._with_noise(options, first, first.steps, offered, parts)
         if not offered or not said:
             return options, first
+        while again is not None and (rest := without_least_sure(again.likelihood)):
+            # the error of one sensor colours the innovations of the others
+            less = self._with_noise(options, first, first.steps, rest, parts)
+            if less[1] is None or less[1].likelihood.bic >= again.likelihood.bic:
+                break
+            own, again, said = less
         better = again is not None and again.score.mean < first.score.mean
         if again is None or not better or not self._clearer(again, first):
             self._note("noise of the pose", "white", said, "--noise-parts")

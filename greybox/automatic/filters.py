@@ -21,7 +21,7 @@ from greybox.estimation.fit import noise_of
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.model.layer import physics_of
-from greybox.model.noise import Coloured, LowPass, NoisePart, SensorPart
+from greybox.model.noise import Coloured, LowPass, NoisePart, SensorPart, part_named
 from greybox.model.noise.low_pass import FILTERED
 from greybox.statistics.evidence import FELT
 from greybox.statistics.whiteness import is_coloured
@@ -65,6 +65,19 @@ def lasting_poses(fitted: Fit) -> tuple[Coloured, ...]:
         if is_coloured([e[np.isfinite(e).all(axis=1)] for e in each]):
             found.append(part)
     return tuple(found)
+
+
+def without_least_sure(fitted: Fit) -> tuple[Coloured, ...]:
+    """The colours of a fit less the one whose time constant has the largest error; none of a
+    single one."""
+    own = [part_named(n) for n in fitted.settings["noise_parts"]]
+    found = [p for p in own if isinstance(p, Coloured)]
+
+    def doubt(part: Coloured) -> float:
+        time = fitted.parameters[f"{part.name}.T"]
+        return np.inf if time.at_bound else time.std / time.value
+
+    return tuple(sorted(found, key=doubt)[:-1])
 
 
 def is_felt(part: Part, fitted: Fit) -> bool:

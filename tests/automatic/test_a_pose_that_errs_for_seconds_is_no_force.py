@@ -13,6 +13,7 @@ from greybox.data import Dataset
 from tests.automatic.craft import IMU, POSE, flight, flown, vehicle
 
 DT, EVERY = 0.01, 5
+VELOCITY = ("vx", "vy", "vz")
 SIGMA, TIME = 0.3, 15.0
 """Of the error that lasts [m, s]."""
 
@@ -30,7 +31,10 @@ def decided(lasts: bool, **choices: object) -> Decided:
                 track[k] = error
             seen[c] = seen[c] + (track if lasts else 0.01 * rng.standard_normal(n))
             seen[c][np.arange(n) % EVERY != 0] = np.nan
-        parts.append(flight(seen, f"run{i}", (*IMU, *POSE)).flights[0])
+        for c in VELOCITY:
+            seen[c] = seen[c] + 0.05 * rng.standard_normal(n)
+            seen[c][np.arange(n) % EVERY != 0] = np.nan
+        parts.append(flight(seen, f"run{i}", (*IMU, *POSE, *VELOCITY)).flights[0])
     ready = prepare(vehicle(), Dataset(flights=tuple(parts)))
     given = Given(effects=("motor_lag", "command_delay"), choices=choices)  # type: ignore[arg-type]
     return decide(vehicle(), ready.data, facts_of(ready.data, vehicle(), ready.report), given)
@@ -38,7 +42,7 @@ def decided(lasts: bool, **choices: object) -> Decided:
 
 def test_noise_that_lasts_is_found_where_it_is():
     found = decided(lasts=True)
-    assert "coloured.position" in found.recipe.options.noise_parts
+    assert found.recipe.options.noise_parts == ("coloured.position",)
     (one,) = [d for d in found.decisions if d.about == "noise of the pose"]
     assert one.choice.startswith("coloured.position") and one.option == "--noise-parts"
     assert found.candidate is not None
