@@ -119,11 +119,13 @@ def prepare(
     """
     trim = not isinstance(logs, Dataset)
     raws = [raw_log(f) for f in logs] if isinstance(logs, Dataset) else list(logs)
-    raws = [without_repeats(r) for r in raws]
+    whole = raws
+    raws = [without_repeats(r) for r in whole]
+    slow = any(a is not b for a, b in zip(raws, whole, strict=True))
     if not keep_impossible:  # a log that was read with this vehicle has nothing left to remove
         raws = [r if r.removed else without_impossible(r, vehicle) for r in raws]
     removed = tuple(x for r in raws for x in r.removed)
-    if isinstance(logs, Dataset) and removed == logs.removed:
+    if isinstance(logs, Dataset) and removed == logs.removed and not slow:
         data = logs
     else:
         own_rate = rate if not decide_rate else None

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from greybox.data.repeats import LATE
 from greybox.runs import runs
 
 FloatArray = npt.NDArray[np.float64]
@@ -43,6 +44,17 @@ def _held(values: FloatArray) -> FloatArray:
     return np.where(last >= 0, values[np.maximum(last, 0)], 0.0)
 
 
+def _handed_on(values: FloatArray) -> FloatArray:
+    """Samples of a slow stream in the rows until the next; what is missing longer stays so."""
+    known = np.flatnonzero(np.isfinite(values))
+    if known.size < 2:
+        return values
+    last = np.searchsorted(known, np.arange(values.size), side="right") - 1
+    age = np.arange(values.size) - known[np.maximum(last, 0)]
+    there = (last >= 0) & (age <= LATE * int(np.median(np.diff(known))))
+    return np.where(there, values[known[np.maximum(last, 0)]], np.nan)
+
+
 def airborne(
     t: FloatArray,
     channels: Mapping[str, FloatArray],
@@ -64,7 +76,7 @@ def airborne(
     if top <= 0.0:
         return everything, ("the motors never ran: take-off and landing not looked for",)
     level = float(np.median(mean[mean > 0.3 * top]))
-    height = channels.get("z")
+    height = _handed_on(channels["z"]) if "z" in channels else None
     ground = _with_take_off_and_landing(t, mean / level, height, _standing(t, mean / level, height))
     covers = np.zeros(t.size + 1, dtype=np.int64)
     for first, last in ground:

@@ -14,7 +14,7 @@ import numpy as np
 
 from greybox.data.channel import group_names
 from greybox.data.raw import RawLog
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray, IntArray
 
 MEASURED = ("attitude", "position", "velocity")
 """Groups whose repeats become missing."""
@@ -24,6 +24,8 @@ ALIKE = 0.8
 """Share of the runs that have about the usual length, of two rows or more ..."""
 SLACK = 0.2
 """... within one row, or within this share of it."""
+LATE = 4
+"""Samples that may come late in a row; what stays longer stands still."""
 SOME = 5
 """Runs of at least this many rows may also be two or three of them that are equal."""
 
@@ -63,7 +65,9 @@ def held(raw: RawLog, group: str, names: tuple[str, ...]) -> Held | None:
     rows = held_over(values[known])
     if rows < 2:
         return None
-    step = float(np.median(np.abs(np.diff(raw.t[known]))))
+    step = float(np.ptp(raw.t[known])) / (int(known.sum()) - 1)  # coarse stamps may be equal
+    if step == 0.0:
+        return None
     return Held(group=group, names=names, rows=rows, interval=rows * step)
 
 
@@ -84,10 +88,20 @@ def without_repeats(raw: RawLog) -> RawLog:
         values = np.column_stack([raw.channels[n] for n in one.names])
         known = np.flatnonzero(np.isfinite(values).all(axis=1))
         same = (np.diff(values[known], axis=0) == 0.0).all(axis=1)
-        values[known[1:][same]] = np.nan
+        since = _since_new(same)
+        # a stream that stands still longer than samples come late goes on at its own pace
+        again = (since >= LATE * one.rows) & (since % one.rows == 0)
+        values[known[(since > 0) & ~again]] = np.nan
         new |= {n: values[:, i] for i, n in enumerate(one.names)}
     notes = tuple(f"{h.group}: {said(h)}" for h in slow)
     return replace(raw, channels={**raw.channels, **new}, notes=(*raw.notes, *notes))
+
+
+def _since_new(same: BoolArray) -> IntArray:
+    """Rows (N,) since the last that was not the same as the one before it (N - 1,)."""
+    rows = np.arange(same.size + 1)
+    new = np.concatenate([[True], ~same])
+    return rows - np.maximum.accumulate(np.where(new, rows, 0))
 
 
 def said(one: Held) -> str:

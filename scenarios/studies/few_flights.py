@@ -91,6 +91,7 @@ def judged(name: str, train: Sequence[str], methods: Sequence[str], folder: Path
                 f"{g} {h['seconds']:g}": {k: h["groups"][g].get(k) for k in ("mae", "coverage95")}
                 for h in told["horizons"]
                 for g in GROUPS
+                if g in h["groups"]
             }
             for flight, told in found["multi_step"]["per_flight"].items()
         }

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from faults import real, vehicle
 
-from greybox.data import RawLog, read_log, read_table
+from greybox.automatic.fit import prepare
+from greybox.data import RawLog, dataset_from_arrays, read_log, read_table
 from greybox.data.checks import check
 from greybox.data.checks.finding import Finding
 from greybox.data.repeats import held_over, without_repeats
@@ -145,3 +146,45 @@ def test_an_imu_that_repeats_is_warned_of() -> None:
     raw, craft = flown()
     (found,) = of_held(carried_on(raw, ("p", "q", "r"), 2), craft)
     assert found.severity == "warning" and "every sample comes 2 times" in found.message
+
+
+def test_equal_stamps_of_a_held_log_are_the_clocks_finding():
+    """A rate of stamps that are equal was a division by zero."""
+    raw, craft = flown()
+    slow = carried_on(raw, (*P, *V, *Q), 10)
+    for t in (np.floor(slow.t / 0.05) * 0.05, np.full(slow.n, 3.0)):
+        found = check([replace(slow, t=t)], craft).findings
+        assert any(f.check == "clock" and f.severity == "blocking" for f in found)
+
+
+def test_a_slow_pose_that_freezes_is_found():
+    raw, craft = flown()
+    slow = carried_on(raw, (*P, *V, *Q), 10)
+    stuck = {n: slow.channels[n].copy() for n in P}
+    for v in stuck.values():
+        v[800:1100] = v[800]
+    found = check([replace(slow, channels={**slow.channels, **stuck})], craft).findings
+    frozen = [f for f in found if f.check == "frozen"]
+    assert [f.severity for f in frozen] == ["blocking"]
+    assert frozen[0].evidence["longest_s"] == pytest.approx(3.0, abs=0.15)
+    assert not any(f.check == "frozen" for f in check([slow], craft).findings)
+
+
+def test_flights_in_memory_lose_their_repeats_too():
+    raw, craft = flown()
+    slow = carried_on(raw, (*P, *V, *Q), 10)
+    data = dataset_from_arrays(slow.t, dict(slow.channels))
+    kept = prepare(craft, data, decide_rate=False).data
+    x = np.concatenate([s.channels["x"] for f in kept for s in f.segments])
+    assert 0.05 < np.isfinite(x).mean() < 0.2
+
+
+@pytest.mark.parametrize("names", [V, Q])
+def test_a_stream_that_stands_still_is_frozen_and_of_no_unit(names):
+    """Zeros for a velocity were 8.1e+150 times as small as the motion, and a unit was blamed."""
+    raw, craft = flown()
+    still = {n: np.zeros(raw.n) for n in names} | ({"qw": np.ones(raw.n)} if names == Q else {})
+    found = check([replace(raw, channels={**raw.channels, **still})], craft).findings
+    blocked = {f.check for f in found if f.severity == "blocking"}
+    assert "frozen" in blocked
+    assert not blocked & {"motion", "attitude"}

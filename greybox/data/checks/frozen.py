@@ -12,6 +12,7 @@ import numpy as np
 from greybox.data.channel import group_names
 from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.view import FloatArray, View
+from greybox.data.repeats import LATE, held_over
 from greybox.runs import runs
 
 GROUPS = ("rate", "specific_force", "attitude", "position", "velocity")
@@ -51,7 +52,7 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             check="frozen", flight=view.name, reason="no airborne stretch on a usable clock"
         )
         return
-    log = view.increasing
+    log = view.as_logged  # what a slow stream repeats, too
     first, last = view.flight.segments[0].t[0], view.flight.segments[-1].t[-1]
     rows = slice(*np.searchsorted(log.t, [first, last]).tolist())
     t = log.t[rows]
@@ -69,8 +70,9 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         dead = [n for n, same in zip(names, low == high, strict=True) if same]
         if dead and len(dead) < len(names) and group in ("rate", "specific_force"):
             yield _dead(view, dead)
-        runs = [(a, b) for a, b in frozen_runs(values, need) if view.in_flight(t[a])]
-        if not runs or not (len(dead) == len(names) or _moves(values, need)):
+        longer = max(need, LATE * held_over(values[known.all(axis=1)]))
+        runs = [(a, b) for a, b in frozen_runs(values, longer) if view.in_flight(t[a])]
+        if not runs or not (len(dead) == len(names) or _moves(values, longer)):
             continue
         longest = max(runs, key=lambda ab: ab[1] - ab[0])
         total = sum(b - a for a, b in runs)

@@ -40,6 +40,8 @@ PART = 0.1
 """Share of the motion that is a good part of it."""
 MOST_OTHERS = 2
 """Other readings that are named where they explain about as much."""
+STILL = 1e-9
+"""Share of the motion of one stream below which another does not move at all."""
 LATE = 0.05
 """Delays from here on are said [s], and from two samples."""
 
@@ -107,12 +109,15 @@ def related(relation: Relation, view: View) -> Related | str:
         return streams
     first, spans = streams.readings[0], streams.spans
     # A stream of the wrong unit may seem to stand still: the craft moves where either says so.
-    size = max(_moved(first.y, spans), _moved(spans.over(first.x), spans))
+    sizes = _moved(first.y, spans), _moved(spans.over(first.x), spans)
+    size = max(sizes)
     given = searched(first, spans, view.dt)
     if given is None:
         return _too_few(view, first, spans)
     if size < relation.least:
         return f"the craft hardly moves ({size:.2g} per {spans.length * view.dt:.2g} s)"
+    if min(sizes) <= STILL * size:  # `frozen` names it
+        return "one of the streams stands still"
     other = streams.apart
     return Related(
         streams=streams,

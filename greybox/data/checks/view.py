@@ -51,16 +51,12 @@ class View:
     @functools.cached_property
     def increasing(self) -> RawLog:
         """The possible samples without the rows whose time is not later than all times before."""
-        raw = self.possible
-        t = raw.t
-        good = np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
-        return replace(
-            raw,
-            t=t[good],
-            channels={k: v[good] for k, v in raw.channels.items()},
-            extra={},
-            rows=raw.rows[good],
-        )
+        return _increasing(self.possible)
+
+    @functools.cached_property
+    def as_logged(self) -> RawLog:
+        """The same with what slow streams repeat."""
+        return _increasing(without_impossible(self.raw, self.vehicle))
 
     @functools.cached_property
     def clock(self) -> Clock | None:
@@ -163,3 +159,16 @@ class View:
         for part in parts[1:]:
             out += [pad, part]
         return np.vstack(out)
+
+
+def _increasing(raw: RawLog) -> RawLog:
+    """The rows whose time is later than all times before."""
+    t = raw.t
+    good = np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+    return replace(
+        raw,
+        t=t[good],
+        channels={k: v[good] for k, v in raw.channels.items()},
+        extra={},
+        rows=raw.rows[good],
+    )
