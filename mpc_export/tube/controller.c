@@ -259,18 +259,24 @@ static int stage(tube_solver *s, tube_data *d, int k) {
   return 0;
 }
 
-/* How far stage k may be beyond plane j where the craft is beyond it already: as far as it is on the way back that half of
-   the limit of tilt brakes and turns. To want more would be paid in tilt, and come no sooner. */
+/* How far beyond a plane a craft is in t seconds that turns back with half of what the limit of tilt gives; nothing where it
+   is on its side, and all that can stop it before. */
+static tube_real passed(const tube_data *d, const tube_real *plane, tube_real t) {
+  tube_real beyond = -plane[3], away = 0;
+  for (int i = 0; i < 3; i++) {
+    beyond += plane[i] * d->x0[places[0] + i];
+    away += plane[i] * d->x0[places[1] + i];
+  }
+  if (beyond + 0.5 * fmax(away, 0) * away / back[1] <= 0) return 0;
+  return fmax(beyond + (away - 0.25 * back[1] * t) * t, 0);
+}
+
+/* How far stage k may be beyond plane j, if that is there now and then: to want more would be paid in tilt, and come no
+   sooner. */
 static tube_real returning(const tube_data *d, int j, int k) {
   const tube_real t = back[0] * (tube_real)k;
-  tube_real beyond, away = 0;
   if (j == NL - 1) return 0; /* the tilt */
-  beyond = -d->plane[0][j][3];
-  for (int i = 0; i < 3; i++) {
-    beyond += d->plane[0][j][i] * d->x0[places[0] + i];
-    away += d->plane[0][j][i] * d->x0[places[1] + i];
-  }
-  return beyond > 0 ? fmax(beyond + (away - 0.5 * back[1] * t) * t, 0) : 0;
+  return fmin(passed(d, d->plane[0][j], t), passed(d, d->plane[k][j], t));
 }
 
 static void bounds(tube_solver *s, tube_data *d, int k) {

@@ -15,18 +15,18 @@ from mpc_export.feedback import Weights
 class TubeProblem:
     """Horizon, weights and limits of the controller.
 
-    dt [s]: length of a stage; horizon: stages; planes: how many position
-    constraints a stage has room for. command_min, command_max and rate_max (change per sample)
-    bound every command and are hard; planes and tilt_max [rad] are soft with an exact penalty:
-    `penalty` per metre (or unit of cosine) beyond, `penalty_square` on its square.
-    A plane that the craft is beyond asks no more than the way back. feedback: whether the ancillary
-    gain acts inside the tube; without it the covariance is that of an open loop. ancillary: weights
-    of the LQR that gives this gain, default those of the tracking cost; a stiffer one makes the
-    tube narrower in place and takes more off the commands. kind: "probabilistic" (covariances,
-    back-off = kappa standard deviations) or "worst case" (ellipsoids that hold every disturbance
-    inside its own ellipsoid; back-off = their half width). attempts: 2, or 1 for a chip whose time
-    is short: a plan that fails is tried again, from its commands flown by the model, at once or in
-    place of the next plan; until then the plan before goes on.
+    dt [s]: length of a stage; horizon: stages; planes: how many position constraints a stage has
+    room for. command_min, command_max and rate_max (change per sample) bound every command and are
+    hard; planes and tilt_max [rad] are soft with an exact penalty: `penalty` per metre (or unit of
+    cosine) beyond, `penalty_square` on its square. A plane that the craft is beyond, or cannot stop
+    before, asks no more than the way back. feedback: whether the ancillary gain acts inside the
+    tube; without it the covariance is that of an open loop. ancillary: weights of the LQR that
+    gives this gain, default those of the tracking cost; a stiffer one makes the tube narrower in
+    place and takes more off the commands. kind: "probabilistic" (covariances, back-off = kappa
+    standard deviations) or "worst case" (ellipsoids that hold every disturbance inside its own
+    ellipsoid; back-off = their half width). attempts: 2, or 1 for a chip whose time is short: a
+    plan that fails is tried again, from its commands flown by the model, at once or in place of the
+    next plan; until then the plan before goes on.
     """
 
     dt: float = 0.02

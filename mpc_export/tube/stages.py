@@ -53,8 +53,8 @@ class Stages:
     the disturbances; gain K (n_u, n_d); terminal P (n_k, n_k); steady = (x, u) at hover; estimate
     P_f and fresh W (n_d, n_d); bent D (N + 1, n_d, n_d), which `tube_spread` does not hold;
     covariance of the parameters (n_theta, n_theta); white: see `stages`; worst_case: kind of the
-    tube; places: first rows of position and velocity in x; back: a stage [s] and how hard a craft
-    beyond a plane is to brake and turn [m/s^2].
+    tube; places: first rows of position and velocity in x; back: a stage [s] and how hard the limit of
+    tilt brakes [m/s^2].
 
     `tube_spread` says the recursion in symbols; controller.c computes it from `tube_linear` and
     `tube_unsure`, with A's zeros left out.
@@ -135,7 +135,7 @@ def stages(
         white=white,
         worst_case=problem.kind == "worst case",
         places=(block(model, "position")[0], block(model, "velocity")[0]),
-        back=(problem.dt, 0.5 * GRAVITY * math.tan(min(problem.tilt_max, math.pi / 4))),
+        back=(problem.dt, GRAVITY * math.tan(min(problem.tilt_max, 1.5))),
     )
 
 

@@ -123,9 +123,9 @@ def far_sighted():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("beyond", "away"), [(1.0, 1.5), (2.0, 0.0)])
-def test_a_craft_far_beyond_a_wall_comes_back_upright(beyond, away):
-    """All sensors are well. A plane that was beyond reach bought any tilt: 97 and 154 degrees."""
+@pytest.mark.parametrize(("beyond", "away"), [(1.0, 1.5), (2.0, 0.0), (-0.3, 4.0), (-0.5, 4.0)])
+def test_a_craft_beyond_a_wall_or_too_fast_before_it_comes_back_upright(beyond, away):
+    """All sensors are well. A plane out of reach bought any tilt: 97, 154, 174 and 175 degrees."""
     own = far_sighted()
     f, names = own.filter, own.filter.states.names
     own.start()
