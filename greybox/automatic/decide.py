@@ -649,17 +649,24 @@ class _Decider:
             if felt != tuple(offered):
                 offered = felt
                 continue
-            again = None if begun is None else self._judged(begun, parts)
+            if begun is None:
+                return options, None, "no fit with one"
+            gain = first.likelihood.bic - begun.likelihood.bic
+            both = " together with a late pose" if steps != first.steps else ""
+            said = (
+                f"its innovations are not white; BIC {'falls' if gain > 0 else 'rises'} by "
+                f"{abs(gain):.0f}{both}"
+            )
+            if gain <= CLEAR_EVIDENCE:  # what evidence refuses is not judged ahead
+                return options, None, said
+            again = self._judged(begun, parts)
             if again is None:
                 return options, None, "no fit with one"
-            gain, score = first.likelihood.bic - again.likelihood.bic, again.score.mean
-            both = " together with a late pose" if steps != first.steps else ""
             return (
                 own,
                 again,
-                f"its innovations are not white; BIC {'falls' if gain > 0 else 'rises'} by "
-                f"{abs(gain):.0f}{both}, the squared error ahead goes from {first.score.mean:.3f} "
-                f"to {score:.3f} of the last value's",
+                f"{said}, the squared error ahead goes from {first.score.mean:.3f} "
+                f"to {again.score.mean:.3f} of the last value's",
             )
         return options, None, ""
 
