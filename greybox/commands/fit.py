@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
 from greybox.commands.fit_flights import Job, begun
-from greybox.commands.fit_said import lines, recipe_of, report, save
+from greybox.commands.fit_said import lines, recipe_of, report, save, with_pushes
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import (
     accept_option,
@@ -115,10 +115,12 @@ def run(arguments: argparse.Namespace) -> int:
     say_vehicle(job.vehicle, console.say)
     console.say(f"{job.prepared.data}")
     result = _fitted(job, console)
-    result, content, seen = _judged(job, result)
+    result, content, seen, pushed = _judged(job, result)
     written = report(job, result, content, seen)
     table = seen.table_text() if seen is not None and job.test.flights else ""
-    console.result(content, *lines(job, result, table, content), f"wrote {written} in {job.out}")
+    console.result(
+        content, *lines(job, result, table, content, pushed), f"wrote {written} in {job.out}"
+    )
     return exit_code(result.verdict) if result.verdict is not None or result.converged else 1
 
 
@@ -148,9 +150,9 @@ def _fitted(job: Job, console: Console) -> Fit:
     return calibrated(with_rivals(result, data), data)
 
 
-def _judged(job: Job, result: Fit) -> tuple[Fit, FitDocument, Validation | None]:
-    """(the fit with its verdict, fit.json as it was saved, the validation). One that cannot be
-    judged is kept, with the reason."""
+def _judged(job: Job, result: Fit) -> tuple[Fit, FitDocument, Validation | None, list[str]]:
+    """(the fit with its verdict, fit.json as it was saved, the validation, what pushes without a
+    name tell). One that cannot be judged is kept, with the reason."""
     from greybox.errors import GreyboxError
     from greybox.files import write_json
 
@@ -159,10 +161,10 @@ def _judged(job: Job, result: Fit) -> tuple[Fit, FitDocument, Validation | None]
     job.arguments.kept = (
         f"the fit is in {job.out}, not judged: greybox validate {file} --log LOGS judges it"
     )
-    seen = None
+    seen, pushed = None, list[str]()
     try:
         seen, left_out = _validated(job, result)
-        result = result.judged(seen.verdict)
+        result, pushed = with_pushes(job, result.judged(seen.verdict))
         content = save(job, result)
         if job.test.flights and left_out is not None:
             content["left_out"] = left_out.to_dict()
@@ -171,7 +173,7 @@ def _judged(job: Job, result: Fit) -> tuple[Fit, FitDocument, Validation | None]
         content["warnings"].insert(0, f"no validation: {error}")
         print(f"greybox fit: no validation: {error}", file=sys.stderr)
         write_json(job.out / "fit.json", content)
-    return result, content, seen
+    return result, content, seen, pushed
 
 
 def _validated(job: Job, result: Fit) -> tuple[Validation, Verdict | None]:

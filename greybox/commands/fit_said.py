@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -111,15 +112,16 @@ def report(job: Job, result: Fit, content: FitDocument, seen: Validation | None)
     return f"{', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name}"
 
 
-def lines(job: Job, result: Fit, table: str, content: FitDocument) -> list[str]:
-    """The verdict and what the logs and physics say, the decisions with their reasons, the
+def lines(
+    job: Job, result: Fit, table: str, content: FitDocument, pushed: Sequence[str]
+) -> list[str]:
+    """The verdict and what the logs, pushes and physics say, the decisions with their reasons, the
     estimates, the explicit command."""
     first, *rest = result.summary().splitlines()
     if result.covariance.form:  # it is said at once, with what to do next
         rest.remove(f"warning: {result.covariance.form}")
     told = [f"warning: {w}" for some in job.warnings for w in some]
-    reserve, following = next_step(job, result)
-    lines = [f"{reserve}{first}", *following, *told, *sanity_lines(result)]
+    lines = [first, *next_step(job, result, pushed), *told, *sanity_lines(result)]
     if result.provenance.decisions:
         lines += ["", "Decided, because nothing else was said:"]
         lines += [f"  {decision.line()}" for decision in result.provenance.decisions]
@@ -139,20 +141,24 @@ def sanity_lines(result: Fit) -> list[str]:
     return sanity_of(result).lines()
 
 
-def next_step(job: Job, result: Fit) -> tuple[str, list[str]]:
-    """What stands before a verdict on a model that pushes without a name carry; and the command
-    that names what is missing, where parameters stand in for that, or such pushes follow the motion
-    and matter ahead or carry the craft."""
+def with_pushes(job: Job, result: Fit) -> tuple[Fit, list[str]]:
+    """(the judged fit, whose verdict says first that pushes without a name carry it; what such
+    pushes tell)."""
     from greybox.residual.followed import told_of_pushes
 
-    verdict, form = result.verdict, result.covariance.form
-    reserve, told = "", [form] if form else []
-    if verdict is not None and not verdict.refused and verdict.groups and result.converged:
-        pushed, reserve = told_of_pushes(result.model, job.prepared.data, verdict.groups)
-        told += pushed
-    if not told:
-        return reserve, []
-    return reserve, [f"next: {discover_command(job.arguments)}: {'; '.join(told)}"]
+    verdict = result.verdict
+    if verdict is None or verdict.refused or not verdict.groups or not result.converged:
+        return result, []
+    pushed, reserve = told_of_pushes(result.model, job.prepared.data, verdict.groups)
+    return result.judged(replace(verdict, line=f"{reserve}{verdict.line}")), pushed
+
+
+def next_step(job: Job, result: Fit, pushed: Sequence[str]) -> list[str]:
+    """The command that names what is missing, where parameters stand in for that, or pushes
+    without a name follow the motion and matter ahead or carry the craft."""
+    form = result.covariance.form
+    told = [*([form] if form else []), *pushed]
+    return [f"next: {discover_command(job.arguments)}: {'; '.join(told)}"] if told else []
 
 
 def discover_command(arguments: argparse.Namespace) -> str:

@@ -7,7 +7,7 @@ import argparse
 import functools
 import shlex
 import tempfile
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +17,7 @@ import pytest
 
 import greybox as gb
 from greybox.commands import discover
-from greybox.commands.fit_said import discover_command, next_step
+from greybox.commands.fit_said import discover_command, next_step, with_pushes
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.estimation.fit import fit
 from greybox.excitation.waypoints import RandomWaypoints
@@ -184,6 +184,15 @@ def test_a_model_that_falls_without_its_force_is_used_with_its_filter_only(
     assert reserve.startswith("USE WITH ITS FILTER ONLY (a force without a name carries 4") == said
 
 
+@dataclass
+class Judged:
+    """A verdict, as far as the next step looks at it."""
+
+    refused: bool
+    groups: tuple[SimpleNamespace, ...]
+    line: str = "useful"
+
+
 def raising(*arguments: object) -> None:
     raise np.linalg.LinAlgError("SVD did not converge")
 
@@ -194,11 +203,14 @@ def test_the_next_step_is_left_out_where_it_cannot_be_told(
 ) -> None:
     """The files of the fit are written by then."""
     monkeypatch.setattr("greybox.residual.followed.pushes", raising)
-    verdict = SimpleNamespace(refused=False, groups=groups)
+    verdict = Judged(refused=False, groups=groups)
     job: Any = SimpleNamespace(prepared=SimpleNamespace(data=None))
     sure = SimpleNamespace(form="")
     result: Any = SimpleNamespace(verdict=verdict, converged=True, model=None, covariance=sure)
-    assert next_step(job, result) == ("", [])
+    result.judged = lambda new: new
+    kept, pushed = with_pushes(job, result)
+    assert pushed == [] and (kept is result or kept.line == "useful")
+    assert next_step(job, result, pushed) == []
 
 
 def test_the_next_step_is_a_command_with_the_same_flights() -> None:
