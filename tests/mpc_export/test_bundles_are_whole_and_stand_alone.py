@@ -175,6 +175,19 @@ def test_a_failed_export_leaves_the_old_bundle_and_no_rubbish(tmp_path, monkeypa
     assert os.listdir(tmp_path) == ["b"]
 
 
+@pytest.mark.parametrize("kept", [False, True], ids=["built", "from the cache"])
+def test_a_bundle_is_replaced_from_inside_of_it(tmp_path, cache, monkeypatch, kept):
+    place = tmp_path / "b"
+    for _ in range(2):
+        place.mkdir(exist_ok=True)
+        monkeypatch.chdir(place)
+        for inside in (".", "python/.."):
+            made = write_bundle(cases.linear(), inside, targets=(), use_cache=kept)
+            monkeypatch.chdir(place)
+        assert made.name == "b" and ExportBundle.load(place).manifest == made.manifest
+        assert not list(tmp_path.rglob("*.part"))
+
+
 @pytest.mark.parametrize("error", [PermissionError(13, "denied"), KeyboardInterrupt()])
 @pytest.mark.parametrize("fails", [{2}, {2, 3}], ids=["once", "and when it is put back"])
 def test_no_failing_move_costs_the_old_bundle(tmp_path, monkeypatch, error, fails):
