@@ -4,9 +4,10 @@
        y (@n_y@: @outputs@)
        u (@n_u@: @inputs@), what was commanded from this sample to the next@given@
 
-   in the model's units and order (@NAME@_model.h). It gives one line: the code, and what was predicted of y. At the end
+   in the model's units and order (@NAME@_model.h). Commands are told in every line. What follows them is told in the first
+   and stays until another number above 0. It gives one line: the code, and what was predicted of y. At the end
    the standard error says per innovation its root mean square after the first FLIGHT_LASTING samples, and what the model
-   states of it. Code 2: a line has another number of numbers, or nothing was judged.
+   states of it. Code 2: a line has another number of numbers or does not tell what acted, or nothing was judged.
 
        cc -std=c99 -O2 -o bench @NAME@_bench.c @NAME@_flight.c @NAME@_model.c @NAME@.c -lm
        ./bench < recording.csv > predicted.txt
@@ -46,6 +47,18 @@ static int numbers(char *line, double *row) {
     if (end == at) return -1;
     at = end;
   }
+}
+
+/* Whether a line tells what acted: nothing may stand in for what flew. */
+static int acted(const double *told, int first) {
+  int i;
+  for (i = 0; i < @UPPER@_N_U; ++i) {
+    if (told[i] - told[i] != 0) return 0;
+  }
+  for (i = 0; first && i < GIVEN; ++i) {
+    if (!(told[@UPPER@_N_U + i] > 0) || told[@UPPER@_N_U + i] - told[@UPPER@_N_U + i] != 0) return 0;
+  }
+  return 1;
 }
 
 /* Only what was measured is judged. */
@@ -93,6 +106,10 @@ int main(int count, char **words) {
     if (n == 0) continue;
     if (n != wanted) {
       fprintf(stderr, "line %ld: expected %d numbers\n", sample + 1, wanted);
+      return 2;
+    }
+    if (!pilot && !acted(told, !sample)) {
+      fprintf(stderr, "line %ld: what acted is not told\n", sample + 1);
       return 2;
     }
     for (i = 0; i < @UPPER@_N_Y; ++i) {

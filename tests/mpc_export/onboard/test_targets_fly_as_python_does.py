@@ -255,7 +255,12 @@ def test_a_check_without_the_commands_is_refused():
     y, u = watched()
     assert checked(y)[2] == 2
     assert checked(np.column_stack([y, u]), "watch")[2] == 2
-    assert checked(np.full((40, 17), np.nan))[2] == 2, "nothing was measured"
+    for nowhere in (np.nan, np.inf):
+        holed = u.copy()
+        holed[300, 2] = nowhere
+        assert checked(np.column_stack([y, holed]))[2] == 2, "a command is not told"
+    unmeasured = np.column_stack([np.full_like(y, np.nan), u])
+    assert checked(unmeasured)[2] == 2, "nothing was measured"
 
 
 @functools.cache
@@ -652,6 +657,9 @@ def test_every_target_takes_voltages_that_are_some_and_keeps_the_last(tmp_path):
     assert empty[8][az] < full[8][az] - 0.5 and none[8][az] == full[8][az]
     with pytest.raises(subprocess.CalledProcessError):
         ran(program, [row[:-1] for row in rows[0]])
+    for untold in (math.nan, 0.0, -3.0):
+        with pytest.raises(subprocess.CalledProcessError):
+            ran(program, [[*row[:-1], untold] for row in rows[0]])
 
 
 class Anything:
