@@ -162,9 +162,9 @@ static int said(@NAME@_flight *f, const @real@ *goal, const @real@ *u) {
 static int stepped(@NAME@_flight *f, const @real@ *y, const unsigned char *told, const @real@ *goal, @real@ *u_next) {
   @real@ clean[@UPPER@_N_Y], there[@UPPER@_N_E], x_next[@UPPER@_N_X];
   unsigned char given[@UPPER@_N_Y];
-  int i, poses, refused, used = 0;
+  int i, poses = 0, refused, used = 0;
+  /* zeros are how a tracker says that it sees nothing: no pose that is refused */
   const int without = absurd(y, told, given);
-  poses = without;
   memcpy(u_next, hover_u, sizeof f->u);
   if ((!f->begun || f->missed >= @UPPER@_FLIGHT_RESTART) && !begin(f, y, given) && !f->begun) {
     ++f->failures;

@@ -309,6 +309,15 @@ def test_a_quaternion_of_no_length_is_as_good_as_none(length):
     assert (bench_of(never)[:, 0] > 1).all(), "there is no attitude to start from"
 
 
+def test_zeros_of_a_lost_tracker_do_not_start_a_healthy_filter_again():
+    y, u = watched()
+    lost, zeros = y.copy(), y.copy()
+    attitude = [functions().outputs[f"q{a}"] for a in "wxyz"]
+    lost[100:200, attitude], zeros[100:200, attitude] = math.nan, 0.0
+    want, got = (checked(np.column_stack([v, u]))[0] for v in (lost, zeros))
+    np.testing.assert_array_equal(got, want)
+
+
 def test_a_filter_that_is_lost_starts_again_from_a_pose():
     rows = [at_hover()] * 5 + [at_hover(x=500.0, goal=(500.0, 0.0, 1.0, 0.0))] * 60
     out = bench_of(rows)
