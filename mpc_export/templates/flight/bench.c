@@ -7,7 +7,8 @@
    in the model's units and order (@NAME@_model.h). Commands are told in every line. What follows them is told in the first
    and stays until another number above 0. It gives one line: the code, and what was predicted of y. At the end
    the standard error says per innovation its root mean square after the first FLIGHT_LASTING samples, and what the model
-   states of it. Code 2: a line has another number of numbers or does not tell what acted, or nothing was judged.
+   states of it. Code 2: a line has another number of numbers or does not tell what acted, nothing was judged, or what was measured was
+   refused every time.
 
        cc -std=c99 -O2 -o bench @NAME@_bench.c @NAME@_flight.c @NAME@_model.c @NAME@.c -lm
        ./bench < recording.csv > predicted.txt
@@ -33,7 +34,7 @@ static const unsigned char columns[@UPPER@_N_E][@UPPER@_N_Y] = {
 };
 @spread@
 static double squares[@UPPER@_N_E];
-static long judged[@UPPER@_N_E];
+static long judged[@UPPER@_N_E], measured[@UPPER@_N_E];
 
 /* How many numbers a line has; -1 for what is none. */
 static int numbers(char *line, double *row) {
@@ -61,22 +62,28 @@ static int acted(const double *told, int first) {
   return 1;
 }
 
-/* Only what was measured is judged. */
+/* Only what was measured and used is judged: what was refused has no innovation. */
 static void judge(const unsigned char *there) {
   int i, k, whole;
   for (i = 0; i < @UPPER@_N_E; ++i) {
     whole = 1;
     for (k = 0; k < @UPPER@_N_Y; ++k) whole = whole && (!columns[i][k] || there[k]);
     if (!whole) continue;
+    ++measured[i];
+    if (!flight.used[i]) continue;
     squares[i] += (double)flight.e[i] * (double)flight.e[i];
     ++judged[i];
   }
 }
 
 static int said(void) {
-  int i, any = 0;
+  int i, any = 0, never = 0;
   for (i = 0; i < @UPPER@_N_E; ++i) {
     const double rms = judged[i] ? sqrt(squares[i] / (double)judged[i]) : 0;
+    if (measured[i] && !judged[i]) {
+      never = 1;
+      fprintf(stderr, "%s: measured, and refused every time\n", names[i]);
+    }
     if (!judged[i]) continue;
     any = 1;
     fprintf(stderr, "%s: rms %.3g, the model states %.3g: %.2f times\n", names[i], rms, (double)spread[i],
@@ -84,7 +91,7 @@ static int said(void) {
   }
   fprintf(stderr, "%lu samples failed, %lu with a measurement refused%s\n", flight.failures, flight.refused,
           any ? "" : "; nothing was judged");
-  return any ? 0 : 2;
+  return any && !never ? 0 : 2;
 }
 
 int main(int count, char **words) {
@@ -127,7 +134,7 @@ int main(int count, char **words) {
       @NAME@_flight_sample(&flight, y, there, own);
     } else {
       @NAME@_flight_watch(&flight, y, there, own);
-      if (sample >= @UPPER@_FLIGHT_LASTING && flight.code <= @UPPER@_OUT_OF_RANGE) judge(there);
+      if (sample >= @UPPER@_FLIGHT_LASTING) judge(there);
     }
     ++sample;
     printf("%d", flight.code);

@@ -41,6 +41,7 @@ typedef struct {
   @real@ u[@UPPER@_N_U];          /* command in force until the next sample */
   @real@ p[@UPPER@_N_P + 1];      /* run-time parameters, identified at first */
   @real@ e[@UPPER@_N_E];          /* innovations of the last sample */
+  unsigned char used[@UPPER@_N_E]; /* which of them were there and moved the estimate */
   @real@ y_hat[@UPPER@_N_Y];      /* what the last sample was predicted to measure */
   @real@ goal[4];               /* the last that was finite */
   int begun;                    /* whether it knows where it is */

@@ -251,6 +251,18 @@ def test_the_check_before_a_flight_takes_the_commands_that_were_flown():
     assert all(others[n] > 3 * times[n] for n in "qr"), "motors in another order must show"
 
 
+def test_a_check_counts_no_refused_measurement_as_a_perfect_one():
+    y, u = watched()
+    attitude = [functions().outputs[f"q{a}"] for a in "wxyz"]
+    half, never = y.copy(), y.copy()
+    half[::2, attitude], never[1:, attitude] = 0.0, 0.0
+    lost = half.copy()
+    lost[::2, attitude] = math.nan
+    assert checked(np.column_stack([half, u]))[1:] == checked(np.column_stack([lost, u]))[1:]
+    _, times, code = checked(np.column_stack([never, u]))
+    assert code == 2 and len(times) == len(functions().innovations) - 3, "no attitude was judged"
+
+
 def test_a_check_without_the_commands_is_refused():
     y, u = watched()
     assert checked(y)[2] == 2
