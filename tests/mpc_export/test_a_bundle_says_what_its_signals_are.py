@@ -51,6 +51,11 @@ def test_units_and_axes_are_said_too():
     assert recipes(Source(**rate))["p"] == "0.0174533 gx"
     assert recipes(Source(**rate, frame="FRD"))["r"] == "from gx, gy, gz [deg/s], FRD"
     euler = Source(group="attitude", stream="imu", fields=("r", "p", "y"), unit="rad")
+    scaled = recipes(Source(**rate, frame="FRD", scale=2.0, offset=(0.1, 0.0, -0.2)))
+    assert scaled["p"] == "from 0.0349066 gx + 0.1, 0.0349066 gy, 0.0349066 gz - 0.2, FRD"
+    motors = {"group": "command", "stream": "table", "fields": ("m1", "m2")}
+    roots = recipes(Source(**motors, limits=(0.0, 9.0), convert=np.sqrt, note="roots"))
+    assert roots["u2"] == "from converted m1 / 9, converted m2 / 9, roots"
     assert recipes(euler)["qw"] == "from imu.r, imu.p, imu.y [rad]"
 
 
