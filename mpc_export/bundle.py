@@ -223,7 +223,7 @@ def write_bundle(
     folder that is not a bundle, one with changed or foreign files unless `force`, or one that
     cannot be written).
     """
-    place, o = Path(folder), ExportOptions.of(options, choices)
+    place, o = _place_of(folder), ExportOptions.of(options, choices)
     name = name_of_folder(place.resolve().name) if o.name is None else check_name(o.name)
     o = o.completed()
     check_place(place, force=o.force)
@@ -259,6 +259,13 @@ def write_bundle(
     return ExportBundle(
         folder=place, manifest=read_json(place / "manifest.json"), source=lambda: functions
     )
+
+
+def _place_of(folder: str | os.PathLike[str]) -> Path:
+    """The path without ".."; whole where the place holds the working folder, as no relative path
+    outlives its replacement."""
+    whole = Path(os.path.abspath(folder))
+    return whole if Path.cwd().is_relative_to(whole) else Path(os.path.normpath(folder))
 
 
 def _functions(model: Fitted | PredictorModel, o: ExportOptions) -> ModelFunctions:

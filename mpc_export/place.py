@@ -18,6 +18,8 @@ from mpc_export.verify import made_on_the_way, seal
 
 LISTED = 8
 """Files that a refusal names."""
+OLD = "old"
+"""Where the bundle that is replaced waits, beside the new one."""
 
 
 def is_bundle(folder: Path) -> bool:
@@ -89,7 +91,8 @@ def check_place(place: Path, *, force: bool = False) -> None:
 
 @contextlib.contextmanager
 def beside(place: Path) -> Iterator[Path]:
-    """A temporary folder on the same file system, gone afterwards."""
+    """A temporary folder on the same file system, gone afterwards, but never with the only copy of
+    an old bundle. Raises `OutputError`, which names a copy that is left."""
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         part = Path(tempfile.mkdtemp(dir=place.parent, prefix=f".{place.name}.", suffix=".part"))
@@ -101,6 +104,14 @@ def beside(place: Path) -> Iterator[Path]:
         (part / "bundle").mkdir()
         yield part / "bundle"
     finally:
+        shutil.rmtree(part / "bundle", ignore_errors=True)
+        old = part / OLD
+        if old.exists() and not os.path.lexists(place):
+            raise OutputError(
+                "the new bundle did not come into its place, nor the old one back",
+                where=str(place),
+                fix=f"the old one is {old}: move it there",
+            )
         shutil.rmtree(part, ignore_errors=True)
 
 
@@ -108,7 +119,7 @@ def move(part: Path, place: Path, *, force: bool = False) -> None:
     """Put a finished bundle in its place; the old one is there until the new one is. Raises
     `OutputError`."""
     check_place(place, force=force)
-    old = part.parent / "old"
+    old = part.parent / OLD
     try:
         if place.exists():
             os.rename(place, old)

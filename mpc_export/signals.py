@@ -4,7 +4,6 @@ out."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from greybox.data.readers.recipes import recipes
@@ -20,29 +19,26 @@ def told(layout: Layout, model: Exportable, dynamics: Dynamics) -> Layout:
     made, known = _recipes(model, dynamics), _rotors(dynamics)
     return Layout(
         [
-            replace(s, meaning=_joined(s.meaning, known.get(s.name, ""), _made(s.name, made)))
+            replace(s, meaning=_joined(s.meaning, known.get(s.name, ""), made.get(s.name, "")))
             for s in layout
         ]
     )
 
 
-def _recipes(model: Exportable, dynamics: Dynamics) -> Mapping[str, str]:
-    """Those of the training flights; of a file that has none what its vehicle says of logs."""
+def _recipes(model: Exportable, dynamics: Dynamics) -> dict[str, str]:
+    """Those of the training flights; where nobody said what they had, what its vehicle says."""
     if not isinstance(model, IdentifiedModel):
         return {}
+    if model.recipes is not None:
+        return {name: f"in the logs {text}" for name, text in model.recipes.items()}
     physics = physics_of(dynamics)
-    if model.recipes or physics is None:
-        return model.recipes
-    sources = physics.vehicle.columns.sources.values()
-    return {name: text for source in sources for name, text in recipes(source).items()}
+    sources = () if physics is None else physics.vehicle.columns.sources.values()
+    made = {name: text for source in sources for name, text in recipes(source).items()}
+    return {name: f"its vehicle says: in logs {text}" for name, text in made.items()}
 
 
 def _joined(*texts: str) -> str:
     return "; ".join(text for text in texts if text)
-
-
-def _made(name: str, made: Mapping[str, str]) -> str:
-    return f"in the logs {made[name]}" if name in made else ""
 
 
 def _rotors(dynamics: Dynamics) -> dict[str, str]:

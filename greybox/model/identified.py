@@ -85,7 +85,8 @@ class IdentifiedModel(Shown):
     `horizon_noise` (n_w) replaces `process_noise` where uncertainty is propagated without
     measurements (calibrated on multi-step errors); None: the same. `verdict` says what judging it
     on flights found, None where nobody did (or it was changed since). `recipes`: channel -> how it
-    was made of what the training logs hold, where it is not a column of that name as it stands.
+    was made of what the training logs hold, where it is not a column of that name as it stands;
+    None: nobody said.
     """
 
     dynamics: Dynamics
@@ -106,7 +107,7 @@ class IdentifiedModel(Shown):
     domain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     data_hash: str = ""
     trained_on: tuple[str, ...] = ()
-    recipes: Mapping[str, str] = field(default_factory=dict)
+    recipes: Mapping[str, str] | None = None
     source: str = ""
     verdict: Verdict | None = None
 
@@ -258,7 +259,7 @@ class IdentifiedModel(Shown):
                 "matrix": self.covariance.tolist(),
             },
             **({"considered": _considered_to_dict(self)} if self.considered else {}),
-            **_said(form_errors=self.form_errors, recipes=self.recipes),
+            **_said(form_errors=self.form_errors or None, recipes=self.recipes),
             **(
                 {}
                 if self.effective_lag is None
@@ -395,15 +396,15 @@ def _identified_from_dict(data: Parsed, dynamics: Dynamics, where: str) -> Ident
         domain={k: (float(v[0]), float(v[1])) for k, v in data["domain"].items()},
         data_hash=str(data["data_hash"]),
         trained_on=tuple(data["trained_on"]),
-        recipes=dict(data.get("recipes", {})),
+        recipes=None if data.get("recipes") is None else dict(data["recipes"]),
         source=where,
         verdict=None if data.get("verdict") is None else Verdict.from_dict(data["verdict"]),
     )
 
 
-def _said(**tables: Mapping[str, object]) -> dict[str, Json]:
-    """Tables of the file that say something."""
-    return {key: to_plain(table) for key, table in tables.items() if table}
+def _said(**tables: Mapping[str, object] | None) -> dict[str, Json]:
+    """Tables of the file that are there."""
+    return {key: to_plain(table) for key, table in tables.items() if table is not None}
 
 
 def _demand_sample(data: Parsed, key: str) -> None:
@@ -507,6 +508,6 @@ def _check(model: IdentifiedModel) -> None:
             raise ValueError(f"the error of {name}, which was held, is negative: {sigma:g}")
         if foreign := sorted(set(by) - estimated):
             raise ValueError(f"{name} moves {foreign[0]}, which was not estimated")
-    texts = (*model.trained_on, *model.covariance_names, *model.recipes.values())
+    texts = (*model.trained_on, *model.covariance_names, *(model.recipes or {}).values())
     if not all(isinstance(n, str) for n in texts):
         raise ValueError("a name is not a text")

@@ -86,9 +86,10 @@ class OnBoard:
             [
                 "## The check before the first flight",
                 "",
-                "Fly with another controller and write one line a sample, nan where nothing was "
-                f"measured: {' '.join(f.outputs.names)}, then {' '.join(acted)} as they were given "
-                f"from this sample to the next, {f.dt:g} s a sample, with the meaning that "
+                "Fly large motions about every axis with another controller and write one line a "
+                f"sample, nan where nothing was measured: {' '.join(f.outputs.names)}, "
+                f"then {' '.join(acted)} as they were given from this sample to the next, "
+                f"{f.dt:g} s a sample, with the meaning that "
                 "`../README.md` states. Without the commands that flew it is no check.",
                 "",
                 "```sh",
@@ -100,7 +101,9 @@ class OnBoard:
                 "",
                 "It says of every innovation how many times as large it was as the model states: "
                 "about 1 on the craft that was fitted, several times more for motors in another order, "
-                "another range of commands, other units or axes.",
+                "another range of commands, other units or axes. A calm flight looks right with any "
+                "order of motors: where two commands exchanged, or one at its mean, look no worse, it "
+                "says so and ends with code 2.",
             ]
         )
 
@@ -233,6 +236,7 @@ def _bench(f: ModelFunctions) -> dict[str, str]:
         "innovations": ", ".join(
             f'"{n} [{unit}]"' for n, unit in zip(f.innovations.names, f.innovations.units)
         ),
+        "commanded": ", ".join(f'"{n}"' for n in f.inputs.names),
         "nowhere": "nan" if whole else "0",
     }
 

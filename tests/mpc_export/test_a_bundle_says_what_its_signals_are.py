@@ -14,12 +14,16 @@ from greybox.data import Dataset
 from greybox.data.readers.recipes import recipes
 from greybox.data.readers.recording import Source
 from greybox.estimation.fit import fit
+from greybox.examples import vehicle_path
 from greybox.linear.logs import ChannelSpec
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.model.linear import LinearModel
+from greybox.model.vehicle import read_vehicle
+from greybox.simulators.data_sheet import model_of
 from greybox.symbolic import Layout
 from mpc_export.bundle import write_bundle
+from mpc_export.signals import told
 from tests.motor import model, record
 from tests.mpc_export import cases
 
@@ -47,6 +51,11 @@ def test_units_and_axes_are_said_too():
     assert recipes(Source(**rate))["p"] == "0.0174533 gx"
     assert recipes(Source(**rate, frame="FRD"))["r"] == "from gx, gy, gz [deg/s], FRD"
     euler = Source(group="attitude", stream="imu", fields=("r", "p", "y"), unit="rad")
+    scaled = recipes(Source(**rate, frame="FRD", scale=2.0, offset=(0.1, 0.0, -0.2)))
+    assert scaled["p"] == "from 0.0349066 gx + 0.1, 0.0349066 gy, 0.0349066 gz - 0.2, FRD"
+    motors = {"group": "command", "stream": "table", "fields": ("m1", "m2")}
+    roots = recipes(Source(**motors, limits=(0.0, 9.0), convert=np.sqrt, note="roots"))
+    assert roots["u2"] == "from converted m1 / 9, converted m2 / 9, roots"
     assert recipes(euler)["qw"] == "from imu.r, imu.p, imu.y [rad]"
 
 
@@ -60,8 +69,19 @@ def test_a_fit_keeps_the_recipes_of_its_flights_and_so_does_its_file(tmp_path):
     assert fitted.recipes == {name: "raw / 2"}
     path = cases.physics().save(tmp_path / "none.json")
     assert "recipes" not in json.loads(path.read_text()), "a file without is as it was"
-    path = replace(cases.physics(), recipes=MADE).save(tmp_path / "some.json")
-    assert IdentifiedModel.load(path).recipes == MADE
+    assert IdentifiedModel.load(path).recipes is None
+    for some in (MADE, {}):
+        path = replace(cases.physics(), recipes=some).save(tmp_path / "some.json")
+        assert IdentifiedModel.load(path).recipes == some
+
+
+def test_a_vehicle_speaks_only_where_the_flights_do_not():
+    untold = model_of(read_vehicle(vehicle_path("nanobench")))
+    for own, said in ((None, "its vehicle says: in logs "), ({}, "")):
+        one = replace(untold, recipes=own)
+        meanings = [s.meaning for s in told(one.dynamics.inputs, one, one.dynamics)]
+        assert any("in logs" in m for m in meanings) == bool(said)
+        assert all(said in m for m in meanings)
 
 
 def test_header_manifest_and_readmes_say_it(tmp_path):

@@ -175,6 +175,43 @@ def test_a_failed_export_leaves_the_old_bundle_and_no_rubbish(tmp_path, monkeypa
     assert os.listdir(tmp_path) == ["b"]
 
 
+@pytest.mark.parametrize("kept", [False, True], ids=["built", "from the cache"])
+def test_a_bundle_is_replaced_from_inside_of_it(tmp_path, cache, monkeypatch, kept):
+    place = tmp_path / "b"
+    for _ in range(2):
+        place.mkdir(exist_ok=True)
+        monkeypatch.chdir(place)
+        for inside in (".", "python/.."):
+            made = write_bundle(cases.linear(), inside, targets=(), use_cache=kept)
+            monkeypatch.chdir(place)
+        assert made.name == "b" and ExportBundle.load(place).manifest == made.manifest
+        assert not list(tmp_path.rglob("*.part"))
+
+
+@pytest.mark.parametrize("error", [PermissionError(13, "denied"), KeyboardInterrupt()])
+@pytest.mark.parametrize("fails", [{2}, {2, 3}], ids=["once", "and when it is put back"])
+def test_no_failing_move_costs_the_old_bundle(tmp_path, monkeypatch, error, fails):
+    place = tmp_path / "b"
+    write_bundle(cases.linear(), place, use_cache=False)
+    before, rename, calls = content(place), os.rename, []
+
+    def broken(*paths):
+        calls.append(paths)
+        if len(calls) in fails:
+            raise error
+        rename(*paths)
+
+    monkeypatch.setattr(os, "rename", broken)
+    with pytest.raises((OutputError, KeyboardInterrupt)) as said:
+        write_bundle(cases.linear((1, 0)), place, use_cache=False)
+    if len(fails) == 1:
+        assert content(place) == before and os.listdir(tmp_path) == ["b"]
+        return
+    (left,) = tmp_path.glob("*.part/*")
+    assert content(left) == before and not place.exists()
+    assert str(left) in str(said.value), "whoever lost the place must learn where the bundle is"
+
+
 def test_the_second_export_comes_from_the_cache(tmp_path, cache):
     first = write_bundle(cases.linear(), tmp_path / "b")
     second = write_bundle(cases.linear(), tmp_path / "other" / "b")

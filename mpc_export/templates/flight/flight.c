@@ -162,10 +162,11 @@ static int said(@NAME@_flight *f, const @real@ *goal, const @real@ *u) {
 static int stepped(@NAME@_flight *f, const @real@ *y, const unsigned char *told, const @real@ *goal, @real@ *u_next) {
   @real@ clean[@UPPER@_N_Y], there[@UPPER@_N_E], x_next[@UPPER@_N_X];
   unsigned char given[@UPPER@_N_Y];
-  int i, poses, refused, used = 0;
+  int i, poses = 0, refused, used = 0;
+  /* zeros are how a tracker says that it sees nothing: no pose that is refused */
   const int without = absurd(y, told, given);
-  poses = without;
   memcpy(u_next, hover_u, sizeof f->u);
+  memset(f->used, 0, sizeof f->used);
   if ((!f->begun || f->missed >= @UPPER@_FLIGHT_RESTART) && !begin(f, y, given) && !f->begun) {
     ++f->failures;
     return f->code = @UPPER@_NOT_FINITE_INPUT;
@@ -183,7 +184,10 @@ static int stepped(@NAME@_flight *f, const @real@ *y, const unsigned char *told,
     f->code = evaluated(f, clean, there, goal, x_next, u_next);
   }
   if (refused || without) ++f->refused;
-  for (i = 0; i < @UPPER@_N_E; ++i) used += there[i] != 0 && of_pose(i);
+  for (i = 0; i < @UPPER@_N_E; ++i) {
+    f->used[i] = there[i] != 0;
+    used += f->used[i] && of_pose(i);
+  }
   if (f->code > @UPPER@_OUT_OF_RANGE) {
     memcpy(u_next, hover_u, sizeof f->u);
     /* nothing is known of this sample: no row goes on */

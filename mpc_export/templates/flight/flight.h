@@ -11,7 +11,7 @@
 
    A sample that fails is run again without measurements, so that the prediction goes on. A measurement whose innovation is
    more than FLIGHT_GATE of its standard deviations, or a quaternion far from unit length, is as if it were missing. After
-   FLIGHT_RESTART samples that failed, or whose pose was refused, without a good pose between them, the filter starts
+   FLIGHT_RESTART samples that failed, or whose pose was that far off, without a good pose between them, the filter starts
    again from the next whole pose. */
 #ifndef @UPPER@_FLIGHT_H
 #define @UPPER@_FLIGHT_H
@@ -41,13 +41,14 @@ typedef struct {
   @real@ u[@UPPER@_N_U];          /* command in force until the next sample */
   @real@ p[@UPPER@_N_P + 1];      /* run-time parameters, identified at first */
   @real@ e[@UPPER@_N_E];          /* innovations of the last sample */
+  unsigned char used[@UPPER@_N_E]; /* which of them were there and moved the estimate */
   @real@ y_hat[@UPPER@_N_Y];      /* what the last sample was predicted to measure */
   @real@ goal[4];               /* the last that was finite */
   int begun;                    /* whether it knows where it is */
   int code;                     /* return code of the last sample */
   int said;                     /* FLIGHT_FAR and FLIGHT_LIMIT */
   unsigned far, limit;          /* samples in a row of what they say */
-  unsigned missed;              /* of the samples since the last good pose: failed, or the pose refused */
+  unsigned missed;              /* of the samples since the last good pose: failed, or the pose far off */
   unsigned long failures;       /* samples that came to nothing, since the start */
   unsigned long refused;        /* samples with a measurement that was refused, since the start */
 } @NAME@_flight;

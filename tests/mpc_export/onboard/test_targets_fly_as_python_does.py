@@ -94,12 +94,13 @@ def built(folder, real, sources, *flags, out):
     return program
 
 
-def ran(program, rows, *arguments):
-    """Numbers of every line that a program says of these rows."""
+def ran(program, rows, *arguments, code=0):
+    """Numbers of every line that a program says of these rows, which ends with that code."""
     text = "\n".join(" ".join(repr(float(v)) for v in row) for row in rows) + "\n"
     done = subprocess.run(
-        [program, *arguments], input=text, capture_output=True, text=True, check=True
+        [program, *arguments], input=text, capture_output=True, text=True, check=False
     )
+    assert done.returncode == code, done.stderr
     return [np.array(line.split(), dtype=float) for line in done.stdout.splitlines()]
 
 
@@ -251,11 +252,39 @@ def test_the_check_before_a_flight_takes_the_commands_that_were_flown():
     assert all(others[n] > 3 * times[n] for n in "qr"), "motors in another order must show"
 
 
+def test_a_check_says_where_a_flight_does_not_tell_the_commands():
+    y, u = watched()
+    calm = np.tile(hovering(), (400, 1)) + 1e-3 * np.random.default_rng(1).standard_normal(y.shape)
+    held = np.tile(functions().pilot.u, (400, 1))
+    assert checked(np.column_stack([calm, held]))[2] == 2
+    assert checked(np.column_stack([y, u[:, [1, 0, 2, 3]]]))[2] == 2, "exchanged back it is better"
+    still = u.copy()
+    still[:, 3] = still[:, 3].mean()
+    assert checked(np.column_stack([y, still]))[2] == 2
+
+
+def test_a_check_counts_no_refused_measurement_as_a_perfect_one():
+    y, u = watched()
+    attitude = [functions().outputs[f"q{a}"] for a in "wxyz"]
+    half, never = y.copy(), y.copy()
+    half[::2, attitude], never[1:, attitude] = 0.0, 0.0
+    lost = half.copy()
+    lost[::2, attitude] = math.nan
+    assert checked(np.column_stack([half, u]))[1:] == checked(np.column_stack([lost, u]))[1:]
+    _, times, code = checked(np.column_stack([never, u]))
+    assert code == 2 and len(times) == len(functions().innovations) - 3, "no attitude was judged"
+
+
 def test_a_check_without_the_commands_is_refused():
     y, u = watched()
     assert checked(y)[2] == 2
     assert checked(np.column_stack([y, u]), "watch")[2] == 2
-    assert checked(np.full((40, 17), np.nan))[2] == 2, "nothing was measured"
+    for nowhere in (np.nan, np.inf):
+        holed = u.copy()
+        holed[300, 2] = nowhere
+        assert checked(np.column_stack([y, holed]))[2] == 2, "a command is not told"
+    unmeasured = np.column_stack([np.full_like(y, np.nan), u])
+    assert checked(unmeasured)[2] == 2, "nothing was measured"
 
 
 @functools.cache
@@ -302,6 +331,15 @@ def test_a_quaternion_of_no_length_is_as_good_as_none(length):
     for r in never:
         r[-1] = math.nan  # a goal that is none: the start waits for a pose
     assert (bench_of(never)[:, 0] > 1).all(), "there is no attitude to start from"
+
+
+def test_zeros_of_a_lost_tracker_do_not_start_a_healthy_filter_again():
+    y, u = watched()
+    lost, zeros = y.copy(), y.copy()
+    attitude = [functions().outputs[f"q{a}"] for a in "wxyz"]
+    lost[100:200, attitude], zeros[100:200, attitude] = math.nan, 0.0
+    want, got = (checked(np.column_stack([v, u]))[0] for v in (lost, zeros))
+    np.testing.assert_array_equal(got, want)
 
 
 def test_a_filter_that_is_lost_starts_again_from_a_pose():
@@ -647,11 +685,13 @@ def test_every_target_takes_voltages_that_are_some_and_keeps_the_last(tmp_path):
     y = f["h"](f.pilot.x, f.pilot.u, f.parameter_values).full().ravel()
     for low in (3.8, 3.2, math.nan):
         rows.append([[*y, *f.pilot.u, volts] for volts in [3.8] * 5 + [low] * 250])
-    full, empty, none = (ran(program, own) for own in rows)
+    # commands that never change tell nothing
+    full, empty, none = (ran(program, own, code=2) for own in rows)
     az = 1 + f.outputs["az"]
     assert empty[8][az] < full[8][az] - 0.5 and none[8][az] == full[8][az]
-    with pytest.raises(subprocess.CalledProcessError):
-        ran(program, [row[:-1] for row in rows[0]])
+    assert ran(program, [row[:-1] for row in rows[0]], code=2) == []
+    for untold in (math.nan, 0.0, -3.0):
+        assert ran(program, [[*row[:-1], untold] for row in rows[0]], code=2) == []
 
 
 class Anything:
