@@ -596,7 +596,7 @@ class _Decider:
             return options, first, said or reason
         better = again.score.mean < max(1.0, first.score.mean)
         said += "; a filter that is left out looks like more lag of the motors"
-        if self._clearer(again, first) and better:
+        if better:
             return own, again, said
         return options, first, said
 
@@ -617,17 +617,13 @@ class _Decider:
             if less[1] is None or less[1].likelihood.bic >= again.likelihood.bic:
                 break
             own, again, said = less
-        better = again is not None and again.score.mean < first.score.mean
-        if again is None or not better or not self._clearer(again, first):
+        if again is None or not again.score.mean < first.score.mean:
             self._note("noise of the pose", "white", said, "--noise-parts")
             return options, first
         felt = [p for p in map(part_named, own.noise_parts) if isinstance(p, Coloured)]
         choice = ", ".join(described(p, again.likelihood) for p in felt)
         self._note("noise of the pose", choice, said, "--noise-parts")
         return own, again
-
-    def _clearer(self, again: Candidate, first: Candidate) -> bool:
-        return first.likelihood.bic - again.likelihood.bic > CLEAR_EVIDENCE
 
     def _with_noise(
         self,
@@ -638,7 +634,7 @@ class _Decider:
         parts: tuple[Dataset, Dataset],
     ) -> tuple[FitOptions, Candidate | None, str]:
         """(options, candidate, reason) with those of the `offered` parts that are felt together;
-        None where none is."""
+        None where none is, or where BIC does not clearly ask for them."""
         while offered:
             own = with_noise_parts(options, offered, first.likelihood)
             # a delay has taken what a filter is late: it lets go, or the search stays where it was
