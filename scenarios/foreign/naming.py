@@ -138,6 +138,8 @@ def judged(case: Case, said: Said | None) -> dict[str, Any]:
     out |= {
         "verdict": said.verdict,
         "names": {n: dict(v) for n, v in said.effects.items()},
+        "errors": {n: dict(v) for n, v in said.errors.items()},
+        "denied": list(said.denied),
         "status": dict(said.status),
         "sets": [["+".join(sorted(c)) for c in some] for some in said.sets],
         "traces": list(said.traces),

@@ -19,6 +19,7 @@ CERTAIN = math.log10(20.0)
 """log10 of the e-value whose inverse is 0.05."""
 NEAR = 0.15
 """Largest relative error of a wind's speed that counts as right."""
+NORMAL_95 = 1.96
 FALSE = ("wrong", "extra")
 SPLITS = ("simulator", "sensors", "gusts", "file")
 
@@ -175,6 +176,26 @@ def wind_lines(rows: Sequence[Row]) -> list[str]:
     return [f"wind: named {named}; speed within 15 % {near}; a false name {_count(some, _false)}"]
 
 
+def number_lines(rows: Sequence[Row]) -> list[str]:
+    """Numbers of right names against the truth, and stated numbers that were denied."""
+    told = [r for r in rows if "errors" in r]
+    pairs: list[tuple[float, float, float]] = []
+    for row in told:
+        for name, values in row["names"].items():
+            for p, value in values.items():
+                true, error = row["truth"].get(f"{name}.{p}"), row["errors"][name].get(p)
+                pairs += [(value, true, error)] if true and error and error > 0 else []
+    if not pairs:
+        return []
+    inside = sum(abs(value - true) <= NORMAL_95 * error for value, true, error in pairs)
+    off = sum(abs(value / true - 1) > NEAR for value, true, _ in pairs)
+    denied = share(sum(bool(r["denied"]) for r in told), len(told))
+    return [
+        f"numbers of right names: 95 % intervals hold {share(inside, len(pairs))}; more than "
+        f"{100 * NEAR:.0f} % off {share(off, len(pairs))}; stated numbers are denied in {denied}"
+    ]
+
+
 def power_lines(rows: Sequence[Row]) -> list[str]:
     """Evidence against the number of flights."""
     out = []
@@ -231,6 +252,7 @@ def summary(rows: Sequence[Row]) -> str:
         *outside_lines(rows),
         *single_lines(rows, "imu"),
         *wind_lines(rows),
+        *number_lines(rows),
         *power_lines(rows),
         *time_lines(rows),
         *false_names(rows),

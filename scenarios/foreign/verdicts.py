@@ -38,7 +38,8 @@ AHEAD = 0.5
 class Said:
     """A discovery.json in short.
 
-    effects: name -> parameter -> value, of what is named; sets: every set as its candidates, a
+    effects: name -> parameter -> value, of what is named; errors: the same with standard errors;
+    denied: stated numbers that the flights deny; sets: every set as its candidates, a
     candidate as the effects that it joins; evidence: cause (or set, joined by "|") -> log10 of its
     e-value, of all that were put to a test; tests: whether the search has e-values at all; base:
     effects that the search's base model estimates by itself.
@@ -46,6 +47,8 @@ class Said:
 
     verdict: str
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    errors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    denied: Sequence[str] = ()
     status: Mapping[str, str] = field(default_factory=dict)
     sets: Sequence[Sequence[frozenset[str]]] = ()
     traces: Sequence[str] = ()
@@ -69,16 +72,15 @@ class Said:
         named = [e for e in content["effects"] if e.get("status") != "trace"]
         sets = [[_joined(c["name"]) for c in a["candidates"]] for a in content["ambiguous"]]
         alike = {e["name"]: e.get("alternatives") or () for e in named}
+        sure = [e for e in named if not alike[e["name"]]]
         sets += [[_joined(n), *map(_joined, others)] for n, others in alike.items() if others]
         traces = [_name(t) for t in content.get("traces", ())]
         traces += [e["name"] for e in content["effects"] if e.get("status") == "trace"]
         return cls(
             verdict=str(content["verdict"]),
-            effects={
-                e["name"]: {p: v["value"] for p, v in e["parameters"].items()}
-                for e in named
-                if not alike[e["name"]]
-            },
+            effects={e["name"]: _numbers(e, "value") for e in sure},
+            errors={e["name"]: _numbers(e, "std") for e in sure},
+            denied=list(content.get("denied", ())),
             status={e["name"]: str(e.get("status", "named")) for e in named},
             sets=sets,
             traces=traces,
@@ -107,6 +109,10 @@ class Said:
         if not self.tests and not self.evidence:
             return None
         return max(self.evidence.values(), default=0.0)
+
+
+def _numbers(effect: Mapping[str, Any], what: str) -> dict[str, float]:
+    return {p: v[what] for p, v in effect["parameters"].items() if v.get(what) is not None}
 
 
 def _name(entry: Any) -> str:
