@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Literal, Self
 
 from greybox.discovery.rules import RULES
+from greybox.estimation.prior import Prior
 from greybox.model.absence import absence, moved_numbers, not_offered
 from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
@@ -104,14 +105,15 @@ class Causes(ABC):
         owner = self.offered.get(name.split(".")[0])
         return None if owner is None else owner.prior.get(name)
 
-    def prior(self, d: Parameter) -> tuple[float, float] | None:
-        """(mean, sigma) of a parameter where it is not what its declaration says."""
+    def prior(self, d: Parameter) -> Prior | None:
+        """That of a parameter where it is not what its declaration says. How large an effect is
+        nobody knows but by its order."""
         if d.name in self.known:
-            return self.known[d.name]
+            return Prior(*self.known[d.name])
         if (own := self.prior_of(d.name)) is not None:
-            return own
+            return Prior(*own, long_tails=d.name.split(".")[0] in self.effects)
         if d.name.split(".")[0] in ("disturbance", "coloured", "low_pass", "line"):
-            return d.nominal, RULES.typical * d.scale
+            return Prior(d.nominal, RULES.typical * d.scale)
         return None
 
 

@@ -38,6 +38,7 @@ from greybox.data import Dataset
 from greybox.data.halves import halves, renamed
 from greybox.discovery.evidence import Fitted, Flights, Structure
 from greybox.discovery.search import Rival
+from greybox.estimation.prior import spread_at
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND
 from greybox.estimation.start import Key, Start, vector
 from greybox.statistics import regret as of_arrays
@@ -288,7 +289,7 @@ def regret(first: Fitted | None, both: Fitted, keys: Sequence[Key]) -> float:
     what the fit `first` taught (None: the prior)."""
     places = [both.space.index[k] for k in keys]
     unknowns = [both.space.unknowns[i] for i in places]
-    v1 = np.diag([1.0 / u.sigma**2 for u in unknowns])
+    v1 = np.diag([spread_at(u, both.theta[i]) ** -2 for u, i in zip(unknowns, places)])
     theta1 = np.array([u.mean for u in unknowns])
     old = [] if first is None else [i for i, k in enumerate(keys) if k in first.space.index]
     if first is not None and old:

@@ -24,6 +24,7 @@ from greybox.estimation.fit import Fit, concluded
 from greybox.estimation.initialisation import noise_start
 from greybox.estimation.laplace import at_bound, log_evidence
 from greybox.estimation.options import FitOptions
+from greybox.estimation.prior import Prior
 from greybox.estimation.problem import Problem, Value, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND, LevenbergMarquardt
 from greybox.estimation.start import Key, Start, vector
@@ -256,7 +257,7 @@ def choices(
     if causes.flat:
         free = (*causes.core, *own, *lasting)
         means = {n: priors[n][0] if n in priors else declared[n].nominal for n in free}
-        priors = {n: (m, np.inf) for n, m in means.items()}
+        priors = {n: Prior(m, np.inf) for n, m in means.items()}
     values = {n: p[0] for n, p in priors.items() if causes.prior_of(n) is not None}
     return options.but(
         free=(*causes.core, *own, *lasting),

@@ -21,6 +21,7 @@ from greybox.estimation.feasible import wall
 from greybox.estimation.few_samples import too_short_for_errors
 from greybox.estimation.identifiability import Combination, marginal_information, unidentified
 from greybox.estimation.options import FitOptions
+from greybox.estimation.prior import prior_terms
 from greybox.estimation.problem import Problem
 from greybox.estimation.result import Diagnostics, Estimate, Estimates, Fit, Provenance
 from greybox.estimation.solver import Value
@@ -174,9 +175,7 @@ def _errors(
     """Errors of the unknowns, with what the parameters that are considered `aside` add."""
     # A wall says where no body is. It is no measurement: errors are those without it.
     told = None if value.hessian is None else value.hessian - wall(problem.bodies, theta).hessian
-    precision = np.array(
-        [0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in problem.unknowns]
-    )
+    precision = prior_terms(problem.unknowns, theta)[2]
     spread, held = _spread(problem, theta, value, told, precision, aside)
     matrix = spread.chosen(coloured)
     levels = any(u.kind == "noise" for u in problem.unknowns)

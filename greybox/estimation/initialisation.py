@@ -20,6 +20,7 @@ from greybox.estimation.engine import GainTable
 from greybox.estimation.gain import Riccati, stationary
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.predictors.simulation import start_of
+from greybox.estimation.prior import prior_terms
 from greybox.estimation.problem import IndexArray, Problem
 from greybox.estimation.record import Record, hold_missing
 from greybox.estimation.solvers.levenberg_marquardt import damped_step
@@ -286,18 +287,8 @@ class _Equations:
         """Weighted squares of the errors (of their part that the instruments explain) and of the
         priors."""
         unknowns = [self.problem.unknowns[i] for i in self.chosen]
-        precision = np.array([u.sigma**-2 if np.isfinite(u.sigma) else 0.0 for u in unknowns])
-        off = np.array(
-            [
-                t - u.mean if p > 0 else 0.0
-                for t, u, p in zip(theta[self.chosen], unknowns, precision)
-            ]
-        )
-        cost, gradient, hessian = (
-            0.5 * float((precision * off * off).sum()),
-            precision * off,
-            np.diag(precision),
-        )
+        cost, gradient, curvature = prior_terms(unknowns, theta[self.chosen])
+        hessian = np.diag(curvature)
         for j, v in enumerate(variance):
             part = e[:, j] if self.basis is None else self.basis.T @ e[:, j]
             cost += 0.5 * float(part @ part) / v

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.special
 
+from greybox.estimation.prior import log_peak
 from greybox.estimation.solver import Value
 from greybox.estimation.unknown import SearchSpace
 from greybox.statistics.normal_mass import log_mass
@@ -50,9 +51,7 @@ def log_evidence(space: SearchSpace, theta: FloatArray, value: Value) -> float:
     for i, u in enumerate(space.unknowns):
         bounded = np.isfinite(u.lower) or np.isfinite(u.upper)
         if np.isfinite(u.sigma):
-            total -= float(np.log(u.sigma)) + 0.5 * float(np.log(2 * np.pi))
-            if bounded and u.kind == "parameter":
-                total -= log_mass(u.lower, u.upper, u.mean, u.sigma)
+            total += log_peak(u)
         if bounded and u.kind == "parameter" and free[i]:
             total += log_mass(u.lower, u.upper, float(theta[i]), float(spread[i]))
     return float(total)

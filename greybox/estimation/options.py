@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Literal, TypedDict, TypeVar, Unpack
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.criterion import Criterion
 from greybox.estimation.predictor import Predictor
+from greybox.estimation.prior import Prior
 from greybox.estimation.solver import Solver
 
 if TYPE_CHECKING:
@@ -79,8 +80,8 @@ class FitChoices(TypedDict, total=False):
     per_flight: Iterable[str]
     shared: Iterable[str]
     values: Mapping[str, float] | None
-    priors: Mapping[str, tuple[float, float]] | None
-    flight_priors: Mapping[str, tuple[float, float]] | None
+    priors: Mapping[str, tuple[float, float] | Prior] | None
+    flight_priors: Mapping[str, tuple[float, float] | Prior] | None
     noise: Mapping[str, float] | None
     estimate_noise: bool | Literal["process"]
     held_noise: Iterable[str]
@@ -123,9 +124,9 @@ class FitOptions:
     """Parameters with one value for all flights, whatever their declared scope."""
     values: Mapping[str, float] = field(default_factory=dict)
     """Start values, and the values of fixed parameters, in SI units."""
-    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float] | Prior] = field(default_factory=dict)
     """Parameter -> (mean, sigma), in place of the declared prior."""
-    flight_priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    flight_priors: Mapping[str, tuple[float, float] | Prior] = field(default_factory=dict)
     """The same for every per-flight copy."""
     noise: Mapping[str, float] = field(default_factory=dict)
     """Noise levels to start from (where they are held: to keep), in SI units, of one component

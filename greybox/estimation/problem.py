@@ -26,6 +26,7 @@ from greybox.estimation.engine import Engine, engine_for
 from greybox.estimation.feasible import Body, bodies_of, moved_inside, wall
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.predictor import Block, Predictor
+from greybox.estimation.prior import Prior, prior_terms
 from greybox.estimation.record import Record, channel_means, make_records, sample_time
 from greybox.estimation.settling import start_sigma
 from greybox.estimation.solver import IndexArray, Value
@@ -216,20 +217,16 @@ class Problem(SearchSpace):
         numbers = [v for v in (value.cost, value.gradient, value.hessian) if v is not None]
         if not all(np.isfinite(v).all() for v in numbers):
             return Value(cost=np.inf, likelihood=np.inf, valid=False)
-        mean = np.array([u.mean for u in self.unknowns])
-        precision = np.array(
-            [0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in self.unknowns]
-        )
-        off = np.where(precision > 0, theta - mean, 0.0)
-        cost = value.cost + limit.cost + 0.5 * float((precision * off * off).sum())
+        believed, pull, curvature = prior_terms(self.unknowns, theta)
+        cost = value.cost + limit.cost + believed
         if order == 0:
             return Value(cost=cost, likelihood=value.cost)
         assert value.gradient is not None and value.hessian is not None
         return Value(
             cost=cost,
             likelihood=value.cost,
-            gradient=value.gradient + limit.gradient + precision * off,
-            hessian=value.hessian + limit.hessian + np.diag(precision),
+            gradient=value.gradient + limit.gradient + pull,
+            hessian=value.hessian + limit.hessian + np.diag(curvature),
             data_hessian=value.hessian,
             scores=value.scores,
         )
@@ -481,9 +478,9 @@ def _within(level: str, name: str) -> bool:
 
 
 def _declared(
-    d: Parameter, value: float, flight: str | None, prior: tuple[float, float] | None
+    d: Parameter, value: float, flight: str | None, given: tuple[float, float] | Prior | None
 ) -> Unknown:
-    mean, sigma = prior if prior is not None else (d.nominal, d.sigma)
+    prior = Prior(*given) if given is not None else Prior(d.nominal, d.sigma)
     start = min(max(value, d.lower), d.upper)
     own = 0.0 if d.origin is None and d.lower >= 0 else d.origin
     return Unknown(
@@ -493,8 +490,9 @@ def _declared(
         start=start,
         lower=d.lower,
         upper=d.upper,
-        mean=mean,
-        sigma=sigma if sigma > 0 else np.inf,
+        mean=prior.mean,
+        sigma=prior.sigma if prior.sigma > 0 else np.inf,
+        long_tails=prior.long_tails,
         scale=d.scale,
         unit=d.unit,
         origin=np.nan if own is None else own,

@@ -19,9 +19,10 @@ class Unknown:
     copy.
 
     `start`, `lower` and `upper` are in the unit of the unknown (a noise level: in its natural
-    logarithm), `mean` and `sigma` those of its Gaussian prior (sigma infinite: no prior), `scale`
-    is its typical size. `origin` is the value at which the factor that it stands for vanishes
-    (mass: 0, a share on top of a mass: -1), not a number where it is none.
+    logarithm), `mean` and `sigma` those of its prior (sigma infinite: no prior), which is normal
+    or has `long_tails` (see `greybox.estimation.prior`), `scale` is its typical size. `origin` is
+    the value at which the factor that it stands for vanishes (mass: 0, a share on top of a mass:
+    -1), not a number where it is none.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Unknown:
     scale: float
     unit: str
     origin: float = math.nan
+    long_tails: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -34,6 +34,7 @@ from greybox.estimation.gain import stationary
 from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.predictors.innovation import Innovation, InnovationPrepared
 from greybox.estimation.predictors.simulation import Simulation, start_of
+from greybox.estimation.prior import prior_terms
 from greybox.estimation.solver import IndexArray, Progress
 from greybox.estimation.solvers.levenberg_marquardt import damped_step
 from greybox.symbolic import CASADI, FloatArray
@@ -113,7 +114,7 @@ class MultipleShooting(Predictor[ShootingPrepared]):
         for iteration in range(1, self.max_iterations + 1):
             parts = [_part(problem, prepared.difference, theta, i, w) for i, w in enumerate(path)]
             value = Gaussian().evaluate(problem, [p.block for p in parts], 1, None)
-            cost, slope, curvature = _prior(problem, theta)
+            cost, slope, curvature = prior_terms(problem.unknowns, theta)
             assert value.gradient is not None and value.hessian is not None
             gradient, hessian = value.gradient + slope, value.hessian + np.diag(curvature)
             if not (
@@ -248,11 +249,3 @@ def _moved(problem: Problem, windows: _Windows, part: _Part, step: FloatArray) -
     for k in range(1, len(starts)):
         starts[k] = problem.engine.moved(windows.starts[k], move[k])[0]
     return _Windows(rows=windows.rows, lengths=windows.lengths, starts=starts)
-
-
-def _prior(problem: Problem, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """(cost, gradient, curvature) of the priors."""
-    mean = np.array([u.mean for u in problem.unknowns])
-    precision = np.array([u.sigma**-2 if np.isfinite(u.sigma) else 0.0 for u in problem.unknowns])
-    off = np.where(precision > 0, theta - mean, 0.0)
-    return 0.5 * float((precision * off * off).sum()), precision * off, precision

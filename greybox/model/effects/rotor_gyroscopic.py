@@ -47,8 +47,10 @@ class RotorGyroscopic(Effect):
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """J_r [kg m^2]: rotor and propeller about the spin axis."""
-        # At full speed change within a motor's lag such a rotor turns the body by some rad/s^2.
-        scale = 0.05 * float(vehicle.inertia[2][2]) / vehicle.omega_scale
+        # Published rotors: 4.6e-3 of the craft's inertia about z (Bouabdallah 2007), 3.8e-3
+        # (Luukkonen 2011); small propellers have less. Without speed_max per 1000 rad/s.
+        scale = 2e-3 * float(vehicle.inertia[2][2])
+        scale *= 1.0 if vehicle.actuator.speed_max else 1e3
         return (
             Parameter(
                 name="J_r",
