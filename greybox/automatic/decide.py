@@ -555,17 +555,14 @@ class _Decider:
     def _say_effects(self, chosen: Candidate, tried: list[Candidate]) -> None:
         if self.given.effects is not None:
             return
-        least = min(c.likelihood.bic for c in tried)
         listed = ", ".join(
-            f"{c.name} {c.score.mean:.3f} (BIC {c.likelihood.bic - least:+.0f})" for c in tried
+            f"{'+ ' * (c is not tried[0])}{c.name} {c.score.mean:.3g}" for c in tried
         )
         self._note(
             "effects",
             _listed(chosen.steps),
-            "of the sets within one standard error of the best on pieces left out the one with the "
-            "lowest BIC, less what nothing feels, with a late pose where the IMU is filtered; "
-            "squared "
-            f"error ahead over that of holding the last value, step by step: {listed}",
+            "of the sets that foretell pieces left out as well as the best the one with the lowest "
+            f"BIC; squared errors ahead, the last value's = 1: {listed}",
             "--effects, --per-flight",
         )
 

@@ -45,7 +45,7 @@ def add(subparsers: Subcommands) -> None:
         help="fit a Newton-Euler model to flight logs",
         description="Fit a Newton-Euler model to flight logs by the prediction error method. What "
         "is not said is decided "
-        "from the flights, each choice with its reason, and the explicit command is printed. "
+        "from the flights, each choice with its reason; command.sh says all of them. "
         "Writes fit.json, model.json "
         "and report.html. Exit code 0: usable (or the flights are too calm to judge), 1: not "
         "usable, or a fault of all flights or of the vehicle file blocks, 2: bad input, 130: "

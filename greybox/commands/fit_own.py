@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from greybox.validation.options import HorizonChoices
     from greybox.validation.result import Validation
 
-RESULTS = ("report.html", "validate.json", "fit.json", "model.json")
+COMMAND = "command.sh"
+"""The explicit command of a fit that was decided, as a script."""
+RESULTS = ("report.html", "validate.json", "fit.json", "model.json", COMMAND)
 """Files of the command."""
 OF_VEHICLES: dict[str, object] = {
     "effects": None,

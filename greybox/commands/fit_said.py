@@ -16,18 +16,32 @@ if TYPE_CHECKING:
     from greybox.validation.result import Validation
 
 from greybox.commands.command_line import typed
+from greybox.commands.fit_own import COMMAND
 from greybox.commands.mcap_option import write_if_asked
 from greybox.commands.model_options import explicit_recipe
 
 
 def save(job: Job, found: Fit) -> FitDocument:
-    """Write fit.json and model.json. Returns the first."""
-    from greybox.files import write_json
+    """Write fit.json, model.json and, where something was decided, the explicit command as a
+    script. Returns the first."""
+    from greybox.files import write_atomic, write_json
 
     content = _content(job, found)
     write_json(job.out / "fit.json", content)
     found.model.save(job.out / "model.json")
+    if "explicit" in content:
+        write_atomic(job.out / COMMAND, _script(content["explicit"]["command"]))
     return content
+
+
+def _script(command: str) -> str:
+    """A shell script of the `command`, one option a line; what its caller adds overrules it."""
+    lines = [["greybox", "fit"]]
+    for word in shlex.split(command)[2:]:
+        lines += [[word]] if word.startswith("--") else []
+        lines[-1] += [] if word.startswith("--") else [word]
+    told = "# The same fit with every choice said: change one here, or behind the script's name."
+    return f"{told}\n" + " \\\n  ".join([*map(shlex.join, lines), '"$@"']) + "\n"
 
 
 def _content(job: Job, result: Fit) -> FitDocument:
@@ -116,7 +130,7 @@ def lines(
     job: Job, result: Fit, table: str, content: FitDocument, pushed: Sequence[str]
 ) -> list[str]:
     """The verdict and what the logs, pushes and physics say, the decisions with their reasons, the
-    estimates, the explicit command."""
+    estimates, the script that says every choice."""
     first, *rest = result.summary().splitlines()
     if result.covariance.form:  # it is said at once, with what to do next
         rest.remove(f"warning: {result.covariance.form}")
@@ -130,7 +144,8 @@ def lines(
     if table:
         lines += [table, ""]
     if "explicit" in content:
-        lines += ["The same as an explicit command:", f"  {content['explicit']['command']}"]
+        again = shlex.join(["sh", str(job.out / COMMAND), "--out", "again"])
+        lines += [f"the same with every choice said: {again}"]
     return lines
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import subprocess
 from importlib import resources
 from pathlib import Path
 
@@ -77,6 +78,14 @@ def test_the_explicit_command_gives_the_same_numbers(folder, monkeypatch):
     seen, once_more = (read(folder / f / "validate.json") for f in ("fit", "again"))
     assert once_more["horizons"] == seen["horizons"]
     assert again["verdict"] == first["verdict"]
+
+
+def test_the_script_says_the_explicit_command_and_hands_on_what_is_added(folder):
+    typed = "greybox() { printf '%s\\n' \"$@\"; }; . fit/command.sh"
+    ran = ["sh", "-c", typed, "sh", "--out", "elsewhere"]
+    said = subprocess.run(ran, cwd=folder, capture_output=True, text=True, check=True).stdout
+    command = read(folder / "fit" / "fit.json")["explicit"]["command"]
+    assert said.splitlines() == [*shlex.split(command)[1:], "--out", "elsewhere"]
 
 
 def test_without_test_flights_it_is_judged_on_the_same_pieces_with_the_same_first_line(
