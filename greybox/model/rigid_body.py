@@ -30,6 +30,17 @@ PUSHES = ("force", "torque", "turn")
 attitude kinematics."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Body:
+    """Mass [kg], inertia (3, 3) about the centre of mass [kg m^2] and that centre (3, 1) [m] in
+    body axes."""
+
+    mass: Expr
+    inertia: Expr
+    center_of_mass: Expr
+    inertia_is_diagonal: bool
+
+
 @dataclass(frozen=True, kw_only=True)
 class RigidBody:
     """The body of a model and what its rotors and effects do to it.
@@ -51,38 +62,60 @@ class RigidBody:
         w: Expr,
     ) -> tuple[Expr, Expr, Flow]:
         """(specific force [m/s^2], angular acceleration [rad/s^2], flow) in body axes."""
+        nothing_known = Flow(vehicle=self.staged.vehicle, vbat=self.staged.voltage(u))
+        body = self._mass_and_inertia(nothing_known, values)
+        flow = self._flow(nothing_known, body, x, nu, nu_rate, values)
+        thrust, torque = self._rotor_forces(flow, x, values)
+        force, moment = self._wrench(flow, thrust, torque, x, values, w)
+        gyroscopic = ca.cross(x["rate"], body.inertia @ x["rate"])
+        if body.inertia_is_diagonal:
+            alpha = (moment - gyroscopic) / ca.diag(body.inertia)
+        else:
+            alpha = ca.inv(body.inertia) @ (moment - gyroscopic)
+        return force / body.mass, alpha, replace(flow, angular_acceleration=alpha)
+
+    def _mass_and_inertia(self, flow: Flow, values: Mapping[str, Expr]) -> _Body:
+        """The body with what the effects of its stage add."""
         staged = self.staged
-        vehicle, n = staged.vehicle, self.rotors.count
-        rotation = rotation_matrix(x["attitude"])
         mass = values["mass"]
         kind = type(mass) if isinstance(mass, ca.SX | ca.MX) else ca.DM
-        inertia = kind(ca.DM(np.asarray(vehicle.inertia)))
+        inertia = kind(ca.DM(np.asarray(staged.vehicle.inertia)))
         for i, a in enumerate(("xx", "yy", "zz")):
             inertia[i, i] = values[f"inertia.{a}"]
         com = ca.vertcat(*(values[f"center_of_mass.{a}"] for a in "xyz"))
-        flow = Flow(vehicle=vehicle, vbat=staged.voltage(u))
-        diagonal = _is_diagonal(vehicle)
+        diagonal = _is_diagonal(staged.vehicle)
         for e in staged.of("body"):
             slots = e.apply(flow, staged.own(e, values))
             diagonal = diagonal and "inertia_increment" not in slots
             mass = mass * slots.get("mass_factor", 1.0)
             inertia = inertia + slots.get("inertia_increment", 0.0)
             com = com + slots.get("center_of_mass", 0.0)
-        arms = ca.horzcat(*(ca.DM(list(r.position)) - com for r in vehicle.rotors))
-        spin = [r.spin for r in vehicle.rotors]
-        thrust = _polynomial(nu, [values.get(f"thrust.c{k}", 0.0) for k in range(3)])
-        torque = _polynomial(nu, [values.get(f"torque.c{k}", 0.0) for k in range(3)])
+        return _Body(mass=mass, inertia=inertia, center_of_mass=com, inertia_is_diagonal=diagonal)
+
+    def _flow(
+        self,
+        flow: Flow,
+        body: _Body,
+        x: Mapping[str, Expr],
+        nu: Expr,
+        nu_rate: Expr,
+        values: Mapping[str, Expr],
+    ) -> Flow:
+        """What the effects on thrust and wrench may look at, with the baseline thrust."""
+        staged = self.staged
+        vehicle = staged.vehicle
+        rotation = rotation_matrix(x["attitude"])
         if self.rotors.have_lag:
             # At tau = 0 the jumps of the command are no rates: effects see what they see without
             # a lag.
             nu_rate = ca.if_else(self.rotors.lag(values) > 0, nu_rate, 0)
         wind = rotation.T @ staged.early("wind", values) if staged.has("wind") else ca.DM.zeros(3)
-        flow = replace(
+        return replace(
             flow,
             nu=nu,
             nu_rate=nu_rate,
             rotor_speed=vehicle.omega_scale * nu,
-            thrust=thrust,
+            thrust=_polynomial(nu, [values.get(f"thrust.c{k}", 0.0) for k in range(3)]),
             velocity=rotation.T @ x["velocity"],
             velocity_world=x["velocity"],
             omega=x["rate"],
@@ -90,17 +123,40 @@ class RigidBody:
             rotation=rotation,
             quaternion=x["attitude"],
             position=x["position"],
-            arms=arms,
-            mass=mass,
-            center_of_mass=com,
+            arms=ca.horzcat(
+                *(ca.DM(list(r.position)) - body.center_of_mass for r in vehicle.rotors)
+            ),
+            mass=body.mass,
+            center_of_mass=body.center_of_mass,
         )
+
+    def _rotor_forces(
+        self, flow: Flow, x: Mapping[str, Expr], values: Mapping[str, Expr]
+    ) -> tuple[Expr, Expr]:
+        """(thrust [N], torque [N m]) of every rotor (n_rotor, 1) with the effects of their stage."""
+        staged, thrust = self.staged, flow.thrust
+        torque = _polynomial(flow.nu, [values.get(f"torque.c{k}", 0.0) for k in range(3)])
         increment: Expr = 0.0
         for e in staged.of("thrust"):
             slots = e.apply(staged.with_memory(e, flow, x), staged.own(e, values))
             thrust = thrust * slots.get("thrust_factor", 1.0)
             torque = torque * slots.get("torque_factor", 1.0)
             increment = increment + slots.get("thrust_increment", 0.0)
-        thrust = thrust + increment
+        return thrust + increment, torque
+
+    def _wrench(
+        self,
+        flow: Flow,
+        thrust: Expr,
+        torque: Expr,
+        x: Mapping[str, Expr],
+        values: Mapping[str, Expr],
+        w: Expr,
+    ) -> tuple[Expr, Expr]:
+        """(force [N], moment about the centre of mass [N m]) of rotors, noise and the effects of
+        their stage."""
+        staged, n, arms = self.staged, self.rotors.count, flow.arms
+        spin = [r.spin for r in staged.vehicle.rotors]
         force = ca.vertcat(0, 0, ca.sum1(thrust)) + w[0:3]
         moment = w[3:6] + ca.vertcat(
             sum(arms[1, i] * thrust[i] for i in range(n)),
@@ -115,12 +171,7 @@ class RigidBody:
                 hub = slots["hub_force"]
                 force = force + ca.sum2(hub)
                 moment = moment + sum(ca.cross(arms[:, i], hub[:, i]) for i in range(n))
-        gyroscopic = ca.cross(x["rate"], inertia @ x["rate"])
-        if diagonal:
-            alpha = (moment - gyroscopic) / ca.diag(inertia)
-        else:
-            alpha = ca.inv(inertia) @ (moment - gyroscopic)
-        return force / mass, alpha, replace(flow, angular_acceleration=alpha)
+        return force, moment
 
     def rates(
         self,
