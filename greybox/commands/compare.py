@@ -54,6 +54,27 @@ def add(subparsers: Subcommands) -> None:
     flight_log_options(p)
     accept_option(p)
     adapt_option(p)
+    _method_options(p)
+    horizon_options(p)
+    p.add_argument(
+        "--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate"
+    )
+    p.add_argument("--seed", type=int, default=0, help="seed of searches, subsets and networks")
+    p.add_argument("--out", default="greybox-compare", metavar="DIR", help="folder for the results")
+    json_option(p, "compare.json")
+    nonlinear = p.add_argument_group("the nonlinear model, as in greybox fit")
+    nonlinear.add_argument(
+        "--fitted",
+        metavar="MODEL.json",
+        help="take the model that greybox fit made of the same training flights, and its rate; no "
+        "other option of this group counts then",
+    )
+    model_options(nonlinear)
+    p.set_defaults(run=run)
+
+
+def _method_options(p: argparse.ArgumentParser) -> None:
+    """Which methods, and how much each may try."""
     p.add_argument(
         "--budget",
         type=int,
@@ -80,22 +101,6 @@ def add(subparsers: Subcommands) -> None:
         "greybox learn; "
         "all: every learner that there is",
     )
-    horizon_options(p)
-    p.add_argument(
-        "--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate"
-    )
-    p.add_argument("--seed", type=int, default=0, help="seed of searches, subsets and networks")
-    p.add_argument("--out", default="greybox-compare", metavar="DIR", help="folder for the results")
-    json_option(p, "compare.json")
-    nonlinear = p.add_argument_group("the nonlinear model, as in greybox fit")
-    nonlinear.add_argument(
-        "--fitted",
-        metavar="MODEL.json",
-        help="take the model that greybox fit made of the same training flights, and its rate; no "
-        "other option of this group counts then",
-    )
-    model_options(nonlinear)
-    p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

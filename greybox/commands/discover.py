@@ -119,6 +119,24 @@ def _search_options(p: argparse.ArgumentParser) -> None:
         metavar="E.py",
         help="also offer the effects of these Python files, which are run (only what you trust)",
     )
+    _model_options(p)
+    p.add_argument(
+        "--trace", action="store_true", help="also add what is certain and worth nothing"
+    )
+    p.add_argument(
+        "--executor",
+        metavar="dask://HOST:PORT",
+        help="fit on the workers of this dask scheduler (extra cluster)",
+    )
+    p.add_argument(
+        "--attainable",
+        action="store_true",
+        help="also learn, without a name, what could be closed",
+    )
+
+
+def _model_options(p: argparse.ArgumentParser) -> None:
+    """Of the model that every fit of the search has."""
     p.add_argument(
         "--kinematic-noise",
         action=argparse.BooleanOptionalAction,
@@ -144,19 +162,6 @@ def _search_options(p: argparse.ArgumentParser) -> None:
         choices=("none", "sensor"),
         default="none",
         help="sensor: hold the sensors' noise levels at those of the vehicle file",
-    )
-    p.add_argument(
-        "--trace", action="store_true", help="also add what is certain and worth nothing"
-    )
-    p.add_argument(
-        "--executor",
-        metavar="dask://HOST:PORT",
-        help="fit on the workers of this dask scheduler (extra cluster)",
-    )
-    p.add_argument(
-        "--attainable",
-        action="store_true",
-        help="also learn, without a name, what could be closed",
     )
 
 

@@ -48,6 +48,32 @@ def add(commands: Subcommands) -> None:
         "`linear`, or what save() of a NARX, LSTM or Gaussian process wrote",
     )
     p.add_argument("--out", required=True, metavar="DIR", help="the bundle's folder")
+    _bundle_options(p)
+    p.add_argument(
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="E.py",
+        help="effects of your own in the model",
+    )
+    model_file_option(p)
+    p.add_argument(
+        "--even-so", action="store_true", help="go on although the model was judged not usable"
+    )
+    p.add_argument(
+        "--no-cache", action="store_true", help="build anew even if the same export is in the cache"
+    )
+    p.add_argument(
+        "--force",
+        action="store_true",
+        help="replace a bundle although files in it were changed or added",
+    )
+    json_option(p, "the manifest")
+    p.set_defaults(run=run)
+
+
+def _bundle_options(p: argparse.ArgumentParser) -> None:
+    """What the bundle is and holds."""
     p.add_argument(
         "--target",
         default="c,casadi",
@@ -89,27 +115,6 @@ def add(commands: Subcommands) -> None:
         default=1,
         help="attempts at a plan in one step of the target tube (default %(default)s)",
     )
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="effects of your own in the model",
-    )
-    model_file_option(p)
-    p.add_argument(
-        "--even-so", action="store_true", help="go on although the model was judged not usable"
-    )
-    p.add_argument(
-        "--no-cache", action="store_true", help="build anew even if the same export is in the cache"
-    )
-    p.add_argument(
-        "--force",
-        action="store_true",
-        help="replace a bundle although files in it were changed or added",
-    )
-    json_option(p, "the manifest")
-    p.set_defaults(run=run)
 
 
 def _split(text: str) -> tuple[str, ...]:

@@ -56,6 +56,29 @@ def add(subparsers: Subcommands) -> None:
         metavar="MODEL.json",
         help="model file whose response is drawn over that of the flights",
     )
+    _response_options(p)
+    p.add_argument(
+        "--rate",
+        type=float,
+        default=None,
+        metavar="HZ",
+        help="resample the logs (default: rate of the model)",
+    )
+    flight_log_options(p)
+    p.add_argument(
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="E.py",
+        help="effects of your own in the model",
+    )
+    p.add_argument("--out", default="greybox-frf", metavar="DIR", help="folder for the results")
+    json_option(p, "frf.json")
+    p.set_defaults(run=run)
+
+
+def _response_options(p: argparse.ArgumentParser) -> None:
+    """Of what the response is, and at which frequencies."""
     p.add_argument(
         "--inputs",
         type=names,
@@ -93,24 +116,6 @@ def add(subparsers: Subcommands) -> None:
         metavar="S",
         help="longest window (default: as the flights allow)",
     )
-    p.add_argument(
-        "--rate",
-        type=float,
-        default=None,
-        metavar="HZ",
-        help="resample the logs (default: rate of the model)",
-    )
-    flight_log_options(p)
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="effects of your own in the model",
-    )
-    p.add_argument("--out", default="greybox-frf", metavar="DIR", help="folder for the results")
-    json_option(p, "frf.json")
-    p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -62,6 +62,28 @@ def add(commands: Subcommands) -> None:
         metavar="T,...",
         help=f"some of {', '.join(NAMES)} (default: all that can express the craft)",
     )
+    _draw_options(p)
+    p.add_argument(
+        "--force",
+        action="store_true",
+        help="write over existing files, and remove those of the twin that was there",
+    )
+    p.add_argument(
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="E.py",
+        help="effects of your own in the model",
+    )
+    p.add_argument(
+        "--even-so", action="store_true", help="go on although the model was judged not usable"
+    )
+    json_option(p, "the statement")
+    p.set_defaults(run=run)
+
+
+def _draw_options(p: argparse.ArgumentParser) -> None:
+    """Craft as uncertain as the fit left them, and flights to judge them by."""
     p.add_argument(
         "--draws",
         type=int,
@@ -86,23 +108,6 @@ def add(commands: Subcommands) -> None:
         help="flights that no fit saw: how many of them the drawn craft hold in their 95 %% band, "
         "beside a box of +-30 %% (needs --draws)",
     )
-    p.add_argument(
-        "--force",
-        action="store_true",
-        help="write over existing files, and remove those of the twin that was there",
-    )
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="effects of your own in the model",
-    )
-    p.add_argument(
-        "--even-so", action="store_true", help="go on although the model was judged not usable"
-    )
-    json_option(p, "the statement")
-    p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
