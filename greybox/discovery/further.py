@@ -45,6 +45,34 @@ def further(
     Raises `DataError` where a flight judged already or nothing has a name, `ModelError`,
     `FitError`.
     """
+    _demand_new(content, data)
+    flights, told = _told(model, data, own)
+    told_now = [_log_e(flights, told, effect, model) / LOG10 for effect in content["effects"]]
+    alone = content.get("alone_log10_e", content["bar_log10_e"])
+    totals = [e["log10_e"] + new for e, new in zip(content["effects"], told_now, strict=True)]
+    bar = bar_of_several([LOG10 * t for t in totals], LOG10 * alone) / LOG10
+    effects: list[NamedRow] = []
+    for effect, new, total in zip(content["effects"], told_now, totals, strict=True):
+        enough = total >= bar
+        status = "certified" if enough else effect["status"]
+        if not enough and (status == "certified" or total < 0.0):
+            status = "not certified"
+        effects.append({**effect, "log10_e": total, "status": status, "further": new})
+    kept = [e for e in effects if e["status"] != "not certified"]
+    lost = [_unnamed(e, bar) for e in effects if e["status"] == "not certified"]
+    return {
+        **content,
+        "bar_log10_e": bar,
+        "effects": kept,
+        "not_certified": [*content["not_certified"], *lost],
+        "tested_on": [*content["tested_on"], *data.names],
+        "line": _line(kept),
+        "verdict": _verdict(content, kept),
+    }
+
+
+def _demand_new(content: DiscoveryDocument, data: Dataset) -> None:
+    """Raise `DataError` where flights took part already, or nothing has a name."""
     taken = {*content["trained_on"], *content["tested_on"]}
     if twice := sorted(taken & set(data.names)):
         raise DataError(
@@ -52,13 +80,15 @@ def further(
             expected="flights that did not",
             fix="give new flights (a flight is known by its name)",
         )
-    names = [e["name"] for e in content["effects"]]
-    if not names:
+    if not content["effects"]:
         raise DataError("no name to go on with", fix="greybox discover with all flights")
+
+
+def _told(model: IdentifiedModel, data: Dataset, own: Iterable[Effect]) -> tuple[Flights, Fitted]:
+    """The new flights, and the structure of `model` fitted to them from what is known."""
     known = since(model)
-    vehicle = model.physics.vehicle
     causes = offer(
-        vehicle,
+        model.physics.vehicle,
         data.channels,
         own=own,
         sample_time=sample_time(data),
@@ -73,40 +103,18 @@ def further(
     )
     flights = Flights(causes=causes, data=without_lead_in(data))
     start: dict[Key, float] = {(n, None): float(v) for n, v in model.values.items()}
-    told = flights.fit(structure, [start])
-    told_now = [_log_e(flights, told, effect, model) / LOG10 for effect in content["effects"]]
-    alone = content.get("alone_log10_e", content["bar_log10_e"])
-    totals = [e["log10_e"] + new for e, new in zip(content["effects"], told_now, strict=True)]
-    bar = bar_of_several([LOG10 * t for t in totals], LOG10 * alone) / LOG10
-    effects: list[NamedRow] = []
-    for effect, new, total in zip(content["effects"], told_now, totals, strict=True):
-        enough = total >= bar
-        status = "certified" if enough else effect["status"]
-        if not enough and (status == "certified" or total < 0.0):
-            status = "not certified"
-        effects.append({**effect, "log10_e": total, "status": status, "further": new})
-    kept = [e for e in effects if e["status"] != "not certified"]
-    lost: list[UnnamedRow] = [
-        {
-            "name": e["name"],
-            "status": e["status"],
-            "log10_e": e["log10_e"],
-            "against": e["against"],
-            "worth": e["worth"],
-            "further": e["further"],
-            "reason": f"with further flights log10 e {e['log10_e']:.1f} of {bar:.1f}",
-        }
-        for e in effects
-        if e["status"] == "not certified"
-    ]
+    return flights, flights.fit(structure, [start])
+
+
+def _unnamed(effect: NamedRow, bar: float) -> UnnamedRow:
     return {
-        **content,
-        "bar_log10_e": bar,
-        "effects": kept,
-        "not_certified": [*content["not_certified"], *lost],
-        "tested_on": [*content["tested_on"], *data.names],
-        "line": _line(kept),
-        "verdict": _verdict(content, kept),
+        "name": effect["name"],
+        "status": effect["status"],
+        "log10_e": effect["log10_e"],
+        "against": effect["against"],
+        "worth": effect["worth"],
+        "further": effect["further"],
+        "reason": f"with further flights log10 e {effect['log10_e']:.1f} of {bar:.1f}",
     }
 
 

@@ -102,25 +102,22 @@ def discover(
     options = DiscoverOptions.of(options, choices)
     train, vehicle = Dataset.of(train), subject if isinstance(subject, Vehicle) else None
     tested = test if test is not None and test.flights else None
-    settings = settings_of(options)
     if tested is not None:
         demand_apart(train, tested)
     if vehicle is not None:
         both = train if tested is None else train + tested
         faults = faults or faults_of(vehicle, both, accept=accept)
         if not faults.ok:
-            return refused(faults, vehicle, settings, time.perf_counter() - began)
+            spent = time.perf_counter() - began
+            return refused(faults, vehicle, settings_of(options), spent)
         _long_enough(train)
-        if options.kinematic_noise is None:  # as in the automatic fit, or in what changed since
-            old = None if options.since is None else options.since.physics.kinematic_noise
-            options = options.but(kinematic_noise=faults.wander > WANDER if old is None else old)
-            settings = settings_of(options)
-    causes = _offered(subject, train, options)
+        options = _with_noise_of_clocks(options, faults)
+    settings = settings_of(options)
     settings["sample_time"] = sample_time(train)
     say = onward(progress or (lambda _text, _share: None))
     run = _Run(
         flights=Flights(
-            causes=causes,
+            causes=_offered(subject, train, options),
             data=without_lead_in(train) if vehicle else train,
             options=options.of_every_fit,
             effort=options.effort,
@@ -136,6 +133,15 @@ def discover(
         began=began,
     )
     return run.carried_out()
+
+
+def _with_noise_of_clocks(options: DiscoverOptions, faults: CheckReport) -> DiscoverOptions:
+    """With noise between attitude and gyro, where that is open, as in the automatic fit or in what
+    changed since."""
+    if options.kinematic_noise is not None:
+        return options
+    old = None if options.since is None else options.since.physics.kinematic_noise
+    return options.but(kinematic_noise=faults.wander > WANDER if old is None else old)
 
 
 def _offered(
