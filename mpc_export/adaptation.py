@@ -253,13 +253,8 @@ def adapt_function(
     through = psi @ v
     scaled = _whitened(n_e, n_a)(spread + through @ psi.T, ca.horzcat(through, e))
     across, left = scaled[:, :n_a], scaled[:, n_a]
-    said = across.T @ left
     left_over = v - across.T @ across
-    for i in np.flatnonzero((own.lower > -UNBOUNDED) | (own.upper < UNBOUNDED)).tolist():
-        # What a bound takes from one parameter, the others are told: their mean, given the bound.
-        there_is = p[rows[i]] + said[i]
-        short = _between(there_is, own.lower[i : i + 1], own.upper[i : i + 1]) - there_is
-        said += left_over[:, i] * (short / ca.fmax(left_over[i, i], 1 / UNBOUNDED))
+    said = _given_the_bounds(across.T @ left, left_over, p, own)
     theta = _between(p[rows] + said[:n_t], own.lower, own.upper)
     moved = ca.vertcat(theta - p[rows], said[n_t:])
     # After the measurement, before time goes on.
@@ -287,6 +282,17 @@ def adapt_function(
         ["x", "u", "p", "y", "there", "V", "memory"],
         ["x_next", "p_next", "V_next", "e", "y_hat"],
     )
+
+
+def _given_the_bounds(said: Expr, covariance: Expr, p: Expr, own: Adapted) -> Expr:
+    """What a measurement `said` (n_a,) of parameters and state, with parameters inside their bounds;
+    `covariance` (n_a, n_a) is that after it. What a bound takes from one parameter, the others are
+    told: their mean, given the bound."""
+    for i in np.flatnonzero((own.lower > -UNBOUNDED) | (own.upper < UNBOUNDED)).tolist():
+        there_is = p[own.rows[i]] + said[i]
+        short = _between(there_is, own.lower[i : i + 1], own.upper[i : i + 1]) - there_is
+        said += covariance[:, i] * (short / ca.fmax(covariance[i, i], 1 / UNBOUNDED))
+    return said
 
 
 def _moved(boxplus: ca.Function, n_own: int) -> ca.Function:

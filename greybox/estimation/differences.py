@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -114,67 +114,71 @@ def with_candidate_sensitivities(
     looked for a sample too late next to it. The result can be evaluated at that point only. Raises
     `FitError` where a prediction is not finite.
     """
-    declared = {d.name: d for d in (apart or large).parameters}
-    common = {d.name for d in large.parameters}
-    own = set(per_flight)
+    common, own = {d.name for d in large.parameters}, set(per_flight)
     runner = _Runner(small, theta, large, data, {n: v for n, v in null.items() if n in common})
     other = runner if apart is None else _Runner(small, theta, apart, data, null)
-    added: list[Unknown] = []
-    runners: list[_Runner] = []
-    columns: list[list[_Column | None]] = []
-    flights = small.flights
-    tasks: list[Callable[[], list[_Column | None]]] = []
-    for name in (n for n in declared if n in null):
-        d = declared[name]
-        separate = d.scope == "flight" or name in own
-        for flight in flights if separate else (None,):
-            mine = runner if name in common else other
-            added.append(_unknown(d, null[name], flight))
-            runners.append(mine)
-            tasks.append(lambda r=mine, d=d, flight=flight: r.column(d, null[d.name], flight))  # type: ignore[misc]
+    candidates = [
+        (d, flight, runner if d.name in common else other)
+        for d in (apart or large).parameters
+        if d.name in null
+        for flight in _flights_of(d, small, own)
+    ]
     with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
-        columns = [f.result() for f in [pool.submit(t) for t in tasks]]
-    blocks = []
-    for i, block in enumerate(Innovation(piece=sys.maxsize).blocks(small, theta, True)):
-        assert block.jacobian is not None
-        assert block.covariance_slope is not None
-        # A larger model may look further back at commands: its patterns are more, of lost rows long
-        # before.
-        groups = range(len(block.covariance_slope))
-        alike = {
-            r: np.array([r.example(i, block.pattern == g) for g in groups]) for r in {runner, other}
-        }
-        there = [(j, c[i], runners[j]) for j, c in enumerate(columns)]
-        moved = [(j, c, r) for j, c, r in there if c is not None]
-        added_slopes = [c.covariance(alike[r]) for _, c, r in moved]  # (n_pat, n_e, n_e) each
-        blocks.append(
-            replace(
-                block,
-                jacobian=np.concatenate(
-                    [block.jacobian, *(c.innovations[:, :, None] for _, c, _ in moved)], axis=2
-                ),
-                covariance_slope=tuple(
-                    np.concatenate(
-                        [
-                            _padded(known, block.columns.size),
-                            *(new[None, g] for new in added_slopes),
-                        ]
-                    )
-                    for g, known in enumerate(block.covariance_slope)
-                ),
-                columns=np.concatenate(
-                    [block.columns, small.n + np.array([j for j, _, _ in moved], dtype=np.intp)]
-                ),
-            )
-        )
-    thresholds = frozenset(runner.thresholds | other.thresholds)
+        asked = [pool.submit(r.column, d, null[d.name], f) for d, f, r in candidates]
+        columns = [a.result() for a in asked]
+    runners = [r for _, _, r in candidates]
+    blocks = [
+        _widened(block, i, small.n, [c[i] for c in columns], runners)
+        for i, block in enumerate(Innovation(piece=sys.maxsize).blocks(small, theta, True))
+    ]
+    added = [_unknown(d, null[d.name], flight) for d, flight, _ in candidates]
     wide = replace(
         small,
         unknowns=(*small.unknowns, *added),
         predictor=Given(given=blocks),
-        thresholds=thresholds,
+        thresholds=frozenset(runner.thresholds | other.thresholds),
     )
     return wide, np.concatenate([theta, [u.start for u in added]])
+
+
+def _flights_of(d: Parameter, small: Problem, own: Collection[str]) -> tuple[str | None, ...]:
+    """The flights that a parameter has one value each for, as those named in `own` have; None: one
+    value for all."""
+    return tuple(small.flights) if d.scope == "flight" or d.name in own else (None,)
+
+
+def _widened(
+    block: Block,
+    i: int,
+    n: int,
+    columns: Sequence[_Column | None],
+    runners: Sequence[_Runner],
+) -> Block:
+    """The block of record i of a fit of n unknowns with the columns of further ones, each of which
+    one of the `runners` has run (None: another flight's)."""
+    assert block.jacobian is not None
+    assert block.covariance_slope is not None
+    # A larger model may look further back at commands: its patterns are more, of lost rows long
+    # before.
+    groups = range(len(block.covariance_slope))
+    alike = {r: np.array([r.example(i, block.pattern == g) for g in groups]) for r in {*runners}}
+    moved = [(j, c, runners[j]) for j, c in enumerate(columns) if c is not None]
+    added_slopes = [c.covariance(alike[r]) for _, c, r in moved]  # (n_pat, n_e, n_e) each
+    return replace(
+        block,
+        jacobian=np.concatenate(
+            [block.jacobian, *(c.innovations[:, :, None] for _, c, _ in moved)], axis=2
+        ),
+        covariance_slope=tuple(
+            np.concatenate(
+                [_padded(known, block.columns.size), *(new[None, g] for new in added_slopes)]
+            )
+            for g, known in enumerate(block.covariance_slope)
+        ),
+        columns=np.concatenate(
+            [block.columns, n + np.array([j for j, _, _ in moved], dtype=np.intp)]
+        ),
+    )
 
 
 def _padded(slopes: FloatArray, n: int) -> FloatArray:

@@ -239,27 +239,8 @@ class GPPosterior(AsFunction, Shown):
         wanted = set(which)
         for name in wanted - {*QUANTITIES, "distances"}:
             raise UnknownNameError("GP quantity", name, (*QUANTITIES, "distances"))
-        if not isinstance(z, (ca.SX, ca.MX, ca.DM)):
-            z = ca.DM(np.asarray(z, dtype=np.float64))
-        n_in = len(self.inputs)
-        if z.numel() != n_in:
-            raise ModelError(
-                "the GP's input has the wrong length", expected=f"{n_in} values", got=str(z.numel())
-            )
-        x = (ca.reshape(z, n_in, 1) - self.input_mean) / self.input_scale
+        rows = self._standardised(self._standardised_input(z), wanted, weights)
         variance_scale = self.output_scale**2 * self.variance_factor
-        rows: dict[str, list[Expr]] = {
-            name: [] for name in ("mean", "variance", "jm", "jv", "distances")
-        }
-        shared: dict[int, _Common] = {}
-        for j, kernel in enumerate(self.kernels):
-            if self.active[j] and id(kernel) not in shared:
-                k, g = kernel.covariance_and_slope(self.support.T, x, ca)
-                shared[id(kernel)] = _Common(k=k, g=g)
-            own = ca.DM(self.weights[:, j]) if weights is None else weights[:, j]
-            parts = self._output(j, x, shared.get(id(kernel)), wanted, own)
-            for name, value in parts.items():
-                rows[name].append(value)
         out: dict[str, Expr] = {}
         if "mean" in wanted:
             out["mean"] = self.output_mean + self.output_scale * ca.vertcat(*rows["mean"])
@@ -276,17 +257,41 @@ class GPPosterior(AsFunction, Shown):
             out["variance_jacobian"] = (variance_scale[:, None] / self.input_scale) * ca.vertcat(
                 *rows["jv"]
             )
-        if wanted & {"distance", "distances"}:
-            if "distances" in wanted:
-                out["distances"] = ca.vertcat(*rows["distances"])
-            if "distance" in wanted:
-                active = [j for j, is_active in enumerate(self.active) if is_active]
-                out["distance"] = (
-                    ca.mmax(ca.vertcat(*(rows["distances"][j] for j in active)))
-                    if active
-                    else ca.DM(1.0)
-                )
+        if "distances" in wanted:
+            out["distances"] = ca.vertcat(*rows["distances"])
+        if "distance" in wanted:
+            active = [rows["distances"][j] for j, is_active in enumerate(self.active) if is_active]
+            out["distance"] = ca.mmax(ca.vertcat(*active)) if active else ca.DM(1.0)
         return out
+
+    def _standardised_input(self, z: Expr) -> Expr:
+        """z as the column that the kernels take. Raises `ModelError` for a wrong length."""
+        if not isinstance(z, (ca.SX, ca.MX, ca.DM)):
+            z = ca.DM(np.asarray(z, dtype=np.float64))
+        n_in = len(self.inputs)
+        if z.numel() != n_in:
+            raise ModelError(
+                "the GP's input has the wrong length", expected=f"{n_in} values", got=str(z.numel())
+            )
+        return (ca.reshape(z, n_in, 1) - self.input_mean) / self.input_scale
+
+    def _standardised(
+        self, x: Expr, wanted: set[str], weights: Expr | None
+    ) -> dict[str, list[Expr]]:
+        """Quantity -> its standardised value of every output, at the standardised column x."""
+        rows: dict[str, list[Expr]] = {
+            name: [] for name in ("mean", "variance", "jm", "jv", "distances")
+        }
+        shared: dict[int, _Common] = {}
+        for j, kernel in enumerate(self.kernels):
+            if self.active[j] and id(kernel) not in shared:
+                k, g = kernel.covariance_and_slope(self.support.T, x, ca)
+                shared[id(kernel)] = _Common(k=k, g=g)
+            own = ca.DM(self.weights[:, j]) if weights is None else weights[:, j]
+            parts = self._output(j, x, shared.get(id(kernel)), wanted, own)
+            for name, value in parts.items():
+                rows[name].append(value)
+        return rows
 
     def _output(
         self, j: int, x: Expr, common: _Common | None, wanted: set[str], weights: Expr

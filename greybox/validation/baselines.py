@@ -254,21 +254,7 @@ def estimate_imu_bias(
     Gauss-Newton on the errors in units of their typical size. Raises `DataError` for a window that
     is too short.
     """
-    starts = np.flatnonzero(complete_rows(attitude))
-    turned = _next_measured(attitude, starts + horizon)
-    moves, record = _moves(velocity, position, starts, horizon)
-    inside = np.all([row < len(attitude) for row in (turned, *moves)], axis=0)
-    reach = np.ptp(starts[inside]) + 1 if inside.any() else 0
-    if reach < 2 * horizon:
-        raise DataError(
-            f"IMU bias: origins over {reach * imu.sample_time:.3g} s of the adaptation window",
-            expected=f"at least {2 * horizon * imu.sample_time:.3g} s",
-            fix="adapt on more seconds",
-        )
-    # Neighbouring origins share most of their samples.
-    cell = (starts - starts[inside][0]) // max(1, horizon // 5)
-    kept = np.flatnonzero(inside)[np.unique(cell[inside], return_index=True)[1]]
-    starts, turned, moves = starts[kept], turned[kept], [row[kept] for row in moves]
+    starts, turned, moves, record = _origins(imu, attitude, velocity, position, horizon)
 
     def errors(value: FloatArray) -> FloatArray:
         predicted = dead_reckoning(
@@ -299,6 +285,32 @@ def estimate_imu_bias(
         )
         value[:free] -= np.linalg.lstsq(jacobian, at, rcond=None)[0]
     return ImuBias(gyro=value[:3], accelerometer=value[3:])
+
+
+def _origins(
+    imu: ImuRecord,
+    attitude: FloatArray,
+    velocity: FloatArray | None,
+    position: FloatArray | None,
+    horizon: int,
+) -> tuple[IntArray, IntArray, list[IntArray], FloatArray | None]:
+    """(origins (n,), samples alike at which the rotation and between which the motion is compared,
+    the record of the motion). Raises `DataError` where these span too little of the window."""
+    starts = np.flatnonzero(complete_rows(attitude))
+    turned = _next_measured(attitude, starts + horizon)
+    moves, record = _moves(velocity, position, starts, horizon)
+    inside = np.all([row < len(attitude) for row in (turned, *moves)], axis=0)
+    reach = np.ptp(starts[inside]) + 1 if inside.any() else 0
+    if reach < 2 * horizon:
+        raise DataError(
+            f"IMU bias: origins over {reach * imu.sample_time:.3g} s of the adaptation window",
+            expected=f"at least {2 * horizon * imu.sample_time:.3g} s",
+            fix="adapt on more seconds",
+        )
+    # Neighbouring origins share most of their samples.
+    cell = (starts - starts[inside][0]) // max(1, horizon // 5)
+    kept = np.flatnonzero(inside)[np.unique(cell[inside], return_index=True)[1]]
+    return starts[kept], turned[kept], [row[kept] for row in moves], record
 
 
 def _next_measured(record: FloatArray, rows: IntArray) -> IntArray:
