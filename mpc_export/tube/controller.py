@@ -1,10 +1,10 @@
 """TubeController: measurement in, command out. Filter, delay compensation, target, one real-time
 iteration, fallback.
 
-Timing. The filter runs at every sample of the identified model. A plan is made every `every`
-samples from the filter's prediction one sample ahead, with the command that will be in force until
-then; its first command is applied at that sample. So the solver has one sample to compute in, and
-that delay is part of the plan.
+Timing. The filter (estimator.py) runs at every sample of the identified model. A plan is made every
+`every` samples from the filter's prediction one sample ahead, with the command that will be in
+force until then; its first command is applied at that sample. So the solver has one sample to
+compute in, and that delay is part of the plan.
 
 Whatever decided it, a command comes into force in one place (`_take`), within the limits of command
 and rate.
@@ -41,32 +41,19 @@ from greybox.errors import ModelError
 from greybox.frames import GRAVITY, numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
-from mpc_export.adaptation import UNBOUNDED, authority, flight_parameters, starting_as
+from mpc_export.adaptation import flight_parameters
 from mpc_export.c_code import CKernel
 from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.standing import integrating
-from mpc_export.tube.calibrated import Calibrated
 from mpc_export.tube.correlation import innovations
-from mpc_export.tube.descent import (
-    AWAY,
-    HELD,
-    SLOW,
-    UNSURE,
-    Descent,
-    Watch,
-    Way,
-    longest_without_pose,
-)
-from mpc_export.tube.gate import Gate, plausible
+from mpc_export.tube.descent import AWAY, HELD, SLOW, UNSURE, Descent, Watch, Way
+from mpc_export.tube.estimator import Estimator, flight_filter, number
 from mpc_export.tube.heading import TURN, room, turning, within
-from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
-from mpc_export.tube.restless import Restless
-from mpc_export.tube.rival import CLEARLY, Known, Rival, likelier
 from mpc_export.tube.solver import Outcome, TubeSolver
 from mpc_export.tube.stages import block
-from mpc_export.tube.told import PUSH, Telling, heaviest, told
+from mpc_export.tube.told import told
 
 LATE = 0.25
 """A longer pause between two calls is a fault of the clock [s]."""
@@ -75,13 +62,6 @@ EARLY = 0.25
 it."""
 FAILURES = 3
 """So many failed solutions in a row, and the next starts anew."""
-MEASURED = {
-    "position": ("x", "y", "z"),
-    "velocity": ("vx", "vy", "vz"),
-    "attitude": ("qw", "qx", "qy", "qz"),
-    "rate": ("p", "q", "r"),
-}
-"""Blocks of the state that sensors give, and their columns."""
 NEAR_STEADY = 1e-6
 """A steady state that misses its condition by less is not looked for anew."""
 ROUNDING = 1e-6
@@ -205,71 +185,53 @@ class TubeController:
             runtime_parameters=() if self.adapt is None else flight_parameters(model),
             measured=False,
         )
-        self._make_filter(model)
+        f = flight_filter(self.model, model, calibrate=self.calibrate, adapt=self.adapt is not None)
         self.solver = TubeSolver(
             self.functions,
             self.problem,
             kernels=self.kernels,
             white=self.white,
-            estimate=self._filter_covariance(),
-            fresh=innovations(self.filter, self.every, len(self.functions.error_states)),
+            estimate=self._covariance_of(f),
+            fresh=innovations(f, self.every, len(self.functions.error_states)),
         )
-        most, names = authority(model), self.filter.states.names
-        self.most = np.array([most.get(names[i], UNBOUNDED) for i in self.solver.stages.free])
+        ends = self.problem.command_min, self.problem.command_max
+        self.estimator = Estimator(
+            self.model,
+            f,
+            self.solver.stages,
+            told(self.model, self.functions, self.solver.stages.steady, ends),
+            memory=None if self.adapt is None else self.memory,
+            calibrate=self.calibrate,
+            note=self._note,
+        )
         rotors = self.model.physics.vehicle.rotors
         self._spin = np.array([float(r.spin) for r in rotors])
         self._turning = turning(np.array([r.position for r in rotors], dtype=float), self._spin)
         self._turned = self._turned_by()
-        ends = self.problem.command_min, self.problem.command_max
-        self.told = Telling(
-            told(self.model, self.functions, self.solver.stages.steady, ends), self.filter
-        )
-        self._heaviest = heaviest(self.model)
         self.start()
 
-    def _make_filter(self, model: IdentifiedModel) -> None:
-        """The filter with its gate, and what it adapts, follows and calibrates."""
-        wanted = [
-            "filter",
-            *(["calibrate"] if self.calibrate else []),
-            *(["adapt"] if self.adapt is not None else []),
-        ]
-        self.filter: ModelFunctions = model_functions(model, with_=wanted)
-        if self.adapt is not None:
-            start = starting_as(self.filter.adapted, self.model, self.filter.noise.covariance)
-            self.filter = replace(self.filter, adapted=start)
-        noise = dict(
-            zip(self.filter.error_states.names, np.diag(self.filter.noise.filtered), strict=True)
-        )
-        pushes = {
-            at: f"d_{name.removeprefix('error.')}"
-            for at, name in enumerate(self.filter.adapted.names)
-            if name.startswith("error.disturbance.")
-        }
-        self._pushes = list(pushes)
-        self._walk = np.array([noise[n] for n in pushes.values()])
-        self.restless = Restless(
-            self.filter, [self.filter.error_states.names.index(n) for n in pushes.values()]
-        )
-        self._learned = list(self.filter.adapted.rows)
-        self._step = native(self.filter["filter_step"])
-        self._adapt = native(self.filter["adapt_step"]) if self.adapt is not None else None
-        self.calibrated = Calibrated(self.filter) if self.calibrate else None
-        self.columns = self.filter.outputs.names
-        groups = self.model.dynamics.innovation_columns
-        self._present = [[self.columns.index(c) for c in names] for names in groups]
-        self.gate = Gate(groups, self.filter.noise.innovation)
-        self.blind = longest_without_pose(self.filter, groups)
-        pose = ("x, y, z", "qw, qx, qy, qz")
-        self._pose = [(k, rows) for k, (name, rows) in enumerate(self.gate.sensors) if name in pose]
+    @property
+    def filter(self) -> ModelFunctions:
+        """The functions of the identified filter, at the model's sample time."""
+        return self.estimator.filter
 
-    def _filter_covariance(self) -> FloatArray:
-        """P_f of the filter at the model's sample time, in the error state of the plan; the history
-        of commands is known."""
+    @property
+    def estimate(self) -> FloatArray:
+        """The state (n_x,) at the next sample, as the filter knows it."""
+        return self.estimator.x
+
+    @property
+    def p(self) -> FloatArray:
+        """The parameters (n_p,) that plans use: as told and as learned in flight."""
+        return self.estimator.p
+
+    def _covariance_of(self, f: ModelFunctions) -> FloatArray:
+        """P_f of the filter f at the model's sample time, in the error state of the plan; the
+        history of commands is known."""
         size = len(self.functions.error_states)
         own = size - (len(self.functions.states) - self.functions.own_states)
         full = np.zeros((size, size))
-        full[:own, :own] = self.filter.noise.covariance[:own, :own]
+        full[:own, :own] = f.noise.covariance[:own, :own]
         return full
 
     def start(self, x: FloatArray | None = None, time: float = 0.0) -> None:
@@ -293,33 +255,22 @@ class TubeController:
             x = hover
         own = self.filter.own_states
         first_state, first_command, _ = self.filter.sampled.extended(x[:own], self._column(self.u))
-        self.estimate = np.asarray(first_state)
+        self.estimator.start(np.asarray(first_state), self.functions.parameter_values.copy())
         self.past = [
             first_command.copy() for _ in range(1 + max(self.functions.delay.values(), default=0))
         ]
         self.steady = (self._state(), self.u.copy())
-        self.p = self.functions.parameter_values.copy()
-        self.told.start()
-        self._unsure = self.filter.adapted.covariance.copy()
-        self._steps = self.restless.start()
         self.count = 0
         self.plan: Plan | None = None
         self.descent: Descent | None = None
         self.events.clear()
-        self.gate.start()
-        if self.calibrated is not None:
-            self.calibrated.start()
-        self._rivals, self._denied = (Rival(), Rival()), False
         self._watch = Watch()
         self._told: float | None = None
         self._ahead = self._phase = 0.0
         self._first: float | None = None
         self._failures = 0
         self._mean, self._weak = self.u.copy(), np.zeros(len(self.u), dtype=bool)
-        self._adrift = self._heavy = False
-        self._seen = [math.inf] * len(
-            self._pose
-        )  # when a pose was last believed; infinity before the first sample
+        self._adrift = False
         data = self.solver.data
         data["x"][:], data["u"][:] = self._state(), self.u
 
@@ -363,7 +314,7 @@ class TubeController:
         """
         # nothing that overflows on its way to being rejected is an error of the caller's
         with np.errstate(all="ignore"):
-            return self._sample(_number(time), measured or {})
+            return self._sample(number(time), measured or {})
 
     def _sample(self, time: float, measured: Mapping[str, float | None]) -> FloatArray:
         passed = self._passed(time)
@@ -371,8 +322,8 @@ class TubeController:
         time = self._told - self._ahead
         nothing: dict[str, float | None] = {}
         for k in range(passed - 1, 0, -1):
-            self._see(time - k * self.model.sample_time, nothing, called=False)
-        self._see(time, measured)
+            self.estimator.sees(time - k * self.model.sample_time, nothing, self.u, called=False)
+        self.estimator.sees(time, measured, self.u)
         plans = self.count // self.every
         self.count += passed
         due = self.count // self.every - plans
@@ -425,164 +376,6 @@ class TubeController:
             self._note(time - self._ahead, "calls did not come")
         return passed
 
-    def filtered(
-        self, estimate: FloatArray, u: FloatArray, measured: Mapping[str, float | None]
-    ) -> tuple[FloatArray, bool]:
-        """The identified filter's estimate one sample after `estimate` under u, and whether
-        anything was measured.
-
-        Everything that is finite is believed.
-        """
-        y, there = self._there(measured)
-        return self._step(estimate, u, self.p, y, there)[0].full().ravel(), bool(there.any())
-
-    def _there(self, measured: Mapping[str, float | None]) -> tuple[FloatArray, FloatArray]:
-        """(Values, zero where there are none (n_y,); which innovations they give (n_e,))."""
-        y = plausible(self.columns, np.array([_number(measured.get(c)) for c in self.columns]))
-        there = np.array([float(np.isfinite(y[rows]).all()) for rows in self._present])
-        return np.nan_to_num(y), there
-
-    def _see(self, time: float, measured: Mapping[str, float | None], called: bool = True) -> None:
-        self._hear(time, measured)
-        y, there = self._there(measured)
-        before = Known(self.estimate, self.p[self._learned], self._unsure, self._steps)
-        after, innovation, expected = self._filtered(before, y, there)
-        share, believed = self.gate(innovation, there), there
-        if (share < 1.0).any():
-            moved, believed = self._believed(time, share, y, there, expected)
-            after, _, _ = self._filtered(before, moved, believed)
-        if called and not there.any():
-            self._note(time, "no measurement")
-        for j, (k, rows) in enumerate(self._pose):
-            if (there[rows].all() and share[k] > 0.0) or math.isinf(self._seen[j]):
-                self._seen[j] = time
-        if np.isfinite(after.x).all():
-            if self.calibrated is not None:
-                self.calibrated.sees(self.estimate, after.x, self.u, self.p, y, believed)
-            self._know(after)
-        else:
-            self._note(time, "the filter's estimate is not finite")
-        self._challenge(time, before, y, there, innovation, bool((share == 0.0).any()))
-
-    def _hear(self, time: float, measured: Mapping[str, float | None]) -> None:
-        """What is told of run-time parameters, and what the push along the thrust says of them."""
-        given = {one.name: _number(measured.get(one.name)) for one in self.told.own}
-        self.p, self.estimate = self.p.copy(), self.estimate.copy()
-        for what in self.told.sees(self.model.sample_time, given, self.p, self.estimate):
-            self._note(time, what)
-        names = self.filter.states.names
-        heavy = PUSH in names and self.estimate[names.index(PUSH)] < self._heaviest
-        if heavy and not self._heavy:
-            self._note(time, "pushed down by a third of the weight: a load, or thrust is lost")
-        self._heavy = heavy
-
-    def _filtered(
-        self, known: Known, y: FloatArray, there: FloatArray
-    ) -> tuple[Known, FloatArray, FloatArray]:
-        """(What is known at the next sample, innovation, expected measurement). Parameters and
-        covariance stay where the filter's are not finite."""
-        p = self.p.copy()
-        p[self._learned] = known.theta
-        if self._adapt is None:
-            after, e, y_hat = self._step(known.x, self.u, p, y, there)
-        else:
-            after, learned, spread, e, y_hat = self._adapt(
-                known.x, self.u, p, y, there, known.unsure, self.memory
-            )
-            theta, unsure = learned.full().ravel()[self._learned], spread.full()
-            steps = self.restless.sees(known.steps, np.where(there > 0.0, e.full().ravel(), 0.0))
-            unsure[self._pushes, self._pushes] += self.restless.more(steps) * self._walk
-            if np.isfinite(theta).all() and np.isfinite(unsure).all():
-                known = Known(known.x, theta, unsure, steps)
-        return known._replace(x=after.full().ravel()), e.full().ravel(), y_hat.full().ravel()
-
-    def _know(self, known: Known) -> None:
-        self.estimate, self._unsure, self._steps = known.x, known.unsure, known.steps
-        self.p = self.p.copy()
-        self.p[self._learned] = known.theta
-
-    def _challenge(
-        self,
-        time: float,
-        before: Known,
-        y: FloatArray,
-        there: FloatArray,
-        innovation: FloatArray,
-        denied: bool,
-    ) -> None:
-        """Let an estimate that is begun at what is measured take over where it explains the
-        measurements far better. before: what was known before this sample; denied: whether a
-        sensor was not believed at all."""
-        surprise = self.gate.surprise(innovation, there)
-        for rival in self._rivals:
-            if rival.known is not None:
-                after, off, _ = self._filtered(rival.known, y, there)
-                rival.goes_on(after, surprise - self.gate.surprise(off, there))
-        posed = all(there[rows].all() for _, rows in self._pose)
-        calm = posed and surprise < CLEARLY and not self.gate.wide.any()
-        self._denied = denied or (self._denied and not calm)
-        if (
-            self._denied
-            and surprise >= CLEARLY
-            and posed
-            and all(r.known is None for r in self._rivals)
-        ):
-            for rival, pushed in zip(self._rivals, (True, False), strict=True):
-                begin = self._measured(before, y, there, pushed)
-                rival.begins(self._filtered(begin, y, there)[0])
-        rival = likelier(*self._rivals)
-        if rival.believed:
-            assert rival.known is not None
-            self._note(time, "the filter starts anew")
-            self._know(rival.known)
-            self.gate.start()
-            self._rivals, self._denied = (Rival(), Rival()), False
-            if self.calibrated is not None:
-                self.calibrated.anew()
-            self._seen = [time] * len(self._pose)
-
-    def _measured(self, before: Known, y: FloatArray, there: FloatArray, pushed: bool) -> Known:
-        """What the measurements of one sample say, `pushed` as `before` is if rotors could hold
-        against it; at rest where they say nothing. As unsure as the start of a flight, and of the
-        push as well as before."""
-        own = self.filter.own_states
-        state = np.array(self.solver.stages.steady[0][:own])
-        free = list(self.solver.stages.free)
-        kept = [*range(len(self._learned))]
-        unsure = self.filter.adapted.covariance.copy()
-        unsure[np.ix_(kept, kept)] = before.unsure[np.ix_(kept, kept)]
-        if pushed and (np.abs(before.x[free]) < self.most).all():
-            state[free] = before.x[free]
-            pushes = np.ix_(self._pushes, self._pushes)
-            unsure[pushes] += before.unsure[pushes]
-        for name, columns in MEASURED.items():
-            at = [self.columns.index(c) for c in columns if c in self.columns]
-            given = [there[i] > 0.0 for i, rows in enumerate(self._present) if set(rows) & set(at)]
-            if len(at) == len(columns) and given and all(given):
-                state[self._rows(name)] = y[at] / (
-                    np.linalg.norm(y[at]) if name == "attitude" else 1.0
-                )
-        x = np.concatenate([state, before.x[own:]])
-        return Known(x, before.theta, unsure, self.restless.start())
-
-    def _believed(
-        self, time: float, share: FloatArray, y: FloatArray, there: FloatArray, y_hat: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """y and `there` with every sensor moved toward what was expected, so that `share` of its
-        innovation is left."""
-        y, there = y.copy(), there.copy()
-        for part, (name, at) in zip(share, self.gate.sensors, strict=True):
-            if part == 0.0:
-                self._note(time, f"not believed: {name}")
-                there[at] = 0.0
-            elif part < 1.0:
-                self._note(time, f"doubted: {name}")
-                rows = self._present[at[0]]
-                # a quaternion and its negative are one attitude
-                sign = -1.0 if len(rows) == 4 and y[rows] @ y_hat[rows] < 0 else 1.0
-                y[rows] = y_hat[rows] + part * (sign * y[rows] - y_hat[rows])
-        return y, there
-
     def _note(self, time: float, what: str) -> None:
         self.events.append(Event(time=time, what=what))
 
@@ -603,8 +396,8 @@ class TubeController:
             data["plane"][:] = self.planes(
                 times if self.descent is None else np.full(n + 1, self.descent.time)
             )
-        if self.calibrated is not None:
-            data["wider"][:] = self.calibrated.wider(
+        if self.estimator.calibrated is not None:
+            data["wider"][:] = self.estimator.calibrated.wider(
                 times - begin + self.model.sample_time, data["plane"]
             )
         before = (data["x"].copy(), data["u"].copy())
@@ -660,8 +453,8 @@ class TubeController:
             reasons = {
                 "no steady command within the limits": (bool(self._weak.any()), HELD),
                 "position or attitude not measured": (
-                    min(self._seen, default=begin) < begin - SLOW,
-                    self.blind - SLOW,
+                    self.estimator.pose_believed(begin) < begin - SLOW,
+                    self.estimator.blind - SLOW,
                 ),
                 f"more than {self.lost:g} m from the path": (not away <= self.lost, AWAY),
             }
@@ -860,14 +653,6 @@ def _uncertain(model: IdentifiedModel, spread: Mapping[str, float]) -> Identifie
         },
         considered={n: v for n, v in model.considered.items() if n not in spread},
     )
-
-
-def _number(value: object) -> float:
-    """As a number; NaN for what is none: None, text, an array."""
-    try:
-        return float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
-        return math.nan
 
 
 def _tilted(up: npt.NDArray[np.float64], yaw: float) -> FloatArray:

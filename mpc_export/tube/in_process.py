@@ -53,8 +53,8 @@ class TubeInC:
         self.problem, self.dt = pilot.problem, pilot.model.sample_time
         self.reference: Reference = pilot.reference
         self.planes: Planes | None = pilot.planes
-        self.columns = pilot.columns
-        self.told = [one.name for one in pilot.told.own]
+        self.columns = pilot.estimator.columns
+        self.told = [one.name for one in pilot.estimator.told.own]
         self.u = np.zeros(len(pilot.u))
         self.said: list[int] = []
         self.start()

@@ -27,7 +27,6 @@ from mpc_export.template import filled, places_in
 from mpc_export.tube import linear as linear_library
 from mpc_export.tube.controller import (
     FAILURES,
-    MEASURED,
     NEAR_STEADY,
     ROUNDING,
     SLACK,
@@ -36,6 +35,7 @@ from mpc_export.tube.controller import (
     near_heading,
 )
 from mpc_export.tube.descent import HELD, Way
+from mpc_export.tube.estimator import MEASURED
 from mpc_export.tube.heading import TURN
 from mpc_export.tube.rival import BELIEVED, CLEARLY
 from mpc_export.tube.solver import COARSE, PRIMAL, QP, QP_TOLERANCE, driver, settled
@@ -178,7 +178,7 @@ def _sizes(pilot: TubeController) -> Words:
         "n_e": len(f.sampled.dynamics.innovation_columns),
         "n_x": len(f.states),
         "own": f.own_states,
-        "sensors": len(pilot.gate.sensors),
+        "sensors": len(pilot.estimator.gate.sensors),
         "lags": len(pilot.past) + 1,
         "sample": pilot.model.sample_time,
         "dt": problem.dt,
@@ -192,7 +192,7 @@ def _sizes(pilot: TubeController) -> Words:
 
 def _told(pilot: TubeController) -> Words:
     """Run-time parameters whose value is told, and the push that speaks of them."""
-    own, names = pilot.told.own, pilot.filter.states.names
+    own, names = pilot.estimator.told.own, pilot.filter.states.names
     numbers = {
         "told_low": [one.low for one in own],
         "told_high": [one.high for one in own],
@@ -231,18 +231,18 @@ def _states(pilot: TubeController) -> Words:
         "command_of": braced([*(f.inputs[n[1]] for n in past), 0]),
         "filter_past": braced([*extended[f.own_states :], 0.0]),
         "parameters": braced([*plan.parameter_values] or [0.0]),
-        "most": braced([*pilot.most, 0.0]),
+        "most": braced([*pilot.estimator.most, 0.0]),
     }
 
 
 def _sensors(pilot: TubeController) -> Words:
     """Which columns make an innovation, which innovations a sensor, and where an estimate begins."""
     f = pilot.filter
-    groups, sensors = f.sampled.dynamics.innovation_columns, pilot.gate.sensors
+    groups, sensors = f.sampled.dynamics.innovation_columns, pilot.estimator.gate.sensors
     sensor_of = np.zeros(len(groups), dtype=int)
     for k, (_, rows) in enumerate(sensors):
         sensor_of[rows] = k
-    poses = {k for k, _ in pilot._pose}
+    poses = {k for k, _ in pilot.estimator.pose}
     attitude = [c for c in ("qw", "qx", "qy", "qz") if c in f.outputs.names]
     start = [
         (f.outputs.names.index(c), block(f, at)[i])
@@ -255,7 +255,7 @@ def _sensors(pilot: TubeController) -> Words:
         "sensor_of": braced(sensor_of),
         "of_pose": braced([int(k in poses) for k in range(len(sensors))]),
         "of_sensor": braced([len(rows) for _, rows in sensors]),
-        "inverse": matrix(pilot.gate.inverse),
+        "inverse": matrix(pilot.estimator.gate.inverse),
         "attitude_columns": braced(
             [f.outputs.names.index(c) for c in attitude] if len(attitude) == 4 else [-1] * 4
         ),
@@ -272,7 +272,7 @@ def _filter(pilot: TubeController, own: CSource) -> Words:
         "filter_w": max(1, step.sz_w),
         "filter_arg": max(5, step.sz_arg),
         "filter_res": max(3, step.sz_res),
-        "blind": pilot.blind,
+        "blind": pilot.estimator.blind,
         "clearly": CLEARLY,
         "believed": BELIEVED,
     }
@@ -323,7 +323,7 @@ def flight(
             for c in f.outputs.names
         ]
     )
-    told = {one.name: one.reference for one in pilot.told.own}
+    told = {one.name: one.reference for one in pilot.estimator.told.own}
     rows, commands, states = [], [], []
     for k in range(samples):
         y = f["h"](x, u, f.parameter_values).full().ravel()

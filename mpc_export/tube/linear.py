@@ -70,7 +70,7 @@ class LinearTube:
 
 def words(pilot: TubeController, name: str) -> dict[str, str]:
     """Words of the templates that the linear tube has of its own, for a library of that name."""
-    own = pilot.told.own
+    own = pilot.estimator.told.own
     return {
         "n_values": repr(SAMPLES),
         "values": _nested([one.values for one in own] or [[0.0] * SAMPLES], "double"),

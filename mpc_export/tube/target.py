@@ -163,7 +163,9 @@ def write_tube(
     words |= {"samples": str(SAMPLES), "tolerance": repr(AGREE[real])}
     words |= dict(zip(("kind", "whose", "instead"), SAID[linear], strict=True))
     words["range"] = FAR.format(name.upper()) if linear else ""
-    words["known"] = KNOWN.format(**words, name=name, upper=name.upper()) if pilot.told.own else ""
+    words["known"] = (
+        KNOWN.format(**words, name=name, upper=name.upper()) if pilot.estimator.told.own else ""
+    )
     stops = stopping(pilot)
     words["stops"] = "a speed that nothing says" if stops is None else f"{stops.speed:.2g} m/s"
     selftest = folder / f"{name}_tube_selftest.c"
@@ -189,7 +191,7 @@ def _selftest(pilot: TubeController, words: Mapping[str, str], real: Real, linea
         pilot.reference, pilot.planes = kept
     numbers = f"static const {real}"
     missing = matrix(flown["measured"]).replace("nan", "NAN")
-    told = braced([*(one.reference for one in pilot.told.own), 0.0])
+    told = braced([*(one.reference for one in pilot.estimator.told.own), 0.0])
     data = [
         f"{numbers} place[4] = {braced(place)}, goal[4] = {braced(place)};",
         f"{numbers} lowest = {words['low']}, highest = {words['high']}, rate = {words['rate']};",

@@ -265,7 +265,7 @@ def _lands(pilot: Any) -> bool:
 def _within(pilot: Any) -> tuple[float, float, int]:
     """Errors of forecasts due at this sample: how many are inside calibrated and inside stated
     intervals, of all."""
-    own = pilot.calibrated if isinstance(pilot, TubeController) else None
+    own = pilot.estimator.calibrated if isinstance(pilot, TubeController) else None
     if own is None:
         return 0.0, 0.0, 0
     return (

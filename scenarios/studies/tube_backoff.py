@@ -52,9 +52,9 @@ OPTIONS = {
 def follow(follower: TubeController, flown: TubeController) -> None:
     """Give a controller of another horizon the estimate, command before and steady state of the one
     that flies."""
-    follower.estimate, follower.past = flown.estimate.copy(), [v.copy() for v in flown.past]
-    follower.u = flown.past[0].copy()
-    follower.steady, follower.p = (flown.steady[0].copy(), flown.steady[1].copy()), flown.p.copy()
+    follower.estimator.x, follower.estimator.p = flown.estimate.copy(), flown.p.copy()
+    follower.u, follower.past = flown.past[0].copy(), [v.copy() for v in flown.past]
+    follower.steady = flown.steady[0].copy(), flown.steady[1].copy()
 
 
 def room(pilot: TubeController, horizon: int) -> float:

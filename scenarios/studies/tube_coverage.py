@@ -84,7 +84,7 @@ def branch(plant: Any, flown: TubeController) -> Array:
             u = plan.u[k] + gain @ functions["boxminus"](state, plan.x[k]).full().ravel()
             u = np.clip(u, PROBLEM.command_min, PROBLEM.command_max)
         for _ in range(flown.every):
-            estimate, _ = flown.filtered(estimate, u, plant.measure(u))
+            estimate, _ = flown.estimator.filtered(estimate, u, plant.measure(u))
             plant.step(u, DT)
         now = plant.states()
         true = plan.x[k + 1].copy()

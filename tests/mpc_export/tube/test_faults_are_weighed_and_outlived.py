@@ -199,10 +199,10 @@ def test_an_estimate_that_was_denied_stays_so_where_everything_is_believed_since
 
     def seen(k, y):
         if k == 60:
-            controller.gate.wide += 20.0
-            controller.gate.calm += 20.0
+            controller.estimator.gate.wide += 20.0
+            controller.estimator.gate.calm += 20.0
             controller.estimate[rows] = [0.0, 1.0, 0.0, 0.0]
-            controller._denied = True
+            controller.estimator._denied = True
         return y
 
     fly(controller, 60 + 2 * SOON, seen=seen)
@@ -307,7 +307,11 @@ def test_a_filter_carries_on_without_a_pose_while_it_is_sure_of_its_place(contro
     assert not controller.descending
     np.testing.assert_allclose(path, np.tile([0.0, 0.0, 1.0], (200, 1)), atol=0.02)
     functions, columns = controller.filter, controller.model.dynamics.innovation_columns
-    assert longest_without_pose(functions, columns) == controller.blind == pytest.approx(BLIND)
+    assert (
+        longest_without_pose(functions, columns)
+        == controller.estimator.blind
+        == pytest.approx(BLIND)
+    )
     pushed = replace(
         functions, noise=replace(functions.noise, filtered=1e4 * functions.noise.filtered)
     )
@@ -326,7 +330,11 @@ def test_without_a_position_it_comes_down_and_says_so(controller):
     assert [e.what for e in controller.events] == [
         "descent declared: position or attitude not measured"
     ]
-    assert 0.5 + controller.blind <= controller.events[0].time <= 0.55 + controller.blind
+    assert (
+        0.5 + controller.estimator.blind
+        <= controller.events[0].time
+        <= 0.55 + controller.estimator.blind
+    )
     fall = np.diff(path[200:, 2]) / 0.01
     np.testing.assert_allclose(fall, -SPEED, atol=0.05)
     assert np.abs(path[:, :2]).max() < 0.02

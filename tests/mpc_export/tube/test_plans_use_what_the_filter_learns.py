@@ -78,9 +78,12 @@ def test_no_measurement_takes_parameters_disturbances_or_commands_out_of_their_b
     controller.start()
     rng = np.random.default_rng(0)
     for k in range(300):
-        wild = {n: 10.0 ** rng.uniform(-3, 6) * rng.standard_normal() for n in controller.columns}
+        wild = {
+            n: 10.0 ** rng.uniform(-3, 6) * rng.standard_normal()
+            for n in controller.estimator.columns
+        }
         wild |= dict.fromkeys(
-            rng.choice(controller.columns, 3), rng.choice([math.nan, math.inf, -math.inf])
+            rng.choice(controller.estimator.columns, 3), rng.choice([math.nan, math.inf, -math.inf])
         )
         u = controller.sample(0.01 * k, wild if k % 3 else None)
         assert (
@@ -95,7 +98,7 @@ def test_no_measurement_takes_parameters_disturbances_or_commands_out_of_their_b
             for n, most in own.limits.items()
             if n in states.names
         )
-        assert np.isfinite(controller.calibrated.scale).all()
+        assert np.isfinite(controller.estimator.calibrated.scale).all()
 
 
 @pytest.mark.parametrize(

@@ -99,7 +99,7 @@ def test_a_push_that_makes_the_estimate_late_begins_no_rival():
 def test_a_push_that_denies_the_estimate_throws_the_craft_less_far_than_without_rivals(monkeypatch):
     controller, farthest = settled(), []
     for speaks in (likelier, lambda *_: Rival()):
-        monkeypatch.setattr("mpc_export.tube.controller.likelier", speaks)
+        monkeypatch.setattr("mpc_export.tube.estimator.likelier", speaks)
         away, begun = [], 0
         for seed in range(6):
             path, *_ = flight(controller, 200, force=FORCE, torque=0.0022, noise=1.0, seed=seed)
@@ -113,8 +113,8 @@ def test_a_push_that_denies_the_estimate_throws_the_craft_less_far_than_without_
 @pytest.mark.slow
 def test_a_torque_and_a_force_that_come_at_once_are_learned_within_samples(monkeypatch):
     controller, left = adaptive(), []
-    for walk in (controller.restless.more, lambda sums: np.zeros(sums.shape[1])):
-        monkeypatch.setattr(controller.restless, "more", walk)
+    for walk in (controller.estimator.restless.more, lambda sums: np.zeros(sums.shape[1])):
+        monkeypatch.setattr(controller.estimator.restless, "more", walk)
         _, _, believed = flight(controller, 80, force=FORCE, torque=TORQUE)
         left.append(np.abs(believed[65:] / [FORCE, TORQUE] - 1.0).mean(axis=0))
     assert (left[0] < 0.5 * left[1]).all()
@@ -124,8 +124,8 @@ def test_a_torque_and_a_force_that_come_at_once_are_learned_within_samples(monke
 def test_a_gyro_four_times_as_noisy_as_stated_makes_commands_no_rougher(monkeypatch):
     controller, rough = adaptive(), []
     noise = np.array([4.0 if n in "pqr" else 1.0 for n in controller.filter.outputs.names])
-    for walk in (controller.restless.more, lambda sums: np.zeros(sums.shape[1])):
-        monkeypatch.setattr(controller.restless, "more", walk)
+    for walk in (controller.estimator.restless.more, lambda sums: np.zeros(sums.shape[1])):
+        monkeypatch.setattr(controller.estimator.restless, "more", walk)
         _, commands, _ = flight(controller, 300, noise=noise)
         rough.append(np.abs(np.diff(commands[100:], axis=0)).mean())
     assert rough[0] < 1.05 * rough[1]
@@ -134,7 +134,7 @@ def test_a_gyro_four_times_as_noisy_as_stated_makes_commands_no_rougher(monkeypa
 def test_an_estimate_that_takes_over_is_no_surer_of_a_push_than_before_or_at_a_start():
     controller = adaptive()
     controller.start()
-    own, pushes = controller.filter.adapted, controller._pushes
+    own, pushes = controller.filter.adapted, controller.estimator._pushes
     assert [own.names[at] for at in pushes][3:] == [f"error.disturbance.torque.{a}" for a in "xyz"]
     n = len(own.rows)
     root = np.random.default_rng(0).standard_normal((len(own.names),) * 2)
@@ -143,7 +143,9 @@ def test_an_estimate_that_takes_over_is_no_surer_of_a_push_than_before_or_at_a_s
     )
     y = controller.filter["h"](controller.estimate, controller.u, controller.p).full().ravel()
     begun = [
-        controller._measured(before, y, np.ones(len(controller.filter.innovations.names)), pushed)
+        controller.estimator._measured(
+            before, y, np.ones(len(controller.filter.innovations.names)), pushed
+        )
         for pushed in (True, False)
     ]
     for known, kept in zip(begun, (before.unsure, np.zeros_like(root)), strict=True):

@@ -121,7 +121,7 @@ def test_so_does_the_controller_and_says_it_once():
 
 
 def test_a_value_is_bounded_by_what_the_model_can_hover_with():
-    (one,) = pilot(False).told.own
+    (one,) = pilot(False).estimator.told.own
     assert 0.7 * one.reference < one.low < 0.85 * one.reference  # it hovers at 0.73 of 0.95
     assert one.high > 10 * one.reference
     assert one.ratio == pytest.approx(one.values / one.reference, rel=1e-6)
@@ -172,11 +172,11 @@ def test_a_value_that_is_told_late_takes_back_what_it_explains(load):
     own.start()
     own.estimate[at] = -load * weight
     for k in range(2000):
-        own._hear(0.01 * k, {})
+        own.estimator._hear(0.01 * k, {})
     assert abs(own.estimate[at]) < 1e-3 * weight
     guessed = own.p[0]
     assert (guessed < 3.7) == (load > 0)
-    own._hear(20.0, {"vbat": 3.8})
+    own.estimator._hear(20.0, {"vbat": 3.8})
     assert own.p[0] == 3.8
     assert own.estimate[at] == pytest.approx(-load * weight, abs=1e-3 * weight)
 

@@ -16,7 +16,7 @@ def controller():
 
 def test_planes_and_tilt_are_tightened_by_the_scales_of_what_they_bound(controller):
     controller.start()
-    own = controller.calibrated
+    own = controller.estimator.calibrated
     names = controller.filter.innovations.names
     own.scale[names.index("position.x")] = 3.0
     own.scale[names.index("position.y")] = [1.0, 1.0, 1.25, 2.5, 2.5]
@@ -51,7 +51,7 @@ def test_noise_of_three_times_its_level_is_met_and_forgotten_by_half_in_46_sampl
 
     def shaken(k, y):
         size = 3.0 if k < 250 else 0.0
-        late.append(float(controller.calibrated.scale[0, 0]))
+        late.append(float(controller.estimator.calibrated.scale[0, 0]))
         return y | {n: y[n] + size * sensor[f"position.{n}"] * rng.standard_normal() for n in "xyz"}
 
     fly(controller, 300, seen=shaken)

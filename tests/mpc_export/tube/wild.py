@@ -82,7 +82,7 @@ def brought_home(pilot, place, x, u):
     pilot.start(x)
     pilot.u, pilot.past = u.copy(), [u.copy() for _ in pilot.past]
     for k in range(REST - SOON):
-        pilot.estimate = x.copy()
+        pilot.estimator.x = x.copy()
         measured = dict(
             zip(f.outputs.names, f["h"](x, u, f.parameter_values).full().ravel().tolist())
         )
