@@ -5,10 +5,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from greybox.automatic.decide import Decided, Given, Say, decide
+from greybox.automatic.decide import Decided, decide
 from greybox.automatic.facts import Facts, facts_of
 from greybox.automatic.fit import Prepared, fit_recipe
 from greybox.automatic.like import like
+from greybox.automatic.setting import Given
+from greybox.automatic.trials import Say
 from greybox.data import Dataset
 from greybox.errors import FitError
 from greybox.estimation.recipe import Decision

@@ -13,11 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.automatic.decide import QUICK, Decided, Given, Say
+from greybox.automatic.decide import Decided
 from greybox.automatic.filters import is_endless, without_parts
 from greybox.automatic.flights import LeftOut, needed_rate, raw_log, sound_flights
 from greybox.automatic.pieces import first_parts
 from greybox.automatic.sets import BASE
+from greybox.automatic.setting import Given
+from greybox.automatic.trials import QUICK, Say
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.data.conditioning import condition

@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Unpack
 
 from greybox.automatic.borrow import decide_for
-from greybox.automatic.decide import Given, Say
 from greybox.automatic.fit import fit_decided, prepare
 from greybox.automatic.judged import judged
+from greybox.automatic.setting import Given
+from greybox.automatic.trials import Say
 from greybox.automatic.wanted import with_rivals
 from greybox.data import Dataset, Flight
 from greybox.data.halves import demand_disjoint

@@ -31,9 +31,34 @@ class Step:
     per_flight: tuple[str, ...] = field(default=())
 
 
+def name_of(effect: str | Effect) -> str:
+    """The name of an effect that may stand for itself."""
+    return effect if isinstance(effect, str) else effect.name
+
+
 def names_of(step: Step) -> tuple[str, ...]:
     """Names of the effects of a step."""
-    return tuple(e if isinstance(e, str) else e.name for e in step.effects)
+    return tuple(name_of(e) for e in step.effects)
+
+
+def effects_of(steps: tuple[Step, ...]) -> tuple[str | Effect, ...]:
+    """The effects of all steps."""
+    return tuple(e for s in steps for e in s.effects)
+
+
+def all_names_of(steps: tuple[Step, ...]) -> tuple[str, ...]:
+    """Names of the effects of all steps."""
+    return tuple(n for s in steps for n in names_of(s))
+
+
+def shares_effect(steps: tuple[Step, ...], step: Step) -> bool:
+    """Whether an effect of `step` is among those of `steps`."""
+    return not set(all_names_of(steps)).isdisjoint(names_of(step))
+
+
+def listed(steps: tuple[Step, ...]) -> str:
+    """The names of the effects, or "none"."""
+    return ", ".join(all_names_of(steps)) or "none"
 
 
 BASE = Step(

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Literal, cast
 from greybox.commands.command_line import Options
 
 if TYPE_CHECKING:
-    from greybox.automatic.decide import Given
     from greybox.automatic.fit import Prepared
+    from greybox.automatic.setting import Given
     from greybox.commands.console import Console
     from greybox.data import Dataset
     from greybox.estimation.options import FitChoices, FitOptions
@@ -255,7 +255,7 @@ def fit_options(arguments: argparse.Namespace) -> FitOptions:
 
 def given(arguments: argparse.Namespace) -> Given:
     """What was said, for `greybox.automatic`: the rest is open."""
-    from greybox.automatic.decide import Given
+    from greybox.automatic.setting import Given
 
     own = _own_effects(arguments)
     effects = None if arguments.effects is None and not own else (*(arguments.effects or ()), *own)

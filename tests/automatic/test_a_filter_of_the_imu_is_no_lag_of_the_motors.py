@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import pytest
 
-from greybox.automatic.decide import Decided, Given, decide
+from greybox.automatic.decide import Decided, decide
 from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import prepare
+from greybox.automatic.setting import Given
 from greybox.data import Dataset
 from scenarios.plants.sensor_faults import low_passed
 from tests.automatic.craft import RATES, flight, flown, plant, vehicle

@@ -12,10 +12,10 @@ import pytest
 
 import greybox as gb
 from greybox.automatic.borrow import decide_with_source
-from greybox.automatic.decide import Given
 from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import prepare
 from greybox.automatic.like import grown, lasting, like
+from greybox.automatic.setting import Given
 from greybox.cli import main
 from greybox.model.identified import IdentifiedModel
 from greybox.model.noise import with_disturbance

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from greybox.automatic.decide import Decided, Given, decide
+from greybox.automatic.decide import Decided, decide
 from greybox.automatic.facts import facts_of
 from greybox.automatic.filters import lasting_poses
 from greybox.automatic.fit import prepare
+from greybox.automatic.setting import Given
 from greybox.data import Dataset
 from tests.automatic.craft import IMU, POSE, flight, flown, vehicle
 

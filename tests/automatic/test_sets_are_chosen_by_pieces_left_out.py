@@ -10,18 +10,13 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.automatic.decide import (
-    Candidate,
-    Decided,
-    Given,
-    decide,
-    likeliest_of_the_good,
-    plainer,
-)
+from greybox.automatic.decide import Decided, decide
 from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import prepare
 from greybox.automatic.foretell import Score, foretell
 from greybox.automatic.sets import Step, names_of, nested_sets
+from greybox.automatic.setting import Given
+from greybox.automatic.trials import Candidate, likeliest_of_the_good, plainer
 from greybox.data import Dataset, Flight
 from greybox.estimation.recipe import Decision
 from tests import simulated

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from greybox.automatic.decide import Given
+from greybox.automatic.setting import Given
 from greybox.errors import FitError
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions

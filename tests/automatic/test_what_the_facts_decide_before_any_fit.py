@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.automatic.decide import Given, decide
+from greybox.automatic.decide import decide
 from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import prepare
+from greybox.automatic.setting import Given
 from greybox.data import Dataset
 from greybox.data.checks.finding import WANDER
 from greybox.model.vehicle import Vehicle
