@@ -113,11 +113,11 @@ def discover(
         _long_enough(train)
         options = _with_noise_of_clocks(options, faults)
     settings = settings_of(options)
-    settings["sample_time"] = sample_time(train)
+    settings["sample_time"] = step = sample_time(train)
     say = onward(progress or (lambda _text, _share: None))
     run = _Run(
         flights=Flights(
-            causes=_offered(subject, train, options),
+            causes=_offered(subject, train, step, options),
             data=without_lead_in(train) if vehicle else train,
             options=options.of_every_fit,
             effort=options.effort,
@@ -145,8 +145,9 @@ def _with_noise_of_clocks(options: DiscoverOptions, faults: CheckReport) -> Disc
 
 
 def _offered(
-    subject: Vehicle | StateSpaceModel, train: Dataset, options: DiscoverOptions
+    subject: Vehicle | StateSpaceModel, train: Dataset, step: float, options: DiscoverOptions
 ) -> Causes:
+    """The causes on offer; `step` [s] is the sample time of `train`."""
     causes: Causes
     if isinstance(subject, Vehicle):
         known = None if options.since is None else since(options.since)
@@ -154,7 +155,7 @@ def _offered(
             subject,
             train.channels,
             own=options.own,
-            sample_time=sample_time(train),
+            sample_time=step,
             noncausal=train.noncausal,
             kinematic_noise=bool(options.kinematic_noise),
             fixed=options.fixed,
