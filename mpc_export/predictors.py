@@ -46,6 +46,7 @@ Fitted = (
     | LSTMModel
     | GPPosterior
     | GaussianProcess
+    | BasePredictor
 )
 MANY_LINEAR = LINEAR_SCHEMAS[1]
 
@@ -342,9 +343,7 @@ def _alone(gp: GPPosterior | GaussianProcess, dt: float | None, name: str | None
 # -------------------- files
 
 
-def read_model(
-    path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()
-) -> Fitted | BasePredictor:
+def read_model(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) -> Fitted:
     """Any file of a fitted thing: what `write_bundle` takes. Raises `FileFormatError` for a file
     of another kind."""
     data = read_json(path)

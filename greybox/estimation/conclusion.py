@@ -7,7 +7,6 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -361,37 +360,45 @@ def _estimates(
         known = [i for i in places if not held[i] and np.isfinite(fisher[i, i])]
         shares = [1.0 - fisher[i, i] / alone[i] if alone[i] > 0 else 0.0 for i in known]
         influence = float(np.clip(np.mean(shares), 0.0, 1.0)) if shares else 0.0
-        common: dict[str, Any] = {
-            "name": d.name,
-            "unit": d.unit,
-            "prior": (first.mean, first.sigma) if has_prior else None,
-            "prior_influence": influence,
-            "at_bound": bool(held[places].any()),
-        }
+        per_flight: dict[str, tuple[float, float]] = {}
         if first.flight is None:
-            i = places[0]
-            out[d.name] = Estimate(
-                value=float(theta[i]),
-                std=std(matrix, i),
-                std_fisher=std(fisher, i),
-                scope="shared",
-                **common,
-            )
-            continue
-        each = {str(problem.unknowns[i].flight): (float(theta[i]), std(matrix, i)) for i in places}
-        numbers = np.array([v for v, _ in each.values()])
-        loose = [i for i in places if not held[i]]
+            value, error = float(theta[places[0]]), std(matrix, places[0])
+            fisher_error = std(fisher, places[0])
+        else:
+            per_flight = {
+                str(problem.unknowns[i].flight): (float(theta[i]), std(matrix, i)) for i in places
+            }
+            value, error, fisher_error = _over_flights(matrix, fisher, held, places, per_flight)
         out[d.name] = Estimate(
-            value=float(numbers.mean()),
-            std=max(_mean_error(matrix, loose), _between(numbers) / np.sqrt(numbers.size))
-            if loose
-            else float("nan"),
-            std_fisher=_mean_error(fisher, loose) if loose else float("nan"),
-            scope="flight",
-            per_flight=each,
-            **common,
+            name=d.name,
+            value=value,
+            std=error,
+            std_fisher=fisher_error,
+            unit=d.unit,
+            scope="shared" if first.flight is None else "flight",
+            prior=(first.mean, first.sigma) if has_prior else None,
+            prior_influence=influence,
+            at_bound=bool(held[places].any()),
+            per_flight=per_flight,
         )
     return out
+
+
+def _over_flights(
+    matrix: FloatArray,
+    fisher: FloatArray,
+    held: BoolArray,
+    places: Sequence[int],
+    per_flight: Mapping[str, tuple[float, float]],
+) -> tuple[float, float, float]:
+    """(mean of the values of single flights, its standard error, that by the Fisher information):
+    the error is at least what the spread between flights says."""
+    numbers = np.array([v for v, _ in per_flight.values()])
+    mean, loose = float(numbers.mean()), [i for i in places if not held[i]]
+    if not loose:
+        return mean, float("nan"), float("nan")
+    error = max(_mean_error(matrix, loose), _between(numbers) / np.sqrt(numbers.size))
+    return mean, error, _mean_error(fisher, loose)
 
 
 def _mean_error(matrix: FloatArray, places: Sequence[int]) -> float:

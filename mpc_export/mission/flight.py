@@ -17,7 +17,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -129,6 +129,15 @@ class Plant(Protocol):
         ...
 
 
+@runtime_checkable
+class KnowsStates(Protocol):
+    """A plant that says its true states by themselves."""
+
+    def states(self) -> Mapping[str, float]:
+        """By name."""
+        ...
+
+
 def named(option: str, name: str, example: str) -> object:
     """What `module:attribute` names, importable from here. Raises `PlantError`."""
     module, _, attribute = name.partition(":")
@@ -207,10 +216,10 @@ def fitting(plant: Plant, model: IdentifiedModel, start: tuple[float, float, flo
 
 def truth(plant: Plant) -> Mapping[str, float]:
     """True states of a plant by name."""
-    found: Mapping[str, float] = (
-        plant.states() if hasattr(plant, "states") else plant.truth()["states"]
-    )
-    return found
+    if isinstance(plant, KnowsStates):
+        return plant.states()
+    states: Mapping[str, float] = plant.truth()["states"]
+    return states
 
 
 # ------------------------------------------------------------------------------------ controllers
