@@ -99,28 +99,9 @@ def draw(seed: int, simulator: str | None = None, hidden: Sequence[str] = ()) ->
     craft = hide(
         Craft(airframe=frame, lag=lag, air=air), hidden, np.random.default_rng([seed, 104])
     )
-    random = np.random.default_rng([seed, 105])
-    worse = float(np.exp(0.3 * random.standard_normal()))
-    sensors = SensorNoise(
-        gyro=0.012 * worse,
-        accelerometer=0.08 * worse,
-        attitude=0.002 * worse,
-        position=0.002 * worse,
-        velocity=0.015 * worse,
-        voltage=0.005,
-        rotor_speed=0.002 * craft.speed_max,
-    )
+    sensors = draw_sensors(craft.speed_max, np.random.default_rng([seed, 105]))
     random = np.random.default_rng([seed, 106])
-    realism = Realism(
-        colour=random.uniform(0.4, 1.2),
-        vibration=random.uniform(0.0, 1.0),
-        low_pass=random.uniform(25.0, 45.0),
-        pose_delay=random.uniform(0.0, 0.02),
-        jitter=random.uniform(0.3, 1.0),
-        command_step=1e-3,
-        lost=random.uniform(0.0, 0.02),
-        drift=random.uniform(0.0, 0.3),
-    )
+    realism = draw_realism(random)
     fitted = str(random.choice(["cf2x_L250", "cf2x_P250", "cf2x_T350", "cf21B_500"]))
     random = np.random.default_rng([seed, 107])
     return Draw(
@@ -134,6 +115,34 @@ def draw(seed: int, simulator: str | None = None, hidden: Sequence[str] = ()) ->
         rotor_speeds=rotor_speeds,
         knowledge=Knowledge.of(frame, random),
         hidden=tuple(hidden),
+    )
+
+
+def draw_sensors(speed_max: float, random: np.random.Generator) -> SensorNoise:
+    """Sensors that are all better or worse than usual by one factor; speed_max [rad/s]."""
+    worse = float(np.exp(0.3 * random.standard_normal()))
+    return SensorNoise(
+        gyro=0.012 * worse,
+        accelerometer=0.08 * worse,
+        attitude=0.002 * worse,
+        position=0.002 * worse,
+        velocity=0.015 * worse,
+        voltage=0.005,
+        rotor_speed=0.002 * speed_max,
+    )
+
+
+def draw_realism(random: np.random.Generator) -> Realism:
+    """What sensors, clocks and links of a real craft do besides white noise."""
+    return Realism(
+        colour=random.uniform(0.4, 1.2),
+        vibration=random.uniform(0.0, 1.0),
+        low_pass=random.uniform(25.0, 45.0),
+        pose_delay=random.uniform(0.0, 0.02),
+        jitter=random.uniform(0.3, 1.0),
+        command_step=1e-3,
+        lost=random.uniform(0.0, 0.02),
+        drift=random.uniform(0.0, 0.3),
     )
 
 

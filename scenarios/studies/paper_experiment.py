@@ -87,25 +87,7 @@ def run_seed(
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run what is missing, print the tables, draw the figures of the first seed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--quiet-seeds", type=int, default=1, help="seeds of the run without noise")
-    parser.add_argument(
-        "--short-seeds",
-        type=int,
-        default=1,
-        help="seeds of the run on a quarter of the training data",
-    )
-    parser.add_argument("--budget", type=int, default=4, help="candidates per method with choices")
-    parser.add_argument(
-        "--claim", action="store_true", help="time a GP on the outputs against one on the residual"
-    )
-    parser.add_argument("--methods", help="only these, separated by commas")
-    parser.add_argument("--again", default="", help="compute these anew")
-    parser.add_argument("--out", default="paper_experiment", metavar="DIR")
+    parser = _parser()
     options = parser.parse_args(arguments)
     folder = Path(options.out)
     folder.mkdir(parents=True, exist_ok=True)
@@ -137,6 +119,40 @@ def main(arguments: Sequence[str] | None = None) -> None:
         run_seed(s, folder, honest, train=SHORT, budget=options.budget, again=again, say=say)
         for s in list(seeds)[: options.short_seeds]
     ]
+    _say_methods(results, short)
+    print("\nNot methods: they see measurements of the instant that they predict\n")
+    print(table(results, list(LEAKS)))
+    print(f"\nWithout sensor and process noise, {len(quiet)} seed(s)\n")
+    print(table(quiet, list(METHODS)))
+    written = draw(folder, paper_data(options.first), _shown(folder, options.first))
+    print(f"\nfigures: {', '.join(os.fspath(p) for p in written)}")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--quiet-seeds", type=int, default=1, help="seeds of the run without noise")
+    parser.add_argument(
+        "--short-seeds",
+        type=int,
+        default=1,
+        help="seeds of the run on a quarter of the training data",
+    )
+    parser.add_argument("--budget", type=int, default=4, help="candidates per method with choices")
+    parser.add_argument(
+        "--claim", action="store_true", help="time a GP on the outputs against one on the residual"
+    )
+    parser.add_argument("--methods", help="only these, separated by commas")
+    parser.add_argument("--again", default="", help="compute these anew")
+    parser.add_argument("--out", default="paper_experiment", metavar="DIR")
+    return parser
+
+
+def _say_methods(results: Sequence[Mapping[str, Any]], short: Sequence[Mapping[str, Any]]) -> None:
+    """Scores, verdict, qualities and times of the methods."""
     hybrids = [n for n in METHODS if n.startswith("hybrid")]
     others = [n for n in METHODS if n not in hybrids]
     print(
@@ -155,18 +171,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"\nThe same GP on the outputs {row['output']:.1f} s, on the residual "
             f"{row['residual']:.1f} s of CPU"
         )
-    print("\nNot methods: they see measurements of the instant that they predict\n")
-    print(table(results, list(LEAKS)))
-    print(f"\nWithout sensor and process noise, {len(quiet)} seed(s)\n")
-    print(table(quiet, list(METHODS)))
-    with np.load(folder / f"seed{options.first}.npz", allow_pickle=False) as file:
-        shown = {
+
+
+def _shown(folder: Path, seed: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Method -> (mean, variance) of the test part, as kept for a seed."""
+    with np.load(folder / f"seed{seed}.npz", allow_pickle=False) as file:
+        return {
             n: (file[f"{n}|mean"], file[f"{n}|variance"])
             for n in METHODS
             if f"{n}|mean" in file.files
         }
-    written = draw(folder, paper_data(options.first), shown)
-    print(f"\nfigures: {', '.join(os.fspath(p) for p in written)}")
 
 
 if __name__ == "__main__":

@@ -405,27 +405,11 @@ def fly_pybullet(
         raise MissingSimulator("pybullet") from missing
     (commands,) = load(folder, "commands")
     (path,) = folder.glob("*.urdf")
-    root = ElementTree.parse(path).getroot()
-    p = {k: float(v) for k, v in root[0].attrib.items()}
-    com = np.array([float(v) for v in root[1][0][0].attrib["xyz"].split()])
-    text = path.read_text()
-    order = [int(v) - 1 for v in text.split("are rotors ")[1].split(".")[0].split(",")]
+    order = [int(v) - 1 for v in path.read_text().split("are rotors ")[1].split(".")[0].split(",")]
     more = load(folder, "rest")[0] if rest else None
     client = bullet.connect(bullet.DIRECT)
     try:
-        bullet.setGravity(0, 0, -9.8, physicsClientId=client)
-        body = bullet.loadURDF(
-            str(path), flags=bullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client
-        )
-        bullet.changeDynamics(body, -1, linearDamping=0, angularDamping=0, physicsClientId=client)
-        w, x, y, z = start.attitude
-        turn = rotation(start.attitude)
-        # Bullet's base is the inertial frame: at the centre of mass, along the principal axes.
-        _, _, _, at, along, *_ = bullet.getDynamicsInfo(body, -1, physicsClientId=client)
-        here, quat = bullet.multiplyTransforms(start.position - turn @ com, [x, y, z, w], at, along)
-        bullet.resetBasePositionAndOrientation(body, here, quat, physicsClientId=client)
-        bullet.resetBaseVelocity(body, start.velocity, turn @ start.rate, physicsClientId=client)
-        back = bullet.invertTransform(at, along)
+        craft = _InBullet(bullet, client, path, start, more)
         rotors = commands.Rotors(start.rotors)
         for sent in before:
             rotors._line.pieces(sent, dt)
@@ -437,52 +421,77 @@ def fly_pybullet(
             volt = None if voltage is None else float(voltage[k])
             for _ in range(count):
                 rpm = commands.RPM_MAX * rotors.speeds(sent, dt / count, volt)[order]
-                thrust, torque = p["kf"] * rpm**2, p["km"] * rpm**2
-                velocity, _ = bullet.getBaseVelocity(body, physicsClientId=client)
-                factors = -np.array([p["drag_coeff_xy"], p["drag_coeff_xy"], p["drag_coeff_z"]])
-                drag = factors * np.sum(rpm) / PER_MINUTE * np.array(velocity)
-                place, turned = bullet.getBasePositionAndOrientation(body, physicsClientId=client)
-                frame = bullet.multiplyTransforms(place, turned, *back)
-                axes = np.array(bullet.getMatrixFromQuaternion(frame[1])).reshape(3, 3)
-                for i in range(4):
-                    push = [0, 0, thrust[i]]
-                    bullet.applyExternalForce(
-                        body, i, push, [0, 0, 0], bullet.LINK_FRAME, physicsClientId=client
-                    )
-                yaw = axes[:, 2] * (-torque[0] + torque[1] - torque[2] + torque[3])
-                yaw = yaw + axes @ pushes[k, 3:]
-                drag = drag + axes @ pushes[k, :3]
-                bullet.applyExternalTorque(
-                    body, -1, yaw, bullet.WORLD_FRAME, physicsClientId=client
-                )
-                bullet.applyExternalForce(
-                    body, -1, drag, place, bullet.WORLD_FRAME, physicsClientId=client
-                )
-                if more is not None:
-                    q = np.array([frame[1][3], *frame[1][:3]])
-                    spin = axes.T @ np.array(
-                        bullet.getBaseVelocity(body, physicsClientId=client)[1]
-                    )
-                    force, moment = more.in_world(
-                        q, *more.rest(q, velocity, place, spin, rotors.nu)
-                    )
-                    bullet.applyExternalForce(
-                        body, -1, force, place, bullet.WORLD_FRAME, physicsClientId=client
-                    )
-                    bullet.applyExternalTorque(
-                        body, -1, moment, bullet.WORLD_FRAME, physicsClientId=client
-                    )
-                bullet.stepSimulation(physicsClientId=client)
-            place, turned = bullet.getBasePositionAndOrientation(body, physicsClientId=client)
-            velocity, spin = bullet.getBaseVelocity(body, physicsClientId=client)
-            _, q = bullet.multiplyTransforms(place, turned, *back)
-            q = np.array([q[3], q[0], q[1], q[2]])
-            rows.append(
-                np.concatenate([place, velocity, q, rotation(q).T @ np.array(spin), rotors.nu])
-            )
+                craft.step(rpm, rotors.nu, pushes[k])
+            rows.append(np.concatenate([craft.motion(), rotors.nu]))
         return np.array(rows)
     finally:
         bullet.disconnect(client)
+
+
+class _InBullet:
+    """The written URDF in a client of PyBullet."""
+
+    def __init__(self, bullet: Any, client: int, path: Path, start: Start, more: Any) -> None:
+        self.bullet, self.at, self.more = bullet, {"physicsClientId": client}, more
+        root = ElementTree.parse(path).getroot()
+        self.numbers = {k: float(v) for k, v in root[0].attrib.items()}
+        com = np.array([float(v) for v in root[1][0][0].attrib["xyz"].split()])
+        bullet.setGravity(0, 0, -9.8, **self.at)
+        inertia = bullet.URDF_USE_INERTIA_FROM_FILE
+        self.body = body = bullet.loadURDF(str(path), flags=inertia, **self.at)
+        bullet.changeDynamics(body, -1, linearDamping=0, angularDamping=0, **self.at)
+        w, x, y, z = start.attitude
+        turn = rotation(start.attitude)
+        # Bullet's base is the inertial frame: at the centre of mass, along the principal axes.
+        _, _, _, at, along, *_ = bullet.getDynamicsInfo(body, -1, **self.at)
+        here, quat = bullet.multiplyTransforms(start.position - turn @ com, [x, y, z, w], at, along)
+        bullet.resetBasePositionAndOrientation(body, here, quat, **self.at)
+        bullet.resetBaseVelocity(body, start.velocity, turn @ start.rate, **self.at)
+        self.back = bullet.invertTransform(at, along)
+
+    def _place(self) -> tuple[Any, FloatArray]:
+        """Position of the centre of mass, and attitude (w, x, y, z) of the body's own axes."""
+        place, turned = self.bullet.getBasePositionAndOrientation(self.body, **self.at)
+        _, q = self.bullet.multiplyTransforms(place, turned, *self.back)
+        return place, np.array([q[3], q[0], q[1], q[2]])
+
+    def step(self, rpm: FloatArray, nu: FloatArray, push: FloatArray) -> None:
+        """One step under rotors of `rpm` (4,), in the file's order, nu (4,) in greybox's, and a
+        force and torque `push` (6,) in body axes."""
+        bullet, body, p, world = self.bullet, self.body, self.numbers, self.bullet.WORLD_FRAME
+        thrust, torque = p["kf"] * rpm**2, p["km"] * rpm**2
+        velocity, spin = bullet.getBaseVelocity(body, **self.at)
+        factors = -np.array([p["drag_coeff_xy"], p["drag_coeff_xy"], p["drag_coeff_z"]])
+        drag = factors * np.sum(rpm) / PER_MINUTE * np.array(velocity)
+        place, q = self._place()
+        axes = np.array(bullet.getMatrixFromQuaternion([*q[1:], q[0]])).reshape(3, 3)
+        for i in range(4):
+            up = [0, 0, thrust[i]]
+            bullet.applyExternalForce(body, i, up, [0, 0, 0], bullet.LINK_FRAME, **self.at)
+        yaw = axes[:, 2] * (-torque[0] + torque[1] - torque[2] + torque[3])
+        yaw = yaw + axes @ push[3:]
+        drag = drag + axes @ push[:3]
+        bullet.applyExternalTorque(body, -1, yaw, world, **self.at)
+        bullet.applyExternalForce(body, -1, drag, place, world, **self.at)
+        if self.more is not None:
+            rate = axes.T @ np.array(spin)
+            rest = self.more.rest(q, velocity, place, rate, nu)
+            force, moment = self.more.in_world(q, *rest)
+            bullet.applyExternalForce(body, -1, force, place, world, **self.at)
+            bullet.applyExternalTorque(body, -1, moment, world, **self.at)
+        bullet.stepSimulation(**self.at)
+
+    def motion(self) -> FloatArray:
+        """Position, velocity, attitude and rate, (13,)."""
+        velocity, spin = self.bullet.getBaseVelocity(self.body, **self.at)
+        place, q = self._place()
+        return np.concatenate([place, velocity, q, rotation(q).T @ np.array(spin)])
+
+
+FOOT = 0.3048
+"""[m]."""
+FLIP, SWAP = np.diag([1.0, -1.0, -1.0]), np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+"""FLU and FRD into each other; ENU and NED."""
 
 
 def fly_jsbsim(
@@ -504,17 +513,43 @@ def fly_jsbsim(
     if rest or start.push is not None:
         raise ValueError("JSBSim takes no further wrench here")
     (commands,) = load(folder, "commands")
+    step = 1e-4  # filters keep the step that the model was loaded with
+    sim = _started(jsbsim.FGFDMExec(str(folder)), folder, start, step)
+    position, rows = start.position.copy(), []
+
+    def motion() -> tuple[FloatArray, FloatArray]:
+        w = np.array([sim[f"velocities/v-{a}-fps"] for a in ("north", "east", "down")]) * FOOT
+        return SWAP.T @ w, np.array([sim[f"velocities/{a}-rad_sec"] for a in "pqr"])
+
+    last, _ = motion()
+    for pieces in _arriving(commands, u, before, dt, voltage):
+        for seconds, nu in pieces:
+            count = round(seconds / step)
+            for i, value in enumerate(nu, 1):
+                sim[f"fcs/nu-cmd{i}"] = float(value)
+            for _ in range(count):
+                sim.run()
+                now, _ = motion()
+                position = position + step * 0.5 * (last + now)
+                last = now
+        velocity, rate = motion()
+        phi, theta, psi = (sim[f"attitude/{a}-rad"] for a in ("phi", "theta", "psi"))
+        body = SWAP.T @ _euler(phi, theta, psi) @ FLIP
+        speeds = [sim[f"fcs/nu{i}"] for i in range(1, u.shape[1] + 1)]
+        rows.append(np.concatenate([position, velocity, _quaternion(body), FLIP @ rate, speeds]))
+    return np.array(rows)
+
+
+def _started(sim: Any, folder: Path, start: Start, step: float) -> Any:
+    """JSBSim with the written aircraft at the start, its rotors at their speeds."""
     (path,) = (folder / "aircraft").glob("*/*.xml")
-    sim, foot = jsbsim.FGFDMExec(str(folder)), 0.3048
     sim.set_debug_level(0)
     sim.load_planet(str(folder / "planet.xml"), False)
-    step = 1e-4  # filters keep the step that the model was loaded with
     sim.set_dt(step)
     sim.load_model(path.stem)
-    flip, swap = np.diag([1.0, -1.0, -1.0]), np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
-    turn = swap @ rotation(start.attitude) @ flip  # FRD to NED
-    v = flip @ rotation(start.attitude).T @ start.velocity / foot
-    p, q, r = flip @ start.rate
+    turn = SWAP @ rotation(start.attitude) @ FLIP  # FRD to NED
+    v = FLIP @ rotation(start.attitude).T @ start.velocity / FOOT
+    p, q, r = FLIP @ start.rate
     for name, value in {
         "ic/h-sl-ft": 1000.0,
         "ic/lat-gc-deg": 0.0,
@@ -541,29 +576,7 @@ def fly_jsbsim(
         sim.run()
     sim.resume_integration()
     sim.set_dt(step)
-    position, rows = start.position.copy(), []
-
-    def motion() -> tuple[FloatArray, FloatArray]:
-        w = np.array([sim[f"velocities/v-{a}-fps"] for a in ("north", "east", "down")]) * foot
-        return swap.T @ w, np.array([sim[f"velocities/{a}-rad_sec"] for a in "pqr"])
-
-    last, _ = motion()
-    for pieces in _arriving(commands, u, before, dt, voltage):
-        for seconds, nu in pieces:
-            count = round(seconds / step)
-            for i, value in enumerate(nu, 1):
-                sim[f"fcs/nu-cmd{i}"] = float(value)
-            for _ in range(count):
-                sim.run()
-                now, _ = motion()
-                position = position + step * 0.5 * (last + now)
-                last = now
-        velocity, rate = motion()
-        phi, theta, psi = (sim[f"attitude/{a}-rad"] for a in ("phi", "theta", "psi"))
-        body = swap.T @ _euler(phi, theta, psi) @ flip
-        speeds = [sim[f"fcs/nu{i}"] for i in range(1, u.shape[1] + 1)]
-        rows.append(np.concatenate([position, velocity, _quaternion(body), flip @ rate, speeds]))
-    return np.array(rows)
+    return sim
 
 
 def _euler(phi: float, theta: float, psi: float) -> FloatArray:
