@@ -72,7 +72,7 @@ def log_faults(arguments: argparse.Namespace, vehicle: Vehicle) -> CheckReport:
         for paths in (arguments.train, arguments.test)
     )
     demand_disjoint(*([(r.flight, r.sha256) for r in logs] for logs in (train, test)))
-    accept, file = accepted(arguments.accept), getattr(arguments, "vehicle", None)
+    accept, file = accepted(arguments.accept), arguments.vehicle
     if file is None:  # a model holds what its vehicle file said
         return check([*train, *test], vehicle, accept=accept)
     return faults_of(vehicle, [*train, *test], accept=accept, file=file)
