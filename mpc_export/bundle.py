@@ -10,19 +10,15 @@ greybox.
     LICENSES/         of everything inside
 
 A bundle is written beside its place and then moved there (mpc_export/place.py). The same model with
-the same options comes from a cache (`greybox.estimation.cache`), whose key covers the code.
+the same options comes from a cache (mpc_export/bundle_cache.py).
 """
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import hashlib
 import json
 import os
 import re
-import shutil
-import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -32,7 +28,6 @@ from typing import Unpack
 import casadi as ca
 
 from greybox.errors import FileFormatError, ModelError
-from greybox.estimation.cache import cache_root
 from greybox.estimation.options import says_choices
 from greybox.files import (
     Parsed,
@@ -43,18 +38,11 @@ from greybox.files import (
     write_atomic,
     write_json,
 )
-from greybox.model.dynamics import Dynamics
-from greybox.model.effects_file import own_effects
 from greybox.model.identified import IdentifiedModel, library_versions
-from greybox.model.layer import innermost, layers
 from greybox.model.linear import LinearModel
-from greybox.model.model import PhysicsModel
-from greybox.model.noise import Augmented
-from greybox.model.sensors import SENSORS
 from greybox.residual.array_file import packed
-from greybox.residual.files import model_to_dict
-from greybox.residual.hybrid import HybridModel
 from greybox.shown import Cell, Shown
+from mpc_export.bundle_cache import fetch, keep, key_of
 from mpc_export.c_code import write_c
 from mpc_export.c_kernels import kernels_of
 from mpc_export.c_model import CModel
@@ -63,7 +51,7 @@ from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.golden import Golden, golden_vectors
 from mpc_export.manifest import SCHEMA, Manifest, PortRow, Written, manifest_of
 from mpc_export.options import ExportChoices, ExportOptions
-from mpc_export.place import beside, check_place, is_bundle, move
+from mpc_export.place import beside, check_place, move
 from mpc_export.points import Reduction, with_points
 from mpc_export.predictors import Fitted, PredictorModel, predictor_model
 from mpc_export.readme import licences, readme
@@ -72,8 +60,6 @@ from mpc_export.targets import TARGETS, write_target
 from mpc_export.tube.target import Planning
 
 GOLDEN_POINTS = 12
-KEPT = 16
-"""Bundles that the cache keeps."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -232,10 +218,13 @@ def write_bundle(
         model, o = predictor_model(model, dt=o.dt, name=name), replace(o, dt=None)
     key = None
     if o.use_cache and not isinstance(model, PredictorModel):
-        key = _cache_key(model, shaping)
-    if key is not None and (found := _from_cache(key, place, force=o.force)) is not None:
+        key = key_of(model, shaping)
+    if key is not None and fetch(key, place, ExportBundle.load, force=o.force):
         again = model if o.points is None else with_points(model, o.points)[0]
-        return replace(found, source=lambda: _functions(again, o))
+        made = read_json(place / "manifest.json")
+        return ExportBundle(
+            folder=place, manifest=made, cached=True, source=lambda: _functions(again, o)
+        )
     reduction: Reduction | None = None
     if o.points is not None:
         model, reduction = with_points(model, o.points)
@@ -254,7 +243,7 @@ def write_bundle(
         manifest = to_plain(manifest)
         write_json(part / "manifest.json", {**manifest, "checksum": checksum(manifest)})
         if key is not None:
-            _into_cache(key, part)
+            keep(key, part)
         move(part, place, force=o.force)
     return ExportBundle(
         folder=place, manifest=read_json(place / "manifest.json"), source=lambda: functions
@@ -311,86 +300,6 @@ def _write_parts(
         if target in TARGETS
     }
     return Written(c=c, targets=targets, abi=abi)
-
-
-# ------------------------------------------------------------------------------------------ cache
-
-
-@functools.cache
-def _code_digest() -> str:
-    """SHA-256 of the code that shapes a bundle: another version of it must not find this one's
-    bundles."""
-    digest = hashlib.sha256()
-    for package in ("greybox", "mpc_export"):
-        root = Path(str(resources.files(package)))
-        shapes = (p for p in root.rglob("*") if p.suffix in (".py", ".c", ".h") or _is_template(p))
-        for path in sorted(shapes):
-            digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
-    return digest.hexdigest()
-
-
-def _is_template(path: Path) -> bool:
-    return "templates" in path.parts and path.is_file() and "__pycache__" not in path.parts
-
-
-def _cache_key(model: IdentifiedModel | LinearModel, options: list[object]) -> str | None:
-    """None for a model that a key cannot tell from others: no file form, or code of the user's own
-    in no known file."""
-    if _has_unknown_code(model):
-        return None
-    try:
-        body = model.to_dict() if isinstance(model, LinearModel) else model_to_dict(model)
-    except ModelError:
-        return None
-    body = {k: v for k, v in body.items() if k != "versions"}
-    return checksum(
-        {"model": body, "options": options, "code": _code_digest(), "versions": library_versions()}
-    )
-
-
-def _has_unknown_code(model: IdentifiedModel | LinearModel) -> bool:
-    """Whether code shapes the model that neither this package nor the checksum of an effects file
-    stands for."""
-    dynamics: Dynamics = model.dynamics if isinstance(model, IdentifiedModel) else model
-    if any(type(layer) not in (HybridModel, Augmented) for layer in layers(dynamics)):
-        return True
-    core = innermost(dynamics)
-    if type(core) is not PhysicsModel:
-        return type(core) is not LinearModel
-    known = {type(sensor) for sensor in SENSORS}
-    own = own_effects(core.effects).values()
-    return any(type(s) not in known for s in core.sensors) or any(e["sha256"] is None for e in own)
-
-
-def _from_cache(key: str, place: Path, *, force: bool) -> ExportBundle | None:
-    kept = cache_root() / "export" / key
-    if not is_bundle(kept):
-        return None
-    try:
-        ExportBundle.load(kept)
-    except FileFormatError:
-        shutil.rmtree(kept, ignore_errors=True)
-        return None
-    with beside(place) as part:
-        shutil.copytree(kept, part, dirs_exist_ok=True)
-        move(part, place, force=force)
-    return ExportBundle(folder=place, manifest=read_json(place / "manifest.json"), cached=True)
-
-
-def _into_cache(key: str, part: Path) -> None:
-    """A cache that cannot be written is no reason to fail."""
-    store = cache_root() / "export"
-    with contextlib.suppress(OSError):
-        store.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=store, prefix=".part-") as folder:
-            shutil.copytree(part, Path(folder) / "bundle")
-            with contextlib.suppress(OSError):
-                os.rename(Path(folder) / "bundle", store / key)
-        entries = sorted(
-            (p for p in store.iterdir() if len(p.name) == 64), key=lambda p: p.stat().st_mtime
-        )
-        for old in entries[:-KEPT]:
-            shutil.rmtree(old, ignore_errors=True)
 
 
 def describe(bundle: ExportBundle) -> str:

@@ -29,12 +29,6 @@ def save_model(model: IdentifiedModel, path: str | os.PathLike[str]) -> Path:
     return model.save(path)
 
 
-def model_to_dict(model: IdentifiedModel) -> dict[str, Json]:
-    """`model.to_dict()`: plain values of a model file of either kind. Raises `ModelError` as
-    `save_model`."""
-    return model.to_dict()
-
-
 def load_model(
     path: str | os.PathLike[str], *, effects: Iterable[Effect] = (), sensors: Iterable[Sensor] = ()
 ) -> IdentifiedModel:

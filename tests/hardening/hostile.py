@@ -17,7 +17,6 @@ from typing import Any
 
 from greybox.errors import FileFormatError
 from greybox.files import checksum
-from greybox.residual.files import model_to_dict
 from tests.mpc_export import cases
 
 MARK = "greybox-was-here"
@@ -97,11 +96,11 @@ def model_tree(kind: str) -> str:
     """A small good model file as JSON text."""
     match kind:
         case "physics":
-            return json.dumps(model_to_dict(cases.physics()))
+            return json.dumps(cases.physics().to_dict())
         case "disturbed":
-            return json.dumps(model_to_dict(cases.disturbed()))
+            return json.dumps(cases.disturbed().to_dict())
         case "hybrid":
-            return json.dumps(model_to_dict(cases.hybrid(points=4)))
+            return json.dumps(cases.hybrid(points=4).to_dict())
         case _:
             return json.dumps(cases.linear().to_dict())
 

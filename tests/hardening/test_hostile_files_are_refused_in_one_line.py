@@ -22,7 +22,7 @@ from greybox.errors import GreyboxError
 from greybox.model.linear import LinearModel
 from greybox.model.vehicle import Vehicle, read_vehicle
 from greybox.model.vehicle_template import TEMPLATES, template_text
-from greybox.residual.files import load_model, model_to_dict
+from greybox.residual.files import load_model
 from tests.hardening import hostile
 
 MODELS = ("physics", "disturbed", "hybrid", "linear")
@@ -74,7 +74,7 @@ def read_model(path: Path, kind: str) -> bool:
         assert np.isfinite(model.flight_vector(flight)).all()
     assert model.sample_time > 0
     assert model.dynamics.window[0] < 100_000
-    model_to_dict(model)
+    model.to_dict()
     return True
 
 

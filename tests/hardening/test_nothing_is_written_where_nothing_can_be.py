@@ -34,6 +34,7 @@ WRITERS = {
     "mpc_export/acados.py": "inside the temporary folder of a bundle, which is moved when it is "
     "whole",
     "mpc_export/bundle.py": "the same",
+    "mpc_export/bundle_cache.py": "the cache of bundles",
     "mpc_export/place.py": "the folder that holds it",
     "mpc_export/c_code.py": "the same",
     "mpc_export/c_model.py": "the same",

@@ -22,7 +22,7 @@ from greybox.model.effects import effect_by_name
 from greybox.model.model import PhysicsModel
 from greybox.model.sensors import SENSORS
 from mpc_export import bundle as bundle_module
-from mpc_export import verify
+from mpc_export import bundle_cache, verify
 from mpc_export.bundle import ExportBundle, write_bundle
 from mpc_export.points import reduced, with_points
 from tests.conformance import specimen
@@ -36,7 +36,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def cache(tmp_path, monkeypatch):
     folder = tmp_path / "cache"
     folder.mkdir()
-    monkeypatch.setattr(bundle_module, "cache_root", lambda: folder)
+    monkeypatch.setattr(bundle_cache, "cache_root", lambda: folder)
     return folder / "export"
 
 

@@ -12,7 +12,8 @@ from hashlib import sha256
 import pytest
 
 from mpc_export import verify
-from mpc_export.bundle import ExportBundle, is_bundle, write_bundle
+from mpc_export.bundle import ExportBundle, write_bundle
+from mpc_export.place import is_bundle
 from tests.mpc_export import cases
 
 
