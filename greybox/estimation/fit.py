@@ -17,12 +17,13 @@ from greybox.data import Dataset
 from greybox.errors import FitError, UnknownNameError
 from greybox.estimation.conclusion import concluded
 from greybox.estimation.considered import demand_considerable
+from greybox.estimation.exchange import exchanged
 from greybox.estimation.few_samples import demand_samples
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.result import Estimate, Fit
 from greybox.estimation.solver import Progress, Solver
-from greybox.estimation.status import Code, Interrupted
+from greybox.estimation.status import Code, Interrupted, Status
 from greybox.model.dynamics import Dynamics
 from greybox.model.given_values import demand_given
 from greybox.model.identified import IdentifiedModel
@@ -82,12 +83,34 @@ def fit(
         start = predictor.approach(problem, start, progress)
         try:
             theta, status = solver.solve(problem, problem.inside(start), progress)
+            # A caller's own solver is a rough trial.
+            if status.converged and isinstance(options.solver, str):
+                theta, status = _best_order(problem, solver, theta, status, progress)
         except Interrupted as stop:
             theta, status = stop.kept
         result = concluded(problem, data, options, theta, status, began)
     if status.code is Code.INTERRUPTED:
         raise Interrupted(result)
     return result
+
+
+def _best_order(
+    problem: Problem,
+    solver: Solver,
+    theta: FloatArray,
+    status: Status,
+    progress: Progress | None,
+) -> tuple[FloatArray, Status]:
+    """Where a search ended, or ends with motor lag and command delay exchanged, if that is lower."""
+    start = exchanged(problem, theta)
+    if start is None:
+        return theta, status
+    try:
+        other, how = solver.solve(problem, start, progress)
+    except Interrupted as stop:
+        raise Interrupted((theta, stop.kept[1])) from None
+    better = problem.evaluate(other, 0).cost < problem.evaluate(theta, 0).cost
+    return (other, how) if how.converged and better else (theta, status)
 
 
 def _as_in(first: Fit, problem: Problem) -> FloatArray:

@@ -1,0 +1,76 @@
+"""A fit that ended in the wrong one of two optima, all lag or all delay, asks the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import pytest
+
+from greybox.estimation.exchange import PAIR, exchanged
+from greybox.estimation.problem import Problem
+from greybox.estimation.solver import Value
+from greybox.estimation.unknown import SearchSpace, Unknown
+from greybox.symbolic import FloatArray
+
+LAG, DELAY, OTHER = 0.035, 0.004, 2.0
+
+
+def unknown(name: str, scale: float) -> Unknown:
+    return Unknown(
+        name=name,
+        kind="parameter",
+        flight=None,
+        start=0.0,
+        lower=0.0,
+        upper=np.inf,
+        mean=0.0,
+        sigma=np.inf,
+        scale=scale,
+        unit="s",
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TwoWells(SearchSpace):
+    """Least squares about two points, the second likelier by `depth`; the cost is that of the
+    nearer one. `names` of the first two unknowns."""
+
+    depth: float
+
+    def inside(self, theta: FloatArray) -> FloatArray:
+        return np.clip(theta, self.lower, self.upper)
+
+    def evaluate(self, theta: FloatArray, order: int = 1) -> Value:
+        wells = np.array([[DELAY, LAG, 1.9], [LAG, DELAY, OTHER]])
+        own = int(np.argmin(np.abs(wells[:, 0] - theta[0])))
+        off = (theta - wells[own]) / self.scale
+        cost = 0.5 * float(off @ off) - (self.depth if own else 0.0)
+        slope, hessian = off / self.scale, np.diag(self.scale**-2)
+        return Value(cost=cost, likelihood=cost, gradient=slope, hessian=hessian)
+
+
+def world(depth: float, names: tuple[str, ...] = PAIR) -> Problem:
+    unknowns = (*(unknown(n, 1e-3) for n in names), unknown("inertia.zz", 1e-3))
+    return cast(Problem, TwoWells(unknowns=unknowns, depth=depth))
+
+
+WRONG = np.array([DELAY, LAG, 1.9])
+
+
+def test_the_likelier_order_is_promised_although_its_point_is_higher():
+    problem = world(10.0)
+    other = exchanged(problem, WRONG)
+    assert other is not None
+    assert other[:2] == pytest.approx([LAG, DELAY])
+    assert problem.evaluate(other, 0).cost > problem.evaluate(WRONG, 0).cost
+
+
+@pytest.mark.parametrize("depth", [-10.0, 0.5])
+def test_one_that_is_no_likelier_is_left_alone(depth: float):
+    assert exchanged(world(depth), WRONG) is None
+
+
+def test_lag_without_delay_has_no_other_order():
+    assert exchanged(world(10.0, ("motor_lag.tau", "rotor_drag.k_x")), WRONG) is None
