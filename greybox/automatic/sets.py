@@ -83,9 +83,10 @@ TRIMMED = ("center_of_mass.x", "center_of_mass.y")
 
 STEPS = (
     Step(
-        name="air and battery",
+        name="air, rotors and battery",
         effects=(
             "battery_sag",
+            "rotor_gyroscopic",
             "rotor_drag",
             "axial_inflow",
             "blade_flapping",

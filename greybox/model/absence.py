@@ -39,8 +39,6 @@ def not_offered(effect: Effect, bare: PhysicsModel, columns: Collection[str]) ->
     missing = [c for c in effect.needs.columns if c not in columns]
     if missing:
         return f"no {', '.join(missing)}"
-    if effect.name == "rotor_gyroscopic" and not bare.omega_known:
-        return "no speed_max in the vehicle file"
     if stated := moved_numbers(effect, bare.vehicle, "stated"):  # what flights deny is said
         return f"the vehicle file states {', '.join(stated)}"
     try:

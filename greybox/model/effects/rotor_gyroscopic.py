@@ -29,8 +29,7 @@ class RotorGyroscopic(Effect):
         "EPFL thesis",
     )
     validity = (
-        "rigid rotors with parallel axes; without speed_max J_r comes in units of kg m^2 "
-        "rad/s per unit nu"
+        "rigid rotors with parallel axes; without speed_max J_r comes in kg m^2 rad/s, at nu = 1"
     )
     tags = frozenset({"linear-in-parameters"})
     case = ReferenceCase(
@@ -46,20 +45,23 @@ class RotorGyroscopic(Effect):
     )
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
-        """J_r [kg m^2]: rotor and propeller about the spin axis."""
+        """J_r [kg m^2]: rotor and propeller about the spin axis; without speed_max its angular
+        momentum at nu = 1 [kg m^2 rad/s]."""
         # Published rotors: 4.6e-3 of the craft's inertia about z (Bouabdallah 2007), 3.8e-3
-        # (Luukkonen 2011); small propellers have less. Without speed_max per 1000 rad/s.
-        scale = 2e-3 * float(vehicle.inertia[2][2])
-        scale *= 1.0 if vehicle.actuator.speed_max else 1e3
+        # (Luukkonen 2011); small propellers have less. They turn at some 1000 rad/s.
+        known = vehicle.actuator.speed_max is not None
+        scale = 2e-3 * float(vehicle.inertia[2][2]) * (1.0 if known else 1e3)
         return (
             Parameter(
                 name="J_r",
-                unit="kg m^2",
+                unit="kg m^2" if known else "kg m^2 rad/s",
                 nominal=0.0,
                 lower=0.0,
                 null=0.0,
                 scale=scale,
-                meaning="inertia of one rotor",
+                meaning="inertia of one rotor"
+                if known
+                else "angular momentum of one at full speed",
             ),
         )
 
