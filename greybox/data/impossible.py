@@ -204,26 +204,34 @@ def _lone(t: FloatArray, block: FloatArray, possible: Possible) -> FloatArray:
 def _apart(t: FloatArray, block: FloatArray, possible: Possible) -> FloatArray:
     """How far a component of a sample stands apart from the line between both neighbours, which go
     on as those beyond them, (n,); 0 where that is possible."""
-    n = len(block)
+    n, out = len(block), np.zeros(len(block))
     if n < 2 * max(AROUND):
-        return np.zeros(n)
+        return out
     apart = _off_line(t, block, 1)
-    wide = np.pad(apart, ((max(AROUND),) * 2, (0, 0)))
-    places = [max(AROUND) + sign * k for k in AROUND for sign in (-1, 1)]
-    around = np.partition([wide[k : k + n] for k in places], -len(AROUND), axis=0)[-len(AROUND)]
-    noise = APART * np.maximum(around, np.median(apart[1:-1], axis=0))
     # Stamps jitter: two that lie closer than usual leave the craft no less time to move.
     gap = np.diff(t)
     limit = np.zeros(n)
     limit[1:-1] = possible(np.maximum(np.maximum(gap[:-1], gap[1:]), float(np.median(gap))))
+    # What is costly is asked of the few samples that the craft and the usual noise do not explain.
+    above = apart > limit[:, None]
+    above &= apart > APART * (np.median(apart[1:-1], axis=0) if above.any() else 0.0)
+    rows = np.flatnonzero(above.any(axis=1))
+    if not rows.size:
+        return out
+    wide = np.pad(apart, ((max(AROUND),) * 2, (0, 0)))
+    places = [max(AROUND) + sign * k for k in AROUND for sign in (-1, 1)]
+    around = np.partition([wide[rows + k] for k in places], -len(AROUND), axis=0)[-len(AROUND)]
     # From one neighbour to the other, less than what is usual on the calmer side: a step is no lone
     # sample.
     two = np.pad(np.abs(block[2:] - block[:-2]), ((3, 3), (0, 0)))
-    step = two[2 : n + 2] - np.minimum(two[:n], two[4 : n + 4])
+    step = two[rows + 2] - np.minimum(two[rows], two[rows + 4])
+    far = apart[rows]
     # A sound sample between two spikes lies where those beyond them do.
     lone = (
-        (apart > np.maximum(noise, limit[:, None]))
-        & (step < 0.5 * apart)
-        & (_off_line(t, block, 2) > 0.25 * apart)
+        above[rows]
+        & (far > APART * around)
+        & (step < 0.5 * far)
+        & (_off_line(t, block, 2)[rows] > 0.25 * far)
     )
-    return np.asarray(np.where(lone, apart, 0.0).max(axis=1))
+    out[rows] = np.where(lone, far, 0.0).max(axis=1)
+    return out
