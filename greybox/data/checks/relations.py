@@ -11,6 +11,7 @@ Wahba's problem (SIAM Review 7(3), 1965), solved by singular values (Markley, J.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -50,6 +51,9 @@ RATIO = 1.05
 """Factors between two streams are said from here on."""
 ANGLES = (5.0, 9.0)
 """Rotations [deg] that are worth a warning, and that block: no craft is mounted like that."""
+
+MOST_KNOWN = 1024
+"""Searches that are remembered: those of some ten flights."""
 
 Matrix = npt.NDArray[np.float64]
 
@@ -191,12 +195,31 @@ def mixed(given: Reading, other: Reading, spans: Spans, dt: float, lag: float) -
     return mixture(size * y, x[0], x[1], starts)
 
 
+_KNOWN: dict[bytes, tuple[Moments, IntArray] | None] = {}
+
+
 def searched(reading: Reading, spans: Spans, dt: float) -> tuple[Moments, IntArray] | None:
     """(the sums of a reading at the delays of its blocks, the lags at which these know x, 0 among
     them); None where fewer than `FEWEST_BLOCKS` blocks are left.
 
     The blocks' delays lie within `REACH` of a common one, which is looked for within `FARTHEST`.
+    What was searched before is known: flights are checked as files and as they are fitted, and are
+    mostly the same.
     """
+    numbers = (reading.y, reading.x.total, reading.x.lost, spans.rows, spans.weights)
+    digest = hashlib.blake2b(f"{dt!r} {spans.centred} {[v.shape for v in numbers]}".encode())
+    for v in numbers:
+        digest.update(np.ascontiguousarray(v))
+    key = digest.digest()
+    if key not in _KNOWN:
+        while len(_KNOWN) >= MOST_KNOWN:
+            del _KNOWN[next(iter(_KNOWN))]
+        _KNOWN[key] = _searched(reading, spans, dt)
+    return _KNOWN[key]
+
+
+def _searched(reading: Reading, spans: Spans, dt: float) -> tuple[Moments, IntArray] | None:
+    """As `searched`."""
     centre = _centre(reading, spans, dt)
     found = _around(reading, spans, dt, centre) or _around(reading, spans, dt, 0.0)
     for _ in range(round(FARTHEST / REACH)):
