@@ -40,7 +40,7 @@ from greybox.automatic.sets import (
     shares_effect,
 )
 from greybox.automatic.setting import Given, Note, Setting, setting_of
-from greybox.automatic.trials import Candidate, Say, Trials, likeliest_of_the_good
+from greybox.automatic.trials import Begun, Candidate, Say, Trials, likeliest_of_the_good
 from greybox.data import Dataset
 from greybox.estimation.fit import noise_of
 from greybox.estimation.options import FitOptions
@@ -253,15 +253,16 @@ class _Comparison:
         if "noise_parts" in self.setting.given.choices or "free" in self.setting.given.choices:
             return options, first
         offered = lasting_poses(first.likelihood)
-        own, again, said = self._with_noise(options, first, first.steps, offered)
+        own, begun, said = self._begun_with_noise(options, first, first.steps, offered)
         if not offered or not said:
             return options, first
-        while again is not None and (rest := without_least_sure(again.likelihood)):
+        while begun is not None and (rest := without_least_sure(begun.likelihood)):
             # the error of one sensor colours the innovations of the others
-            less = self._with_noise(options, first, first.steps, rest)
-            if less[1] is None or less[1].likelihood.bic >= again.likelihood.bic:
+            less = self._begun_with_noise(options, first, first.steps, rest)
+            if less[1] is None or less[1].likelihood.bic >= begun.likelihood.bic:
                 break
-            own, again, said = less
+            own, begun, said = less
+        again, said = self._noise_judged(begun, said, first)
         if again is None or not again.score.mean < first.score.mean:
             self.note("noise of the pose", "white", said, "--noise-parts")
             return options, first
@@ -291,7 +292,8 @@ class _Comparison:
         if offered and self._pose_may_be_late() and not shares_effect(steps, LATE_POSE):
             clocks = [s for s in self.trials.largest if shares_effect((s,), LATE_POSE)]
             steps = (*steps, *(clocks or [LATE_POSE]))
-        own, again, said = self._with_noise(options, first, steps, offered)
+        own, begun, said = self._begun_with_noise(options, first, steps, offered)
+        again, said = self._noise_judged(begun, said, first)
         if again is None:
             return options, first, said or reason
         better = again.score.mean < max(1.0, first.score.mean)
@@ -300,15 +302,15 @@ class _Comparison:
             return own, again, said
         return options, first, said
 
-    def _with_noise(
+    def _begun_with_noise(
         self,
         options: FitOptions,
         first: Candidate,
         steps: tuple[Step, ...],
         offered: Sequence[Part],
-    ) -> tuple[FitOptions, Candidate | None, str]:
-        """(options, candidate, reason) with those of the `offered` parts that are felt together;
-        None where none is, or where BIC does not clearly ask for them."""
+    ) -> tuple[FitOptions, Begun | None, str]:
+        """(options, fit by the likelihood, reason) with those of the `offered` parts that are felt
+        together; None where none is, or where BIC does not clearly ask for them."""
         while offered:
             own = with_noise_parts(options, offered, first.likelihood)
             # a delay has taken what a filter is late: it lets go, or the search stays where it was
@@ -327,18 +329,24 @@ class _Comparison:
                 f"its innovations are not white; BIC {'falls' if gain > 0 else 'rises'} by "
                 f"{abs(gain):.0f}{both}"
             )
-            if gain <= CLEAR_EVIDENCE:  # what evidence refuses is not judged ahead
-                return options, None, said
-            again = self.trials.judged(begun)
-            if again is None:
-                return options, None, "no fit with one"
-            return (
-                own,
-                again,
-                f"{said}, the squared error ahead goes from {first.score.mean:.3f} "
-                f"to {again.score.mean:.3f} of the last value's",
-            )
+            # what evidence refuses is not judged ahead
+            return (own, begun, said) if gain > CLEAR_EVIDENCE else (options, None, said)
         return options, None, ""
+
+    def _noise_judged(
+        self, begun: Begun | None, said: str, first: Candidate
+    ) -> tuple[Candidate | None, str]:
+        """(candidate, reason) of a fit with noise parts that evidence asks for; None where there is
+        none, or it cannot run on what was left out."""
+        if begun is None:
+            return None, said
+        again = self.trials.judged(begun)
+        if again is None:
+            return None, "no fit with one"
+        return again, (
+            f"{said}, the squared error ahead goes from {first.score.mean:.3f} "
+            f"to {again.score.mean:.3f} of the last value's"
+        )
 
     def _say_noise(self, chosen: Candidate, reason: str) -> None:
         if "noise_parts" in self.setting.given.choices:
