@@ -19,7 +19,9 @@ import numpy as np
 from greybox.estimation.ahead import OpenLoop, run_ahead
 from greybox.estimation.engine import Engine
 from greybox.estimation.filtering import Filtered
+from greybox.estimation.reference_point import FEW, Fixed, once_per_model
 from greybox.frames import numeric
+from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of, with_physics
 from greybox.model.noise import sensor_errors
@@ -42,7 +44,11 @@ class GroupReader:
             for name, g in self.table.items()
             if all(c in outputs for c in g.columns)
         }
-        self._velocity = None if "velocity" in self._columns else _velocity_reading(model)
+        self._velocity = (
+            None
+            if "velocity" in self._columns
+            else _reading_of(model.dynamics, (), (model.sample_time,))
+        )
         errors, at = sensor_errors(model.dynamics), model.dynamics.states
         self._errors = {
             name: [[at[n] for n in own] for own in errors[self.table[name].columns]]
@@ -112,26 +118,26 @@ def _erring(kind: Group, value: FloatArray, error: FloatArray) -> FloatArray:
 
 
 def _velocity_reading(
-    model: IdentifiedModel,
+    dynamics: Dynamics, sample_time: float
 ) -> tuple[Callable[[FloatArray], ca.Function], list[int], list[int]] | None:
     """How the velocity sensor would read: (p -> function of some states and commands, those states,
     those commands).
 
     None where no state carries the velocity. The command is taken as held through the delay.
     """
-    physics = physics_of(model.dynamics)
+    physics = physics_of(dynamics)
     if physics is None or "position" not in physics.sensor_names:
         return None
     sensor = next(s for s in SENSORS if s.name == "velocity")
-    seeing = with_physics(model.dynamics, lambda own: replace(own, sensors=(*own.sensors, sensor)))
+    seeing = with_physics(dynamics, lambda own: replace(own, sensors=(*own.sensors, sensor)))
     x, p = (
-        ca.SX.sym("x", len(model.dynamics.states)),
-        ca.SX.sym("p", len(model.dynamics.parameters)),
+        ca.SX.sym("x", len(dynamics.states)),
+        ca.SX.sym("p", len(dynamics.parameters)),
     )
     u = ca.SX.sym("u", len(physics.inputs))
     window = ca.repmat(u, 1, sum(seeing.window) + 1)
     quiet = ca.DM.zeros(len(seeing.noises))
-    y = seeing.output(0, x, window, p, quiet, model.sample_time)
+    y = seeing.output(0, x, window, p, quiet, sample_time)
     v = y[[seeing.outputs[c] for c in GROUPS["velocity"].columns]]
     rows, moves = (
         [i for i in range(s.numel()) if any(ca.which_depends(v, s[i], 1, False))] for s in (x, u)
@@ -142,6 +148,15 @@ def _velocity_reading(
         return ca.Function("velocity", [ca.vertcat(x[rows], u[moves])], [fixed])
 
     return at, rows, moves
+
+
+def _build_reading(
+    dynamics: Dynamics, _: tuple[str, ...], sample_time: Fixed
+) -> tuple[Callable[[FloatArray], ca.Function], list[int], list[int]] | None:
+    return _velocity_reading(dynamics, float(sample_time[0] or 0.0))
+
+
+_reading_of = once_per_model(_build_reading, FEW)
 
 
 def predict_from(
