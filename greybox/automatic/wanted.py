@@ -19,7 +19,6 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
-from greybox.estimation.conclusion import score_block
 from greybox.estimation.covariance import FEWEST_BLOCKS
 from greybox.estimation.differences import with_candidate_sensitivities
 from greybox.estimation.laplace import at_bound
@@ -77,7 +76,7 @@ def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> tuple[Parabol
         {n: null for n, (null, _) in priors.items()},
         apart=with_physics(small.dynamics, lambda m: m.with_effect(*effects)) if early else None,
     )
-    value = wide.evaluate(at, scores=score_block(small))
+    value = wide.evaluate(at, scores=small.score_block)
     assert value.gradient is not None and value.data_hessian is not None
     n, own = small.n, [priors[u.name] for u in wide.unknowns[small.n :]]
     sigma = np.array([u.sigma for u in small.unknowns] + [s for _, s in own])

@@ -31,7 +31,6 @@ from greybox.estimation.varying import varying_spread
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import own_parameters, physics_of
 from greybox.model.parameter import ParameterValues
-from greybox.statistics.blocks import block_samples
 from greybox.statistics.whiteness import is_coloured
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -73,7 +72,7 @@ def concluded(
 ) -> Fit:
     """The whole result of a search for the unknowns of `problem`, made of `data` and `options`,
     that `began` (`time.perf_counter`) and ended at `theta` (n,) with this status."""
-    block = score_block(problem)
+    block = problem.score_block
     value = problem.evaluate(theta, scores=block)
     seen = _innovations(problem, theta, value)
     aside = considered(problem, data, options, theta, block if seen.coloured else None)
@@ -145,17 +144,6 @@ def _settings(problem: Problem, options: FitOptions) -> FitSettings:
     }
 
 
-def score_block(problem: Problem) -> int:
-    """Samples that scores are summed over, longer than the errors' correlation: half a second,
-    twice the window of a predictor that looks further ahead."""
-    ahead = max(problem.predictor.horizons)
-    return max(
-        block_samples(problem.dt),
-        min(r.n for r in problem.records) // 200,
-        2 * ahead if ahead > 1 else 1,
-    )
-
-
 def _innovations(problem: Problem, theta: FloatArray, value: Value) -> _Innovations:
     one_step = problem.predictor.one_step
     by_flight: dict[str, list[FloatArray]] = {}
@@ -179,7 +167,7 @@ def _errors(
     matrix = spread.chosen(coloured)
     levels = any(u.kind == "noise" for u in problem.unknowns)
     if value.gradient is not None and not spread.enough and (levels or coloured):
-        seconds = score_block(problem) * problem.dt
+        seconds = problem.score_block * problem.dt
         doubt = too_short_for_errors(spread.blocks, seconds, levels, coloured)
         spread = replace(spread, doubt=doubt)
     alone = _without_priors(problem, told, precision, held)

@@ -33,6 +33,7 @@ from greybox.estimation.solver import IndexArray, Value
 from greybox.estimation.unknown import SearchSpace, Unknown
 from greybox.model.dynamics import Dynamics
 from greybox.model.parameter import Parameter, ParameterValues
+from greybox.statistics.blocks import block_samples
 from greybox.symbolic import BoolArray, FloatArray, Layout
 
 __all__ = ["Block", "IndexArray", "Problem", "Unknown", "Value", "make_problem"]
@@ -181,6 +182,17 @@ class Problem(SearchSpace):
     # ------------------------------------------------------------ cost
 
     @cached_property
+    def score_block(self) -> int:
+        """Samples that scores are summed over, longer than the errors' correlation: half a second,
+        twice the window of a predictor that looks further ahead."""
+        ahead = max(self.predictor.horizons)
+        return max(
+            block_samples(self.dt),
+            min(r.n for r in self.records) // 200,
+            2 * ahead if ahead > 1 else 1,
+        )
+
+    @cached_property
     def bodies(self) -> tuple[Body, ...]:
         """The bodies whose inertia is estimated."""
         return bodies_of(self)
@@ -193,10 +205,11 @@ class Problem(SearchSpace):
     def evaluate(self, theta: FloatArray, order: int = 1, scores: int | None = None) -> Value:
         """Cost at `theta`; order 1 adds gradient and Hessian, `scores` the block scores of that
         many samples. The best point with a gradient is kept: where a search ended is asked
-        again."""
-        known = [v for at, v in self._best if scores is None and at == theta.tobytes()]
-        if known:
-            return known[0]
+        again. A criterion that sums scores anyway brings those of `score_block` unasked."""
+        for at, value in self._best:
+            scored = scores is None or (scores == self.score_block and value.scores is not None)
+            if scored and at == theta.tobytes():
+                return value
         value = self._evaluated(theta, order, scores)
         better = not self._best or value.cost < self._best[0][1].cost
         if better and value.valid and value.gradient is not None:

@@ -95,8 +95,8 @@ class Gaussian:
         self, problem: Problem, blocks: list[Block], order: int, scores: int | None
     ) -> Value:
         """Rows in groups (horizons), each with its own concentrated variances; groups of one window
-        share its score."""
-        n = problem.n
+        share its score. Scores cost nothing here, and come unasked."""
+        n, scores = problem.n, scores or problem.score_block
         cost = 0.0
         gradient, hessian = np.zeros(n), np.zeros((n, n))
         tables: list[FloatArray] = []
@@ -104,7 +104,7 @@ class Gaussian:
         parts = [[_rows(b, g) for g in groups] for b in blocks]
         variances = [self.variances([p[j] for p in parts]) for j in range(len(groups))]
         for b, members in zip(blocks, parts, strict=True):
-            windows = max(1, round(scores / b.spacing)) if scores else None  # samples to windows
+            windows = max(1, round(scores / b.spacing))  # samples to windows
             table = np.zeros((0, n))
             for part, variance in zip(members, variances, strict=True):
                 spread = np.where(part.mask != 0, variance, 1.0)
@@ -125,7 +125,7 @@ class Gaussian:
             likelihood=cost,
             gradient=gradient,
             hessian=hessian,
-            scores=np.concatenate(tables) if scores else None,
+            scores=np.concatenate(tables),
         )
 
     def _decorrelated(
