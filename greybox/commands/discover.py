@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import Vehicle
 
+from greybox.commands.collector import what_is_there_stays
 from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
 from greybox.commands.discover_folder import SearchFolder
@@ -344,7 +345,10 @@ def _searched(
     from greybox.workers import Workers
 
     side_by_side = not isinstance(subject, StateSpaceModel) and (cores() > 1 or address is not None)
-    with Workers() if address is None else Cluster(address) as workers:
+    with (
+        what_is_there_stays(),
+        Workers() if address is None else Cluster(address) as workers,
+    ):
         return discover(
             subject,
             train,

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from greybox.discovery.result import Discovery
     from greybox.model.effect import Effect
 
+from greybox.commands.collector import nothing_collected
 from greybox.commands.command_line import typed
 from greybox.commands.judgement import next_of_faults
 
@@ -94,7 +95,9 @@ class SearchFolder:
         from greybox.files import write_atomic
         from greybox.report.discover_report import discover_report
 
-        write_atomic(self._out / "report.html", discover_report(self.content, title=self._title))
+        with nothing_collected():
+            page = discover_report(self.content, title=self._title)
+        write_atomic(self._out / "report.html", page)
 
     def kept(self) -> str:
         """What an interrupted search leaves."""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from greybox.model.verdict import Verdict
     from greybox.validation.result import Validation
 
+from greybox.commands.collector import nothing_collected, what_is_there_stays
 from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
 from greybox.commands.fit_flights import Job, begun
@@ -114,9 +115,11 @@ def run(arguments: argparse.Namespace) -> int:
         return refuse_faults(bad.report, console, "a fit")
     say_vehicle(job.vehicle, console.say)
     console.say(f"{job.prepared.data}")
-    result = _fitted(job, console)
-    result, content, seen, pushed = _judged(job, result)
-    written = report(job, result, content, seen)
+    with what_is_there_stays():
+        result = _fitted(job, console)
+        result, content, seen, pushed = _judged(job, result)
+    with nothing_collected():
+        written = report(job, result, content, seen)
     table = seen.table_text() if seen is not None and job.test.flights else ""
     console.result(
         content, *lines(job, result, table, content, pushed), f"wrote {written} in {job.out}"
