@@ -202,12 +202,13 @@ class Settling:
             node = np.where(at >= 0, at + len(solutions), node)
             solutions += early
         few, kind = solutions[0].distinct(record.patterns)
-        pairs, row = np.unique(node * len(few) + kind[record.pattern], return_inverse=True)
-        rows = tuple((int(i) // len(few), few[int(i) % len(few)]) for i in pairs)
+        pair = node * len(few) + kind[record.pattern]
+        there = np.bincount(pair) > 0
+        rows = tuple((int(i) // len(few), few[int(i) % len(few)]) for i in np.flatnonzero(there))
         return RecordGains(
             solutions=tuple(solutions),
             rows=rows,
-            pattern=row.ravel().astype(np.int32),
+            pattern=(np.cumsum(there) - 1)[pair].astype(np.int32),
             columns=self.columns,
         )
 
