@@ -209,7 +209,7 @@ def searched(reading: Reading, spans: Spans, dt: float) -> tuple[Moments, IntArr
     numbers = (reading.y, reading.x.total, reading.x.lost, spans.rows, spans.weights)
     digest = hashlib.blake2b(f"{dt!r} {spans.centred} {[v.shape for v in numbers]}".encode())
     for v in numbers:
-        digest.update(np.ascontiguousarray(v))
+        digest.update(v.tobytes())
     key = digest.digest()
     if key not in _KNOWN:
         while len(_KNOWN) >= MOST_KNOWN:
