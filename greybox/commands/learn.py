@@ -108,6 +108,11 @@ def _learner_options(p: argparse.ArgumentParser) -> None:
         help="let the place in the room compete as a feature too (walls, vents): "
         "what it teaches holds in this room only",
     )
+    p.add_argument(
+        "--refit",
+        action="store_true",
+        help="refit the physics beside what is learned; kept where left-out flights want it",
+    )
 
 
 def _linear_options(p: argparse.ArgumentParser) -> None:
@@ -187,6 +192,7 @@ def _learned(
         points=_points(arguments.points),
         learner=arguments.learner,
         seed=arguments.seed,
+        refit=arguments.refit,
         progress=console.share,
     )
     content = _content(learned, model, train)
@@ -313,6 +319,7 @@ def _demand_options(arguments: argparse.Namespace, *, linear: bool) -> None:
         for given, option in (
             (arguments.mcap, "--mcap"),
             (arguments.place, "--place"),
+            (arguments.refit, "--refit"),
             (arguments.keep_impossible, "--keep-impossible"),
             (arguments.accept, "--accept"),
         ):

@@ -26,6 +26,17 @@ class LearnedRow(TypedDict):
     learned: bool
 
 
+class MovedRow(TypedDict):
+    """A parameter of the physics before and after it was refitted beside the learned part."""
+
+    name: str
+    unit: str
+    before: float
+    after: float
+    std_before: float
+    std_after: float | None
+
+
 class OpenLoopPart(TypedDict):
     """The fit by errors ahead; `strengths`: output -> strength of its prior, None where nothing was
     learned."""
@@ -73,6 +84,7 @@ class LearnDocument(TypedDict):
     outputs: list[LearnedRow]
     points: int
     fit: OpenLoopPart
+    refit: NotRequired[list[MovedRow]]
     calibration: CalibrationPart
     training: list[TrainingDocument]
     trained_on: list[str]

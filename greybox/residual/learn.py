@@ -9,7 +9,10 @@ uncertainty.
 3. Their weights are fitted by multi-step prediction errors; the candidate and the strength of its
    prior are those that lower the errors of left-out flights most. Where none does, the result is
    the physics alone and says so.
-4. The filter's noise levels are refitted with the learned part in place, and the growth of the
+4. On request (`refit`) the physics is refitted with the weights beside it, and the weights after
+   that (`greybox.residual.beside`); both stay as they were unless that lowers the left-out errors.
+   No default: stated regions then come out too wide, and where it is refused its time is lost.
+5. The filter's noise levels are refitted with the learned part in place, and the growth of the
    uncertainty over the horizon is calibrated on the training flights.
 """
 
@@ -18,26 +21,30 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Unpack
 
 import numpy as np
 
 from greybox.data import Dataset, Flight
 from greybox.data.checks import check
 from greybox.errors import ModelError
+from greybox.estimation.options import says_choices
 from greybox.model.faults import demand_sound
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import LongerWindow, physics_of
 from greybox.progress import in_notebooks
+from greybox.residual.beside import better, refit_beside
 from greybox.residual.candidates import FeatureMaker, gp_candidates
 from greybox.residual.discrepancy import Discrepancy, discrepancy, disturbed_model
-from greybox.residual.document import LearnDocument
+from greybox.residual.document import LearnDocument, MovedRow
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import available, default_features, feature_layout, reach, with_lags
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.kernels import split_name
 from greybox.residual.learners import GP, Learner, LooksBack, learner_for
 from greybox.residual.noise_levels import refit_noise
-from greybox.residual.open_loop_fit import OpenLoopFit, fit_open_loop
+from greybox.residual.open_loop_fit import OpenLoopFit, fit_again, fit_open_loop
+from greybox.residual.options import LearnChoices, LearnOptions
 from greybox.residual.training_report import TrainingDocument
 from greybox.residual.weight_space import Candidate
 from greybox.shown import Cell, Shown
@@ -50,12 +57,14 @@ Progress = Callable[[str, float], None]
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Learned(Shown):
     """The hybrid `model` (the physics with its disturbance states, where nothing could be learned:
-    `null`), and how: the open-loop fit, the candidates with their share of held-out cost saved, the
-    calibration factors, seconds."""
+    `null`), and how: the physics that it was learned for (`base`) and whether that was `refitted`
+    beside it (None: not asked), the open-loop fit, the candidates with their share of held-out cost
+    saved, the calibration factors, seconds."""
 
     model: IdentifiedModel
     base: IdentifiedModel
     null: bool
+    refitted: bool | None
     fit: OpenLoopFit
     candidates: Mapping[str, float]
     chosen: str
@@ -66,7 +75,7 @@ class Learned(Shown):
     def to_dict(self) -> LearnDocument:
         """As in learn.json, schema "greybox.learn/1"."""
         posterior = self.fit.posterior
-        return {
+        document: LearnDocument = {
             "schema": "greybox.learn/1",
             "model": self.model.name,
             "kind": "dynamics",
@@ -107,6 +116,29 @@ class Learned(Shown):
             "warnings": [],
             "versions": library_versions(),
         }
+        if self.refitted is not None:
+            document["refit"] = self.moved
+        return document
+
+    @property
+    def moved(self) -> list[MovedRow]:
+        """The physics' estimates before and after, where it was refitted beside the learned part,
+        with their standard errors before and after."""
+        if not self.refitted:
+            return []
+        errors = self.base.standard_errors, self.model.standard_errors
+        return [
+            {
+                "name": d.name,
+                "unit": d.unit,
+                "before": self.base.values[d.name],
+                "after": self.model.values[d.name],
+                "std_before": errors[0][d.name],
+                "std_after": errors[1].get(d.name),
+            }
+            for d in self.base.dynamics.parameters
+            if d.name in errors[0]
+        ]
 
     def _shown_text(self) -> str:
         """The summary."""
@@ -134,6 +166,14 @@ class Learned(Shown):
                 f"multi-step cost: {saved:.1%} lower on the training flights, "
                 f"{self.fit.held_out_gain:.1%} on left-out ones"
             )
+        if self.refitted:
+            lines.append("the physics was refitted beside it:")
+            lines += [
+                f"  {m['name']} {m['before']:.5g} -> {m['after']:.5g} {m['unit']}".rstrip()
+                for m in self.moved
+            ]
+        elif self.refitted is not None:
+            lines.append("the physics was not refitted: left-out flights do not want it")
         lines += [
             f"  candidate {n}: {g:+.2%} on left-out flights" for n, g in self.candidates.items()
         ]
@@ -181,77 +221,72 @@ def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tu
 
 
 @in_notebooks(progress="share")
+@says_choices(LearnOptions)
 @takes(model=MODEL, train=FLIGHTS, features=NAMES, accept=NAMES)
 def learn(
     model: IdentifiedModel,
     train: Dataset | Flight,
+    options: LearnOptions | None = None,
     *,
-    features: Sequence[str] | None = None,
-    place: bool = False,
-    kernel: str = "se",
-    points: int | str = 50,
-    learner: str | Learner = GP,
-    seed: int = 0,
     accept: Iterable[str] = (),
     progress: Progress | None = None,
+    **choices: Unpack[LearnChoices],
 ) -> Learned:
     """Learn what `model` misses on the flights of `train` (those it was fitted on).
+
+    The choices are keywords, fields of `LearnOptions` with its defaults, or `options` as a whole:
+    features, place, kernel, points, learner, seed, refit.
 
     `features` names the inputs of the Gaussian process (default: the sets of `feature_sets`
     compete; with `place` also those of what stands in the room, which do not carry over to another
     room). kernel: "se", "matern32", "matern52", or "linear+" one of these. `points`: number of
     support points, or "auto". `learner`: what is learned, "gp" or another name of
     `greybox.residual.learners`, a file of the user's own ("own.py:Name", which is run), or a
-    `Learner`; `points` are then its features. Findings of the checks named in `accept` do not
-    block. Raises `UnknownNameError`, `DataError` (`BadDataError` for flights of a vehicle with
-    faults that block), `ModelError` (a learner that returns what is not finite, too).
+    `Learner`; `points` are then its features. `refit`: refit the physics beside what is learned;
+    kept where left-out flights want it. Findings of the checks named in `accept` do not block.
+    Raises `UnknownNameError`, `DataError` (`BadDataError` for flights of a vehicle with faults that
+    block), `ModelError` (a learner that returns what is not finite, too).
     """
+    chosen = LearnOptions.of(options, choices)
     train, physics = Dataset.of(train), physics_of(model.dynamics)
     if physics is not None:
         demand_sound(check(train, physics.vehicle, accept=accept), "learning")
-    return learn_checked(
-        model,
-        train,
-        features=features,
-        place=place,
-        kernel=kernel,
-        points=points,
-        learner=learner,
-        seed=seed,
-        progress=progress,
-    )
+    return learn_checked(model, train, chosen, progress=progress)
 
 
 def learn_checked(
     model: IdentifiedModel,
     train: Dataset,
+    options: LearnOptions | None = None,
     *,
-    features: Sequence[str] | None = None,
-    place: bool = False,
-    kernel: str = "se",
-    points: int | str = 50,
-    learner: str | Learner = GP,
-    seed: int = 0,
     progress: Progress | None = None,
+    **choices: Unpack[LearnChoices],
 ) -> Learned:
     """`learn` on flights whose faults were looked for."""
-    began = time.perf_counter()
+    began, o = time.perf_counter(), LearnOptions.of(options, choices)
     say = progress or (lambda _text, _share: None)
-    other = _learner(model, learner, points, kernel)
-    _check_features(model, features, place)
+    other = _learner(model, o.learner, o.points, o.kernel)
+    _check_features(model, o.features, o.place)
     say("disturbance states", 0.0)
     # What is learned changes what was judged.
     base = replace(disturbed_model(model, train), verdict=None)
-    seen = _seen(base, train, features, place, other)
-    offered = _offered(seen.sets, other, kernel, points, seed, _within(say, 0.1, 0.3))
+    seen = _seen(base, train, o.features, o.place, other)
+    offered = _offered(seen.sets, other, o.kernel, o.points, o.seed, _within(say, 0.1, 0.3))
+    width = 0.3 if o.refit else 0.4
     result, chosen, gains = fit_open_loop(
-        seen.model, offered.found, train, maker=offered.maker, progress=_within(say, 0.4, 0.4)
+        seen.model, offered.found, train, maker=offered.maker, progress=_within(say, 0.4, width)
     )
-    final, calibration = _calibrated(base, result, seen.whole, train, say)
+    physics = base
+    if o.refit:
+        physics, result = _beside(
+            base, seen.model, offered.found[chosen], result, train, _within(say, 0.7, 0.15)
+        )
+    final, calibration = _calibrated(physics, result, seen.whole, train, say)
     return Learned(
         model=final,
         base=base,
         null=result.status == "null",
+        refitted=physics is not base if o.refit else None,
         fit=result,
         candidates=gains,
         chosen=chosen,
@@ -348,6 +383,28 @@ def _offered(
         return _Offered(found=found, reports=tuple(reports))
     maker = FeatureMaker(learner=learner, sets=sets, points=int(points), seed=seed)
     return _Offered(found=maker.candidates(say), maker=maker)
+
+
+def _beside(
+    base: IdentifiedModel,
+    seeing: IdentifiedModel,
+    candidate: Candidate,
+    before: OpenLoopFit,
+    train: Dataset,
+    say: Progress,
+) -> tuple[IdentifiedModel, OpenLoopFit]:
+    """The physics as found beside the learned part, and what is learned of it then; both as they
+    were where the left-out flights do not want the physics to move. `seeing` is `base` with the
+    command window of the features."""
+    if before.status == "null":
+        return base, before
+    moved = refit_beside(seeing, candidate, before.strengths, train, _within(say, 0.0, 0.7))
+    if moved is None:
+        return base, before
+    after = fit_again(moved, candidate, train, before, progress=_within(say, 0.7, 0.3))
+    return (
+        (replace(moved, dynamics=base.dynamics), after) if better(after, before) else (base, before)
+    )
 
 
 def _calibrated(

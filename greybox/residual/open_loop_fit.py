@@ -65,8 +65,9 @@ class OpenLoopFit:
     nothing was worth learning).
 
     `left_out`: (flight, horizon in samples, channel group) -> mean squared error with weights that
-    have not seen its kind of flight, over that with the weights of all flights (at least 1). Empty
-    for null."""
+    have not seen its kind of flight, over that with the weights of all flights (at least 1).
+    `unseen`: flight -> squared errors (C,) of the channel groups with the former weights, weighed
+    by `scales` (H, n_e). All are empty for null."""
 
     posterior: Candidate
     strengths: Mapping[str, float]
@@ -76,6 +77,8 @@ class OpenLoopFit:
     iterations: int
     status: str
     left_out: Mapping[tuple[str, int, str], float] = field(default_factory=dict)
+    unseen: Mapping[str, FloatArray] = field(default_factory=dict)
+    scales: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def fit_open_loop(
@@ -123,22 +126,68 @@ def fit_open_loop(
             best = _judged_apart(paths, maker, found, cut, strengths, say)
         gains = {label: gain for label, (_, gain) in found.items()}
         chosen, gain = found[best]
-        factor = _dispersion(parts[best], cut.folds, bases[best], chosen)
-        result, theta = _iterate(
-            paths,
-            bases[best],
-            parts[best],
-            chosen,
-            factor,
-            iterations,
-            lambda text, s: say(text, 0.6 + 0.3 * s),
+        own = parts.pop(best)
+        parts.clear()
+        result = _fitted(paths, bases[best], own, chosen, cut, iterations, say)
+    return replace(result, held_out_gain=gain), best, gains
+
+
+def fit_again(
+    model: IdentifiedModel,
+    candidate: Candidate,
+    data: Dataset,
+    before: OpenLoopFit,
+    *,
+    horizons: Sequence[int] = HORIZONS,
+    stride: int = 10,
+    iterations: int = 4,
+    progress: Progress | None = None,
+) -> OpenLoopFit:
+    """The weights of the `candidate` of `before` once more, on another `model`. Strengths and what
+    every error weighs stay; what is saved of the left-out errors counts from the model of
+    `before`."""
+    say = progress or (lambda _text, _share: None)
+    with threadpool_limits(limits=1):
+        paths = Paths(model, data, horizons=horizons, stride=stride)
+        paths.scales = before.scales
+        basis = Basis(model, candidate)
+        cut = _Cut.of(paths, basis)
+        parts = paths.all_normal(
+            {"": basis}, cut.blocks, lambda text, share: say(text, 0.6 * share)
         )
-        if result.status != "null":
-            say("errors of kinds of flight left out", 0.9)
-            del parts
-            left_out = _left_out(paths, bases[best], theta, chosen, cut)
-            result = replace(result, held_out_gain=gain, left_out=left_out)
-    return result, best, gains
+        chosen = np.array([before.strengths[n] for n in candidate.outputs.names])
+        found = _fitted(paths, basis, parts[""], chosen, cut, iterations, say)
+    left, first = (np.sum(list(f.unseen.values())) for f in (found, before))
+    return replace(found, held_out_gain=float(1 - (1 - before.held_out_gain) * left / first))
+
+
+def _fitted(
+    paths: Paths,
+    basis: Basis,
+    parts: list[Normal],
+    chosen: FloatArray,
+    cut: _Cut,
+    iterations: int,
+    say: Progress,
+) -> OpenLoopFit:
+    """Weights with the strengths `chosen` (n_out,) from the normal equations `parts`, and what they
+    make of kinds of flight left out."""
+    factor = _dispersion(parts, cut.folds, basis, chosen)
+    result, theta = _iterate(
+        paths, basis, parts, chosen, factor, iterations, lambda text, s: say(text, 0.6 + 0.3 * s)
+    )
+    if result.status == "null":
+        return result
+    say("errors of kinds of flight left out", 0.9)
+    seen, unseen = _left_out(paths, basis, theta, chosen, cut)
+    names = list(itertools.product((paths.chosen + 1).tolist(), paths.labels))
+    ratios = {
+        (flight, h, label): max(1.0, float(value / before)) if before > 0 else 1.0
+        for flight, values in unseen.items()
+        for (h, label), value, before in zip(names, values, seen[flight], strict=True)
+    }
+    by_group = {f: v.reshape(-1, len(paths.labels)).sum(axis=0) for f, v in unseen.items()}
+    return replace(result, left_out=ratios, unseen=by_group, scales=paths.scales)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -353,8 +402,9 @@ def _left_out(
     theta: FloatArray,
     chosen: FloatArray,
     cut: _Cut,
-) -> dict[tuple[str, int, str], float]:
-    """As `OpenLoopFit.left_out`, in the quadratic model of the cost around the fitted weights."""
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """(seen, unseen): flight -> weighed squared errors (H C,) with the weights of all flights, and
+    with those that have not seen its kind, in the quadratic model of the cost around the fit."""
     learned = np.isfinite(chosen)
     few, on = basis.only(learned), np.repeat(learned, basis.m)
     parts = [
@@ -373,12 +423,7 @@ def _left_out(
             after = n.cost + 2 * n.gradient @ d + (n.hessian @ d) @ d
             seen[flights[i]] = seen.get(flights[i], 0.0) + n.cost
             unseen[flights[i]] = unseen.get(flights[i], 0.0) + after
-    names = list(itertools.product((paths.chosen + 1).tolist(), paths.labels))
-    return {
-        (flight, h, label): max(1.0, float(value / before)) if before > 0 else 1.0
-        for flight, values in unseen.items()
-        for (h, label), value, before in zip(names, values, seen[flight], strict=True)
-    }
+    return seen, unseen
 
 
 def _dispersion(

@@ -1,18 +1,65 @@
-"""GPOptions: all choices of the training of a Gaussian process in one frozen record."""
+"""LearnOptions and GPOptions: all choices of learning, and of the training of a Gaussian process, in
+one frozen record each."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypedDict, Unpack
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.options import chosen
 from greybox.residual.kernels import split_name
+from greybox.residual.learners import GP, Learner
 from greybox.residual.posterior import METHODS
 
 NOISE = ("white", "per-group", "auto")
 PRIOR_MEANS = ("zero", "constant")
+
+
+class LearnChoices(TypedDict, total=False):
+    """The keywords of `learn`: the fields of `LearnOptions`, which says what they mean."""
+
+    features: Sequence[str] | None
+    place: bool
+    kernel: str
+    points: int | str
+    learner: str | Learner
+    seed: int
+    refit: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnOptions:
+    """All choices of learning."""
+
+    features: Sequence[str] | None = None
+    """Inputs of what is learned; None: the sets of `feature_sets` compete."""
+    place: bool = False
+    """Whether sets with what stands in the room compete too. They do not carry over to another
+    room."""
+    kernel: str = "se"
+    """"se", "matern32", "matern52", or "linear+" one of these."""
+    points: int | str = 50
+    """Number of support points, or "auto"; features of another learner."""
+    learner: str | Learner = GP
+    """What is learned: "gp" or another name of `greybox.residual.learners`, a file of the user's own
+    ("own.py:Name", which is run), or a `Learner`."""
+    seed: int = 0
+    """Seed of subsets and restarts."""
+    refit: bool = False
+    """Whether the physics is refitted beside what is learned; kept where left-out flights want it."""
+
+    @classmethod
+    def of(cls, options: LearnOptions | None, choices: LearnChoices) -> LearnOptions:
+        """`options` (None: the defaults) with the `choices` in place of its own. Raises
+        `UnknownNameError`."""
+        return chosen("option of learning", options or cls(), choices)
+
+    def but(self, **choices: Unpack[LearnChoices]) -> LearnOptions:
+        """These options with other `choices`. Raises `UnknownNameError`."""
+        return LearnOptions.of(self, choices)
 
 
 class GPChoices(TypedDict, total=False):

@@ -116,8 +116,7 @@ def choose(
     choices = list(itertools.product(strengths, repeat=len(kinds)))
     every = np.array([[c[kinds.index(g)] for g in groups] for c in choices])
     saved = np.stack([_saved(fold, every, len(cost), members) for fold in found], axis=1)
-    harmless = (saved.sum(axis=1) >= -HARM * cost).all(axis=1)
-    by_group = {c: s for c, s, fine in zip(choices, saved, harmless) if fine}
+    by_group = {c: s for c, s in zip(choices, saved) if harmless(s, cost)}
     results = {c: s.sum(axis=1) for c, s in by_group.items()}
     best = max(results, key=lambda c: float(results[c].sum()))
     margin = results[best]
@@ -133,6 +132,11 @@ def choose(
         return np.full(len(groups), np.inf), 0.0
     share = float(results[strongest].sum() / cost.sum())
     return np.array([strongest[kinds.index(g)] for g in groups]), share
+
+
+def harmless(saved: FloatArray, cost: FloatArray) -> bool:
+    """Whether what a choice saves (F, C), fold by fold, raises the cost (C,) of no channel group."""
+    return bool((saved.sum(axis=0) >= -HARM * cost).all())
 
 
 def worth(saved: FloatArray, cost: FloatArray) -> bool:

@@ -24,7 +24,8 @@ from greybox.estimation.problem import make_problem
 from greybox.linear.fit import LinearChoices, LinearSetup, Record, fit_linear
 from greybox.planning.options import PlanChoices, PlanOptions
 from greybox.planning.plan import plan
-from greybox.residual.options import GPChoices, GPOptions
+from greybox.residual.learn import learn
+from greybox.residual.options import GPChoices, GPOptions, LearnChoices, LearnOptions
 from tests import motor
 
 CHOICES = {"predictor": "simulation", "fixed": ["friction"], "values": {"friction": 0.1}, "seed": 3}
@@ -36,6 +37,7 @@ CHOICES = {"predictor": "simulation", "fixed": ["friction"], "values": {"frictio
         (FitOptions, FitChoices),
         (DiscoverOptions, DiscoverChoices),
         (GPOptions, GPChoices),
+        (LearnOptions, LearnChoices),
         (PlanOptions, PlanChoices),
         (LinearSetup, LinearChoices),
     ],
@@ -45,7 +47,13 @@ def test_keywords_are_the_fields(record: type, choices: type):
 
 
 @pytest.mark.parametrize(
-    ("function", "record"), [(fit, FitOptions), (discover, DiscoverOptions), (plan, PlanOptions)]
+    ("function", "record"),
+    [
+        (fit, FitOptions),
+        (discover, DiscoverOptions),
+        (learn, LearnOptions),
+        (plan, PlanOptions),
+    ],
 )
 def test_help_lists_every_choice_with_its_default(function: Callable[..., object], record: type):
     shown = inspect.signature(function).parameters
@@ -83,6 +91,7 @@ def test_keywords_and_record_are_the_same_fit():
             "max_effects",
         ),
         (lambda **k: GPOptions().but(**k), "kernal", "kernel"),
+        (lambda **k: LearnOptions().but(**k), "refitted", "refit"),
         (lambda **k: plan(**k), "second", "seconds"),
         (
             lambda **k: fit_linear([Record(u=np.zeros((9, 1)), y=np.zeros((9, 1)))], **k),
