@@ -8,6 +8,7 @@ from typing import Unpack
 from greybox.automatic.borrow import decide_for
 from greybox.automatic.fit import fit_decided, prepare
 from greybox.automatic.judged import judged
+from greybox.automatic.lasting import with_lasting
 from greybox.automatic.setting import Given
 from greybox.automatic.trials import Say
 from greybox.automatic.wanted import with_rivals
@@ -94,7 +95,8 @@ def _automatic(
         say(line)
     vehicle, decided = decide_for(vehicle, prepared, given, say=say)
     found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
-    found = calibrated(with_rivals(found, prepared.data), prepared.data)
+    found = with_lasting(with_rivals(found, prepared.data), prepared.data)
+    found = calibrated(found, prepared.data)
     recipe = found.provenance.recipe
     assert recipe is not None
     held_out, reports = Dataset(flights=()), []

@@ -12,18 +12,18 @@ be no measurement. The model stays: naming what is missing is for `greybox disco
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from greybox.automatic.widened import widened
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
 from greybox.estimation.covariance import FEWEST_BLOCKS
 from greybox.estimation.differences import with_candidate_sensitivities
 from greybox.estimation.laplace import at_bound
 from greybox.estimation.problem import Problem
-from greybox.estimation.result import Estimate, Fit
+from greybox.estimation.result import Fit
 from greybox.model.absence import absence, not_offered
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
@@ -133,25 +133,14 @@ def _told(found: Fit, at: Parabola, seen: Averaged, limits: frozenset[str]) -> F
     for i, u in enumerate(found.problem.unknowns):
         if i in row:
             by_name.setdefault(u.name, []).append(row[i])
-    wider, away = {}, {}
+    away = {}
     for name, e in found.parameters.items():
         rows = by_name.get(name, [])
-        wider[name] = _with_spread(e, seen.spread, rows) if rows else e
         size = float(np.abs(seen.shift[rows].mean())) / e.std if rows and e.std > 0 else 0.0
         if size > FELT and not name.startswith("disturbance."):
             away[name] = size
     line = _line(away, seen.best.causes, limits) if away else ""
-    old = found.diagnostics
-    said = replace(
-        old,
-        covariance=replace(old.covariance, form=line),
-        warnings=(line, *old.warnings) if line else old.warnings,
-    )
-    shared = found.model.covariance_names
-    more = {n: _mean(seen.spread, rows) ** 0.5 for n, rows in by_name.items() if n in shared}
-    model = replace(found.model, form_errors={n: s for n, s in more.items() if s > 0})
-    estimates = replace(found.estimates, parameters=wider, model=model)
-    return replace(found, estimates=estimates, diagnostics=said)
+    return widened(found, seen.spread, by_name, line)
 
 
 def _line(away: Mapping[str, float], causes: Sequence[str], limits: frozenset[str]) -> str:
@@ -165,20 +154,3 @@ def _line(away: Mapping[str, float], causes: Sequence[str], limits: frozenset[st
         f"{', '.join(causes)}, which this model lacks and which would move "
         f"{'it' if one else 'them'} by up to {max(away.values()):.0f} standard errors; {known}"
     )
-
-
-def _mean(spread: FloatArray, rows: list[int]) -> float:
-    """Variance of the mean of these rows."""
-    return max(float(spread[np.ix_(rows, rows)].mean()), 0.0)
-
-
-def _with_spread(e: Estimate, spread: FloatArray, rows: list[int]) -> Estimate:
-    """The estimate with its part of `spread`, whose `rows` are those of its flights, in order."""
-    own = np.diag(spread)[rows]
-    each = dict(e.per_flight)
-    if len(each) == len(rows):
-        each = {
-            f: (v, float(np.hypot(s, np.sqrt(more))))
-            for (f, (v, s)), more in zip(each.items(), own, strict=True)
-        }
-    return replace(e, std=float(np.hypot(e.std, np.sqrt(_mean(spread, rows)))), per_flight=each)

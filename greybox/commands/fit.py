@@ -130,6 +130,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _fitted(job: Job, console: Console) -> Fit:
     """The fit, which is saved before anything else can go wrong, with calibrated uncertainty. An
     interrupted one is saved, too."""
+    from greybox.automatic.lasting import with_lasting
     from greybox.automatic.wanted import with_rivals
     from greybox.commands.fit_own import RESULTS, interrupted
     from greybox.estimation.status import Interrupted
@@ -150,7 +151,7 @@ def _fitted(job: Job, console: Console) -> Fit:
         raise
     withdraw(job.out, *RESULTS)
     save(job, result)
-    return calibrated(with_rivals(result, data), data)
+    return calibrated(with_lasting(with_rivals(result, data), data), data)
 
 
 def _judged(job: Job, result: Fit) -> tuple[Fit, FitDocument, Validation | None, list[str]]:

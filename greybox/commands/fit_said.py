@@ -132,8 +132,9 @@ def lines(
     """The verdict and what the logs, pushes and physics say, the decisions with their reasons, the
     estimates, the script that says every choice."""
     first, *rest = result.summary().splitlines()
-    if result.covariance.form:  # it is said at once, with what to do next
-        rest.remove(f"warning: {result.covariance.form}")
+    for line in (*result.diagnostics.changed, result.covariance.form):
+        if line:  # it is said at once, with what to do next
+            rest.remove(f"warning: {line}")
     told = [f"warning: {w}" for some in job.warnings for w in some]
     lines = [first, *next_step(job, result, pushed), *told, *sanity_lines(result)]
     if result.provenance.decisions:
@@ -169,10 +170,13 @@ def with_pushes(job: Job, result: Fit) -> tuple[Fit, list[str]]:
 
 
 def next_step(job: Job, result: Fit, pushed: Sequence[str]) -> list[str]:
-    """The command that names what is missing, where parameters stand in for that, or pushes
-    without a name follow the motion and matter ahead or carry the craft."""
-    form = result.covariance.form
+    """What to do where the craft changed within a flight; else the command that names what is
+    missing, where parameters stand in for that, or pushes without a name follow the motion and
+    matter ahead or carry the craft."""
+    form, changed = result.covariance.form, result.diagnostics.changed
     told = [*([form] if form else []), *pushed]
+    if changed:
+        return [f"next: fit apart what was flown before and after: {'; '.join((*changed, *told))}"]
     return [f"next: {discover_command(job.arguments)}: {'; '.join(told)}"] if told else []
 
 

@@ -105,7 +105,8 @@ class Diagnostics:
 
     `cost` is the negative log posterior, `loglik` the log likelihood without priors. `innovations`
     (flight -> list of (n, n_e)) are NaN where missing; `coloured` says whether they fail the
-    whiteness test, in which case `std` of the estimates is the sandwich one.
+    whiteness test, in which case `std` of the estimates is the sandwich one. `changed`: warnings
+    that the craft changed within a flight (`greybox.automatic.lasting`).
     """
 
     status: Status
@@ -116,6 +117,7 @@ class Diagnostics:
     coloured: bool
     covariance: Covariance
     warnings: tuple[str, ...]
+    changed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -443,7 +445,8 @@ class Fit(Shown):
             self.verdict is None and not self.converged
         ):  # nothing vouches for these numbers: the failure comes first
             lines.reverse()
-        first = [d for d in (self.covariance.form, self.covariance.doubt) if d]
+        doubts = (*self.diagnostics.changed, self.covariance.form, self.covariance.doubt)
+        first = [d for d in doubts if d]
         lines += [f"warning: {d}" for d in first]
         width = max((len(n) for n in self.parameters), default=4)
         for n, e in self.parameters.items():

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greybox.automatic.changed import SHOWN, steady_share
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
 from greybox.frames import GRAVITY
@@ -27,11 +28,6 @@ MOST = 0.5
 """Share of a push that the motion must foretell to be called its cause."""
 FELT = 0.1
 """Share of the error ahead that the push must move the craft by to matter."""
-CARRIED = 0.01
-"""Share of the weight from which a steady force along the thrust is worth a word: a scale and a
-hover tell mass and thrust to that."""
-SHOWN = {"force": ("velocity", "position"), "torque": ("rate", "rotation")}
-"""What a push moves, after one integration and after two."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,12 +74,7 @@ class Pushes:
         weight = self.model.values["mass"] * physics.vehicle.gravity
         push = self.seen.y[:, _columns(self.seen, "force")[2]] / weight
         flights = np.array(self.seen.flights)
-        parts = [push[flights == n] for n in dict.fromkeys(self.seen.flights)]
-        means = np.array([p.mean() for p in parts])
-        steady = all(abs(m) > p.std() for m, p in zip(means, parts, strict=True))
-        one_way = np.ptp(np.sign(means)) == 0
-        share = float(push.mean())
-        return share if steady and one_way and abs(share) > CARRIED else 0.0
+        return steady_share([push[flights == n] for n in dict.fromkeys(self.seen.flights)])
 
 
 def pushes(model: IdentifiedModel, data: Dataset, channels: Collection[str]) -> Pushes | None:

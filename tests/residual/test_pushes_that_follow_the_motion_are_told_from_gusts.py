@@ -206,7 +206,13 @@ def test_the_next_step_is_left_out_where_it_cannot_be_told(
     verdict = Judged(refused=False, groups=groups)
     job: Any = SimpleNamespace(prepared=SimpleNamespace(data=None))
     sure = SimpleNamespace(form="")
-    result: Any = SimpleNamespace(verdict=verdict, converged=True, model=None, covariance=sure)
+    result: Any = SimpleNamespace(
+        verdict=verdict,
+        converged=True,
+        model=None,
+        covariance=sure,
+        diagnostics=SimpleNamespace(changed=()),
+    )
     result.judged = lambda new: new
     kept, pushed = with_pushes(job, result)
     assert pushed == [] and (kept is result or kept.line == "useful")

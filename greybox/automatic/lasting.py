@@ -1,0 +1,102 @@
+"""Lasting: what pushes the craft for good, without a name, is a part of it that the model has wrong.
+
+Disturbance states hold gusts, and whatever else the model lacks. Of a force along the thrust that
+lasts nobody can say whether it is not thrust: it is known no better than that, and with it what is
+told by its side, as inertias and drag. The errors hold that. And a push that changes for good within
+a flight is no gust: a load, a rotor, a battery. What is said of both comes with the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from greybox.automatic.changed import changes, lasting_share, said_of_changes, unnamed
+from greybox.automatic.widened import widened
+from greybox.data import Dataset
+from greybox.errors import GreyboxError
+from greybox.estimation.result import Fit
+from greybox.model.layer import physics_of
+from greybox.statistics.evidence import FELT
+
+
+def with_lasting(found: Fit, data: Dataset) -> Fit:
+    """The fit to `data` with errors that hold a force along the thrust that lasts, and with what
+    changed for good in words. As it was where nothing lasts, where it did not converge and where the
+    motion is not measured."""
+    physics = physics_of(found.problem.dynamics)
+    if physics is None or not found.converged:
+        return found
+    try:
+        with threadpool_limits(limits=1):
+            seen = unnamed(found.model, data)
+            changed = changes(seen) if seen else ()
+    except (GreyboxError, np.linalg.LinAlgError):  # too wild
+        return found
+    if seen is None:
+        return found
+    share = lasting_share(seen, changed)
+    steps, drifts = said_of_changes(seen, changed)
+    share = lasting_share(seen, changed)
+    if share > 0:
+        found = _with_share(found, share, share * physics.vehicle.gravity)
+    if not changed:
+        return found
+    old = found.diagnostics
+    warnings = (*steps, *drifts, *old.warnings)
+    return replace(found, diagnostics=replace(old, changed=tuple(steps), warnings=warnings))
+
+
+def _with_share(found: Fit, share: float, lift: float) -> Fit:
+    """The fit with errors that hold this share of the weight, `lift` [m/s^2], had it been thrust:
+    as far as all estimates go with what the rotors lift. Their Fisher information tells how far;
+    a sandwich of few flights ties what is not tied."""
+    rows: dict[str, list[int]] = {}
+    for i, u in enumerate(found.problem.unknowns):
+        if u.kind == "parameter" and not u.name.startswith("disturbance."):
+            rows.setdefault(u.name, []).append(i)
+    by_name = _lift(found)
+    slope = np.zeros(found.problem.n)
+    for n, places in rows.items():
+        slope[places] = by_name[n] / len(places)
+    fisher = found.covariance.fisher
+    tied = np.where(np.isfinite(fisher), fisher, 0.0) @ slope
+    variance = float(slope @ tied)
+    if not variance > 0:
+        return found
+    moved = tied / variance * lift
+    away = {
+        n: size
+        for n, places in rows.items()
+        if (e := found.parameters[n]).std > 0
+        and (size := float(np.abs(moved[places].mean())) / e.std) > FELT
+    }
+    return widened(found, np.outer(moved, moved), rows, _line(away, share) if away else "")
+
+
+def _line(away: Mapping[str, float], share: float) -> str:
+    """Which numbers are no measurement, and by how many standard errors each would move."""
+    one = len(away) == 1
+    return (
+        f"{', '.join(away)} {'is' if one else 'are'} no measurement: a lasting force without a name "
+        f"takes {100 * share:.1f} % of the weight, which may be thrust and would then move "
+        f"{'it' if one else 'them'} by up to {max(away.values()):.0f} standard errors; the errors "
+        "hold that now"
+    )
+
+
+def _lift(found: Fit) -> dict[str, float]:
+    """How far [m/s^2 per unit] every parameter moves what the rotors lift, level at the mean
+    commands."""
+    model = found.model
+    d = model.dynamics
+    p = ca.SX.sym("p", len(d.parameters))
+    rate = d.f(0.0, ca.DM(model.reference_state), ca.DM(model.reference_inputs), p)
+    up = rate[d.states["velocity.z"]]
+    slope = ca.Function("lift", [p], [ca.densify(ca.jacobian(up, p))])(model.parameter_vector())
+    names = [q.name for q in d.parameters]
+    return dict(zip(names, np.asarray(slope).ravel().tolist(), strict=True))

@@ -1,0 +1,61 @@
+"""The errors of a fit with what the form of its model adds: what is bent into the place of what is
+missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.estimation.result import Estimate, Fit
+from greybox.symbolic import FloatArray
+
+
+def widened(
+    found: Fit, spread: FloatArray, rows: Mapping[str, Sequence[int]], line: str = ""
+) -> Fit:
+    """The fit with wider errors: `spread` (n, n) is added to the covariance of the estimates,
+    `rows` are the places of every parameter in it, of one with a value in every flight those of its
+    flights, in order. `line` says which are no measurement. Predictions and the model's own
+    covariance stay."""
+    wider = {
+        n: _with_spread(e, spread, rows[n]) if rows.get(n) else e
+        for n, e in found.parameters.items()
+    }
+    old, before = found.diagnostics, found.model.form_errors
+    form = "; ".join(s for s in (old.covariance.form, line) if s)
+    others = tuple(w for w in old.warnings if w != old.covariance.form)
+    said = replace(
+        old,
+        covariance=replace(old.covariance, form=form),
+        warnings=(form, *others) if form else old.warnings,
+    )
+    shared = found.model.covariance_names
+    more = {
+        n: float(np.hypot(before.get(n, 0.0), _mean(spread, rows[n]) ** 0.5))
+        if rows.get(n)
+        else before.get(n, 0.0)
+        for n in shared
+    }
+    model = replace(found.model, form_errors={n: s for n, s in more.items() if s > 0})
+    estimates = replace(found.estimates, parameters=wider, model=model)
+    return replace(found, estimates=estimates, diagnostics=said)
+
+
+def _mean(spread: FloatArray, rows: Sequence[int]) -> float:
+    """Variance of the mean of these rows."""
+    return max(float(spread[np.ix_(rows, rows)].mean()), 0.0)
+
+
+def _with_spread(e: Estimate, spread: FloatArray, rows: Sequence[int]) -> Estimate:
+    """The estimate with its part of `spread`."""
+    own = np.diag(spread)[list(rows)]
+    each = dict(e.per_flight)
+    if len(each) == len(rows):
+        each = {
+            f: (v, float(np.hypot(s, np.sqrt(more))))
+            for (f, (v, s)), more in zip(each.items(), own, strict=True)
+        }
+    return replace(e, std=float(np.hypot(e.std, np.sqrt(_mean(spread, rows)))), per_flight=each)
