@@ -23,6 +23,7 @@ from greybox.automatic.changed import (
     unnamed,
 )
 from greybox.automatic.lasting import _with_share, with_lasting
+from greybox.automatic.widened import widened
 from greybox.commands.fit_said import next_step
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.estimation.fit import fit
@@ -134,7 +135,17 @@ def test_a_share_of_the_weight_is_in_thrust_and_in_what_is_told_by_its_side() ->
     assert told["disturbance.torque.T"] == found["disturbance.torque.T"]
     twice = _with_share(told, 0.1, 0.1 * 9.81)
     assert _relative(twice, "thrust.c2") == pytest.approx(0.1 * 2**0.5, rel=0.15)
-    assert twice.warnings[0] == twice.covariance.form != told.covariance.form
+    assert twice.covariance.form == told.covariance.form  # the errors held it already
+
+
+def test_what_is_no_measurement_for_two_reasons_is_one_warning() -> None:
+    found, _ = fitted()
+    rows = {"thrust.c2": [0]}
+    told = widened(widened(found, np.eye(1), rows, "one"), np.eye(1), rows, "other")
+    assert told.covariance.form == told.warnings[0] == "one; other"
+    assert told.warnings[1:] == found.warnings
+    assert told["thrust.c2"].std == pytest.approx(np.hypot(found["thrust.c2"].std, 2**0.5))
+    assert told["inertia.xx"] == found["inertia.xx"]
 
 
 def test_a_force_that_the_whole_flight_carries_is_no_change() -> None:
