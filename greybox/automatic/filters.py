@@ -88,7 +88,8 @@ def is_felt(part: Part, fitted: Fit) -> bool:
     found = fitted.parameters[f"{part.name}.T"]
     lower = next(d.lower for d in fitted.model.dynamics.parameters if d.name == f"{part.name}.T")
     if found.at_bound or not part.filters:
-        return not found.at_bound and lower * np.exp(FELT * found.std / found.value) < found.value
+        factors = FELT * found.std / found.value
+        return not found.at_bound and factors < np.log(found.value / lower)
     return lower + FELT * found.std < found.value < LONGEST
 
 
