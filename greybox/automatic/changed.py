@@ -154,7 +154,7 @@ def said_of_changes(seen: Unnamed, changed: Sequence[Changed]) -> tuple[list[str
     for (n, _), all_of_it in drifts.items():
         size, _ = max(all_of_it, key=lambda d: abs(d[0]))
         flights = ", ".join(f for _, f in all_of_it)
-        why = "; a battery whose voltage is not in the log?" if n == "force.z" else ""
+        why = "; a battery that sags?" if n == "force.z" else ""
         lines.append(
             f"a push without a name drifts from start to end: {_size(seen, n, size)} in "
             f"{flights}{why}"
