@@ -8,6 +8,17 @@ from typing import Protocol, runtime_checkable
 
 from greybox.data.readers.mapping import LogMapping
 
+MOMENTS = (0.01, 3.0)
+"""J / (m L^2) of bodies whose mass, arms L and inertia fit each other at all, ..."""
+USUAL_MOMENT = 0.3
+"""... and of small craft (0.2 to 0.5)."""
+LENGTH_UNITS = {
+    1e-3: "millimetres instead of metres",
+    1e-2: "centimetres instead of metres",
+    0.0254: "inches",
+}
+"""Metres per unit that lengths were given in by mistake -> what it is."""
+
 
 class RotorPlace(Protocol):
     """Place and sense of one rotor."""

@@ -80,6 +80,16 @@ SLIPS = {
         "rotor.position",
         "millimetres",
     ),
+    "arms in centimetres": (
+        {
+            "rotor": [
+                {"position": [8.8 * x, 8.8 * y, 0.0], "spin": -x * y}
+                for x, y in ((1, -1), (-1, -1), (-1, 1), (1, 1))
+            ]
+        },
+        "rotor.position",
+        "centimetres",
+    ),
     "inertia in g m^2": (
         {"inertia": np.diag([1.875, 1.875, 3.359]).tolist()},
         "inertia.xx",

@@ -1,5 +1,4 @@
-"""Check of the motors: order of the commands, spin directions, and the gyro's unit where there is
-no attitude.
+"""Check of the motors: order of the commands, spin directions, and the size of the torques.
 
 The torques found by regression are compared with those that position and spin of the vehicle file
 promise, in each flight and over those of a craft together. Another order is said only where it
@@ -9,18 +8,20 @@ explains far more of them.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
-from greybox.data.airframe import Airframe, ThrustMap, Weighed
 from greybox.data.channel import command_names
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged
 from greybox.data.checks.relations import CLEAR, LEAST, LEFT, jackknife
+from greybox.data.checks.strength import strength_of
 from greybox.data.checks.together import alone_and_together
 from greybox.data.checks.torque import (
+    SEEN,
+    SEEN_YAW,
     Sums,
     Torque,
     directions,
@@ -29,11 +30,6 @@ from greybox.data.checks.torque import (
 )
 from greybox.data.checks.view import FloatArray, View
 
-SEEN = 0.08
-"""Share of the angular acceleration's variance that the commands must explain before a verdict on
-roll and pitch."""
-
-SEEN_YAW = 0.02
 AGREE = 0.25
 """Share of what the commands explain from which torques in the promised directions agree with
 them."""
@@ -42,6 +38,8 @@ MOST_ROTORS = 6
 """Orders are searched up to this many rotors."""
 
 AXES = ("roll", "pitch", "yaw")
+
+One = TypeVar("One")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +85,26 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
         yield from (
             Unjudged(check="motors", flight=n, reason=reason) for n in left if n not in turning
         )
-    yield from _told(left, lambda some: _strength(first.vehicle, _joined(some)))
+    yield from _strong({v.name: (v, left[v.name]) for v in views if v.name in left}, promised)
+
+
+def _strong(
+    flights: Mapping[str, tuple[View, Torque]], promised: FloatArray
+) -> Iterator[Finding | Unjudged]:
+    """Findings on the size of the torques, and the flights that do not show it."""
+
+    def judged(some: Sequence[tuple[View, Torque]]) -> Verdict | None:
+        views, torques = zip(*some, strict=True)
+        strength = strength_of(views[0].vehicle, _joined(torques), promised)
+        wrong = None if strength is None else strength.wrong(views)
+        return None if wrong is None else Verdict(severity="blocking", **wrong)
+
+    yield from _told(flights, judged)
+    for name, (view, torque) in flights.items():
+        strength = strength_of(view.vehicle, torque.sums, promised)
+        if strength is not None and not strength.told:
+            reason = "the flight does not tell how strongly the commands turn it"
+            yield Unjudged(check="motors", flight=name, reason=reason)
 
 
 def _joined(torques: Sequence[Torque]) -> Sums:
@@ -95,7 +112,7 @@ def _joined(torques: Sequence[Torque]) -> Sums:
 
 
 def _told(
-    flights: Mapping[str, Torque], judge: Callable[[Sequence[Torque]], Verdict | None]
+    flights: Mapping[str, One], judge: Callable[[Sequence[One]], Verdict | None]
 ) -> list[Finding]:
     """The findings of one question, flights that disagree named."""
     told = alone_and_together(
@@ -189,62 +206,19 @@ def _spins(torques: Sequence[Torque], promised: FloatArray) -> Verdict | None:
         )
     if high >= AGREE:
         return None
-    signs = np.sign(-directions(sums.gains())[2]).astype(int).tolist()
+    spins, parts = (-directions(s.gains())[2] for s in (sums.total, sums.left_out))
+    clear = all(abs(s) > CLEAR * jackknife(p) for s, p in zip(spins[0], parts.T, strict=True))
+    signs = np.sign(spins[0]).astype(int).tolist()
+    look = f"look like spins {signs}, the vehicle file says otherwise"
+    look = look if clear else "fit the spins of the vehicle file poorly"
     return Verdict(
-        claim=f"{signs}",
+        claim=look,
         severity="warning",
         where="spin of the rotors",
-        message=f"the yaw torques look like spins {signs}, the vehicle file says otherwise",
+        message=f"the yaw torques {look}",
         evidence=evidence,
         fix="compare spin of each rotor with the craft",
     )
-
-
-def _strength(vehicle: Airframe, sums: Sums) -> Verdict | None:
-    """The gyro's unit from the size of the torque gains, where thrust and inertia are known."""
-    promised = promised_gain(vehicle)
-    if promised is None:
-        return None
-    ratio = float(np.sqrt(np.prod(np.linalg.norm(sums.gains()[:2], axis=1) / promised)))
-    # Lag and smoothing take half or more of the gain: 0.15 .. 1 is usual in rad/s.
-    if 0.02 < ratio < 6.0:
-        return None
-    what = "deg/s" if ratio > 6.0 else "scaled from deg/s to rad/s twice"
-    return Verdict(
-        claim=what,
-        severity="blocking",
-        where="p, q, r",
-        message=f"angular acceleration {ratio:.3g} times what thrust and inertia promise: the gyro "
-        f"is {what}",
-        evidence={"found_over_promised": ratio},
-        fix="set the unit in [columns.rate] (deg/s, rad/s), or correct inertia and thrust",
-    )
-
-
-def promised_gain(vehicle: Airframe) -> FloatArray | None:
-    """Size of the roll and pitch gains (2,) [rad/s^2 per u^2] that the vehicle file promises; None
-    where it is silent.
-
-    The thrust map is taken by its slope at the thrust that carries the weight.
-    """
-    actuator = vehicle.actuator
-    if not isinstance(vehicle, Weighed) or not isinstance(actuator, ThrustMap):
-        return None
-    inertia = vehicle.inertia
-    c0, c1, c2 = (float(c.value) for c in actuator.thrust)
-    share = float(vehicle.mass.value) * vehicle.gravity / len(vehicle.rotors)
-    if c2 > 0:
-        inner = c1 * c1 - 4 * c2 * (c0 - share)
-        nu = (-c1 + math.sqrt(inner)) / (2 * c2) if inner > 0 else 1.0
-    else:
-        nu = (share - c0) / c1 if c1 > 0 else 1.0
-    slope = (c1 + 2 * c2 * nu) / max(2 * nu, 1e-9)
-    if slope <= 0:
-        return None
-    place = np.array([r.position for r in vehicle.rotors], dtype=np.float64)
-    arms = np.linalg.norm(place - place.mean(axis=0), axis=0)
-    sizes = np.array([arms[1] / inertia[0][0], arms[0] / inertia[1][1]]) * slope
-    return sizes if bool((sizes > 0).all()) else None
 
 
 CHECK = Check(

@@ -35,8 +35,20 @@ SEARCHED = (-0.2, 0.35)
 """Lags that are searched [s]: outside the plausible ones the streams are not on one clock."""
 
 
+SEEN = 0.08
+"""Share of the angular acceleration's variance that the commands must explain before a verdict on
+roll and pitch."""
+
+SEEN_YAW = 0.02
+"""The same before one on yaw."""
+
 BLOCKS = 8
 """Blocks of time into which a flight is cut."""
+
+ROUNDED = 1e-10
+"""Share of a sum of squares that may be rounding, once nearly all of it was subtracted."""
+EPS = 1e-14
+"""Rounding of such a sum itself, as a share of it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,19 +63,44 @@ class Sums(BlockSums):
     block_axis: ClassVar[int] = 1
 
     def gains(self) -> FloatArray:
-        """Gains (3, n) [rad/s^2 per u^2], those of the sum of the commands left out."""
-        total = self.total
-        inverse = np.linalg.pinv(total.xx[:, 0], rcond=1e-3, hermitian=True)
-        return np.einsum("aij,aj->ai", inverse, total.xy[:, 0])
+        """Gains (3, B, n) [rad/s^2 per u^2], those of the sum of the commands left out."""
+        return least_squares(self.xx, self.xy)
+
+    def along(self, promised: FloatArray) -> FloatArray:
+        """Gains (3, B) [rad/s^2 per u^2] of each axis along its promised direction (3, n), the
+        other two beside it; NaN where the commands do not move along it at all."""
+        turning = np.flatnonzero(promised.any(axis=1))
+        some = promised[turning]
+        xx = np.einsum("ki,abij,lj->abkl", some, self.xx, some)
+        moved = (
+            np.einsum("abkk->abk", xx) > ROUNDED * np.trace(self.xx, axis1=2, axis2=3)[..., None]
+        )
+        gains = least_squares(xx, np.einsum("ki,abi->abk", some, self.xy))
+        out = np.full(self.xx.shape[:2], np.nan)
+        for k, axis in enumerate(turning):
+            out[axis] = np.where(moved[axis, :, k], gains[axis, :, k], np.nan)
+        return out
 
     def agreement(self, promised: FloatArray) -> FloatArray:
         """Of what the commands explain, the share (3, B) that torques in the promised directions
         (3, n) explain, negative where they act the other way round."""
-        inverse = np.linalg.pinv(self.xx, rcond=1e-3, hermitian=True)
-        most = np.einsum("abi,abij,abj->ab", self.xy, inverse, self.xy)
+        most = np.einsum("abi,abi->ab", self.xy, self.gains())
         along = np.einsum("ai,abi->ab", promised, self.xy)
         size = np.einsum("ai,abij,aj->ab", promised, self.xx, promised)
         return np.sign(along) * along**2 / np.maximum(size * most, 1e-300)
+
+
+def least_squares(xx: FloatArray, xy: FloatArray) -> FloatArray:
+    """Coefficients (..., n) from sums of products x'x (..., n, n) and x'y (..., n).
+
+    Only what is rounding is left out: a direction that moves little is known badly, which its
+    standard error says; were it cut off, its coefficient would be a zero that nobody measured.
+    """
+    own = np.einsum("...ii->...i", xx)
+    scale = np.sqrt(np.where(own > 0.0, own, np.inf))
+    alike = xx / scale[..., None] / scale[..., None, :]
+    inverse = np.linalg.pinv(alike, rcond=ROUNDED, hermitian=True)
+    return np.asarray(np.einsum("...ij,...j->...i", inverse, xy / scale) / scale)
 
 
 def _sums(
@@ -109,18 +146,16 @@ class Torque:
         return outside and (more or less) and self.searched_share > 0.15
 
 
-ROUNDED = 1e-10
-"""Share of a sum of squares that may be rounding, once nearly all of it was subtracted."""
-
-
 def _solve(xx: FloatArray, xy: FloatArray, whole: FloatArray) -> FloatArray:
     """Least squares (k, 3) from the sums of products x'x (k, k) and x'y (k, 3) after regression on
-    others; `whole` (k,) are the sums of squares before it. Directions that the data hardly move
-    (below 1 % of the largest) and columns of which nothing is left get no gain."""
+    others; `whole` (k,) are the sums of squares before it. Columns of which nothing is left get no
+    gain, nor do directions that may be the rounding of what was subtracted."""
     own = np.diag(xx)
-    scale = np.sqrt(np.where(own > ROUNDED * whole, own, np.inf))
+    left = own > ROUNDED * whole
+    scale = np.sqrt(np.where(left, own, np.inf))
+    taken = float((whole[left] / own[left]).max(initial=1.0))
     return np.asarray(
-        np.linalg.pinv(xx / scale / scale[:, None], rcond=1e-4, hermitian=True)
+        np.linalg.pinv(xx / scale / scale[:, None], rcond=max(ROUNDED, EPS * taken), hermitian=True)
         @ (xy / scale[:, None])
         / scale[:, None]
     )

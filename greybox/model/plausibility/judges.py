@@ -14,6 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.optimize import linprog
 
+from greybox.data.airframe import LENGTH_UNITS, MOMENTS
 from greybox.frames import GRAVITY
 from greybox.model.body import may_be_stated
 from greybox.model.effects import effect_by_name
@@ -26,12 +27,9 @@ from greybox.symbolic import FloatArray
 HUGE = 1e9
 HOVER_RANGE = (0.15, 0.85)
 """Shares of the command range that leave a hover room to both sides."""
+DENSITY = (20.0, 1500.0)
+"""Usual mass over the cube of the arm [kg/m^3]."""
 MASS_UNITS = {1e-3: "grams instead of kilograms"}
-LENGTH_UNITS = {
-    1e-3: "millimetres instead of metres",
-    1e-2: "centimetres instead of metres",
-    0.0254: "inches",
-}
 INERTIA_UNITS = {
     1e-9: "g mm^2",
     1e-7: "g cm^2",
@@ -91,7 +89,11 @@ def extremes(vehicle: Vehicle) -> Iterator[Implausible]:
 def size(c: Craft) -> Iterator[Implausible]:
     """Mass against arm length."""
     if not 0.01 <= c.L <= 3:
-        slip = _slip(c.L, 0.02, 1.5, LENGTH_UNITS)
+        # Of the units that make arms of it, the one whose arms carry this mass as craft do.
+        usual = math.sqrt(DENSITY[0] * DENSITY[1])
+        units = {f: n for f, n in LENGTH_UNITS.items() if 0.02 <= c.L * f <= 1.5}
+        nearest = sorted(units, key=lambda f: abs(math.log(c.m / (c.L * f) ** 3 / usual)))
+        slip = units[nearest[0]] if nearest else None
         yield Implausible(
             "blocking",
             "rotor.position",
@@ -112,12 +114,12 @@ def size(c: Craft) -> Iterator[Implausible]:
             f"{c.m:g} kg",
             f"looks like {slip}: give kg" if slip else "check kg and metres",
         )
-    elif not 20 <= density <= 1500:
+    elif not DENSITY[0] <= density <= DENSITY[1]:
         yield Implausible(
             "warning",
             "mass",
             "unusual mass for its size",
-            f"{20 * c.L**3:.2g} to {1500 * c.L**3:.2g} kg for arms of {c.L:.3g} m",
+            f"{DENSITY[0] * c.L**3:.2g} to {DENSITY[1] * c.L**3:.2g} kg for arms of {c.L:.3g} m",
             f"{c.m:g} kg",
             "weigh the craft ready to fly; measure from the centre to a motor axis",
         )
@@ -138,7 +140,7 @@ def inertia(c: Craft) -> Iterator[Implausible]:
     for i, axis in enumerate(("xx", "yy", "zz")):
         a = j[i, i] / (c.m * c.L**2)
         slip = _slip(a, 0.08, 1.0, INERTIA_UNITS)
-        if not 0.01 <= a <= 3:
+        if not MOMENTS[0] <= a <= MOMENTS[1]:
             yield Implausible(
                 "blocking",
                 f"inertia.{axis}",
