@@ -2,12 +2,14 @@
 to the commands and to the rotor speeds.
 
 A positive offset means that the gyro is late against the attitude. Offset and drift are stated where
-they are clear of what the flight's rates can tell.
+they are clear of what the flight's rates can tell. A clock moves all axes alike: it has what they
+share, and where they differ the attitude comes from an estimator.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -22,6 +24,14 @@ from greybox.data.drive import LATE_SPEEDS
 BLOCKING = 0.05
 """Median offset [s] from which a fit is blocked (and at least two samples)."""
 
+CLOCKS = (
+    "log all streams with one clock, stamped at the source; or shift one of them and fit a delay per "
+    "flight"
+)
+
+SAID = 1.0
+"""Offsets, and differences between axes, are said from here on [samples]."""
+
 ANSWERS = 0.05
 """Share of variance that commands must explain before a delay is stated."""
 
@@ -32,9 +42,11 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     offset = None
     if view.has("attitude", "rate"):
         told = delays(view)
-        if CLEAR * told.middle_error(wandering=False) < max(BLOCKING / view.dt, 2.0):
+        if axes := _apart_axes(view, told):
+            yield _estimated(view, axes)
+        elif _known(view, told):
             offset = told.quantile(0.5)
-            yield _offset(view, told, offset)
+            yield _offset(view, told)
         else:
             what = "the rates change too little to tell their delay against the attitude"
             what = what if told.count else "gyro and attitude are never alike"
@@ -53,18 +65,89 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         yield from _answers(view.measured, offset, "the motion")
 
 
-def _offset(view: View, told: Delays, offset: float) -> Finding:
+def _known(view: View, told: Delays) -> bool:
+    """Whether the rates tell a delay to within what matters."""
+    return CLEAR * told.middle_error(wandering=False) < max(BLOCKING / view.dt, 2.0)
+
+
+def _apart_axes(view: View, told: Delays) -> dict[str, tuple[float, float]]:
+    """(delay, standard error) [samples] of every axis that tells one; empty where what they share
+    is more than what they clearly differ by, and where all together are not late."""
+    if _known(view, told) and not _sure(told):
+        return {}
+    each = {name: delays(view, [axis]) for axis, name in enumerate("pqr")}
+    axes = {
+        n: (d.quantile(0.5), d.middle_error())
+        for n, d in each.items()
+        if CLEAR * d.middle_error() < max(BLOCKING / view.dt, 2.0)
+    }
+    shared = abs(_shared(axes))
+    for one, other in itertools.combinations(axes, 2):
+        apart = each[one].against(each[other])
+        # Every instant is in two windows: they are half as many as they seem.
+        if _sure(apart, CLEAR * np.sqrt(2.0)) and abs(apart.quantile(0.5)) > shared:
+            return axes
+    return {}
+
+
+def _shared(axes: Mapping[str, tuple[float, float]]) -> float:
+    """The delay [samples] that all axes have, 0 where it is not clear of its error."""
+    late = [a for a, _ in axes.values()]
+    least, error = min(axes.values(), key=lambda a: abs(a[0]), default=(0.0, 0.0))
+    one_way = bool(late) and min(late) * max(late) > 0.0
+    return least if one_way and abs(least) > CLEAR * error else 0.0
+
+
+def _sure(told: Delays, clear: float = CLEAR) -> bool:
+    """Whether an offset is there and `clear` times its error."""
+    offset = abs(told.quantile(0.5)) if told.count else 0.0
+    return offset > SAID and offset > clear * told.middle_error()
+
+
+def _estimated(view: View, axes: Mapping[str, tuple[float, float]]) -> Finding:
+    """The axes differ: a clock has at most what all of them share."""
+    late = [a for a, _ in axes.values()]
+    shared = _shared(axes)
+    blocks = abs(shared) >= max(BLOCKING / view.dt, 2.0)
+    sign, way = (1.0, "late") if sum(late) > 0.0 else (-1.0, "early")
+    each = ", ".join(f"{sign * a:.1f} +- {e:.1f} ({n})" for n, (a, e) in axes.items())
+    text = f"the gyro is {each} samples {way} against the attitude"
+    text += ": no clock differs by axis, an estimator that filters does"
+    if blocks:
+        text += f"; what all share, {abs(shared):.1f}, is a clock's"
+    evidence = {
+        "offset_samples": shared,
+        "offset_s": shared * view.dt,
+        "error_samples": max(e for _, e in axes.values()),
+        "low_samples": min(late),
+        "high_samples": max(late),
+    }
+    return Finding(
+        check="alignment",
+        severity="blocking" if blocks else "warning",
+        flight=view.name,
+        where="p, q, r against qw..qz",
+        message=text,
+        evidence=evidence | {f"{n}_samples": a for n, (a, _) in axes.items()},
+        fix=CLOCKS
+        if blocks
+        else "log an attitude that was measured; with this one, --kinematic-noise says that it is "
+        "not the gyro's integral, and predicted attitudes are no better than it",
+    )
+
+
+def _offset(view: View, told: Delays) -> Finding:
     dt = view.dt
     low, high = told.drift
-    drift, error = high - low, told.middle_error()
-    sure = abs(offset) > CLEAR * error
+    offset, drift, error = told.quantile(0.5), high - low, told.middle_error()
+    sure = _sure(told)
     late = "late" if offset > 0 else "early"
     severity: Severity = "info"
     text = f"gyro and attitude are aligned within {max(abs(offset), drift, error):.1f} samples"
     if sure and abs(offset) >= max(BLOCKING / dt, 2.0):
         severity = "blocking"
         text = f"the gyro is {abs(offset):.1f} samples {late} against the attitude"
-    elif (sure and abs(offset) > 1.0) or drift > 2.0:
+    elif sure or drift > 2.0:
         severity = "warning"
         text = (
             f"the gyro is {abs(offset):.1f} samples {late} against the attitude and wanders by "
@@ -85,8 +168,7 @@ def _offset(view: View, told: Delays, offset: float) -> Finding:
             "drift_s_per_s": told.slope * dt,
             "windows": told.count,
         },
-        fix="log all streams with one clock, stamped at the source; or shift one of them and fit a "
-        "delay per flight",
+        fix=CLOCKS,
     )
 
 

@@ -9,6 +9,7 @@ Controlled Clinical Trials 7(3), 1986).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,6 +55,16 @@ class Delays:
     def count(self) -> int:
         """Number of windows."""
         return int(self.late.size)
+
+    def against(self, other: Delays) -> Delays:
+        """By how much these are later than others, in the windows that tell both: clocks may wander
+        meanwhile."""
+        _, a, b = np.intersect1d(self.time, other.time, return_indices=True)
+        return Delays(
+            time=self.time[a],
+            late=self.late[a] - other.late[b],
+            error=np.hypot(self.error[a], other.error[b]),
+        )
 
     def _weights(self, variance: float) -> FloatArray:
         return np.asarray(1.0 / np.maximum(self.error**2 + variance, 1e-12))
@@ -107,12 +118,12 @@ class Delays:
         return float(np.polyfit(since, self.late, 1, w=np.sqrt(self.weights))[0])
 
 
-def delays(view: View) -> Delays:
-    """The delay in every window in which gyro and attitude are alike."""
+def delays(view: View, axes: Sequence[int] = (0, 1, 2)) -> Delays:
+    """The delay in every window in which gyro and attitude are alike about these body axes."""
     half = max(1, round(HALF_WINDOW / view.dt))
-    gyro = smoothed(bridged(view.group("rate"), half), half)
+    gyro = smoothed(bridged(view.group("rate"), half), half)[:, list(axes)]
     quaternions = view.group("attitude")
-    rate = attitude_rate(attitude_joined_up(quaternions, 2 * half), view.dt, half)
+    rate = attitude_rate(attitude_joined_up(quaternions, 2 * half), view.dt, half)[:, list(axes)]
     alone = 2 * half + pace(quaternions)  # rows over which the noise of a mean is alike
     length, reach = round(WINDOW / view.dt), round(LARGEST / view.dt)
     time = view.time
@@ -129,7 +140,7 @@ def delays(view: View) -> Delays:
         if top >= CREDIBLE and abs(late) < reach:
             rows = slice(int(start), int(start) + length)
             error = _error(gyro, rate, rows, round(late), half, alone)
-            error = max(error, _spread(scores, lags, late, length / alone))
+            error = max(error, _spread(scores, lags, late, len(axes) * length / alone))
             out.append((float(np.nanmean(time[rows])), late, error))
     found = np.array(out).reshape(-1, 3)
     return Delays(time=found[:, 0], late=found[:, 1], error=found[:, 2])
@@ -137,12 +148,12 @@ def delays(view: View) -> Delays:
 
 def _spread(scores: FloatArray, lags: IntArray, late: float, samples: float) -> float:
     """How far [samples] lags that are about as likely as the one found lie from it, rms, by the
-    correlations (L,) of so many independent samples of three axes.
+    correlations (L,) of so many independent samples.
 
     The correlation may be nearly as high at another lag: the slopes at the highest do not tell.
     """
     alike = np.clip(scores, 0.0, 1.0 - 1e-9)
-    chance = -1.5 * samples * np.log(1.0 - alike**2)
+    chance = -0.5 * samples * np.log(1.0 - alike**2)
     chance = np.exp(chance - chance.max())
     return float(np.sqrt(chance @ (lags - late) ** 2 / chance.sum()))
 
@@ -165,7 +176,7 @@ def _error(
         return float("inf")
     size = np.sqrt((y**2).sum() / (x**2).sum())
     noise = float(((y - size * x) ** 2).mean()) * alone
-    return float(np.sqrt(noise * (slope**2).sum() / 3.0)) / common
+    return float(np.sqrt(noise * (slope**2).sum() / slope.shape[1])) / common
 
 
 def _slope(values: FloatArray, half: int) -> FloatArray:
