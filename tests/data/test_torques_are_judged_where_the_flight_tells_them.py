@@ -82,6 +82,14 @@ def test_gentle_roll_and_pitch_beside_lively_yaw_are_no_fault(level: float, pose
     assert not report.of("motors")
 
 
+def test_small_commands_are_still_only_where_the_motion_does_not_show_them() -> None:
+    (seen,) = told(flown(level=0.002, yaw=0.002)).of("excitation")
+    assert not any(f"{axis} command" in seen.message for axis in ("roll", "pitch", "yaw"))
+    (unseen,) = told(flown(level=0.0, yaw=0.1)).of("excitation")
+    assert "roll command, pitch command" in unseen.message
+    assert "yaw command" not in unseen.message
+
+
 @pytest.mark.parametrize(("gyro", "words"), [(57.3, "is deg/s"), (1 / 57.3, "twice")])
 @pytest.mark.parametrize("level", [0.02, 0.002])
 def test_a_gyro_in_another_unit_is_found_at_any_size_of_the_motion(level, gyro, words) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.signals import smoothed
-from greybox.data.checks.torque import expected_signs
+from greybox.data.checks.torque import SEEN, SEEN_YAW, expected_signs, torque_regression
 from greybox.data.checks.view import View
 
 LEAST_RATE = 0.03
@@ -17,7 +17,7 @@ LEAST_RATE = 0.03
 
 LEAST_COMMAND = 0.003
 """Change of a command combination (share of the range, RMS about its 1 s mean) below which it is
-called still."""
+called still, unless the motion shows it."""
 
 LEAST_TIME = 5.0
 """Shorter flights [s] are worth a warning."""
@@ -41,6 +41,7 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     moved = u - smoothed(u, max(1, round(0.5 / view.dt)))
     actuator = view.vehicle.actuator
     span = actuator.u_max - actuator.u_min if view.commanded else 1.0
+    seen = _seen(view)
     mix = np.vstack([expected_signs(view), np.full((1, u.shape[1]), 1.0 / np.sqrt(u.shape[1]))])
     for name, row in zip(("roll", "pitch", "yaw", "thrust"), mix, strict=True):
         combined = (moved @ row) / np.sqrt(u.shape[1]) / span
@@ -48,7 +49,7 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             continue  # too short for a mean to move about
         size = float(np.sqrt(np.nanmean(combined**2)))
         evidence[f"{name}_command_rms"] = size
-        if size < LEAST_COMMAND and np.any(row):
+        if size < LEAST_COMMAND and np.any(row) and name not in seen:
             still.append(f"{name} command")
     if view.has("rate"):
         rate = view.group("rate")
@@ -73,9 +74,20 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         where=", ".join(still) or f"{view.flight.duration:.1f} s of flight",
         message=text,
         evidence=evidence,
-        fix="fly doublets or chirps about that axis; parameters that only it shows will keep their "
-        "prior",
+        fix="fly doublets or chirps about that axis; parameters that only it shows may keep their "
+        "prior, or have wide errors",
     )
+
+
+def _seen(view: View) -> set[str]:
+    """The axes whose motion shows what the commands do, however little they move: a quiet craft of
+    much torque needs hardly any command."""
+    found = torque_regression(view) if view.has("rate") else None
+    if found is None:
+        return set()
+    least = (SEEN, SEEN, SEEN_YAW)
+    axes = zip(("roll", "pitch", "yaw"), found.share, least, strict=True)
+    return {name for name, share, some in axes if share >= some}
 
 
 CHECK = Check(name="excitation", question="Does every axis move enough?", run=per_flight(run))
