@@ -39,7 +39,6 @@ def with_lasting(found: Fit, data: Dataset) -> Fit:
         return found
     if seen is None:
         return found
-    share = lasting_share(seen, changed)
     steps, drifts = said_of_changes(seen, changed)
     share = lasting_share(seen, changed)
     if share > 0:
@@ -48,7 +47,8 @@ def with_lasting(found: Fit, data: Dataset) -> Fit:
         return found
     old = found.diagnostics
     warnings = (*steps, *drifts, *old.warnings)
-    return replace(found, diagnostics=replace(old, changed=tuple(steps), warnings=warnings))
+    told = replace(old.covariance, changed=tuple(steps))
+    return replace(found, diagnostics=replace(old, covariance=told, warnings=warnings))
 
 
 def _with_share(found: Fit, share: float, lift: float) -> Fit:

@@ -132,7 +132,7 @@ def lines(
     """The verdict and what the logs, pushes and physics say, the decisions with their reasons, the
     estimates, the script that says every choice."""
     first, *rest = result.summary().splitlines()
-    for line in (*result.diagnostics.changed, result.covariance.form):
+    for line in (*result.covariance.changed, result.covariance.form):
         if line:  # it is said at once, with what to do next
             rest.remove(f"warning: {line}")
     told = [f"warning: {w}" for some in job.warnings for w in some]
@@ -173,7 +173,7 @@ def next_step(job: Job, result: Fit, pushed: Sequence[str]) -> list[str]:
     """What to do where the craft changed within a flight; else the command that names what is
     missing, where parameters stand in for that, or pushes without a name follow the motion and
     matter ahead or carry the craft."""
-    form, changed = result.covariance.form, result.diagnostics.changed
+    form, changed = result.covariance.form, result.covariance.changed
     told = [*([form] if form else []), *pushed]
     if changed:
         return [f"next: fit apart what was flown before and after: {'; '.join((*changed, *told))}"]

@@ -25,14 +25,16 @@ FEWEST_BLOCKS = 8
 class Covariance:
     """Matrices over all unknowns (n, n); rows and columns of held ones are zero. `blocks`: how many
     scores were summed; `doubt`: why all errors are too small, `form`: which parameters are no
-    measurement, since flights want what the model lacks (`greybox.automatic.wanted`); both empty
-    where nothing says so."""
+    measurement, since flights want what the model lacks (`greybox.automatic.wanted`), `changed`:
+    where the craft changed within a flight (`greybox.automatic.lasting`); all empty where nothing
+    says so."""
 
     fisher: FloatArray
     sandwich: FloatArray
     blocks: int
     doubt: str = ""
     form: str = ""
+    changed: tuple[str, ...] = ()
 
     @property
     def enough(self) -> bool:

@@ -105,8 +105,7 @@ class Diagnostics:
 
     `cost` is the negative log posterior, `loglik` the log likelihood without priors. `innovations`
     (flight -> list of (n, n_e)) are NaN where missing; `coloured` says whether they fail the
-    whiteness test, in which case `std` of the estimates is the sandwich one. `changed`: warnings
-    that the craft changed within a flight (`greybox.automatic.lasting`).
+    whiteness test, in which case `std` of the estimates is the sandwich one.
     """
 
     status: Status
@@ -117,7 +116,6 @@ class Diagnostics:
     coloured: bool
     covariance: Covariance
     warnings: tuple[str, ...]
-    changed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -445,7 +443,7 @@ class Fit(Shown):
             self.verdict is None and not self.converged
         ):  # nothing vouches for these numbers: the failure comes first
             lines.reverse()
-        doubts = (*self.diagnostics.changed, self.covariance.form, self.covariance.doubt)
+        doubts = (*self.covariance.changed, self.covariance.form, self.covariance.doubt)
         first = [d for d in doubts if d]
         lines += [f"warning: {d}" for d in first]
         width = max((len(n) for n in self.parameters), default=4)

@@ -83,7 +83,7 @@ def seen_in(found: Fit, data: Dataset) -> Unnamed:
 def test_thrust_that_is_lost_in_flight_is_told_with_its_time_and_size() -> None:
     found, data = fitted(COMMANDS)
     told = with_lasting(found, data)
-    (line,) = told.diagnostics.changed
+    (line,) = told.covariance.changed
     start = data.flights[1].segments[0].t[0]
     assert line.startswith(f"in run1 from {start + WHEN:.1f} s on force.z -")
     (change,) = changes(seen_in(found, data))
@@ -96,7 +96,7 @@ def test_a_rotor_that_is_lost_in_part_is_told_by_its_torque() -> None:
     found, data = fitted(("u1",))
     (change,) = changes(seen_in(found, data))
     assert change.flight == "run1" and {"torque.x", "torque.y"} <= set(change.sizes)
-    assert "N m" in with_lasting(found, data).diagnostics.changed[0]
+    assert "N m" in with_lasting(found, data).covariance.changed[0]
 
 
 def test_the_errors_hold_what_changed() -> None:
@@ -186,8 +186,9 @@ def test_what_cannot_be_smoothed_stays_as_it_is() -> None:
 
 def test_the_next_step_is_to_fit_the_parts_apart() -> None:
     result: Any = SimpleNamespace(
-        covariance=SimpleNamespace(form="thrust.c2 is no measurement"),
-        diagnostics=SimpleNamespace(changed=("in run1 from 9.0 s on force.z -12.0 %",)),
+        covariance=SimpleNamespace(
+            form="thrust.c2 is no measurement", changed=("in run1 from 9.0 s on force.z -12.0 %",)
+        ),
     )
     job: Any = SimpleNamespace()
     assert next_step(job, result, []) == [
