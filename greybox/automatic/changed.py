@@ -16,7 +16,7 @@ from greybox.data import Dataset, Segment
 from greybox.estimation.filtering import Filter
 from greybox.estimation.smoothing import smooth
 from greybox.model.identified import IdentifiedModel
-from greybox.statistics.lasting import MOST, Change, lasting_change
+from greybox.statistics.lasting import FEWEST, MOST, Change, lasting_change
 from greybox.symbolic import FloatArray
 
 OWN = ("force.z", "torque.x", "torque.y", "torque.z")
@@ -101,7 +101,7 @@ def unnamed(model: IdentifiedModel, data: Dataset) -> Unnamed | None:
 
 def changes(seen: Unnamed) -> tuple[Changed, ...]:
     """Those that are told from gusts, of all stretches of all flights, and are worth a word."""
-    tests = len(seen.names) * len(seen.stretches)
+    tests = len(seen.names) * sum(len(s.y) >= FEWEST for s in seen.stretches)
     return tuple(c for s in seen.stretches for c in _changes(seen, s, tests))
 
 
@@ -126,9 +126,9 @@ def lasting_share(seen: Unnamed, changed: Sequence[Changed]) -> float:
     levels: dict[str, list[FloatArray]] = {}
     for s in seen.stretches:
         own = [round((c.at - s.start) / s.step) for c in cuts if c.flight == s.flight and c.at]
-        inside = sorted(k for k in own if 0 < k < len(s.y))
-        for k, part in enumerate(np.split(s.y[:, column] / seen.weight, inside)):
-            levels.setdefault(f"{s.flight} {k if cuts else 0}", []).append(part)
+        inside, gone = sorted(k for k in own if 0 < k < len(s.y)), sum(k <= 0 for k in own)
+        for k, part in enumerate(np.split(s.y[:, column] / seen.weight, inside), start=gone):
+            levels.setdefault(f"{s.flight} {k}", []).append(part)
     parts = [np.concatenate(p) for p in levels.values()]
     if not cuts:
         return abs(steady_share(parts))
@@ -145,7 +145,7 @@ def said_of_changes(seen: Unnamed, changed: Sequence[Changed]) -> tuple[list[str
             what = ", ".join(_size(seen, n, size) for n, size in c.sizes.items())
             steps.append(
                 f"in {c.flight} from {c.at:.1f} s on {what} without a name, for good: a load, a "
-                "rotor or the battery changed"
+                "rotor or the battery changed, or from there on it flew as this model is wrong for"
             )
             continue
         for n, size in c.sizes.items():
@@ -154,7 +154,7 @@ def said_of_changes(seen: Unnamed, changed: Sequence[Changed]) -> tuple[list[str
     for (n, _), all_of_it in drifts.items():
         size, _ = max(all_of_it, key=lambda d: abs(d[0]))
         flights = ", ".join(f for _, f in all_of_it)
-        why = "; a battery that sags?" if n == "force.z" else ""
+        why = "; a battery that sags?" if n == "force.z" and size < 0 else ""
         lines.append(
             f"a push without a name drifts from start to end: {_size(seen, n, size)} in "
             f"{flights}{why}"

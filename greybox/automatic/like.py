@@ -38,10 +38,12 @@ def like(vehicle: Vehicle, source: IdentifiedModel, facts: Facts) -> Vehicle:
     added: dict[str, dict[str, Quantity]] = {}
     for effect in physics.effects:
         declared = {f"{effect.name}.{d.name}": d for d in effect.parameters(vehicle)}
+        units = [d.unit for d in effect.parameters(physics.vehicle)]
         if (
             effect.name in vehicle.effects
             or effect not in CATALOGUE
             or not is_felt(effect.name, vehicle, facts)
+            or units != [d.unit for d in declared.values()]  # one craft's rotor speed is not known
             or any(n in source.flight_spread or n not in source.values for n in declared)
         ):
             continue

@@ -40,7 +40,7 @@ def _script(command: str) -> str:
     for word in shlex.split(command)[2:]:
         lines += [[word]] if word.startswith("--") else []
         lines[-1] += [] if word.startswith("--") else [word]
-    told = "# The same fit with every choice said: change one here, or behind the script's name."
+    told = "# The same fit with every choice said: change them here. What is added comes last."
     return f"{told}\n" + " \\\n  ".join([*map(shlex.join, lines), '"$@"']) + "\n"
 
 
@@ -170,14 +170,14 @@ def with_pushes(job: Job, result: Fit) -> tuple[Fit, list[str]]:
 
 
 def next_step(job: Job, result: Fit, pushed: Sequence[str]) -> list[str]:
-    """What to do where the craft changed within a flight; else the command that names what is
+    """What to do where the craft changed within a flight; and the command that names what is
     missing, where parameters stand in for that, or pushes without a name follow the motion and
-    matter ahead or carry the craft."""
+    matter ahead or carry the craft: what is missing may look like a change."""
     form, changed = result.covariance.form, result.covariance.changed
     told = [*([form] if form else []), *pushed]
-    if changed:
-        return [f"next: fit apart what was flown before and after: {'; '.join((*changed, *told))}"]
-    return [f"next: {discover_command(job.arguments)}: {'; '.join(told)}"] if told else []
+    named = [f"next: {discover_command(job.arguments)}: {'; '.join(told)}"] if told else []
+    apart = [f"next: fit apart what was flown before and after: {'; '.join(changed)}"]
+    return [*named, *(apart if changed else [])]
 
 
 def discover_command(arguments: argparse.Namespace) -> str:

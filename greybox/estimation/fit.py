@@ -8,6 +8,7 @@ changed in place.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Unpack
 
 import numpy as np
@@ -23,6 +24,7 @@ from greybox.estimation.options import FitChoices, FitOptions, member, says_choi
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.result import Estimate, Fit
 from greybox.estimation.solver import Progress, Solver
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.model.dynamics import Dynamics
 from greybox.model.given_values import demand_given
@@ -83,8 +85,7 @@ def fit(
         start = predictor.approach(problem, start, progress)
         try:
             theta, status = solver.solve(problem, problem.inside(start), progress)
-            # A caller's own solver is a rough trial.
-            if status.converged and isinstance(options.solver, str):
+            if status.converged and not _rough(solver):
                 theta, status = _best_order(problem, solver, theta, status, progress)
         except Interrupted as stop:
             theta, status = stop.kept
@@ -92,6 +93,13 @@ def fit(
     if status.code is Code.INTERRUPTED:
         raise Interrupted(result)
     return result
+
+
+def _rough(solver: Solver) -> bool:
+    """Whether a search is a trial that ends before its optimum."""
+    return isinstance(solver, LevenbergMarquardt) and (
+        solver.tolerance > LevenbergMarquardt().tolerance
+    )
 
 
 def _best_order(
@@ -102,14 +110,14 @@ def _best_order(
     progress: Progress | None,
 ) -> tuple[FloatArray, Status]:
     """Where a search ended, or ends with motor lag and command delay exchanged, if that is lower."""
-    start = exchanged(problem, theta)
-    if start is None:
-        return theta, status
     try:
+        start = exchanged(problem, theta)
+        if start is None:
+            return theta, status
         other, how = solver.solve(problem, start, progress)
-    except Interrupted as stop:
-        raise Interrupted((theta, stop.kept[1])) from None
-    better = problem.evaluate(other, 0).cost < problem.evaluate(theta, 0).cost
+        better = problem.evaluate(other, 0).cost < problem.evaluate(theta, 0).cost
+    except KeyboardInterrupt:
+        raise Interrupted((theta, replace(status, code=Code.INTERRUPTED))) from None
     return (other, how) if how.converged and better else (theta, status)
 
 

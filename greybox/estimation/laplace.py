@@ -1,7 +1,8 @@
 """Evidence of a fit: the integral of likelihood times prior over its unknowns.
 
 Laplace's approximation at the maximum a posteriori (Kass and Raftery 1995, JASA 90(430), sec. 4.1),
-exact for a linear Gaussian model. A parameter that ended at its bound is integrated along one side,
+exact for a linear Gaussian model. A size with long tails that the flights do not tell counts half a
+unit too little: against a cause. A parameter that ended at its bound is integrated along one side,
 and a prior that a bound cuts holds its mass on the side that is allowed.
 """
 

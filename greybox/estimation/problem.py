@@ -3,7 +3,7 @@ this.
 
 Unknowns, in this order: shared model parameters; natural logarithms of noise levels; per-flight
 model parameters; errors of the initial state of every record that the predictor's filter does not
-carry. Priors are Gaussian and part of the cost (maximum a posteriori), bounds are hard.
+carry. Priors (`greybox.estimation.prior`) are part of the cost (maximum a posteriori), bounds are hard.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ import numpy as np
 
 from greybox.data import Dataset, Flight
 from greybox.data.checks import check
-from greybox.errors import ModelError
+from greybox.errors import GreyboxError, ModelError
 from greybox.estimation.options import says_choices
 from greybox.model.faults import demand_sound
 from greybox.model.identified import IdentifiedModel, library_versions
@@ -173,7 +173,9 @@ class Learned(Shown):
                 for m in self.moved
             ]
         elif self.refitted is not None:
-            lines.append("the physics was not refitted: left-out flights do not want it")
+            lines.append(
+                "the physics was not refitted: left-out flights want no other, or none was found"
+            )
         lines += [
             f"  candidate {n}: {g:+.2%} on left-out flights" for n, g in self.candidates.items()
         ]
@@ -398,10 +400,13 @@ def _beside(
     command window of the features."""
     if before.status == "null":
         return base, before
-    moved = refit_beside(seeing, candidate, before.strengths, train, _within(say, 0.0, 0.7))
-    if moved is None:
+    try:
+        moved = refit_beside(seeing, candidate, before.strengths, train, _within(say, 0.0, 0.7))
+        if moved is None:
+            return base, before
+        after = fit_again(moved, candidate, train, before, progress=_within(say, 0.7, 0.3))
+    except (GreyboxError, np.linalg.LinAlgError):  # physics that cannot be flown
         return base, before
-    after = fit_again(moved, candidate, train, before, progress=_within(say, 0.7, 0.3))
     return (
         (replace(moved, dynamics=base.dynamics), after) if better(after, before) else (base, before)
     )

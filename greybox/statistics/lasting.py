@@ -131,7 +131,7 @@ def _line(y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return size / np.sqrt(variance), size, memory
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=24)
 def _usual(m: int, memory: float, count: int) -> tuple[FloatArray, FloatArray]:
     """How far (count,) drawn series of m values with this memory drift, over its standard error,
     and the memory that this leaves them."""
@@ -142,5 +142,5 @@ def _usual(m: int, memory: float, count: int) -> tuple[FloatArray, FloatArray]:
         for i in range(1, m):
             y[:, i] = memory * y[:, i - 1] + share * y[:, i]
         told, _, left = _line(y)
-        found.append((np.abs(told), left))
+        found.append((np.abs(told).astype(np.float32), left.astype(np.float32)))
     return np.concatenate([t for t, _ in found]), np.concatenate([m for _, m in found])

@@ -3,6 +3,7 @@ that lasts is in the errors of what it may be: of thrust, and of what is told by
 
 from __future__ import annotations
 
+import argparse
 import functools
 import tempfile
 from dataclasses import replace
@@ -15,6 +16,7 @@ import pytest
 
 from greybox.automatic.changed import (
     Changed,
+    Stretch,
     Unnamed,
     changes,
     lasting_share,
@@ -184,14 +186,47 @@ def test_what_cannot_be_smoothed_stays_as_it_is() -> None:
     assert unnamed(fit(calm, data, free=()).model, data) is None
 
 
-def test_the_next_step_is_to_fit_the_parts_apart() -> None:
-    result: Any = SimpleNamespace(
-        covariance=SimpleNamespace(
-            form="thrust.c2 is no measurement", changed=("in run1 from 9.0 s on force.z -12.0 %",)
-        ),
+def test_the_next_step_is_to_fit_the_parts_apart_and_to_name_what_is_missing() -> None:
+    arguments = argparse.Namespace(
+        vehicle="v.toml",
+        train=["a.csv"],
+        test=[],
+        mapping=None,
+        accept="",
+        effects_file=[],
+        keep_impossible=False,
     )
-    job: Any = SimpleNamespace()
+    job: Any = SimpleNamespace(arguments=arguments)
+    changed = ("in run1 from 9.0 s on force.z -12.0 %",)
+    apart = "next: fit apart what was flown before and after: in run1 from 9.0 s on force.z -12.0 %"
+    sure: Any = SimpleNamespace(covariance=SimpleNamespace(form="", changed=changed))
+    assert next_step(job, sure, []) == [apart]
+    form = "thrust.c2 is no measurement"
+    result: Any = SimpleNamespace(covariance=SimpleNamespace(form=form, changed=changed))
     assert next_step(job, result, []) == [
-        "next: fit apart what was flown before and after: in run1 from 9.0 s on force.z -12.0 %; "
-        "thrust.c2 is no measurement"
+        f"next: greybox discover --vehicle v.toml --train a.csv: {form}",
+        apart,
     ]
+
+
+def test_what_is_flown_after_a_gap_is_of_the_level_after_the_change() -> None:
+    model = fitted()[0].model
+    weight = model.values["mass"] * model.physics.vehicle.gravity
+    high, low = 0.06 * weight * np.ones((10, 1)), -0.06 * weight * np.ones((10, 1))
+    cut = [Changed(flight="a", at=5.0, sizes={"force.z": -0.12 * weight})]
+
+    def share(*parts: np.ndarray) -> float:
+        starts = np.cumsum([0, *(0.5 * len(p) for p in parts[:-1])])
+        stretches = tuple(
+            Stretch(
+                flight="a",
+                start=float(t),
+                step=0.5,
+                y=p + 1e-6 * weight * np.arange(len(p))[:, None],
+            )
+            for t, p in zip(starts, parts, strict=True)
+        )
+        return lasting_share(Unnamed(model=model, names=("force.z",), stretches=stretches), cut)
+
+    assert share(np.concatenate([high, low])) == pytest.approx(0.06, rel=0.01)
+    assert share(high, low) == pytest.approx(0.06, rel=0.01)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from greybox.estimation.exchange import PAIR, exchanged
+from greybox.estimation.fit import _best_order, _rough
 from greybox.estimation.problem import Problem
 from greybox.estimation.solver import Value
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.status import Code, Interrupted, Status
 from greybox.estimation.unknown import SearchSpace, Unknown
 from greybox.symbolic import FloatArray
 
@@ -74,3 +77,46 @@ def test_one_that_is_no_likelier_is_left_alone(depth: float):
 
 def test_lag_without_delay_has_no_other_order():
     assert exchanged(world(10.0, ("motor_lag.tau", "rotor_drag.k_x")), WRONG) is None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ends:
+    """A solver that ends at `at`, with `code`, or is interrupted."""
+
+    at: FloatArray
+    code: Code = Code.CONVERGED
+
+    def solve(self, problem: Problem, theta: FloatArray, progress: Any = None) -> Any:
+        if self.code is Code.INTERRUPTED:
+            raise Interrupted((self.at, status(self.code)))
+        return self.at, status(self.code)
+
+
+def status(code: Code) -> Status:
+    return Status(code=code, iterations=3, evaluations=4, decrement=0.0)
+
+
+RIGHT = np.array([LAG, DELAY, OTHER])
+
+
+def test_a_search_goes_on_from_the_other_order_and_keeps_the_lower_end():
+    done = status(Code.CONVERGED)
+    for end, kept in ((RIGHT, RIGHT), (np.array([LAG, DELAY, OTHER + 1.0]), WRONG)):
+        theta, _ = _best_order(world(10.0), cast(Any, Ends(at=end)), WRONG, done, None)
+        assert (theta == kept).all()
+    lost = cast(Any, Ends(at=RIGHT, code=Code.MAX_ITERATIONS))
+    theta, how = _best_order(world(10.0), lost, WRONG, done, None)
+    assert (theta == WRONG).all() and how is done
+
+
+def test_an_interrupt_on_the_way_keeps_the_optimum_that_there_was():
+    stopped = cast(Any, Ends(at=RIGHT, code=Code.INTERRUPTED))
+    with pytest.raises(Interrupted) as stop:
+        _best_order(world(10.0), stopped, WRONG, status(Code.CONVERGED), None)
+    theta, how = stop.value.kept
+    assert (theta == WRONG).all() and how.code is Code.INTERRUPTED
+
+
+def test_only_a_search_that_ends_before_its_optimum_is_not_asked():
+    assert not _rough(LevenbergMarquardt(max_iterations=100))
+    assert _rough(LevenbergMarquardt(tolerance=0.2))
