@@ -42,7 +42,7 @@ def plain() -> Decided:
 
 def test_without_the_effects_of_the_larger_sets_the_base_set_is_taken(plain):
     assert plain.recipe.effect_names == BASE
-    assert "one standard error" in of(plain, "effects").reason
+    assert "as well as the best" in of(plain, "effects").reason
 
 
 def test_with_them_the_larger_set_is_taken():

@@ -11,6 +11,7 @@ import numpy as np
 from greybox.discovery.cause import Causes, offer
 from greybox.discovery.evidence import choices
 from greybox.estimation.options import FitOptions
+from greybox.estimation.prior import Prior
 from greybox.model.effects import effect_by_name
 from greybox.model.identified import IdentifiedModel
 from greybox.model.known import since
@@ -50,7 +51,7 @@ def test_its_numbers_with_their_errors_are_the_prior():
     found = causes()
     options = choices(found, FitOptions(), frozenset(), found.built(()))
     for name, prior in KNOWN.items():
-        assert options.priors[name] == prior
+        assert options.priors[name] == Prior(*prior)
         assert options.values[name] == prior[0]
 
 
