@@ -8,10 +8,9 @@ that a full Gauss-Newton step promises from there.
 
 from __future__ import annotations
 
-import numpy as np
-
 from greybox.estimation.laplace import at_bound
 from greybox.estimation.problem import Problem
+from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
 from greybox.symbolic import FloatArray
 
 PAIR = ("motor_lag.tau", "command_delay.d")
@@ -33,9 +32,6 @@ def exchanged(problem: Problem, theta: FloatArray) -> FloatArray | None:
     here, there = problem.evaluate(theta, 0), problem.evaluate(other)
     if not there.valid or there.gradient is None or there.hessian is None:
         return None
-    free = ~at_bound(problem, other, there)
-    scale = problem.scale[free]
-    hessian = there.hessian[np.ix_(free, free)] * np.outer(scale, scale)
-    slope = there.gradient[free] * scale
-    promised = 0.5 * float(slope @ np.linalg.lstsq(hessian, slope)[0])
+    held = at_bound(problem, other, there)
+    promised = newton_decrement(there.gradient, there.hessian, held)
     return other if there.cost - promised < here.cost - CLEAR else None
