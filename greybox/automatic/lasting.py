@@ -8,7 +8,6 @@ a flight is no gust: a load, a rotor, a battery. What is said of both comes with
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import casadi as ca
@@ -16,12 +15,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greybox.automatic.changed import changes, lasting_share, said_of_changes, unnamed
-from greybox.automatic.widened import widened
+from greybox.automatic.widened import HELD, moved_away, no_measurement, widened
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
 from greybox.estimation.result import Fit
 from greybox.model.layer import physics_of
-from greybox.statistics.evidence import FELT
 
 
 def with_lasting(found: Fit, data: Dataset) -> Fit:
@@ -69,24 +67,12 @@ def _with_share(found: Fit, share: float, lift: float) -> Fit:
     if not variance > 0:
         return found
     moved = tied / variance * lift
-    away = {
-        n: size
-        for n, places in rows.items()
-        if (e := found.parameters[n]).std > 0
-        and (size := float(np.abs(moved[places].mean())) / e.std) > FELT
-    }
-    return widened(found, np.outer(moved, moved), rows, _line(away, share) if away else "")
-
-
-def _line(away: Mapping[str, float], share: float) -> str:
-    """Which numbers are no measurement, and by how many standard errors each would move."""
-    one = len(away) == 1
-    return (
-        f"{', '.join(away)} {'is' if one else 'are'} no measurement: a lasting force without a name "
-        f"takes {100 * share:.1f} % of the weight, which may be thrust and would then move "
-        f"{'it' if one else 'them'} by up to {max(away.values()):.0f} standard errors; the errors "
-        "hold that now"
+    why = (
+        f"a lasting force without a name takes {100 * share:.1f} % of the weight, which may be thrust "
+        "and would then"
     )
+    line = no_measurement(moved_away(found, moved, rows), why, HELD)
+    return widened(found, np.outer(moved, moved), rows, line)
 
 
 def _lift(found: Fit) -> dict[str, float]:

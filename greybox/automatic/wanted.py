@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from greybox.automatic.widened import widened
+from greybox.automatic.widened import HELD, moved_away, no_measurement, widened
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
 from greybox.estimation.covariance import FEWEST_BLOCKS
@@ -29,7 +29,6 @@ from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
 from greybox.model.layer import physics_of, with_physics
 from greybox.model.model import PhysicsModel
-from greybox.statistics.evidence import FELT
 from greybox.statistics.rivals import Averaged, Parabola, averaged
 from greybox.symbolic import FloatArray
 
@@ -133,24 +132,14 @@ def _told(found: Fit, at: Parabola, seen: Averaged, limits: frozenset[str]) -> F
     for i, u in enumerate(found.problem.unknowns):
         if i in row:
             by_name.setdefault(u.name, []).append(row[i])
-    away = {}
-    for name, e in found.parameters.items():
-        rows = by_name.get(name, [])
-        size = float(np.abs(seen.shift[rows].mean())) / e.std if rows and e.std > 0 else 0.0
-        if size > FELT and not name.startswith("disturbance."):
-            away[name] = size
-    line = _line(away, seen.best.causes, limits) if away else ""
-    return widened(found, seen.spread, by_name, line)
+    away = moved_away(found, seen.shift, by_name)
+    return widened(found, seen.spread, by_name, _line(away, seen.best.causes, limits))
 
 
 def _line(away: Mapping[str, float], causes: Sequence[str], limits: frozenset[str]) -> str:
-    """Which numbers are no measurement, by how many standard errors each would move, and why."""
-    one = len(away) == 1
-    known = "the errors hold that now"
+    """Which numbers are no measurement, and why."""
+    known = HELD
     if found := [n for n in causes if n in limits]:
         known = f"how far {', '.join(found)} moves numbers needs a fit: trust no error before that"
-    return (
-        f"{', '.join(away)} {'is' if one else 'are'} no measurement: the flights want "
-        f"{', '.join(causes)}, which this model lacks and which would move "
-        f"{'it' if one else 'them'} by up to {max(away.values()):.0f} standard errors; {known}"
-    )
+    why = f"the flights want {', '.join(causes)}, which this model lacks and which would"
+    return no_measurement(away, why, known)

@@ -10,7 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.estimation.result import Estimate, Fit
+from greybox.statistics.evidence import FELT
 from greybox.symbolic import FloatArray
+
+HELD = "the errors hold that now"
 
 
 def widened(
@@ -42,6 +45,32 @@ def widened(
     model = replace(found.model, form_errors={n: s for n, s in more.items() if s > 0})
     estimates = replace(found.estimates, parameters=wider, model=model)
     return replace(found, estimates=estimates, diagnostics=said)
+
+
+def moved_away(
+    found: Fit, shift: FloatArray, rows: Mapping[str, Sequence[int]]
+) -> dict[str, float]:
+    """By how many standard errors `shift` (n,) moves the estimates that it moves beyond what is
+    felt; `rows` as for `widened`. Memories of what has no name are no measurements anyhow."""
+    away = {}
+    for name, e in found.parameters.items():
+        if rows.get(name) and e.std > 0 and not name.startswith("disturbance."):
+            size = float(np.abs(shift[list(rows[name])].mean())) / e.std
+            if size > FELT:
+                away[name] = size
+    return away
+
+
+def no_measurement(away: Mapping[str, float], why: str, known: str) -> str:
+    """Which numbers are none, by how many standard errors `why` would move them, and what is
+    `known`; nothing where there are none."""
+    if not away:
+        return ""
+    one = len(away) == 1
+    return (
+        f"{', '.join(away)} {'is' if one else 'are'} no measurement: {why} move "
+        f"{'it' if one else 'them'} by up to {max(away.values()):.0f} standard errors; {known}"
+    )
 
 
 def _mean(spread: FloatArray, rows: Sequence[int]) -> float:

@@ -35,7 +35,7 @@ def save(job: Job, found: Fit) -> FitDocument:
 
 
 def _script(command: str) -> str:
-    """A shell script of the `command`, one option a line; what its caller adds overrules it."""
+    """A shell script of the `command`, one option a line; what its caller adds comes last."""
     lines = [["greybox", "fit"]]
     for word in shlex.split(command)[2:]:
         lines += [[word]] if word.startswith("--") else []
@@ -176,8 +176,8 @@ def next_step(job: Job, result: Fit, pushed: Sequence[str]) -> list[str]:
     form, changed = result.covariance.form, result.covariance.changed
     told = [*([form] if form else []), *pushed]
     named = [f"next: {discover_command(job.arguments)}: {'; '.join(told)}"] if told else []
-    apart = [f"next: fit apart what was flown before and after: {'; '.join(changed)}"]
-    return [*named, *(apart if changed else [])]
+    before_and_after = f"next: fit apart what was flown before and after: {'; '.join(changed)}"
+    return [*named, before_and_after] if changed else named
 
 
 def discover_command(arguments: argparse.Namespace) -> str:
