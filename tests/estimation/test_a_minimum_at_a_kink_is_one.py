@@ -49,3 +49,29 @@ def test_a_kink_elsewhere_is_no_minimum() -> None:
     found, status = LevenbergMarquardt().solve(Kinked(4.0, 3.0), np.array([0.0, 0.0]))
     assert status.code is Code.CONVERGED
     assert found == pytest.approx([0.5, 0.52], abs=1e-4)
+
+
+class Clamped(Kinked):
+    """5e3 (x - 1)^2 + y^2 / 18, and a steep rise where x + y > 0: a sum that is felt on one side
+    only, as that of two delays where no reading comes before its command."""
+
+    def evaluate(self, x: FloatArray, order: int = 1, scores: int | None = None) -> Value:
+        off, felt = x[0] + x[1], float(x[0] + x[1] > 0)
+        cost = 5e3 * (x[0] - 1.0) ** 2 + x[1] ** 2 / 18 + felt * (self.slope * off + 5e3 * off**2)
+        push = felt * (self.slope + 1e4 * off)
+        gradient = np.array([1e4 * (x[0] - 1.0) + push, x[1] / 9 + push])
+        hessian = np.diag([1e4, 1 / 9]) + felt * 1e4
+        return Value(cost=cost, likelihood=cost, gradient=gradient, hessian=hessian)
+
+
+@pytest.mark.parametrize("start", [(0.2, -0.1), (2.0, -1.5), (0.5, -3.0)])
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-2])
+def test_along_a_kink_of_two_unknowns_the_search_goes_on(
+    start: tuple[float, float], tolerance: float
+) -> None:
+    """The least on x + y = 0, to which the weak slope in y leads from below."""
+    rule = LevenbergMarquardt(tolerance=tolerance)
+    found, status = rule.solve(Clamped(1e4, 0.0), np.array(start))
+    assert status.code is Code.CONVERGED
+    assert status.evaluations < 60
+    assert found == pytest.approx([1.0, -1.0], abs=2e-2)

@@ -16,6 +16,7 @@ import scipy.linalg
 
 from greybox.estimation.solver import Objective, Progress, Value
 from greybox.estimation.solvers.curvature import Curvature
+from greybox.estimation.solvers.kink import held_to, kink_near
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -38,8 +39,6 @@ POOR = 0.25
 FALL = -0.375
 """Most negative step of a noise level: its variance falls to a quarter."""
 
-BESIDE = 0.01
-"""How far beside an unknown its slope is asked for, in its own standard error."""
 PACE = 5
 """Iterations over which the pace of a search is measured."""
 
@@ -113,9 +112,13 @@ class _Search:
         self.iteration, self.evaluations, self.decrement = 0, 1, np.inf
         self._level = is_level(problem)
         self._fall = np.where(self._level, FALL, -np.inf)
-        self._damping = np.full(x.size, rule.initial_damping if rule.damped else 0.0)
+        self._gentle = rule.initial_damping if rule.damped else 0.0
+        self._damping = np.full(x.size, self._gentle)
         self._curvature = Curvature(x.size)
-        self._kinks = np.zeros(x.size, dtype=bool)
+        self._kinks: list[FloatArray] = []
+        self._at_end = False
+        self._short = 0
+        """Steps in a row of which a short part was taken."""
         self._likelihoods: list[float] = []
         self._costs: list[float] = []
 
@@ -124,16 +127,19 @@ class _Search:
         tolerance, most = self.rule.tolerance, self.rule.max_iterations
         for k in range(1, most + 1):
             self.iteration = k
-            g, h = self._quadratic()
+            g, h, plain = self._quadratic()
             if progress:
                 progress(k, self.value.cost, self.decrement)
             if self.decrement < tolerance:
-                return Code.CONVERGED
+                if not self._left_kinks():
+                    return Code.CONVERGED
+                continue
+            if self._short > 1 and self._found_kink(g, h):
+                continue
             self._likelihoods.append(self.value.likelihood)
             self._costs.append(self.value.cost)
             if hopeless(self._likelihoods, self.decrement, self.rule.target, most - k):
                 return Code.BEHIND
-            plain = h is self.value.hessian
             creeping = creeps(self._costs, tolerance)
             if creeping and not plain:
                 self._curvature, self._costs = Curvature(self.x.size), []
@@ -143,9 +149,7 @@ class _Search:
                 self._curvature = Curvature(self.x.size)
             elif self._arrived:
                 return Code.CONVERGED
-            elif self._found_kinks(g):
-                self._costs = []
-            else:
+            elif not self._found_kink(g, h):
                 return Code.NO_PROGRESS
         return Code.MAX_ITERATIONS
 
@@ -155,47 +159,51 @@ class _Search:
 
     @property
     def _room(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds (n,) of a step; none for what stands at a kink."""
-        low, high = self.problem.lower - self.x, self.problem.upper - self.x
-        return np.where(self._kinks, 0.0, low), np.where(self._kinks, 0.0, high)
+        """Lower and upper bounds (n,) of a step."""
+        return self.problem.lower - self.x, self.problem.upper - self.x
 
-    def _found_kinks(self, g: FloatArray) -> bool:
-        """Hold the unknowns whose slope changes its sign `BESIDE` them, where it is steep: at a
-        delay of whole samples the cost has a kink, and may have its minimum there. Whether there
-        are any more."""
-        assert self.value.hessian is not None
-        own = np.maximum(np.diag(self.value.hessian), 1e-300)
-        steep = (0.5 * g**2 / own > self.rule.tolerance) & ~self._level & ~self._kinks
-        found = False
-        for i in np.flatnonzero(steep):
-            slopes = list[float]()
-            for way in (-1.0, 1.0):
-                x = self.x.copy()
-                x[i] += way * BESIDE / np.sqrt(own[i])
-                there = self.problem.evaluate(np.clip(x, self.problem.lower, self.problem.upper))
-                self.evaluations += 1
-                slopes.append(np.nan if there.gradient is None else float(there.gradient[i]))
-            if slopes[0] < 0.0 < slopes[1]:
-                self._kinks[i] = found = True
-        return found
+    def _found_kink(self, g: FloatArray, h: FloatArray) -> bool:
+        """Go to a kink that the full step would cross near here, and stay at it: whether there is
+        one."""
+        step = boxed_step(g, h, *self._room, 0.0)
+        kink, tried = kink_near(self.problem, self.x, self.value, step, h, self._level)
+        self.evaluations += tried
+        if kink is None:
+            return False
+        self.x, self.value = kink.x, kink.value
+        self._kinks.append(kink.across)
+        self._damping[:] = self._gentle  # it was raised because of the kink
+        self._costs, self._short = [], 0
+        return True
+
+    def _left_kinks(self) -> bool:
+        """Once, at the end: let go of the kinks that hold the search, but for one that is still
+        there, to whose lowest point it goes. Whether there were any."""
+        assert self.value.gradient is not None and self.value.hessian is not None
+        if not self._kinks or self._at_end:
+            return False
+        self._kinks, self._costs, self._at_end = [], [], True
+        self._found_kink(self.value.gradient, self.value.hessian)
+        return True
 
     def plainly(self) -> float:
         """The decrease that a full step promises by the Gauss-Newton Hessian."""
         assert self.value.gradient is not None and self.value.hessian is not None
-        return promised(self.value.gradient, self.value.hessian, *self._room)
+        return promised(self.value.gradient, held_to(self._kinks, self.value.hessian), *self._room)
 
-    def _quadratic(self) -> tuple[FloatArray, FloatArray]:
-        """Gradient (n,) and Hessian (n, n) of the model of the cost here; its full step promises
-        `decrement`."""
+    def _quadratic(self) -> tuple[FloatArray, FloatArray, bool]:
+        """Gradient (n,) and Hessian (n, n) of the model of the cost here, whose full step promises
+        `decrement`; whether it is Gauss-Newton's."""
         assert self.value.gradient is not None and self.value.hessian is not None
         g, h = self.value.gradient, self._curvature.at(self.x, self.value)
-        self.decrement = promised(g, h, *self._room)
-        if self.decrement < self.rule.tolerance and h is not self.value.hessian:
+        plain = h is self.value.hessian
+        self.decrement = promised(g, held_to(self._kinks, h), *self._room)
+        if self.decrement < self.rule.tolerance and not plain:
             # Secants do not say alone that the search has arrived.
             plainly = self.plainly()
             if plainly > max(NEAR, self.rule.tolerance):
-                h, self.decrement = self.value.hessian, plainly
-        return g, h
+                h, self.decrement, plain = self.value.hessian, plainly, True
+        return g, held_to(self._kinks, h), plain
 
     def _moves(self, g: FloatArray, h: FloatArray) -> bool:
         """Take a step that lowers the cost, damped as much as it needs; whether there is one."""
@@ -213,6 +221,7 @@ class _Search:
                     # What a part keeps says nothing of a whole whose cost is not finite.
                     most = np.inf if np.isfinite(cost) else share
                     self._damp(np.minimum(self._kept(g, h, part, trial), most), share)
+                    self._short = self._short + 1 if share < SHORT else 0
                     self.x, self.value = new, trial
                     return True
             nothing = 1e-9 * max(abs(self.value.cost), 1.0)
