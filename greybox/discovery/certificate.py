@@ -122,13 +122,14 @@ def certificates(
     at: Fitted, rivals: Mapping[str, Sequence[Rival]], judges: Sequence[Split], bar: float
 ) -> dict[str, Certificate]:
     """Name -> certificate, of every name of `rivals` in the structure `at`: each of the four fits
-    behind an e-value no nearer than what decides, and the e-value less what they may still gain."""
+    behind an e-value no nearer than what decides, and the e-value less what they may still gain.
+    Rivals that are far behind are fitted as roughly as that allows."""
     effort, say = judges[0].both.effort, judges[0].both.say
     near, share = 4 * BEYOND * effort.rough, effort.stake / BEYOND
     asked = [(name, r) for name, rows in rivals.items() for r in rows]
     stakes = {f.structure: effort.rough for f in (at, *(r.fitted for _, r in asked))}
-    for f in (r.fitted for _, r in asked if not r.instead and np.isfinite(r.fitted.log_evidence)):
-        behind = at.log_evidence - f.log_evidence  # of others a regret rests on where they are
+    for f in (r.fitted for _, r in asked if np.isfinite(r.fitted.log_evidence)):
+        behind = at.log_evidence - f.log_evidence
         stakes[f.structure] = max(share * behind, effort.rough)
     found: dict[str, dict[Instead, float]] = {name: {} for name in rivals}
     reach = dict.fromkeys(rivals, -np.inf)
