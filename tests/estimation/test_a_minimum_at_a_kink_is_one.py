@@ -73,5 +73,5 @@ def test_along_a_kink_of_two_unknowns_the_search_goes_on(
     rule = LevenbergMarquardt(tolerance=tolerance)
     found, status = rule.solve(Clamped(1e4, 0.0), np.array(start))
     assert status.code is Code.CONVERGED
-    assert status.evaluations < 60
+    assert status.iterations < 20
     assert found == pytest.approx([1.0, -1.0], abs=2e-2)

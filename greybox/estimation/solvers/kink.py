@@ -9,17 +9,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from greybox.estimation.solver import Objective, Value
 from greybox.symbolic import BoolArray, FloatArray
 
 BESIDE = 0.1
 """How far along a step that fails a kink is looked for, in standard errors."""
-HALVINGS = 4
-"""How often the way on which a slope changes its sign is halved."""
+CLOSE = 1e-6
+"""How closely its place is found, as a share of that."""
 JUMPS = 0.75
-"""Share of the change of a slope that is left on the last of these ways where it jumps. Where it
-bends a sixteenth is left."""
+"""Share of the change of a slope that is left on half the way where it jumps; where it bends, half
+is."""
 FIRM = 1e6
 """Curvature across a kink, where a search is held to it, in units of the Hessian's diagonal."""
 
@@ -40,37 +41,40 @@ def kink_near(
     """(The kink that a full step (n,) from x with the Hessian `h` would cross `BESIDE` x, None
     where the slope does not jump; evaluations). Unknowns `but` (n,) have no part in a kink."""
 
-    def at(part: float) -> tuple[float, FloatArray, Value]:
-        there = np.clip(x + part * step, problem.lower, problem.upper)
-        return part, there, problem.evaluate(there)
+    def at(part: float) -> FloatArray:
+        return np.clip(x + part * step, problem.lower, problem.upper)
 
-    def changed() -> FloatArray:
-        """The change of the gradient on the way, beyond what the Hessian says."""
-        assert near[2].gradient is not None and far[2].gradient is not None
-        bent = (far[0] - near[0]) * (h @ step)
-        return np.where(but, 0.0, far[2].gradient - near[2].gradient - bent) / size
+    def change(half: float) -> tuple[FloatArray, Value, Value]:
+        """That of the gradient about the lowest point, in units of the Hessian's diagonal."""
+        ends = [problem.evaluate(at(lowest + way * half)) for way in (-1.0, 1.0)]
+        a, b = (np.full(x.size, np.nan) if e.gradient is None else e.gradient for e in ends)
+        turns = float(a @ step) < 0.0 < float(b @ step)
+        jump = np.where(but, 0.0, b - a) / size if turns else np.full(x.size, np.nan)
+        return jump, ends[0], ends[1]
 
     size = np.sqrt(np.maximum(np.diag(h), 1e-300))
-    length = np.sqrt(max(float(step @ h @ step), 1e-300))
-    near, far = (0.0, x, value), at(min(BESIDE / length, 1.0))
-    if not (_slope(near[2], step) < 0.0 < _slope(far[2], step)):
-        return None, 1
-    whole = np.linalg.norm(changed())
-    for _ in range(HALVINGS):
-        middle = at(0.5 * (near[0] + far[0]))
-        if not np.isfinite(_slope(middle[2], step)):
-            return None, 1 + HALVINGS
-        near, far = (middle, far) if _slope(middle[2], step) < 0.0 else (near, middle)
-    jump = changed()
+    whole = min(BESIDE / np.sqrt(max(float(step @ h @ step), 1e-300)), 1.0)
+    found = minimize_scalar(
+        lambda part: problem.evaluate(at(part), 0).cost,
+        bounds=(0.0, whole),
+        method="bounded",
+        options={"xatol": CLOSE * whole, "maxiter": 60},
+    )
+    lowest, tried = float(found.x), int(found.nfev)
+    if not (lowest < 0.99 * whole and np.isfinite(found.fun)):
+        return None, tried
+    wide, tried = change(4 * CLOSE * whole), tried + 2
+    if not np.isfinite(wide[0]).all() or not wide[0].any():
+        return None, tried
+    (jump, *ends), tried = change(2 * CLOSE * whole), tried + 2
     rest = float(np.linalg.norm(jump))
-    if rest == 0.0 or rest < JUMPS * whole:
-        return None, 1 + HALVINGS
-    _, lowest, best = min(near, far, key=lambda end: end[2].cost)
-    return Kink(x=lowest, value=best, across=jump * size / rest), 1 + HALVINGS
-
-
-def _slope(value: Value, step: FloatArray) -> float:
-    return np.nan if value.gradient is None else float(value.gradient @ step)
+    if not rest >= JUMPS * np.linalg.norm(wide[0]):
+        return None, tried
+    way, best = min(zip((-1.0, 1.0), ends, strict=True), key=lambda end: end[1].cost)
+    there = at(lowest + way * 2 * CLOSE * whole)
+    if best.cost > value.cost:
+        there, best = x, value
+    return Kink(x=there, value=best, across=jump * size / rest), tried
 
 
 def held_to(kinks: list[FloatArray], h: FloatArray) -> FloatArray:

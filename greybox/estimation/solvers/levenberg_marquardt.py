@@ -168,12 +168,13 @@ class _Search:
         step = boxed_step(g, h, *self._room, 0.0)
         kink, tried = kink_near(self.problem, self.x, self.value, step, h, self._level)
         self.evaluations += tried
+        self._short = 0
         if kink is None:
             return False
         self.x, self.value = kink.x, kink.value
         self._kinks.append(kink.across)
         self._damping[:] = self._gentle  # it was raised because of the kink
-        self._costs, self._short = [], 0
+        self._costs = []
         return True
 
     def _left_kinks(self) -> bool:
