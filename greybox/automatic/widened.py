@@ -27,7 +27,7 @@ def widened(
         n: _with_spread(e, spread, rows[n]) if rows.get(n) else e
         for n, e in found.parameters.items()
     }
-    old, before = found.diagnostics, found.model.form_errors
+    old, model = found.diagnostics, found.model
     form = "; ".join(s for s in (old.covariance.form, line) if s)
     others = tuple(w for w in old.warnings if w != old.covariance.form)
     said = replace(
@@ -35,14 +35,13 @@ def widened(
         covariance=replace(old.covariance, form=form),
         warnings=(form, *others) if form else old.warnings,
     )
-    shared = found.model.covariance_names
-    more = {
-        n: float(np.hypot(before.get(n, 0.0), _mean(spread, rows[n]) ** 0.5))
-        if rows.get(n)
-        else before.get(n, 0.0)
-        for n in shared
-    }
-    model = replace(found.model, form_errors={n: s for n, s in more.items() if s > 0})
+    shared = model.covariance_names
+    means = np.zeros((len(shared), len(spread)))
+    for k, n in enumerate(shared):
+        if places := list(rows.get(n, ())):
+            means[k, places] = 1.0 / len(places)
+    more = model.form_among(shared) + means @ spread @ means.T
+    model = replace(model, form_covariance=more)
     estimates = replace(found.estimates, parameters=wider, model=model)
     return replace(found, estimates=estimates, diagnostics=said)
 

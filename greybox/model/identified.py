@@ -10,7 +10,7 @@ domain, data hash and a checksum.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -76,9 +76,9 @@ class IdentifiedModel(Shown):
     deviation between flights). `covariance` belongs to `covariance_names` (shared parameters).
     `considered`: of parameters that were held although they are not exact, name -> (standard error,
     how far each estimate moves per unit, per-flight ones on average); `covariance` includes what
-    that does, `flight_spread` does not. `form_errors`: of covariance_names, the further standard
-    deviation where the flights want an effect that the model lacks. Predictions of this model do
-    without it; whoever takes the number for one of the craft needs it (`standard_errors`).
+    that does, `flight_spread` does not. `form_covariance`: of covariance_names, what the flights
+    add where they want an effect that the model lacks ((0, 0): nothing). Predictions of this model
+    do without it; whoever takes the number for one of the craft needs it (`standard_errors`).
     `process_noise` (n_w) and `sensor_noise` (n_e) are standard deviations per sample of
     `sample_time` seconds. `domain` maps channels to the (min, max) seen in training. `weak` (n_d)
     are the standard deviations of the pseudo-measurement that keeps undetectable states finite.
@@ -94,7 +94,7 @@ class IdentifiedModel(Shown):
     covariance_names: tuple[str, ...] = ()
     covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     considered: Mapping[str, tuple[float, Mapping[str, float]]] = field(default_factory=dict)
-    form_errors: Mapping[str, float] = field(default_factory=dict)
+    form_covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     per_flight: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     flight_spread: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     process_noise: FloatArray
@@ -178,13 +178,30 @@ class IdentifiedModel(Shown):
         """Motor lag, delays and filter of the gyro as one number; None for fewer than two."""
         physics = physics_of(self.dynamics)
         measured = physics is not None and physics.input == "speed"
-        return effective_lag(self.values, self.covariance_names, self.covariance, measured=measured)
+        names = self.covariance_names
+        whole = self.covariance + self.form_among(names)
+        return effective_lag(self.values, names, whole, measured=measured)
 
     @property
     def channel_groups(self) -> tuple[str, ...]:
         """Channel group of every innovation component (its own name without sensors)."""
         physics = physics_of(self.dynamics)
         return self.dynamics.innovations.names if physics is None else physics.channel_groups
+
+    def form_among(self, names: Sequence[str]) -> FloatArray:
+        """`form_covariance` (k, k) of these names; 0 where nothing is known of one."""
+        out, own = np.zeros((len(names), len(names))), self.covariance_names
+        if self.form_covariance.size:
+            at = [i for i, n in enumerate(names) if n in own]
+            rows = [own.index(names[i]) for i in at]
+            out[np.ix_(at, at)] = self.form_covariance[np.ix_(rows, rows)]
+        return out
+
+    @property
+    def form_errors(self) -> dict[str, float]:
+        """Standard deviation of `form_covariance`, of the estimates that have one."""
+        variances = np.diag(self.form_among(self.covariance_names)).tolist()
+        return {n: v**0.5 for n, v in zip(self.covariance_names, variances, strict=True) if v > 0}
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -259,7 +276,10 @@ class IdentifiedModel(Shown):
                 "matrix": self.covariance.tolist(),
             },
             **({"considered": _considered_to_dict(self)} if self.considered else {}),
-            **_said(form_errors=self.form_errors or None, recipes=self.recipes),
+            **_said(
+                form_covariance=self.form_covariance if self.form_errors else None,
+                recipes=self.recipes,
+            ),
             **(
                 {}
                 if self.effective_lag is None
@@ -381,7 +401,7 @@ def _identified_from_dict(data: Parsed, dynamics: Dynamics, where: str) -> Ident
             n: (float(v["std"]), {k: float(x) for k, x in v["moves"].items()})
             for n, v in data.get("considered", {}).items()
         },
-        form_errors={n: float(s) for n, s in data.get("form_errors", {}).items()},
+        form_covariance=_form(data),
         per_flight={k: {n: float(x) for n, x in v.items()} for k, v in data["per_flight"].items()},
         flight_spread={k: (float(v[0]), float(v[1])) for k, v in data["flight_spread"].items()},
         process_noise=np.array([float(data["process_noise"][n]) for n in dynamics.noises.names]),
@@ -402,7 +422,15 @@ def _identified_from_dict(data: Parsed, dynamics: Dynamics, where: str) -> Ident
     )
 
 
-def _said(**tables: Mapping[str, object] | None) -> dict[str, Json]:
+def _form(data: Parsed) -> FloatArray:
+    """Earlier files have only its standard deviations."""
+    errors = data.get("form_errors")
+    if errors is None:
+        return np.asarray(data.get("form_covariance", np.zeros((0, 0))), dtype=float)
+    return np.diag([float(errors.get(n, 0.0)) ** 2 for n in data["covariance"]["names"]])
+
+
+def _said(**tables: object) -> dict[str, Json]:
     """Tables of the file that are there."""
     return {key: to_plain(table) for key, table in tables.items() if table is not None}
 
@@ -495,9 +523,11 @@ def _check(model: IdentifiedModel) -> None:
         raise ValueError("a name is twice in the covariance")
     if doubled := set(model.considered) & {*model.covariance_names, *model.flight_spread}:
         raise ValueError(f"{min(doubled)} is both held and estimated")
-    if strange := set(model.form_errors) - set(model.covariance_names):
-        raise ValueError(f"{min(strange)} has an error of its form, but was not estimated")
-    if not all(0 <= s < np.inf for s in model.form_errors.values()):
+    if model.form_covariance.size and model.form_covariance.shape != model.covariance.shape:
+        raise ValueError("the errors of its form are not of what was estimated")
+    if not (
+        np.isfinite(model.form_covariance).all() and (np.diag(model.form_covariance) >= 0).all()
+    ):
         raise ValueError("an error of a form is negative or not finite")
     errors = [x for s, by in model.considered.values() for x in (s, *by.values())]
     if not np.isfinite(errors).all():

@@ -318,9 +318,7 @@ def precision_of(
     if model is not None and model.covariance_names:
         at = [i for i, n in enumerate(model.covariance_names) if n in names]
         places = [names.index(model.covariance_names[i]) for i in at]
-        form = np.array([model.form_errors.get(n, 0.0) for n in model.covariance_names])
+        whole = model.covariance + model.form_among(model.covariance_names)
         out[places, :] = 0.0
-        out[np.ix_(places, places)] = np.linalg.pinv(
-            model.covariance[np.ix_(at, at)] + np.diag(form[at] ** 2), hermitian=True
-        )
+        out[np.ix_(places, places)] = np.linalg.pinv(whole[np.ix_(at, at)], hermitian=True)
     return out

@@ -11,7 +11,6 @@ are fitted again by errors ahead, and the left-out ones of these decide whether 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -101,7 +100,6 @@ def _physics(model: IdentifiedModel, found: Fit) -> IdentifiedModel:
     across = whole[np.ix_(at, ~at)]
     shared = across @ np.linalg.solve(whole[np.ix_(~at, ~at)], across.T)
     own = [n for n, mine in zip(names, at, strict=True) if mine]
-    beside = dict(zip(own, np.sqrt(np.maximum(np.diag(shared), 0.0)).tolist(), strict=True))
     moved = {
         n: (s, {k: v for k, v in by.items() if k in model.values})
         for n, (s, by) in found.model.considered.items()
@@ -111,7 +109,7 @@ def _physics(model: IdentifiedModel, found: Fit) -> IdentifiedModel:
         values=ParameterValues({n: found.model.values[n] for n in model.values}),
         covariance_names=tuple(own),
         covariance=whole[np.ix_(at, at)] - shared,
-        form_errors={n: math.hypot(s, model.form_errors.get(n, 0.0)) for n, s in beside.items()},
+        form_covariance=model.form_among(own) + shared,
         considered=moved,
         per_flight=found.model.per_flight,
         flight_spread=found.model.flight_spread,

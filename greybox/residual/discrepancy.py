@@ -98,7 +98,7 @@ def disturbed_model(model: IdentifiedModel, data: Dataset) -> IdentifiedModel:
         covariance_names=model.covariance_names,
         covariance=model.covariance,
         considered=model.considered,
-        form_errors=model.form_errors,
+        form_covariance=model.form_covariance,
         source=model.source,
         trained_on=model.trained_on,
         recipes=model.recipes,

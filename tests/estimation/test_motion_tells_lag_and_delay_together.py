@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from greybox.automatic.widened import widened
 from greybox.data import Dataset
+from greybox.errors import FileFormatError
 from greybox.estimation.fit import fit
 from greybox.estimation.result import Fit
+from greybox.files import checksum
 from greybox.model.effective_lag import effective_lag
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
@@ -53,6 +57,50 @@ def test_its_error_is_that_of_a_sum():
     lag = effective_lag({"motor_lag.tau": 0.05, "command_delay.d": 0.01}, names, covariance)
     assert lag is not None
     assert lag.std == pytest.approx(np.sqrt(4.0 + 5.0 - 2 * 3.0))
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_what_a_missing_effect_adds_is_in_the_sum_too(tmp_path, way: float):
+    """Both go one way, or one takes what the other gives."""
+    found, step = fitted(), 2e-3
+    rows = {n: [i] for i, n in enumerate(("motor_lag.tau", "command_delay.d"))}
+    more = step**2 * np.array([[1.0, way], [way, 1.0]])
+    told = widened(found, more, rows).model
+    before, lag = found.model.effective_lag, told.effective_lag
+    assert before is not None and lag is not None and before.std is not None
+    assert lag.std == pytest.approx(np.hypot(before.std, step * (1.0 + way)))
+    assert told.form_errors == pytest.approx(dict.fromkeys(rows, step))
+    assert IdentifiedModel.load(told.save(tmp_path / "model.json")).effective_lag == lag
+
+
+def test_what_two_missing_effects_add_adds_up():
+    found = fitted()
+    once = widened(found, np.eye(1), {"motor_lag.tau": [0]})
+    twice = widened(once, np.eye(1), {"command_delay.d": [0]})
+    assert twice.model.form_errors == {"motor_lag.tau": 1.0, "command_delay.d": 1.0}
+    assert twice.model.covariance is found.model.covariance
+
+
+def test_earlier_files_that_know_only_its_deviations_are_read(tmp_path):
+    told = widened(fitted(), np.eye(1), {"motor_lag.tau": [0]}).model
+    content = told.to_dict()
+    content["form_errors"] = {"motor_lag.tau": 1.0}
+    del content["form_covariance"]
+    body = {k: v for k, v in content.items() if k not in ("checksum", "versions")}
+    again = IdentifiedModel.from_dict({**content, "checksum": checksum(body)})
+    assert again.form_errors == told.form_errors
+
+
+@pytest.mark.parametrize("wrong", [-np.eye(3), np.full((3, 3), np.nan), np.eye(2)])
+def test_an_error_of_a_form_that_is_none_is_refused(wrong: np.ndarray):
+    model = fitted().model
+    size = len(model.covariance_names)
+    bad = wrong if len(wrong) == 2 else np.pad(wrong, (0, size - 3))
+    content = replace(model, form_covariance=np.eye(size)).to_dict()
+    content["form_covariance"] = bad.tolist()
+    body = {k: v for k, v in content.items() if k not in ("checksum", "versions")}
+    with pytest.raises(FileFormatError, match="form"):
+        IdentifiedModel.from_dict({**content, "checksum": checksum(body)})
 
 
 def test_a_filter_of_the_gyro_counts_and_one_number_alone_is_not_repeated():
