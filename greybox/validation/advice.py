@@ -133,6 +133,11 @@ ADVICE: tuple[Advice, ...] = (
         action="--kinematic-noise",
     ),
     Advice(
+        symptom=Symptom.SATURATED,
+        reason="commands are at their limits for much of the flight",
+        action="fly with more headroom, or add --effects command_saturation",
+    ),
+    Advice(
         symptom=Symptom.FLIGHT_DIFFERS,
         reason="this flight differs from those of the fit (battery, trim, range)",
         action="--adapt 5, --per-flight thrust.c2, or fly in training what is flown here",
@@ -141,11 +146,6 @@ ADVICE: tuple[Advice, ...] = (
         symptom=Symptom.DIVERGED,
         reason="the model runs away in open loop",
         action="fewer effects, and --disturbance force,torque",
-    ),
-    Advice(
-        symptom=Symptom.SATURATED,
-        reason="commands are at their limits for much of the flight",
-        action="fly with more headroom, or add --effects command_saturation",
     ),
     Advice(
         symptom=Symptom.ROTATION,
@@ -190,7 +190,8 @@ ADVICE: tuple[Advice, ...] = (
     ),
 )
 """Causes before consequences: a log that lies spoils everything, a missing lag sends parameters to
-their bounds, bounds keep a solver from converging; what only one group shows comes last."""
+their bounds, bounds keep a solver from converging; what was seen comes before what may be, as that
+values of a flight's own were not adapted; what only one group shows comes last."""
 
 _OF_GROUP = {
     "position": Symptom.POSITION,
@@ -257,8 +258,12 @@ def hints_of_checks(
     most = max(report.drifts, default=0.0)
     if most > WANDER and not kinematic_noise:
         out.append(Hint(symptom=Symptom.CLOCKS, detail=f"by {most:.1f} samples"))
-    if report.of("saturation"):
-        out.append(Hint(symptom=Symptom.SATURATED, detail=report.of("saturation")[0].message))
+    limited = [
+        f for f in report.of("saturation") if "share" in f.evidence
+    ]  # not a sensor that clips
+    if limited and "command_saturation" not in effects:
+        worst = max(limited, key=lambda f: f.evidence["share"])
+        out.append(Hint(symptom=Symptom.SATURATED, detail=f"{worst.flight}: {worst.message}"))
     return tuple(out)
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from greybox.validation.advice import ADVICE, lacking
+from greybox.data.checks import CheckReport, Finding
+from greybox.validation.advice import ADVICE, Hint, Symptom, hints_of_checks, lacking, likely
 
 FIT = "--effects motor_lag,rotor_drag and --disturbance force,torque; hold what was weighed"
 DISCOVER = "greybox discover names what is missing"
@@ -31,3 +32,38 @@ def test_where_nothing_is_left_a_search_is_advised() -> None:
 @pytest.mark.parametrize("action", [a.action for a in ADVICE])
 def test_a_model_that_has_nothing_gets_all_of_it(action: str) -> None:
     assert lacking(action, set()) == action
+
+
+def limited(what: str, share: float, flight: str = "a") -> Finding:
+    return Finding(
+        check="saturation",
+        severity="warning",
+        flight=flight,
+        where="channel u1",
+        message=f"a command is at {what} for {100 * share:.1f} % of the flight",
+        evidence={"share": share, "share_u1": share},
+    )
+
+
+def report(*findings: Finding) -> CheckReport:
+    return CheckReport(vehicle="v", flights=(), findings=findings, not_judged=())
+
+
+def test_commands_that_were_seen_at_their_limit_come_before_a_flight_that_may_differ() -> None:
+    seen = report(limited("u_min", 0.02), limited("u_max", 0.2, "b"))
+    hints = [Hint(symptom=Symptom.FLIGHT_DIFFERS), *hints_of_checks(seen, effects=())]
+    reason, _, anchor = likely(hints, Symptom.RATE)
+    assert anchor == Symptom.SATURATED.anchor and "b: a command is at u_max for 20.0 %" in reason
+
+
+def test_a_sensor_that_clips_and_a_limit_that_the_model_has_are_no_lack_of_headroom() -> None:
+    clips = Finding(
+        check="saturation",
+        severity="warning",
+        flight="a",
+        where="channel p",
+        message="9 row(s) at the same extreme value 4: the sensor clips",
+        evidence={"rows": 9, "limit": 4.0},
+    )
+    assert not hints_of_checks(report(clips), effects=())
+    assert not hints_of_checks(report(limited("u_max", 0.2)), effects=("command_saturation",))
