@@ -16,6 +16,7 @@ from greybox.estimation.identifiability import Combination
 from greybox.estimation.problem import Problem
 from greybox.estimation.recipe import Decision, Recipe
 from greybox.estimation.status import Status
+from greybox.estimation.suspects import suspects
 from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import physics_of
@@ -446,6 +447,7 @@ class Fit(Shown):
         doubts = (*self.covariance.changed, self.covariance.form, self.covariance.doubt)
         first = [d for d in doubts if d]
         lines += [f"warning: {d}" for d in first]
+        doubted = suspects(self.model, self.parameters)
         width = max((len(n) for n in self.parameters), default=4)
         for n, e in self.parameters.items():
             error = "at bound" if e.at_bound else f"+- {e.std:.2g}"
@@ -454,6 +456,7 @@ class Fit(Shown):
                 if e.prior_influence > 0.2
                 else ""
             )
+            extra += f"  ({doubted[n]})" if n in doubted else ""
             scope = "  per flight" if e.scope == "flight" else ""
             lines.append(f"{n:{width}s}  {e.value:12.6g} {error} {e.unit}{scope}{extra}")
         lag = self.model.effective_lag

@@ -385,8 +385,9 @@ ADVICE: Mapping[str, tuple[str, str]] = {
         "free thrust.c2, hold mass (--fixed mass); add battery_sag where the log has the voltage",
     ),
     "thrust": (
-        "battery, propellers or the logged commands are not those of the data sheet",
-        "compare the hover command with `greybox vehicle check`; add battery_sag; one value per "
+        "battery, propellers or the logged commands are not those of the data sheet, or the mass is "
+        "not the stated one, as motion shows their ratio",
+        "weigh the craft; compare the hover command with `greybox vehicle check`; add battery_sag; one value per "
         "flight (--per-flight)",
     ),
     "torque": (

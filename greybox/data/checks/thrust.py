@@ -261,7 +261,7 @@ def _verdict(vehicle: Airframe, sums: Sums) -> Verdict | None:
         return Verdict(
             claim="level",
             severity="blocking" if impossible else "warning",
-            message=said,
+            message=f"{said}: thrust, or the mass, of which it states {_percent(known)}",
             evidence={"thrust_over_promised": level},
             fix=fix,
         )
@@ -272,6 +272,12 @@ def _verdict(vehicle: Airframe, sums: Sums) -> Verdict | None:
         message=f"{said}; it {begun.message}" if wrong else f"thrust {begun.message}",
         evidence={"thrust_over_promised": level, **begun.evidence},
     )
+
+
+def _percent(known: _Map) -> str:
+    """The error of the mass."""
+    share = 100.0 * known.mass_sigma / known.mass
+    return f"an error of {share:.2g} %" if share > 0 else "no error"
 
 
 def _begins(vehicle: Airframe, known: _Map, sums: Sums) -> Verdict | None:
