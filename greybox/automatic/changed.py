@@ -2,21 +2,23 @@
 a load, loses a part of a propeller or its battery sags; and what it leaves thrust and mass known to.
 
 Gusts pass, so that what lasts longer than they do is of the craft: along the thrust, and in its
-torques. A sideways force that lasts is wind.
+torques. A sideways force that lasts is wind. What the motion may explain is no change of the craft:
+an effect that the model lacks pushes otherwise when the craft flies otherwise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from greybox.data import Dataset, Segment
 from greybox.estimation.filtering import Filter
 from greybox.estimation.smoothing import smooth
+from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
-from greybox.statistics.lasting import FEWEST, MOST, Change, lasting_change
+from greybox.statistics.lasting import FEWEST, MOST, Cause, Change, beyond, lasting_change
 from greybox.symbolic import FloatArray
 
 OWN = ("force.z", "torque.x", "torque.y", "torque.z")
@@ -33,12 +35,13 @@ hover tell mass and thrust to that."""
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stretch:
     """Pushes y (m, n) [N, N m] of a segment, means over `step` [s] from `start` [s] of its flight
-    on."""
+    on. `motion` is what may push, means of each kind."""
 
     flight: str
     start: float
     step: float
     y: FloatArray
+    motion: Sequence[Cause] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,11 +68,13 @@ class Unnamed:
 @dataclass(frozen=True, kw_only=True)
 class Changed:
     """In a flight pushes are higher by `sizes` [N, N m] from `at` [s] on, for good; None: they drift
-    by that from its start to its end."""
+    by that from its start to its end. `flown`: as far as the flight tells, that may all come of how
+    it is flown."""
 
     flight: str
     at: float | None
     sizes: Mapping[str, float]
+    flown: bool = False
 
 
 def unnamed(model: IdentifiedModel, data: Dataset) -> Unnamed | None:
@@ -86,17 +91,46 @@ def unnamed(model: IdentifiedModel, data: Dataset) -> Unnamed | None:
     def stretch(flight: str, segment: Segment) -> Stretch:
         pace = max(round(PACE / model.sample_time), -(-segment.n // MOST))
         m = segment.n // pace
-        y = smooth(runner, runner.run(segment)).states[: m * pace, rows]
+        states = smooth(runner, runner.run(segment)).states
+
+        def means(values: FloatArray) -> FloatArray:
+            return np.asarray(values[: m * pace].reshape(m, pace, -1).mean(axis=1))
+
         return Stretch(
             flight=flight,
             start=float(segment.t[0]),
             step=pace * model.sample_time,
-            y=y.reshape(m, pace, len(rows)).mean(axis=1),
+            y=means(states[:, rows]),
+            motion=tuple(replace(c, z=means(c.z)) for c in _motion(model, segment, states)),
         )
 
     found = (stretch(f.name, s) for f in data for s in f.segments if s.n * model.sample_time > PACE)
     stretches = tuple(s for s in found if np.isfinite(s.y).all())
     return Unnamed(model=model, names=names, stretches=stretches) if stretches else None
+
+
+def _motion(model: IdentifiedModel, segment: Segment, states: FloatArray) -> Iterator[Cause]:
+    """What may push a craft of its motion: the air by its velocity, by its turn and near the
+    ground, the rotors by what they lift. Never the commands: they answer to a load as well, as a
+    height does that nobody holds exactly."""
+    names = model.dynamics.states.names
+    q, v, rate = (
+        states[:, [i for i, n in enumerate(names) if n.startswith(f"{block}.")]]
+        for block in ("attitude", "velocity", "rate")
+    )
+    if q.size and v.size:
+        yield Cause(z=numeric("rotate_inverse", q, v))
+        lift = np.gradient(v, model.sample_time, axis=0)
+        lift[:, 2] += model.physics.vehicle.gravity
+        yield Cause(z=numeric("rotate_inverse", q, lift)[:, 2:])
+    elif "az" in segment.channels and np.isfinite(segment.channels["az"]).all():
+        yield Cause(z=segment.channels["az"][:, None])
+    if rate.size:
+        yield Cause(z=rate)
+    if "position.z" in names:
+        above, arm = states[:, [names.index("position.z")]], model.physics.vehicle.arm_length
+        # An arm above the lowest place half of what the ground does is gone.
+        yield Cause(z=arm / (arm + above - above.min()), least=1.0)
 
 
 def changes(seen: Unnamed) -> tuple[Changed, ...]:
@@ -137,15 +171,32 @@ def lasting_share(seen: Unnamed, changed: Sequence[Changed]) -> float:
     return share if share > CARRIED else 0.0
 
 
-def said_of_changes(seen: Unnamed, changed: Sequence[Changed]) -> tuple[list[str], list[str]]:
-    """(lines on steps, lines on drifts), for people; of drifts of the same push one line."""
-    steps, drifts = list[str](), dict[tuple[str, bool], list[tuple[float, str]]]()
+@dataclass(frozen=True, kw_only=True)
+class Said:
+    """In words: `steps` and `drifts` of the craft, and what may come of how it is `flown`."""
+
+    steps: Sequence[str]
+    drifts: Sequence[str]
+    flown: Sequence[str]
+
+
+def said_of_changes(seen: Unnamed, changed: Sequence[Changed]) -> Said:
+    """For people; of drifts of the same push one line."""
+    steps, flown = list[str](), list[str]()
+    drifts = dict[tuple[str, bool], list[tuple[float, str]]]()
     for c in changed:
+        what = ", ".join(_size(seen, n, size) for n, size in c.sizes.items())
+        since = "from start to end" if c.at is None else f"from {c.at:.1f} s on"
+        if c.flown:
+            flown.append(
+                f"in {c.flight} {since} {what} without a name, as it flies otherwise: an effect is "
+                "missing (or the craft changed just then)"
+            )
+            continue
         if c.at is not None:
-            what = ", ".join(_size(seen, n, size) for n, size in c.sizes.items())
             steps.append(
-                f"in {c.flight} from {c.at:.1f} s on {what} without a name, for good: a load, a "
-                "rotor or the battery changed, or from there on it flew as this model is wrong for"
+                f"in {c.flight} {since} {what} without a name, for good and however it flies: a "
+                "load, a rotor or the battery changed"
             )
             continue
         for n, size in c.sizes.items():
@@ -159,7 +210,7 @@ def said_of_changes(seen: Unnamed, changed: Sequence[Changed]) -> tuple[list[str
             f"a push without a name drifts from start to end: {_size(seen, n, size)} in "
             f"{flights}{why}"
         )
-    return steps, lines
+    return Said(steps=steps, drifts=lines, flown=flown)
 
 
 def _changes(seen: Unnamed, stretch: Stretch, tests: int) -> Iterator[Changed]:
@@ -170,6 +221,9 @@ def _changes(seen: Unnamed, stretch: Stretch, tests: int) -> Iterator[Changed]:
         y = stretch.y[:, seen.names.index(name)]
         found = lasting_change(y, float(np.exp(-stretch.step / time)), tests)
         return found if found is not None and abs(found.size) > seen.least(name) else None
+
+    def of_the_craft(name: str) -> bool:
+        return beyond(stretch.y[:, seen.names.index(name)], sure[name], stretch.motion)
 
     sure = {n: c for n in seen.names if (c := change(n, tests)) is not None}
     left = sorted(sure, key=lambda n: sure[n].p)
@@ -183,6 +237,7 @@ def _changes(seen: Unnamed, stretch: Stretch, tests: int) -> Iterator[Changed]:
             flight=stretch.flight,
             at=None if at is None else stretch.start + at * stretch.step,
             sizes={n: sizes[n] for n in seen.names if n in sizes},
+            flown=not any(of_the_craft(n) for n in left if n in sizes),
         )
         left = [n for n in left if n not in sizes]
 

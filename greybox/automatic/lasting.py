@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greybox.automatic.changed import changes, lasting_share, said_of_changes, unnamed
-from greybox.automatic.widened import HELD, moved_away, no_measurement, widened
+from greybox.automatic.widened import HELD, doubted, moved_away, no_measurement, widened
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
 from greybox.estimation.result import Fit
@@ -37,15 +37,16 @@ def with_lasting(found: Fit, data: Dataset) -> Fit:
         return found
     if seen is None:
         return found
-    steps, drifts = said_of_changes(seen, changed)
+    said = said_of_changes(seen, changed)
     share = lasting_share(seen, changed)
     if share > 0:
         found = _with_share(found, share, share * physics.vehicle.gravity)
     if not changed:
         return found
+    found = doubted(found, *said.flown)
     old = found.diagnostics
-    warnings = (*steps, *drifts, *old.warnings)
-    told = replace(old.covariance, changed=tuple(steps))
+    warnings = (*said.steps, *said.drifts, *old.warnings)
+    told = replace(old.covariance, changed=tuple(said.steps))
     return replace(found, diagnostics=replace(old, covariance=told, warnings=warnings))
 
 

@@ -27,14 +27,7 @@ def widened(
         n: _with_spread(e, spread, rows[n]) if rows.get(n) else e
         for n, e in found.parameters.items()
     }
-    old, model = found.diagnostics, found.model
-    form = "; ".join(s for s in (old.covariance.form, line) if s)
-    others = tuple(w for w in old.warnings if w != old.covariance.form)
-    said = replace(
-        old,
-        covariance=replace(old.covariance, form=form),
-        warnings=(form, *others) if form else old.warnings,
-    )
+    model = found.model
     shared = model.covariance_names
     means = np.zeros((len(shared), len(spread)))
     for k, n in enumerate(shared):
@@ -43,7 +36,20 @@ def widened(
     more = model.form_among(shared) + means @ spread @ means.T
     model = replace(model, form_covariance=more)
     estimates = replace(found.estimates, parameters=wider, model=model)
-    return replace(found, estimates=estimates, diagnostics=said)
+    return doubted(replace(found, estimates=estimates), line)
+
+
+def doubted(found: Fit, *lines: str) -> Fit:
+    """The fit with what else is said of the form of its model."""
+    old = found.diagnostics
+    form = "; ".join(s for s in (old.covariance.form, *lines) if s)
+    others = tuple(w for w in old.warnings if w != old.covariance.form)
+    said = replace(
+        old,
+        covariance=replace(old.covariance, form=form),
+        warnings=(form, *others) if form else old.warnings,
+    )
+    return replace(found, diagnostics=said)
 
 
 def moved_away(

@@ -3,17 +3,19 @@
 Under a memory of first order, what comes new in a value is independent of all before. A step is one
 that jumps, as none does by chance, after which the values do not come back as those after a gust do;
 both are Student's t. How often a series that only remembers drifts as far is counted in drawn ones,
-of every memory that it may have.
+of every memory that it may have. A change may also be that of a cause which changes meanwhile.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.statistics.distributions import fisher_tail
+from greybox.statistics.evidence import FELT
 from greybox.symbolic import FloatArray
 
 TRIM = 0.15
@@ -53,6 +55,45 @@ def lasting_change(y: FloatArray, memory: float, tests: int = 1) -> Change | Non
     best = min(found, key=lambda c: c.p, default=None)
     # Two kinds of change are looked for.
     return best if best is not None and 2 * tests * best.p <= FALSE else None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cause:
+    """What a series may be a function of: z (m, k), of which differences far below `least` change
+    nothing."""
+
+    z: FloatArray
+    least: float = 0.0
+
+
+def beyond(y: FloatArray, change: Change, causes: Sequence[Cause]) -> bool:
+    """Whether a series (m,) changes although it may be a function of any one of the `causes`.
+
+    Nobody knows the function: a Gaussian process as smooth as the cause is wide, and as large as
+    the change. Where a cause is the same before and after, or what comes in each of both does not
+    go with it, time is left to explain the change; where each has its own, nothing tells them apart.
+    """
+    m = len(y)
+    place = np.arange(m)
+    shape = place / (m - 1.0)
+    if change.at is not None:
+        shape = np.clip(place + 1.0 - change.at, 0.0, 1.0)
+    both = np.column_stack([np.ones(m), shape])
+    rest = y - both @ np.linalg.lstsq(both, y, rcond=None)[0]
+    apart = np.abs(np.subtract.outer(place, place))
+    noise = (rest.var() + 1e-12 * y.var()) * _memory(rest) ** apart
+    for cause in causes:
+        z = cause.z - cause.z.mean(axis=0)
+        width = max(float((z**2).sum(axis=1).mean()), cause.least**2)
+        if not width > 0:
+            continue
+        square = ((z[:, None] - z[None]) ** 2).sum(axis=2)
+        whole = noise + change.size**2 * np.exp(-0.5 * square / width)
+        spread = np.linalg.inv(both.T @ np.linalg.solve(whole, both))
+        found = spread @ (both.T @ np.linalg.solve(whole, y))
+        if found[1] * np.sign(change.size) <= FELT * np.sqrt(spread[1, 1]):
+            return False
+    return True
 
 
 def _memory(*parts: FloatArray) -> float:

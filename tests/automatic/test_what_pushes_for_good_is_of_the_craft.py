@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import functools
 import tempfile
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -30,13 +30,18 @@ from greybox.commands.fit_said import next_step
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.estimation.fit import fit
 from greybox.estimation.result import Fit
+from greybox.excitation.trajectory import Reference, Trajectory, from_positions
 from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.known import known_numbers
 from greybox.model.model import build_model
 from greybox.model.vehicle import read_vehicle
+from greybox.plants.effects import GroundEffect, TranslationalLift
 from greybox.plants.flight_log import fly, member
 from greybox.plants.presets import controller_for, x250
+from greybox.plants.quadrotor import Quadrotor
 from greybox.plants.vehicle_file import write_vehicle
+from greybox.statistics.lasting import Cause
+from greybox.symbolic import FloatArray
 
 LOST = 0.12
 """Of the thrust, in the second flight from `WHEN` [s] on."""
@@ -49,14 +54,16 @@ def fitted(lost: tuple[str, ...] = (), seed: int = 1) -> tuple[Fit, Dataset]:
     """Two flights in gusts, where the thrust of the rotors that are `lost` falls; the plain fit."""
     calm = x250().process
     plant = x250(process=replace(calm, drift_force=0.1 * 2**0.5, drift_time=1.0))
+    data = flown(plant, RandomWaypoints(), 15.0, seed, lost)
+    return plain_fit(plant, data), data
+
+
+def flown(
+    plant: Quadrotor, motion: Reference, seconds: float, seed: int = 1, lost: tuple[str, ...] = ()
+) -> Dataset:
+    """Two flights, where the thrust of the rotors that are `lost` falls in the second."""
     log = fly(
-        plant,
-        controller_for(plant),
-        RandomWaypoints(),
-        None,
-        15.0,
-        seed=[seed, seed + 1],
-        warm_up=1.0,
+        plant, controller_for(plant), motion, None, seconds, seed=[seed, seed + 1], warm_up=1.0
     )
     data = Dataset(flights=())
     for i in range(2):
@@ -66,14 +73,49 @@ def fitted(lost: tuple[str, ...] = (), seed: int = 1) -> tuple[Fit, Dataset]:
             for name in lost:
                 columns[name] = columns[name] / np.where(t >= t[0] + WHEN, (1 - LOST) ** 0.5, 1.0)
         data = data + dataset_from_arrays(t, columns, name=f"run{i}")
+    return data
+
+
+def plain_fit(plant: Quadrotor, data: Dataset) -> Fit:
+    """A fit that knows no effect of the air."""
     with tempfile.TemporaryDirectory() as folder:
         path = write_vehicle(
             Path(folder) / "v.toml", plant, sigma={"inertia": 0.2, "thrust.c2": 0.2}
         )
         vehicle = read_vehicle(path)
     model = build_model(vehicle, data.channels)
-    found = fit(model, data, disturbance=("force", "torque"), fixed=("mass", "torque.c2"))
-    return found, data
+    return fit(model, data, disturbance=("force", "torque"), fixed=("mass", "torque.c2"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThenFast:
+    """Slow flight about a place, and from 10 s on a circle at 6 m/s."""
+
+    def sample(self, time: FloatArray, rng: np.random.Generator) -> Trajectory:
+        slow = RandomWaypoints(speed=0.8).sample(time, rng).position
+        ramp = np.clip((time - 10.0) / 2.0, 0.0, 1.0)
+        angle = np.cumsum(3.0 * ramp**2 - 2.0 * ramp**3) * (time[1] - time[0])
+        circle = 6.0 * np.column_stack([np.cos(angle) - 1.0, np.sin(angle), 0.0 * angle])
+        return from_positions(time, slow + circle, 0.0 * time)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThenHigh:
+    """Slow flight by the ground, and from 10 s on far above it."""
+
+    def sample(self, time: FloatArray, rng: np.random.Generator) -> Trajectory:
+        slow = RandomWaypoints(speed=0.8).sample(time, rng).position
+        slow[:, 2] *= 0.15 / np.abs(slow[:, 2]).max()
+        ramp = np.clip((time - 10.0) / 3.0, 0.0, 1.0)
+        slow[:, 2] += 0.25 + 2.5 * (3.0 * ramp**2 - 2.0 * ramp**3)
+        return from_positions(time, slow, 0.0 * time)
+
+
+@functools.cache
+def fast(lift: float, lost: tuple[str, ...] = ()) -> tuple[Fit, Dataset]:
+    """Two flights that get fast, with a lift of the rotors' forward flight that the fit lacks."""
+    data = flown(x250([TranslationalLift(k_h=lift)] if lift else []), ThenFast(), 20.0, lost=lost)
+    return plain_fit(x250(), data), data
 
 
 def seen_in(found: Fit, data: Dataset) -> Unnamed:
@@ -114,6 +156,49 @@ def test_the_errors_hold_what_changed() -> None:
     known = known_numbers(told.model)
     assert known["thrust.c2"][1] == pytest.approx(told["thrust.c2"].std, rel=1e-9)
     np.testing.assert_array_equal(told.model.covariance, found.model.covariance)
+
+
+def test_an_effect_that_is_missing_is_no_change_of_the_craft() -> None:
+    found, data = fast(2e-3)
+    told = with_lasting(found, data)
+    assert not told.covariance.changed and not any("drift" in w for w in told.warnings)
+    for flight in data.names:
+        assert f"in {flight} from 10." in told.covariance.form
+    assert "as it flies otherwise: an effect is missing" in told.covariance.form
+    (step,) = next_step(job(), told, [])
+    assert step.startswith("next: greybox discover") and "flies otherwise" in step
+
+
+def test_the_ground_that_is_left_is_no_change_of_the_craft() -> None:
+    """It is gone within an arm or two of a climb of many."""
+    plant = x250([GroundEffect(rotor_radius=0.12, k=3.0)])
+    data = flown(plant, ThenHigh(), 20.0)
+    found = plain_fit(x250(), data)
+    changed = changes(seen_in(found, data))
+    assert changed and all(c.flown for c in changed)
+
+
+def test_thrust_that_is_lost_before_the_flight_gets_fast_is_of_the_craft() -> None:
+    """A good second at rest tells it; what comes with the speed would not."""
+    found, data = fast(0.0, COMMANDS)
+    (change,) = (c for c in changes(seen_in(found, data)) if c.flight == "run1")
+    when = data.flights[1].segments[0].t[0] + WHEN
+    assert change.at == pytest.approx(when, abs=0.6)
+    assert change.sizes["force.z"] < 0
+
+
+def test_a_drift_that_goes_with_the_motion_is_no_battery() -> None:
+    seen = seen_in(*fitted())
+    rng, n = np.random.default_rng(0), 40
+    speed = np.linspace(0.0, 3.0, n)[:, None] + 0.2 * rng.standard_normal((n, 1))
+    y = 0.01 * seen.weight * (0.1 * rng.standard_normal((n, 1)) - speed)
+    for motion, flown_so in ((speed, True), (rng.standard_normal((n, 1)), False)):
+        one = Stretch(flight="a", start=0.0, step=0.5, y=y, motion=(Cause(z=motion),))
+        drifting = replace(seen, names=("force.z",), stretches=(one,))
+        (change,) = changes(drifting)
+        assert change.at is None and change.flown is flown_so
+        said = said_of_changes(drifting, [change])
+        assert bool(said.flown) is flown_so and bool(said.drifts) is not flown_so
 
 
 @pytest.mark.parametrize("seed", [1, 3, 5])
@@ -173,8 +258,14 @@ def test_a_drift_is_said_with_all_its_flights() -> None:
         Changed(flight=f, at=None, sizes={"force.z": -x * seen.weight})
         for f, x in (("a", 0.03), ("b", 0.06))
     ]
-    steps, (line,) = said_of_changes(seen, falls)
-    assert not steps and "force.z -6.0 % of the weight in a, b" in line and "battery" in line
+    said = said_of_changes(seen, falls)
+    (line,) = said.drifts
+    assert (
+        not said.steps
+        and not said.flown
+        and "force.z -6.0 % of the weight in a, b" in line
+        and "battery" in line
+    )
 
 
 def test_what_cannot_be_smoothed_stays_as_it_is() -> None:
@@ -186,7 +277,7 @@ def test_what_cannot_be_smoothed_stays_as_it_is() -> None:
     assert unnamed(fit(calm, data, free=()).model, data) is None
 
 
-def test_the_next_step_is_to_fit_the_parts_apart_and_to_name_what_is_missing() -> None:
+def job() -> Any:
     arguments = argparse.Namespace(
         vehicle="v.toml",
         train=["a.csv"],
@@ -196,14 +287,17 @@ def test_the_next_step_is_to_fit_the_parts_apart_and_to_name_what_is_missing() -
         effects_file=[],
         keep_impossible=False,
     )
-    job: Any = SimpleNamespace(arguments=arguments)
+    return SimpleNamespace(arguments=arguments)
+
+
+def test_the_next_step_is_to_fit_the_parts_apart_and_to_name_what_is_missing() -> None:
     changed = ("in run1 from 9.0 s on force.z -12.0 %",)
     apart = "next: fit apart what was flown before and after: in run1 from 9.0 s on force.z -12.0 %"
     sure: Any = SimpleNamespace(covariance=SimpleNamespace(form="", changed=changed))
-    assert next_step(job, sure, []) == [apart]
+    assert next_step(job(), sure, []) == [apart]
     form = "thrust.c2 is no measurement"
     result: Any = SimpleNamespace(covariance=SimpleNamespace(form=form, changed=changed))
-    assert next_step(job, result, []) == [
+    assert next_step(job(), result, []) == [
         f"next: greybox discover --vehicle v.toml --train a.csv: {form}",
         apart,
     ]

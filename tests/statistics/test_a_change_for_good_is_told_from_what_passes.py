@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.statistics.lasting import FALSE, lasting_change
+from greybox.statistics.lasting import FALSE, Cause, Change, beyond, lasting_change
 from greybox.symbolic import FloatArray
 
 
@@ -55,3 +55,54 @@ def test_gusts_that_last_longer_than_is_known_are_seldom_a_change() -> None:
 @pytest.mark.parametrize("y", [np.zeros(30), np.arange(8.0)])
 def test_nothing_and_too_little_say_nothing(y: FloatArray) -> None:
     assert lasting_change(y, 0.0) is None
+
+
+def moved(m: int, seed: int, jump: float = 0.0) -> FloatArray:
+    """A motion (m, 3) that turns round; it is faster by `jump` from .6 of the series on."""
+    z = np.column_stack([drawn(0.5, m, 10 * seed + i) for i in range(3)])
+    angle, after = 0.6 * np.arange(m), jump * (np.arange(m) >= 0.6 * m)
+    return z + after[:, None] * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+
+
+def found_in(y: FloatArray) -> Change:
+    found = lasting_change(y, 0.3)
+    assert found is not None and found.at is not None
+    return found
+
+
+@pytest.mark.parametrize("m", [28, 60])
+def test_a_step_that_nothing_else_explains_stays_one(m: int) -> None:
+    step = 10.0 * (np.arange(m) >= 0.6 * m)
+    for seed in range(20):
+        y = drawn(0.3, m, seed) + step
+        assert beyond(
+            y, found_in(y), [Cause(z=moved(m, seed)), Cause(z=moved(m, seed + 50)[:, :1])]
+        )
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("m", [28, 60])
+def test_a_step_of_a_cause_that_jumps_is_that_of_the_cause(m: int, power: float) -> None:
+    """Whatever function of it: a push goes with the speed, its root or its square."""
+    seen = 0
+    for seed in range(20):
+        z = moved(m, seed, jump=8.0)
+        y = 0.3 * drawn(0.3, m, seed) + 10.0 * (np.linalg.norm(z, axis=1) / 8.0) ** power
+        found = lasting_change(y, 0.3)
+        if found is not None:
+            seen += 1
+            assert not beyond(y, found, [Cause(z=moved(m, seed + 50)), Cause(z=z)])
+    assert seen > 10
+
+
+def test_a_cause_that_stands_still_explains_nothing() -> None:
+    y = drawn(0.3, 40, 0) + 10.0 * (np.arange(40) >= 24)
+    assert beyond(y, found_in(y), [Cause(z=np.zeros((40, 3)))])
+
+
+def test_a_cause_that_hardly_moves_explains_nothing() -> None:
+    """A load lets the craft sink by a little: that is no other way of flying."""
+    after = np.arange(40) >= 24
+    y, sunk = drawn(0.3, 40, 0) + 10.0 * after, 0.1 * after[:, None]
+    assert not beyond(y, found_in(y), [Cause(z=sunk)])
+    assert beyond(y, found_in(y), [Cause(z=sunk, least=1.0)])
