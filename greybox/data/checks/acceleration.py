@@ -5,7 +5,8 @@ It sees a world frame that is turned, mirrored or upside down against the attitu
 accelerometer in world or other body axes. Without an accelerometer the thrust that the commands
 give stands for it, up to its size; without a velocity the position does. A point of the craft that
 is off its centre of mass moves with every turn, too, which is no other frame: another reading must
-also be better where what such a lever arm adds is set aside.
+also be better where what such a lever arm adds is set aside. Another reading of the accelerometer
+must be better by the gyro's attitude (`witness.py`), too: an estimator's errs with what it feels.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from greybox.data.checks.signals import (
 )
 from greybox.data.checks.spans import Spans, length_of, spans
 from greybox.data.checks.view import View
+from greybox.data.checks.witness import by_gyro
 
 SPAN = 0.4
 """Time [s] over which changes of velocity are taken, and longer where streams are slow."""
@@ -78,6 +80,10 @@ def streams(view: View) -> Streams | str:
             moved = at.of(turned("rotate", quaternions, body))
             readings.append(Reading(text=text, fix=fix, y=moved, x=readings[0].x))
 
+    def witness() -> tuple[Reading, ...]:
+        turned_by = by_gyro(quaternions, view.group("rate"), dt, n // BRIDGED)
+        return tuple(reading(*r) for r in _forces(turned_by, force))
+
     def apart() -> tuple[Reading, ...]:
         arms = _body_axes(quaternions)
         if moving:
@@ -88,6 +94,8 @@ def streams(view: View) -> Streams | str:
     return Streams(
         readings=tuple(readings),
         apart=apart,
+        suspects=tuple(text for text, _, _ in _forces(quaternions, force) if text and measured),
+        witness=witness if measured and view.has("rate") else None,
         axes=("the world's x", "y", "z"),
         spans=at,
         power=-1.0 if moving else -2.0,
@@ -106,11 +114,18 @@ def _worlds(
     for text, read in quaternion_readings(quaternions):
         yield text, MEND, turned("rotate", read, force)
     if measured:
-        fix = "log ax, ay, az as the accelerometer measures them, in body axes (forward, left, up)"
-        yield "the specific force is in world axes", fix, force
-        for text, matrix in ABOUT_THRUST.items():
-            other = np.column_stack([force[:, :2] @ np.array(matrix).T, force[:, 2]])
-            yield f"the accelerometer's {text}", fix, turned("rotate", quaternions, other)
+        _, *others = _forces(quaternions, force)
+        yield from others
+
+
+def _forces(quaternions: FloatArray, force: FloatArray) -> Iterator[tuple[str, str, FloatArray]]:
+    """As `_worlds`, of the readings of the accelerometer alone."""
+    yield "", MEND, turned("rotate", quaternions, force)
+    fix = "log ax, ay, az as the accelerometer measures them, in body axes (forward, left, up)"
+    yield "the specific force is in world axes", fix, force
+    for text, matrix in ABOUT_THRUST.items():
+        other = np.column_stack([force[:, :2] @ np.array(matrix).T, force[:, 2]])
+        yield f"the accelerometer's {text}", fix, turned("rotate", quaternions, other)
 
 
 def _body_axes(quaternions: FloatArray) -> list[FloatArray]:

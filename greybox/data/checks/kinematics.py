@@ -5,7 +5,7 @@ clock's rate, in each flight and over those of the craft together (`together.py`
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from greybox.data.checks import mixture
 from greybox.data.checks.finding import Finding, Outcome, Severity, Unjudged
 from greybox.data.checks.relations import (
     FARTHEST,
+    LEFT,
     REACH,
     SEEN,
     WHOLE,
@@ -44,6 +45,12 @@ STILL = 1e-9
 """Share of the motion of one stream below which another does not move at all."""
 LATE = 0.05
 """Delays from here on are said [s], and from two samples."""
+NO_WITNESS = "which no gyro tells"
+BY_GYRO = "the attitude is what the gyro makes of it"
+ESTIMATED = (
+    "log an attitude that was measured: this one errs with the motion, as an estimator's does; with "
+    "it, predicted attitudes are no better"
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +58,9 @@ class Streams:
     """Two streams of a flight in all readings, the one given first. `axes` names those of x, `spans`
     those of the increments. A clock that runs c times as fast makes y c ** `power` times as
     large against x; `scaled` is False where sizes mean nothing. `apart` gives the readings with
-    what a craft may have besides set aside: another reading must be better there, too."""
+    what a craft may have besides set aside: another reading must be better there, too. `suspects`
+    are the readings that accuse a sensor beside an attitude that may be wrong instead; `witness`
+    gives the first reading and those by the gyro's attitude, None where there is no gyro."""
 
     readings: tuple[Reading, ...]
     axes: tuple[str, str, str]
@@ -60,6 +69,8 @@ class Streams:
     scaled: bool = True
     where: str = ""
     apart: Callable[[], tuple[Reading, ...]] | None = None
+    suspects: tuple[str, ...] = ()
+    witness: Callable[[], tuple[Reading, ...]] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,7 +95,7 @@ class Relation:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Related:
     """One relation in one flight (or in several): sums of every reading and of the given one
-    without a delay, and the size of the motion. `apart` tries the readings of `Streams.apart`; none
+    without a delay, and the size of the motion. `apart` and `witness` try those of `Streams`; None
     where there are none."""
 
     streams: Streams
@@ -93,6 +104,7 @@ class Related:
     size: float
     sample: float
     apart: Callable[[], tuple[Tried, ...]] | None = None
+    witness: Callable[[], tuple[Tried, ...]] | None = None
 
     @property
     def given(self) -> Moments:
@@ -118,7 +130,7 @@ def related(relation: Relation, view: View) -> Related | str:
         return f"the craft hardly moves ({size:.2g} per {spans.length * view.dt:.2g} s)"
     if min(sizes) <= STILL * size:  # `frozen` names it
         return "one of the streams stands still"
-    other = streams.apart
+    other, witness = streams.apart, streams.witness
     return Related(
         streams=streams,
         tried=_tried(streams.readings, view.dt, spans, given[0]),
@@ -126,6 +138,7 @@ def related(relation: Relation, view: View) -> Related | str:
         size=size,
         sample=view.dt,
         apart=None if other is None else lambda: _tried(other(), view.dt, spans),
+        witness=None if witness is None else lambda: _tried(witness(), view.dt, spans),
     )
 
 
@@ -178,6 +191,7 @@ def together(parts: Sequence[Related]) -> Related:
     if len(parts) == 1:
         return parts[0]
     sets = [p.apart for p in parts if p.apart is not None]
+    witnesses = [p.witness for p in parts if p.witness is not None]
     size = float(np.sqrt(np.mean([p.size**2 for p in parts])))
     return Related(
         streams=parts[0].streams,
@@ -186,6 +200,7 @@ def together(parts: Sequence[Related]) -> Related:
         size=size,
         sample=parts[0].sample,
         apart=None if len(sets) < len(parts) else lambda: _common([s() for s in sets]),
+        witness=None if len(witnesses) < len(parts) else lambda: _common([w() for w in witnesses]),
     )
 
 
@@ -238,11 +253,30 @@ def _share(sums: Moments) -> float:
 
 def _better(relation: Relation, found: Related) -> Better | None:
     """A better reading that does not only stand for what a craft may have besides."""
-    better = better_reading(found.tried, found.streams.axes, relation.fix)
-    if better is None or found.apart is None:
+    axes = found.streams.axes
+    better = better_reading(found.tried, axes, relation.fix)
+    if better is not None and found.apart is not None and (apart := found.apart()):
+        better = better_reading(apart, axes, relation.fix)
+    if better is None or better.text not in found.streams.suspects:
         return better
-    apart = found.apart()
-    return better_reading(apart, found.streams.axes, relation.fix) if apart else better
+    return _of_two_suspects(better, found, relation)
+
+
+def _of_two_suspects(better: Better, found: Related, relation: Relation) -> Better:
+    """A reading that accuses a sensor, where the attitude may be wrong instead: the one that the
+    gyro supports is not accused; both are named where it cannot tell."""
+    either = replace(better, others=(f"the attitude errs, {NO_WITNESS}", *better.others))
+    seen = found.witness() if found.witness is not None else ()
+    most = max((_share(t.sums) for t in seen), default=0.0)
+    if 1.0 - most > (1.0 - better.share) / LEFT:  # its gyro is no better than that
+        return either
+    again = better_reading(seen, found.streams.axes, relation.fix)
+    if again is not None and again.text in found.streams.suspects:
+        return better
+    share = _share(seen[0].sums)
+    if share < better.share:
+        return either
+    return replace(better, text=BY_GYRO, fix=ESTIMATED, share=share, others=(), sure=False)
 
 
 def _another_reading_fits(

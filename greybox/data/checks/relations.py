@@ -326,7 +326,7 @@ def axis_readings() -> Iterator[tuple[str, Matrix, tuple[int, ...]]]:
 class Better:
     """A reading that explains the motion far better than the one given: `share` and `given_share`
     of it that they explain; `angle` [deg] and its standard error where it is a rotation by an angle
-    (0 otherwise). `others` are readings that explain about as much."""
+    (0 otherwise). `others` are readings that explain about as much. `sure`: it makes a fit wrong."""
 
     text: str
     fix: str
@@ -335,11 +335,13 @@ class Better:
     angle: float = 0.0
     angle_error: float = 0.0
     others: tuple[str, ...] = ()
+    sure: bool = True
 
     @property
     def blocks(self) -> bool:
         """Whether it is beyond what a craft can have."""
-        return self.angle == 0.0 or self.angle - 2.0 * self.angle_error > ANGLES[1]
+        beyond = self.angle == 0.0 or self.angle - 2.0 * self.angle_error > ANGLES[1]
+        return self.sure and beyond
 
 
 def jackknife(values: FloatArray) -> float:
