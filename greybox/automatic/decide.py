@@ -283,7 +283,7 @@ class _Comparison:
         offered = () if self.setting.kinematic_noise or named else offered_parts(first.likelihood)
         reason = "no time constant is longer than nothing within its error and possible"
         if self.setting.kinematic_noise:
-            reason = "the clocks of gyro and attitude wander by more than a filter is late"
+            reason = "the attitude is not the gyro's integral, by more than a filter is late"
         elif named:
             reason = "exactly the parameters that were named are estimated"
         elif not offered:

@@ -26,13 +26,17 @@ PLENTY = 5.0
 class Facts:
     """Facts of a set of flights. `sensors` are those whose columns are all there (causal ones only)
     and `noise` the level of the fastest part of each of their innovation components, by sensor and
-    component, in its unit. `wander` [samples] is how far gyro and attitude drift apart within a
-    flight, `apart` by how much they are apart in the middle or drift (both 0 where the log has no
-    attitude), `seconds` the time flown."""
+    component, in its unit. `loose`: the attitude of most flights is not the integral of the
+    gyro. `wander` [samples] is how far their clocks drift apart within a flight, `axes_apart` by how
+    much the gyro is later about one axis than about another (an estimator's attitude), `apart` the
+    most of these and of how far they are apart in the middle (all 0 where the log has no attitude),
+    `seconds` the time flown."""
 
     sensors: frozenset[str]
     noise: Mapping[tuple[str, str], float]
+    loose: bool
     wander: float
+    axes_apart: float
     apart: float
     seconds: float
     flights: int
@@ -73,13 +77,16 @@ def facts_of(data: Dataset, vehicle: Vehicle, report: CheckReport) -> Facts:
         for component, level in zip(components, levels, strict=True):
             if np.isfinite(level) and level > 0:
                 noise[sensor.name, component] = level
-    seen = [f.evidence for f in report.of("alignment") if "high_samples" in f.evidence]
+    axes_apart = float(np.median(report.axes_apart)) if report.axes_apart else 0.0
+    seen = [f.evidence for f in report.of("alignment") if "offset_samples" in f.evidence]
     middle = float(np.median([abs(e["offset_samples"]) for e in seen])) if seen else 0.0
     return Facts(
         sensors=frozenset(s.name for s in sensors),
         noise=noise,
+        loose=report.loose,
         wander=report.wander,
-        apart=max(report.wander, middle),
+        axes_apart=axes_apart,
+        apart=max(report.wander, axes_apart, middle),
         seconds=sum(f.duration for f in data),
         flights=len(data),
         rate=1.0 / data.flights[0].dt,

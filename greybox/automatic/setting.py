@@ -16,7 +16,6 @@ from greybox.automatic.facts import Facts
 from greybox.automatic.like import lasting
 from greybox.automatic.sets import Step, per_flight_parameters
 from greybox.data import Dataset
-from greybox.data.checks.finding import WANDER
 from greybox.errors import ModelError
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.record import sample_time
@@ -126,14 +125,19 @@ def _kinematics(facts: Facts, given: Given, note: Note) -> bool:
         return given.kinematic_noise
     if "attitude" not in facts.sensors:
         return False
-    wanders = facts.wander > WANDER
+    # What an estimator adds to the turn is no torque either: without noise of its own in the
+    # kinematics it is fitted as one, and as less lag.
+    estimated = facts.axes_apart > facts.wander
     note(
         "noise on the attitude kinematics",
-        "yes" if wanders else "no",
-        f"gyro and attitude drift apart by {facts.wander:.1f} samples within a flight",
+        "yes" if facts.loose else "no",
+        f"an estimator's attitude: the gyro is {facts.axes_apart:.1f} samples later about one axis "
+        "than about another"
+        if estimated
+        else f"gyro and attitude drift apart by {facts.wander:.1f} samples within a flight",
         "--kinematic-noise",
     )
-    return wanders
+    return facts.loose
 
 
 def _disturbance(options: FitOptions, facts: Facts, given: Given, note: Note) -> FitOptions:

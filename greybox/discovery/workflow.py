@@ -18,7 +18,6 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport
-from greybox.data.checks.finding import WANDER
 from greybox.data.halves import demand_apart
 from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import Causes, offer
@@ -141,7 +140,7 @@ def _with_noise_of_clocks(options: DiscoverOptions, faults: CheckReport) -> Disc
     if options.kinematic_noise is not None:
         return options
     old = None if options.since is None else options.since.physics.kinematic_noise
-    return options.but(kinematic_noise=faults.wander > WANDER if old is None else old)
+    return options.but(kinematic_noise=faults.loose if old is None else old)
 
 
 def _offered(

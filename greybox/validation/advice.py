@@ -129,7 +129,7 @@ ADVICE: tuple[Advice, ...] = (
     ),
     Advice(
         symptom=Symptom.CLOCKS,
-        reason="the clocks of gyro and attitude wander against each other",
+        reason="the attitude is not the integral of the gyro",
         action="--kinematic-noise",
     ),
     Advice(
@@ -257,7 +257,14 @@ def hints_of_checks(
         )
     most = max(report.drifts, default=0.0)
     if most > WANDER and not kinematic_noise:
-        out.append(Hint(symptom=Symptom.CLOCKS, detail=f"by {most:.1f} samples"))
+        out.append(
+            Hint(symptom=Symptom.CLOCKS, detail=f"their clocks wander by {most:.1f} samples")
+        )
+    axes = max(report.axes_apart, default=0.0)
+    if axes > WANDER and not kinematic_noise:
+        out.append(
+            Hint(symptom=Symptom.CLOCKS, detail=f"an estimator's axes are {axes:.1f} samples apart")
+        )
     limited = [
         f for f in report.of("saturation") if "share" in f.evidence
     ]  # not a sensor that clips

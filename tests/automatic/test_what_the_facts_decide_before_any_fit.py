@@ -14,6 +14,7 @@ from greybox.automatic.fit import prepare
 from greybox.automatic.setting import Given
 from greybox.data import Dataset
 from greybox.data.checks.finding import WANDER
+from greybox.frames import numeric
 from greybox.model.vehicle import Vehicle
 from tests.automatic.craft import IMU, POSE, RATES, flight, flights, flown, vehicle
 
@@ -52,6 +53,26 @@ def test_clocks_that_wander_turn_on_kinematic_noise(drift, noise):
     (said,) = [d for d in found.decisions if "kinematics" in d.about]
     assert said.choice == ("yes" if noise else "no")
     assert f"{facts.wander:.1f} samples" in said.reason
+
+
+def estimated(late: int) -> Dataset:
+    """A flight whose roll and pitch come so many samples before the gyro, its heading does not."""
+    (columns,) = flown(seeds=(1,))
+    columns = dict(columns)
+    names = ("qw", "qx", "qy", "qz")
+    angles = numeric("euler", np.column_stack([columns[n] for n in names]))
+    angles[:, :2] = np.roll(angles[:, :2], -late, axis=0)
+    columns |= dict(zip(names, numeric("from_euler", angles).T, strict=True))
+    whole = {n: v[: len(v) - late] for n, v in columns.items()}
+    return flight(whole, "run0", (*RATES, *names))
+
+
+def test_an_estimator_turns_on_kinematic_noise_and_is_said_as_what_it_is():
+    facts, found = decided(estimated(8))
+    assert facts.wander == 0.0 and facts.axes_apart == pytest.approx(8.0, abs=1.5)
+    assert found.recipe.kinematic_noise
+    (said,) = [d for d in found.decisions if "kinematics" in d.about]
+    assert said.reason.startswith("an estimator's attitude") and "drift" not in said.reason
 
 
 def test_kinematic_noise_that_was_refused_stays_off():

@@ -8,13 +8,20 @@ import pytest
 from faults import vehicle
 
 from greybox.data import RawLog
-from greybox.data.checks import Finding, check
+from greybox.data.checks import CheckReport, Finding, check
+from greybox.validation.advice import Symptom, hints_of_checks
 
 RATE = 100.0
 
 
 def flown(roll: float, yaw: float, seed: int = 0) -> Finding:
     """What is said of a flight whose gyro is so many samples late against roll and heading."""
+    (found,) = checked(roll, yaw, seed).of("alignment")
+    return found
+
+
+def checked(roll: float, yaw: float, seed: int = 0) -> CheckReport:
+    """All that is said."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 20.0, 1.0 / RATE)
 
@@ -41,8 +48,7 @@ def flown(roll: float, yaw: float, seed: int = 0) -> Finding:
         source="flown.csv",
         sha256="0" * 64,
     )
-    (found,) = check([raw], vehicle("nanobench")).of("alignment")
-    return found
+    return check([raw], vehicle("nanobench"))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -78,3 +84,20 @@ def test_axes_that_differ_to_both_sides_share_nothing() -> None:
     found = flown(16.0, -7.0)
     assert found.severity == "warning"
     assert found.evidence["offset_samples"] == 0.0
+
+
+def test_axes_that_differ_are_no_drift_of_clocks_and_turn_on_noise_between_attitude_and_gyro() -> (
+    None
+):
+    report = checked(12.0, 0.0)
+    assert report.drifts == () and report.wander == 0.0
+    (apart,) = report.axes_apart
+    assert apart == pytest.approx(12.0, abs=2.0) and report.loose
+    clean = checked(0.0, 0.0)
+    assert clean.axes_apart == () and not clean.loose
+
+
+def test_a_bad_fit_is_told_of_an_estimator_and_not_of_clocks() -> None:
+    (hint,) = hints_of_checks(checked(12.0, 0.0), effects=("motor_lag",))
+    assert hint.symptom is Symptom.CLOCKS and hint.detail.startswith("an estimator's axes are 1")
+    assert not hints_of_checks(checked(12.0, 0.0), effects=("motor_lag",), kinematic_noise=True)

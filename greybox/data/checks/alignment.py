@@ -119,8 +119,7 @@ def _estimated(view: View, axes: Mapping[str, tuple[float, float]]) -> Finding:
         "offset_samples": shared,
         "offset_s": shared * view.dt,
         "error_samples": max(e for _, e in axes.values()),
-        "low_samples": min(late),
-        "high_samples": max(late),
+        "axes_apart_samples": max(late) - min(late),
     }
     return Finding(
         check="alignment",

@@ -18,7 +18,8 @@ TOGETHER = ("motion", "attitude", "acceleration", "alignment")
 """Checks that hold one stream against another: without them axes and units may be wrong."""
 SCHEMA = "greybox.check/1"
 WANDER = 1.0
-"""Samples by which gyro and attitude must drift apart before their clocks count as wandering."""
+"""Samples by which gyro and attitude must drift apart before their clocks count as wandering, and by
+which axes must differ before the attitude counts as an estimator's."""
 MOST_NAMED = 4
 """Flights that are named where a finding holds for many."""
 
@@ -129,14 +130,29 @@ class CheckReport(Shown):
 
     @property
     def drifts(self) -> tuple[float, ...]:
-        """How far gyro and attitude drift apart [samples], of every flight that shows both."""
+        """How far the clocks of gyro and attitude drift apart [samples], of every flight that shows
+        it."""
         seen = [f.evidence for f in self.of("alignment") if "high_samples" in f.evidence]
         return tuple(float(e["high_samples"] - e["low_samples"]) for e in seen)
+
+    @property
+    def axes_apart(self) -> tuple[float, ...]:
+        """By how much the gyro is later against the attitude about one axis than about another
+        [samples], of every flight whose attitude an estimator filters."""
+        key = "axes_apart_samples"
+        return tuple(float(f.evidence[key]) for f in self.of("alignment") if key in f.evidence)
 
     @property
     def wander(self) -> float:
         """The median of the `drifts` [samples]; 0 without any."""
         return statistics.median(self.drifts) if self.drifts else 0.0
+
+    @property
+    def loose(self) -> bool:
+        """Whether the attitude of most flights is not the integral of the gyro: clocks drift apart,
+        or an estimator errs about its axes."""
+        each = (*self.drifts, *self.axes_apart)
+        return bool(each) and statistics.median(each) > WANDER
 
     def to_dict(self) -> dict[str, Json]:
         """Plain values for the result file, schema "greybox.check/1"."""
