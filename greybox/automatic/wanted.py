@@ -6,12 +6,13 @@ good, the numbers are not, and no scatter shows it: every flight is bent alike. 
 the catalogue that the model lacks is asked for at the end of a fit (`greybox.statistics.rivals`):
 one run of the filter per parameter tells how much likelier the flights were with it, and where the
 estimates would go. Error bars hold that, and what would go further than its error allows is said to
-be no measurement. The model stays: naming what is missing is for `greybox discover`.
+be no measurement. Where nothing would, pushes without a name stand for the effect: in flights like
+these. The model stays: naming what is missing is for `greybox discover`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -29,8 +30,12 @@ from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
 from greybox.model.layer import physics_of, with_physics
 from greybox.model.model import PhysicsModel
-from greybox.statistics.rivals import Averaged, Parabola, averaged
+from greybox.statistics.rivals import Averaged, Form, Parabola, averaged
 from greybox.symbolic import FloatArray
+
+CLEAR = float(np.log(20.0))
+"""Log odds from which on an effect that moves no number is spoken of: those of a name of `discover`
+at its level of 5 %."""
 
 
 def with_rivals(found: Fit, data: Dataset) -> Fit:
@@ -133,13 +138,14 @@ def _told(found: Fit, at: Parabola, seen: Averaged, limits: frozenset[str]) -> F
         if i in row:
             by_name.setdefault(u.name, []).append(row[i])
     away = moved_away(found, seen.shift, by_name)
-    return widened(found, seen.spread, by_name, _line(away, seen.best.causes, limits))
+    return widened(found, seen.spread, by_name, _line(away, seen.best, limits))
 
 
-def _line(away: Mapping[str, float], causes: Sequence[str], limits: frozenset[str]) -> str:
-    """Which numbers are no measurement, and why."""
-    known = HELD
-    if found := [n for n in causes if n in limits]:
+def _line(away: Mapping[str, float], best: Form, limits: frozenset[str]) -> str:
+    """Which numbers are no measurement, and why; what is clearly wanted though none hangs on it."""
+    known, want = HELD, f"the flights want {', '.join(best.causes)}, which this model lacks"
+    if found := [n for n in best.causes if n in limits]:
         known = f"how far {', '.join(found)} moves numbers needs a fit: trust no error before that"
-    why = f"the flights want {', '.join(causes)}, which this model lacks and which would"
-    return no_measurement(away, why, known)
+    if away or best.log_odds < CLEAR:
+        return no_measurement(away, f"{want} and which would", known)
+    return f"{want}: no number hangs on that, predictions of other manoeuvres may"

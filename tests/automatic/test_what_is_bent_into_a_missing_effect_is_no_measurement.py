@@ -18,6 +18,7 @@ from greybox.model.model import build_model
 from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual.files import load_model, save_model
+from greybox.statistics.rivals import Form
 from tests.automatic.craft import RATES, flights, flown, plant, vehicle
 
 DAMPING = 5e-5
@@ -63,10 +64,20 @@ def test_it_is_said_first_and_what_the_flights_want(damped):
     assert held.summary().count(held.covariance.form) == 1
 
 
+def form_of(*causes: str, log_odds: float = 50.0) -> Form:
+    return Form(causes=causes, log_odds=log_odds, shift=np.zeros(1), more=np.zeros((1, 1)))
+
+
+def test_what_is_clearly_wanted_is_said_though_no_number_hangs_on_it():
+    said = _line({}, form_of("parasitic_drag"), frozenset())
+    assert said.startswith("the flights want parasitic_drag, which this model lacks: no number")
+    assert not _line({}, form_of("parasitic_drag", log_odds=2.0), frozenset())
+
+
 def test_how_far_a_limit_moves_numbers_is_not_claimed_to_be_known():
-    away, causes = {"thrust.c2": 4.2}, ("command_saturation", "thrust_curve")
-    assert _line(away, causes, frozenset()).endswith("the errors hold that now")
-    said = _line(away, causes, frozenset({"command_saturation", "ground_effect"}))
+    away, wanted = {"thrust.c2": 4.2}, form_of("command_saturation", "thrust_curve")
+    assert _line(away, wanted, frozenset()).endswith("the errors hold that now")
+    said = _line(away, wanted, frozenset({"command_saturation", "ground_effect"}))
     assert said.startswith(
         "thrust.c2 is no measurement: the flights want command_saturation, thrust"
     )
