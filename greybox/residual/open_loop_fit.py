@@ -45,8 +45,11 @@ from greybox.residual.strengths import (
 )
 from greybox.residual.weight_space import Candidate, alone, fitted, silent
 from greybox.symbolic import FloatArray, evaluate
+from greybox.validation.calibration import steps_ahead
 
-HORIZONS = (1, 2, 5, 10, 20, 35, 50)
+HORIZONS, STRIDE = (1, 2, 5, 10, 20, 35, 50), 10
+"""Errors of so many samples ahead, and those between the starts of two predictions, at 100 Hz: see
+`steps_ahead`."""
 STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, np.inf)
 """Prior strengths to choose from; infinite switches the outputs of a group off."""
 FEW, BLOCKS = 4, 4
@@ -87,8 +90,6 @@ def fit_open_loop(
     data: Dataset,
     *,
     maker: Maker | None = None,
-    horizons: Sequence[int] = HORIZONS,
-    stride: int = 10,
     strengths: Sequence[float] = STRENGTHS,
     iterations: int = 4,
     progress: Progress | None = None,
@@ -100,13 +101,12 @@ def fit_open_loop(
     refitted by multi-step errors on the flights of `data`. With a `maker` the best candidate must
     stand again with features that have not seen the flights they are judged on; where it does not
     the next one is asked, and none is learned where none does. `model` is the identified model
-    without the learned part; `horizons` are samples, `stride` the samples between the starts of two
-    predictions. Raises `DataError` for flights that are too short, `FitError` where the model
-    itself does not stay finite.
+    without the learned part. Raises `DataError` for flights that are too short, `FitError` where
+    the model itself does not stay finite.
     """
     say = progress or (lambda _text, _share: None)
     with threadpool_limits(limits=1):
-        paths = Paths(model, data, horizons=horizons, stride=stride)
+        paths = _paths(model, data)
         bases = {label: Basis(model, posterior) for label, posterior in candidates.items()}
         outputs = next(iter(candidates.values())).outputs.names
         cut = _Cut.of(paths, next(iter(bases.values())))
@@ -138,8 +138,6 @@ def fit_again(
     data: Dataset,
     before: OpenLoopFit,
     *,
-    horizons: Sequence[int] = HORIZONS,
-    stride: int = 10,
     iterations: int = 4,
     progress: Progress | None = None,
 ) -> OpenLoopFit:
@@ -148,7 +146,7 @@ def fit_again(
     `before`."""
     say = progress or (lambda _text, _share: None)
     with threadpool_limits(limits=1):
-        paths = Paths(model, data, horizons=horizons, stride=stride)
+        paths = _paths(model, data)
         paths.scales = before.scales
         basis = Basis(model, candidate)
         cut = _Cut.of(paths, basis)
@@ -159,6 +157,12 @@ def fit_again(
         found = _fitted(paths, basis, parts[""], chosen, cut, iterations, say)
     left, first = (np.sum(list(f.unseen.values())) for f in (found, before))
     return replace(found, held_out_gain=float(1 - (1 - before.held_out_gain) * left / first))
+
+
+def _paths(model: IdentifiedModel, data: Dataset) -> Paths:
+    """Predictions of the same times at every rate."""
+    horizons, (stride,) = steps_ahead(model, HORIZONS), steps_ahead(model, (STRIDE,))
+    return Paths(model, data, horizons=horizons, stride=stride)
 
 
 def _fitted(

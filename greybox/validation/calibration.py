@@ -36,15 +36,14 @@ from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.propagation import Propagator, run_together
 from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import learned_push_of
+from greybox.model.layer import learned_push_of, physics_of
 from greybox.statistics.distributions import chi_square_quantile
 from greybox.symbolic import FloatArray
 from greybox.validation.new_flight import GRID, new_flight_factor
 from greybox.validation.predictive import gaussian_nlpd
 
 HORIZONS = (5, 10, 20, 35, 50)
-AHEAD = (0.05, 0.1, 0.2, 0.35, 0.5)
-"""Seconds ahead at which a fit is calibrated."""
+"""Samples at 100 Hz, see `steps_ahead`."""
 LIMITS = (0.1, 10.0)
 PRIOR = 1.0
 """Standard deviation of the logarithm of a factor where the errors say nothing: about one, as the
@@ -89,11 +88,12 @@ def calibrate_horizons(
     model: IdentifiedModel,
     data: Dataset,
     *,
-    horizons: Sequence[int] = HORIZONS,
+    horizons: Sequence[int] | None = None,
     spacing: float = 0.25,
     left_out: Mapping[tuple[str, int, str], float] | None = None,
 ) -> Calibration:
-    """Fit the factors on all flights of `data`, from origins `spacing` seconds apart.
+    """Fit the factors on all flights of `data`, from origins `spacing` seconds apart, `horizons`
+    samples ahead (None: half a second of a vehicle, 50 samples of another model).
 
     `left_out`: (flight, horizon, channel group) -> factor on the squared errors, for models that
     were fitted more closely to these flights than they will fit others.
@@ -103,6 +103,7 @@ def calibrate_horizons(
     measured. Raises `DataError` where no flight is long enough.
     """
     work = _Parts(Filter(model), model.process_noise, split_learned=True)
+    horizons = steps_ahead(model, HORIZONS) if horizons is None else horizons
     flights: list[list[_Errors]] = []
     pieces = 1 if len(data) >= FEW else STRETCHES
     for flight in data:
@@ -153,13 +154,19 @@ def calibrate_horizons(
 def calibrated(found: Fit, data: Dataset) -> Fit:
     """The fit with `horizon_noise`, calibrated on the flights `data` that it was fitted to; as it
     was where none of them is long enough. Its mean predictions stay as they are."""
-    dt = found.model.sample_time
-    horizons = sorted({max(1, round(h / dt)) for h in AHEAD})
     try:
-        model = calibrate_horizons(found.model, data, horizons=horizons).model
+        model = calibrate_horizons(found.model, data).model
     except (DataError, FitError):
         return found
     return replace(found, estimates=replace(found.estimates, model=model))
+
+
+def steps_ahead(model: IdentifiedModel, at_100_hz: Sequence[int]) -> tuple[int, ...]:
+    """Samples ahead that are the same times for a vehicle at every rate; of another model, whose
+    time scale is its own, as they are."""
+    if physics_of(model.dynamics) is None:
+        return tuple(at_100_hz)
+    return tuple(sorted({max(1, round(0.01 * h / model.sample_time)) for h in at_100_hz}))
 
 
 class _Parts:
