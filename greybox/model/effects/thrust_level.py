@@ -50,6 +50,7 @@ class ThrustLevel(Effect):
                 upper=0.5,
                 null=0.0,
                 scale=0.01,
+                origin=-1.0,
                 meaning="relative strength of all rotors",
             ),
         )
