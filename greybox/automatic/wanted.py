@@ -5,14 +5,17 @@ another form, a misalignment of the pose for an IMU that is turned in its mount.
 good, the numbers are not, and no scatter shows it: every flight is bent alike. So every effect of
 the catalogue that the model lacks is asked for at the end of a fit (`greybox.statistics.rivals`):
 one run of the filter per parameter tells how much likelier the flights were with it, and where the
-estimates would go. Error bars hold that, and what would go further than its error allows is said to
-be no measurement. Where nothing would, pushes without a name stand for the effect: in flights like
-these. The model stays: naming what is missing is for `greybox discover`.
+estimates would go. So is every effect that is held at nothing, at its bound: flights that push
+beyond it by more than chance have a wrong clock, or a model of a wrong form, which comes first.
+Error bars hold that, and what would go further than its error allows is said to be no measurement.
+Where nothing would, pushes without a name stand for the effect: in flights like these. The model
+stays: naming what is missing is for `greybox discover`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -30,8 +33,12 @@ from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
 from greybox.model.layer import physics_of, with_physics
 from greybox.model.model import PhysicsModel
+from greybox.statistics.evidence import FELT
 from greybox.statistics.rivals import Averaged, Form, Parabola, averaged
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
+
+UNKNOWN = "no craft has that: a clock, a sign or the form of the model is wrong"
+"""What a parameter beyond its bound says, where its effect does not know it."""
 
 CLEAR = float(np.log(20.0))
 """Log odds from which on an effect that moves no number is spoken of: those of a name of `discover`
@@ -51,16 +58,16 @@ def with_rivals(found: Fit, data: Dataset) -> Fit:
         return found
     try:
         with threadpool_limits(limits=1):
-            at, limits = _parabola(found, data, physics)
+            at, wide = _parabola(found, data, physics)
             seen = averaged(at)
     except (GreyboxError, np.linalg.LinAlgError):  # a larger model that cannot predict
         return found
-    return found if seen.best is None else _told(found, at, seen, limits)
+    return found if seen.best is None else _told(found, at, seen, wide)
 
 
-def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> tuple[Parabola, frozenset[str]]:
-    """(the cost about the fit, with effects that it lacks; those of them that are felt of a large
-    step alone). What is held for a ratio may move as far as it is stated: an effect that does the
+def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> tuple[Parabola, Problem]:
+    """(the cost about the fit, with effects that it lacks or holds at nothing; the problem whose
+    unknowns have the same places). What is held for a ratio may move as far as it is stated: an effect that does the
     same as its error is no news."""
     small, theta = found.problem, found.theta
     held = at_bound(small, theta, small.evaluate(theta))
@@ -68,8 +75,11 @@ def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> tuple[Parabol
     declared = {d.name: d for d in small.dynamics.parameters}
     stated = {n: (float(small.base[i]), declared[n].sigma) for i, n in enumerate(declared)}
     priors = {n: stated[n] for n in found.settings["considered"]}
-    for e in effects:
-        priors |= absence(e, physics.vehicle)
+    at_null = _at_null(small, theta, held)
+    for e in (*physics.effects, *effects):
+        absent = absence(e, physics.vehicle)
+        priors |= {n: a for n, a in absent.items() if e in effects or n in at_null}
+    free = {u.name for u in small.unknowns}
     early = {e.name for e in effects if e.early or e.memory(physics.vehicle)}
     near = [e for e in effects if e.name not in early]
     wide, at = with_candidate_sensitivities(
@@ -77,20 +87,30 @@ def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> tuple[Parabol
         theta,
         with_physics(small.dynamics, lambda m: m.with_effect(*near)),
         data,
-        {n: null for n, (null, _) in priors.items()},
+        {n: null for n, (null, _) in priors.items() if n not in free},
         apart=with_physics(small.dynamics, lambda m: m.with_effect(*effects)) if early else None,
     )
     value = wide.evaluate(at, scores=small.score_block)
     assert value.gradient is not None and value.data_hessian is not None
-    n, own = small.n, [priors[u.name] for u in wide.unknowns[small.n :]]
-    sigma = np.array([u.sigma for u in small.unknowns] + [s for _, s in own])
+    n, names = small.n, [u.name for u in wide.unknowns]
+    asked = {e.name for e in effects}
+    places: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        if (i >= n and name.split(".")[0] in asked) or (name in at_null and (i >= n or held[i])):
+            places.setdefault(name.split(".")[0], []).append(i)
+    sigma = np.array([u.sigma for u in small.unknowns] + [priors[m][1] for m in names[n:]])
+    of_causes = {i for rows in places.values() for i in rows}
+    for i in of_causes:
+        sigma[i] = min(sigma[i], priors[names[i]][1])
     prior = np.where(np.isfinite(sigma), sigma, np.inf) ** -2.0
     information = value.data_hessian + np.diag(prior)
     gradient = value.gradient.copy()
     gradient[n:] -= _pull_of_declared(wide, at)[n:]
-    places = {e.name: [i for i in range(n, wide.n) if _head(wide, i) == e.name] for e in effects}
+    # A craft has no such effect; but what the model has and the flights hold at its bound, or what a
+    # wrong clock makes of an effect, lies beyond.
+    past = {e.name for e in effects if e.beyond}
+    bounded = np.array([m not in at_null and m.split(".")[0] not in past for m in names])
     loose = [*np.flatnonzero(~held).tolist(), *range(n, wide.n)]
-    of_causes = {i for rows in places.values() for i in rows}
     scores = value.scores
     parabola = Parabola(
         information=information,
@@ -98,13 +118,25 @@ def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> tuple[Parabol
         prior=prior,
         fitted=[i for i in loose if i not in of_causes and information[i, i] > 0],
         causes=places,
-        floor=at <= wide.lower,
-        ceiling=at >= wide.upper,
+        floor=bounded & (at <= wide.lower),
+        ceiling=bounded & (at >= wide.upper),
         scatter=None
         if not found.coloured or scores is None or len(scores) < FEWEST_BLOCKS
         else scores.T @ scores,
     )
-    return parabola, frozenset(n.split(".")[0] for n in wide.thresholds)
+    return parabola, wide
+
+
+def _at_null(small: Problem, theta: FloatArray, held: BoolArray) -> frozenset[str]:
+    """Names of the parameters that are nothing at a bound: held there, or where a search ended."""
+    value = dict(zip((d.name for d in small.dynamics.parameters), small.base, strict=True))
+    value |= {u.name: np.nan for u in small.unknowns}
+    value |= {small.unknowns[i].name: theta[i] for i in np.flatnonzero(held)}
+    return frozenset(
+        d.name
+        for d in small.dynamics.parameters
+        if value[d.name] == d.null and d.null in (d.lower, d.upper)
+    )
 
 
 def _pull_of_declared(wide: Problem, at: FloatArray) -> FloatArray:
@@ -112,10 +144,6 @@ def _pull_of_declared(wide: Problem, at: FloatArray) -> FloatArray:
     sigma = np.array([u.sigma for u in wide.unknowns])
     mean = np.array([u.mean for u in wide.unknowns])
     return np.where(np.isfinite(sigma), (at - mean) / sigma**2, 0.0)
-
-
-def _head(problem: Problem, i: int) -> str:
-    return problem.unknowns[i].name.split(".")[0]
 
 
 def _offered(physics: PhysicsModel, data: Dataset) -> list[Effect]:
@@ -128,9 +156,10 @@ def _offered(physics: PhysicsModel, data: Dataset) -> list[Effect]:
     return [e for e in judged if physics.with_effect(e).noises.names == pushed]
 
 
-def _told(found: Fit, at: Parabola, seen: Averaged, limits: frozenset[str]) -> Fit:
-    """The fit with wider errors, and what is no measurement. How far a limit that is missing moves
-    numbers is not to be seen where it is not felt."""
+def _told(found: Fit, at: Parabola, seen: Averaged, wide: Problem) -> Fit:
+    """The fit with wider errors, what is no measurement, and first of all which bounds the flights
+    push against. How far a limit that is missing moves numbers is not to be seen where it is not
+    felt."""
     assert seen.best is not None
     by_name: dict[str, list[int]] = {}
     row = {place: k for k, place in enumerate(at.fitted)}
@@ -138,12 +167,40 @@ def _told(found: Fit, at: Parabola, seen: Averaged, limits: frozenset[str]) -> F
         if i in row:
             by_name.setdefault(u.name, []).append(row[i])
     away = moved_away(found, seen.shift, by_name)
-    return widened(found, seen.spread, by_name, _line(away, seen.best, limits))
+    limits = frozenset(n.split(".")[0] for n in wide.thresholds)
+    pushed = _beyond(seen.best, wide)
+    line = _line(away, seen.best, limits, bounded=bool(pushed))
+    held = widened(found, seen.spread, by_name, line)
+    if not pushed:
+        return held
+    old, said = held.diagnostics, "; ".join(pushed)
+    covariance = replace(old.covariance, beyond=said)
+    told = replace(old, covariance=covariance, warnings=(said, *old.warnings))
+    return replace(held, diagnostics=told)
 
 
-def _line(away: Mapping[str, float], best: Form, limits: frozenset[str]) -> str:
+def _beyond(best: Form, wide: Problem) -> list[str]:
+    """In words, which unknowns of the likeliest form go beyond the bound where they are nothing by
+    more than chance, the surest first."""
+    why = {e.name: e.beyond for e in CATALOGUE}
+    found = []
+    for i, (step, error) in best.steps.items():
+        u = wide.unknowns[i]
+        out = (step < 0 and u.start <= u.lower) or (step > 0 and u.start >= u.upper)
+        if out and abs(step) > FELT * error > 0:
+            size, sure = abs(step), abs(step) / error
+            reason = (why.get(u.name.split(".")[0]) or UNKNOWN).format(size)
+            text = f"{u.name} would be {sure:.0f} standard errors beyond its bound {u.start:g}: {reason}"
+            found.append((-sure, text))
+    return [text for _, text in sorted(found)]
+
+
+def _line(
+    away: Mapping[str, float], best: Form, limits: frozenset[str], *, bounded: bool = False
+) -> str:
     """Which numbers are no measurement, and why; what is clearly wanted though none hangs on it."""
-    known, want = HELD, f"the flights want {', '.join(best.causes)}, which this model lacks"
+    lacks = "which this model lacks or bounds" if bounded else "which this model lacks"
+    known, want = HELD, f"the flights want {', '.join(best.causes)}, {lacks}"
     if found := [n for n in best.causes if n in limits]:
         known = f"how far {', '.join(found)} moves numbers needs a fit: trust no error before that"
     if away or best.log_odds < CLEAR:

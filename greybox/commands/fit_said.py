@@ -132,7 +132,8 @@ def lines(
     """The verdict and what the logs, pushes and physics say, the decisions with their reasons, the
     estimates, the script that says every choice."""
     first, *rest = result.summary().splitlines()
-    for line in (*result.covariance.changed, result.covariance.form):
+    doubts = result.covariance
+    for line in (doubts.beyond, *doubts.changed, doubts.form):
         if line:  # it is said at once, with what to do next
             rest.remove(f"warning: {line}")
     told = [f"warning: {w}" for some in job.warnings for w in some]
@@ -170,11 +171,14 @@ def with_pushes(job: Job, result: Fit) -> tuple[Fit, list[str]]:
 
 
 def next_step(job: Job, result: Fit, pushed: Sequence[str]) -> list[str]:
-    """What to do where the craft changed within a flight; and the command that names what is
+    """What to do where flights push beyond a bound, which comes before all else; where the craft
+    changed within a flight; and the command that names what is
     missing, where parameters stand in for that, or pushes without a name follow the motion and
     matter ahead or carry the craft: what is missing may look like a change."""
     form, changed = result.covariance.form, result.covariance.changed
     told = [*([form] if form else []), *pushed]
+    if result.covariance.beyond:
+        return [f"next: {result.covariance.beyond}", *(f"then: {t}" for t in told)]
     named = [f"next: {discover_command(job.arguments)}: {'; '.join(told)}"] if told else []
     before_and_after = f"next: fit apart what was flown before and after: {'; '.join(changed)}"
     return [*named, before_and_after] if changed else named

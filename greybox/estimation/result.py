@@ -444,7 +444,12 @@ class Fit(Shown):
             self.verdict is None and not self.converged
         ):  # nothing vouches for these numbers: the failure comes first
             lines.reverse()
-        doubts = (*self.covariance.changed, self.covariance.form, self.covariance.doubt)
+        doubts = (
+            self.covariance.beyond,
+            *self.covariance.changed,
+            self.covariance.form,
+            self.covariance.doubt,
+        )
         first = [d for d in doubts if d]
         lines += [f"warning: {d}" for d in first]
         doubted = suspects(self.model, self.parameters)

@@ -16,7 +16,7 @@ more than the information says, as those of coloured errors do, count for less (
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -59,12 +59,14 @@ class Parabola:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Form:
     """A set of causes: log of its odds against the fit without any, the `shift` (m,) of the fitted
-    unknowns with them, and what not knowing their size adds to the covariance (m, m)."""
+    unknowns with them, what not knowing their size adds to the covariance (m, m), and by place of
+    a cause how far it goes, with the standard error of that (`steps`)."""
 
     causes: tuple[str, ...]
     log_odds: float
     shift: FloatArray
     more: FloatArray
+    steps: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,12 +115,16 @@ def _form(
     if not own:
         return None
     gain = _gain(at, [*at.fitted, *others], own)
-    information, score, moved = _projected(at, at.fitted, [*others, *own])
+    rows = [*others, *own]
+    information, score, moved = _projected(at, at.fitted, rows)
+    errors = _errors(at, at.fitted, rows, information, moved)
+    back = np.linalg.solve(information, score)
     return Form(
         causes=(*there, name),
         log_odds=(0.0 if before is None else before.log_odds) + gain - price,
-        shift=np.asarray(moved @ np.linalg.solve(information, score)),
+        shift=np.asarray(moved @ back),
         more=np.asarray(moved @ np.linalg.solve(information, moved.T)),
+        steps={i: (-float(b), e) for i, b, e in zip(rows, back, errors, strict=True)},
     )
 
 
@@ -140,16 +146,39 @@ def _gain(at: Parabola, rest: Sequence[int], own: Sequence[int]) -> float:
     for less."""
     information, score, moved = _projected(at, rest, own)
     prior = np.diag(at.prior[own])
-    if at.scatter is not None:
-        through = np.zeros((len(at.prior), len(own)))
-        through[own, range(len(own))] = 1.0
-        through[rest] = -moved
-        scatter = through.T @ at.scatter @ through + prior
+    if (scatter := _scatter(at, rest, own, moved)) is not None:
         told = max(float(np.trace(np.linalg.solve(information, scatter))) / len(own), 1.0)
         information, score = (information - prior) / told + prior, score / told
     _, size = np.linalg.slogdet(information)
     room = float(size - np.log(at.prior[own]).sum())
     return 0.5 * float(score @ np.linalg.solve(information, score)) - 0.5 * room
+
+
+def _scatter(
+    at: Parabola, rest: Sequence[int], own: Sequence[int], moved: FloatArray
+) -> FloatArray | None:
+    """Scatter (k, k) of the scores of the unknowns at `own`, those at `rest` projected out, with
+    their priors; None where errors are white."""
+    if at.scatter is None:
+        return None
+    through = np.zeros((len(at.prior), len(own)))
+    through[own, range(len(own))] = 1.0
+    through[rest] = -moved
+    return np.asarray(through.T @ at.scatter @ through + np.diag(at.prior[own]))
+
+
+def _errors(
+    at: Parabola,
+    rest: Sequence[int],
+    own: Sequence[int],
+    information: FloatArray,
+    moved: FloatArray,
+) -> list[float]:
+    """Standard errors of the steps of the unknowns at `own`, never below those of white errors."""
+    inverse = np.linalg.inv(information)
+    least, scatter = np.diag(inverse), _scatter(at, rest, own, moved)
+    variance = least if scatter is None else np.diag(inverse @ scatter @ inverse)
+    return [float(e) for e in np.sqrt(np.maximum(variance, least))]
 
 
 def _projected(

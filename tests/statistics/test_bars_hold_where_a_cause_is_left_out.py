@@ -71,6 +71,9 @@ def test_the_shift_is_that_of_the_larger_fit():
     assert seen.best.causes[0] == "cube"
     assert estimate[0] + seen.shift[0] == pytest.approx(0.5, abs=0.1)
     assert abs(seen.shift[0]) > 20 * 0.015
+    step, error = seen.best.steps[2]
+    assert step == pytest.approx(0.3, abs=4 * error)
+    assert 0 < error < 0.1 * step
 
 
 def test_coloured_errors_are_no_cause():

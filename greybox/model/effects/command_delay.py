@@ -23,6 +23,10 @@ class CommandDelay(Effect):
         "step are exact"
     )
     early = frozenset({"delay"})
+    beyond = (
+        "commands are logged about {0:.2g} s later than they act (often by one row); set delay = "
+        "{0:.2g} in [columns.command] and fit again"
+    )
     case = ReferenceCase(
         parameters={"d": 0.02},
         flow={},
