@@ -91,12 +91,13 @@ def _automatic(
     demand_disjoint(data.files, () if test is None else test.files)
     demand_sound(faults_of(vehicle, accept=accept), "a fit")
     prepared = prepare(vehicle, data, accept=accept)
-    for line in prepared.report.accepted_lines():
+    unchecked = prepared.report.unchecked_order
+    for line in (*prepared.report.accepted_lines(), *unchecked):
         say(line)
     vehicle, decided = decide_for(vehicle, prepared, given, say=say)
     found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
     found = with_lasting(with_rivals(found, prepared.data), prepared.data)
-    found = calibrated(found, prepared.data)
+    found = calibrated(found, prepared.data).warned(unchecked)
     recipe = found.provenance.recipe
     assert recipe is not None
     held_out, reports = Dataset(flights=()), []

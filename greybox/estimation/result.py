@@ -160,6 +160,11 @@ class Fit(Shown):
         model = replace(self.model, verdict=verdict)
         return replace(self, estimates=replace(self.estimates, model=model))
 
+    def warned(self, lines: Sequence[str]) -> Fit:
+        """The same fit with what is also to be warned of."""
+        warnings = (*self.diagnostics.warnings, *lines)
+        return replace(self, diagnostics=replace(self.diagnostics, warnings=warnings))
+
     def _shown_text(self) -> str:
         """The summary: the verdict first."""
         first, _, rest = self.summary().partition("\n")

@@ -36,7 +36,7 @@ def fitted(rows: int, effects: tuple[str, ...], **choices: object) -> Fit:
 
 
 @pytest.mark.parametrize(
-    "effects, choices",
+    ("effects", "choices"),
     [
         (("motor_lag", "command_delay", "gyro_bias"), {}),
         (("motor_lag", "command_delay", "gyro_bias"), {"fixed": ("command_delay.d",)}),

@@ -14,8 +14,9 @@ from greybox.shown import Cell, Shown
 Severity = Literal["info", "warning", "blocking"]
 SEVERITIES: tuple[Severity, ...] = ("blocking", "warning", "info")
 
-TOGETHER = ("motion", "attitude", "acceleration", "alignment")
-"""Checks that hold one stream against another: without them axes and units may be wrong."""
+TOGETHER = ("motion", "attitude", "acceleration", "alignment", "motors")
+"""Checks that hold one stream against another: without them axes, units and the order of motors may
+be wrong."""
 SCHEMA = "greybox.check/1"
 WANDER = 1.0
 """Samples by which gyro and attitude must drift apart before their clocks count as wandering, and by
@@ -43,11 +44,13 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class Unjudged:
-    """A check that could not be made on a flight, and why."""
+    """A check that could not be made on a flight, and why; `part` is all that is open where the rest
+    was judged."""
 
     check: str
     flight: str
     reason: str
+    part: str = ""
 
 
 Outcome = Finding | Unjudged
@@ -186,7 +189,18 @@ class CheckReport(Shown):
         for (check, where), same in groups.items():
             more = " (greybox check lists the others)" if len({f.message for f in same}) > 1 else ""
             out.append(f"{_flights(same)} [{check}] {where}: {same[0].message}{more}")
-        return out
+        return [*out, *self.unchecked_order]
+
+    @property
+    def unchecked_order(self) -> list[str]:
+        """What a fit cannot see, where no flight of the craft tells it: which command drives which
+        rotor."""
+        open_ = {u.flight: u.reason for u in self.not_judged if u.check == "motors" and not u.part}
+        if not self.flights or len(open_) < len(self.flights):
+            return []
+        return [
+            f"the order of the motors was not checked: {'; '.join(dict.fromkeys(open_.values()))}"
+        ]
 
     def _alike(self) -> list[list[Finding]]:
         """Findings that say the same of several flights, together."""
@@ -199,7 +213,7 @@ class CheckReport(Shown):
     def _but(self) -> str:
         """What the verdict is not on, as its end: checks of one stream against another that could
         not be made on some flight."""
-        some = dict.fromkeys(u.check for u in self.not_judged if u.check in TOGETHER)
+        some = dict.fromkeys(u.check for u in self.not_judged if u.check in TOGETHER and not u.part)
         return f" (not judged: {', '.join(some)})" if some else ""
 
     def _shown_text(self) -> str:
@@ -239,10 +253,11 @@ class CheckReport(Shown):
                 f"accepted all the same: {checks}; whatever is built on these logs carries that"
             )
         reasons: dict[tuple[str, str], int] = {}
-        for item in self.not_judged:
-            reasons[item.check, item.reason] = reasons.get((item.check, item.reason), 0) + 1
-        for (check, reason), count in reasons.items():
-            lines.append(f"cannot be judged: {check} ({reason}; {count} log(s))")
+        for u in self.not_judged:
+            what = f"{u.check}, {u.part}" if u.part else u.check
+            reasons[what, u.reason] = reasons.get((what, u.reason), 0) + 1
+        for (what, reason), count in reasons.items():
+            lines.append(f"cannot be judged: {what} ({reason}; {count} log(s))")
         return "\n".join(lines)
 
 

@@ -20,6 +20,9 @@ from greybox.data.checks.relations import CLEAR, LEAST, LEFT, jackknife
 from greybox.data.checks.strength import strength_of
 from greybox.data.checks.together import alone_and_together
 from greybox.data.checks.torque import (
+    LEAST as INSTANTS,
+)
+from greybox.data.checks.torque import (
     SEEN,
     SEEN_YAW,
     Sums,
@@ -62,9 +65,7 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
     for view in views:
         torque = torque_regression(view) if view.has("rate") and view.drives else None
         if torque is None:
-            what = "no airborne stretch" if view.flight is None else "no gyro"
-            reason = "fewer than 200 complete samples" if view.has("rate") and view.drives else what
-            yield Unjudged(check="motors", flight=view.name, reason=reason)
+            yield Unjudged(check="motors", flight=view.name, reason=_lacking(view))
         elif (torque.share[:2] < SEEN).any():
             reason = "the commands explain too little of the angular acceleration (share "
             reason += ", ".join(f"{s:.3f}" for s in torque.share) + ")"
@@ -83,9 +84,25 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
         yield from _told(turning, lambda some: _spins(some, promised))
         reason = "too little yaw motion to see the spins"
         yield from (
-            Unjudged(check="motors", flight=n, reason=reason) for n in left if n not in turning
+            Unjudged(check="motors", flight=n, reason=reason, part="spins")
+            for n in left
+            if n not in turning
         )
     yield from _strong({v.name: (v, left[v.name]) for v in views if v.name in left}, promised)
+
+
+def _lacking(view: View) -> str:
+    """Why the torques of a flight cannot be seen."""
+    if view.flight is None:
+        return "no airborne stretch"
+    if not view.has("rate"):
+        return "no gyro"
+    if not view.drives:
+        return "neither all commands nor all rotor speeds"
+    return (
+        f"fewer than {INSTANTS} instants with gyro, {'commands' if view.commanded else 'rotor speeds'} "
+        "and specific force all around them: too short, or too much is missing"
+    )
 
 
 def _strong(
@@ -104,7 +121,7 @@ def _strong(
         strength = strength_of(view.vehicle, torque.sums, promised)
         if strength is not None and not strength.told:
             reason = "the flight does not tell how strongly the commands turn it"
-            yield Unjudged(check="motors", flight=name, reason=reason)
+            yield Unjudged(check="motors", flight=name, reason=reason, part="strength")
 
 
 def _joined(torques: Sequence[Torque]) -> Sums:

@@ -3,7 +3,8 @@ strongly, how late.
 
 d(omega)/dt = B (u_i^2, late by a lag) + D omega + E (a_x, a_y) + c, per axis. Rates damp, and the
 lateral specific force stands for the velocity of the craft (drag): their moments would otherwise be
-read as a property of the rotors, or of a clock, under feedback.
+read as a property of the rotors, or of a clock, under feedback. Missing samples are joined up over the
+time over which is differentiated, and over the pace of a slower stream.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.checks.block_sums import BlockSums
-from greybox.data.checks.signals import derivative, peak, shifted, smoothed
+from greybox.data.checks.signals import derivative, joined_up, peak, shifted, smoothed
 from greybox.data.checks.view import FloatArray, View
 from greybox.data.drive import LATE_SPEEDS
 
@@ -41,6 +42,9 @@ roll and pitch."""
 
 SEEN_YAW = 0.02
 """The same before one on yaw."""
+
+LEAST = 200
+"""Instants that must have commands, gyro and specific force about them."""
 
 BLOCKS = 8
 """Blocks of time into which a flight is cut."""
@@ -165,7 +169,7 @@ _KNOWN: weakref.WeakKeyDictionary[View, Torque | None] = weakref.WeakKeyDictiona
 
 
 def torque_regression(view: View) -> Torque | None:
-    """The regression over the airborne part; None where fewer than 200 samples are complete."""
+    """The regression over the airborne part; None where fewer than `LEAST` instants have all."""
     if view not in _KNOWN:
         _KNOWN[view] = _regression(view)
     return _KNOWN[view]
@@ -174,18 +178,19 @@ def torque_regression(view: View) -> Torque | None:
 def _regression(view: View) -> Torque | None:
     dt = view.dt
     half = max(1, round(HALF_WINDOW / dt))
-    rate = view.group("rate")
+    rate = joined_up(view.group("rate"), half)
     turn = derivative(rate, dt, half)
-    u = smoothed(view.drive**2, half)
+    u = smoothed(joined_up(view.drive, half) ** 2, half)
     n = u.shape[1]
     other = np.column_stack([smoothed(rate, half), np.ones(u.shape[0])])
     if view.has("specific_force"):
-        other = np.column_stack([smoothed(view.joined(["ax", "ay"]), 2 * half), other])
+        push = joined_up(view.joined(["ax", "ay"]), half)
+        other = np.column_stack([smoothed(push, 2 * half), other])
     lags = np.arange(round(SEARCHED[0] / dt), round(SEARCHED[1] / dt) + 1)
     known = np.isfinite(turn).all(axis=1) & np.isfinite(other).all(axis=1)
     for lag in (lags[0], 0, lags[-1]):
         known &= np.isfinite(shifted(u, int(lag))).all(axis=1)
-    if known.sum() < 200:
+    if known.sum() < LEAST:
         return None
     y = turn[known]
     total = ((y - y.mean(axis=0)) ** 2).sum(axis=0)
