@@ -68,6 +68,8 @@ class Standard:
     reference itself, smoothed with later samples included. There dead reckoning, which starts from
     the same estimate, may take its place as rival, up to `unfair` times the last value's error.
     (Real flights: rates one sample ahead equal the last value, .083 to .090 against .090 rad/s.)
+    A noise that repeats itself, as vibration does, is foretold by holding a value one period long:
+    the last value's error is no less than it was at any shorter time.
     The last specific force is itself the measured IMU, with every constant offset that no filter
     corrects: its error at the end of this time is the rival all through it."""
     unfair: float = 2.0
@@ -273,13 +275,13 @@ def _compare(
     steps = len(seconds)
     own, held = model.mae[:steps], last.mae[:steps]
     best = None if floor is None or len(floor.mae) < steps else floor.mae[:steps]
-    rival = held.copy()
     short = seconds <= rule.short + 1e-9
+    rival = np.where(short, np.fmax.accumulate(held), held)
     if kind.name == "specific_force" and not kind.own:
-        rival[short] = np.maximum(held, held[_index(seconds, rule.short)])[short]
+        rival[short] = np.maximum(rival, held[_index(seconds, rule.short)])[short]
     elif best is not None:
         short &= np.isfinite(best)
-        rival[short] = np.maximum(held, np.minimum(best, rule.unfair * held))[short]
+        rival[short] = np.maximum(rival, np.minimum(best, rule.unfair * held))[short]
     chance = np.minimum(standard_error(model, last, steps), rule.noise * held)
     # A sample that is missing at a horizon (references sampled more slowly) says nothing.
     known = np.isfinite(held) & ~np.isnan(own)
@@ -519,14 +521,26 @@ def _no_better(kind: Sequence[_Comparison], span: slice, rule: Standard) -> list
 
 def _failure(worst: _Comparison, lost: bool, seconds: FloatArray, at: int) -> str:
     if lost:
-        start = float(seconds[int(np.argmax(worst.worse))])
-        text = f"{_word(worst.name)} is worse than holding the last value from {start:.2g} s on"
+        text = (
+            f"{_word(worst.name)} is worse than holding the last value {_when(worst, seconds, at)}"
+        )
     else:
         text = f"{_word(worst.name)} is no better than holding the last value"
     if not np.isfinite(worst.model[at]):
         return f"{text}, and not finite"
     own, last = _value(worst.model[at], worst.kind), _value(worst.last[at], worst.kind).split()[0]
     return f"{text} ({seconds[at]:.2g} s ahead {own}, last value {last})"
+
+
+def _when(worst: _Comparison, seconds: FloatArray, at: int) -> str:
+    """The horizons at which the last value is better: from the first one on where that holds as far
+    as skill is stated, else the first stretch of them."""
+    first = int(np.argmax(worst.worse))
+    start, better = seconds[first], np.flatnonzero(~worst.worse[first:])
+    if not better.size or first + better[0] > at:
+        return f"from {start:.2g} s on"
+    last = seconds[first + int(better[0]) - 1]
+    return f"at {start:.2g} s" if last == start else f"from {start:.2g} to {last:.2g} s"
 
 
 def in_words(verdict: Verdict) -> list[str]:
@@ -548,7 +562,7 @@ def in_words(verdict: Verdict) -> list[str]:
         worse = (
             ""
             if g.worse_from is None
-            else f"; the last value is better from {g.worse_from:.2g} s on"
+            else f"; the last value is first better {g.worse_from:.2g} s ahead"
         )
         lines.append(f"{_word(g.name)} {g.seconds:.2g} s ahead: {said}{worse}{calm}")
     return lines

@@ -336,3 +336,44 @@ def test_the_standard_is_one_record_whose_numbers_can_be_changed() -> None:
     strict = Standard(minimum=0.5)
     crossing = own(rotation=np.where(SECONDS < 0.425, 1.0, 3.0))
     assert verdict_of(crossing, standard=strict).outcome is Outcome.NOT_USABLE
+
+
+VIBRATION = 0.15
+"""Of a sensor, as a share of the motion within half a second."""
+
+
+def vibrating(line: float, size: float, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (H,) of a perfect model and of the last value in a sensor that shakes at `line` [Hz]."""
+    time = np.arange(0.0, 4.0, 1.0 / 250.0)
+    shake = size * np.sin(2 * np.pi * line * time)
+    noise = np.random.default_rng(5).normal(scale=0.05 * size, size=time.size)
+    seen = shake + noise
+    model, last = [], []
+    for h in range(1, len(motion) + 1):
+        model.append(np.abs(seen).mean())
+        last.append(np.hypot(np.abs(seen[h:] - seen[:-h]).mean(), motion[h - 1]))
+    return np.array(model), np.array(last)
+
+
+@pytest.mark.parametrize("line", [41.0, 50.0, 90.0])
+@pytest.mark.parametrize("group", ["rate", "rotation", "position"])
+def test_a_noise_that_repeats_itself_is_no_motion_that_the_last_value_knows(group, line) -> None:
+    """At 90 Hz a value of 12 ms ago is the same value again: that is no worse model."""
+    seconds = np.arange(1, 251) / 250.0
+    motion = {g: size * seconds / 0.5 for g, size in LIVELY.items()}
+    errors = {g: 0.1 * m for g, m in motion.items()}
+    size = VIBRATION * LIVELY[group]
+    errors[group], motion[group] = vibrating(line, size, motion[group])
+    assert (errors[group] > 1.1 * motion[group]).any()
+    tables = (table("model", errors), table("persistence", motion))
+    found = judge(*(replace(t, sample_time=1 / 250) for t in tables))
+    assert found.outcome is Outcome.USABLE, found.line
+
+
+def test_from_then_on_is_said_where_it_is_so() -> None:
+    often = np.where((SECONDS > 0.025) & (SECONDS < 0.045), 4.0, 1.0)
+    assert "the last value from 0.03 to 0.04 s (0.5 s" in verdict_of(own(rotation=often)).line
+    once = np.where((SECONDS > 0.025) & (SECONDS < 0.035), 4.0, 1.0)
+    found = verdict_of(own(rotation=once))
+    assert "than holding the last value at 0.03 s (0.5 s" in found.line
+    assert any("the last value is first better 0.03 s ahead" in line for line in in_words(found))
