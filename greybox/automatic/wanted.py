@@ -189,7 +189,8 @@ def _beyond(best: Form, wide: Problem) -> list[str]:
         out = (step < 0 and u.start <= u.lower) or (step > 0 and u.start >= u.upper)
         if out and abs(step) > FELT * error > 0:
             size, sure = abs(step), abs(step) / error
-            reason = (why.get(u.name.split(".")[0]) or UNKNOWN).format(size)
+            rows = max(1, round(size / wide.dt)) * wide.dt
+            reason = (why.get(u.name.split(".")[0]) or UNKNOWN).format(size, rows)
             text = f"{u.name} would be {sure:.0f} standard errors beyond its bound {u.start:g}: {reason}"
             found.append((-sure, text))
     return [text for _, text in sorted(found)]

@@ -91,7 +91,7 @@ def _flights(
 
     logs, others = read(arguments.train), read(arguments.test)
     demand_names_once([r.flight for r in logs])
-    demand_disjoint(*([(r.flight, r.sha256) for r in some] for some in (logs, others)))
+    demand_disjoint(*([r.file for r in some] for some in (logs, others)))
     prepared = prepare(
         vehicle,
         logs,

@@ -71,7 +71,7 @@ def log_faults(arguments: argparse.Namespace, vehicle: Vehicle) -> CheckReport:
         [read_table(p, vehicle, mapping=arguments.mapping) for p in paths]
         for paths in (arguments.train, arguments.test)
     )
-    demand_disjoint(*([(r.flight, r.sha256) for r in logs] for logs in (train, test)))
+    demand_disjoint(*([r.file for r in logs] for logs in (train, test)))
     accept, file = accepted(arguments.accept), arguments.vehicle
     if file is None:  # a model holds what its vehicle file said
         return check([*train, *test], vehicle, accept=accept)

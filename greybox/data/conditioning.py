@@ -313,4 +313,5 @@ def _flight(raw: RawLog, pieces: list[Segment], notes: list[str], where: str) ->
         noncausal=raw.noncausal,
         recipes=raw.recipes,
         removed=raw.removed,
+        fingerprint=raw.fingerprint,
     )

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.channel import channel, is_canonical
+from greybox.data.fingerprint import LogFile
 from greybox.data.raw import Removed
 from greybox.data.segment import Segment
 from greybox.errors import DataError, UnknownNameError
@@ -49,8 +50,9 @@ class Flight(Shown):
     `source` is the file name, `sha256` the checksum of its bytes ("" for data from memory), `notes`
     say what conditioning did, `removed` which samples were taken as missing because no craft can
     have made them. `noncausal` are channels whose values were smoothed with later samples,
-    `recipes` say how channels were made of what the log holds (data/readers/recipes.py). Raises
-    `DataError` where there is no segment or the sample times differ.
+    `recipes` say how channels were made of what the log holds (data/readers/recipes.py),
+    `fingerprint` some of the samples of its file (data/fingerprint.py). Raises `DataError`
+    where there is no segment or the sample times differ.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Flight(Shown):
     noncausal: frozenset[str] = frozenset()
     recipes: Mapping[str, str] = field(default_factory=dict)
     removed: tuple[Removed, ...] = ()
+    fingerprint: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         if not self.segments:
@@ -203,9 +206,9 @@ class Dataset(Shown):
         return data
 
     @property
-    def files(self) -> tuple[tuple[str, str], ...]:
-        """(name, SHA-256 of its file) of every flight; "" for one from memory."""
-        return tuple((f.name, f.sha256) for f in self.flights)
+    def files(self) -> tuple[LogFile, ...]:
+        """What tells every flight from others; nothing of one from memory but its name."""
+        return tuple(LogFile(f.name, f.sha256, f.fingerprint) for f in self.flights)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -8,33 +8,35 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.data.dataset import Dataset
+from greybox.data.fingerprint import LogFile, of_one_flight
 from greybox.errors import DataError
 
 APART = 0.5
 """Seconds between the halves of a single flight: what is remembered has faded."""
 
 EITHER = "give every flight to one of the two"
-Files = Collection[tuple[str, str]]
+COPY = "byte for byte"
+Files = Collection[LogFile]
 
 
 def demand_disjoint(train: Files, test: Files = ()) -> None:
     """Raise `DataError` for a flight that is in both, under whatever name, and for one that trains
-    twice: it would count as two. Flights are (name, SHA-256 of the file, "" for none)."""
-    known: dict[str, str] = {}
-    for name, content in train:
-        if content and content in known:
+    twice, as a copy or a part of another log: it would count as two."""
+    known: list[LogFile] = []
+    for one in (LogFile(*f) for f in train):
+        if same := _alike(one, known):
+            how = "are the same file" if same[1] == COPY else "hold the same samples"
             raise DataError(
-                f"flights {known[content]} and {name} are the same file", fix="give each log once"
+                f"flights {same[0].name} and {one.name} {how}", fix="give each log once"
             )
-        known[content] = name
-    contents = dict(train)
-    for name, content in test:
-        if content and content in known:
-            other = known[content]
-            copy = f" (byte for byte {other})" * (other != name)
+        known.append(one)
+    for one in (LogFile(*f) for f in test):
+        name = one.name
+        if same := _alike(one, known):
+            copy = f" ({same[1]} {same[0].name})" * (same[0].name != name)
             raise DataError(f"flight {name} is both train and test{copy}", fix=EITHER)
-        if name in contents:
-            if not content:
+        if any(name == k.name for k in known):
+            if not one.sha256:
                 raise DataError(f"flight {name} is both train and test", fix=EITHER)
             raise DataError(
                 f"two files are called {name}: one to train, one to test",
@@ -42,11 +44,20 @@ def demand_disjoint(train: Files, test: Files = ()) -> None:
             )
 
 
+def _alike(one: LogFile, known: Files) -> tuple[LogFile, str] | None:
+    """The log among those `known` that a log is the same as, and how."""
+    for other in known:
+        if one.sha256 and one.sha256 == other.sha256:
+            return other, COPY
+        if of_one_flight(one.fingerprint, other.fingerprint):
+            return other, "its samples are those of"
+    return None
+
+
 def demand_apart(train: Dataset, test: Dataset) -> None:
     """Raise `DataError` for a flight that is in both, whatever its names."""
-    taught = {f.sha256 for f in train if f.sha256}
-    for f in test:
-        if f.sha256 in taught or any(f is g for g in train):
+    for f, file in zip(test, test.files, strict=True):
+        if _alike(file, train.files) or any(f is g for g in train):
             raise DataError(
                 f"flight {f.name} is both train and test",
                 expected="test flights that did not teach",

@@ -10,6 +10,7 @@ from typing import TypeGuard
 import numpy as np
 import numpy.typing as npt
 
+from greybox.data.fingerprint import LogFile
 from greybox.errors import DataError
 
 FloatArray = npt.NDArray[np.float64]
@@ -54,7 +55,8 @@ class RawLog:
     `t` (N,) finite [s]; `channels` name -> (N,), NaN = missing; `extra` unknown columns as they
     came; `rows` (N,) line numbers in the file; `empty` canonical channels whose column holds no
     value; `recipes` how a channel was made of what the log holds; `notes` what the reader has to
-    say; `removed` the samples that were taken as missing because no craft can have made them.
+    say; `removed` the samples that were taken as missing because no craft can have made them;
+    `fingerprint` some of the samples of its file.
     """
 
     t: FloatArray
@@ -69,6 +71,12 @@ class RawLog:
     empty: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     removed: tuple[Removed, ...] = ()
+    fingerprint: frozenset[str] = frozenset()
+
+    @property
+    def file(self) -> LogFile:
+        """What tells it from other logs."""
+        return LogFile(self.flight, self.sha256, self.fingerprint)
 
     @property
     def n(self) -> int:

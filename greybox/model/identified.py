@@ -107,6 +107,7 @@ class IdentifiedModel(Shown):
     domain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     data_hash: str = ""
     trained_on: tuple[str, ...] = ()
+    trained_samples: frozenset[str] = frozenset()
     recipes: Mapping[str, str] | None = None
     source: str = ""
     verdict: Verdict | None = None
@@ -304,6 +305,7 @@ class IdentifiedModel(Shown):
             "domain": {k: list(v) for k, v in self.domain.items()},
             "data_hash": self.data_hash,
             "trained_on": list(self.trained_on),
+            **({"trained_samples": sorted(self.trained_samples)} if self.trained_samples else {}),
             **({} if self.verdict is None else {"verdict": to_plain(self.verdict.to_dict())}),
             "versions": library_versions(),
         }
@@ -416,6 +418,7 @@ def _identified_from_dict(data: Parsed, dynamics: Dynamics, where: str) -> Ident
         domain={k: (float(v[0]), float(v[1])) for k, v in data["domain"].items()},
         data_hash=str(data["data_hash"]),
         trained_on=tuple(data["trained_on"]),
+        trained_samples=frozenset(map(str, data.get("trained_samples", ()))),
         recipes=None if data.get("recipes") is None else dict(data["recipes"]),
         source=where,
         verdict=None if data.get("verdict") is None else Verdict.from_dict(data["verdict"]),

@@ -18,6 +18,7 @@ import numpy as np
 
 from greybox.data import Dataset, Flight, Segment, group_names
 from greybox.data.dataset import FlightFacts
+from greybox.data.fingerprint import of_one_flight
 from greybox.errors import DataError, FitError, ModelError
 from greybox.estimation.engine import unfelt_place
 from greybox.estimation.filtering import Filter, Filtered
@@ -199,9 +200,14 @@ class _Work:
             for label in ("model", "measured start", "persistence", "dead reckoning")
         }
         self.one_step = OneStep(dynamics=self.model.dynamics)
-        used = sorted(set(self.dataset.names) & set(self.model.trained_on))
+        known = self.model.trained_samples
+        used = sorted(
+            f.name
+            for f in self.dataset
+            if f.name in self.model.trained_on or of_one_flight(f.fingerprint, known)
+        )
         if self.judged_on is None:
-            fitted = set(self.dataset.names) <= set(self.model.trained_on)
+            fitted = set(self.dataset.names) <= set(used)
             self.judged_on = FITTED_FLIGHTS if fitted else PARTLY_FITTED if used else TEST_FLIGHTS
             if used:
                 self.warnings.append(

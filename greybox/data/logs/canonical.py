@@ -7,6 +7,7 @@ import numpy as np
 
 from greybox.data.airframe import Airframe
 from greybox.data.channel import TIME, canonical_names, group_names, is_canonical, rotor_index
+from greybox.data.fingerprint import fingerprint
 from greybox.data.logs.table import Table, flight_name, text_error
 from greybox.data.raw import LARGEST, FloatArray, RawLog, is_numeric
 from greybox.errors import DataError
@@ -68,6 +69,7 @@ def to_channels(table: Table, vehicle: Airframe | None, *, where: str) -> RawLog
         recipes=table.recipes,
         empty=tuple(empty),
         notes=tuple(notes),
+        fingerprint=fingerprint(channels),
     )
 
 
