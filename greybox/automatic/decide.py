@@ -388,7 +388,8 @@ class _Comparison:
         self.note(
             "thrust scale",
             "one value per flight" if differ else "one value for all flights",
-            f"single flights differ by {100 * spread:.1f} % (p = {chance:.2g})",
+            f"single flights differ by {100 * spread:.1f} % (p = {chance:.2g})"
+            + ": a battery, a load or another craft" * differ,
             "--per-flight, --shared",
         )
         return (options.but(per_flight=(THRUST,)), again) if differ else (options, chosen)

@@ -25,7 +25,6 @@ FEWEST_BLOCKS = 8
 class Covariance:
     """Matrices over all unknowns (n, n); rows and columns of held ones are zero. `blocks`: how many
     scores were summed; `doubt`: why all errors are too small, `form`: which parameters are no
-    scores were summed; `doubt`: why all errors are too small, `form`: which parameters are no
     measurement, since flights want what the model lacks, and which pushes go with how the craft is
     flown, `beyond`: which bounds of the model flights push against (`greybox.automatic.wanted`),
     `changed`: where the craft changed within a flight (`greybox.automatic.lasting`); all empty where

@@ -410,7 +410,7 @@ SCALES = ("mass", "inertia", "thrust", "torque")
 """Groups whose members are known within a factor."""
 
 OTHERS = (
-    "it is so, or it stands for an effect that is missing",
+    "it stands for an effect that is missing",
     "run `greybox discover` on the flights",
 )
 
@@ -442,8 +442,8 @@ def _overruled(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterat
             parameters=(name,),
             statement=f"{name} {verb} ({stated}) but the flights want {wanted}, {away:.0f} sigma "
             "away",
-            likely=likely,
-            attempt=attempt,
+            likely=f"the vehicle file's {name} is wrong, or {likely}",
+            attempt=f"correct it where nobody measured it; {attempt}",
         )
 
 

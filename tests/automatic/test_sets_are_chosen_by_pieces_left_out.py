@@ -52,6 +52,7 @@ def test_with_them_the_larger_set_is_taken():
 
 def test_flights_that_agree_share_one_thrust_scale(plain):
     assert of(plain, "thrust scale").choice == "one value for all flights"
+    assert "another craft" not in of(plain, "thrust scale").reason
     assert "thrust.c2" not in plain.recipe.options.per_flight
 
 
@@ -64,6 +65,7 @@ def test_flights_that_differ_get_one_each():
     found = decided(data)
     assert found.recipe.options.per_flight == ("thrust.c2",)
     assert of(found, "thrust scale").choice == "one value per flight"
+    assert of(found, "thrust scale").reason.endswith("a battery, a load or another craft")
     assert found.candidate is not None
     each = found.candidate.fit["thrust.c2"].per_flight
     assert each["run1"][0] / each["run0"][0] == pytest.approx(1 / 1.05**2, rel=0.01)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from greybox.data.checks import check
-from tests.data.faults import exchanged, real, vehicle
+from tests.data.faults import exchanged, real, scaled, vehicle
 
 SET = "nanobench"
 FLIGHTS = ("B2_circle_medium_rep1", "B2_circle_slow_rep1", "B3_figure8_fast_rep1")
@@ -44,3 +44,30 @@ def test_a_flight_whose_gyro_is_wrong_does_not_judge_the_motors_of_the_others() 
     report = check([*flights, replace(raw, channels=channels)], vehicle(SET))
     assert {(f.flight, f.check) for f in report.blocking} == {(FLIGHTS[0], "attitude")}
     assert not report.of("motors")
+
+
+def test_a_body_that_is_turned_round_is_one_fault_and_not_a_motor_order_too() -> None:
+    """All axes forward, right, down: the gyro agrees with the attitude, and following both findings
+    would break the second."""
+    raw = real(SET, FLIGHTS[0])
+    there = [
+        n for n in ("q", "r", "qy", "qz", "ay", "az", "y", "z", "vy", "vz") if n in raw.channels
+    ]
+    report = check([scaled(raw, " ".join(there), -1.0)], vehicle(SET))
+    assert {f.check for f in report.blocking} == {"gravity"}
+    assert "motors" in {u.check for u in report.not_judged}
+    assert "motors" in report.summary().splitlines()[0].partition("not judged: ")[2]
+    gyro_alone = exchanged(raw, "u1", "u2")
+    assert check([gyro_alone], vehicle(SET)).of("motors")
+
+
+def test_columns_that_look_like_a_gyro_are_named_where_there_is_none() -> None:
+    raw = real(SET, FLIGHTS[0])
+    others = {n: v for n, v in raw.channels.items() if n not in ("p", "q", "r")}
+    extra = {f"gyro_{a}": raw.channels[n] for a, n in zip("xyz", "pqr", strict=True)}
+    report = check([replace(raw, channels=others, extra=extra)], vehicle(SET))
+    said = {u.check: u.reason for u in report.not_judged}
+    for name in ("attitude", "alignment", "motors"):
+        assert said[name].startswith("no gyro, but gyro_x, gyro_y, gyro_z look like one")
+    bare = check([replace(raw, channels=others, extra={})], vehicle(SET))
+    assert {u.reason for u in bare.not_judged if u.check == "motors"} == {"no gyro"}

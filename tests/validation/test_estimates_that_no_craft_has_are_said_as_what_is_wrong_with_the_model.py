@@ -145,6 +145,8 @@ def test_a_stated_inertia_that_is_off_by_three_is_said_in_either_direction(facto
     stated = (factor * true, 0.2 * factor * true)
     (found,) = judged(replace(estimate("inertia.yy", true), prior=stated)).findings
     assert (found.kind, found.parameters) == ("overruled", ("inertia.yy",))
+    assert found.likely.startswith("the vehicle file's inertia.yy is wrong, or ")
+    assert found.attempt.startswith("correct it where nobody measured it; ")
     near = (1.4 * true, 0.2 * 1.4 * true)
     assert judged(replace(estimate("inertia.yy", true), prior=near)).findings == ()
 

@@ -98,7 +98,7 @@ NAMES = tuple(
 """What a finding can be of, and what can be accepted."""
 
 
-FRAMES = (*(r.name for r in RELATIONS), "alignment")
+FRAMES = (*(r.name for r in RELATIONS), "alignment", gravity.CHECK.name)
 """Checks that find axes, units or clocks wrong."""
 WRONG = "the gyro's axes, unit or clock are wrong"
 WRONG_FORCE = "the accelerometer's unit or axes are wrong"

@@ -57,7 +57,7 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             if view.flight is None
             else "no attitude"
             if view.has("rate")
-            else "no gyro"
+            else view.lacks("rate", "gyro")
         )
         yield Unjudged(check="alignment", flight=view.name, reason=what)
     yield from _answers(view, offset, "p, q, r")

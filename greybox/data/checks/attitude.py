@@ -59,7 +59,7 @@ def streams(view: View) -> Streams | str:
     """Turns of the attitude against the integrated gyro, for every reading of the quaternion, and
     against that of a gyro in world axes. Means are left out: a gyro has a bias."""
     if not view.has("attitude", "rate"):
-        return "no attitude" if view.has("rate") else "no gyro"
+        return "no attitude" if view.has("rate") else view.lacks("rate", "gyro")
     gyro, quaternions = view.group("rate"), view.group("attitude")
     n = length_of(SPAN / view.dt, between=quaternions, of=gyro)
     at = spans(quaternions, n, centred=True)

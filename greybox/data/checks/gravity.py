@@ -76,7 +76,11 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             else "turn the fields of [columns.specific_force] and [columns.rate] to forward, left, "
             "up"
         ) + "; specific force at rest is (0, 0, +9.81)"
-        yield _finding(view, "blocking", text, fix, evidence, where)
+        gyro = view.has(
+            "rate"
+        )  # where the whole body is turned, it agrees with the attitude all the same
+        seen = f"{where}, and p, q, r if they share its axes" if gyro else where
+        yield _finding(view, "blocking", text, fix, evidence, seen)
         return
     yield from _up(view, force, evidence)
 

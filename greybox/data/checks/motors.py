@@ -96,7 +96,7 @@ def _lacking(view: View) -> str:
     if view.flight is None:
         return "no airborne stretch"
     if not view.has("rate"):
-        return "no gyro"
+        return view.lacks("rate", "gyro")
     if not view.drives:
         return "neither all commands nor all rotor speeds"
     return (

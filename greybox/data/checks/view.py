@@ -13,6 +13,7 @@ import numpy.typing as npt
 from greybox.data.airframe import Airframe
 from greybox.data.channel import command_names, group_names
 from greybox.data.clock import Clock, no_flight_log, read_clock
+from greybox.data.column_guess import guess_columns
 from greybox.data.conditioning import MAX_GAP, condition
 from greybox.data.dataset import Flight
 from greybox.data.drive import drive_names, full_drive
@@ -104,6 +105,18 @@ class View:
         """Whether every channel of these groups is in the log."""
         names = [n for g in groups for n in group_names(g, len(self.vehicle.rotors))]
         return self.flight is not None and all(n in self.flight.channels for n in names)
+
+    def lacks(self, group: str, word: str) -> str:
+        """That a group is missing, in words, and which columns nobody was told of look like it."""
+        extra = self.raw.extra.items()
+        numbers = {n: c.astype(np.float64) for n, c in extra if c.dtype.kind == "f"}
+        like = next((g for g in guess_columns(numbers) if g.group == group), None)
+        if like is None:
+            return f"no {word}"
+        return (
+            f"no {word}, but {', '.join(like.fields)} look like one: say so in [columns.{group}] "
+            "(greybox inspect --draft)"
+        )
 
     @property
     def commanded(self) -> bool:
