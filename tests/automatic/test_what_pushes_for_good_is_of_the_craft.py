@@ -293,10 +293,10 @@ def job() -> Any:
 def test_the_next_step_is_to_fit_the_parts_apart_and_to_name_what_is_missing() -> None:
     changed = ("in run1 from 9.0 s on force.z -12.0 %",)
     apart = "next: fit apart what was flown before and after: in run1 from 9.0 s on force.z -12.0 %"
-    sure: Any = SimpleNamespace(covariance=SimpleNamespace(form="", changed=changed))
+    sure: Any = SimpleNamespace(covariance=SimpleNamespace(beyond="", form="", changed=changed))
     assert next_step(job(), sure, []) == [apart]
     form = "thrust.c2 is no measurement"
-    result: Any = SimpleNamespace(covariance=SimpleNamespace(form=form, changed=changed))
+    result: Any = SimpleNamespace(covariance=SimpleNamespace(beyond="", form=form, changed=changed))
     assert next_step(job(), result, []) == [
         f"next: greybox discover --vehicle v.toml --train a.csv: {form}",
         apart,

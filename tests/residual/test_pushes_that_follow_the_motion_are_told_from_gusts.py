@@ -205,7 +205,7 @@ def test_the_next_step_is_left_out_where_it_cannot_be_told(
     monkeypatch.setattr("greybox.residual.followed.pushes", raising)
     verdict = Judged(refused=False, groups=groups)
     job: Any = SimpleNamespace(prepared=SimpleNamespace(data=None))
-    sure = SimpleNamespace(form="", changed=())
+    sure = SimpleNamespace(beyond="", form="", changed=())
     result: Any = SimpleNamespace(verdict=verdict, converged=True, model=None, covariance=sure)
     result.judged = lambda new: new
     kept, pushed = with_pushes(job, result)
