@@ -166,7 +166,9 @@ class CheckReport(Shown):
             "counts": {s: sum(f.severity == s for f in self.findings) for s in SEVERITIES},
             "flights": [vars(f) for f in self.flights],
             "findings": [{**vars(f), "evidence": dict(f.evidence)} for f in self.findings],
-            "not_judged": [vars(u) for u in self.not_judged],
+            "not_judged": [
+                {"check": u.check, "flight": u.flight, "reason": u.reason} for u in self.not_judged
+            ],
             "accepted": list(self.accepted),
         }
 
