@@ -6,8 +6,9 @@ prints that line and ends with exit code 2.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 LONGEST_LINE = 1500
 """Characters of a message; what is longer quotes a file that is not what it should be, and loses
@@ -65,6 +66,21 @@ class VehicleError(GreyboxError, ValueError):
 
 class ModelError(GreyboxError, ValueError):
     """A model cannot be built from the parts that were given."""
+
+
+@contextlib.contextmanager
+def solvable(what: str) -> Iterator[None]:
+    """Raises `ModelError` instead of the LinAlgError of NumPy and SciPy: `what` asks of a model's
+    matrices more than its numbers give, which is said of the model and not of a routine."""
+    try:
+        yield
+    except ValueError as error:
+        if type(error).__name__ != "LinAlgError":
+            raise
+        raise ModelError(
+            f"{what}: a matrix of this model cannot be solved ({error})",
+            fix="a fit without the parameters that are called weak; --debug shows where it is",
+        ) from error
 
 
 class FileFormatError(GreyboxError, ValueError):

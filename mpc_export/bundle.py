@@ -27,7 +27,7 @@ from typing import Unpack
 
 import casadi as ca
 
-from greybox.errors import FileFormatError, ModelError
+from greybox.errors import FileFormatError, ModelError, solvable
 from greybox.estimation.options import says_choices
 from greybox.files import (
     Parsed,
@@ -191,6 +191,7 @@ def _check_manifest(manifest: Parsed, where: str) -> None:
 
 
 @says_choices(ExportOptions)
+@solvable("export")
 def write_bundle(
     model: Fitted | PredictorModel,
     folder: str | os.PathLike[str],

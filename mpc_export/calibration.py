@@ -40,6 +40,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
+from mpc_export.semidefinite import half
 
 LEVEL, GAIN = 0.95, 0.05
 """What a controller asks for by default: the share of errors that intervals hold, and the step of
@@ -157,11 +158,7 @@ class Stated:
             )
             constant.append(functions["B_d"](*self.point).full() * deviation)
         if "P_theta" in functions:
-            values, vectors = np.linalg.eigh(self.theta)
-            constant.append(
-                functions["P_theta"](*self.point).full()
-                @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-            )
+            constant.append(functions["P_theta"](*self.point).full() @ half(self.theta))
         push = np.hstack(constant)
         p, b, out = self.predicted, np.zeros_like(push), []
         for _ in range(longest):

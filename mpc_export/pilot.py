@@ -24,7 +24,7 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.frames import quat_multiply
 from greybox.symbolic import FloatArray, Layout
-from mpc_export.feedback import NEAR, Weights, cost, demand_flight, hover, lqr, rows
+from mpc_export.feedback import NEAR, Weights, cost, demand_flight, hover, lqr, rows, steered
 from mpc_export.sampled import EXOGENOUS
 
 
@@ -110,11 +110,10 @@ def pilot_function(
         )
     x, u = hover(functions, states, (x0, u0), p0, 4)
     _, a, b, _ = (v.full() for v in functions["f_d_jac"](x, u, p0))
-    keep = [i for i, n in enumerate(errors.names) if not n.startswith("d_disturbance.")]
     q, r = cost(errors, len(u0), Weights())
     # weights are per unit of a command that runs from 0 to 1
     width = upper - lower
-    gain, _ = lqr(a, b, q, r / np.outer(width, width), keep)
+    gain, _ = lqr(a, b, q, r / np.outer(width, width), steered(functions, errors))
     pushes = [i for i, n in enumerate(states.names) if n.startswith("disturbance.")]
     moved, held = np.zeros((len(errors), len(pushes))), np.zeros((len(u0), len(pushes)))
     goal = np.zeros(4)

@@ -13,6 +13,7 @@ from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.mpc_own import OWN_ONLY, add_options, is_own, refuse
 from greybox.commands.mpc_own import run as run_own
+from greybox.errors import solvable
 
 if TYPE_CHECKING:
     from greybox.report.mpc_documents import MpcDocument
@@ -143,6 +144,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise GreyboxError("--pace takes 0.5 to 10", got=f"{arguments.pace:g}", fix="--pace 2")
 
 
+@solvable("mpc")
 def run(arguments: argparse.Namespace) -> int:
     """Prepare, fly, report; what was flown is reported even when interrupted. Returns 0, or 1 where
     it refuses."""

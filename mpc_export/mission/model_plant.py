@@ -29,6 +29,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from mpc_export.functions import model_functions
 from mpc_export.noise import parameter_covariance
+from mpc_export.semidefinite import half
 from mpc_export.tube.native import native
 
 BLOCK = 1.0
@@ -89,8 +90,7 @@ class DrawnModel:
         )
         self._learned = self._learned_push()
         self._at = [f.parameters[n] for n in names]
-        values, vectors = np.linalg.eigh(covariance)
-        self._spread = vectors * np.sqrt(np.maximum(values, 0.0))
+        self._spread = half(covariance)
         bounds = {d.name: (d.lower, d.upper) for d in model.dynamics.parameters}
         self._bounds = np.array([bounds[n] for n in names], dtype=float).reshape(-1, 2)
         # As the tube allows for: what it tunes against must push as hard.

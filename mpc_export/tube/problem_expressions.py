@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.frames import rotation_matrix
+from mpc_export.semidefinite import upper_half
 from mpc_export.tube.solver import TubeSolver
 from mpc_export.tube.stages import block
 
@@ -42,8 +43,7 @@ class Problem:
             w.change * (u - before),
         )
         keep = list(solver.stages.keep)
-        root = np.linalg.cholesky(solver.stages.terminal + 1e-12 * np.eye(len(keep)))
-        end = ca.DM(root.T) @ m["boxminus"](x, goal)[keep]
+        end = ca.DM(upper_half(solver.stages.terminal)) @ m["boxminus"](x, goal)[keep]
         rows = [
             ca.dot(planes[4 * j : 4 * j + 3], place) - planes[4 * j + 3] for j in range(self.npl)
         ]

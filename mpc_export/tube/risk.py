@@ -34,6 +34,7 @@ from scipy.stats import norm
 from greybox.errors import ModelError
 from greybox.frames import numeric
 from greybox.symbolic import FloatArray
+from mpc_export.semidefinite import upper_half
 from mpc_export.tube.solver import TubeSolver
 from mpc_export.tube.stages import block
 
@@ -105,7 +106,7 @@ def kappa_passages(
             got=f"{list(lengths)}, {flights} flights",
         )
     parts = [m] * sum(n // m for n in lengths) + [n % m for n in lengths if n % m]
-    root = np.linalg.cholesky(np.asarray(correlation) + 1e-9 * np.eye(m))
+    root = upper_half(np.asarray(correlation)).T
     largest = np.maximum.accumulate(
         np.random.default_rng(0).standard_normal((DRAWS, m)) @ root.T, axis=1
     )

@@ -36,6 +36,7 @@ from mpc_export.c_code import (
     write_c,
 )
 from mpc_export.functions import ModelFunctions
+from mpc_export.semidefinite import half
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.stages import Stages, stages
 from mpc_export.tube.structure import RESULTS, in_c, views
@@ -303,7 +304,7 @@ def settled(sizes: dict[str, int], made: Stages, source: CSource) -> str:
     }
     for name, values in tables.items():
         lines.append(f"#define TUBE_{name} {braced(values, source.real)}")
-    for name, m in (("GAIN", made.gain), ("ROOT", _root(made.covariance))):
+    for name, m in (("GAIN", made.gain), ("ROOT", half(made.covariance))):
         rows = [braced(row, source.real) for row in m.tolist()]
         lines.append(f"#define TUBE_{name} {{{', '.join(rows) or '{0}'}}}")
     return "\n".join(lines) + "\n" + in_c()
@@ -324,12 +325,6 @@ def _by_row(port: Port) -> dict[str, Sequence[float]]:
         "PLAN_ROW_COLUMN": _across(port)[order].tolist(),
         "PLAN_ROW_AT": order.tolist(),
     }
-
-
-def _root(m: FloatArray) -> FloatArray:
-    """R (n, n) with R R' = m, m symmetric and not negative."""
-    values, vectors = np.linalg.eigh(m) if m.size else (np.zeros(0), m)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def braced(values: Sequence[float], real: Real) -> str:

@@ -39,8 +39,18 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.frames import GRAVITY, rotation_matrix
 from greybox.symbolic import Expr, FloatArray
-from mpc_export.feedback import Weights, cost, demand_flight, hover, lqr, rows
+from mpc_export.feedback import (
+    Weights,
+    cost,
+    demand_flight,
+    dependences,
+    hover,
+    lqr,
+    rows,
+    steered,
+)
 from mpc_export.functions import ModelFunctions
+from mpc_export.semidefinite import positive, upper_half
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.second_order import second_order
 
@@ -49,7 +59,7 @@ from mpc_export.tube.second_order import second_order
 class Stages:
     """The functions by name, and what was computed once.
 
-    keep: error states (n_k) that the plan may change, disturbances left out; free: raw states of
+    keep: error states (n_k) that the plan may change (`feedback.steered`); free: raw states of
     the disturbances; gain K (n_u, n_d); terminal P (n_k, n_k); steady = (x, u) at hover; estimate
     P_f and fresh W (n_d, n_d); bent D (N + 1, n_d, n_d), which `tube_spread` does not hold;
     covariance of the parameters (n_theta, n_theta); white: see `stages`; worst_case: kind of the
@@ -97,18 +107,17 @@ def stages(
     x_steady, u_steady = hover(
         model.functions, model.states, model.reference, model.parameter_values, len(model.targets)
     )
-    keep = tuple(
-        i for i, n in enumerate(model.error_states.names) if not n.startswith("d_disturbance.")
-    )
+    split = steered(model.functions, model.error_states)
+    keep = split.keep
     free = tuple(block(model, "disturbance"))
     _, a, b, _ = (v.full() for v in model["f_d_jac"](x_steady, u_steady, model.parameter_values))
-    gain, terminal = lqr(a, b, *_weights(model, problem.weights), keep)
+    gain, terminal = lqr(a, b, *_weights(model, problem.weights), split)
     if problem.ancillary is not None:
-        gain, _ = lqr(a, b, *_weights(model, problem.ancillary), keep)
+        gain, _ = lqr(a, b, *_weights(model, problem.ancillary), split)
     if not problem.feedback:
         gain = np.zeros_like(gain)
     estimate = model.noise.covariance if estimate is None else np.asarray(estimate, dtype=float)
-    fresh = _positive(
+    fresh = positive(
         a @ estimate @ a.T + model.noise.process - estimate if fresh is None else np.asarray(fresh)
     )
     made = [
@@ -165,11 +174,6 @@ def _weights(model: ModelFunctions, w: Weights) -> tuple[FloatArray, FloatArray]
     return cost(model.error_states, len(model.inputs), w)
 
 
-def _positive(m: FloatArray) -> FloatArray:
-    values, vectors = np.linalg.eigh(0.5 * (m + m.T))
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
-
-
 def _arguments(model: ModelFunctions) -> tuple[Expr, Expr, Expr]:
     n = model.sizes
     return ca.MX.sym("x", n["n_x"]), ca.MX.sym("u", n["n_u"]), ca.MX.sym("p", n["n_p"])
@@ -186,7 +190,7 @@ def _linear(model: ModelFunctions, keep: tuple[int, ...]) -> ca.Function:
     of all."""
     x, u, p = _arguments(model)
     after, a, b, _ = model["f_d_jac"](x, u, p)
-    rows, pattern = list(keep), _pattern(model)
+    rows, pattern = list(keep), dependences(model.functions)[0]
     plan = pattern.sub(rows, rows)[0]
     return ca.Function(
         "tube_linear",
@@ -200,14 +204,6 @@ def _picked(m: Expr, pattern: ca.Sparsity) -> Expr:
     a projection."""
     rows, columns = pattern.get_triplet()
     return ca.MX(pattern, m.nz[[r + m.shape[0] * c for r, c in zip(rows, columns, strict=True)]])
-
-
-def _pattern(model: ModelFunctions) -> ca.Sparsity:
-    """Sparsity of A (n_d, n_d): which error states depend on which, whatever the numbers are."""
-    x, u, p = _arguments(model)
-    d = ca.MX.sym("d", model.sizes["n_d"])
-    after = model["boxminus"](model["f_d"](model["boxplus"](x, d), u, p), x)
-    return ca.Function("after", [x, u, p, d], [after]).jac_sparsity(0, 3)
 
 
 def _unsure(model: ModelFunctions) -> ca.Function:
@@ -295,8 +291,7 @@ def _end(model: ModelFunctions, keep: tuple[int, ...], terminal: FloatArray) -> 
     x, d, moved = _moved(model, keep)
     goal = ca.SX.sym("goal", len(model.states))
     error = model.sampled.boxminus(moved, goal)[list(keep)]
-    root = np.linalg.cholesky(terminal + 1e-12 * np.eye(len(keep)))
-    return _squares("tube_end", [x, goal], ca.DM(root.T) @ error, (d,), d)
+    return _squares("tube_end", [x, goal], ca.DM(upper_half(terminal)) @ error, (d,), d)
 
 
 def _limits(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) -> ca.Function:
