@@ -92,6 +92,7 @@ def _page() -> Iterator[str]:
         "declarations by "
         "`python -m greybox.commands.effects --markdown`; `greybox effects` prints the same with "
         "the sources of each. "
+        "Per rad/s of the rotors becomes per nu where the vehicle file has no speed_max. "
         "Effects of your own: [own_effect.md](own_effect.md)."
     )
     for stage, meaning in STAGES.items():

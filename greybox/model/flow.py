@@ -64,3 +64,9 @@ class Remembered:
     size: float
     meaning: str = ""
     drift: float = 0.0
+
+
+def unit_per_speed(vehicle: Vehicle, known: str, at_full_speed: str) -> str:
+    """Unit of a coefficient that multiplies rotor speeds (`Flow.rotor_speed`): `known` where they
+    are in rad/s, `at_full_speed` where speed_max is unknown and they are nu."""
+    return at_full_speed if vehicle.actuator.speed_max is None else known

@@ -7,6 +7,7 @@ Finds a wrong unit, a formula of wrong dimension and a constant that is hidden i
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,17 +69,24 @@ def rescaled(vehicle: Vehicle, scale: Mapping[str, float]) -> Vehicle:
     return Vehicle.from_dict(walk(vehicle.to_dict(), None))
 
 
-def check(effects, seed):
+def without_speed(vehicle: Vehicle) -> Vehicle:
+    """The same craft whose full rotor speed nobody wrote down."""
+    return replace(vehicle, actuator=replace(vehicle.actuator, speed_max=None))
+
+
+def check(effects, seed, vehicle):
     rng = np.random.default_rng(seed)
     scale = dict(zip(("kg", "m", "s", "V"), np.exp(rng.uniform(-0.9, 0.9, size=4)), strict=True))
-    model = model_with(*effects)
-    other = PhysicsModel(
-        vehicle=rescaled(crooked(), scale),
-        effects=model.effects,
-        sensors=SENSORS,
-        sample_time=DT * scale["s"],
+    model, other = (
+        PhysicsModel(
+            vehicle=v,
+            effects=tuple(effects),
+            sensors=SENSORS,
+            sample_time=dt,
+        )
+        for v, dt in ((vehicle, DT), (rescaled(vehicle, scale), DT * scale["s"]))
     )
-    values = {k: v for e in effects for k, v in at_random(e, crooked(), rng).items()}
+    values = {k: v for e in effects for k, v in at_random(e, vehicle, rng).items()}
     x, p = random_state(model, rng), parameter_vector(model, values)
     # The longest delay in samples is a number of seconds in code: each model takes what it wants of
     # one long record.
@@ -121,11 +129,19 @@ def check(effects, seed):
 @pytest.mark.parametrize("effect", effects_under_test())
 @pytest.mark.parametrize("seed", [1, 2])
 def test_everything_rescales_by_its_declared_unit(effect, seed):
-    check([effect], seed)
+    check([effect], seed, crooked())
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [pytest.param(e, id=e.name) for e in CATALOGUE if "actuator.speed_max" not in e.needs.vehicle],
+)
+def test_everything_rescales_where_full_speed_is_unknown(effect):
+    check([effect], 1, without_speed(crooked()))
 
 
 def test_all_effects_together_rescale_by_their_declared_units():
-    check(list(CATALOGUE), 5)
+    check(list(CATALOGUE), 5, crooked())
 
 
 def test_units_are_read_as_written():

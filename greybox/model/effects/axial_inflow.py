@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase
+from greybox.model.flow import unit_per_speed
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
@@ -41,12 +42,13 @@ class AxialInflow(Effect):
     )
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
-        """k_z [kg/rad]; 2.3e-4 is RotorPy's for a craft of 0.5 kg."""
+        """k_z [kg/rad]; 2.3e-4 is RotorPy's for a craft of 0.5 kg. Without speed_max at nu = 1
+        [N s/m]."""
         scale = 0.1 * vehicle.mass.value / vehicle.omega_scale
         return (
             Parameter(
                 name="k_z",
-                unit="kg/rad",
+                unit=unit_per_speed(vehicle, "kg/rad", "N s/m"),
                 nominal=0.0,
                 lower=0.0,
                 null=0.0,

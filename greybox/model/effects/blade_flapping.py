@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase
+from greybox.model.flow import unit_per_speed
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
@@ -43,12 +44,12 @@ class BladeFlapping(Effect):
     )
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
-        """k_flap [kg m/rad]."""
+        """k_flap [kg m/rad]; without speed_max at nu = 1 [N s]."""
         scale = 0.05 * vehicle.mass.value * vehicle.arm_length / vehicle.omega_scale
         return (
             Parameter(
                 name="k_flap",
-                unit="kg m/rad",
+                unit=unit_per_speed(vehicle, "kg m/rad", "N s"),
                 nominal=0.0,
                 null=0.0,
                 scale=scale,

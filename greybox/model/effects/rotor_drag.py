@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase, vector_parameters
+from greybox.model.flow import unit_per_speed
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
@@ -50,10 +51,15 @@ class RotorDrag(Effect):
     )
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
-        """k_x, k_y [kg/rad]."""
+        """k_x, k_y [kg/rad]; without speed_max at nu = 1 [N s/m]."""
         scale = 0.05 * vehicle.mass.value / vehicle.omega_scale
         return vector_parameters(
-            "k_", "xy", unit="kg/rad", scale=scale, meaning="rotor drag coefficient", lower=0.0
+            "k_",
+            "xy",
+            unit=unit_per_speed(vehicle, "kg/rad", "N s/m"),
+            scale=scale,
+            meaning="rotor drag coefficient",
+            lower=0.0,
         )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:

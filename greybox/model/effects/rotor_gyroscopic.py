@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from greybox.model.effect import Effect, Flow, ReferenceCase
+from greybox.model.flow import unit_per_speed
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
@@ -28,9 +29,7 @@ class RotorGyroscopic(Effect):
         "Bouabdallah 2007, Design and Control of Quadrotors with Application to Autonomous Flying, "
         "EPFL thesis",
     )
-    validity = (
-        "rigid rotors with parallel axes; without speed_max J_r comes in kg m^2 rad/s, at nu = 1"
-    )
+    validity = "rigid rotors with parallel axes"
     tags = frozenset({"linear-in-parameters"})
     case = ReferenceCase(
         parameters={"J_r": 1e-5},
@@ -54,7 +53,7 @@ class RotorGyroscopic(Effect):
         return (
             Parameter(
                 name="J_r",
-                unit="kg m^2" if known else "kg m^2 rad/s",
+                unit=unit_per_speed(vehicle, "kg m^2", "kg m^2 rad/s"),
                 nominal=0.0,
                 lower=0.0,
                 null=0.0,

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from greybox.model.clock import ROTOR_CLOCK
-from greybox.model.flow import Flow
+from greybox.model.flow import Flow, unit_per_speed
 from greybox.model.sensor import Sensor
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, Signal
 
 
 class RotorSpeed(Sensor):
-    """omega1 .. omegan [rad/s]: Omega_i = speed_max nu_i."""
+    """omega1 .. omegan [rad/s]: Omega_i = speed_max nu_i; nu_i where speed_max is unknown."""
 
     name = "rotor_speed"
     group = "rotor_speed"
@@ -20,8 +20,9 @@ class RotorSpeed(Sensor):
 
     def signals(self, vehicle: Vehicle) -> tuple[Signal, ...]:
         """omega1 .. omegan."""
+        unit = unit_per_speed(vehicle, "rad/s", "-")
         return tuple(
-            Signal(name=f"omega{i + 1}", unit="rad/s", meaning="rotor speed")
+            Signal(name=f"omega{i + 1}", unit=unit, meaning="rotor speed")
             for i in range(len(vehicle.rotors))
         )
 
