@@ -43,7 +43,8 @@ def add(subparsers: Subcommands) -> None:
         "a vehicle a mixed command: roll, pitch, yaw, thrust. With --model the model's own "
         "response "
         "lies over it, and where they part is said. Writes frf.json, frf.csv and report.html. Exit "
-        "code 0: done; 1: no frequency has coherence enough; 2: bad input.",
+        "code 0: done; 1: no frequency is usable (coherence too low, or a closed loop without "
+        "references); 2: bad input.",
     )
     p.add_argument(
         "--train", required=True, nargs="+", metavar="LOG", help="flights; all are averaged"

@@ -116,7 +116,7 @@ def frf(
     s = spectra(used, dt, f, longest)
     r = response(s, c.y, c.u, c.z)
     chance = by_chance(s.averages, len(c.z or c.u) - 1)
-    usable = (
+    coherent = (
         (r.coherence > np.maximum(TRUSTED, chance[:, None, None]))
         & (r.instrument > STRONG)[:, None, :]
         & (r.shared < TOGETHER)[:, None, :]
@@ -129,13 +129,14 @@ def frf(
         not c.z and isinstance(model, IdentifiedModel) and physics_of(model.dynamics) is not None
     )
     return FrequencyResponse(
-        pairs={p.name: p for p in _pairs(c, f, r, usable, beside, bool(fed) or flown)},
+        pairs={p.name: p for p in _pairs(c, f, r, coherent, beside, (bool(fed), flown))},
         frequency=f,
         averages=s.averages,
         window=s.window,
         flights=seconds,
         sample_time=dt,
         references=tuple(x.name for x in c.references),
+        closed_by=tuple(fed),
         model=None if model is None else model.name,
         warnings=tuple(_warnings(c, fed, r, data, model)),
     )
@@ -145,12 +146,15 @@ def _pairs(
     c: _Channels,
     f: FloatArray,
     r: Response,
-    usable: BoolArray,
+    coherent: BoolArray,
     beside: ComplexArray | None,
-    fed_back: bool,
+    loop: tuple[bool, bool],
 ) -> Iterator[Pair]:
     """Every output over every input, at the frequencies f (K,) [Hz]; `beside` (K, n_y, n_u): what
-    the model says; `fed_back`: whether what they are measured by follows the outputs."""
+    the model says; `loop`: whether what they are measured by follows the outputs, and whether it
+    does so unseen. Bands are those of an open loop, so that nothing is usable in a closed one."""
+    seen, unseen = loop
+    usable = coherent & (not seen)
     half, radius = band_of(r), circle(r)
     for i, j in product(range(len(c.y)), range(len(c.u))):
         n = INTEGRATORS.get(c.outputs[i].name)
@@ -162,10 +166,11 @@ def _pairs(
             half=half[:, i, j],
             radius=radius[:, i, j],
             coherence=r.coherence[:, i, j],
+            coherent=coherent[:, i, j],
             usable=usable[:, i, j],
             form=lag_and_gain(f, r.value[:, i, j], r.error[:, i, j], usable[:, i, j], n),
             model=None if beside is None else beside[:, i, j],
-            fed_back=fed_back,
+            fed_back=seen or unseen,
         )
 
 
@@ -284,8 +289,8 @@ def _warnings(
             "gusts or "
             "noise move the craft more than the excitation does, what is seen is the controller, "
             "turned round, however "
-            "high the coherence. Excite the set points, log them, and name them: greybox frf "
-            "--references"
+            "high the coherence, so that no frequency is usable. Excite the set points, log "
+            "them, and name them: greybox frf --references"
         )
     for j, spec in enumerate(c.inputs):
         if np.median(r.shared[:, j]) > TOGETHER:

@@ -31,7 +31,8 @@ RATES = {"rad": "rad/s", "rad/s": "rad/s^2", "m": "m/s", "m/s": "m/s^2"}
 class Pair:
     """One response over `frequency` (K,) [Hz]: `value` (K,) complex, `magnitude` and `phase` [deg]
     with the ends of their 95 % intervals, `radius` (K,) of the circle that holds the complex value,
-    `coherence` (K,), and where it is `usable` (K,). `form`: lag and gain; `model`: the response
+    `coherence` (K,), where it is `coherent` (K,) and where `usable` (K,): not in a loop that is
+    seen to be closed, where intervals do not hold. `form`: lag and gain; `model`: the response
     (K,) of a model, NaN above half its rate. `fed_back`: a closed loop may bias `value` by more
     than the circle says, so that it judges no model."""
 
@@ -42,6 +43,7 @@ class Pair:
     half: FloatArray
     radius: FloatArray
     coherence: FloatArray
+    coherent: BoolArray
     usable: BoolArray
     form: LagAndGain | None
     model: ComplexArray | None = None
@@ -70,7 +72,7 @@ class Pair:
 
     @property
     def phase(self) -> FloatArray:
-        """[deg] (K,), without jumps between usable frequencies."""
+        """[deg] (K,), without jumps between coherent frequencies."""
         return self.phase_of(self.value)
 
     @property
@@ -82,40 +84,41 @@ class Pair:
     def phase_of(self, value: ComplexArray) -> FloatArray:
         """Phase [deg] of a response (K,), on the branch of the measured one."""
         own = np.angle(self.value)
-        own[self.usable] = np.unwrap(own[self.usable])
-        if value is self.value or not self.usable.any():
+        own[self.coherent] = np.unwrap(own[self.coherent])
+        if value is self.value or not self.coherent.any():
             return np.asarray(np.rad2deg(own + np.angle(value / self.value)))
         turn, known = np.angle(value), np.isfinite(value)
         turn[known] = np.unwrap(turn[known])
-        away = (own - turn)[self.usable & known]
+        away = (own - turn)[self.coherent & known]
         whole = 2 * np.pi * np.round(np.median(away) / (2 * np.pi)) if away.size else 0.0
         return np.asarray(np.rad2deg(turn + whole))
 
     @property
     def outside(self) -> BoolArray | None:
-        """Where (K,) the model lies outside the 95 % circle at a usable frequency; None without
+        """Where (K,) the model lies outside the 95 % circle at a coherent frequency; None without
         one."""
         if self.model is None:
             return None
         with np.errstate(invalid="ignore"):
-            return np.asarray(self.usable & (np.abs(self.model - self.value) > self.radius))
+            return np.asarray(self.coherent & (np.abs(self.model - self.value) > self.radius))
 
-    def usable_bands(self) -> str:
-        """The usable frequencies in words."""
-        parts = [self.frequency[a:b] for a, b in runs(self.usable)]
+    def coherent_bands(self) -> str:
+        """The coherent frequencies in words."""
+        parts = [self.frequency[a:b] for a, b in runs(self.coherent)]
         return ", ".join(
             f"{p[0]:.2g} to {p[-1]:.2g} Hz" if len(p) > 1 else f"{p[0]:.2g} Hz" for p in parts
         )
 
     def lines(self) -> Iterator[str]:
         """What there is to say, a line each."""
-        if not self.usable.any():
+        if not self.coherent.any():
             yield (
                 f"{self.name}: no frequency has coherence above {TRUSTED:g} (highest "
                 f"{self.coherence.max():.2f})"
             )
             return
-        yield f"{self.name}: coherence above {TRUSTED:g} at {self.usable_bands()}"
+        closed = "" if self.usable.any() else ": not usable, the loop is closed"
+        yield f"{self.name}: coherence above {TRUSTED:g} at {self.coherent_bands()}{closed}"
         if self.form is not None:
             yield "  " + self._form_line(self.form)
         yield from (f"  {line}" for line in self.parts())
@@ -145,7 +148,7 @@ class Pair:
         outside = self.outside
         if outside is None or self.model is None:
             return
-        known = self.usable & np.isfinite(self.model)
+        known = self.coherent & np.isfinite(self.model)
         place = "the model lies outside the 95 % circle"
         if self.fed_back:
             place = "model and flights part"
@@ -243,6 +246,7 @@ class ResponseDocument(TypedDict):
     sample_time: float
     flights: dict[str, float]
     references: list[str]
+    closed_by: list[str]
     frequency: list[float]
     averages: list[float]
     window: list[float]
@@ -256,8 +260,9 @@ class FrequencyResponse(Shown):
     """Responses of flights, `pairs` by "output/input", over `frequency` (K,) [Hz].
 
     `averages` (K,) independent averages and `window` (K,) [s] behind each; `flights` seconds that
-    were used by flight; `references` the signals that make it an estimate for closed loops; `model`
-    the name of the model beside it; `warnings` what must be known before it is believed.
+    were used by flight; `references` the signals that make it an estimate for closed loops; `closed_by` what
+    follows the outputs (references, or inputs where there are none), so that nothing is usable;
+    `model` the name of the model beside it; `warnings` what must be known before it is believed.
     """
 
     pairs: Mapping[str, Pair]
@@ -267,6 +272,7 @@ class FrequencyResponse(Shown):
     flights: Mapping[str, float]
     sample_time: float
     references: tuple[str, ...] = ()
+    closed_by: tuple[str, ...] = ()
     model: str | None = None
     warnings: tuple[str, ...] = ()
 
@@ -278,6 +284,9 @@ class FrequencyResponse(Shown):
     @property
     def line(self) -> str:
         """The result in one line."""
+        if self.closed_by:
+            need = "no reference from outside" if self.references else "no reference is named"
+            return f"not measured: the loop is closed by {', '.join(self.closed_by)}, and {need}"
         if not self.measured:
             return f"not measured: no frequency has coherence above {TRUSTED:g}"
         good = [p.name for p in self.pairs.values() if p.usable.any()]
@@ -291,8 +300,8 @@ class FrequencyResponse(Shown):
         """The result, then the warnings, then every pair."""
         pairs = self.pairs.values()
         lines = [self.line, *(f"warning: {w}" for w in self.warnings)]
-        lines += [line for p in pairs if p.usable.any() for line in p.lines()]
-        if rest := [f"{p.name} {p.coherence.max():.2f}" for p in pairs if not p.usable.any()]:
+        lines += [line for p in pairs if p.coherent.any() for line in p.lines()]
+        if rest := [f"{p.name} {p.coherence.max():.2f}" for p in pairs if not p.coherent.any()]:
             lines.append(f"too low a coherence everywhere (highest): {', '.join(rest)}")
         return "\n".join(lines)
 
@@ -335,6 +344,7 @@ class FrequencyResponse(Shown):
             "sample_time": self.sample_time,
             "flights": dict(self.flights),
             "references": list(self.references),
+            "closed_by": list(self.closed_by),
             "frequency": self.frequency.tolist(),
             "averages": self.averages.tolist(),
             "window": self.window.tolist(),

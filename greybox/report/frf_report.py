@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from greybox.linear.frf_result import PairDocument, ResponseDocument
 from greybox.report.html import Cell, Key, Report
-from greybox.report.response_section import MEASURED, PALE, bode_with_coherence
+from greybox.report.response_section import MEASURED, PALE, bode_with_coherence, drawn
 
 MOST = 12
 """Responses that are drawn, at most."""
@@ -20,7 +20,7 @@ def frf_report(content: ResponseDocument) -> str:
     report.first_line(content["line"], good=bool(content["measured"]))
     for warning in content["warnings"]:
         report.warning(warning)
-    pairs = [p for p in content["pairs"] if any(p["usable"])]
+    pairs = drawn(content)
     report.section("Responses")
     if pairs:
         _gains(report, pairs)
@@ -39,7 +39,7 @@ def frf_report(content: ResponseDocument) -> str:
             key=key,
             caption=PALE,
         )
-    if rest := [p for p in content["pairs"] if not any(p["usable"])]:
+    if rest := [p for p in content["pairs"] if p not in pairs]:
         report.heading("Too low a coherence at every frequency")
         rows: list[list[Cell]] = [
             [f"{p['output']} over {p['input']}", max(p["coherence"])] for p in rest

@@ -31,7 +31,8 @@ from greybox.report.words import number
 from greybox.symbolic import FloatArray
 
 PALE = (
-    "Where coherence is too low for use the curve is pale and without a band. Dashed: "
+    "Where coherence is too low, or the loop is closed, the curve is of no use: pale and without a "
+    "band. Dashed: "
     f"coherence {TRUSTED:g}."
 )
 MEASURED = Key(text="flights, with 95 % band", colour="c1")
@@ -58,6 +59,17 @@ class Responses:
     steps: Sequence[Step]
     measured: ResponseDocument | None = None
     why: str = ""
+
+
+def drawn(content: ResponseDocument) -> list[PairDocument]:
+    """The pairs of frf.json that have something to show: usable frequencies, or in a closed loop,
+    where none is, coherent ones."""
+    closed = bool(content["closed_by"])
+    return [
+        p
+        for p in content["pairs"]
+        if any(p["usable"]) or (closed and max(p["coherence"]) > TRUSTED)
+    ]
 
 
 def response_section(report: Report, responses: Responses | None) -> None:
@@ -92,7 +104,7 @@ def response_section(report: Report, responses: Responses | None) -> None:
 
 
 def _measured(report: Report, content: ResponseDocument) -> None:
-    pairs = [p for p in content["pairs"] if any(p["usable"])]
+    pairs = drawn(content)
     seconds = sum(content["flights"].values())
     count = len(content["flights"])
     report.paragraph(
@@ -183,7 +195,7 @@ def bode_with_coherence(frequency: Sequence[float], p: PairDocument) -> Figure:
                 axes.yaxis.set_minor_formatter(NullFormatter())
             else:
                 axes.yaxis.set_major_locator(MaxNLocator(4))
-                span = shown[good]
+                span = shown[good] if good.any() else values
                 axes.set_ylim(float(span.min()) - 60, float(span.max()) + 60)
         else:
             axes.axhline(TRUSTED, color=MUTED, linestyle="--", linewidth=0.9)

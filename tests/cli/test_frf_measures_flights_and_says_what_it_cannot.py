@@ -40,7 +40,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_real_flight_gives_gain_and_lag(
+def test_a_real_flight_in_a_closed_loop_gives_nothing_to_use(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     vehicle, log = str(vehicle_path("arpl_crazyflie")), str(flight_path("arpl_crazyflie", "log10"))
@@ -58,19 +58,20 @@ def test_a_real_flight_gives_gain_and_lag(
         "250",
     ]
     with results_of_one_run(tmp_path, "frf.json", "frf.csv", "report.html"):
-        assert main([*command, "--out", str(tmp_path)]) == 0
+        assert main([*command, "--out", str(tmp_path)]) == 1
     said = capsys.readouterr().out
-    assert (
-        "roll shows in p after" in said
-        and "warning: roll follows the outputs (a closed loop)" in said
-    )
+    assert said.startswith("not measured: the loop is closed by roll, and no reference is named")
+    assert "warning: roll follows the outputs (a closed loop)" in said
+    assert "not usable, the loop is closed" in said and "roll shows in p" not in said
     content = json.loads((tmp_path / "frf.json").read_text())
     jsonschema.validate(content, SCHEMA)
-    form = content["pairs"][0]["form"]
-    # The rotors of this craft take some 70 ms (greybox/examples/arpl_crazyflie/README.md).
-    assert abs(form["lag"] - 0.07) < 0.03 and form["gain"] > 500
+    pair = content["pairs"][0]
+    assert content["closed_by"] == ["roll"] and not content["measured"]
+    assert pair["form"] is None and not any(pair["usable"])
+    assert max(pair["coherence"]) > 0.6, "coherence is no proof in a closed loop"
     rows = list(csv.DictReader((tmp_path / "frf.csv").read_text().splitlines()))
     assert len(rows) == len(content["frequency"]) and float(rows[3]["coherence"]) <= 1
+    assert {r["usable"] for r in rows} == {"False"}
     page = (tmp_path / "report.html").read_text()
     assert page.count("<svg") == 1 and "p over roll" in page
 

@@ -114,6 +114,11 @@ def test_a_closed_loop_is_said_and_a_reference_mends_it():
         assert pair.model is not None
         shares.append(np.mean(np.abs(pair.model - pair.value) < pair.radius))
     assert shares[0] < 0.3 and shares[1] > 0.7
+    pair = direct.pairs["p/roll"]
+    assert not direct.measured and direct.closed_by == ("roll",)
+    assert pair.coherent.any() and not pair.usable.any() and pair.form is None
+    assert not any(r["usable"] for r in direct.rows())
+    assert by_reference.closed_by == ()
     assert gb.frf(flights(), ["roll"], ["p"], vehicle=vehicle).warnings == ()
 
 

@@ -88,6 +88,7 @@ def test_the_page_says_first_that_a_loop_is_closed():
         < page.index("Step response of the model")
     )
     assert "greybox frf --references" in page
+    assert "shows in p after" not in page, "a gain of the controller is no gain of the craft"
 
 
 def test_flights_that_are_too_short_leave_the_steps_and_a_reason():
