@@ -80,6 +80,16 @@ def _abandon_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def _left(arguments: argparse.Namespace) -> str:
+    """What an interrupt leaves: what the command keeps, where its folder holds a file of it."""
+    from pathlib import Path
+
+    out = arguments.out
+    if arguments.kept and (out is None or any(p.is_file() for p in Path(out).rglob("*"))):
+        return str(arguments.kept)
+    return "nothing was written; the same command starts again"
+
+
 @contextlib.contextmanager
 def _hush(arguments: argparse.Namespace) -> Iterator[None]:
     """Nothing on standard error; nothing on standard output either, unless a file was asked for
@@ -204,8 +214,7 @@ def _main(argv: Sequence[str] | None, last_line: Callable[[str], None]) -> int:
         last_line(f"greybox {arguments.command}: {error}")
         return 2
     except KeyboardInterrupt:
-        kept = arguments.kept or "nothing was written; the same command starts again"
-        last_line(f"greybox {arguments.command}: interrupted; {kept}")
+        last_line(f"greybox {arguments.command}: interrupted; {_left(arguments)}")
         return 130
     except BrokenPipeError:
         _abandon_output()

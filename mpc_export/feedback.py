@@ -123,8 +123,9 @@ def dependences(functions: Mapping[str, ca.Function]) -> tuple[ca.Sparsity, ca.S
 def steered(functions: Mapping[str, ca.Function], errors: Layout) -> Steered:
     """What of the error states a plan steers, and what pushes it."""
     a, b = (np.asarray(ca.DM(s, 1.0).full() != 0) for s in dependences(functions))
-    own = np.isin(range(len(errors)), [i for n in NEEDED for i in rows(errors, f"d_{n}")])
-    moved, felt = _reached(a, b.any(axis=1)), _reached(a.T, own)
+    own: BoolArray = np.zeros(len(errors), dtype=bool)
+    own[[i for n in NEEDED for i in rows(errors, f"d_{n}")]] = True
+    moved, felt = _reached(a, np.asarray(b.any(axis=1))), _reached(a.T, own)
     return Steered(
         keep=tuple(np.flatnonzero(moved & felt).tolist()),
         pushing=tuple(np.flatnonzero(felt & ~moved).tolist()),

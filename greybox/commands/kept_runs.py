@@ -30,7 +30,6 @@ def carried_out(
 ) -> int:
     """`report` writes `file` and report.html into --out and returns what it wrote. Returns 0."""
     out = arguments.out
-    arguments.kept = f"what ran is in {out}; the same command goes on"
     try:
         run()
     except KeyboardInterrupt:

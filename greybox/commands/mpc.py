@@ -149,6 +149,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Prepare, fly, report; what was flown is reported even when interrupted. Returns 0, or 1 where
     it refuses."""
     _check(arguments)
+    # Training flights too are kept one by one.
+    arguments.kept = f"what was flown is in {arguments.out}; the same command goes on"
     if arguments.subject == "rates":
         from greybox.commands.mpc_rates import run as rates
 
@@ -174,7 +176,6 @@ def run(arguments: argparse.Namespace) -> int:
     flown = _prepared(arguments, console)
     judged.say("mpc")
     watched = flown.seeds[:WATCHED]
-    arguments.kept = f"what was flown is in {out}; the same command goes on"
     try:
         flights(
             flown.hangar,
