@@ -10,7 +10,9 @@ from greybox.errors import UnknownNameError
 from greybox.estimation.options import chosen
 from mpc_export.targets import TARGETS as ADDED
 
-TARGETS = ("c", "casadi", *ADDED)
+FORMS = ("c", "casadi")
+"""What all functions are written in."""
+TARGETS = (*FORMS, *ADDED)
 """Those that `mpc_export.targets` adds come after the two that the bundle itself writes."""
 Real = Literal["double", "float"]
 
@@ -39,8 +41,9 @@ class ExportOptions:
     """Prefix of everything in C; None: the folder's name."""
     dt: float | None = None
     """Sample time [s]; None: the one that the model was identified at."""
-    targets: tuple[str, ...] = ("c", "casadi")
-    """What is written, of `TARGETS`."""
+    targets: tuple[str, ...] = FORMS
+    """What is written, of `TARGETS`; where `with_` asks for functions and none of `FORMS` is
+    among them, these too."""
     real: Real = "double"
     """Numbers in C."""
     with_: tuple[str, ...] = ()
@@ -77,6 +80,8 @@ class ExportOptions:
                 raise UnknownNameError("export target", target, TARGETS)
         added = [ADDED[target] for target in targets if target in ADDED]
         groups = {*self.with_, *(g for target in added for g in target.needs)}
+        if self.with_ and not set(FORMS) & set(targets):
+            targets = (*FORMS, *targets)  # else nothing that runs holds what was asked for
         if "c" not in targets and any(target.around_c for target in added):
             targets = ("c", *targets)
         return replace(self, targets=targets, with_=tuple(sorted(groups)))

@@ -78,7 +78,8 @@ def _bundle_options(p: argparse.ArgumentParser) -> None:
         "--target",
         default="c,casadi",
         metavar="T,...",
-        help=f"some of {', '.join(TARGETS)} (default %(default)s)",
+        help=f"some of {', '.join(TARGETS)} (default %(default)s, which come too where --with asks "
+        "for functions and neither is named)",
     )
     p.add_argument("--float", action="store_true", help="C in single precision")
     p.add_argument(

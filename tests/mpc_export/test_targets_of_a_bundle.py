@@ -15,6 +15,7 @@ from greybox.residual.files import save_model
 from mpc_export.bundle import ExportBundle, write_bundle
 from mpc_export.exported import load, of
 from mpc_export.functions import model_functions
+from mpc_export.options import ExportOptions
 from mpc_export.targets import COMMON, CONSUMERS
 from tests.mpc_export import cases, consumers
 
@@ -47,6 +48,17 @@ def test_what_a_bundle_carries_imports_nothing_of_ours(path):
         names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
         names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
         assert {n.split(".")[0] for n in names} <= allowed, f"{path.name}: {names}"
+
+
+def test_functions_that_are_asked_for_come_in_a_form_that_runs():
+    """`--target tube --with filter` left the filter's C out without a word."""
+
+    def written(*targets, **choices):
+        return ExportOptions(targets=targets, **choices).completed().targets
+
+    assert {"c", "casadi", "tube"} == set(written("tube", with_=("filter",)))
+    assert written("tube") == ("tube",)
+    assert written("casadi", with_=("filter",)) == ("casadi",)
 
 
 def test_a_bundle_lists_its_targets_and_carries_their_scripts():
