@@ -33,6 +33,8 @@ MB."""
 MOST_CONTAINERS, MOST_QUOTES = 300_000, 4_000_000
 """Arrays and objects, and quotation marks, of a JSON file: they cost more memory than their
 characters suggest."""
+OTHER_VERSION = "wrong schema: written by another version of greybox"
+OTHER_FIX = "use that version, or make the file again with this one"
 LARGEST_TOML, MOST_DOTS = 2**18, 200
 """Bytes of a TOML file, and dots in one line of it: the cost of a dotted key grows with its
 square."""
@@ -88,6 +90,33 @@ def no_overwriting(path: str | os.PathLike[str], option: str, *, force: bool) ->
         raise OutputError(
             "the file exists", where=os.fspath(path), fix=f"choose another {option}, or add --force"
         )
+
+
+def own_place(
+    folder: str | os.PathLike[str],
+    record: str,
+    schema: str,
+    what: str,
+    *,
+    fix: str = "choose another --out",
+) -> None:
+    """Refuse a folder for many files that is neither free, nor empty, nor holds the file `record` of
+    `schema`, by which a folder of `what` ("a bundle") is known. Raises `OutputError`."""
+    place = Path(folder)
+    if not os.path.lexists(place):
+        return
+    if place.is_symlink() or not place.is_dir():
+        raise OutputError("not a folder", where=str(place), fix="choose another --out")
+    if any(place.iterdir()) and not _is_of(place / record, schema):
+        raise OutputError(f"the folder holds something else than {what}", where=str(place), fix=fix)
+
+
+def _is_of(path: Path, schema: str) -> bool:
+    """Whether a path is a file of the schema; a pipe of its name would never end."""
+    try:
+        return path.is_file() and read_json(path).get("schema") == schema
+    except FileFormatError:
+        return False
 
 
 def withdraw(folder: str | os.PathLike[str], *names: str) -> None:
@@ -254,12 +283,13 @@ def read_json(path: str | os.PathLike[str], *, schema: str | None = None) -> Any
     if not isinstance(value, dict):
         raise FileFormatError("not a JSON object", where=where, got=type(value).__name__)
     if schema is not None and value.get("schema") != schema:
+        other = of_another_version(value.get("schema"), schema)
         raise FileFormatError(
-            "wrong schema",
+            OTHER_VERSION if other else "wrong schema",
             where=where,
             expected=schema,
             got=repr(value.get("schema")),
-            fix=_instead(Path(path).parent, schema),
+            fix=OTHER_FIX if other else _instead(Path(path).parent, schema),
         )
     return value
 
@@ -305,6 +335,12 @@ def read_toml(
             raise
         fix = "correct the line that is named"
         raise error(f"not valid TOML: {cause}", where=where, fix=fix) from None
+
+
+def of_another_version(got: object, *expected: str) -> bool:
+    """Whether a schema is that of an expected kind, with another number."""
+    kinds = {e.partition("/")[0] for e in expected}
+    return isinstance(got, str) and "/" in got and got.partition("/")[0] in kinds
 
 
 def _instead(folder: Path, schema: str | None) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from greybox.errors import printable
-from greybox.files import OutputError, Parsed, file_sha256
+from greybox.files import OutputError, Parsed, file_sha256, own_place
 from mpc_export.manifest import SCHEMA
 from mpc_export.verify import made_on_the_way, seal
 
@@ -67,17 +67,8 @@ def _seal(manifest: Parsed) -> str | None:
 def check_place(place: Path, *, force: bool = False) -> None:
     """Raises `OutputError` unless `place` is free, an empty folder, or a bundle, of whose files
     every one is as it was written or may go (`force`)."""
-    if not os.path.lexists(place):
-        return
-    if place.is_symlink() or not place.is_dir():
-        raise OutputError("not a folder", where=str(place), fix="choose another --out")
+    own_place(place, "manifest.json", SCHEMA, "a bundle")
     if not is_bundle(place):
-        if any(place.iterdir()):
-            raise OutputError(
-                "the folder holds something else than a bundle",
-                where=str(place),
-                fix="choose another --out",
-            )
         return
     if not force and (own := not_as_written(place)):
         more = f" and {len(own) - LISTED} more" if len(own) > LISTED else ""

@@ -22,7 +22,7 @@ import numpy as np
 from greybox.data.readers.by_channel import by_group, is_by_channel
 from greybox.data.readers.mapping import LogMapping, mapping_of
 from greybox.errors import DataError, OldFormWarning, UnknownNameError, VehicleError
-from greybox.files import Json, Parsed, read_toml
+from greybox.files import OTHER_VERSION, Json, Parsed, of_another_version, read_toml
 from greybox.frames import GRAVITY
 from greybox.model.beliefs import Belief, Beliefs, Why, default_sigma
 from greybox.model.body import SINGULAR, STATED_SIGMAS, TRIANGLE_SLACK, may_be_stated
@@ -540,7 +540,7 @@ def _schema(top: TomlTable) -> str:
         expected = " or ".join(f'"{s}"' for s in SCHEMAS)
         raise top.error(
             "schema",
-            "wrong schema",
+            OTHER_VERSION if of_another_version(schema, *SCHEMAS) else "wrong schema",
             expected=expected,
             got=repr(schema),
             fix="update the vehicle file",

@@ -9,7 +9,15 @@ from pathlib import Path
 
 from greybox.data import Dataset
 from greybox.errors import DataError, ModelError
-from greybox.files import FileFormatError, Json, OutputError, dump_json, read_json, write_atomic
+from greybox.files import (
+    FileFormatError,
+    Json,
+    OutputError,
+    dump_json,
+    own_place,
+    read_json,
+    write_atomic,
+)
 from greybox.model.identified import IdentifiedModel
 from greybox.shown import Cell, Shown
 from greybox.simulators.coverage import Covered, coverage, format_table
@@ -81,8 +89,9 @@ class Twin(Shown):
         }
 
     def save(self, folder: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write all files and twin.json into `folder`. Raises `OutputError` where one of them is
-        there already and `force` was not given; then nothing is written. With `force`, files go
+        """Write all files and twin.json into `folder`. Raises `OutputError` where it holds one
+        of the files, or something else than a twin, and `force` was not given; then nothing is
+        written. With `force`, files go
         that the twin.json of an earlier twin lists and this one has not."""
         place = Path(folder)
         names = [*self.files, "twin.json"]
@@ -94,6 +103,9 @@ class Twin(Shown):
                 where=str(place),
                 fix="choose another --out, or add --force",
             )
+        if not force:
+            fix = "choose another --out, or add --force"
+            own_place(place, "twin.json", SCHEMA, "a twin", fix=fix)
         for name in _listed(place) - set(names):
             old = place / name
             old.unlink(missing_ok=True)

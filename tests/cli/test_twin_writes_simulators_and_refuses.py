@@ -65,6 +65,20 @@ def test_what_no_body_is_like_is_refused_in_one_line(
     assert not (tmp_path / "t").exists()
 
 
+def test_a_folder_of_somebody_else_is_left_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, own = written(tmp_path, {}), tmp_path / "thesis"
+    own.mkdir()
+    (own / "thesis.tex").write_text("years of work")
+    command = ["twin", path, "--target", "rotorpy", "--out", str(own)]
+    assert main(command) == 2
+    assert "something else than a twin" in capsys.readouterr().err
+    assert [p.name for p in own.iterdir()] == ["thesis.tex"]
+    assert main([*command, "--force"]) == 0
+    assert (own / "thesis.tex").read_text() == "years of work"
+
+
 def test_an_unknown_target_gets_the_nearest_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -34,7 +34,7 @@ from typing import TypedDict, TypeVar
 from greybox.data.channel import GROUPS, group_names
 from greybox.data.readers.recording import FRAMES, UNITS, Source
 from greybox.errors import DataError, UnknownNameError
-from greybox.files import Json, read_toml
+from greybox.files import OTHER_VERSION, Json, of_another_version, read_toml
 
 SCHEMA = "greybox.mapping/1"
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -253,7 +253,7 @@ def read_mapping(path: str | os.PathLike[str]) -> LogMapping:
     content = read_toml(path, what="mapping file", error=DataError)
     if content.get("schema") != SCHEMA:
         raise DataError(
-            "wrong schema",
+            OTHER_VERSION if of_another_version(content.get("schema"), SCHEMA) else "wrong schema",
             where=where,
             expected=SCHEMA,
             got=repr(content.get("schema")),
