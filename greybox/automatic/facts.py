@@ -30,7 +30,7 @@ class Facts:
     gyro. `wander` [samples] is how far their clocks drift apart within a flight, `axes_apart` by how
     much the gyro is later about one axis than about another (an estimator's attitude), `apart` the
     most of these and of how far they are apart in the middle (all 0 where the log has no attitude),
-    `seconds` the time flown."""
+    `sample` [s] is one of these samples, `seconds` the time flown."""
 
     sensors: frozenset[str]
     noise: Mapping[tuple[str, str], float]
@@ -38,6 +38,7 @@ class Facts:
     wander: float
     axes_apart: float
     apart: float
+    sample: float = 0.0
     seconds: float
     flights: int
     rate: float
@@ -87,6 +88,7 @@ def facts_of(data: Dataset, vehicle: Vehicle, report: CheckReport) -> Facts:
         wander=report.wander,
         axes_apart=axes_apart,
         apart=max(report.wander, axes_apart, middle),
+        sample=float(np.median([e["sample_s"] for e in seen])) if seen else 0.0,
         seconds=sum(f.duration for f in data),
         flights=len(data),
         rate=1.0 / data.flights[0].dt,

@@ -52,7 +52,7 @@ def test_clocks_that_wander_turn_on_kinematic_noise(drift, noise):
     assert found.recipe.kinematic_noise is noise
     (said,) = [d for d in found.decisions if "kinematics" in d.about]
     assert said.choice == ("yes" if noise else "no")
-    assert f"{facts.wander:.1f} samples" in said.reason
+    assert f"{1e3 * facts.sample * facts.wander:.1f} ms" in said.reason
 
 
 def estimated(late: int) -> Dataset:

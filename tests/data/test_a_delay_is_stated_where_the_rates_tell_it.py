@@ -3,6 +3,7 @@ Where the rates tell it, how far the clocks wander is found."""
 
 from __future__ import annotations
 
+import re
 import sys
 
 import numpy as np
@@ -94,3 +95,14 @@ def test_a_pose_that_is_slower_than_the_rows_tells_the_delay_as_well(posed: str,
     (found,) = flown(wobble=0.1, late=late, posed=kept[posed]).of("alignment")
     assert found.evidence["offset_samples"] == pytest.approx(late, abs=0.5)
     assert found.severity == ("blocking" if late else "info")
+
+
+def test_a_delay_is_said_in_time_and_in_rows_of_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The checks look at 250 Hz; nobody who reads them has rows of that."""
+    monkeypatch.setattr(sys.modules[__name__], "RATE", 500.0)
+    (found,) = flown(wobble=0.1, late=20.0).of("alignment")
+    said = re.search(r"the gyro is ([\d.]+) ms \(([\d.]+) rows\) late", found.message)
+    assert said is not None, found.message
+    assert float(said[1]) == pytest.approx(40.0, abs=2.0)
+    assert float(said[2]) == pytest.approx(20.0, abs=1.0)
+    assert "samples" not in found.message

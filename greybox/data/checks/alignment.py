@@ -110,16 +110,18 @@ def _estimated(view: View, axes: Mapping[str, tuple[float, float]]) -> Finding:
     shared = _shared(axes)
     blocks = abs(shared) >= max(BLOCKING / view.dt, 2.0)
     sign, way = (1.0, "late") if sum(late) > 0.0 else (-1.0, "early")
-    each = ", ".join(f"{sign * a:.1f} +- {e:.1f} ({n})" for n, (a, e) in axes.items())
-    text = f"the gyro is {each} samples {way} against the attitude"
+    ms = 1e3 * view.dt
+    each = ", ".join(f"{sign * ms * a:.1f} +- {ms * e:.1f} ({n})" for n, (a, e) in axes.items())
+    text = f"the gyro is {each} ms {way} against the attitude"
     text += ": no clock differs by axis, an estimator that filters does"
     if blocks:
-        text += f"; what all share, {abs(shared):.1f}, is a clock's"
+        text += f"; what all share, {_time(view, abs(shared))}, is a clock's"
     evidence = {
         "offset_samples": shared,
         "offset_s": shared * view.dt,
         "error_samples": max(e for _, e in axes.values()),
         "axes_apart_samples": max(late) - min(late),
+        "sample_s": view.dt,
     }
     return Finding(
         check="alignment",
@@ -135,6 +137,12 @@ def _estimated(view: View, axes: Mapping[str, tuple[float, float]]) -> Finding:
     )
 
 
+def _time(view: View, samples: float) -> str:
+    """So many samples of the checks' own rate in ms, and in rows of the log as it was written."""
+    seconds = samples * view.dt
+    return f"{1e3 * seconds:.1f} ms ({seconds * view.rate:.1f} rows)"
+
+
 def _offset(view: View, told: Delays) -> Finding:
     dt = view.dt
     low, high = told.drift
@@ -142,15 +150,16 @@ def _offset(view: View, told: Delays) -> Finding:
     sure = _sure(told)
     late = "late" if offset > 0 else "early"
     severity: Severity = "info"
-    text = f"gyro and attitude are aligned within {max(abs(offset), drift, error):.1f} samples"
+    most = _time(view, max(abs(offset), drift, error))
+    text = f"gyro and attitude are aligned within {most}"
     if sure and abs(offset) >= max(BLOCKING / dt, 2.0):
         severity = "blocking"
-        text = f"the gyro is {abs(offset):.1f} samples {late} against the attitude"
+        text = f"the gyro is {_time(view, abs(offset))} {late} against the attitude"
     elif sure or drift > 2.0:
         severity = "warning"
         text = (
-            f"the gyro is {abs(offset):.1f} samples {late} against the attitude and wanders by "
-            f"{drift:.1f}"
+            f"the gyro is {_time(view, abs(offset))} {late} against the attitude and wanders by "
+            f"{1e3 * drift * dt:.1f} ms"
         )
     return Finding(
         check="alignment",
@@ -164,6 +173,7 @@ def _offset(view: View, told: Delays) -> Finding:
             "error_samples": error,
             "low_samples": low,
             "high_samples": high,
+            "sample_s": dt,
             "drift_s_per_s": told.slope * dt,
             "windows": told.count,
         },
