@@ -11,6 +11,22 @@ from greybox.model.effect import Effect
 from greybox.planning.limits import Limits
 
 
+def whole_pieces(seconds: float, piece: float) -> int:
+    """How many manoeuvres of `piece` [s] fit into `seconds`."""
+    return int(seconds / piece + 1e-9)
+
+
+def left_over(seconds: float, piece: float) -> tuple[str, ...]:
+    """What whole manoeuvres leave of the time that was asked for, in words; empty for nothing."""
+    count = whole_pieces(seconds, piece)
+    if seconds - count * piece < 1e-6 * seconds:
+        return ()
+    return (
+        f"{seconds:g} s were asked for, of which whole manoeuvres of {piece:g} s take "
+        f"{count * piece:g} s: --seconds {(count + 1) * piece:g}, or another --piece",
+    )
+
+
 class PlanChoices(TypedDict, total=False):
     """The keywords of `plan`: the fields of `PlanOptions`, which says what they mean."""
 

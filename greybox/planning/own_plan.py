@@ -23,6 +23,7 @@ from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.parameter import Parameter
 from greybox.planning.information import Score, choose, efficiency, errors, information
+from greybox.planning.options import left_over, whole_pieces
 from greybox.planning.planning_case import precision_of
 from greybox.symbolic import FloatArray
 
@@ -156,7 +157,7 @@ def plan_own(
     subject = _subject(model, free, values, noise, sample_time)
     _demand_ranges(subject.dynamics, ranges, limits or {})
     _demand_length(seconds, piece, subject.sample_time)
-    count, n = int(seconds / piece + 1e-9), round(piece / subject.sample_time)
+    count, n = whole_pieces(seconds, piece), round(piece / subject.sample_time)
     run = _Runner(subject, ranges, limits or {})
     with threadpool_limits(limits=1):
         candidates = _fitting(run, list(ranges), n, seed)
@@ -186,7 +187,7 @@ def plan_own(
         errors=expected,
         naive=errors(subject, naive),
         efficiency=efficiency(subject, found, naive),
-        warnings=tuple(warnings),
+        warnings=(*warnings, *left_over(seconds, piece)),
     )
 
 

@@ -19,7 +19,7 @@ from greybox.planning.excitation_blocks import Flown, excitation_blocks, fit_in,
 from greybox.planning.information import Score, choose, efficiency, errors, information, pairs
 from greybox.planning.limits import Limits, command_range
 from greybox.planning.manoeuvres import flown
-from greybox.planning.options import PlanChoices, PlanOptions
+from greybox.planning.options import PlanChoices, PlanOptions, left_over, whole_pieces
 from greybox.planning.planning_case import PlanningCase, planning_case
 from greybox.planning.result import Plan, Step
 from greybox.progress import in_notebooks
@@ -56,6 +56,9 @@ def plan(
     """
     o = PlanOptions.of(options, choices)
     count = _pieces(o)
+    short = left_over(o.seconds, o.piece)
+    for text in short:
+        _say(say, text)
     with threadpool_limits(limits=1):
         wish, limits, notes = _hovering(_case(vehicle, model, o), o.limits, o.piece)
         candidates, left_out = _flyable(wish, limits, o.piece, o.seed, o.setpoints_only, say)
@@ -89,6 +92,7 @@ def plan(
                 if not np.isfinite(std)
             ),
             *notes,
+            *short,
         ),
         seed=o.seed,
     )
@@ -121,7 +125,7 @@ def _pieces(o: PlanOptions) -> int:
             got=f"{piece:g} s and {seconds:g} s",
             fix="--seconds 60 --piece 5",
         )
-    count = int(seconds / piece + 1e-9)
+    count = whole_pieces(seconds, piece)
     if not 1 <= flights <= count:
         raise GreyboxError(
             "every flight needs a manoeuvre",

@@ -17,6 +17,7 @@ from greybox.planning import plan
 from greybox.planning.excitation_blocks import excitation_blocks, fit_in
 from greybox.planning.information import Information, Score, choose, errors, information
 from greybox.planning.limits import Limits
+from greybox.planning.options import left_over
 from greybox.planning.planning_case import planning_case
 from greybox.planning.setpoints import csv, setpoints
 
@@ -162,6 +163,24 @@ def test_setpoints_only_needs_no_injected_signal(made):
     }
     columns = setpoints([(p, 1.0) for p in plain], LIMITS, 0.01, 9.81)
     assert not any(columns[f"inj_{n}"].any() for n in ("roll", "pitch", "yaw", "thrust"))
+
+
+def test_time_that_whole_manoeuvres_leave_is_said(made):
+    assert not any("asked for" in w for w in made.warnings)
+    heard = []
+    found = plan(
+        vehicle(),
+        effects=["motor_lag"],
+        seconds=5.0,
+        piece=2.0,
+        limits=LIMITS,
+        setpoints_only=True,
+        say=heard.append,
+    )
+    assert found.seconds == pytest.approx(4.0)
+    assert "5 s were asked for" in heard[0] and "4 s: --seconds 6" in heard[0]
+    assert heard[0] in found.warnings and heard[0] in found.summary()
+    assert left_over(24.0, 5.0) and not left_over(24.0, 4.8) and not left_over(60.0, 5.0)
 
 
 def test_every_piece_starts_and_ends_at_home():
