@@ -89,7 +89,12 @@ def _world_options(p: argparse.ArgumentParser) -> None:
 def _campaign_options(p: argparse.ArgumentParser) -> None:
     """How often, and what may go wrong."""
     p.add_argument(
-        "--flights", type=int, default=20, metavar="N", help="flights per controller (default 20)"
+        "--flights",
+        type=int,
+        default=20,
+        metavar="N",
+        help="flights per controller (default 20), after the training flights and rehearsals that "
+        "the level asks for whatever N is",
     )
     p.add_argument(
         "--level",

@@ -187,11 +187,13 @@ def flights(
     log: str = "flights.jsonl",
     near: float | None = None,
     watched: Sequence[int] = (),
+    later: int = 0,
     say: Callable[[str], None] = print,
 ) -> list[FlightRow]:
     """Rows of all entries and seeds, those of an earlier run among them; every row is on the disk
     before the next flight.
 
+    later: flights that the command flies after these; the time that is left is that of all.
     watched: seeds whose traces are kept in OUT/traces. Flights go seed by seed, so that controllers
     can be compared however early the run is stopped.
     """
@@ -221,7 +223,7 @@ def flights(
         rows[row["controller"], row["seed"]] = row
         append_json_line(path, row)
         done += 1
-        rest = left.after((done - before) / len(todo))
+        rest = left.after((done - before) / (len(todo) + later))
         say(f"{done} of {total}: {row['controller']}, flight {row['seed']}: {told(row)}{rest}")
     return kept(campaign, entries, seeds, log=log)
 
@@ -343,10 +345,11 @@ def rehearsed(
     tried: Sequence[float],
     count: int,
     jobs: int,
+    later: int,
     say: Callable[[str], None],
 ) -> tuple[float, list[Rehearsal]]:
     """(standard deviations for `level`, what was rehearsed): `count` flights against the model
-    itself at each of `tried`.
+    itself at each of `tried`, before `later` flights of another kind.
 
     Raises `ModelError` where they go beyond a limit too often for any of them
     (mpc_export/tube/risk.py).
@@ -359,6 +362,7 @@ def rehearsed(
         range(count),
         jobs=jobs,
         log="rehearsal.jsonl",
+        later=later,
         say=lambda text: say(f"rehearsal: {text}"),
     )
     beyond = [

@@ -51,6 +51,8 @@ TEXTS = {
 }
 REHEARSED, REHEARSALS = (0.5, 1.0, 1.5), 12
 """Standard deviations that are rehearsed on the model itself, and flights for each."""
+OF_A_MODEL = ("mean", "tube", "constant", "cascade")
+"""Controllers of a model, above."""
 TUNING = 8
 """Training flights on which touched limits are counted and the constant back-off is chosen."""
 
@@ -150,7 +152,9 @@ def prepare(
     for text in warnings:
         say(text)
     plain = models.plain
-    tuning, unbounded = _tuning(hangar, plain, o, jobs, say)
+    ahead = _ahead(o, len(models.others) + len(OF_A_MODEL))
+    say(ahead.words)
+    tuning, unbounded = _tuning(hangar, plain, o, ahead, jobs, say)
     return Flown(
         hangar=hangar,
         entries=(*models.others, plain, *_tightened(plain, tuning, o.level)),
@@ -159,6 +163,29 @@ def prepare(
         seeds=tuple(judging(o.flights, o.seed)),
         warnings=(*warnings, *unbounded),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Ahead:
+    """How many flights prepare and judge, and in `words` what is flown for which reason."""
+
+    rehearsals: int
+    judging: int
+    words: str
+
+
+def _ahead(o: MissionOptions, controllers: int) -> _Ahead:
+    """What the command will fly. How far to keep away from limits follows from the level: flights
+    that ask for it do not become fewer where fewer judge."""
+    rehearsals = REHEARSALS * len(REHEARSED) if o.risk == "rehearsal" else 0
+    judged = o.flights * controllers
+    parts = [f"{TUNING} training flights"]
+    if rehearsals:
+        parts.append(f"{rehearsals} rehearsals (--risk boole: none)")
+    parts.append(f"{o.flights} flight(s) of each of {controllers} controllers")
+    total = TUNING + rehearsals + judged
+    words = f"{', then '.join(parts)}: {total} flights in all, whose time is said after the first"
+    return _Ahead(rehearsals=rehearsals, judging=judged, words=words)
 
 
 def _check(o: MissionOptions, demo: Demo | None) -> None:
@@ -210,7 +237,7 @@ def _campaign(models: _Models, out: Path, o: MissionOptions) -> Campaign:
 
 
 def _tuning(
-    hangar: Hangar, plain: Entry, o: MissionOptions, jobs: int, say: Say
+    hangar: Hangar, plain: Entry, o: MissionOptions, ahead: _Ahead, jobs: int, say: Say
 ) -> tuple[Tuning, list[str]]:
     """What training flights and rehearsals ask for, and a warning where rehearsals do not bound the
     risk."""
@@ -222,6 +249,7 @@ def _tuning(
         jobs=jobs,
         log="tuning.jsonl",
         near=NEAR,
+        later=ahead.rehearsals + ahead.judging,
         say=lambda text: say(f"training flights: {text}"),
     )
     asked = tuned(rows, o.level)
@@ -242,7 +270,14 @@ def _tuning(
     )
     try:
         found, rehearsals = rehearsed(
-            hangar, plain, o.level, tried=REHEARSED, count=REHEARSALS, jobs=jobs, say=say
+            hangar,
+            plain,
+            o.level,
+            tried=REHEARSED,
+            count=REHEARSALS,
+            jobs=jobs,
+            later=ahead.judging,
+            say=say,
         )
     except ModelError as error:
         return tuning, [
