@@ -18,6 +18,9 @@ are made white (gusts last). A name counts as in `scenarios.foreign.verdicts`.
     E-SINDy    20 bootstraps of it (Fasel et al. 2022): effects in more than 60 % of them
     split F    forward selection on the first training flight, F tests on the second at 5 %
                over all that were chosen (the idea of LISDD)
+    Operon     genetic programming (Burlacu et al. 2020; pyoperon) of an equation in the terms; the
+               shortest of its Pareto front within one standard error on the test flight. It says an
+               equation: the effects whose terms stand in it count as its names
 """
 
 from __future__ import annotations
@@ -55,6 +58,7 @@ LEVEL = 0.05
 BLOCKS = 10
 LOOKS, LARGEST = 3, 0.7
 """How often the file's numbers are fitted, and the share by which they may be off."""
+POPULATION, EVALUATIONS, LENGTH = 500, 50_000, 40
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -221,6 +225,27 @@ def ensemble(p: Problem, seed: int) -> set[str]:
     return {n for n, v in zip(p.owner, often) if v > INCLUDED}
 
 
+def operon(p: Problem, seed: int) -> set[str]:
+    """Effects whose terms stand in the equation that the test flight chooses."""
+    from pyoperon.sklearn import SymbolicRegressor
+
+    model = SymbolicRegressor(
+        allowed_symbols="add,mul,constant,variable",
+        objectives=["mse", "length"],
+        optimizer_iterations=3,
+        population_size=POPULATION,
+        max_evaluations=EVALUATIONS,
+        max_length=LENGTH,
+        random_state=seed,
+    )
+    model.fit(p.train[1], p.train[0])
+    columns = dict(zip(model.variables_.values(), p.owner))
+    front = model.pareto_front_
+    left = [p.test[0] - model.evaluate_model(m["tree"], p.test[1]) for m in front]
+    which = sparsest([p.test[0], *left], [0, *(m["length"] for m in front)])
+    return {columns[v] for v in front[which - 1]["variables"]} if which else set()
+
+
 def _squares(y: Array, x: Array) -> float:
     if x.shape[1] == 0:
         return float(y @ y)
@@ -266,10 +291,11 @@ PEERS: dict[str, Callable[[Problem, int], set[str]]] = {
     "SINDy": sindy,
     "E-SINDy": ensemble,
     "split F": split_f,
+    "Operon": operon,
 }
 
 
-NEEDS = {"SINDy": "pysindy", "E-SINDy": "pysindy"}
+NEEDS = {"SINDy": "pysindy", "E-SINDy": "pysindy", "Operon": "pyoperon"}
 """Packages, of the extra judge; without its own a peer is left out."""
 
 

@@ -194,7 +194,7 @@ def test_without_its_package_a_peer_is_left_out_and_said(monkeypatch, tmp_path, 
     assert league.present() == ["split F"]
     assert league.main(["--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "without pysindy, which comes with: pip install greybox-sysid[judge]" in said
+    assert "without pyoperon, which comes with: pip install greybox-sysid[judge]" in said
 
 
 def kept(pattern):
