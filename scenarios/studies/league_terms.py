@@ -212,7 +212,7 @@ def regression(
     terms = {**_rotor_terms(f), **_body_terms(f), **_imu_terms(f, nominal)}
     terms["payload_mass"] = [-_force(pulled)]
     if turn is None:
-        terms[LATE_ALL] = terms.pop(LATE)
+        terms[LATE_ALL] = [*terms.pop(LATE), *_late(nominal)]
     else:
         parts.append(pose_less_imu(f, turn))
         kept += range(6, 12)
@@ -376,12 +376,20 @@ def _with_pose(
     }
     pairs = {n: [(t, -s) for t, s in zip(terms[n], seen)] for n, seen in felt.items()}
     pairs["gyro_bias"] = [(none, -_axis(np.ones_like(nominal), i)) for i in range(3)]
-    pairs["sensor_delay"] = [(-np.gradient(nominal, 1.0 / RATE, axis=0), late)]
+    both = (_late(nominal), [late, -np.gradient(late, 1.0 / RATE, axis=0)])
+    pairs["sensor_delay"] = list(zip(*both))
     pairs["pose_delay"] = [(none, -late)]
     pairs["mocap_misalignment"] = [(none, t) for t in turned]
     pairs["pose_lever_arm"] = [(none, np.roll(_levered(f, i), 3, axis=1)) for i in range(3)]
-    both = {n: [np.concatenate(two, axis=-1) for two in some] for n, some in pairs.items()}
-    return {**terms, **both}
+    wide = {n: [np.concatenate(two, axis=-1) for two in some] for n, some in pairs.items()}
+    return {**terms, **wide}
+
+
+def _late(nominal: Array) -> list[Array]:
+    """Accelerations that are late, and those that a low-pass took the corners off: first and second
+    order."""
+    first = np.gradient(nominal, 1.0 / RATE, axis=0)
+    return [-first, np.gradient(first, 1.0 / RATE, axis=0)]
 
 
 def _force(values: Array) -> Array:
