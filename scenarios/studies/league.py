@@ -373,20 +373,21 @@ def _good(row: dict[str, Any]) -> bool:
 
 LINES: tuple[tuple[str, tuple[str, ...], bool, Callable[[dict[str, Any]], bool]], ...] = (
     ("clean: a false name", ("clean",), False, _false),
-    ("one effect: named, alone or in a set", ("single",), True, _good),
-    ("two to five: all named, nothing else", ("pair", "five"), True, _good),
+    ("one effect: named", ("single",), True, _good),
+    ("two to five: all named", ("pair", "five"), True, _good),
     ("wind: named", ("wind",), False, lambda r: "steady_wind" in r["named"]),
-    ("gyro and accelerometer only: named", ("imu",), True, _good),
+    ("IMU alone: named", ("imu",), True, _good),
     ("these four: a false name", ("single", "pair", "five", "wind", "imu"), False, _false),
-    ("outside the catalogue: a false name", ("outside",), False, _false),
+    ("outside: a false name", ("outside",), False, _false),
 )
-"""What is counted: title, sets, whether only where the oracle sees what hides, what counts."""
+"""What is counted: title, sets, whether only where the oracle sees what hides, what counts. Named
+means alone or in a set, with nothing false beside it; a wind may have false names beside it."""
 
 
 def short(part: int, whole: int) -> str:
     """A share with its exact 95 % interval, for narrow columns."""
     told = re.search(r", ([\d.]+) to ([\d.]+)\)", share(part, whole))
-    return f"{part}/{whole} ({told[1]}-{told[2]} %)" if told else "-"
+    return f"{part}/{whole}<br>{told[1]}-{told[2]} %" if told else "-"
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:

@@ -184,7 +184,7 @@ def test_a_folder_is_compared_and_counted(tmp_path):
     asked = {"asked": "single:rotor_drag", "seed": 1, "power": None}
     said = league.table([{**asked, **r, "judged": "right"} for r in rows])
     line = next(x for x in said.splitlines() if x.startswith("| one effect"))
-    assert line.count("1/1 (2.5-100.0 %)") == len(league.present())
+    assert line.count("1/1<br>2.5-100.0 %") == len(league.present())
     assert "clean: a false name | - " in said
 
 
@@ -209,3 +209,20 @@ def test_judged_rows_draw_the_log_that_was_judged(tmp_path):
     assert all(league.flown(row, folder) == folder for row in rows)
     with pytest.raises(ValueError, match="drawn otherwise today: simulator"):
         league.flown({**rows[0], "simulator": "another"}, folder)
+
+
+def test_the_page_shows_the_table_of_the_rows_that_are_kept(capsys):
+    page = (RESULTS.parents[1] / "docs" / "discovery_judged.md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"scenarios\.studies\.league --summary (\S+)", page)
+    assert league.main(["--summary", str(RESULTS.parents[1] / command)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "| | greybox | SINDy | E-SINDy | split F | Operon |"
+    assert all(line in page for line in lines)
+
+
+def test_greybox_stands_in_the_table_as_it_was_judged():
+    rows = {(r["asked"], r["seed"]): r for r in kept("naming_1[23]*.jsonl.gz")}
+    own = [r for r in kept("league_*.jsonl.gz") if r["peer"] == "greybox"]
+    assert len(own) > 100
+    for row in own:
+        assert row["judged"] == rows[row["asked"], row["seed"]]["judged"]
