@@ -44,6 +44,11 @@ def kink_near(
     def at(part: float) -> FloatArray:
         return np.clip(x + part * step, problem.lower, problem.upper)
 
+    def cost(part: float) -> float:
+        """Where nothing can be predicted it is large: the search for the lowest divides."""
+        there = problem.evaluate(at(part), 0).cost
+        return there if np.isfinite(there) else 10 * abs(value.cost) + 1e6
+
     def change(half: float) -> tuple[FloatArray, Value, Value]:
         """That of the gradient about the lowest point, in units of the Hessian's diagonal."""
         ends = [problem.evaluate(at(lowest + way * half)) for way in (-1.0, 1.0)]
@@ -55,13 +60,13 @@ def kink_near(
     size = np.sqrt(np.maximum(np.diag(h), 1e-300))
     whole = min(BESIDE / np.sqrt(max(float(step @ h @ step), 1e-300)), 1.0)
     found = minimize_scalar(
-        lambda part: problem.evaluate(at(part), 0).cost,
+        cost,
         bounds=(0.0, whole),
         method="bounded",
         options={"xatol": CLOSE * whole, "maxiter": 60},
     )
     lowest, tried = float(found.x), int(found.nfev)
-    if not (lowest < 0.99 * whole and np.isfinite(found.fun)):
+    if not lowest < 0.99 * whole:
         return None, tried
     wide, tried = change(4 * CLOSE * whole), tried + 2
     if not np.isfinite(wide[0]).all() or not wide[0].any():
