@@ -258,7 +258,7 @@ def test_bad_data_are_an_answer_and_not_an_error(
 def test_one_bad_log_among_good_ones_is_named(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    logs = ("--train", "a.csv", "swapped.csv", "--test", "c.csv")
+    logs = ("--train", "b.csv", "swapped.csv", "--test", "c.csv")
     assert main(command(files, *logs, "--out", str(tmp_path))) == 1
     said = capsys.readouterr().out
     assert said.startswith("BAD DATA")
