@@ -58,17 +58,19 @@ def with_rivals(found: Fit, data: Dataset) -> Fit:
         return found
     try:
         with threadpool_limits(limits=1):
-            at, wide = _parabola(found, data, physics)
+            at, wide, there = _parabola(found, data, physics)
             seen = averaged(at)
     except (GreyboxError, np.linalg.LinAlgError):  # a larger model that cannot predict
         return found
-    return found if seen.best is None else _told(found, at, seen, wide)
+    return found if seen.best is None else _told(found, at, seen, wide, there)
 
 
-def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> tuple[Parabola, Problem]:
+def _parabola(
+    found: Fit, data: Dataset, physics: PhysicsModel
+) -> tuple[Parabola, Problem, FloatArray]:
     """(the cost about the fit, with effects that it lacks or holds at nothing; the problem whose
-    unknowns have the same places). What is held for a ratio may move as far as it is stated: an effect that does the
-    same as its error is no news."""
+    unknowns have the same places; where they stand). What is held for a ratio may move as far as it
+    is stated: an effect that does the same as its error is no news."""
     small, theta = found.problem, found.theta
     held = at_bound(small, theta, small.evaluate(theta))
     effects = _offered(physics, data)
@@ -106,8 +108,8 @@ def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> tuple[Parabol
     information = value.data_hessian + np.diag(prior)
     gradient = value.gradient.copy()
     gradient[n:] -= _pull_of_declared(wide, at)[n:]
-    # A craft has no such effect; but what the model has and the flights hold at its bound, or what a
-    # wrong clock makes of an effect, lies beyond.
+    # A craft has no such effect; but what the model has and the flights hold at its bound, or what
+    # a wrong clock makes of an effect, lies beyond.
     past = {e.name for e in effects if e.beyond}
     bounded = np.array([m not in at_null and m.split(".")[0] not in past for m in names])
     loose = [*np.flatnonzero(~held).tolist(), *range(n, wide.n)]
@@ -124,7 +126,7 @@ def _parabola(found: Fit, data: Dataset, physics: PhysicsModel) -> tuple[Parabol
         if not found.coloured or scores is None or len(scores) < FEWEST_BLOCKS
         else scores.T @ scores,
     )
-    return parabola, wide
+    return parabola, wide, at
 
 
 def _at_null(small: Problem, theta: FloatArray, held: BoolArray) -> frozenset[str]:
@@ -156,7 +158,7 @@ def _offered(physics: PhysicsModel, data: Dataset) -> list[Effect]:
     return [e for e in judged if physics.with_effect(e).noises.names == pushed]
 
 
-def _told(found: Fit, at: Parabola, seen: Averaged, wide: Problem) -> Fit:
+def _told(found: Fit, at: Parabola, seen: Averaged, wide: Problem, there: FloatArray) -> Fit:
     """The fit with wider errors, what is no measurement, and first of all which bounds the flights
     push against. How far a limit that is missing moves numbers is not to be seen where it is not
     felt."""
@@ -168,7 +170,7 @@ def _told(found: Fit, at: Parabola, seen: Averaged, wide: Problem) -> Fit:
             by_name.setdefault(u.name, []).append(row[i])
     away = moved_away(found, seen.shift, by_name)
     limits = frozenset(n.split(".")[0] for n in wide.thresholds)
-    pushed = _beyond(seen.best, wide)
+    pushed = _beyond(seen.best, wide, there)
     line = _line(away, seen.best, limits, bounded=bool(pushed))
     held = widened(found, seen.spread, by_name, line)
     if not pushed:
@@ -179,20 +181,20 @@ def _told(found: Fit, at: Parabola, seen: Averaged, wide: Problem) -> Fit:
     return replace(held, diagnostics=told)
 
 
-def _beyond(best: Form, wide: Problem) -> list[str]:
-    """In words, which unknowns of the likeliest form go beyond the bound where they are nothing by
-    more than chance, the surest first."""
+def _beyond(best: Form, wide: Problem, at: FloatArray) -> list[str]:
+    """In words, which unknowns of the likeliest form, which stand `at` (n,), go beyond the bound
+    where they are nothing by more than chance, the surest first."""
     why = {e.name: e.beyond for e in CATALOGUE}
     found = []
     for i, (step, error) in best.steps.items():
         u = wide.unknowns[i]
-        out = (step < 0 and u.start <= u.lower) or (step > 0 and u.start >= u.upper)
+        out = (step < 0 and at[i] <= u.lower) or (step > 0 and at[i] >= u.upper)
         if out and abs(step) > FELT * error > 0:
             size, sure = abs(step), abs(step) / error
             rows = max(1, round(size / wide.dt)) * wide.dt
             reason = (why.get(u.name.split(".")[0]) or UNKNOWN).format(size, rows)
-            text = f"{u.name} would be {sure:.0f} standard errors beyond its bound {u.start:g}: {reason}"
-            found.append((-sure, text))
+            beyond = f"{sure:.0f} standard errors beyond its bound {at[i]:g}"
+            found.append((-sure, f"{u.name} would be {beyond}: {reason}"))
     return [text for _, text in sorted(found)]
 
 

@@ -105,8 +105,8 @@ class Effect(ABC):
     early: ClassVar[frozenset[str]] = frozenset()
     """Those of `EARLY` that `apply` returns. They depend on the effect's parameters alone."""
     beyond: ClassVar[str] = ""
-    """What flights say that want a parameter by {0} beyond the bound where the effect is nothing, {1} in whole rows, and
-    what to do; empty where that is not known."""
+    """What flights say that want a parameter by {0} beyond the bound where the effect is nothing,
+    {1} in whole rows, and what to do; empty where that is not known."""
     case: ClassVar[ReferenceCase]
     source: ClassVar[EffectSource | None] = None
     """The file that it was loaded from; None: of the catalogue, or of the caller's own code."""

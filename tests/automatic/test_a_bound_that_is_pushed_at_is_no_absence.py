@@ -40,16 +40,17 @@ def fitted(rows: int, effects: tuple[str, ...], **choices: object) -> Fit:
     [
         (("motor_lag", "command_delay", "gyro_bias"), {}),
         (("motor_lag", "command_delay", "gyro_bias"), {"fixed": ("command_delay.d",)}),
+        (("motor_lag", "command_delay", "gyro_bias"), {"values": {"command_delay.d": 0.02}}),
         (("motor_lag", "gyro_bias"), {}),
     ],
-    ids=["where the search ended", "held at nothing", "not in the model"],
+    ids=["where the search ended", "held at nothing", "begun elsewhere", "not in the model"],
 )
 def test_commands_that_are_logged_late_are_said_first(effects, choices):
     found = fitted(2, effects, **choices)
     said = found.covariance.beyond
     assert said.startswith("command_delay.d would be ")
     assert "standard errors beyond its bound 0: commands are logged about " in said
-    assert 0.004 < float(said.split("set delay = ")[1].split()[0]) < 0.012  # 8 ms
+    assert 0.004 < float(said.split("; add ")[1].split()[0]) < 0.012  # 8 ms
     assert found.warnings[0] == said
     assert found.summary().splitlines()[2] == f"warning: {said}"
     assert next_step(None, found, ["a push"])[0] == f"next: {said}"  # type: ignore[arg-type]

@@ -24,8 +24,8 @@ class CommandDelay(Effect):
     )
     early = frozenset({"delay"})
     beyond = (
-        "commands are logged about {0:.2g} s later than they act; set delay = {1:.3g} (whole rows) "
-        "in [columns.command] and fit again"
+        "commands are logged about {0:.2g} s later than they act; add {1:.3g} (whole rows) to the "
+        "delay in [columns.command] (0 where none is said) and fit again"
     )
     case = ReferenceCase(
         parameters={"d": 0.02},
