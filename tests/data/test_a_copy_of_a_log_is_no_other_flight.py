@@ -16,7 +16,7 @@ from greybox.data.halves import demand_apart, demand_disjoint
 from greybox.data.logs import read_table
 from greybox.data.raw import RawLog
 from greybox.errors import DataError
-from greybox.examples import flight_path, vehicle_path
+from greybox.examples import flight_path, flight_paths, vehicle_path
 from greybox.model.vehicle import read_vehicle
 
 SET, NAME, OTHER = "nanobench", "B2_circle_medium_rep1", "B3_figure8_fast_rep1"
@@ -74,3 +74,39 @@ def test_another_flight_is_none(copies):
 def test_a_sensor_that_stands_still_is_no_flight():
     still = {n: np.full(4000, 0.1) for n in ("p", "q", "r")}
     assert not of_one_flight(fingerprint(still), fingerprint(still))
+
+
+@pytest.mark.parametrize("step", [np.pi / 180, 0.01, 0.061 * np.pi / 180])
+@pytest.mark.parametrize("spread", [0.002, 0.05, 0.15])
+def test_other_flights_of_a_coarse_gyro_are_none(step, spread):
+    """Whole degrees per second of a flight controller's log, two decimals, steps of a chip: still
+    and in flight at 1 kHz."""
+    logs = []
+    for seed in range(4):
+        white = spread * np.random.default_rng(seed).standard_normal((3, 30_000))
+        lively = np.cumsum(white, axis=1) * 0.03 + white
+        rates = np.round((lively - lively.mean(axis=1, keepdims=True)) / step) * step
+        logs.append(dict(zip("pqr", rates, strict=True)))
+    marks = [fingerprint(one) for one in logs]
+    assert not any(of_one_flight(a, b) for i, a in enumerate(marks) for b in marks[:i])
+    assert not any(of_one_flight(a, frozenset().union(*marks) - a) for a in marks)
+    if spread > step:
+        part = fingerprint({n: v[9_000:21_000] for n, v in logs[0].items()})
+        assert of_one_flight(marks[0], part)
+
+
+def test_real_flights_in_whole_degrees_are_told_apart():
+    marks = []
+    for path in flight_paths(SET):
+        seen = read_table(path, VEHICLE).channels
+        unit = np.pi / 180
+        marks.append(fingerprint({n: np.round(seen[n] / unit) * unit for n in "pqr"}))
+    assert min(len(m) for m in marks) > 10
+    assert not any(of_one_flight(a, b) for i, a in enumerate(marks) for b in marks[:i])
+
+
+def test_a_slow_gyro_that_a_table_carries_on_is_known():
+    rates = np.random.default_rng(0).standard_normal((3, 3_000))
+    whole = dict(zip("pqr", np.repeat(rates, 20, axis=1), strict=True))
+    part = {n: v[20_000:40_000] for n, v in whole.items()}
+    assert of_one_flight(fingerprint(whole), fingerprint(part))
