@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from greybox.data import Dataset
 from greybox.data.conditioning import condition
@@ -95,13 +96,108 @@ def test_other_flights_of_a_coarse_gyro_are_none(step, spread):
         assert of_one_flight(marks[0], part)
 
 
-def test_real_flights_in_whole_degrees_are_told_apart():
+DEGREE, CHIP = np.pi / 180, 0.061 * np.pi / 180
+KINDS = {  # rows a second, spread and noise in rad/s, step, times filtered
+    "whole deg/s in hover": (1000, 3 * DEGREE, 0.0, DEGREE, 1),
+    "whole deg/s in a calm hover": (1000, DEGREE, 0.0, DEGREE, 1),
+    "whole deg/s, filtered": (1000, 3 * DEGREE, 0.0, DEGREE, 3),
+    "whole deg/s on the ground": (1000, 0.0, 0.3 * DEGREE, DEGREE, 1),
+    "whole deg/s at 100 Hz": (100, 3 * DEGREE, 0.0, DEGREE, 1),
+    "two decimals": (100, 0.03, 0.0, 0.01, 1),
+    "steps of a chip in hover": (1000, DEGREE, 0.0, CHIP, 1),
+    "steps of a chip on the ground": (1000, 0.0, 0.05 * DEGREE, CHIP, 1),
+}
+
+
+def coarse(kind: str, seed: int) -> dict[str, np.ndarray]:
+    """A minute of a gyro that has 50 ms of memory."""
+    rate, spread, noise, step, order = KINDS[kind]
+    white, more = np.random.default_rng(seed).standard_normal((2, 60 * rate, 3))
+    memory = np.exp(-1 / (0.05 * rate))
+    for _ in range(order):
+        white = lfilter([1 - memory], [1, -memory], white, axis=0)
+    values = spread * white / white.std(axis=0) + noise * more
+    return dict(zip("pqr", np.round(values / step).T * step, strict=True))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_minutes_of_a_coarse_gyro_are_told_apart_and_their_parts_known(kind):
+    logs = [coarse(kind, seed) for seed in range(5)]
+    marks = [fingerprint(one) for one in logs]
+    assert min(map(len, marks)) > 50
+    assert not any(a & b for i, a in enumerate(marks) for b in marks[:i])
+    n = len(logs[0]["p"])
+    part = fingerprint({c: v[n // 3 : n // 2] for c, v in logs[0].items()})
+    assert of_one_flight(marks[0], part)
+    assert of_one_flight(frozenset().union(*marks), part)
+    assert not of_one_flight(frozenset().union(*marks[1:]), part)
+
+
+def test_a_short_flight_is_not_among_many_others():
+    log = coarse("whole deg/s at 100 Hz", 0)
+    marks = [
+        fingerprint({c: v[i : i + 1_000] for c, v in log.items()}) for i in range(0, 6_000, 1_000)
+    ]
+    for seed in range(1, 10):
+        marks.append(fingerprint(coarse("whole deg/s at 100 Hz", seed)))
+    for one in marks:
+        others = frozenset().union(*(m for m in marks if m is not one))
+        assert one
+        assert not of_one_flight(one, others)
+
+
+def test_wild_values_do_no_harm():
+    rates = np.random.default_rng(0).standard_normal((3, 3_000))
+    rates[0, ::100], rates[1, ::70] = 1e306, -0.0
+    log = dict(zip("pqr", rates, strict=True))
+    assert of_one_flight(fingerprint(log), fingerprint(log))
+    assert not fingerprint({c: v[:0] for c, v in log.items()})
+    assert not fingerprint({c: v[:7] for c, v in log.items()})
+
+
+def test_a_flicker_between_two_rows_is_no_flight():
+    flicker = {c: DEGREE * (np.arange(9_000) % k == 0) for c, k in (("p", 2), ("q", 9_999))}
+    assert not fingerprint({**flicker, "r": np.zeros(9_000)})
+
+
+@pytest.mark.parametrize("unit", [1.0, DEGREE], ids=["rad/s", "deg/s"])
+@pytest.mark.parametrize("decimals", [4, 5, 6, 7])
+@pytest.mark.parametrize("spread", [0.05, 0.5])
+def test_a_copy_with_fewer_decimals_is_known(unit, decimals, spread):
+    memory = np.exp(-0.2)
+    white = np.random.default_rng(9).standard_normal((3, 6_000))
+    rates = spread * lfilter([1 - memory], [1, -memory], white, axis=1) * np.sqrt(10)
+    digits = decimals - (unit != 1.0)  # a digit less is as fine in deg/s
+    copy = np.round(rates / unit, digits) * unit
+    first, again = (fingerprint(dict(zip("pqr", x, strict=True))) for x in (rates, copy))
+    assert of_one_flight(first, again)
+
+
+def test_a_copy_that_lost_rows_is_known():
+    log = coarse("whole deg/s in hover", 0)
+    kept = np.random.default_rng(1).random(len(log["p"])) > 0.02
+    assert of_one_flight(fingerprint(log), fingerprint({c: v[kept] for c, v in log.items()}))
+
+
+def test_a_long_log_leaves_few_marks_and_knows_its_parts():
+    rates = np.random.default_rng(0).standard_normal((3, 600_000))
+    whole = fingerprint(dict(zip("pqr", rates, strict=True)))
+    assert 100 < len(whole) <= 256
+    for width in (60_000, 300_000):
+        part = fingerprint(dict(zip("pqr", rates[:, 200_000 : 200_000 + width], strict=True)))
+        assert of_one_flight(whole, part)
+        other = coarse("whole deg/s in hover", 1)
+        assert of_one_flight(whole | fingerprint(other), part)
+
+
+@pytest.mark.parametrize("unit", [DEGREE, 0.01], ids=["whole deg/s", "0.01 rad/s"])
+def test_real_flights_of_a_coarse_gyro_are_told_apart(unit):
     marks = []
     for path in flight_paths(SET):
         seen = read_table(path, VEHICLE).channels
-        unit = np.pi / 180
         marks.append(fingerprint({n: np.round(seen[n] / unit) * unit for n in "pqr"}))
     assert min(len(m) for m in marks) > 10
+    assert not any(a & b for i, a in enumerate(marks) for b in marks[:i])
     assert not any(of_one_flight(a, b) for i, a in enumerate(marks) for b in marks[:i])
 
 
