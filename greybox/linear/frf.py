@@ -122,14 +122,20 @@ def frf(
         & (r.shared < TOGETHER)[:, None, :]
     )
     beside = None if model is None else _of_model(model, c, f)
-    fed = [c.all[i].name for i in c.z or c.u if follows(used, i, c.y)]
+    # An output that was smoothed with later samples foretells what moved it, also in an open loop.
+    causal = [i for i in c.y if not _smoothed([c.all[i]], data)]
+    ahead = [i for i in c.z or c.u if follows(used, i, c.y)]
+    fed = [c.all[i].name for i in ahead if causal and follows(used, i, causal)]
+    untold = tuple(c.all[i].name for i in ahead) if not fed else ()
     # A craft does not stay in the air by itself: its commands follow what it does, also where that
     # is more than the outputs show, or where larger motions hide it.
     flown = (
         not c.z and isinstance(model, IdentifiedModel) and physics_of(model.dynamics) is not None
     )
     return FrequencyResponse(
-        pairs={p.name: p for p in _pairs(c, f, r, coherent, beside, (bool(fed), flown))},
+        pairs={
+            p.name: p for p in _pairs(c, f, r, coherent, beside, (bool(fed), flown or bool(untold)))
+        },
         frequency=f,
         averages=s.averages,
         window=s.window,
@@ -137,8 +143,9 @@ def frf(
         sample_time=dt,
         references=tuple(x.name for x in c.references),
         closed_by=tuple(fed),
+        untold=untold,
         model=None if model is None else model.name,
-        warnings=tuple(_warnings(c, fed, r, data, model)),
+        warnings=tuple(_warnings(c, fed, untold, r, data, model)),
     )
 
 
@@ -269,14 +276,21 @@ def _of_model(model: IdentifiedModel | LinearModel, c: _Channels, f: FloatArray)
     return out
 
 
+def _smoothed(specs: Sequence[ChannelSpec], data: Dataset) -> list[str]:
+    """Columns of `specs` that were smoothed with later samples."""
+    return sorted({column for s in specs for _, column in s.terms} & data.noncausal)
+
+
 def _warnings(
     c: _Channels,
     fed: Sequence[str],
+    untold: Sequence[str],
     r: Response,
     data: Dataset,
     model: IdentifiedModel | LinearModel | None,
 ) -> list[str]:
-    """`fed`: references, or inputs where there are none, that follow the outputs."""
+    """`fed`: references, or inputs where there are none, that follow the outputs; `untold`: of which
+    that cannot be told."""
     said = []
     if fed and c.z:
         said.append(
@@ -285,12 +299,12 @@ def _warnings(
         )
     elif fed:
         said.append(
-            f"{', '.join(fed)} follow{'s' * (len(fed) == 1)} the outputs (a closed loop): where "
-            "gusts or "
-            "noise move the craft more than the excitation does, what is seen is the controller, "
-            "turned round, however "
-            "high the coherence, so that no frequency is usable. Excite the set points, log "
-            "them, and name them: greybox frf --references"
+            f"{', '.join(fed)} follow{'s' * (len(fed) == 1)} the outputs (a closed loop), or they "
+            "hold later samples, which looks alike. In a closed loop, where gusts or noise "
+            "move the craft more than the excitation does, what is seen is the controller, turned round, however high "
+            "the coherence, so that no frequency is usable. Excite the set points, log them, and "
+            "name them: greybox frf --references. In an open loop, log outputs as they are "
+            "measured, or say in the log's layout which were smoothed: causal = false"
         )
     for j, spec in enumerate(c.inputs):
         if np.median(r.shared[:, j]) > TOGETHER:
@@ -300,11 +314,16 @@ def _warnings(
             )
         if c.z and not (r.instrument[:, j] > STRONG).any():
             said.append(f"the references hardly move {spec.name}")
-    needed = {column for s in (*c.outputs, *c.inputs) for _, column in s.terms}
-    if smoothed := sorted(needed & data.noncausal):
+    if smoothed := _smoothed((*c.outputs, *c.inputs), data):
         said.append(
             f"{', '.join(smoothed)} was smoothed with later samples: phases are not those of the "
             "craft"
+        )
+    if untold:
+        late = ", ".join(_smoothed(c.outputs, data))
+        said.append(
+            f"whether {', '.join(untold)} follows {late} cannot be told, as later samples are in it: "
+            "if so (a closed loop), the response is biased"
         )
     if model is not None:
         own, dt = model.sample_time, data.flights[0].dt

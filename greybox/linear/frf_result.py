@@ -31,10 +31,10 @@ RATES = {"rad": "rad/s", "rad/s": "rad/s^2", "m": "m/s", "m/s": "m/s^2"}
 class Pair:
     """One response over `frequency` (K,) [Hz]: `value` (K,) complex, `magnitude` and `phase` [deg]
     with the ends of their 95 % intervals, `radius` (K,) of the circle that holds the complex value,
-    `coherence` (K,), where it is `coherent` (K,) and where `usable` (K,): not in a loop that is
-    seen to be closed, where intervals do not hold. `form`: lag and gain; `model`: the response
-    (K,) of a model, NaN above half its rate. `fed_back`: a closed loop may bias `value` by more
-    than the circle says, so that it judges no model."""
+    `coherence` (K,), where it is `coherent` (K,) and where `usable` (K,): not where the inputs are
+    seen to follow the outputs, as in a closed loop, where intervals do not hold. `form`: lag and
+    gain; `model`: the response (K,) of a model, NaN above half its rate. `fed_back`: a closed loop
+    may bias `value` by more than the circle says, so that it judges no model."""
 
     input: ChannelSpec
     output: ChannelSpec
@@ -117,7 +117,7 @@ class Pair:
                 f"{self.coherence.max():.2f})"
             )
             return
-        closed = "" if self.usable.any() else ": not usable, the loop is closed"
+        closed = "" if self.usable.any() else ": not usable, the loop is closed or looks so"
         yield f"{self.name}: coherence above {TRUSTED:g} at {self.coherent_bands()}{closed}"
         if self.form is not None:
             yield "  " + self._form_line(self.form)
@@ -153,7 +153,7 @@ class Pair:
         if self.fed_back:
             place = "model and flights part"
             yield (
-                "this does not judge the model: the closed loop may bias the response of the "
+                "this does not judge the model: a closed loop may bias the response of the "
                 "flights by more than its 95 % circle; its predictions do (greybox validate)"
             )
         bands = [slice(a, b) for a, b in runs(outside) if b - a > 1]
@@ -261,7 +261,8 @@ class FrequencyResponse(Shown):
 
     `averages` (K,) independent averages and `window` (K,) [s] behind each; `flights` seconds that
     were used by flight; `references` the signals that make it an estimate for closed loops; `closed_by` what
-    follows the outputs (references, or inputs where there are none), so that nothing is usable;
+    follows the outputs (references, or inputs where there are none), so that nothing is usable,
+    `untold` of which that cannot be told, as the outputs were smoothed with later samples;
     `model` the name of the model beside it; `warnings` what must be known before it is believed.
     """
 
@@ -273,6 +274,7 @@ class FrequencyResponse(Shown):
     sample_time: float
     references: tuple[str, ...] = ()
     closed_by: tuple[str, ...] = ()
+    untold: tuple[str, ...] = ()
     model: str | None = None
     warnings: tuple[str, ...] = ()
 
@@ -285,12 +287,18 @@ class FrequencyResponse(Shown):
     def line(self) -> str:
         """The result in one line."""
         if self.closed_by:
-            need = "no reference from outside" if self.references else "no reference is named"
-            return f"not measured: the loop is closed by {', '.join(self.closed_by)}, and {need}"
+            need = "no reference from outside" if self.references else "no reference"
+            many = "" if len(self.closed_by) > 1 else "s"
+            return (
+                f"not measured: {', '.join(self.closed_by)} follow{many} the outputs (a closed loop, "
+                f"or outputs with later samples), and {need} is named"
+            )
         if not self.measured:
             return f"not measured: no frequency has coherence above {TRUSTED:g}"
         good = [p.name for p in self.pairs.values() if p.usable.any()]
         how = f" with {', '.join(self.references)} as reference" if self.references else ""
+        if self.untold:
+            how += f", if {', '.join(self.untold)} did not follow the outputs"
         return (
             f"measured{how}: {', '.join(good)}, from {sum(self.flights.values()):.0f} s of "
             f"{len(self.flights)} flight(s)"

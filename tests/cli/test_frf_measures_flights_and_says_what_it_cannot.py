@@ -60,7 +60,10 @@ def test_a_real_flight_in_a_closed_loop_gives_nothing_to_use(
     with results_of_one_run(tmp_path, "frf.json", "frf.csv", "report.html"):
         assert main([*command, "--out", str(tmp_path)]) == 1
     said = capsys.readouterr().out
-    assert said.startswith("not measured: the loop is closed by roll, and no reference is named")
+    assert said.startswith(
+        "not measured: roll follows the outputs (a closed loop, or outputs with later samples), "
+        "and no reference is named"
+    )
     assert "warning: roll follows the outputs (a closed loop)" in said
     assert "not usable, the loop is closed" in said and "roll shows in p" not in said
     content = json.loads((tmp_path / "frf.json").read_text())

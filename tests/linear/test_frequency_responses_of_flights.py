@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.signal
 
 import greybox as gb
 from greybox.data import Dataset
@@ -120,6 +121,43 @@ def test_a_closed_loop_is_said_and_a_reference_mends_it():
     assert not any(r["usable"] for r in direct.rows())
     assert by_reference.closed_by == ()
     assert gb.frf(flights(), ["roll"], ["p"], vehicle=vehicle).warnings == ()
+
+
+def test_outputs_with_later_samples_are_not_called_a_closed_loop():
+    """They foretell the input in an open loop too: who says so gets the response, with what it
+    leaves open; who does not is told both."""
+    data, vehicle = flights(), example_vehicle()
+    b, a = scipy.signal.butter(2, 0.4)
+    smooth = Dataset(
+        flights=tuple(
+            gb.dataset_from_arrays(
+                f.segments[0].t,
+                {
+                    n: scipy.signal.filtfilt(b, a, x) if n == "p" else x
+                    for n, x in f.segments[0].channels.items()
+                },
+                name=f.name,
+            ).flights[0]
+            for f in data.flights
+        )
+    )
+    silent = gb.frf(smooth, ["roll"], ["p"], vehicle=vehicle)
+    assert not silent.measured and "or outputs with later samples" in silent.line
+    assert any("causal = false" in w for w in silent.warnings)
+    told = Dataset(flights=tuple(replace(f, noncausal=frozenset({"p"})) for f in smooth.flights))
+    found = gb.frf(told, ["roll"], ["p"], vehicle=vehicle, model=linear_model())
+    assert found.line.startswith("measured, if roll did not follow the outputs: p/roll")
+    assert found.closed_by == () and found.pairs["p/roll"].fed_back
+    assert any("whether roll follows p cannot be told" in w for w in found.warnings)
+    assert any("phases are not those" in w for w in found.warnings)
+    assert not any("closed loop), or" in w for w in found.warnings)
+
+
+def test_a_loop_is_seen_by_outputs_that_hold_no_later_samples():
+    data = flights(count=3, feedback=0.2, noise=0.4)
+    two = Dataset(flights=tuple(replace(f, noncausal=frozenset({"u1"})) for f in data.flights))
+    direct = gb.frf(two, ["roll"], ["p"], vehicle=example_vehicle())
+    assert not direct.measured and direct.closed_by == ("roll",)
 
 
 def test_a_craft_is_flown_by_feedback_whether_its_outputs_show_it_or_not():
