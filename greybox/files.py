@@ -83,6 +83,10 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> Path:
     return target
 
 
+LEFT_BY_BROWSERS = {".DS_Store", "Thumbs.db"}
+"""Files that looking into a folder leaves there, and makes again: nobody's work."""
+
+
 def no_overwriting(path: str | os.PathLike[str], option: str, *, force: bool) -> None:
     """Refuse a file that is there already, which may have been edited by hand. Raises
     `OutputError`."""
@@ -90,6 +94,11 @@ def no_overwriting(path: str | os.PathLike[str], option: str, *, force: bool) ->
         raise OutputError(
             "the file exists", where=os.fspath(path), fix=f"choose another {option}, or add --force"
         )
+
+
+def empty(folder: Path) -> bool:
+    """Whether a folder holds nothing, or what a file browser leaves there."""
+    return all(p.name in LEFT_BY_BROWSERS and p.is_file() for p in folder.iterdir())
 
 
 def own_place(
@@ -100,14 +109,23 @@ def own_place(
     *,
     fix: str = "choose another --out",
 ) -> None:
-    """Refuse a folder for many files that is neither free, nor empty, nor holds the file `record` of
-    `schema`, by which a folder of `what` ("a bundle") is known. Raises `OutputError`."""
+    """Refuse a folder for many files that is neither free, nor empty (also through a link), nor
+    holds the file `record` of `schema`, by which a folder of `what` ("a bundle") is known. Raises
+    `OutputError`."""
     place = Path(folder)
     if not os.path.lexists(place):
         return
-    if place.is_symlink() or not place.is_dir():
+    if not place.is_dir():
         raise OutputError("not a folder", where=str(place), fix="choose another --out")
-    if any(place.iterdir()) and not _is_of(place / record, schema):
+    if empty(place):
+        return
+    if place.is_symlink():
+        raise OutputError(
+            "a link to a folder with files, not a folder itself",
+            where=str(place),
+            fix="name the folder it leads to, or choose another --out",
+        )
+    if not _is_of(place / record, schema):
         raise OutputError(f"the folder holds something else than {what}", where=str(place), fix=fix)
 
 

@@ -32,6 +32,7 @@ from greybox.estimation.options import says_choices
 from greybox.files import (
     Parsed,
     checksum,
+    empty,
     file_sha256,
     read_json,
     to_plain,
@@ -253,7 +254,9 @@ def write_bundle(
 
 def _place_of(folder: str | os.PathLike[str]) -> Path:
     """The path without ".."; whole where the place holds the working folder, as no relative path
-    outlives its replacement."""
+    outlives its replacement; of a link to an empty folder, the folder."""
+    if os.path.islink(folder) and os.path.isdir(folder) and empty(Path(folder)):
+        folder = os.path.realpath(folder)
     whole = Path(os.path.abspath(folder))
     return whole if Path.cwd().is_relative_to(whole) else Path(os.path.normpath(folder))
 

@@ -128,6 +128,20 @@ def test_only_a_bundle_is_replaced(tmp_path):
 
 
 @pytest.mark.parametrize("kept", [False, True], ids=["built", "from the cache"])
+def test_a_link_to_an_empty_folder_is_written_through(tmp_path, kept):
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / ".DS_Store").write_bytes(b"\0")
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "b")
+    write_bundle(cases.linear(), link, use_cache=kept)
+    assert link.is_symlink() and (tmp_path / "b" / "manifest.json").is_file()
+    link.unlink()
+    link.symlink_to(tmp_path / "nowhere")
+    with pytest.raises(OutputError, match="not a folder"):
+        write_bundle(cases.linear(), link, use_cache=kept)
+
+
+@pytest.mark.parametrize("kept", [False, True], ids=["built", "from the cache"])
 def test_what_was_changed_or_added_in_a_bundle_is_not_deleted(tmp_path, kept):
     place = tmp_path / "b"
     write_bundle(cases.linear(), place, use_cache=kept)

@@ -157,6 +157,19 @@ def test_files_that_exist_stay_unless_forced(tmp_path: Path) -> None:
     assert (folder / "rotorpy" / "vehicle.py").read_text() != before
 
 
+def test_a_link_to_an_empty_folder_is_written_through(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / ".DS_Store").write_bytes(b"\0")
+    (tmp_path / "link").symlink_to("there")
+    gb.twin(identified({"motor_lag.tau": 0.05}), ["rotorpy"], out=tmp_path / "link")
+    assert (tmp_path / "link").is_symlink() and (tmp_path / "there" / "twin.json").is_file()
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.tex").write_text("years of work")
+    (tmp_path / "other").symlink_to("full")
+    with pytest.raises(OutputError, match="a link to a folder with files"):
+        gb.twin(identified({"motor_lag.tau": 0.05}), ["rotorpy"], out=tmp_path / "other")
+
+
 def test_a_name_becomes_an_identifier() -> None:
     assert Craft.of(identified({}, replace(example_vehicle(), name=NAME))).name.isidentifier()
 
