@@ -265,9 +265,8 @@ def hints_of_checks(
         out.append(
             Hint(symptom=Symptom.CLOCKS, detail=f"an estimator's axes are {axes:.1f} samples apart")
         )
-    limited = [
-        f for f in report.of("saturation") if "share" in f.evidence
-    ]  # not a sensor that clips
+    # Commands alone: a sensor that clips has no share.
+    limited = [f for f in report.of("saturation") if "share" in f.evidence]
     if limited and "command_saturation" not in effects:
         worst = max(limited, key=lambda f: f.evidence["share"])
         out.append(Hint(symptom=Symptom.SATURATED, detail=f"{worst.flight}: {worst.message}"))

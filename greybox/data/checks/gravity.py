@@ -76,9 +76,8 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             else "turn the fields of [columns.specific_force] and [columns.rate] to forward, left, "
             "up"
         ) + "; specific force at rest is (0, 0, +9.81)"
-        gyro = view.has(
-            "rate"
-        )  # where the whole body is turned, it agrees with the attitude all the same
+        # Where the whole body is turned, the gyro agrees with the attitude all the same.
+        gyro = view.has("rate")
         seen = f"{where}, and p, q, r if they share its axes" if gyro else where
         yield _finding(view, "blocking", text, fix, evidence, seen)
         return
