@@ -35,6 +35,8 @@ MOST_CONTAINERS, MOST_QUOTES = 300_000, 4_000_000
 characters suggest."""
 OTHER_VERSION = "wrong schema: written by another version of greybox"
 OTHER_FIX = "use that version, or make the file again with this one"
+LEFT_BY_BROWSERS = {".DS_Store", "Thumbs.db"}
+"""Files that looking into a folder leaves there, and makes again: nobody's work."""
 LARGEST_TOML, MOST_DOTS = 2**18, 200
 """Bytes of a TOML file, and dots in one line of it: the cost of a dotted key grows with its
 square."""
@@ -81,10 +83,6 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> Path:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
     return target
-
-
-LEFT_BY_BROWSERS = {".DS_Store", "Thumbs.db"}
-"""Files that looking into a folder leaves there, and makes again: nobody's work."""
 
 
 def no_overwriting(path: str | os.PathLike[str], option: str, *, force: bool) -> None:

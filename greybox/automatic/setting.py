@@ -134,7 +134,8 @@ def _kinematics(facts: Facts, given: Given, note: Note) -> bool:
         f"an estimator's attitude: the gyro is {1e3 * facts.sample * facts.axes_apart:.1f} ms later "
         "about one axis than about another"
         if estimated
-        else f"gyro and attitude drift apart by {1e3 * facts.sample * facts.wander:.1f} ms within a flight",
+        else f"gyro and attitude drift apart by {1e3 * facts.sample * facts.wander:.1f} ms within a "
+        "flight",
         "--kinematic-noise",
     )
     return facts.loose

@@ -14,7 +14,7 @@ stays: naming what is missing is for `greybox discover`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -82,24 +82,17 @@ def _parabola(
         absent = absence(e, physics.vehicle)
         priors |= {n: a for n, a in absent.items() if e in effects or n in at_null}
     free = {u.name for u in small.unknowns}
-    early = {e.name for e in effects if e.early or e.memory(physics.vehicle)}
-    near = [e for e in effects if e.name not in early]
-    wide, at = with_candidate_sensitivities(
-        small,
-        theta,
-        with_physics(small.dynamics, lambda m: m.with_effect(*near)),
-        data,
-        {n: null for n, (null, _) in priors.items() if n not in free},
-        apart=with_physics(small.dynamics, lambda m: m.with_effect(*effects)) if early else None,
-    )
+    nulls = {n: null for n, (null, _) in priors.items() if n not in free}
+    wide, at = _with_effects(found, data, physics, effects, nulls)
     value = wide.evaluate(at, scores=small.score_block)
     assert value.gradient is not None and value.data_hessian is not None
     n, names = small.n, [u.name for u in wide.unknowns]
     asked = {e.name for e in effects}
     places: dict[str, list[int]] = {}
     for i, name in enumerate(names):
-        if (i >= n and name.split(".")[0] in asked) or (name in at_null and (i >= n or held[i])):
-            places.setdefault(name.split(".")[0], []).append(i)
+        effect, added = name.split(".")[0], i >= n
+        if (added and effect in asked) or (name in at_null and (added or held[i])):
+            places.setdefault(effect, []).append(i)
     sigma = np.array([u.sigma for u in small.unknowns] + [priors[m][1] for m in names[n:]])
     of_causes = {i for rows in places.values() for i in rows}
     for i in of_causes:
@@ -127,6 +120,27 @@ def _parabola(
         else scores.T @ scores,
     )
     return parabola, wide, at
+
+
+def _with_effects(
+    found: Fit,
+    data: Dataset,
+    physics: PhysicsModel,
+    effects: Sequence[Effect],
+    nulls: Mapping[str, float],
+) -> tuple[Problem, FloatArray]:
+    """(the problem of a fit with `effects` and what else stands at `nulls`; where it stands)."""
+    small = found.problem
+    early = {e.name for e in effects if e.early or e.memory(physics.vehicle)}
+    near = [e for e in effects if e.name not in early]
+    return with_candidate_sensitivities(
+        small,
+        found.theta,
+        with_physics(small.dynamics, lambda m: m.with_effect(*near)),
+        data,
+        nulls,
+        apart=with_physics(small.dynamics, lambda m: m.with_effect(*effects)) if early else None,
+    )
 
 
 def _at_null(small: Problem, theta: FloatArray, held: BoolArray) -> frozenset[str]:

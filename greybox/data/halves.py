@@ -56,8 +56,9 @@ def _alike(one: LogFile, known: Files) -> tuple[LogFile, str] | None:
 
 def demand_apart(train: Dataset, test: Dataset) -> None:
     """Raise `DataError` for a flight that is in both, whatever its names."""
+    known = train.files
     for f, file in zip(test, test.files, strict=True):
-        if _alike(file, train.files) or any(f is g for g in train):
+        if _alike(file, known) or any(f is g for g in train):
             raise DataError(
                 f"flight {f.name} is both train and test",
                 expected="test flights that did not teach",

@@ -105,14 +105,7 @@ def frf(
     dt = data.flights[0].dt
     longest = _longest([len(s) for s in stretches], dt, len(c.z or c.u), window)
     used = [s for s in stretches if len(s) >= longest / dt / 2]
-    low, high = band or (FEWEST_CYCLES / longest, HIGHEST / dt)
-    if not 0 < low < high <= 0.5 / dt:
-        raise DataError(
-            f"a band from {low:.3g} to {high:.3g} Hz",
-            expected=f"increasing, above 0, up to {0.5 / dt:.3g} Hz",
-            fix="--band 0.5,20, or logs of a higher rate",
-        )
-    f = frequencies(low, high, longest)
+    f = frequencies(*_within(band or (FEWEST_CYCLES / longest, HIGHEST / dt), dt), longest)
     s = spectra(used, dt, f, longest)
     r = response(s, c.y, c.u, c.z)
     chance = by_chance(s.averages, len(c.z or c.u) - 1)
@@ -122,11 +115,7 @@ def frf(
         & (r.shared < TOGETHER)[:, None, :]
     )
     beside = None if model is None else _of_model(model, c, f)
-    # An output that was smoothed with later samples foretells what moved it, also in an open loop.
-    causal = [i for i in c.y if not _smoothed([c.all[i]], data)]
-    ahead = [i for i in c.z or c.u if follows(used, i, c.y)]
-    fed = [c.all[i].name for i in ahead if causal and follows(used, i, causal)]
-    untold = tuple(c.all[i].name for i in ahead) if not fed else ()
+    fed, untold = _fed_back(c, used, data)
     # A craft does not stay in the air by itself: its commands follow what it does, also where that
     # is more than the outputs show, or where larger motions hide it.
     flown = (
@@ -142,11 +131,34 @@ def frf(
         flights=seconds,
         sample_time=dt,
         references=tuple(x.name for x in c.references),
-        closed_by=tuple(fed),
+        closed_by=fed,
         untold=untold,
         model=None if model is None else model.name,
         warnings=tuple(_warnings(c, fed, untold, r, data, model)),
     )
+
+
+def _within(band: tuple[float, float], dt: float) -> tuple[float, float]:
+    """The band [Hz], where logs of a sample time `dt` [s] can show it. Raises `DataError`."""
+    low, high = band
+    if not 0 < low < high <= 0.5 / dt:
+        raise DataError(
+            f"a band from {low:.3g} to {high:.3g} Hz",
+            expected=f"increasing, above 0, up to {0.5 / dt:.3g} Hz",
+            fix="--band 0.5,20, or logs of a higher rate",
+        )
+    return band
+
+
+def _fed_back(
+    c: _Channels, used: Sequence[FloatArray], data: Dataset
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """(what responses are measured by and follows the outputs; where there is none, what seems to).
+    An output that was smoothed with later samples foretells what moved it, also in an open loop."""
+    causal = [i for i in c.y if not _smoothed([c.all[i]], data)]
+    ahead = [i for i in c.z or c.u if follows(used, i, c.y)]
+    fed = tuple(c.all[i].name for i in ahead if causal and follows(used, i, causal))
+    return fed, () if fed else tuple(c.all[i].name for i in ahead)
 
 
 def _pairs(
@@ -300,10 +312,10 @@ def _warnings(
     elif fed:
         said.append(
             f"{', '.join(fed)} follow{'s' * (len(fed) == 1)} the outputs (a closed loop), or they "
-            "hold later samples, which looks alike. In a closed loop, where gusts or noise "
-            "move the craft more than the excitation does, what is seen is the controller, turned round, however high "
-            "the coherence, so that no frequency is usable. Excite the set points, log them, and "
-            "name them: greybox frf --references. In an open loop, log outputs as they are "
+            "hold later samples, which looks alike. In a closed loop, where gusts or noise move the "
+            "craft more than the excitation does, what is seen is the controller, turned round, "
+            "however high the coherence, so that no frequency is usable. Excite the set points, log "
+            "them, and name them: greybox frf --references. In an open loop, log outputs as they are "
             "measured, or say in the log's layout which were smoothed: causal = false"
         )
     for j, spec in enumerate(c.inputs):

@@ -249,20 +249,8 @@ class IdentifiedModel(Shown):
         """Plain values of the model file. Raises `ModelError` for other than catalogue parts."""
         if isinstance(self.dynamics, OwnFile):
             return self.dynamics.file_of(self)
-        augmented = self.dynamics if isinstance(self.dynamics, Augmented) else None
-        physics = self.dynamics if augmented is None else augmented.core
-        parts = () if augmented is None else augmented.parts
-        if physics is not self.core:
-            raise ModelError(
-                "no model file holds this layer",
-                got=f"{type(self.dynamics).__name__} on {self.name}",
-            )
-        if not isinstance(physics, (PhysicsModel, StateSpaceModel)):
-            raise ModelError(
-                "only vehicles and models of the user's own (StateSpaceModel) can be saved",
-                got=type(physics).__name__,
-                fix="write it as a StateSpaceModel, or keep its Python code and save its values",
-            )
+        physics = _saved_core(self)
+        parts = self.dynamics.parts if isinstance(self.dynamics, Augmented) else ()
         body: dict[str, Json] = {
             "schema": SCHEMA,
             "kind": "own" if isinstance(physics, StateSpaceModel) else "physics",
@@ -445,6 +433,23 @@ def _demand_sample(data: Parsed, key: str) -> None:
 
 def _considered_to_dict(model: IdentifiedModel) -> dict[str, Json]:
     return {n: {"std": s, "moves": dict(by)} for n, (s, by) in model.considered.items()}
+
+
+def _saved_core(model: IdentifiedModel) -> PhysicsModel | StateSpaceModel:
+    """What a model file holds below the noise parts. Raises `ModelError` for anything else."""
+    dynamics = model.dynamics
+    physics = dynamics.core if isinstance(dynamics, Augmented) else dynamics
+    if physics is not model.core:
+        raise ModelError(
+            "no model file holds this layer", got=f"{type(dynamics).__name__} on {model.name}"
+        )
+    if not isinstance(physics, (PhysicsModel, StateSpaceModel)):
+        raise ModelError(
+            "only vehicles and models of the user's own (StateSpaceModel) can be saved",
+            got=type(physics).__name__,
+            fix="write it as a StateSpaceModel, or keep its Python code and save its values",
+        )
+    return physics
 
 
 def _core_to_dict(core: PhysicsModel | StateSpaceModel) -> dict[str, Json]:

@@ -86,16 +86,17 @@ def plan(
         left_out=tuple(left_out),
         warnings=(
             *(f"the whole flight breaks the limit of {b}" for b in limits.broken(log)),
-            *(
-                f"nothing will be known of {n}"
-                for n, (std, _) in expected.items()
-                if not np.isfinite(std)
-            ),
+            *(f"nothing will be known of {n}" for n in _unknown(expected)),
             *notes,
             *short,
         ),
         seed=o.seed,
     )
+
+
+def _unknown(expected: Mapping[str, tuple[float, float]]) -> list[str]:
+    """Parameters without a finite standard error."""
+    return [n for n, (std, _) in expected.items() if not np.isfinite(std)]
 
 
 def _case(

@@ -104,28 +104,13 @@ def calibrate_horizons(
     """
     work = _Parts(Filter(model), model.process_noise, split_learned=True)
     horizons = steps_ahead(model, HORIZONS) if horizons is None else horizons
-    flights: list[list[_Errors]] = []
-    pieces = 1 if len(data) >= FEW else STRETCHES
-    for flight in data:
-        own: list[list[_Errors]] = [[] for _ in range(pieces)]
-        for segment in flight.segments:
-            step = max(1, round(spacing / segment.dt))
-            origins = np.arange(step, segment.n - max(horizons) - 1, step)
-            filtered = work.runner.run(segment)
-            for stretch, part in zip(own, np.array_split(origins, pieces), strict=True):
-                if part.size:
-                    stretch += [
-                        f.scaled(flight.name, left_out or {})
-                        for f in work.errors(filtered, part, horizons)
-                    ]
-        flights += [stretch for stretch in own if stretch]
+    flights = _by_flight(work, data, horizons, spacing, left_out or {})
     found = [f for flight in flights for f in flight]
     if not found:
         raise DataError(
             "no flight is long enough to calibrate multi-step uncertainty",
             expected=f"{max(horizons)} samples",
         )
-
     apart = sum(s.n for f in data for s in f.segments) / max(horizons) * len(work.blocks)
 
     def cost(log_factors: FloatArray) -> float:
@@ -149,6 +134,30 @@ def calibrate_horizons(
         learned=float(factors[-1]) if work.split_learned else 1.0,
         new_flight=wider,
     )
+
+
+def _by_flight(
+    work: _Parts,
+    data: Dataset,
+    horizons: Sequence[int],
+    spacing: float,
+    left_out: Mapping[tuple[str, int, str], float],
+) -> list[list[_Errors]]:
+    """Errors of every flight that has any, or of its stretches where flights are few."""
+    flights: list[list[_Errors]] = []
+    pieces = 1 if len(data) >= FEW else STRETCHES
+    for flight in data:
+        own: list[list[_Errors]] = [[] for _ in range(pieces)]
+        for segment in flight.segments:
+            step = max(1, round(spacing / segment.dt))
+            origins = np.arange(step, segment.n - max(horizons) - 1, step)
+            filtered = work.runner.run(segment)
+            for stretch, part in zip(own, np.array_split(origins, pieces), strict=True):
+                if part.size:
+                    found = work.errors(filtered, part, horizons)
+                    stretch += [f.scaled(flight.name, left_out) for f in found]
+        flights += [stretch for stretch in own if stretch]
+    return flights
 
 
 def calibrated(found: Fit, data: Dataset) -> Fit:

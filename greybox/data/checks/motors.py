@@ -99,9 +99,10 @@ def _lacking(view: View) -> str:
         return view.lacks("rate", "gyro")
     if not view.drives:
         return "neither all commands nor all rotor speeds"
+    driven = "commands" if view.commanded else "rotor speeds"
     return (
-        f"fewer than {INSTANTS} instants with gyro, {'commands' if view.commanded else 'rotor speeds'} "
-        "and specific force all around them: too short, or too much is missing"
+        f"fewer than {INSTANTS} instants with gyro, {driven} and specific force all around them: too "
+        "short, or too much is missing"
     )
 
 

@@ -3,8 +3,8 @@ strongly, how late.
 
 d(omega)/dt = B (u_i^2, late by a lag) + D omega + E (a_x, a_y) + c, per axis. Rates damp, and the
 lateral specific force stands for the velocity of the craft (drag): their moments would otherwise be
-read as a property of the rotors, or of a clock, under feedback. Gaps are joined up
-where they are no longer than the span of a derivative, or than the pace of a slower stream.
+read as a property of the rotors, or of a clock, under feedback. Gaps are joined up where they are
+no longer than the span of a derivative, or than the pace of a slower stream.
 """
 
 from __future__ import annotations

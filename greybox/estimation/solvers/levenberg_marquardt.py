@@ -197,14 +197,14 @@ class _Search:
         `decrement`; whether it is Gauss-Newton's."""
         assert self.value.gradient is not None and self.value.hessian is not None
         g, h = self.value.gradient, self._curvature.at(self.x, self.value)
-        plain = h is self.value.hessian
-        self.decrement = promised(g, held_to(self._kinks, h), *self._room)
+        plain, h = h is self.value.hessian, held_to(self._kinks, h)
+        self.decrement = promised(g, h, *self._room)
         if self.decrement < self.rule.tolerance and not plain:
             # Secants do not say alone that the search has arrived.
             plainly = self.plainly()
             if plainly > max(NEAR, self.rule.tolerance):
-                h, self.decrement, plain = self.value.hessian, plainly, True
-        return g, held_to(self._kinks, h), plain
+                h, self.decrement, plain = held_to(self._kinks, self.value.hessian), plainly, True
+        return g, h, plain
 
     def _moves(self, g: FloatArray, h: FloatArray) -> bool:
         """Take a step that lowers the cost, damped as much as it needs; whether there is one."""
