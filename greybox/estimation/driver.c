@@ -66,18 +66,26 @@ static by_rows make_by_rows(const INT *sp, int *memory) {
 }
 
 /* WIDE columns of S are carried through a block of samples at a time: they and the slopes of the gain then stay near the
-   processor. Eight numbers are one register, or two. */
-enum { WIDE = 16, PARTS = WIDE / 8, PACKS = 8 };
+   processor. A vector is one register of the processor: compilers take a longer one apart through memory. ROWS of a product
+   with PARTS sums each fill half of the registers. */
+#if defined __AVX512F__
+#define REGISTER 64
+#elif defined __AVX__
+#define REGISTER 32
+#else
+#define REGISTER 16
+#endif
+enum { WIDE = 16, PARTS = WIDE * sizeof(REAL) / REGISTER, ROWS = REGISTER / 16, PACKS = 8 };
 /* A short loop of a length that is known: what it sums stays in registers where it is written out. -O3 writes out many more,
    and takes the compiler several times as long. */
-#define WRITTEN_OUT _Pragma("GCC unroll 4")
-typedef REAL eight __attribute__((vector_size(8 * sizeof(REAL)), may_alias));
+#define WRITTEN_OUT _Pragma("GCC unroll 8")
+typedef REAL vector __attribute__((vector_size(REGISTER), may_alias));
 
 /* sum += row i of M (its numbers m) times the rows of `in` (n x WIDE). */
-static inline void add_row(const by_rows *M, const REAL *m, int i, const REAL *in, eight *sum) {
+static inline void add_row(const by_rows *M, const REAL *m, int i, const REAL *in, vector *sum) {
   for (int k = M->start[i]; k < M->start[i + 1]; ++k) {
     const REAL f = m[M->place[k]];
-    const eight *v = (const eight *)(in + (size_t)M->column[k] * WIDE);
+    const vector *v = (const vector *)(in + (size_t)M->column[k] * WIDE);
     WRITTEN_OUT for (int q = 0; q < PARTS; ++q) sum[q] += f * v[q];
   }
 }
@@ -85,10 +93,10 @@ static inline void add_row(const by_rows *M, const REAL *m, int i, const REAL *i
 /* Row i of out = M1 in1 + M2 in2 (M2 NULL: without); m1, m2 their numbers. */
 static inline void set_row(const by_rows *M1, const REAL *m1, int i, const REAL *in1, const by_rows *M2, const REAL *m2,
                            const REAL *in2, REAL *out) {
-  eight sum[PARTS] = {{0}};
+  vector sum[PARTS] = {{0}};
   add_row(M1, m1, i, in1, sum);
   if (M2) add_row(M2, m2, i, in2, sum);
-  WRITTEN_OUT for (int q = 0; q < PARTS; ++q) ((eight *)(out + (size_t)i * WIDE))[q] = sum[q];
+  WRITTEN_OUT for (int q = 0; q < PARTS; ++q) ((vector *)(out + (size_t)i * WIDE))[q] = sum[q];
 }
 
 /* The entries of a sparse matrix by the columns of S that they are added to: entries start[g] .. start[g + 1] go to
@@ -139,29 +147,29 @@ static void pack(const REAL *dK, int from, int nk, int all, REAL *packed) {
 /* out (nd x WIDE) = K (nd x ne) dE (ne x WIDE) + dK e; dK is packed, or NULL. Only the `many` channels in `there` count. */
 static void correction(const REAL *K, const REAL *dE, const REAL *dK, const REAL *e, const int *there, int many, REAL *out,
                        int nd, int ne) {
-  for (int i = 0; i < nd; i += 4) {
-    eight sum[4][PARTS] = {{{0}}};
-    const REAL *k[4], *d[4];
-    WRITTEN_OUT for (int r = 0; r < 4; ++r) {
+  for (int i = 0; i < nd; i += ROWS) {
+    vector sum[ROWS][PARTS] = {{{0}}};
+    const REAL *k[ROWS], *d[ROWS];
+    WRITTEN_OUT for (int r = 0; r < ROWS; ++r) {
       const size_t at = (size_t)(i + r < nd ? i + r : nd - 1) * ne;
       k[r] = K + at;
       d[r] = dK ? dK + at * WIDE : 0;
     }
     for (int c = 0; c < many; ++c) {
       const int j = there[c];
-      const eight *v = (const eight *)(dE + j * WIDE);
-      WRITTEN_OUT for (int r = 0; r < 4; ++r)
+      const vector *v = (const vector *)(dE + j * WIDE);
+      WRITTEN_OUT for (int r = 0; r < ROWS; ++r)
         WRITTEN_OUT for (int q = 0; q < PARTS; ++q) sum[r][q] += k[r][j] * v[q];
     }
     if (dK)
       for (int c = 0; c < many; ++c) {
         const int j = there[c];
         const REAL f = e[j];
-        WRITTEN_OUT for (int r = 0; r < 4; ++r)
-          WRITTEN_OUT for (int q = 0; q < PARTS; ++q) sum[r][q] += f * ((const eight *)(d[r] + (size_t)j * WIDE))[q];
+        WRITTEN_OUT for (int r = 0; r < ROWS; ++r)
+          WRITTEN_OUT for (int q = 0; q < PARTS; ++q) sum[r][q] += f * ((const vector *)(d[r] + (size_t)j * WIDE))[q];
       }
-    for (int r = 0; r < 4 && i + r < nd; ++r)
-      WRITTEN_OUT for (int q = 0; q < PARTS; ++q) ((eight *)(out + (size_t)(i + r) * WIDE))[q] = sum[r][q];
+    for (int r = 0; r < ROWS && i + r < nd; ++r)
+      WRITTEN_OUT for (int q = 0; q < PARTS; ++q) ((vector *)(out + (size_t)(i + r) * WIDE))[q] = sum[r][q];
   }
 }
 
