@@ -3,7 +3,7 @@ channels."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -185,7 +185,9 @@ def make_records(engine: Engine, dataset: Dataset) -> list[Record]:
             expected=", ".join(engine.dynamics.outputs.names),
             fix="check the column names of the log",
         )
-    return records
+    # One spread for all, the widest: records that start alike share how their filter settles.
+    widest = np.max([r.x0_sigma for r in records], axis=0)
+    return [replace(r, x0_sigma=widest) for r in records]
 
 
 def channel_means(dataset: Dataset) -> dict[str, float]:
