@@ -135,12 +135,15 @@ static inline void add_group(const by_columns *M, const REAL *m, int g, REAL *ou
   for (int k = M->start[g]; k < M->start[g + 1]; ++k) out[M->to[k]] += m[M->place[k]];
 }
 
-/* packed (nd x ne x WIDE) from dK (nk x nd x ne): parameters `from` and on, zero where there are no more. */
-static void pack(const REAL *dK, int from, int nk, int all, REAL *packed) {
+/* packed (nd x ne x WIDE) from dK (nk x nd x ne): columns `from` and on of ns, zero where none of the `moving` (nk,
+   ascending) is that column. */
+static void pack(const REAL *dK, const int *moving, int nk, int from, int all, REAL *packed) {
   memset(packed, 0, (size_t)all * WIDE * sizeof(REAL));
-  for (int s = 0; s < WIDE && from + s < nk; ++s) {
-    const REAL *d = dK + (size_t)(from + s) * all;
-    for (int i = 0; i < all; ++i) packed[(size_t)i * WIDE + s] = d[i];
+  for (int n = 0; n < nk; ++n) {
+    const int s = moving[n] - from;
+    const REAL *d = dK + (size_t)n * all;
+    if (s >= 0 && s < WIDE)
+      for (int i = 0; i < all; ++i) packed[(size_t)i * WIDE + s] = d[i];
   }
 }
 
@@ -272,17 +275,18 @@ static place_of next(place_of at, const int *length) {
    x (m x nx) in/out, S (m x nd*ns) in/out (NULL: no sensitivities); U ((n + past + future) x nu) with the record's first
    sample at row `past`; Y (n x ny, missing = any number); M (n x ne, 1 = there, 0 = missing); pat (n) index of the gain;
    K (npat x nd x ne, NULL: no correction), zero_gain (npat): 1 = none; dK: npat pointers to (nk x nd x ne), the derivative
-   in the first nk columns (NULL: gain is constant);
+   in the columns `moving` (nk, ascending) of S (NULL: gain is constant);
    Xout (rows x nx), Eout (rows x ne), Yout (rows x ny), Jout (rows x ne x ns): any may be NULL; Sout (rows x nd x ns) too.
    place: where the parameters of `slope` stand among the columns of S (see make_by_columns).
    Returns 0, or 1 when the numbers stop being finite, at `failed`. */
 static int run(int m, const int *first, const int *length, const int *tail, const int *asked, int nx, int nd, int ne, int ny,
                int nu, int ns, int nk, const gb_linear *slope, const gb_linear *turn, REAL *x, REAL *S, const REAL *U,
                const REAL *Y, const REAL *M, const int *pat, const REAL *p, REAL dt, const REAL *K, const int *zero_gain,
-               const REAL *const *dK, REAL *Xout, REAL *Eout, REAL *Yout, REAL *Jout, REAL *Sout, const int *place,
-               const REAL **arg, REAL **res, INT *iw, REAL *w, REAL *buf, place_of *failed) {
+               const REAL *const *dK, const int *moving, REAL *Xout, REAL *Eout, REAL *Yout, REAL *Jout, REAL *Sout,
+               const int *place, const REAL **arg, REAL **res, INT *iw, REAL *w, REAL *buf, place_of *failed) {
   const INT *lA = slope->lengths, *lJ = turn->lengths;
   const size_t of_state = (size_t)nd * ns, of_gain = (size_t)nd * ne;
+  const int last = nk ? moving[nk - 1] : -1; /* column that a slope of the gain moves */
   REAL *dE = (REAL *)(((size_t)buf + 63) & ~(size_t)63), *s = dE + ne * WIDE, *after = s + nd * WIDE,
        *T = after + nd * WIDE, *T2 = T + nd * WIDE, *packs = T2 + nd * WIDE, *X = packs + (nk ? PACKS * of_gain * WIDE : 0),
        *XF = X + SAMPLES * nx, *Es = XF + SAMPLES * nx, *Ks = Es + SAMPLES * ne, *yh = Ks + SAMPLES * nd, *A = yh + ny,
@@ -374,9 +378,9 @@ static int run(int m, const int *first, const int *length, const int *tail, cons
         REAL *pack_of = 0, *const own = S + i * of_state + from;
         if (l == 0 || block[l - 1].window != i) take(own, nd, ns, width, s);
         if (kept && Sout) give(s, nd, ns, width, Sout + rows[l] * of_state + from);
-        if (corrects && dK && from < nk) {
+        if (corrects && dK && from <= last) {
           pack_of = packs + gain % PACKS * of_gain * WIDE;
-          if (packed[gain % PACKS] != gain) pack(dK[gain], from, nk, nd * ne, pack_of);
+          if (packed[gain % PACKS] != gain) pack(dK[gain], moving, nk, from, nd * ne, pack_of);
           packed[gain % PACKS] = gain;
         }
         one_sample(&r, l, from / WIDE, kept || corrects ? M + (size_t)t * ne : 0, corrects ? K + gain * of_gain : 0, pack_of,
@@ -395,12 +399,12 @@ static int run(int m, const int *first, const int *length, const int *tail, cons
 /* The n samples of a record as one window, see `run`. Returns 0, or 1 + k when the numbers stop being finite at sample k. */
 int gb_run(int n, int nx, int nd, int ne, int ny, int nu, int ns, int nk, const gb_linear *slope, const gb_linear *turn,
            REAL *x, REAL *S, const REAL *U, const REAL *Y, const REAL *M, const int *pat, const REAL *p, REAL dt,
-           const REAL *K, const int *zero_gain, const REAL *const *dK, REAL *Xout, REAL *Eout, REAL *Yout, REAL *Jout,
-           REAL *Sout, const int *place, const REAL **arg, REAL **res, INT *iw, REAL *w, REAL *buf) {
+           const REAL *K, const int *zero_gain, const REAL *const *dK, const int *moving, REAL *Xout, REAL *Eout,
+           REAL *Yout, REAL *Jout, REAL *Sout, const int *place, const REAL **arg, REAL **res, INT *iw, REAL *w, REAL *buf) {
   const int first = 0;
   place_of failed = {0, 0};
   if (n && run(1, &first, &n, &n, 0, nx, nd, ne, ny, nu, ns, nk, slope, turn, x, S, U, Y, M, pat, p, dt, K, zero_gain, dK,
-               Xout, Eout, Yout, Jout, Sout, place, arg, res, iw, w, buf, &failed))
+               moving, Xout, Eout, Yout, Jout, Sout, place, arg, res, iw, w, buf, &failed))
     return 1 + failed.step;
   return 0;
 }
@@ -412,7 +416,7 @@ int gb_windows(int m, const int *first, const int *length, const int *tail, cons
                const REAL *M, const REAL *p, REAL dt, REAL *Eout, REAL *Jout, const int *place, const REAL **arg,
                REAL **res, INT *iw, REAL *w, REAL *buf) {
   place_of failed = {0, 0};
-  if (run(m, first, length, tail, asked, nx, nd, ne, ny, nu, ns, 0, slope, turn, X, S, U, Y, M, 0, p, dt, 0, 0, 0, 0, Eout,
+  if (run(m, first, length, tail, asked, nx, nd, ne, ny, nu, ns, 0, slope, turn, X, S, U, Y, M, 0, p, dt, 0, 0, 0, 0, 0, Eout,
           0, Jout, 0, place, arg, res, iw, w, buf, &failed))
     return 1 + failed.window;
   return 0;

@@ -64,7 +64,8 @@ class Run:
 @dataclass(frozen=True, kw_only=True)
 class GainTable:
     """Correction per pattern of missing channels: gain (n_pat, n_d, n_e), its derivative per
-    pattern (n_k, n_d, n_e) in the first n_k columns of the sensitivities, or None.
+    pattern (n_k, n_d, n_e), or None, in the columns `moving` (n_k, ascending) of the sensitivities;
+    None for the first n_k.
 
     `zero[i]` true: pattern i corrects nothing (pure simulation).
     """
@@ -72,6 +73,13 @@ class GainTable:
     gain: FloatArray
     zero: IntArray
     derivative: tuple[FloatArray, ...] | None = None
+    moving: IntArray | None = None
+
+    def moved_columns(self) -> IntArray:
+        """Columns of the sensitivities that the derivative is in, (n_k,)."""
+        if self.moving is not None:
+            return np.ascontiguousarray(self.moving, dtype=np.int32)
+        return np.arange(len(self.derivative[0]) if self.derivative else 0, dtype=np.int32)
 
 
 class Samples(TypedDict):
@@ -384,6 +392,7 @@ class Engine:
     def _run_c(self, one: _Pass) -> int:
         ns, gains, out = one.ns, one.gains, one.out
         slopes = [np.ascontiguousarray(v) for v in gains.derivative or ()] if ns else []
+        moving = gains.moved_columns()
         nk = len(slopes[0]) if slopes else 0
         arg, res, iw, w, buffer = self._scratch(nk)
         gain = np.ascontiguousarray(gains.gain)
@@ -411,6 +420,7 @@ class Engine:
                 _ptr(gain),
                 _ptr(zero),
                 pointers,
+                _ptr(moving),
                 _ptr(out["states"]),
                 _ptr(out["innovations"]),
                 _ptr(out["outputs"]),
@@ -463,7 +473,7 @@ class Engine:
                     push = gains.gain[g] @ de
                     if gains.derivative is not None:
                         slope = gains.derivative[g]
-                        push[:, : len(slope)] += (slope @ e).T
+                        push[:, gains.moved_columns()] += (slope @ e).T
                     s[:] = j1.full() @ moved + j2.full() @ push
             if not np.isfinite(x).all():
                 return 1 + t

@@ -18,6 +18,7 @@ without touching the gain of what is seen.
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -251,6 +252,35 @@ class Riccati:
         ds[:, at[:, None], at] = inner
         k[:, at], dk[:, :, at] = _gain(self.N[:, at], s[square], self.dN[:, :, at], inner)
         return k, s, dk, ds
+
+
+def rows_of(pairs: Sequence[tuple[Riccati, FloatArray]]) -> list[GainRow]:
+    """`Riccati.row` of every pair of a solution and its channels; those without slopes side by
+    side."""
+    waiting = dict[bytes, dict[int, Riccati]]()
+    for solution, there in pairs:
+        if solution.dN is None and there.tobytes() not in solution._rows:
+            waiting.setdefault(there.tobytes(), {})[id(solution)] = solution
+    for key, solutions in waiting.items():
+        there = np.frombuffer(key, dtype=pairs[0][1].dtype)
+        for solution, row in zip(
+            solutions.values(), _side_by_side([*solutions.values()], there), strict=True
+        ):
+            solution._rows[key] = row
+    return [solution.row(there) for solution, there in pairs]
+
+
+def _side_by_side(solutions: Sequence[Riccati], there: FloatArray) -> list[GainRow]:
+    """`Riccati.gain` of solutions without slopes."""
+    bits = int(lost_bits(there).max(initial=0))
+    felt = [v._after_lost(bits & v._felt) if bits & v._felt else v for v in solutions]
+    at = np.flatnonzero(there)
+    s = np.tile(np.eye(there.size), (len(felt), 1, 1))
+    inner = np.array([v.S for v in felt])[:, at[:, None], at]
+    s[:, at[:, None], at] = inner
+    k = np.zeros((len(felt), *felt[0].N.shape))
+    k[:, :, at] = np.array([v.N for v in felt])[:, :, at] @ np.linalg.inv(inner)
+    return [GainRow(K=a, S=b, dK=None, dS=None) for a, b in zip(k, s, strict=True)]
 
 
 def _gain(

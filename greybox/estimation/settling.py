@@ -33,6 +33,7 @@ from greybox.estimation.gain import (
     SystemSamples,
     extended,
     linearisation_anywhere,
+    rows_of,
     smith,
     stationary,
 )
@@ -113,15 +114,17 @@ class RecordGains:
 
     def tables(self) -> tuple[GainTable, FloatArray, tuple[FloatArray, ...] | None]:
         """(gains, covariances (n_row, n_e, n_e), their slopes per row (n_s, n_e, n_e))."""
-        parts = [self.solutions[i].row(there) for i, there in self.rows]
+        parts = rows_of([(self.solutions[i], there) for i, there in self.rows])
         k = np.array([v.K for v in parts])
         s = np.array([v.S for v in parts])
         zero = np.array([not there.any() for _, there in self.rows], dtype=np.int32)
         slopes = [(v.dK, v.dS) for v in parts if v.dK is not None and v.dS is not None]
         if not slopes:
             return GainTable(gain=k, zero=zero), s, None
-        dk, ds = zip(*((self._whole(a), self._whole(b)) for a, b in slopes), strict=True)
-        return GainTable(gain=k, zero=zero, derivative=dk), s, ds
+        dk, ds = tuple(dk for dk, _ in slopes), tuple(self._whole(ds) for _, ds in slopes)
+        columns = self.columns
+        moving = None if columns is None else np.flatnonzero(columns).astype(np.int32)
+        return GainTable(gain=k, zero=zero, derivative=dk, moving=moving), s, ds
 
     def _whole(self, slope: FloatArray) -> FloatArray:
         """Slopes in all unknowns, zero in those that do not move the filter."""
