@@ -18,9 +18,9 @@ without touching the gain of what is seen.
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -167,12 +167,9 @@ class Riccati:
     def distinct(self, patterns: FloatArray) -> tuple[FloatArray, npt.NDArray[np.intp]]:
         """(patterns whose gains differ, which of them each of `patterns` is): a lost command
         reaches few of the samples after it."""
-        missing = patterns == 0
-        kept = lost_bits(patterns) & self._felt
-        few, which = np.unique(np.where(missing, 0.0, 1.0 + kept), axis=0, return_inverse=True)
-        return few, which.ravel()
+        return _distinct(patterns.tobytes(), patterns.shape, self._felt)
 
-    @cached_property
+    @functools.cached_property
     def _arrivals(self) -> list[_Arrival]:
         """What one lost command adds at each sample after it that it reaches, see
         `greybox.estimation.lost_commands`."""
@@ -292,6 +289,17 @@ def _gain(
     return k, (dn - k @ ds) @ inverse if np.ndim(ds) else np.zeros(0)
 
 
+@functools.lru_cache(maxsize=64)
+def _distinct(
+    patterns: bytes, shape: tuple[int, ...], felt: int
+) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+    """See `Riccati.distinct`: evaluations of a fit ask for the same again and again."""
+    kinds = np.frombuffer(patterns).reshape(shape)
+    kept = 1.0 + (lost_bits(kinds) & felt)
+    few, which = np.unique(np.where(kinds == 0, 0.0, kept), axis=0, return_inverse=True)
+    return few, which.ravel()
+
+
 def solve_riccati(
     a: FloatArray,
     g: FloatArray,
@@ -402,12 +410,12 @@ class SystemSamples:
     dr: FloatArray | None = None
     lost: Pushes | None = None
 
-    @cached_property
+    @functools.cached_property
     def _fixed(self) -> tuple[FloatArray, FloatArray]:
         _, g, _, d = self.values
         return (g * self.q) @ d.T, (d * self.q) @ d.T + np.diag(self.r)
 
-    @cached_property
+    @functools.cached_property
     def _slopes(self) -> tuple[FloatArray, ...] | None:
         """dA, dC of the model's parameters alone; dA, dC, and the slopes of what does not depend on
         P, of all unknowns."""
