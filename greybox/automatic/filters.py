@@ -105,7 +105,9 @@ def described(part: Part, fitted: Fit) -> str:
     """What is said of it."""
     time = fitted.parameters[f"{part.name}.T"].value
     if not part.filters:
-        return f"{part.name} (T = {1e3 * time:.0f} ms)"
+        said = f"{1e3 * time:.0f} ms" if time < 1.0 else f"{time:.3g} s"
+        longer = "beyond " if is_endless(part, fitted) else ""
+        return f"{part.name} (T {longer or '= '}{said})"
     cutoff = part.described(0.0, fitted.model.values, 1.0)["cutoff"]
     return f"{part.name} ({cutoff:.0f} Hz, T = {1e3 * time:.1f} ms)"
 
