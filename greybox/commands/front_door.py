@@ -62,8 +62,9 @@ def export(
     """Write a fitted model to `folder` for a controller, as `greybox export` does; returns the
     folder.
 
-    `targets` and the other options (`name`, `dt`, `real`, `with_`, `runtime_parameters`, `points`)
-    are those of `mpc_export.bundle.write_bundle`, which says what they mean and what is raised.
+    `targets` and the other options (`name`, `dt`, `real`, `with_`, `runtime_parameters`, `points`,
+    `even_so`) are those of `mpc_export.bundle.write_bundle`, which says what they mean and what is
+    raised. A model that was judged NOT USABLE is refused (`ModelError`); `even_so=True` overrules.
     """
     from mpc_export.bundle import write_bundle
 

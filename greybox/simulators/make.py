@@ -19,6 +19,7 @@ from greybox.files import (
     write_atomic,
 )
 from greybox.model.identified import IdentifiedModel
+from greybox.model.verdict import demand_usable
 from greybox.shown import Cell, Shown
 from greybox.simulators.coverage import Covered, coverage, format_table
 from greybox.simulators.craft import Craft
@@ -140,6 +141,7 @@ def twin(
     *,
     out: str | os.PathLike[str] | None = None,
     force: bool = False,
+    even_so: bool = False,
     draws: int | None = None,
     seed: int = 0,
     train: Dataset | None = None,
@@ -153,8 +155,9 @@ def twin(
 
     Raises `UnknownNameError` for a target, `DataError` for one named twice, `ModelError` for a
     model that is no vehicle's, that no body is like, or whose rotors a named target cannot express,
-    `OutputError` for files that exist.
+    and for one that was judged NOT USABLE, unless `even_so`; `OutputError` for files that exist.
     """
+    demand_usable(model.verdict, model.name, even_so=even_so)
     craft = Craft.of(model)
     chosen = [target_by_name(t) if isinstance(t, str) else t for t in targets or TARGETS]
     names = [t.name for t in chosen]
