@@ -100,10 +100,12 @@ def compare(
     from greybox.baselines.compare import compare as run
     from greybox.baselines.compare_bench import Bench
     from greybox.data import Dataset
+    from greybox.data.halves import demand_disjoint
     from greybox.model.faults import demand_sound, faults_of
 
-    accept = tuple(accept)
-    both = Dataset.of(train) + Dataset.of(test)
+    accept, train, test = tuple(accept), Dataset.of(train), Dataset.of(test)
+    demand_disjoint(train.files, test.files)
+    both = train + test
     demand_sound(faults_of(vehicle, both, accept=accept), "a comparison")
     bench = Bench(
         vehicle=vehicle,

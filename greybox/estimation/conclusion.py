@@ -479,7 +479,7 @@ def _identified(
         domain=_domain(data),
         data_hash=data.hash,
         trained_on=problem.flights,
-        trained_samples=frozenset().union(*(f.fingerprint for f in data)),
+        trained_samples=frozenset().union(*(f.known_by for f in data)),
         recipes=data.recipes,
     )
 
