@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from greybox.baselines.compare_options import CompareChoices, CompareOptions
 from greybox.estimation.options import says_choices
 from greybox.progress import in_notebooks
-from greybox.takes import FIT, FLIGHTS, NAMES, PATH, VEHICLE, takes
+from greybox.takes import FIT, FLIGHTS, NAMES, OWN_EFFECTS, PATH, VEHICLE, takes
 
 if TYPE_CHECKING:
     from greybox.baselines.document import CompareDocument
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from greybox.model.vehicle import Vehicle
 
 
-@takes(path=PATH)
+@takes(path=PATH, effects=OWN_EFFECTS)
 def load(
     path: str | os.PathLike[str], *, effects: Iterable[Effect] = (), sensors: Iterable[Sensor] = ()
 ) -> IdentifiedModel | LinearModel | OutputHybrid:
