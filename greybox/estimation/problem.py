@@ -80,6 +80,13 @@ class Problem(SearchSpace):
             object.__setattr__(self, name, own)
         self.prepared(self.predictor)  # now: threads that ask for it later find it
 
+    def __setstate__(self, state: Mapping[str, object]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "_prepared", {})
+        object.__setattr__(self, "_best", [])
+        self.__post_init__()
+
     def prepared(self, predictor: Predictor[_P]) -> _P:
         """What `predictor` prepares for this problem: worked out once, and shared by equal
         predictors.
