@@ -110,7 +110,7 @@ def concluded(
             unidentifiable=combinations,
             innovations=seen.by_flight,
             coloured=seen.coloured,
-            covariance=errors.spread,
+            covariance=replace(errors.spread, coloured=seen.coloured),
             warnings=tuple(warnings),
         ),
         provenance=Provenance(
