@@ -44,7 +44,7 @@ def test_a_number_of_every_flight_wants_one_that_is_named(found: Fit) -> None:
     with pytest.raises(UnknownNameError, match=every):
         profile(found, "gyro_bias.b_x")
     for name in ("gyro_bias.b_x", "motor_lag.tau"):
-        with pytest.raises(UnknownNameError, match="unknown flight 'run7'.*run0"):
+        with pytest.raises(UnknownNameError, match=r"unknown flight 'run7'.*run0"):
             profile(found, name, flight="run7")
     grid = [found["gyro_bias.b_x"].value]
     assert profile(found, "gyro_bias.b_x", flight="run1", grid=grid).flight == "run1"
