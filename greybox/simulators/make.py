@@ -160,9 +160,7 @@ def twin(
     demand_usable(model.verdict, model.name, even_so=even_so)
     craft = Craft.of(model)
     chosen = [target_by_name(t) if isinstance(t, str) else t for t in targets or TARGETS]
-    names = [t.name for t in chosen]
-    if double := sorted({n for n in names if names.count(n) > 1}):
-        raise DataError(f"target {double[0]} twice", fix="name every target once")
+    _demand_once([t.name for t in chosen])
     sensors, pushes = sensor_text(craft, model.flight_spread), push_text(craft)
     statements: list[Statement] = []
     files: dict[str, str | bytes] = {}
@@ -198,6 +196,12 @@ def twin(
     if out is not None:
         made.save(out, force=force)
     return made
+
+
+def _demand_once(names: Sequence[str]) -> None:
+    """Raise `DataError` for a target that is named twice."""
+    if double := sorted({n for n in names if names.count(n) > 1}):
+        raise DataError(f"target {double[0]} twice", fix="name every target once")
 
 
 def _drawn(
