@@ -162,8 +162,7 @@ def twin(
     chosen = [target_by_name(t) if isinstance(t, str) else t for t in targets or TARGETS]
     _demand_once([t.name for t in chosen])
     sensors, pushes = sensor_text(craft, model.flight_spread), push_text(craft)
-    statements: list[Statement] = []
-    files: dict[str, str | bytes] = {}
+    statements, files = list[Statement](), dict[str, str | bytes]()
     notes = [] if craft.speed_known else [_counted(craft)]
     for target in chosen:
         try:
@@ -174,8 +173,8 @@ def twin(
             notes.append(f"no files for {target.name}: {error.line}")
             continue
         statements.append(said)
-        for name, text in _texts(target, craft, said, pushes).items():
-            files[f"{target.name}/{name}"] = text
+        texts = _texts(target, craft, said, pushes)
+        files |= {f"{target.name}/{name}": text for name, text in texts.items()}
         files[f"{target.name}/sensors.toml"] = sensors
     covered: tuple[Covered, ...] = ()
     if draws is not None:
