@@ -132,7 +132,7 @@ def problem_of(model: Any, data: Any, predictor: Any = None) -> Any:
         criterion=Gaussian(),
         free=TRUTH,
         values=START,
-        priors={n: (v, 0.0) for n, v in START.items()},
+        priors={n: (v, float("inf")) for n, v in START.items()},
         estimate_noise=False,
         estimate_initial=False,
     )

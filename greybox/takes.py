@@ -174,6 +174,13 @@ EFFECTS = Several(
     fits=lambda v: isinstance(v, str) or has("name", "parameters")(v),
     error=ModelError,
 )
+OWN_EFFECTS = Several(
+    words="a list of effects of your own, as they are",
+    fits=has("name", "parameters"),
+    fix="greybox.model.effects_file.load_effects('E.py'); those of the catalogue are offered "
+    "without being named",
+    error=ModelError,
+)
 MAPPING = Kind(
     words="the path of a mapping file, or a LogMapping",
     fits=lambda v: is_path(v) or is_a("LogMapping")(v),

@@ -41,6 +41,7 @@ from greybox.files import (
 )
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.linear import LinearModel
+from greybox.model.verdict import demand_usable
 from greybox.residual.array_file import packed
 from greybox.shown import Cell, Shown
 from mpc_export.bundle_cache import fetch, keep, key_of
@@ -207,11 +208,14 @@ def write_bundle(
     `name` is the prefix in C (default: the folder's name, or NAME_model where that is taken),
     `points` projects the learned part on that many support points first, `horizon` are the stages
     of the target tube, `attempts` how many a step may make at its plan. Raises `ModelError` (a name
-    that is no C identifier, see `model_functions`), `UnknownNameError` (a target), `OutputError` (a
+    that is no C identifier, see `model_functions`, or a model that was judged not usable, unless
+    `even_so`), `UnknownNameError` (a target), `OutputError` (a
     folder that is not a bundle, one with changed or foreign files unless `force`, or one that
     cannot be written).
     """
     place, o = _place_of(folder), ExportOptions.of(options, choices)
+    judged = model.verdict if isinstance(model, IdentifiedModel) else None
+    demand_usable(judged, getattr(model, "name", ""), even_so=o.even_so)
     name = name_of_folder(place.resolve().name) if o.name is None else check_name(o.name)
     o = o.completed()
     check_place(place, force=o.force)

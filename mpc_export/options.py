@@ -31,6 +31,7 @@ class ExportChoices(TypedDict, total=False):
     attempts: int
     use_cache: bool
     force: bool
+    even_so: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +61,8 @@ class ExportOptions:
     """Whether the same bundle may come from the cache."""
     force: bool = False
     """Whether files of a bundle in the same place go that were changed or added since."""
+    even_so: bool = False
+    """Whether a model is written although flights judged it not usable."""
 
     def __post_init__(self) -> None:
         for name in ("targets", "with_", "runtime_parameters"):

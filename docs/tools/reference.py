@@ -38,7 +38,23 @@ FUNCTIONS = (
 )
 TYPES = f"# Types\n\nWhat [functions](functions.md) take and give back. {NOTE}\n"
 
-MODULES = {name: module for name, module in _MOVED.items() if name != "load_model"}
+RESULTS = {
+    "CheckReport": "greybox.data.checks",
+    "Covariance": "greybox.estimation.covariance",
+    "Discovery": "greybox.discovery.result",
+    "FrequencyResponse": "greybox.linear.frf_result",
+    "Learned": "greybox.residual.learn",
+    "LinearFit": "greybox.linear.fit",
+    "Simulated": "greybox.estimation.simulate",
+    "Plan": "greybox.planning.result",
+    "Profile": "greybox.estimation.profile",
+    "Twin": "greybox.simulators.make",
+    "Validation": "greybox.validation.result",
+}
+"""What functions give back."""
+CALLED = {"simulate": "greybox.estimation.simulate"}
+"""Functions of a notebook that are no public names of the package."""
+MODULES = {n: m for n, m in _MOVED.items() if n != "load_model"} | RESULTS | CALLED
 """What else is described: types that public names take and give back, and what a page uses.
 `greybox.load` reads all models."""
 

@@ -39,7 +39,14 @@ from greybox.automatic.sets import (
     nested_sets,
     shares_effect,
 )
-from greybox.automatic.setting import Given, Note, Setting, setting_of
+from greybox.automatic.setting import (
+    Given,
+    Note,
+    Setting,
+    demand_known_priors,
+    setting_of,
+    with_priors_of,
+)
 from greybox.automatic.trials import Begun, Candidate, Say, Trials, likeliest_of_the_good
 from greybox.data import Dataset
 from greybox.estimation.fit import noise_of
@@ -94,10 +101,13 @@ def decide(
     note = _Notes(say=say)
     setting = setting_of(vehicle, data, facts, given, said, note)
     steps = _offered_sets(setting)
-    if said.values:  # before anything takes time; those of noise parts are asked by the fit
+    if (
+        said.values or said.priors or said.flight_priors
+    ):  # before anything takes time; those of noise parts are asked by the fit
         model = setting.model(effects_of(steps))
         declared = {d.name for d in model.parameters}
         demand_given(model, {n: v for n, v in said.values.items() if n in declared})
+        demand_known_priors(said, model)
     parts = first_parts(data)
     if parts is None:
         note(
@@ -140,6 +150,7 @@ def _decided(
     candidate: Candidate | None,
 ) -> Decided:
     options = setting.with_flight_values(options, steps)
+    options = with_priors_of(options, setting.model(effects_of(steps)))
     recipe = Recipe(
         effects=effects_of(steps),
         input=setting.input,

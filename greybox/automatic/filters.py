@@ -133,11 +133,15 @@ def with_noise_parts(options: FitOptions, parts: Sequence[Part], before: Fit) ->
 def without_parts(options: FitOptions, names: Sequence[str]) -> FitOptions:
     """The options without some noise parts and what was said of them."""
     values, levels = dict(options.values), dict(options.noise)
+    priors, own = dict(options.priors), dict(options.flight_priors)
     for name in names:
         values, levels = without_noise_of(name, values), without_noise_of(name, levels)
+        priors, own = without_noise_of(name, priors), without_noise_of(name, own)
     return options.but(
         noise_parts=tuple(n for n in options.noise_parts if n not in names),
         values=values,
+        priors=priors,
+        flight_priors=own,
         noise=levels,
     )
 

@@ -396,6 +396,10 @@ def _without(recipe: Recipe, effects: Sequence[str | Effect]) -> Recipe:
             fixed=tuple(n for n in options.fixed if n.split(".")[0] not in names),
             shared=tuple(n for n in options.shared if n.split(".")[0] not in names),
             values={n: v for n, v in options.values.items() if n.split(".")[0] not in names},
+            priors={n: p for n, p in options.priors.items() if n.split(".")[0] not in names},
+            flight_priors={
+                n: p for n, p in options.flight_priors.items() if n.split(".")[0] not in names
+            },
             considered=tuple(n for n in options.considered if n.split(".")[0] not in names),
             free=None
             if options.free is None

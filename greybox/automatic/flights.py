@@ -73,7 +73,7 @@ def raw_log(flight: Flight) -> RawLog:
         recipes=flight.recipes,
         notes=flight.notes,
         removed=flight.removed,
-        fingerprint=flight.fingerprint,
+        fingerprint=flight.known_by,
     )
 
 

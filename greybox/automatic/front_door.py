@@ -14,7 +14,7 @@ from greybox.automatic.trials import Say
 from greybox.automatic.wanted import with_rivals
 from greybox.data import Dataset, Flight
 from greybox.data.halves import demand_disjoint
-from greybox.errors import GreyboxError
+from greybox.errors import DataError, GreyboxError, ModelError
 from greybox.estimation.fit import fit as explicit_fit
 from greybox.estimation.options import FitChoices, FitOptions, says_choices
 from greybox.estimation.record import sample_time
@@ -27,6 +27,7 @@ from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
 from greybox.takes import FLIGHTS, MODEL, NAMES, SUBJECT, takes
 from greybox.validation.calibration import calibrated
+from greybox.validation.validate import validate
 
 
 def _quiet(text: str) -> None:
@@ -56,21 +57,55 @@ def fit(
     begin (`greybox fit --from`). Flights with a fault that blocks (`gb.check`) do not take part;
     those of the checks named in `accept` ("motors", "vehicle", ...) do not block. A model
     (`build_model`, `StateSpaceModel`): exactly the fit that `options` and the keywords describe,
-    nothing is decided or checked.
+    nothing is decided or checked; it is judged on `test` where there is any.
 
     The choices are keywords, fields of `FitOptions` with its defaults: predictor, criterion,
     solver, initialisation, disturbance, noise_parts, free, fixed, considered, per_flight, shared,
     values, priors, flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build,
-    use_compiler. Raises what `greybox.estimation.fit.fit` raises, and `BadDataError` where the
-    vehicle or all flights have faults that block.
+    use_compiler. Raises what `greybox.estimation.fit.fit` raises, `BadDataError` where the
+    vehicle or all flights have faults that block, and `DataError` for a flight that is both to
+    train and to test.
     """
     data = Dataset.of(data)
+    held_out = Dataset(flights=(test,)) if isinstance(test, Flight) else test
+    demand_disjoint(data.files, () if held_out is None else held_out.files)
     if isinstance(subject, Vehicle):
         said: FitChoices = choices if options is None else {**_said(options), **choices}
-        held_out = Dataset(flights=(test,)) if isinstance(test, Flight) else test
         given = Given(choices=said, source=source)
         return _automatic(subject, data, held_out, given, tuple(accept), say, progress)
-    return explicit_fit(subject, data, FitOptions.of(options, choices), progress=progress)
+    if source is not None:
+        raise ModelError(
+            "source is where the effects of a vehicle's automatic fit begin",
+            got="a model, whose effects are decided",
+            fix="fit(vehicle, ..., source=...), or values= and priors=",
+        )
+    return _explicit(subject, data, held_out, FitOptions.of(options, choices), say, progress)
+
+
+def _explicit(
+    model: Dynamics,
+    data: Dataset,
+    test: Dataset | None,
+    options: FitOptions,
+    say: Say,
+    progress: Progress | None,
+) -> Fit:
+    """The fit that the options describe, judged on the `test` flights."""
+    if test is None or not len(test):
+        return explicit_fit(model, data, options, progress=progress)
+    dt, other = sample_time(data), sample_time(test)
+    if abs(other - dt) > 1e-6 * dt:
+        raise DataError(
+            f"test flights are sampled every {other:g} s",
+            expected=f"{dt:g} s, as those of the fit",
+            fix=f"read them with rate={1 / dt:g}",
+        )
+    found = explicit_fit(model, data, options, progress=progress)
+    try:
+        return found.judged(validate(found.model, test).verdict)
+    except GreyboxError as error:  # the fit is not lost: it was not judged, and says so
+        say(f"not judged: {error}")
+        return found.warned([f"not judged: {error}"])
 
 
 def _said(options: FitOptions) -> FitChoices:
@@ -88,7 +123,6 @@ def _automatic(
     progress: Progress | None,
 ) -> Fit:
     FitOptions.of(None, given.choices)  # an unknown keyword is said before any work is done
-    demand_disjoint(data.files, () if test is None else test.files)
     demand_sound(faults_of(vehicle, accept=accept), "a fit")
     prepared = prepare(vehicle, data, accept=accept)
     unchecked = prepared.report.unchecked_order
@@ -116,5 +150,5 @@ def _automatic(
         )
     except GreyboxError as error:  # the fit is not lost: it was not judged, and says so
         say(f"not judged: {error}")
-        return found
+        return found.warned([f"not judged: {error}"])
     return found.judged(seen.verdict)

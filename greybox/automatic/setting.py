@@ -7,7 +7,7 @@ Of two numbers of which flights show the ratio alone the better known one is hel
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -16,13 +16,18 @@ from greybox.automatic.facts import Facts
 from greybox.automatic.like import lasting
 from greybox.automatic.sets import Step, per_flight_parameters
 from greybox.data import Dataset
-from greybox.errors import ModelError
+from greybox.errors import ModelError, UnknownNameError
+from greybox.estimation.fit import with_noise_of
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.record import sample_time
 from greybox.model.core_parameters import core_parameters
+from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
+from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel, build_model, input_of
+from greybox.model.noise import KINDS, part_named, with_parts
+from greybox.model.parameter import Parameter
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
 
@@ -77,6 +82,33 @@ class Setting:
             return options
         own = per_flight_parameters(steps, self.vehicle)
         return options.but(per_flight=tuple(dict.fromkeys((*options.per_flight, *own))))
+
+
+def with_priors_of(options: FitOptions, model: Dynamics) -> FitOptions:
+    """The options with those of their priors that are of the `model`, its noise included: what was
+    said of an effect that is not in it waits for one that has it."""
+    if not options.priors and not options.flight_priors:
+        return options
+    known = {d.name for d in with_noise_of(model, options).parameters}
+    return options.but(
+        priors={n: p for n, p in options.priors.items() if n in known},
+        flight_priors={n: p for n, p in options.flight_priors.items() if n in known},
+    )
+
+
+def demand_known_priors(options: FitOptions, model: PhysicsModel) -> None:
+    """Raises `UnknownNameError` for a prior of what neither the `model`, an effect of the catalogue
+    nor a kind of noise has."""
+    vehicle = model.vehicle
+    known = {d.name for d in model.parameters}
+    known |= {f"{e.name}.{p.name}" for e in CATALOGUE for p in e.parameters(vehicle)}
+    kinds = {k.kind for k in KINDS}
+    for name in (*options.priors, *options.flight_priors):
+        if name.split(".")[0] in kinds:
+            noisy = with_parts(model, [part_named(name.rpartition(".")[0])])
+            known |= {d.name for d in noisy.parameters}
+        if name not in known:
+            raise UnknownNameError("parameter", name, known)
 
 
 def setting_of(
@@ -189,7 +221,7 @@ def _held(options: FitOptions, vehicle: Vehicle, given: Given, note: Note) -> Fi
     if "free" in said or ("fixed" in said and not options.fixed):  # said: nothing is held
         return options
     named = set(said.get("per_flight", ()))
-    declared = {d.name: d for d in core_parameters(vehicle)}
+    declared = {d.name: _believed(d, options) for d in core_parameters(vehicle)}
     held = []
     for pair in RATIOS:
         both = [declared[n] for n in pair[:2]]
@@ -209,3 +241,10 @@ def _held(options: FitOptions, vehicle: Vehicle, given: Given, note: Note) -> Fi
         )
     options = options.but(fixed=(*options.fixed, *held))
     return options if "considered" in said else options.but(considered=tuple(held))
+
+
+def _believed(d: Parameter, options: FitOptions) -> Parameter:
+    """The declaration with the prior that the user gave in its place. Raises `ModelError` for one
+    that is centred where the parameter cannot be."""
+    given = options.priors.get(d.name)
+    return d if given is None else replace(d, nominal=given[0], sigma=given[1])

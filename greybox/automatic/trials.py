@@ -16,7 +16,7 @@ import numpy as np
 from greybox.automatic.filters import without_noise_of
 from greybox.automatic.foretell import Score, foretell
 from greybox.automatic.sets import Step, all_names_of, effects_of, name_of
-from greybox.automatic.setting import Setting
+from greybox.automatic.setting import Setting, with_priors_of
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import fit, noise_of
@@ -178,6 +178,7 @@ class Trials:
             for s in self.largest
         ]
         model = self.setting.model(effects_of((*steps, *more)))
+        options = with_priors_of(options, model)
         absent = set(all_names_of(tuple(more)))
         null = {
             d.name: d.nominal if d.null is None else d.null

@@ -76,7 +76,9 @@ def _parabola(
     effects = _offered(physics, data)
     declared = {d.name: d for d in small.dynamics.parameters}
     stated = {n: (float(small.base[i]), declared[n].sigma) for i, n in enumerate(declared)}
-    priors = {n: stated[n] for n in found.settings["considered"]}
+    # The error of the fit, whose user may have given another than what is declared.
+    errors = {n: error for n, (error, _) in found.model.considered.items()}
+    priors = {n: (stated[n][0], errors.get(n, stated[n][1])) for n in found.settings["considered"]}
     at_null = _at_null(small, theta, held)
     for e in (*physics.effects, *effects):
         absent = absence(e, physics.vehicle)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,23 +18,6 @@ from greybox.commands.command_line import typed
 from greybox.commands.judgement import next_of_faults
 
 
-def set_aside(path: Path) -> Path:
-    """The file, of an earlier search and perhaps edited since, under the first free name F.old,
-    F.old2, ..."""
-    names = (path.with_name(f"{path.name}.old{n if n > 1 else ''}") for n in itertools.count(1))
-    return path.replace(next(name for name in names if not name.exists()))
-
-
-def set_aside_laws(out: Path, laws: Mapping[str, str]) -> None:
-    """Set laws of an earlier search aside, but for those that are the same now (`laws`: file name
-    -> text)."""
-    from greybox.residual.laws.effect_file import LAW_FILE
-
-    for old in out.glob("proposal_*.py"):
-        if LAW_FILE.fullmatch(old.name) and old.read_bytes() != laws.get(old.name, "").encode():
-            set_aside(old)
-
-
 class SearchFolder:
     """The folder of a search: what it wrote so far (`written`: discovery.json), rewritten after
     every step."""
@@ -50,8 +32,8 @@ class SearchFolder:
     def write(self, found: Discovery) -> None:
         """Write what is found. The result comes last: until then it says that the search was
         stopped."""
-        from greybox.discovery.result import WITH_LAWS
-        from greybox.files import withdraw, write_atomic, write_json
+        from greybox.discovery.folder import WITH_LAWS, write_found
+        from greybox.files import withdraw
 
         out, content = self._out, found.to_dict()
         first, told = self.warnings()
@@ -63,22 +45,10 @@ class SearchFolder:
         ]
         self.written = content
         withdraw(out, "report.html")
-        if found.fit is None:
-            write_json(out / "discovery.json", content)
-            return
-        if not self._began:
+        if not self._began and found.fit is not None:
             withdraw(out, "discovery.json", WITH_LAWS)
             self._began = True
-        found.model.save(out / "model.json")
-        laws = found.proposals()
-        set_aside_laws(out, laws)
-        for name, text in laws.items():
-            write_atomic(out / name, text)
-        if found.lawful is not None:
-            found.lawful.save(out / WITH_LAWS)
-        else:
-            withdraw(out, WITH_LAWS)
-        write_json(out / "discovery.json", content)
+        write_found(found, out, content)
 
     def warnings(self) -> tuple[list[str], list[str]]:
         """What the flights were searched in spite of: (faults that were accepted, warnings)."""
@@ -105,7 +75,7 @@ class SearchFolder:
 
     def lines(self, found: Discovery) -> list[str]:
         """The result for people, and what was written."""
-        from greybox.discovery.result import WITH_LAWS
+        from greybox.discovery.folder import WITH_LAWS
         from greybox.model.layer import physics_of
 
         lines, laws = found.summary().splitlines(), list(found.proposals())

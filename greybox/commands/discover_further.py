@@ -10,15 +10,14 @@ if TYPE_CHECKING:
     from greybox.discovery.document import DiscoveryDocument
 
 from greybox.commands.console import Console
-from greybox.commands.discover_folder import set_aside_laws
 from greybox.commands.flight_logs import read_flight_logs
 from greybox.commands.judgement import log_faults, refuse_faults
 
 
 def go_on(arguments: argparse.Namespace) -> int:
     """Multiply the evidence of the names of an earlier search by that of further flights."""
+    from greybox.discovery.folder import WITH_LAWS, set_aside_laws
     from greybox.discovery.further import further
-    from greybox.discovery.result import WITH_LAWS
     from greybox.errors import GreyboxError
     from greybox.files import read_json, withdraw, write_atomic, write_json
     from greybox.model.effects_file import load_effects

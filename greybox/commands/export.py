@@ -164,6 +164,7 @@ def run(arguments: argparse.Namespace) -> int:
         attempts=arguments.attempts,
         use_cache=not arguments.no_cache,
         force=arguments.force,
+        even_so=True,  # the gate was asked
     )
     judged.say("export")
     Console.of(arguments).result(bundle.manifest, describe(bundle))

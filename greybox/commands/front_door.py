@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from greybox.baselines.compare_options import CompareChoices, CompareOptions
 from greybox.estimation.options import says_choices
 from greybox.progress import in_notebooks
-from greybox.takes import FIT, FLIGHTS, NAMES, PATH, VEHICLE, takes
+from greybox.takes import FIT, FLIGHTS, NAMES, OWN_EFFECTS, PATH, VEHICLE, takes
 
 if TYPE_CHECKING:
     from greybox.baselines.document import CompareDocument
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from greybox.model.vehicle import Vehicle
 
 
-@takes(path=PATH)
+@takes(path=PATH, effects=OWN_EFFECTS)
 def load(
     path: str | os.PathLike[str], *, effects: Iterable[Effect] = (), sensors: Iterable[Sensor] = ()
 ) -> IdentifiedModel | LinearModel | OutputHybrid:
@@ -62,8 +62,9 @@ def export(
     """Write a fitted model to `folder` for a controller, as `greybox export` does; returns the
     folder.
 
-    `targets` and the other options (`name`, `dt`, `real`, `with_`, `runtime_parameters`, `points`)
-    are those of `mpc_export.bundle.write_bundle`, which says what they mean and what is raised.
+    `targets` and the other options (`name`, `dt`, `real`, `with_`, `runtime_parameters`, `points`,
+    `even_so`) are those of `mpc_export.bundle.write_bundle`, which says what they mean and what is
+    raised. A model that was judged NOT USABLE is refused (`ModelError`); `even_so=True` overrules.
     """
     from mpc_export.bundle import write_bundle
 
@@ -99,10 +100,12 @@ def compare(
     from greybox.baselines.compare import compare as run
     from greybox.baselines.compare_bench import Bench
     from greybox.data import Dataset
+    from greybox.data.halves import demand_disjoint
     from greybox.model.faults import demand_sound, faults_of
 
-    accept = tuple(accept)
-    both = Dataset.of(train) + Dataset.of(test)
+    accept, train, test = tuple(accept), Dataset.of(train), Dataset.of(test)
+    demand_disjoint(train.files, test.files)
+    both = train + test
     demand_sound(faults_of(vehicle, both, accept=accept), "a comparison")
     bench = Bench(
         vehicle=vehicle,

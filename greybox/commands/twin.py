@@ -143,6 +143,7 @@ def run(arguments: argparse.Namespace) -> int:
         names,
         out=arguments.out,
         force=arguments.force,
+        even_so=True,  # the gate was asked
         draws=arguments.draws,
         seed=arguments.seed,
         train=train,

@@ -4,9 +4,10 @@ satisfies it."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from greybox.data.readers.mapping import LogMapping
+if TYPE_CHECKING:  # reading logs asks for airframes
+    from greybox.data.readers.mapping import LogMapping
 
 MOMENTS = (0.01, 3.0)
 """J / (m L^2) of bodies whose mass, arms L and inertia fit each other at all, ..."""

@@ -6,19 +6,20 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NotRequired, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
 from greybox.data.channel import channel, is_canonical
-from greybox.data.fingerprint import LogFile
+from greybox.data.fingerprint import LogFile, fingerprint
 from greybox.data.raw import Removed
 from greybox.data.segment import Segment
 from greybox.errors import DataError, UnknownNameError
 from greybox.plots import Curve, panels
 from greybox.shown import Cell, Shown
-from greybox.takes import CHANNELS, FLIGHTS, NAMES, TEXT, Several, is_a, takes
+from greybox.takes import FLIGHTS, NAMES, Several, is_a, takes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,7 +52,8 @@ class Flight(Shown):
     say what conditioning did, `removed` which samples were taken as missing because no craft can
     have made them. `noncausal` are channels whose values were smoothed with later samples,
     `recipes` say how channels were made of what the log holds (data/readers/recipes.py),
-    `fingerprint` some of the samples of its file (data/fingerprint.py). Raises `DataError`
+    `fingerprint` some of the samples of its file (data/fingerprint.py; none: `known_by` takes its
+    own). Raises `DataError`
     where there is no segment or the sample times differ.
     """
 
@@ -80,6 +82,16 @@ class Flight(Shown):
         if any(s.flight != self.name for s in self.segments):
             own = tuple(replace(s, flight=self.name) for s in self.segments)
             object.__setattr__(self, "segments", own)
+
+    @cached_property
+    def known_by(self) -> frozenset[str]:
+        """Its fingerprint; of samples that come from no file their own."""
+        if self.fingerprint:
+            return self.fingerprint
+        names = self.channels
+        return fingerprint(
+            {n: np.concatenate([s.channels[n] for s in self.segments]) for n in names}
+        )
 
     def facts(self) -> FlightFacts:
         """What a result says of it."""
@@ -207,8 +219,8 @@ class Dataset(Shown):
 
     @property
     def files(self) -> tuple[LogFile, ...]:
-        """What tells every flight from others; nothing of one from memory but its name."""
-        return tuple(LogFile(f.name, f.sha256, f.fingerprint) for f in self.flights)
+        """What tells every flight from others."""
+        return tuple(LogFile(f.name, f.sha256, f.known_by) for f in self.flights)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -370,22 +382,3 @@ def _panel(name: str) -> str:
 
 def _bytes(values: npt.NDArray) -> bytes:
     return values.astype("<f8").tobytes()
-
-
-@takes(channels=CHANNELS, name=TEXT)
-def dataset_from_arrays(
-    t: npt.ArrayLike,
-    channels: Mapping[str, npt.ArrayLike],
-    *,
-    name: str = "flight",
-    notes: Sequence[str] = (),
-) -> Dataset:
-    """A data set of one flight from arrays: `t` (N,) uniform [s], `channels` name -> (N,), NaN =
-    missing.
-
-    >>> dataset_from_arrays([0.0, 0.01, 0.02], {"p": [0.1, float("nan"), 0.3]}, name="bench")
-    Dataset: 1 flight, 3 samples
-      bench: 0.03 s at 100 Hz, p
-    """
-    segment = Segment(t=t, channels=channels, flight=name)  # type: ignore[arg-type]
-    return Dataset(flights=(Flight(name=name, segments=(segment,), notes=tuple(notes)),))

@@ -41,7 +41,9 @@ def _numbers(values: npt.ArrayLike, what: str, flight: str) -> FloatArray:
     raise DataError(f"{what} has {wrong}", where=f"flight {flight}", expected="numbers", fix=fix)
 
 
-def _frozen_floats(values: npt.ArrayLike, n: int, what: str, flight: str) -> FloatArray:
+def floats(values: npt.ArrayLike, n: int, what: str, flight: str) -> FloatArray:
+    """A read-only copy (n,) as floats. Raises `DataError` for what is no number and for another
+    shape."""
     array = _numbers(values, what, flight)
     if array.shape != (n,):
         raise DataError(
@@ -51,6 +53,12 @@ def _frozen_floats(values: npt.ArrayLike, n: int, what: str, flight: str) -> Flo
         )
     array.setflags(write=False)
     return array
+
+
+def steps_of(t: FloatArray) -> tuple[float, float]:
+    """(sample time, largest deviation from the grid that begins and ends with `t` (N,)) [s]."""
+    dt = float(t[-1] - t[0]) / (t.size - 1)
+    return dt, float(np.abs(t - (t[0] + dt * np.arange(t.size))).max())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -72,34 +80,31 @@ class Segment(Shown):
 
     def __post_init__(self) -> None:
         n = int(np.size(self.t))
-        t = _frozen_floats(self.t, n, "t", self.flight)
+        t = floats(self.t, n, "t", self.flight)
         if n < 2:
             raise DataError(
                 f"a segment of {n} sample(s)", where=f"flight {self.flight}", expected="at least 2"
             )
-        dt = (t[-1] - t[0]) / (n - 1)
+        dt, shift = steps_of(t)
         if not np.isfinite(t).all():
             raise DataError(
                 f"t has no value at sample {int(np.argmin(np.isfinite(t)))}",
                 where=f"flight {self.flight}",
-                fix="leave such rows out, and put the rest on a uniform clock (read_log does)",
+                fix="leave such rows out",
             )
         if dt <= 0:
             raise DataError(
                 "t is not increasing",
                 where=f"flight {self.flight}",
-                fix="read the log with read_log",
+                fix="sort the rows by t",
             )
-        shift = float(np.abs(t - (t[0] + dt * np.arange(n))).max())
         if shift > CLOCK_TOLERANCE * dt:
             raise DataError(
                 f"t is not uniform: off by {shift:.3g} s at a sample time of {dt:.3g} s",
                 where=f"flight {self.flight}",
-                fix="resample it (read_log does)",
+                fix="read_log and dataset_from_arrays put logs on a uniform clock",
             )
-        channels = {
-            k: _frozen_floats(v, n, f"channel {k}", self.flight) for k, v in self.channels.items()
-        }
+        channels = {k: floats(v, n, f"channel {k}", self.flight) for k, v in self.channels.items()}
         for name, values in channels.items():
             if np.isinf(values).any():
                 raise DataError(
@@ -116,8 +121,7 @@ class Segment(Shown):
             extra[name] = array
         length = min((int(np.size(v)) for v in self.earlier.values()), default=0)
         earlier = {
-            k: _frozen_floats(v, length, f"earlier {k}", self.flight)
-            for k, v in self.earlier.items()
+            k: floats(v, length, f"earlier {k}", self.flight) for k, v in self.earlier.items()
         }
         object.__setattr__(self, "earlier", MappingProxyType(earlier))
         object.__setattr__(self, "t", t)

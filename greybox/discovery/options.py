@@ -10,6 +10,7 @@ from greybox.discovery.rules import EFFORT, Effort
 from greybox.estimation.options import FitOptions, chosen
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
+from greybox.takes import NAMES, OWN_EFFECTS
 
 
 class DiscoverChoices(TypedDict, total=False):
@@ -63,8 +64,8 @@ class DiscoverOptions:
     """Seed of bootstraps and random halves."""
 
     def __post_init__(self) -> None:
-        for name in ("own", "per_flight", "fixed"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+        for name, kind in (("own", OWN_EFFECTS), ("per_flight", NAMES), ("fixed", NAMES)):
+            object.__setattr__(self, name, kind.taken(name, getattr(self, name)))
 
     @classmethod
     def of(cls, options: DiscoverOptions | None, choices: DiscoverChoices) -> DiscoverOptions:

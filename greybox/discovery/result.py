@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from greybox.discovery import document
 from greybox.discovery.cause import LEVELS
+from greybox.discovery.folder import WITH_LAWS, write_found
 from greybox.discovery.left import Left
 from greybox.discovery.name import LOG10, Name
 from greybox.errors import GreyboxError
@@ -32,8 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SCHEMA = "greybox.discovery/2"
-WITH_LAWS = "model_with_laws.json"
-"""File of the model that has the laws of the leftover as well."""
 SAYS = {
     "bad_data": "the data have faults that block the search",
     "stopped": "the search was stopped before its end: what it had found until then is not judged",
@@ -48,7 +49,8 @@ SAYS = {
 class Discovery(Shown):
     """What was found: `verdict` is a key of `SAYS`, `names` everything that was asked, `fit` the
     final structure, `left` what its unnamed force and torque hold, `bar` the log e-value that a
-    name needs, `lawful` the model with laws, `denied` which stated numbers the flights deny."""
+    name needs, `lawful` the model with laws (the one to go on with; None without), `denied` which
+    stated numbers the flights deny. `proposals()` are the laws as files by name."""
 
     verdict: str
     names: tuple[Name, ...] = ()
@@ -221,6 +223,12 @@ class Discovery(Shown):
             "versions": library_versions(),
         }
 
+    def save(self, folder: str | os.PathLike[str]) -> Path:
+        """Write what `greybox discover` writes into a folder, but its report: discovery.json,
+        model.json, and of laws proposal_N.py and model_with_laws.json; returns the folder. Raises
+        `OutputError`."""
+        return write_found(self, folder, self.to_dict())
+
     @property
     def line(self) -> str:
         """What a pilot wants to know, in one line."""
@@ -232,7 +240,9 @@ class Discovery(Shown):
         for a in self.ambiguous():
             found.append("one of " + " / ".join(c["name"] for c in a["candidates"]))
         lawful = [u["channel"] for u in self.unnamed() if u["file"]]
-        found += [f"laws without a name, of {', '.join(lawful)} (use {WITH_LAWS})"][: len(lawful)]
+        found += [
+            f"laws without a name, of {', '.join(lawful)} (use {WITH_LAWS}, in Python .lawful)"
+        ][: len(lawful)]
         held = dict.fromkeys(u["channel"].split(".")[0] for u in self.unnamed() if not u["file"])
         kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
         told = self.model_verdict

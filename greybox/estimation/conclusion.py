@@ -110,7 +110,7 @@ def concluded(
             unidentifiable=combinations,
             innovations=seen.by_flight,
             coloured=seen.coloured,
-            covariance=errors.spread,
+            covariance=replace(errors.spread, coloured=seen.coloured),
             warnings=tuple(warnings),
         ),
         provenance=Provenance(
@@ -479,7 +479,7 @@ def _identified(
         domain=_domain(data),
         data_hash=data.hash,
         trained_on=problem.flights,
-        trained_samples=frozenset().union(*(f.fingerprint for f in data)),
+        trained_samples=frozenset().union(*(f.known_by for f in data)),
         recipes=data.recipes,
     )
 

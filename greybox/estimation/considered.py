@@ -52,7 +52,8 @@ def demand_considerable(dynamics: Dynamics, options: FitOptions) -> None:
     for name in options.considered:
         if name not in options.fixed or name not in declared:
             raise ModelError(f"{name} is considered but not held", fix=f"--fixed {name}, too")
-        if not 0 < declared[name].sigma < np.inf:
+        given = options.priors.get(name)
+        if not 0 < (declared[name].sigma if given is None else given[1]) < np.inf:
             raise ModelError(f"{name} is considered but has no stated error", fix="give it a sigma")
 
 

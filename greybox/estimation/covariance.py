@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -23,8 +24,9 @@ FEWEST_BLOCKS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Covariance:
-    """Matrices over all unknowns (n, n); rows and columns of held ones are zero. `blocks`: how many
-    scores were summed; `doubt`: why all errors are too small, `form`: which parameters are no
+    """Matrices over all unknowns (n, n); rows and columns of held ones are zero. `matrix`, which
+    NumPy takes it for, is the one that errors go by. `coloured`: whether the innovations are.
+    `blocks`: how many scores were summed; `doubt`: why all errors are too small, `form`: which parameters are no
     measurement, since flights want what the model lacks, and which pushes go with how the craft is
     flown, `beyond`: which bounds of the model flights push against (`greybox.automatic.wanted`),
     `changed`: where the craft changed within a flight (`greybox.automatic.lasting`); all empty where
@@ -37,6 +39,16 @@ class Covariance:
     form: str = ""
     beyond: str = ""
     changed: tuple[str, ...] = ()
+    coloured: bool = False
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The covariance (n, n) that errors go by: `chosen` by the colour of the innovations."""
+        return self.chosen(self.coloured)
+
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> FloatArray:
+        """`matrix`: numpy.asarray(fit.covariance)."""
+        return np.array(self.matrix, dtype=dtype)
 
     @property
     def enough(self) -> bool:

@@ -10,7 +10,6 @@ slower.
 
 from __future__ import annotations
 
-import copy
 import ctypes
 import functools
 from dataclasses import dataclass
@@ -170,6 +169,7 @@ class Engine:
         use_compiler: bool = True,
         sensitive: bool = True,
     ) -> None:
+        self.use_compiler = use_compiler
         with CASADI:
             self.dynamics = dynamics
             self.active = active
@@ -190,6 +190,11 @@ class Engine:
         if use_compiler and compiler() is not None:
             self._compile()
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """What is compiled stays in its process: another one builds it again, from the cache."""
+        built = self.dynamics, self.built, self.active, self.use_compiler, self.sensitive
+        return _built_again, built
+
     def select(self, active: tuple[str, ...]) -> Engine:
         """The same engine with the sensitivities of some of its parameters only: nothing is built
         again.
@@ -201,7 +206,8 @@ class Engine:
         for a in active:
             if a not in self.active:
                 raise UnknownNameError("active parameter", a, self.active)
-        some = copy.copy(self)
+        some = object.__new__(Engine)
+        vars(some).update(vars(self))
         some.active = active
         at = np.array([self.active.index(a) for a in active], dtype=int)
         some.columns, some.active_index = self.columns[at], self.active_index[at]
@@ -692,6 +698,17 @@ def engine_for(
             else Engine(dynamics, active, use_compiler=use_compiler, sensitive=sensitive)
         )
     return shelf[key]
+
+
+def _built_again(
+    dynamics: Dynamics,
+    built: tuple[str, ...],
+    active: tuple[str, ...],
+    use_compiler: bool,
+    sensitive: bool,
+) -> Engine:
+    whole = engine_for(dynamics, built, use_compiler=use_compiler, sensitive=sensitive)
+    return whole.select(active)
 
 
 def unfelt_place(dynamics: Dynamics) -> frozenset[str]:

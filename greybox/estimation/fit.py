@@ -67,8 +67,7 @@ def fit(
     """
     began = time.perf_counter()
     options = FitOptions.of(options, choices)
-    dynamics = with_parts(model, map(part_named, options.noise_parts))
-    dynamics = with_disturbance(dynamics, options.disturbance)
+    dynamics = with_noise_of(model, options)
     demand_given(dynamics, options.values)
     predictor, solver = options.chosen_predictor(), options.chosen_solver()
     demand_considerable(dynamics, options)
@@ -93,6 +92,13 @@ def fit(
     if status.code is Code.INTERRUPTED:
         raise Interrupted(result)
     return result
+
+
+def with_noise_of(model: Dynamics, options: FitOptions) -> Dynamics:
+    """The model that is fitted: with the noise parts and disturbances of the options. Raises
+    `UnknownNameError` for one that there is not."""
+    noisy = with_parts(model, map(part_named, options.noise_parts))
+    return with_disturbance(noisy, options.disturbance)
 
 
 def _rough(solver: Solver) -> bool:

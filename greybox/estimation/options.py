@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal, TypedDict, TypeVar, Unpack
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.criterion import Criterion
 from greybox.estimation.predictor import Predictor
-from greybox.estimation.prior import Prior
+from greybox.estimation.prior import Prior, demand_priors
 from greybox.estimation.solver import Solver
 
 if TYPE_CHECKING:
@@ -125,7 +125,8 @@ class FitOptions:
     values: Mapping[str, float] = field(default_factory=dict)
     """Start values, and the values of fixed parameters, in SI units."""
     priors: Mapping[str, tuple[float, float] | Prior] = field(default_factory=dict)
-    """Parameter -> (mean, sigma), in place of the declared prior."""
+    """Parameter -> (mean, sigma), in place of the declared prior; sigma is positive (infinite: no
+    prior). What is held is held at the mean, unless `values` says where."""
     flight_priors: Mapping[str, tuple[float, float] | Prior] = field(default_factory=dict)
     """The same for every per-flight copy."""
     noise: Mapping[str, float] = field(default_factory=dict)
@@ -156,6 +157,12 @@ class FitOptions:
                     f"{name} takes a list of names", got=repr(given), fix=f"{name}={listed}"
                 )
             object.__setattr__(self, name, None if given is None else tuple(given))
+        for name in ("priors", "flight_priors"):
+            demand_priors(name, getattr(self, name) or {})
+        for name in ("values", "noise"):
+            given = getattr(self, name) or {}
+            if not isinstance(given, Mapping):
+                raise GreyboxError(f"{name} takes names with numbers", got=repr(given))
         for name in ("values", "priors", "flight_priors", "noise"):
             object.__setattr__(self, name, dict(getattr(self, name) or {}))
 

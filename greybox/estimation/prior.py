@@ -10,11 +10,13 @@ weighed mass with it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import numbers
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from greybox.errors import ModelError
 from greybox.estimation.unknown import Unknown
 from greybox.statistics.normal_mass import log_mass
 from greybox.symbolic import FloatArray
@@ -27,6 +29,34 @@ class Prior(NamedTuple):
     mean: float
     sigma: float
     long_tails: bool = False
+
+
+def demand_priors(option: str, given: object) -> None:
+    """Raises `ModelError` where `given` is no mapping of names to (mean, sigma), the mean finite,
+    sigma positive (infinite: no prior)."""
+    if not isinstance(given, Mapping):
+        fix = f"{option}={{'motor_lag.tau': (0.03, 0.01)}}"
+        raise ModelError(f"{option} takes names with (mean, sigma)", got=repr(given), fix=fix)
+    for name, prior in given.items():
+        where = f"{option} of {name}"
+        parts = tuple(prior) if isinstance(prior, Sequence | np.ndarray) else ()
+        real = [p for p in parts[:2] if isinstance(p, numbers.Real) and not isinstance(p, bool)]
+        plain = [float(p) for p in real]
+        if isinstance(prior, str) or len(plain) < 2 or len(parts) > 3:
+            raise ModelError(
+                f"{where}: not a mean with a sigma",
+                expected="(mean, sigma) in the unit of the parameter",
+                got=repr(prior),
+                fix=f"{option}={{'{name}': (mean, sigma)}}; values={{'{name}': ...}} starts there",
+            )
+        if not math.isfinite(plain[0]):
+            raise ModelError(f"{where}: the mean is not finite", got=f"{plain[0]:g}")
+        if not plain[1] > 0:
+            raise ModelError(
+                f"{where}: sigma must be positive (infinite: no prior)",
+                got=f"{plain[1]:g}",
+                fix=f"fixed=['{name}'], values={{'{name}': {plain[0]:g}}} holds it",
+            )
 
 
 def prior_terms(

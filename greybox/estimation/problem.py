@@ -32,7 +32,7 @@ from greybox.estimation.settling import start_sigma
 from greybox.estimation.solver import IndexArray, Value
 from greybox.estimation.unknown import SearchSpace, Unknown
 from greybox.model.dynamics import Dynamics
-from greybox.model.parameter import Parameter, ParameterValues
+from greybox.model.parameter import Parameter, nominal_values
 from greybox.statistics.blocks import block_samples
 from greybox.symbolic import BoolArray, FloatArray, Layout
 
@@ -79,6 +79,13 @@ class Problem(SearchSpace):
             own.flags.writeable = False
             object.__setattr__(self, name, own)
         self.prepared(self.predictor)  # now: threads that ask for it later find it
+
+    def __setstate__(self, state: Mapping[str, object]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "_prepared", {})
+        object.__setattr__(self, "_best", [])
+        self.__post_init__()
 
     def prepared(self, predictor: Predictor[_P]) -> _P:
         """What `predictor` prepares for this problem: worked out once, and shared by equal
@@ -278,12 +285,13 @@ def make_problem(
     """Set up the unknowns of a fit from `options`, or from `choices` (its fields as keywords) on
     top of them.
 
-    Free are the parameters with a prior or without a stated value (sigma > 0), or exactly `free`,
-    less `fixed`; those whose declared scope is flight, or that `per_flight` names, get one copy per
-    flight (`shared` takes it back). `values` are start values (and the values of fixed parameters),
-    `priors` name -> (mean, sigma) replace declared ones, `flight_priors` hold for every per-flight
-    copy. `noise` gives levels by name, in SI units, for one component ("noise.sensor.p") or a whole
-    group ("noise.sensor.position", "noise.process.torque"); the longer name wins.
+    Free are the parameters with a prior or without a stated value (sigma > 0, or among `priors`),
+    or exactly `free`, less `fixed`; those whose declared scope is flight, or that `per_flight`
+    names, get one copy per flight (`shared` takes it back). `values` are start values (and the values of fixed parameters),
+    `priors` name -> (mean, sigma) replace declared ones (what is held is at their mean unless
+    `values` says where), `flight_priors` hold for every per-flight copy. `noise` gives levels by
+    name, in SI units, for one component ("noise.sensor.p") or a whole group
+    ("noise.sensor.position", "noise.process.torque"); the longer name wins.
     `estimate_noise="process"` holds the sensors' levels (a data sheet's, or what the time stamps
     allow). `build` names parameters that sensitivities are built for besides the free ones: fits of
     many subsets share one build. Solver, initialisation and `disturbance` are matters of
@@ -291,10 +299,9 @@ def make_problem(
     """
     o = FitOptions.of(options, choices)
     predictor, criterion = o.chosen_predictor(), o.chosen_criterion()
-    values = ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(
-        dict(o.values)
-    )
     choice = _choice(dynamics.parameters, o)
+    means = {n: float(p[0]) for n, p in o.priors.items() if n not in choice.free}
+    values = nominal_values(dynamics.parameters).replace({**means, **o.values})
     dt = sample_time(dataset)
     engine = engine_for(dynamics, choice.built, use_compiler=o.use_compiler).select(choice.free)
     records = make_records(engine, dataset)
@@ -337,7 +344,8 @@ class _Choice:
 
 
 def _choice(parameters: Sequence[Parameter], o: FitOptions) -> _Choice:
-    """Raises `UnknownNameError` for a name that is no parameter."""
+    """Raises `UnknownNameError` for a name that is no parameter, `ModelError` for a prior of every
+    flight's own value of what has none."""
     declared = {d.name for d in parameters}
 
     def known(names: Iterable[str]) -> set[str]:
@@ -348,10 +356,17 @@ def _choice(parameters: Sequence[Parameter], o: FitOptions) -> _Choice:
         return set(names)
 
     held = known(o.fixed)
-    wanted = {d.name for d in parameters if d.sigma > 0} if o.free is None else known(o.free)
+    believed = known(o.priors)
+    stated = {d.name for d in parameters if d.sigma > 0}
+    wanted = stated | believed if o.free is None else known(o.free)
     free = tuple(d.name for d in parameters if d.name in wanted - held)
     own = {d.name for d in parameters if d.scope == "flight"} | known(o.per_flight)
     own -= known(o.shared)
+    if common := known(o.flight_priors) - own - believed:
+        raise ModelError(
+            f"flight_priors of {min(common)}: it has one value for all flights",
+            fix=f"priors, or per_flight=['{min(common)}']",
+        )
     sensitive = {*free, *known(o.build or ()), *known(o.considered)}
     built = tuple(d.name for d in parameters if d.name in sensitive)
     return _Choice(free=free, own=frozenset(own), built=built)

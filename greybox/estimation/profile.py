@@ -141,6 +141,21 @@ class Profile(Shown):
         return panels(rows, x=f"{self.name}{unit}", ax=None if ax is None else [ax])[0]
 
 
+def _place(problem: Problem, name: str, flight: str | None) -> int:
+    """Where the unknown stands. Raises `UnknownNameError` for a name that is none, a flight that
+    is not there, and none where each has its own value."""
+    owners = [u.flight for u in problem.unknowns if u.name == name and u.flight is not None]
+    if flight is not None and flight not in {*problem.flights, *owners}:
+        raise UnknownNameError("flight", flight, owners or problem.flights)
+    place = problem.place(name, flight)
+    if place is not None:
+        return place
+    if owners:
+        fix = f"it has a value for every flight; name one of {', '.join(owners)}"
+        raise UnknownNameError("number of all flights", name, (), fix=fix)
+    raise UnknownNameError("estimated number", name, {u.name for u in problem.unknowns})
+
+
 def profile(
     problem: Problem,
     solver: Solver,
@@ -159,9 +174,7 @@ def profile(
     `width` standard errors apart at the end, and further ones while the cost has not risen enough.
     Each point starts from its neighbour. Raises `UnknownNameError` for a name that is no unknown.
     """
-    place = problem.place(name, flight)
-    if place is None:
-        raise UnknownNameError("estimated number", name, {u.name for u in problem.unknowns})
+    place = _place(problem, name, flight)
     u = problem.unknowns[place]
     logarithmic = u.kind == "noise"
     best = problem.evaluate(theta)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SCHEMA = "greybox.fit/1"
+SAVED = "_saved"
+"""Where the provenance of a copy holds its problem."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,11 +137,26 @@ class Provenance:
     recipe: Recipe | None = None
     decisions: tuple[Decision, ...] = ()
 
+    def __getstate__(self) -> dict[str, object]:
+        """With the problem as bytes: few who read a fit in another process ask for it, and its
+        engine is built again there."""
+        rest = {n: v for n, v in vars(self).items() if n != "problem"}
+        return rest if SAVED in rest else {**rest, SAVED: pickle.dumps(self.problem)}
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Problem:
+            """The problem of a copy, built when it is asked for."""
+            if name != "problem" or SAVED not in vars(self):
+                raise AttributeError(name)
+            object.__setattr__(self, name, pickle.loads(vars(self)[SAVED]))
+            return vars(self)[name]
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Fit(Shown):
-    """What a fit found. Holds no raw data; what the three records hold is there as attributes,
-    too."""
+    """What a fit found; what the three records hold is there as attributes, too. It can be pickled,
+    copied and sent to another process."""
 
     estimates: Estimates
     diagnostics: Diagnostics
@@ -265,7 +283,7 @@ class Fit(Shown):
 
     @property
     def theta(self) -> FloatArray:
-        """All unknowns of the problem (n,)."""
+        """All unknowns (n,), named in `problem.unknowns`; noise levels as natural logarithms."""
         return self.estimates.theta
 
     @property
@@ -290,7 +308,8 @@ class Fit(Shown):
 
     @property
     def innovations(self) -> Mapping[str, list[FloatArray]]:
-        """Flight -> innovations (n, n_e) of its records, NaN where missing."""
+        """Flight -> its records in order of time, a list of innovations (n, n_e) each, NaN where
+        missing; columns in the order of `model.dynamics.innovations`."""
         return self.diagnostics.innovations
 
     @property
@@ -300,7 +319,9 @@ class Fit(Shown):
 
     @property
     def covariance(self) -> Covariance:
-        """Covariance of all unknowns."""
+        """Covariance of all unknowns, in the order of `theta` and `problem.unknowns`; its `matrix`,
+        and so `numpy.asarray(fit.covariance)`, is (n, n), noise levels as logarithms. That of the
+        model's parameters alone is `model.covariance`."""
         return self.diagnostics.covariance
 
     @property
@@ -320,7 +341,7 @@ class Fit(Shown):
 
     @property
     def problem(self) -> Problem:
-        """The problem that was solved."""
+        """The problem that was solved; of a fit from another process it is built when asked for."""
         return self.provenance.problem
 
     @property

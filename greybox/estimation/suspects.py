@@ -14,6 +14,9 @@ from greybox.model.identified import IdentifiedModel
 
 HOW = {"mass": "weigh it"}
 """How to tell what a number is, where that is not to measure it."""
+DENIED = 4.0
+"""Standard deviations from a stated number beyond which flights deny it: a Gaussian prior is that
+wrong once in 16 000."""
 ALIKE = 0.5
 """Power of the held number from which an estimate that goes with it tells it."""
 
@@ -31,9 +34,9 @@ class Stated(Protocol):
 
 
 def suspects(model: IdentifiedModel, found: Mapping[str, Stated]) -> dict[str, str]:
-    """Estimate -> in words, where it left what was stated of it by more than the errors that were
-    stated, what of a held number would do the same. Factors count: of each held number the
-    estimate is asked that was stated best for one of them."""
+    """Estimate -> in words, where it denies what was stated of it, what of a held number would do
+    the same. An estimate that is as it was stated accuses no other number. Factors count: of each
+    held number the estimate is asked that was stated best for one of them."""
     units = {d.name: d.unit for d in model.dynamics.parameters}
     out: dict[str, str] = {}
     for held, (error, moves) in model.considered.items():
@@ -52,7 +55,7 @@ def suspects(model: IdentifiedModel, found: Mapping[str, Stated]) -> dict[str, s
         e = found[name]
         assert e.prior is not None
         factor = math.log(e.value / e.prior[0]) / power
-        if abs(factor) <= math.hypot(share, error / value):
+        if max(abs(factor) / share, abs(e.value - e.prior[0]) / e.prior[1]) <= DENIED:
             continue
         way = 1.0 if moves[name] > 0.0 else -1.0
         out[name] = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from types import MappingProxyType
 
@@ -44,6 +44,11 @@ class SearchSpace:
     """The unknowns of a fit in their order. It can be sent to another process."""
 
     unknowns: tuple[Unknown, ...]
+
+    def __getstate__(self) -> dict[str, object]:
+        """Without what is worked out when it is asked for."""
+        given = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
+        return {n: dict(v) if isinstance(v, MappingProxyType) else v for n, v in given.items()}
 
     @property
     def n(self) -> int:

@@ -53,4 +53,6 @@ def known_numbers(
         for n, v, s in zip(names, values, variances, strict=True)
         if s > 0
     }
-    return prior | {n: (float(m), float(s)) for n, (m, s) in model.flight_spread.items()}
+    # What did not vary between flights is no reason to believe that it never does.
+    spread = {n: (float(m), float(s)) for n, (m, s) in model.flight_spread.items()}
+    return prior | {n: (m, s if s > 0 else np.inf) for n, (m, s) in spread.items()}

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import TypedDict
 
+from greybox.errors import ModelError
 from greybox.files import Parsed
 
 NOT_JUDGED = (
@@ -178,3 +179,10 @@ class Verdict:
 def _number(value: float | None, sign: int = 1) -> float:
     """A number of a file, where an infinite one (predictions that diverged) is written as null."""
     return sign * float("inf") if value is None else float(value)
+
+
+def demand_usable(verdict: Verdict | None, model: str, *, even_so: bool) -> None:
+    """Raises `ModelError` where flights judged the `model` (its name) not usable and nobody said
+    `even_so`. A model that was not judged passes."""
+    if verdict is not None and verdict.refused and not even_so:
+        raise ModelError(verdict.line, where=model, fix="even_so=True goes on all the same")

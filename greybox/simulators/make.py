@@ -19,6 +19,7 @@ from greybox.files import (
     write_atomic,
 )
 from greybox.model.identified import IdentifiedModel
+from greybox.model.verdict import demand_usable
 from greybox.shown import Cell, Shown
 from greybox.simulators.coverage import Covered, coverage, format_table
 from greybox.simulators.craft import Craft
@@ -140,6 +141,7 @@ def twin(
     *,
     out: str | os.PathLike[str] | None = None,
     force: bool = False,
+    even_so: bool = False,
     draws: int | None = None,
     seed: int = 0,
     train: Dataset | None = None,
@@ -153,16 +155,14 @@ def twin(
 
     Raises `UnknownNameError` for a target, `DataError` for one named twice, `ModelError` for a
     model that is no vehicle's, that no body is like, or whose rotors a named target cannot express,
-    `OutputError` for files that exist.
+    and for one that was judged NOT USABLE, unless `even_so`; `OutputError` for files that exist.
     """
+    demand_usable(model.verdict, model.name, even_so=even_so)
     craft = Craft.of(model)
     chosen = [target_by_name(t) if isinstance(t, str) else t for t in targets or TARGETS]
-    names = [t.name for t in chosen]
-    if double := sorted({n for n in names if names.count(n) > 1}):
-        raise DataError(f"target {double[0]} twice", fix="name every target once")
+    _demand_once([t.name for t in chosen])
     sensors, pushes = sensor_text(craft, model.flight_spread), push_text(craft)
-    statements: list[Statement] = []
-    files: dict[str, str | bytes] = {}
+    statements, files = list[Statement](), dict[str, str | bytes]()
     notes = [] if craft.speed_known else [_counted(craft)]
     for target in chosen:
         try:
@@ -173,8 +173,8 @@ def twin(
             notes.append(f"no files for {target.name}: {error.line}")
             continue
         statements.append(said)
-        for name, text in _texts(target, craft, said, pushes).items():
-            files[f"{target.name}/{name}"] = text
+        texts = _texts(target, craft, said, pushes)
+        files |= {f"{target.name}/{name}": text for name, text in texts.items()}
         files[f"{target.name}/sensors.toml"] = sensors
     covered: tuple[Covered, ...] = ()
     if draws is not None:
@@ -195,6 +195,12 @@ def twin(
     if out is not None:
         made.save(out, force=force)
     return made
+
+
+def _demand_once(names: Sequence[str]) -> None:
+    """Raise `DataError` for a target that is named twice."""
+    if double := sorted({n for n in names if names.count(n) > 1}):
+        raise DataError(f"target {double[0]} twice", fix="name every target once")
 
 
 def _drawn(

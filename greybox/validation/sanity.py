@@ -16,6 +16,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from greybox.estimation.fit import Fit
+from greybox.estimation.suspects import DENIED
 from greybox.files import Json
 from greybox.model.body import margins
 from greybox.model.composition import acts_on_speeds
@@ -42,7 +43,7 @@ class Limit:
 
 LIMITS: Mapping[str, Limit] = {
     "sigmas": Limit(
-        value=4.0,
+        value=DENIED,
         source="a Gaussian prior is that wrong once in 16 000; bounds of schema /1 stand there",
     ),
     "sigmas, rounded": Limit(value=3.95, source="4, less what the search leaves at a bound"),

@@ -204,7 +204,7 @@ class _Work:
         used = sorted(
             f.name
             for f in self.dataset
-            if f.name in self.model.trained_on or of_one_flight(f.fingerprint, known)
+            if f.name in self.model.trained_on or of_one_flight(f.known_by, known)
         )
         if self.judged_on is None:
             fitted = set(self.dataset.names) <= set(used)

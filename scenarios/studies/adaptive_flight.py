@@ -145,7 +145,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     own = Filter(model)
     settled = replace(own.riccati, lost=None)
     with tempfile.TemporaryDirectory() as name:
-        bundle = write_bundle(model, Path(name) / "craft", targets=("c",), with_=("adapt",))
+        place = Path(name) / "craft"
+        bundle = write_bundle(model, place, targets=("c",), with_=("adapt",), even_so=True)
         step = InFlight(bundle, Path(name))
         names = [bundle.functions.parameters.names[i] for i in bundle.functions.adapted.rows]
         head = ("batch", "+-", "in flight", "+-", "apart %", "in +-")

@@ -76,7 +76,7 @@ def study(
         own = replace(model, values=model.values.replace(values))
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder)
-            twin(own, ("numpy", *targets), out=place)
+            twin(own, ("numpy", *targets), out=place, even_so=True)
             (module,) = load(place / "numpy", "simulate")
             (commands,) = load(place / targets[0], "commands")
             for segment in flight.segments:

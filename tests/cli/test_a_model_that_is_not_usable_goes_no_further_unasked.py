@@ -4,6 +4,7 @@ files pass."""
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +12,10 @@ import jsonschema
 import numpy as np
 import pytest
 
+import greybox as gb
 from greybox.cli import main
 from greybox.commands.judgement import gate
-from greybox.errors import FileFormatError
+from greybox.errors import FileFormatError, ModelError
 from greybox.files import read_json, write_json
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
@@ -22,6 +24,7 @@ from greybox.model.verdict import NOT_JUDGED, GroupSkill, Outcome, Verdict
 from greybox.residual.files import load_model, save_model
 from greybox.symbolic import Layout, Signal
 from tests.mpc_export import cases
+from tests.simulators.identified import identified
 
 LINES = {
     Outcome.USABLE: "useful for 0.42 s: errors stay below holding the last value",
@@ -159,3 +162,26 @@ def test_a_broken_verdict_is_bad_input(tmp_path: Path) -> None:
         gate(content, "model.json", even_so=False)
     with pytest.raises(FileFormatError):
         IdentifiedModel.from_dict(content)
+
+
+def _exported(model: IdentifiedModel, out: Path, **options: bool) -> object:
+    return gb.export(model, out, targets=["casadi"], **options)
+
+
+def _twin(model: IdentifiedModel, out: Path, **options: bool) -> object:
+    return gb.twin(model, ["numpy"], out=out, **options)
+
+
+@pytest.mark.parametrize(
+    ("build", "model"),
+    [(_exported, cases.physics), (_exported, cases.hybrid), (_twin, lambda: identified({}))],
+)
+def test_python_refuses_like_the_command(
+    build: Callable[..., object], model: Callable[[], IdentifiedModel], tmp_path: Path
+) -> None:
+    out, refused = tmp_path / "out", replace(model(), verdict=verdict(Outcome.NOT_USABLE))
+    with pytest.raises(ModelError, match=r"NOT USABLE: rotation .*even_so=True"):
+        build(refused, out)
+    assert not out.exists()
+    build(refused, out, even_so=True)
+    assert out.exists()

@@ -19,8 +19,8 @@ import pytest
 import greybox.discovery.cause
 import greybox.discovery.workflow
 from greybox.cli import main
-from greybox.commands.discover_folder import set_aside
 from greybox.commands.flight_logs import read_flight_logs
+from greybox.discovery.folder import set_aside
 from greybox.estimation.record import sample_time
 from greybox.examples import flight_path, vehicle_path
 from greybox.excitation.injection import rich_excitation

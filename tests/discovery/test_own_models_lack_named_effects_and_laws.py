@@ -117,9 +117,13 @@ def test_what_has_no_name_is_a_law_in_a_program_that_builds_the_model(tmp_path: 
     assert text.startswith("tanh(speed") and -60 < law.terms[text] < -45
     ahead = [r.with_proposals for r in found.gap if r.horizon_s]
     assert all(share is not None and share > 0.4 for share in ahead), ahead
-    found.model.save(tmp_path / "model.json")
-    for name, program in found.proposals().items():
-        (tmp_path / name).write_text(program)
+    assert "(use model_with_laws.json, in Python .lawful)" in found.line
+    (tmp_path / "proposal_2.py").write_text("# a law of an earlier search")
+    assert found.save(tmp_path) == tmp_path
+    written = {"discovery.json", "model.json", "model_with_laws.json", "proposal_1.py"}
+    assert {p.name for p in tmp_path.iterdir()} == written | {"proposal_2.py.old"}
+    kept = IdentifiedModel.load(tmp_path / "model_with_laws.json")
+    assert kept.values == found.lawful.values
     built = load_own_model(f"{tmp_path}/proposal_1.py:build")
     assert list(declared_effects(built)) == ["proposal_speed"]
     lawful = IdentifiedModel.load(found.lawful.save(tmp_path / "lawful.json"))

@@ -74,6 +74,18 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
     "plan of nothing": (lambda: gb.plan("v.toml"), "v.toml: no such vehicle file"),
     "identify a vehicle": (lambda: gb.identify(VEHICLE, ["a.csv"]), "vehicle takes a path"),
     "identify a data set": (lambda: gb.identify("v.toml", DATA), "logs takes a list of paths"),
+    "own effects by name": (
+        lambda: gb.discover(VEHICLE, DATA, own=["magnet"]),
+        "own takes a list of effects of your own, as they are; got 'magnet' in it.*load_effects",
+    ),
+    "an own effect by name": (
+        lambda: gb.load("a.json", effects="magnet"),
+        "effects takes a list of effects of your own, as they are; got 'magnet'.*load_effects",
+    ),
+    "one parameter held by a search": (
+        lambda: gb.discover(VEHICLE, DATA, fixed="mass"),
+        r"fixed takes a list of names; got 'mass'.*fixed=\['mass'\]",
+    ),
     "probability": (lambda: gb.discover(VEHICLE, DATA, alpha=2.0), "alpha .* between 0 and 1"),
     "one input": (lambda: gb.frf(DATA, "roll", ["p"]), r"inputs=\['roll'\]"),
     "filter of a vehicle": (lambda: Filter(VEHICLE), f"model {A_MODEL}"),

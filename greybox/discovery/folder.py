@@ -1,0 +1,55 @@
+"""The files of a search: what it found, its models and its laws, the same for Python and the command."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from greybox.discovery.document import DiscoveryDocument
+from greybox.files import withdraw, write_atomic, write_json
+from greybox.residual.laws.effect_file import LAW_FILE
+
+if TYPE_CHECKING:
+    from greybox.discovery.result import Discovery
+
+WITH_LAWS = "model_with_laws.json"
+"""File of the model that has the laws of the leftover as well."""
+
+
+def write_found(
+    found: Discovery, folder: str | os.PathLike[str], content: DiscoveryDocument
+) -> Path:
+    """Write model.json, laws as proposal_N.py, model_with_laws.json where there are any, and
+    discovery.json (`content`) last; returns the folder. Laws of an earlier search are set aside.
+    Where bad data stopped the search it is discovery.json alone. Raises `OutputError`."""
+    out = Path(folder)
+    if found.fit is not None:
+        found.model.save(out / "model.json")
+        laws = found.proposals()
+        set_aside_laws(out, laws)
+        for name, text in laws.items():
+            write_atomic(out / name, text)
+        if found.lawful is not None:
+            found.lawful.save(out / WITH_LAWS)
+        else:
+            withdraw(out, WITH_LAWS)
+    write_json(out / "discovery.json", content)
+    return out
+
+
+def set_aside(path: Path) -> Path:
+    """The file, of an earlier search and perhaps edited since, under the first free name F.old,
+    F.old2, ..."""
+    names = (path.with_name(f"{path.name}.old{n if n > 1 else ''}") for n in itertools.count(1))
+    return path.replace(next(name for name in names if not name.exists()))
+
+
+def set_aside_laws(out: Path, laws: Mapping[str, str]) -> None:
+    """Set laws of an earlier search aside, but for those that are the same now (`laws`: file name
+    -> text)."""
+    for old in out.glob("proposal_*.py"):
+        if LAW_FILE.fullmatch(old.name) and old.read_bytes() != laws.get(old.name, "").encode():
+            set_aside(old)

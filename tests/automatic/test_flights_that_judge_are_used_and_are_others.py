@@ -1,0 +1,65 @@
+"""Whatever is fitted, a vehicle or a model, flights to test judge it, and none of them may have
+taught it under another name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from greybox import build_model, compare, fit, validate
+from greybox.data import Dataset
+from greybox.errors import DataError, ModelError
+from greybox.model.verdict import Outcome
+from tests.simulated import flights, vehicle
+
+
+@pytest.fixture(scope="module")
+def sets():
+    both = flights(2)
+    return both.select(["run0"]), both.select(["run1"])
+
+
+@pytest.fixture(scope="module")
+def model(sets):
+    return build_model(vehicle(), sets[0].channels, ["motor_lag"], sample_time=0.01)
+
+
+def test_an_explicit_fit_is_judged_on_the_flights_to_test(sets, model):
+    train, test = sets
+    found = fit(model, train, test=test["run1"])
+    again = validate(fit(model, train).model, test)
+    assert fit(model, train).verdict is None
+    assert found.verdict == again.verdict
+    assert found.verdict.flights == ("run1",)
+    assert found.verdict.outcome in (Outcome.USABLE, Outcome.NOT_USABLE)
+
+
+@pytest.mark.parametrize("subject", ["vehicle", "model"])
+def test_a_copy_under_another_name_does_not_judge(subject, sets, model):
+    train, _ = sets
+    copy = Dataset(flights=(replace(train["run0"], name="another"),))
+    with pytest.raises(DataError, match=r"another is both train and test .*samples are those of"):
+        fit(vehicle() if subject == "vehicle" else model, train, test=copy)
+
+
+def test_a_comparison_refuses_a_copy(sets):
+    train, _ = sets
+    copy = Dataset(flights=(replace(train["run0"], name="another"),))
+    with pytest.raises(DataError, match=r"another is both train and test"):
+        compare(vehicle(), train, copy, methods=["persistence"])
+
+
+def test_flights_at_another_rate_are_refused_before_the_fit(sets, model):
+    train, test = sets
+    (segment,) = test["run1"].segments
+    columns = {n: segment.column(n)[::2] for n in segment.names}
+    slow = replace(test["run1"], segments=(replace(segment, t=segment.t[::2], channels=columns),))
+    with pytest.raises(DataError, match=r"every 0.02 s; expected 0.01 s.*rate=100"):
+        fit(model, train, test=slow)
+
+
+def test_what_an_explicit_fit_cannot_use_is_refused(sets, model):
+    train, _ = sets
+    with pytest.raises(ModelError, match="source is where"):
+        fit(model, train, source=fit(model, train).model)
