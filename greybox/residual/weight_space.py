@@ -22,7 +22,7 @@ from scipy.linalg import solve_triangular
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.kernels import Kernel
 from greybox.residual.posterior import GPPosterior
-from greybox.residual.sparse import safe_cholesky, variational
+from greybox.residual.sparse import support_factor, variational
 from greybox.symbolic import BoolArray, Expr, FloatArray, evaluate
 
 Candidate = GPPosterior | FeaturePosterior
@@ -56,7 +56,7 @@ def factors(post: Candidate) -> list[FloatArray]:
     if isinstance(post, FeaturePosterior):
         return []
     support = post.support.T
-    return [safe_cholesky(k.covariance(support, support))[0] for k in post.kernels]
+    return [support_factor(k, support)[0] for k in post.kernels]
 
 
 def whitened(post: Candidate, lower: list[FloatArray], x: FloatArray) -> list[FloatArray]:
