@@ -22,6 +22,8 @@ SPREADS = (0.3, 1.0, 1.0, 1.0, 3.0, 10.0)
 """How far out the points after the reference are, again and again; 1 is typical flight."""
 FARTHEST = 1 + SPREADS.index(max(SPREADS))
 """The first point that is as far out as any."""
+DOUBLINGS = 12
+"""So often the way out is doubled at most, until the learned part knows nothing there."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,9 +52,15 @@ def golden_vectors(functions: ModelFunctions, points: int, seed: int = 0) -> lis
     rng = np.random.default_rng(seed)
     spreads = [0.0, *np.resize(SPREADS, max(points - 1, 0))]
     places = [_point(functions, rng, float(s)) for s in spreads[:points]]
+    told = [
+        _out_of_sight(functions, place) if spread == max(SPREADS) else place
+        for place, spread in zip(places, spreads, strict=False)
+    ]
     out = []
     for name, function in functions.functions.items():
-        given = [_arguments(functions, function, place) for place in places]
+        # A distance is one minus what the data explain: its scale is one only where that is seen.
+        here = told if "distance" in function.name_out() else places
+        given = [_arguments(functions, function, place) for place in here]
         got = [
             [v.full().ravel(order="F") for v in function.call([ca.DM(v) for v in row.values()])]
             for row in given
@@ -69,6 +77,32 @@ def golden_vectors(functions: ModelFunctions, points: int, seed: int = 0) -> lis
                 },
             )
         )
+    return out
+
+
+def _out_of_sight(functions: ModelFunctions, place: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """The place with x and z farther out, each where most is unexplained; as it was where none is
+    (features that are bounded)."""
+    known, posterior = functions.functions, functions.posterior
+    if posterior is None or "gp_distance" not in known:
+        return place
+    out, middle = dict(place), posterior.input_mean
+    for times in 2.0 ** np.arange(DOUBLINGS):
+        z = middle + times * (place["z"] - middle)
+        if float(known["gp_distance"](z, place["p"])) > 0.5:
+            out["z"] = z
+            break
+    if "out_of_domain" not in known or not functions.sizes["n_x"]:
+        return out
+    reference = functions.reference[0]
+    away = np.asarray(known["boxminus"](place["x"], reference)).ravel()
+    held = np.array([s.startswith(("rotor", "history")) for s in functions.states.names])
+    for times in 2.0 ** np.arange(DOUBLINGS):
+        moved = np.asarray(known["boxplus"](reference, times * away)).ravel()
+        x = np.where(held, place["x"], moved)
+        if float(known["out_of_domain"](x, place["u"], place["p"])[2]) > 0.5:
+            out["x"] = x
+            break
     return out
 
 

@@ -22,7 +22,7 @@ from greybox.model.linear import LinearModel
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.posterior import GPPosterior
-from greybox.residual.sparse import safe_cholesky, variational
+from greybox.residual.sparse import safe_cholesky, support_factor, variational
 from greybox.symbolic import FloatArray
 from mpc_export.predictors import PredictorModel
 
@@ -100,7 +100,7 @@ def reduced(old: GPPosterior, points: int) -> GPPosterior:
         cross = kernel.covariance(z, kept)
         first, second = old.explained[j] @ cross, old.uncertain[j] @ cross
         covariance = kernel.covariance(kept, kept) - first.T @ first + second.T @ second
-        prior, _ = safe_cholesky(kernel.covariance(kept, kept))
+        prior, _ = support_factor(kernel, kept)
         root, _ = safe_cholesky(0.5 * (covariance + covariance.T))
         mean = cross.T @ old.weights[:, j]
         numbers = variational(

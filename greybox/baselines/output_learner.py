@@ -130,9 +130,10 @@ class _LastLayer:
         theta, covariance = np.zeros(m * n_out), np.zeros((m * n_out, m * n_out))
         for j, strength in enumerate(strengths):
             at = slice(j * m, (j + 1) * m)
-            covariance[at, at] = np.linalg.inv(matrix + strength * np.eye(m))
-            theta[at] = covariance[at, at] @ right[:, j] / self.candidate.members
-        found = fitted(self.candidate, theta, covariance, strengths, level)
+            inverse = np.linalg.inv(matrix + strength * np.eye(m))
+            theta[at] = inverse @ right[:, j] / self.candidate.members
+            covariance[at, at] = level[j] * inverse
+        found = fitted(self.candidate, theta, covariance, level / strengths)
         assert isinstance(found, FeaturePosterior)
         return found
 

@@ -26,6 +26,7 @@ from greybox.estimation.result import Diagnostics, Estimate, Estimates, Fit, Pro
 from greybox.estimation.solver import Value
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
 from greybox.estimation.status import Status
+from greybox.estimation.turning import turning_states
 from greybox.estimation.unknown import Unknown
 from greybox.estimation.varying import varying_spread
 from greybox.model.identified import IdentifiedModel
@@ -83,8 +84,11 @@ def concluded(
     model = _identified(problem, data, theta, estimates, errors, seen)
     kept = errors.parameters(problem)
     moved = {n: (s, _moves(problem, kept, by)) for n, (s, by) in aside.moves.items()}
+    turned = turning(model, data) if problem.predictor.one_step.name == "innovation" else ""
+    combinations = tuple(_seen_with_one_gain(c) if turned else c for c in combinations)
+    status = replace(status, detail=turned or status.detail)
     warnings = [
-        *([] if status.converged else [status.advice]),
+        *([status.advice] if turned or not status.converged else []),
         *([errors.spread.doubt] if errors.spread.doubt else []),
         *([UNFINISHED] if status.converged and _unfinished(value, errors.held) else []),
         *_bound_warnings(estimates, own_parameters(problem.dynamics)),
@@ -182,6 +186,24 @@ def _combinations(
     hessian = np.zeros((n, n)) if value.data_hessian is None else value.data_hessian
     labels = [_label(problem.unknowns[i]) for i in kept]
     return unidentified(marginal_information(hessian, kept), labels, [theta[i] for i in kept])
+
+
+def turning(model: IdentifiedModel, data: Dataset) -> str:
+    """What to do where one gain cannot serve a whole record; "" where it can."""
+    names = turning_states(model, data.segments)
+    if not names:
+        return ""
+    return (
+        f"one gain serves a whole record, and with it errors of {', '.join(names)} grow on the way: "
+        'next: predictor="kalman", whose gain follows the flight'
+    )
+
+
+def _seen_with_one_gain(c: Combination) -> Combination:
+    """The combination without the word that the data were at fault."""
+    if len(c.names) > 1:
+        return c
+    return replace(c, text=f"{c.names[0]}: with one gain nothing is seen of it")
 
 
 def _combination_warnings(

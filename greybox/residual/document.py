@@ -50,10 +50,11 @@ class OpenLoopPart(TypedDict):
 
 
 class CalibrationPart(TypedDict):
-    """What the growth of the uncertainty was scaled by, as `Calibration` explains it."""
+    """What the growth of the uncertainty was scaled by, as `Calibration` explains it; `learned`,
+    a factor on the spread of the learned part, in older files."""
 
     factors: dict[str, float]
-    learned: float
+    learned: NotRequired[float]
     gain: float
     new_flight: float
 

@@ -105,7 +105,6 @@ class Learned(Shown):
             },
             "calibration": {
                 "factors": dict(self.calibration.factors),
-                "learned": self.calibration.learned,
                 "gain": self.calibration.gain,
                 "new_flight": self.calibration.new_flight,
             },
@@ -181,9 +180,8 @@ class Learned(Shown):
         ]
         factors = ", ".join(f"{n} x {f:.2f}" for n, f in self.calibration.factors.items())
         lines.append(
-            f"uncertainty ahead, process noise: {factors}; learned part x "
-            f"{self.calibration.learned:.2f}; of this for "
-            f"flights not seen: x {self.calibration.new_flight:.2f}"
+            f"uncertainty ahead, process noise: {factors}; of this for flights not seen: x "
+            f"{self.calibration.new_flight:.2f}"
         )
         return "\n".join(lines)
 
@@ -419,7 +417,7 @@ def _calibrated(
     uncertainty ahead calibrated."""
     if fit.status == "null":
         say("calibration", 0.9)
-        calibration = calibrate_horizons(base, train, left_out=fit.left_out)
+        calibration = calibrate_horizons(base, train)
         return calibration.model, calibration
     posterior = fit.posterior
     if isinstance(posterior, FeaturePosterior):
@@ -429,7 +427,5 @@ def _calibrated(
         replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior)), train
     )
     say("calibration", 0.9)
-    calibration = calibrate_horizons(hybrid, train, left_out=fit.left_out)
-    posterior = posterior.with_spread(calibration.learned)
-    dynamics = HybridModel(inner=base.dynamics, posterior=posterior)
-    return replace(calibration.model, dynamics=dynamics), calibration
+    calibration = calibrate_horizons(hybrid, train)
+    return calibration.model, calibration

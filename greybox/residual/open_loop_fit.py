@@ -20,13 +20,13 @@ Annals of Statistics 14(4), in the metric of the errors).
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import scipy.cluster.hierarchy
+import scipy.optimize
 from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
@@ -67,10 +67,8 @@ class OpenLoopFit:
     share of held-out cost that it saves, `status` ("converged", "iteration limit" or "null":
     nothing was worth learning).
 
-    `left_out`: (flight, horizon in samples, channel group) -> mean squared error with weights that
-    have not seen its kind of flight, over that with the weights of all flights (at least 1).
-    `unseen`: flight -> squared errors (C,) of the channel groups with the former weights, weighed
-    by `scales` (H, n_e). All are empty for null."""
+    `unseen`: flight -> squared errors (C,) of the channel groups with weights that have not seen
+    its kind of flight, weighed by `scales` (H, n_e). Both are empty for null."""
 
     posterior: Candidate
     strengths: Mapping[str, float]
@@ -79,7 +77,6 @@ class OpenLoopFit:
     held_out_gain: float
     iterations: int
     status: str
-    left_out: Mapping[tuple[str, int, str], float] = field(default_factory=dict)
     unseen: Mapping[str, FloatArray] = field(default_factory=dict)
     scales: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
@@ -183,15 +180,8 @@ def _fitted(
     if result.status == "null":
         return result
     say("errors of kinds of flight left out", 0.9)
-    seen, unseen = _left_out(paths, basis, theta, chosen, cut)
-    names = list(itertools.product((paths.chosen + 1).tolist(), paths.labels))
-    ratios = {
-        (flight, h, label): max(1.0, float(value / before)) if before > 0 else 1.0
-        for flight, values in unseen.items()
-        for (h, label), value, before in zip(names, values, seen[flight], strict=True)
-    }
-    by_group = {f: v.reshape(-1, len(paths.labels)).sum(axis=0) for f, v in unseen.items()}
-    return replace(result, left_out=ratios, unseen=by_group, scales=paths.scales)
+    unseen = _left_out(paths, basis, theta, chosen, cut)
+    return replace(result, unseen=unseen, scales=paths.scales)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -319,10 +309,11 @@ def _iterate(
     )
     end = _gauss_newton(paths, basis, parts, chosen, iterations, say)
     paths.extra = basis.weights(end.theta)
-    hessian = alone(total(end.parts, "hessian"), basis.members, basis.m)
-    hessian = hessian + np.diag(np.repeat(np.where(np.isfinite(chosen), chosen, 1.0), basis.m))
+    covariance, prior = _spread(
+        alone(total(end.parts, "hessian"), basis.members, basis.m), end.theta, basis, chosen, factor
+    )
     found = OpenLoopFit(
-        posterior=fitted(basis.posterior, end.theta, _inverse(hessian), chosen, factor),
+        posterior=fitted(basis.posterior, end.theta, covariance, prior),
         strengths=strengths,
         cost_before=before,
         cost_after=paths.cost(),
@@ -406,18 +397,15 @@ def _left_out(
     theta: FloatArray,
     chosen: FloatArray,
     cut: _Cut,
-) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """(seen, unseen): flight -> weighed squared errors (H C,) with the weights of all flights, and
-    with those that have not seen its kind, in the quadratic model of the cost around the fit."""
+) -> dict[str, FloatArray]:
+    """Flight -> weighed squared errors (C,) with weights that have not seen its kind, in the
+    quadratic model of the cost around the fit."""
     learned = np.isfinite(chosen)
     few, on = basis.only(learned), np.repeat(learned, basis.m)
-    parts = [
-        n for r in paths.records for n in paths.normal(r, [few], cut.blocks, by_horizon=True)[0]
-    ]
+    parts = [n for r in paths.records for n in paths.normal(r, [few], cut.blocks)[0]]
     flights = [r.flight for r in paths.records for _ in range(cut.blocks)]
     prior = np.repeat(chosen, basis.m)[on]
     whole_h, whole_g = total(parts, "hessian"), total(parts, "gradient")
-    seen: dict[str, FloatArray] = {}
     unseen: dict[str, FloatArray] = {}
     for fold in cut.folds:
         own = [parts[i] for i in fold]
@@ -425,9 +413,8 @@ def _left_out(
         d, _ = _newton(left_h, left_g, prior, theta[on], basis)
         for n, i in zip(own, fold, strict=True):
             after = n.cost + 2 * n.gradient @ d + (n.hessian @ d) @ d
-            seen[flights[i]] = seen.get(flights[i], 0.0) + n.cost
             unseen[flights[i]] = unseen.get(flights[i], 0.0) + after
-    return seen, unseen
+    return unseen
 
 
 def _dispersion(
@@ -474,5 +461,36 @@ def _dispersion(
     return out
 
 
-def _inverse(hessian: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.inv(hessian), dtype=np.float64)
+def _spread(
+    hessian: FloatArray, theta: FloatArray, basis: Basis, chosen: FloatArray, factor: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(covariance (P, P) of the weights theta (P,), their variance before the data (n_out,), zero
+    of outputs that are off), from the Hessian (P, P) of the cost, the strengths `chosen` (n_out,)
+    and the `factor` (n_out,) of `_dispersion`.
+
+    A strength lambda suits weights of the variance factor/lambda. As the strongest wins that left-
+    out flights bear, weights may be larger than that and are then shrunk by more than noise moves
+    them. With their true variance tau^2 the mean square error is
+
+        factor C H C + tau^2 lambda^2 C C,   C = (H + Lambda)^-1,
+
+    and the expectation of |theta|^2 is factor tr(C H C) + tau^2 tr(C H H C), from which tau^2 of
+    every group follows (empirical Bayes by moments); factor/lambda at least.
+    """
+    on = np.isfinite(chosen)
+    strengths = np.where(on, chosen, 1.0)
+    prior, noise = np.repeat(strengths, basis.m), np.repeat(factor, basis.m)
+    c = np.linalg.inv(hessian + np.diag(prior))
+    seen = c @ hessian
+    # Of an ensemble theta is that of the mean, a member's weights are as many times larger.
+    size = (basis.members * theta) ** 2 - np.einsum("ij,ji->i", seen, c) * noise
+    groups = [n.split(".")[0] for n in basis.posterior.outputs.names]
+    names = list(dict.fromkeys(g for g, o in zip(groups, on, strict=True) if o))
+    belongs = np.repeat(
+        [[g == n and o for n in names] for g, o in zip(groups, on, strict=True)], basis.m, axis=0
+    ).astype(np.float64)
+    found, _ = scipy.optimize.nnls(belongs.T @ seen**2 @ belongs, np.maximum(size @ belongs, 0.0))
+    tau = np.array([found[names.index(g)] if o else 0.0 for g, o in zip(groups, on, strict=True)])
+    before = np.where(on, np.maximum(tau, factor / strengths), 0.0)
+    shrunk, root = c * (prior * np.sqrt(np.repeat(before, basis.m))), np.sqrt(noise)
+    return root[:, None] * (seen @ c) * root + shrunk @ shrunk.T, before

@@ -328,17 +328,14 @@ class Paths:
                 slope[i] += start @ own
             yield slope
 
-    def normal(
-        self, record: Record, bases: Sequence[Basis], blocks: int = 1, *, by_horizon: bool = False
-    ) -> list[list[Normal]]:
+    def normal(self, record: Record, bases: Sequence[Basis], blocks: int = 1) -> list[list[Normal]]:
         """Per basis the cost and normal equations of one record, in `blocks` parts along its time.
-        With `by_horizon` every channel group at every horizon is a group of its own, horizon by
-        horizon. All bases have the same outputs."""
+        All bases have the same outputs."""
         p, rows, states, e, mask = self.errors(record)
         carried = self.filtered(record, p, states, bases)
-        c, layers = len(self.groups), self.chosen.size if by_horizon else 1
-        gradient = [np.zeros((blocks, layers * c, b.size)) for b in bases]
-        hessian = [np.zeros((blocks, layers * c, b.size, b.size)) for b in bases]
+        c = len(self.groups)
+        gradient = [np.zeros((blocks, c, b.size)) for b in bases]
+        hessian = [np.zeros((blocks, c, b.size, b.size)) for b in bases]
         part = np.arange(rows.size) * blocks // rows.size
         root = np.sqrt(self.scales * mask)
         for b in range(blocks):
@@ -350,11 +347,8 @@ class Paths:
                 error = np.swapaxes(root[some] * e[some], 0, 1)
                 for k, slope in enumerate(slopes):
                     self._add(slope, error, gradient[k][b], hessian[k][b])
-        weighed = e * e * mask * self.scales
-        weighed = weighed if by_horizon else weighed.sum(axis=1, keepdims=True)
-        cost = np.stack(
-            [weighed[:, :, members].sum(axis=2) for members in self.groups], axis=2
-        ).reshape(rows.size, -1)
+        weighed = (e * e * mask * self.scales).sum(axis=1)
+        cost = np.stack([weighed[:, members].sum(axis=1) for members in self.groups], axis=1)
         return [
             [
                 Normal(
@@ -375,16 +369,11 @@ class Paths:
         hessian: FloatArray,
     ) -> None:
         """Add the normal equations of weighted slopes (H, m, n_e, P) of weighted errors (H, m, n_e)
-        to gradient (C, P) and Hessian (C, P, P), C groups of channels or as many of every
-        horizon."""
-        layers = len(gradient) // len(self.groups)
-        for i, steps in enumerate(np.array_split(np.arange(self.chosen.size), layers)):
-            part = slice(steps[0], steps[-1] + 1)
-            for g, members in enumerate(self.groups):
-                flat = slope[part].take(members, axis=2).reshape(-1, slope.shape[3])
-                row = g + len(self.groups) * i
-                gradient[row] += flat.T @ error[part].take(members, axis=2).ravel()
-                hessian[row] += flat.T @ flat  # half a product: BLAS sees that it is symmetric
+        to gradient (C, P) and Hessian (C, P, P) of C groups of channels."""
+        for g, members in enumerate(self.groups):
+            flat = slope.take(members, axis=2).reshape(-1, slope.shape[3])
+            gradient[g] += flat.T @ error.take(members, axis=2).ravel()
+            hessian[g] += flat.T @ flat  # half a product: BLAS sees that it is symmetric
 
     def all_normal(
         self, bases: Mapping[str, Basis], blocks: int, say: Progress

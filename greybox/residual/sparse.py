@@ -30,6 +30,9 @@ PROBES = 1000
 JITTERS = (0.0, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
 """Shares of the mean diagonal that are added to it in turn until the Cholesky factorisation
 exists."""
+LEAST = 1e-10
+"""Least such share of a covariance of support points: a factor may exist without it whose inverse
+has entries of 1e7 and more, which multiply the rounding of 1 - |L1 k|^2."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +65,20 @@ def safe_cholesky(matrix: FloatArray, jitter: float | None = None) -> tuple[Floa
         got=f"{len(matrix)} points, mean variance {level:.3g}",
         fix="fewer support points, or look for infinite or huge inputs",
     )
+
+
+def support_factor(
+    kernel: Kernel, support: FloatArray, jitter: float | None = None
+) -> tuple[FloatArray, float]:
+    """(lower factor of the covariance of support points (n_in, M), jitter on its diagonal: a share
+    `LEAST` of the variance at least), so that its inverse may be multiplied with. With `jitter`
+    that one. Raises `FitError` as `safe_cholesky`."""
+    matrix = kernel.covariance(support, support)
+    if jitter is not None:
+        return safe_cholesky(matrix, jitter)
+    least = LEAST * float(np.mean(np.diag(matrix)))
+    factor, added = safe_cholesky(matrix + least * np.eye(len(matrix)))
+    return factor, least + added
 
 
 def inverse_factor(factor: FloatArray) -> FloatArray:
@@ -212,7 +229,7 @@ def variational(
     Hensman, Fusi and Lawrence, Gaussian processes for big data (UAI 2013). support (n_in, M), mean
     (M,), root (M, M).
     """
-    factor, added = safe_cholesky(kernel.covariance(support, support), jitter)
+    factor, added = support_factor(kernel, support, jitter)
     explained = inverse_factor(factor)
     # |root' L^-1 k|^2 = |R k|^2 with a triangular R: QR of the reversed columns gives a lower one.
     upper = qr((root.T @ explained)[:, ::-1], mode="r")[0][: len(mean)]

@@ -22,7 +22,7 @@ from scipy.linalg import solve_triangular
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.kernels import Kernel
 from greybox.residual.posterior import GPPosterior
-from greybox.residual.sparse import safe_cholesky, variational
+from greybox.residual.sparse import support_factor, variational
 from greybox.symbolic import BoolArray, Expr, FloatArray, evaluate
 
 Candidate = GPPosterior | FeaturePosterior
@@ -56,7 +56,7 @@ def factors(post: Candidate) -> list[FloatArray]:
     if isinstance(post, FeaturePosterior):
         return []
     support = post.support.T
-    return [safe_cholesky(k.covariance(support, support))[0] for k in post.kernels]
+    return [support_factor(k, support)[0] for k in post.kernels]
 
 
 def whitened(post: Candidate, lower: list[FloatArray], x: FloatArray) -> list[FloatArray]:
@@ -136,50 +136,43 @@ def without(post: Candidate, off: BoolArray, noise: FloatArray) -> Candidate:
 
 
 def fitted(
-    post: Candidate,
-    theta: FloatArray,
-    covariance: FloatArray,
-    prior: FloatArray,
-    factor: FloatArray,
+    post: Candidate, theta: FloatArray, covariance: FloatArray, before: FloatArray
 ) -> Candidate:
     """Plain numbers of the fitted part from whitened theta (P,) and its covariance (P, P); an
     output that is off is empty. Of an ensemble: theta of the mean, covariance of the members.
 
-    A prior of strength lambda is the process with its variance divided by lambda, so that the
-    variance far from the data is that of the prior which the left-out flights chose; `factor`
-    (n_out,) multiplies both.
+    `before` (n_out,): variance of theta before the data, which is that far from them; zero of an
+    output that is off.
     """
     m = post.points
-    on = [j for j in range(len(post.outputs)) if np.isfinite(prior[j])]
+    on = [j for j in range(len(post.outputs)) if before[j] > 0]
     roots = {}
     for j in on:
         rows = slice(j * m, (j + 1) * m)
         block = covariance[rows, rows]
         roots[j] = np.asarray(np.linalg.cholesky(0.5 * (block + block.T)), dtype=np.float64)
     if isinstance(post, FeaturePosterior):
-        weights, root, before = (
+        weights, root, prior = (
             np.zeros_like(post.weights),
             np.zeros_like(post.root),
             post.prior.copy(),
         )
         for j in on:
             weights[:, j] = theta[j * m : (j + 1) * m]
-            root[j] = np.sqrt(factor[j] / post.members) * roots[j].T
-            before[j] = factor[j] / (prior[j] * post.members)
+            root[j] = roots[j].T / np.sqrt(post.members)
+            prior[j] = before[j] / post.members
             if post.members > 1:
                 apart = _disagreement(weights[:, j], post.members)
                 root[j] = np.linalg.cholesky(root[j].T @ root[j] + apart).T
-        return replace(post, weights=weights, root=root, prior=before)
+        return replace(post, weights=weights, root=root, prior=prior)
     scale = post.output_scale.copy()
     arrays = {k: np.zeros_like(getattr(post, k)) for k in ("weights", "explained", "uncertain")}
     for j in on:
-        rows, size = slice(j * m, (j + 1) * m), np.sqrt(prior[j] / factor[j])
-        numbers = variational(
-            post.kernels[j], post.support.T, size * theta[rows], np.sqrt(prior[j]) * roots[j]
-        )
+        rows, size = slice(j * m, (j + 1) * m), np.sqrt(before[j])
+        numbers = variational(post.kernels[j], post.support.T, theta[rows] / size, roots[j] / size)
         arrays["weights"][:, j] = numbers.weights
         arrays["explained"][j], arrays["uncertain"][j] = numbers.explained, numbers.uncertain
-        scale[j] /= size
+        scale[j] *= size
     return replace(
         post,
         method="svgp",

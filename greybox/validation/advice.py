@@ -53,6 +53,7 @@ class Symptom(enum.Enum):
     ROTATION = "rotation-worse-than-the-last-value"
     RATE = "rate-worse-than-the-last-value"
     SPECIFIC_FORCE = "specific-force-worse-than-the-last-value"
+    TURNING = "one-gain-for-a-whole-record"
     OWN_OUTPUT = "an-output-of-your-own-model"
     LEARNED_WORSE = "worse-than-the-physics-alone"
 
@@ -141,6 +142,13 @@ ADVICE: tuple[Advice, ...] = (
         symptom=Symptom.FLIGHT_DIFFERS,
         reason="this flight differs from those of the fit (battery, trim, range)",
         action="--adapt 5, --per-flight thrust.c2, or fly in training what is flown here",
+    ),
+    Advice(
+        symptom=Symptom.TURNING,
+        reason="the filter's one gain serves a whole record and does not suit all of it, so that "
+        "the model itself is not judged",
+        action="measure the state that turns (a heading), or write states and outputs in axes that "
+        "turn with it",
     ),
     Advice(
         symptom=Symptom.DIVERGED,

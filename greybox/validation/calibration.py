@@ -7,15 +7,17 @@ step ahead is too small (or too large) at half a second. The covariance h sample
 the squared levels,
 
     Sigma_h = Sigma_h(filter error) + sum_g kappa_g^2 Sigma_h(noise of group g) +
-    kappa_l^2 Sigma_h(learned) + Sigma_h(parameters)
+    Sigma_h(learned) + Sigma_h(parameters)
 
-so that the factors kappa_g of the groups (force, torque, ...) and, at most one, that of the learned
-part follow from the multi-step errors of the training flights at little cost: the likeliest, given
-that they are about one where errors (one window after the other, sensor by sensor) say nothing.
-The last part is not in these errors: the parameters were fitted to the same flights. Counted there,
-it took the place of the noise, of which a new flight may have more. The filter keeps its own
-levels. Flights differ: one more factor, on all of these, makes the 95 % regions hold on a flight
-that was not seen (`greybox.validation.new_flight`).
+so that the factors kappa_g of the groups (force, torque, ...) follow from the multi-step errors of
+the training flights at little cost: the likeliest, given that they are about one where errors (one
+window after the other, sensor by sensor) say nothing. The last two parts are not in these errors:
+parameters and the weights of what was learned were fitted to the same flights. Counted there,
+parameters took the place of the noise, of which a new flight may have more; and the spread of a
+learned push, scaled to errors that do not hold it, became two to six times too small for the push
+itself. It stays as flights that were left out say (`greybox.residual.open_loop_fit`). The filter
+keeps its own levels. Flights differ: one more factor, on the noise, makes the 95 % regions hold on
+a flight that was not seen (`greybox.validation.new_flight`).
 
 (Kuleshov, Fenner and Ermon 2018, ICML, recalibrate quantiles after the fact; here the stated
 physics of the error growth stays.)
@@ -36,7 +38,7 @@ from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.propagation import Propagator, run_together
 from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import learned_push_of, physics_of
+from greybox.model.layer import physics_of
 from greybox.statistics.distributions import chi_square_quantile
 from greybox.symbolic import FloatArray
 from greybox.validation.new_flight import GRID, new_flight_factor
@@ -57,14 +59,12 @@ FEW, STRETCHES = 4, 4
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
     """The model with `horizon_noise`, the factor of every noise group, the mean density gained by
-    the factors [nat per error], and the factor on the standard deviation of the learned
-    part, which is left to the caller (1 without one). All factors hold `new_flight`, what a flight
-    that was not seen asks for."""
+    the factors [nat per error]. All factors hold `new_flight`, what a flight that was not seen asks
+    for."""
 
     model: IdentifiedModel
     factors: Mapping[str, float]
     gain: float
-    learned: float = 1.0
     new_flight: float = 1.0
 
 
@@ -79,10 +79,6 @@ class _Errors:
     base: FloatArray
     parts: FloatArray
 
-    def scaled(self, flight: str, squares: Mapping[tuple[str, int, str], float]) -> _Errors:
-        """With the errors as large as they would be, had the flight been left out."""
-        return replace(self, e=np.sqrt(squares.get((flight, self.h, self.label), 1.0)) * self.e)
-
 
 def calibrate_horizons(
     model: IdentifiedModel,
@@ -90,21 +86,17 @@ def calibrate_horizons(
     *,
     horizons: Sequence[int] | None = None,
     spacing: float = 0.25,
-    left_out: Mapping[tuple[str, int, str], float] | None = None,
 ) -> Calibration:
     """Fit the factors on all flights of `data`, from origins `spacing` seconds apart, `horizons`
     samples ahead (None: half a second of a vehicle, 50 samples of another model).
-
-    `left_out`: (flight, horizon, channel group) -> factor on the squared errors, for models that
-    were fitted more closely to these flights than they will fit others.
 
     Every channel block of the innovation (position, attitude, rate, ...) and every horizon counts
     the same. The accelerometer, whose errors are its own noise, is left out where anything else is
     measured. Raises `DataError` where no flight is long enough.
     """
-    work = _Parts(Filter(model), model.process_noise, split_learned=True)
+    work = _Parts(Filter(model), model.process_noise)
     horizons = steps_ahead(model, HORIZONS) if horizons is None else horizons
-    flights = _by_flight(work, data, horizons, spacing, left_out or {})
+    flights = _by_flight(work, data, horizons, spacing)
     found = [f for flight in flights for f in flight]
     if not found:
         raise DataError(
@@ -119,8 +111,7 @@ def calibrate_horizons(
     def with_prior(log_factors: FloatArray) -> float:
         return cost(log_factors) + 0.5 * float(np.sum((log_factors / PRIOR) ** 2)) / apart
 
-    limits = [LIMITS] * len(work.groups) + [(LIMITS[0], 1.0)] * work.split_learned
-    factors = _solve(with_prior, limits)
+    factors = _solve(with_prior, len(work.groups))
     gain = cost(np.zeros(factors.size)) - cost(np.log(factors))
     squares = np.exp(2 * GRID)[:, None] * factors**2
     wider = new_flight_factor(
@@ -129,19 +120,14 @@ def calibrate_horizons(
     factors = wider * factors
     return Calibration(
         model=replace(model, horizon_noise=model.process_noise * factors[work.members]),
-        factors=dict(zip(work.groups, factors.tolist(), strict=False)),
+        factors=dict(zip(work.groups, factors.tolist(), strict=True)),
         gain=gain,
-        learned=float(factors[-1]) if work.split_learned else 1.0,
         new_flight=wider,
     )
 
 
 def _by_flight(
-    work: _Parts,
-    data: Dataset,
-    horizons: Sequence[int],
-    spacing: float,
-    left_out: Mapping[tuple[str, int, str], float],
+    work: _Parts, data: Dataset, horizons: Sequence[int], spacing: float
 ) -> list[list[_Errors]]:
     """Errors of every flight that has any, or of its stretches where flights are few."""
     flights: list[list[_Errors]] = []
@@ -154,8 +140,7 @@ def _by_flight(
             filtered = work.runner.run(segment)
             for stretch, part in zip(own, np.array_split(origins, pieces), strict=True):
                 if part.size:
-                    found = work.errors(filtered, part, horizons)
-                    stretch += [f.scaled(flight.name, left_out) for f in found]
+                    stretch += work.errors(filtered, part, horizons)
         flights += [stretch for stretch in own if stretch]
     return flights
 
@@ -179,31 +164,25 @@ def steps_ahead(model: IdentifiedModel, at_100_hz: Sequence[int]) -> tuple[int, 
 
 
 class _Parts:
-    """Errors ahead of origins with the parts of their covariance: noise groups, then
-    (`split_learned`) the learned part."""
+    """Errors ahead of origins with the parts of their covariance, one per group of noise."""
 
-    def __init__(
-        self,
-        runner: Filter,
-        levels: FloatArray,
-        *,
-        split_learned: bool = False,
-    ) -> None:
+    def __init__(self, runner: Filter, levels: FloatArray) -> None:
         model = runner.model
         heads = [n.removeprefix("disturbance.").split(".")[0] for n in model.dynamics.noises.names]
         self.runner = runner
         self.groups = list(dict.fromkeys(heads))
         self.members = np.array([self.groups.index(h) for h in heads])
         self.blocks = _blocks(model)
-        self.split_learned = split_learned and learned_push_of(model.dynamics) is not None
-        none = np.zeros_like(levels)
-        # The filter's error alone, then one part at a time on top of it.
-        self.propagators = [Propagator(runner, parameters=False, noise=none, learned=False)]
-        for g in range(len(self.groups)):
-            own = np.where(self.members == g, levels, 0.0)
-            self.propagators.append(Propagator(runner, parameters=False, noise=own, learned=False))
-        if self.split_learned:
-            self.propagators.append(Propagator(runner, parameters=False, noise=none))
+        # The filter's error alone, then one group at a time on top of it.
+        self.propagators = [
+            Propagator(
+                runner,
+                parameters=False,
+                noise=np.where(self.members == g, levels, 0.0),
+                learned=False,
+            )
+            for g in range(-1, len(self.groups))
+        ]
 
     def errors(
         self, filtered: Filtered, origins: npt.NDArray[np.int_], horizons: Sequence[int]
@@ -228,15 +207,10 @@ class _Parts:
         return found
 
 
-def _solve(
-    cost: Callable[[FloatArray], float], limits: Sequence[tuple[float, float]]
-) -> FloatArray:
-    """Factors of least cost within limits, from one."""
+def _solve(cost: Callable[[FloatArray], float], groups: int) -> FloatArray:
+    """Factors (groups,) of least cost within `LIMITS`, from one."""
     best = scipy.optimize.minimize(
-        cost,
-        np.zeros(len(limits)),
-        method="L-BFGS-B",
-        bounds=[tuple(np.log(limit)) for limit in limits],
+        cost, np.zeros(groups), method="L-BFGS-B", bounds=[tuple(np.log(LIMITS))] * groups
     )
     return np.asarray(np.exp(best.x))
 

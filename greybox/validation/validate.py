@@ -24,6 +24,7 @@ from greybox.estimation.engine import unfelt_place
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.options import says_choices
 from greybox.estimation.propagation import Propagator
+from greybox.estimation.turning import turning_states
 from greybox.frames import GRAVITY
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
@@ -552,6 +553,12 @@ class _Work:
         if self.options.adapt is None and own_values and long and self.judged_on == TEST_FLIGHTS:
             hints.append(
                 Hint(symptom=Symptom.FLIGHT_DIFFERS, detail="its own values were not adapted")
+            )
+        if turned := turning_states(self.model, self.dataset.segments):
+            hints.append(
+                Hint(
+                    symptom=Symptom.TURNING, detail=f"errors of {', '.join(turned)} grow on the way"
+                )
             )
         try:
             found = judge(

@@ -120,7 +120,7 @@ def rows(n: int = 400, seed: int = 0) -> Discrepancy:
 def regressed(candidate: FeaturePosterior, seen: Discrepancy) -> FeaturePosterior:
     """Weights by Bayesian linear regression, as the multi-step fit does with other slopes."""
     x = ((seen.z - candidate.input_mean) / candidate.input_scale).T
-    m, noise, prior = candidate.points, 0.05**2, np.ones(2)
+    m, noise, before = candidate.points, 0.05**2, np.ones(2)
     theta, covariance = np.zeros(2 * m), np.zeros((2 * m, 2 * m))
     for j, psi in enumerate(whitened(candidate, factors(candidate), x)):
         at, slope = slice(j * m, (j + 1) * m), candidate.output_scale[j] * psi
@@ -128,7 +128,7 @@ def regressed(candidate: FeaturePosterior, seen: Discrepancy) -> FeaturePosterio
             alone(slope.T @ slope / noise, candidate.members, m) + np.eye(m)
         )
         theta[at] = covariance[at, at] @ slope.T @ seen.y[:, j] / noise / candidate.members
-    found = fitted(candidate, theta, covariance, prior, np.ones(2))
+    found = fitted(candidate, theta, covariance, before)
     assert isinstance(found, FeaturePosterior)
     z = ca.SX.sym("z", 2)
     plain = ca.Function(

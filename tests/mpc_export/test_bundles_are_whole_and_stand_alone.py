@@ -21,6 +21,7 @@ from greybox.files import OutputError
 from greybox.model.effects import effect_by_name
 from greybox.model.model import PhysicsModel
 from greybox.model.sensors import SENSORS
+from greybox.residual.sparse import variational
 from mpc_export import bundle as bundle_module
 from mpc_export import bundle_cache, verify
 from mpc_export.bundle import ExportBundle, write_bundle
@@ -300,6 +301,37 @@ def test_golden_vectors_reach_the_edge_and_far_outside(tmp_path):
     with open(made.folder / "golden" / "f_d.csv", newline="") as stream:
         last = list(csv.reader(stream))
     assert last[0][0] == "in.x.0" and last[0][-1].startswith("out.x_next.")
+
+
+def test_a_distance_is_judged_where_the_learned_part_knows_nothing(tmp_path):
+    """Length-scales of fifty explain all of typical flight: largest distances of 1e-3 made rounding
+    of one minus what is explained a difference."""
+    whole = cases.hybrid(points=30, kernel="se")
+    posterior = whole.dynamics.posterior
+    slow = replace(
+        posterior.kernels[0], lengthscales=np.array([0.9, *[50.0] * (len(posterior.inputs) - 1)])
+    )
+    numbers = variational(slow, posterior.support.T, np.ones(30), 0.1 * np.eye(30))
+    assert np.abs(numbers.explained).max() < 1e5
+    n_out = len(posterior.outputs)
+    calm = replace(
+        posterior,
+        kernels=(slow,) * n_out,
+        weights=np.stack([numbers.weights] * n_out, axis=1),
+        explained=np.stack([numbers.explained] * n_out),
+        uncertain=np.stack([numbers.uncertain] * n_out),
+    )
+    model = replace(whole, dynamics=replace(whole.dynamics, posterior=calm))
+    made = write_bundle(model, tmp_path / "b", targets=("c",), use_cache=False)
+    scales = {
+        f["name"]: r["scale"]
+        for f in made.manifest["functions"]
+        for r in f["results"]
+        if r["name"] == "distance"
+    }
+    assert set(scales) == {"gp_distance", "out_of_domain"} and min(scales.values()) > 0.5
+    compiled.needs_compiler()
+    assert run_verifier(made.folder).returncode == 0
 
 
 # ----------------------------------------------------------------------------------- the verifier

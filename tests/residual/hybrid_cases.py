@@ -178,9 +178,10 @@ def swings(
     period: float,
     seconds: float = 16.0,
     name: str = "swing",
+    gusts: float = 0.05,
 ) -> Dataset:
     """Flights of the true pendulum, with -hidden rate |rate| on top; `period` [s] is that of the
-    drive's slowest part."""
+    drive's slowest part, `gusts` the level of white pushes [N m sqrt(s)]."""
     rng = np.random.default_rng(seed)
     n, fine = round(seconds / DT), 4
     whole: Dataset | None = None
@@ -200,7 +201,7 @@ def swings(
 
         for k in range(n):
             rows.append(x)
-            gust = u[k] + 0.05 / np.sqrt(DT) * rng.standard_normal()
+            gust = u[k] + gusts / np.sqrt(DT) * rng.standard_normal()
             h = DT / fine
             for _ in range(fine):
                 a = slope(x, gust)
