@@ -8,10 +8,10 @@ from greybox.commands.front_door import frf as frf
 from greybox.commands.front_door import load as load
 from greybox.commands.front_door import profile as profile
 from greybox.data import dataset_from_arrays as dataset_from_arrays
-from greybox.data.checks import check as check
 from greybox.data.logs import read_logs as read_logs
 from greybox.discovery.workflow import discover as discover
 from greybox.linear.fit import fit_linear as fit_linear
+from greybox.model.faults import check as check
 from greybox.model.model import build_model as build_model
 from greybox.model.vehicle import read_vehicle as read_vehicle
 from greybox.planning.plan import plan as plan

@@ -13,7 +13,8 @@ def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     parser = subparsers.add_parser(
         "check",
         help="look for data faults in flight logs",
-        description="Look for faults of clock, units, frames, motor order and alignment. "
+        description="Look for faults of clock, units, frames, motor order and alignment, and of the "
+        "vehicle file. "
         "Exit code 0: nothing blocks a fit; 1: a fault does; 2: bad input.",
     )
     parser.add_argument(
@@ -33,16 +34,17 @@ def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
 def run(arguments: argparse.Namespace) -> int:
     """Check the logs, print the report, write the JSON. Returns 0, or 1 where a fault blocks a
     fit."""
-    from greybox.commands.vehicle_lines import say_vehicle
-    from greybox.data.checks import check_logs
+    from greybox.data.logs import read_table
+    from greybox.model.faults import check
     from greybox.model.vehicle import read_vehicle
 
-    vehicle = read_vehicle(arguments.vehicle)
-    report = check_logs(
-        arguments.logs, vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)
-    )
+    file = arguments.vehicle
+    vehicle = read_vehicle(file)
+    logs = [read_table(p, vehicle, mapping=arguments.mapping) for p in arguments.logs]
+    report = check(logs, vehicle, accept=accepted(arguments.accept), file=file)
     console = Console.of(arguments)
     console.result(report.to_dict(), report.summary())
-    if not console.quiet:
-        say_vehicle(vehicle, print)
+    believed = vehicle.beliefs.sentence()
+    if believed and not console.quiet:
+        print(believed)
     return 0 if report.ok else 1

@@ -34,7 +34,7 @@ FIRST_DAMPING = 1e-3
 """Of a Hessian scaled to unit information."""
 FLAT_GAIN = 0.05
 """Gain of three steps together, in -2 log likelihood, below which the iteration ends as
-`Status.FLAT`; at most 5 times the tolerance. Much more would stop on plateaus behind which states
+`Status.FLAT` where a full step promises more; at most 5 times the tolerance. Much more would stop on plateaus behind which states
 of real flights were found."""
 
 
@@ -52,8 +52,8 @@ class Status(Enum):
     )
     FLAT = (
         "not converged: the steps gain next to nothing although the likelihood is not at a "
-        "maximum, because the data hardly "
-        "determine some direction: lower the order"
+        "maximum, because the data hardly determine some direction: record longer or excite more; "
+        "a lower order is for states that exact_order keeps"
     )
     STALLED = (
         "not converged: no step improves the likelihood although the gradient is not zero; the "
@@ -320,7 +320,9 @@ def minimise(
         if decrement < tolerance and model.convex:
             status = Status.CONVERGED
             break
-        if len(gains) >= 3 and sum(gains[-3:]) < min(FLAT_GAIN, 5 * tolerance):
+        # Where a step promises no more, the next few end the descent.
+        flat = min(FLAT_GAIN, 5 * tolerance)
+        if len(gains) >= 3 and sum(gains[-3:]) < flat < decrement:
             status = Status.FLAT
             break
         if iteration >= settings.max_iterations:

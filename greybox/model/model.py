@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal
 
 import casadi as ca
@@ -447,9 +447,7 @@ class PhysicsModel(Shown):
         age = self._commands.sent(self._clocks.command_age(TELEMETRY, values), dt)
         u_a, u_b, switch = self._commands.held(window, age, dt)
         goals = (self._rotors.goal(u_a, values), self._rotors.goal(u_b, values))
-        return rotor_path(
-            shown, *goals, switch, dt, lambda gap: self._rotors.lag_over(gap, values)
-        )[1]
+        return rotor_path(shown, *goals, switch, dt, partial(self._rotors.decay, values=values))[1]
 
     def _runge_kutta(
         self,
@@ -464,9 +462,7 @@ class PhysicsModel(Shown):
         second speed; command, parameters and noise are `held`."""
         u, values, noise = held
         start = nu if self._has_lag else pull[0]
-        path, end = rotor_path(
-            start, *pull, switch, dt, lambda gap: self._rotors.lag_over(gap, values)
-        )
+        path, end = rotor_path(start, *pull, switch, dt, partial(self._rotors.decay, values=values))
         slope = (end - nu) / dt if self._has_lag else end * 0
 
         def rates(states: Mapping[str, Expr], speed: Expr) -> dict[str, Expr]:

@@ -14,6 +14,7 @@ import casadi as ca
 
 from greybox.model.flow import Flow
 from greybox.model.staged_effects import StagedEffects
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
 
@@ -54,19 +55,66 @@ class Rotors:
         """Time constant; it may be zero (divide by `positive` of it)."""
         return self.staged.early("lag", values)
 
-    def lag_over(self, gap: Expr, values: Mapping[str, Expr]) -> Expr:
-        """Time constant of rotors that are faster than their goal by `gap` (n): of each its own
-        where slowing down takes another time than speeding up."""
+    def lag_over(self, nu: Expr, goal: Expr, values: Mapping[str, Expr]) -> Expr:
+        """Time constant [s] of rotors that go from `nu` towards `goal` (n): of each its own where
+        slowing down takes another time than speeding up, or where it depends on the speed."""
+        tau = self._lag_each_way(nu, goal, values)
+        if not self._lag_by_speed:
+            return tau
+        return tau / self._quicker(0.5 * (nu + goal), values)
+
+    def decay(
+        self, nu: Expr, goal: Expr, length: Expr, values: Mapping[str, Expr]
+    ) -> tuple[Expr, Expr]:
+        """(time constant [s], share (n) that is left after `length` [s]) of the way of rotors from
+        `nu` to `goal`; the area under what is left is their difference times the time constant."""
+        tau = self._lag_each_way(nu, goal, values)
+        if not self._lag_by_speed:
+            return tau, ca.exp(-length / positive(tau))
+        # With e = nu - goal: de/dt = -e (last + (now - last) e / e_0) / tau, whose solution is
+        # e_0 E / (1 + (now / last - 1) (1 - E)) with E = exp(-last t / tau).
+        now, last = (self._quicker(s, values) for s in (0.5 * (nu + goal), goal))
+        kept = ca.exp(-last * length / positive(tau))
+        y = (now / last - 1) * (1 - kept)
+        small = ca.fabs(y) < 1e-4
+        some = ca.if_else(small, 1.0, y)
+        mean = ca.if_else(small, 1 - y / 2 * (1 - 2 / 3 * y), ca.log1p(some) / some)
+        return tau / now * mean * (1 + y), kept / (1 + y)
+
+    @property
+    def _lag_by_speed(self) -> bool:
+        return self.have_lag and self.staged.has("lag_speed")
+
+    def _lag_each_way(self, nu: Expr, goal: Expr, values: Mapping[str, Expr]) -> Expr:
         tau = self.lag(values) if self.have_lag else 0.0
         if not self.staged.has("lag_asymmetry"):
             return tau
-        return tau * (1 + self.staged.early("lag_asymmetry", values) * ca.sign(gap))
+        return tau * (1 + self.staged.early("lag_asymmetry", values) * ca.sign(nu - goal))
+
+    def _quicker(self, speed: Expr, values: Mapping[str, Expr]) -> Expr:
+        """Rate of rotors about a speed (n), in units of that about the speed that hovers."""
+        share = self.staged.early("lag_speed", values)
+        hover = hover_speed(self.staged.vehicle, values)
+        return ca.fmax(1 + share * (speed / hover - 1), SLOWEST)
 
     def rate(self, nu: Expr, goal: Expr, values: Mapping[str, Expr]) -> Expr:
         """d nu / dt [1/s] on the way to `goal`; 0 without a lag."""
         return (
-            (goal - nu) / positive(self.lag_over(nu - goal, values)) if self.have_lag else goal * 0
+            (goal - nu) / positive(self.lag_over(nu, goal, values)) if self.have_lag else goal * 0
         )
+
+
+SLOWEST = 0.1
+"""Rate of a rotor that nearly stands, in units of that in hover: a lag stays a lag."""
+
+
+def hover_speed(vehicle: Vehicle, values: Mapping[str, Expr]) -> Expr:
+    """Speed nu at which equal rotors carry the weight of a vehicle with these `values`, by mass and
+    thrust map alone."""
+    weight = values["mass"] * vehicle.gravity / len(vehicle.rotors)
+    c0, c1, c2 = (values[f"thrust.c{k}"] for k in range(3))
+    need = ca.fmax(weight - c0, 0.0)
+    return positive(2 * need / positive(c1 + ca.sqrt(c1 * c1 + 4 * c2 * need)))
 
 
 def positive(tau: Expr) -> Expr:
@@ -87,11 +135,15 @@ def path_means(z: Expr) -> tuple[Expr, Expr]:
 
 
 def rotor_path(
-    nu: Expr, first: Expr, second: Expr, switch: Expr, dt: Expr, lag: Callable[[Expr], Expr]
+    nu: Expr,
+    first: Expr,
+    second: Expr,
+    switch: Expr,
+    dt: Expr,
+    decay: Callable[[Expr, Expr, Expr], tuple[Expr, Expr]],
 ) -> tuple[tuple[Expr, Expr, Expr], Expr]:
     """((nu at 0, dt/2 and dt for Runge-Kutta), nu at the end) of a first-order lag whose goal
-    changes at `switch`; `lag` gives the time constant of rotors that are faster than their goal by
-    so much, which stays until they reach it.
+    changes at `switch`; `decay` is that of `Rotors`, of (a speed, its goal, the time on the way).
 
     The end is exact. The integrator gets the straight line that has the mean and the first moment
     of the exact path over the step, so that impulse and displacement are right however short tau is
@@ -101,11 +153,10 @@ def rotor_path(
     nu)/dt in the mean.
     """
     before, after = switch / dt, 1 - switch / dt
-    start_a, tau_a = nu - first, lag(nu - first)
-    left_a = ca.exp(-switch / positive(tau_a))
+    start_a = nu - first
+    tau_a, left_a = decay(nu, first, switch)
     start_b = first - second + start_a * left_a
-    tau_b = lag(start_b)
-    left_b = ca.exp(-(dt - switch) / positive(tau_b))
+    tau_b, left_b = decay(second + start_b, second, dt - switch)
     # Moments over [0, length] of exp(-xi / short), xi the time in units of dt.
     short_a, short_b = tau_a / dt, tau_b / dt
     area_a, area_b = short_a * (1 - left_a), short_b * (1 - left_b)

@@ -211,7 +211,7 @@ class SensorClocks:
         if rotors.have_lag:
             # Backwards a settled rotor would run away: there the lag counts as no shorter than
             # the way.
-            tau = positive(rotors.lag_over(nu - goal, values))
+            tau = positive(rotors.lag_over(nu, goal, values))
             tau = ca.if_else(back > 0, ca.fmax(tau, back), tau)
             nu_rate = (goal - nu) / ca.fmax(tau, ca.fabs(back))
             mean, early = path_means(-back / tau)

@@ -1,4 +1,4 @@
-"""From logged commands to rotor speeds: delay, shaping, supply voltage, first-order lag solved
+"""From logged commands to rotor speeds: delay, shaping, supply voltage, a lag solved
 exactly."""
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ class Actuators:
         self._down = self._up
         for asymmetry in hooks(effects, "lag_asymmetry"):
             self._up, self._down = self._up * (1.0 - asymmetry()), self._down * (1.0 + asymmetry())
+        self._drag = next((d() for d in hooks(effects, "lag_drag")), None)
         self._instant_up, self._instant_down = self._zero(self._up), self._zero(self._down)
         positive = [float(v) for tau in (self._up, self._down) for v in np.ravel(tau) if v > 0.0]
         self.shortest_lag = min(positive, default=0.0)
@@ -96,6 +97,8 @@ class Actuators:
 
     def relax(self, nu: list[Number], duration: float) -> list[Number]:
         """Speeds `duration` [s] later, on their way to the present targets."""
+        if self._drag is not None:
+            return [self._dragged(n, s, duration) for n, s in zip(nu, self.target)]
         if self._up is self._down:
             left = self._decay(self._up, duration)
             return [s + (n - s) * left for n, s in zip(nu, self.target)]
@@ -103,6 +106,16 @@ class Actuators:
             s + (n - s) * self._decay(where(s > n, self._up, self._down), duration)
             for n, s in zip(nu, self.target)
         ]
+
+    def _dragged(self, nu: Number, target: Number, duration: float) -> Number:
+        """Bernoulli's equation of a rotor with the drag of its propeller, solved."""
+        assert self._drag is not None
+        own, drag = self._drag
+        tau = where(target > nu, self._up, self._down)
+        rate = own + 2.0 * drag * target
+        left = self._decay(tau, rate * duration)
+        gap = nu - target
+        return target + gap * left / (1.0 + drag * gap / rate * (1.0 - left))
 
     @staticmethod
     def _decay(tau: Number, duration: float) -> Number:
@@ -115,6 +128,9 @@ class Actuators:
     def speed_rate(self, nu: Number, target: Number) -> Number:
         """dnu/dt [1/s]; zero for a rotor without lag."""
         tau = self._up if self._up is self._down else where(target > nu, self._up, self._down)
+        if self._drag is not None:
+            own, drag = self._drag
+            tau = tau / (own + drag * (nu + target))
         if isinstance(tau, float):
             return 0.0 if tau == 0.0 else (target - nu) / tau
         return where(tau == 0.0, 0.0, (target - nu) / where(tau == 0.0, 1.0, tau))

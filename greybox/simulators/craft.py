@@ -19,6 +19,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import learned_push_of
 from greybox.model.model import PhysicsModel
 from greybox.model.noise import disturbances, gauss_markov
+from greybox.model.rotors import hover_speed
 from greybox.model.sensors import USUAL
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -225,6 +226,15 @@ class Craft:
         tau, a = self.get("motor_lag.tau"), self.get("motor_lag_asymmetry.a")
         return tau * (1.0 - a), tau * (1.0 + a)
 
+    def rates(self, shortest: float) -> tuple[float, float, float, float]:
+        """(linear, quadratic) rate [1/s] of rotors that speed up, and that slow down: d nu/dt = c1
+        (nu_ss - nu) + c2 (nu_ss^2 - nu^2), with lags of at least `shortest` [s]."""
+        share = self.get("motor_lag_speed.s")
+        hover = float(hover_speed(self.physics.vehicle, self.values)) if share else 1.0
+        part = 0.5 * share / hover
+        up, down = (1.0 / max(tau, shortest) for tau in self.lags)
+        return (1.0 - share) * up, part * up, (1.0 - share) * down, part * down
+
     @property
     def command_range(self) -> tuple[float, float]:
         """Commands at which motors saturate."""
@@ -269,7 +279,18 @@ def _levelled(model: IdentifiedModel) -> IdentifiedModel:
         return model
     maps = [f"{m}.c{k}" for m in ("thrust", "torque") for k in range(3)]
     more = {n: (1.0 + level) * model.values[n] for n in maps}
-    return replace(model, values=model.values.replace({**more, "thrust_level.s": 0.0}))
+    there = replace(model, values=model.values.replace({**more, "thrust_level.s": 0.0}))
+    share = model.values.get("motor_lag_speed.s", 0.0)
+    if share == 0.0:
+        return there
+    # The lag is that about the speed that hovers, which is another one now.
+    vehicle = model.physics.vehicle
+    ratio = float(hover_speed(vehicle, there.values) / hover_speed(vehicle, model.values))
+    rate = 1.0 + share * (ratio - 1.0)
+    lag = {"motor_lag.tau": model.values["motor_lag.tau"] / rate}
+    return replace(
+        there, values=there.values.replace({**lag, "motor_lag_speed.s": share * ratio / rate})
+    )
 
 
 def _pushes(model: IdentifiedModel) -> str:

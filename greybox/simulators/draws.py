@@ -375,8 +375,7 @@ def _crazyflow(every: list[Craft]) -> dict[str, FloatArray]:
     scale = first.speed_max * PER_MINUTE
     powers = scale ** -np.arange(3.0)
     j = np.array([c.inertia for c in every])
-    lags = np.maximum(np.array([c.lags for c in every]), SHORTEST_LAG)
-    zero = np.zeros(len(every))
+    rates = np.array([c.rates(SHORTEST_LAG) for c in every])
     length = float(np.abs(first.arms[:, :2]).max())
     arms = np.array([c.arms for c in every])
     spins = np.tile(-first.spins, (len(every), 1))
@@ -386,7 +385,7 @@ def _crazyflow(every: list[Craft]) -> dict[str, FloatArray]:
         "J_inv": np.linalg.inv(j),
         "rpm2thrust": np.array([c.thrust for c in every]) * powers,
         "rpm2torque": np.array([c.torque for c in every]) * powers,
-        "rotor_dyn_coef": np.stack([1 / lags[:, 0], zero, 1 / lags[:, 1], zero], axis=1),
+        "rotor_dyn_coef": rates * powers[[0, 1, 0, 1]],
         "drag_matrix": np.array([np.diag(-linear_drag(c)) for c in every]),
         "mixing_matrix": np.stack([arms[..., 1] / length, -arms[..., 0] / length, spins], axis=1),
         "L": np.full(len(every), length),

@@ -20,6 +20,7 @@ NUMBERS = '''class _Numbers:
     exp, log, sqrt, sin, cos, tan = math.exp, math.log, math.sqrt, math.sin, math.cos, math.tan
     arcsin, arccos, arctan, arctan2 = math.asin, math.acos, math.atan, math.atan2
     tanh, floor, ceil, copysign = math.tanh, math.floor, math.ceil, math.copysign
+    log1p = math.log1p
 
     @staticmethod
     def true(a):
@@ -54,6 +55,7 @@ PLAIN = {
     "SIGN": "m.sign({0})",
     "EXP": "m.exp({0})",
     "LOG": "m.log({0})",
+    "LOG1P": "m.log1p({0})",
     "SQRT": "m.sqrt({0})",
     "SIN": "m.sin({0})",
     "COS": "m.cos({0})",

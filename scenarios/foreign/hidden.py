@@ -257,7 +257,13 @@ OWN: dict[str, Own] = {
     "rotor_law": Own(
         simulator="drone_models",
         axes=("force.z", *TURNS),
-        family=("motor_lag", "motor_lag_asymmetry", "thrust_curve", "command_delay"),
+        family=(
+            "motor_lag",
+            "motor_lag_asymmetry",
+            "motor_lag_speed",
+            "thrust_curve",
+            "command_delay",
+        ),
     ),
 }
 """MuJoCo's fluid on its inertia box; drone-models' drag and its rotors fitted to Crazyflies."""

@@ -26,6 +26,7 @@ PLANTS = {e.name: e for e in CATALOGUE}
 LOW = RandomWaypoints(center=(0.0, 0.0, 0.12), box=(1.0, 1.0, 0.06))
 CASES = {
     "motor_lag_asymmetry": {"a": 0.3},
+    "motor_lag_speed": {"s": 0.5},
     "command_saturation": {"a_hi": 0.35},
     "axial_inflow": {"k_z": 2e-6},
     "translational_lift": {"k_h": 2e-4},
@@ -49,8 +50,11 @@ def in_the_plant(name: str, airframe: Airframe) -> PlantEffect:
     sizes = CASES[name]
     if name == "rotor_speed_scale":
         return PLANTS[name](s=tuple(sizes.values()))
-    facts = {"rotor_radius": airframe.rotor_radius} if name == "ground_effect" else {}
-    return PLANTS[name](**sizes, **facts)
+    facts = {
+        "ground_effect": {"rotor_radius": airframe.rotor_radius},
+        "motor_lag_speed": {"hover": airframe.hover_speed},
+    }
+    return PLANTS[name](**sizes, **facts.get(name, {}))
 
 
 @pytest.mark.slow

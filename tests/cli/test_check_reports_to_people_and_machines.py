@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 from importlib.resources import files
 
 import jsonschema
 import pytest
 
+import greybox
 from greybox.cli import main
 from greybox.examples import flight_path, vehicle_path
 
@@ -66,6 +68,28 @@ def test_blocking_fault_gives_exit_code_one(tmp_path, capsys):
     assert finding["check"] == "motors"
     assert "u1 drives rotor 2" in finding["message"]
     assert "usual fix" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("factor", "severity", "code"), [(10.0, "blocking", 1), (3.0, "warning", 0)]
+)
+def test_a_vehicle_file_that_a_fit_doubts_is_not_clean(factor, severity, code, tmp_path, capsys):
+    """What `fit` refuses or warns of is a finding of `check`, of Python's too."""
+    longer = re.sub(
+        r"position = \[([^]]*)\]",
+        lambda m: f"position = {[factor * float(v) for v in m[1].split(',')]}",
+        vehicle_path("nanobench").read_text(),
+    )
+    file = tmp_path / "arms.toml"
+    file.write_text(longer)
+    log = NANO[2]
+    assert main(["check", "--vehicle", str(file), log, "--json", str(tmp_path / "c.json")]) == code
+    result = json.loads((tmp_path / "c.json").read_text())
+    jsonschema.validate(result, SCHEMA)
+    assert severity in {f["severity"] for f in result["findings"] if f["check"] == "vehicle"}
+    vehicle = greybox.read_vehicle(file)
+    data = greybox.read_logs([log], vehicle)
+    assert greybox.check(data, vehicle).of("vehicle")[0].severity == severity
 
 
 def test_missing_arguments_are_usage_errors(capsys):

@@ -85,6 +85,9 @@ def test_what_an_imu_log_cannot_show_is_listed():
         (lambda r: scaled(r, "u1 u2 u3 u4", 65535.0), "ranges", "outside"),
         (lambda r: scaled(r, "qw qx qy qz", 2.0), "ranges", "unit length"),
         (lambda r: frozen(r, "p q r", 800, 1400), "frozen", "p, q, r keep the value"),
+        (lambda r: frozen(r, "p", 800, 1400), "frozen", "p keeps the value"),
+        (lambda r: frozen(r, "az", 800, 1400), "frozen", "az keeps the value"),
+        (lambda r: frozen(r, "u1 u2 u3 u4", 800, 1400), "frozen", "u4 keep the value"),
         (lambda r: with_time(r, r.t * 1e3), "clock", "hardly in seconds"),
         (lambda r: late(r, 12, "p q r ax ay az"), "alignment", "late against the attitude"),
         (lambda r: late(r, -12, "p q r ax ay az"), "alignment", "early against the attitude"),
@@ -190,6 +193,14 @@ def test_short_freeze_is_a_warning_with_its_place():
     assert finding.severity == "warning"
     assert finding.evidence["frozen_rows"] == 30
     assert finding.evidence["start_s"] == pytest.approx(raw.t[1000])
+
+
+def test_motors_at_their_limits_are_not_frozen():
+    raw = real(*STAR)
+    held = {n: raw.channels[n].copy() for n in ("u1", "u2", "u3", "u4")}
+    for u in held.values():
+        u[1000:1300] = u.max()
+    assert not check([with_channels(raw, **held)], vehicle("nanobench")).of("frozen")
 
 
 def test_saturated_commands_and_clipped_gyro():

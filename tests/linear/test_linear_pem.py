@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import scipy.linalg
 
 from greybox.errors import FitError
 from greybox.linear import pem
@@ -154,6 +155,36 @@ def test_a_flat_fit_is_not_called_converged():
     assert not pem.Status.FLAT.converged
     assert "not converged" in pem.Status.FLAT.value
     assert [s for s in pem.Status if s.converged] == [pem.Status.CONVERGED]
+
+
+def roll_under_feedback(seed, n=1500, dt=0.01):
+    """Angle and rate of a craft with a motor lag of 50 ms that a state feedback flies: two poles near
+    1, which the data tell badly apart."""
+    rate = np.array([[0.0, 1, 0], [0, -0.5, 60], [0, 0, -20]])
+    whole = scipy.linalg.expm(
+        dt * np.block([[rate, np.array([[0], [0], [20]])], [np.zeros((1, 4))]])
+    )
+    a, b = whole[:3, :3], whole[:3, 3:]
+    cost = scipy.linalg.solve_discrete_are(a, b, np.diag([30, 1, 0.1]), [[50.0]])
+    gain = np.linalg.solve(50.0 + b.T @ cost @ b, b.T @ cost @ a)
+    rng, x, goal, inputs, outputs = np.random.default_rng(seed), np.zeros((3, 1)), 0.0, [], []
+    for k in range(n):
+        goal = rng.choice([-0.4, 0, 0.4]) if k % 37 == 0 else goal
+        y = x[:2] + np.array([[0.005], [0.02]]) * rng.normal(size=(2, 1))
+        u = -gain @ np.vstack([y[0] - goal, y[1], x[2]]) + 0.05 * rng.normal()
+        inputs.append(u[:, 0])
+        outputs.append(y[:, 0])
+        x = a @ x + b @ u + np.array([[0], [0.02], [0.001]]) * rng.normal(size=(3, 1))
+    return Record(u=np.array(inputs), y=np.array(outputs))
+
+
+def test_steps_that_still_lead_to_the_maximum_are_not_flat():
+    """Where a full step promises no more than three steps may gain on a plateau, the next few end
+    the descent: at the true order it was called not converged, with the advice to lower it."""
+    fit = fit_linear([roll_under_feedback(1), roll_under_feedback(2)], 3, dt=0.01)
+    assert fit.converged and fit.order == 3
+    assert not fit.warnings
+    assert "exact_order" in pem.Status.FLAT.value, "the order was chosen by evidence"
 
 
 def test_an_unstable_predictor_is_refused_as_a_start():

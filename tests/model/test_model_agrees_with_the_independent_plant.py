@@ -27,6 +27,7 @@ VALUES = {
     "thrust_curve": {"f": 0.35},
     "motor_lag": {"tau": 0.03},
     "motor_lag_asymmetry": {"a": 0.4},
+    "motor_lag_speed": {"s": 0.25},
     "battery_sag": {"c_V": 0.8},
     "rotor_asymmetry": {"delta_1": 0.03, "delta_2": -0.05, "delta_3": 0.04},
     "thrust_level": {"s": -0.04},
@@ -63,6 +64,7 @@ NEEDED = {
         "blade_flapping",
     ),
     "motor_lag_asymmetry": ("motor_lag",),
+    "motor_lag_speed": ("motor_lag",),
 }
 """Effects without which another is not felt."""
 LOW = {"ground_effect"}
@@ -85,6 +87,7 @@ def in_the_plant(name, values):
     facts = {
         "battery_sag": {"nominal_voltage": CROOKED.nominal_voltage},
         "ground_effect": {"rotor_radius": CROOKED.rotor_radius},
+        "motor_lag_speed": {"hover": CROOKED.hover_speed},
     }
     return PLANT_EFFECTS[name](**values, **facts.get(name, {}))
 
@@ -224,6 +227,21 @@ def test_rotors_that_lag_turn_the_body_by_their_mean_acceleration():
     )
     assert all(difference[c] < 1e-3 * effect[c] for c in "pqr")
     assert max(largest_difference(*fly(VALUES)).values()) < 5e-4
+
+
+@pytest.mark.parametrize("tau", [0.03, 0.8 * DT])
+@pytest.mark.parametrize("share", [-0.5, 0.9, 1.2])
+def test_a_rotor_that_its_propeller_damps_is_exact_at_every_sample(share, tau):
+    """Its mean over a step is exact too; the first moment is that of an exponential."""
+    effects = {
+        "command_delay": {"d": 2.4 * DT},
+        "motor_lag": {"tau": tau},
+        "motor_lag_asymmetry": {"a": 0.3},
+        "motor_lag_speed": {"s": share},
+    }
+    difference = largest_difference(*fly(effects))
+    assert max(v for k, v in difference.items() if k.startswith("omega")) < 1e-12
+    assert max(difference.values()) < 2e-4, difference
 
 
 @pytest.mark.parametrize(

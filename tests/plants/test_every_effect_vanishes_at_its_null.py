@@ -26,6 +26,7 @@ from greybox.plants.effects import (
     MocapMisalignment,
     MotorLag,
     MotorLagAsymmetry,
+    MotorLagSpeed,
     ParasiticDrag,
     PayloadMass,
     PoseDelay,
@@ -63,6 +64,7 @@ AWAY = {
     RotorAsymmetry: RotorAsymmetry(delta=(0.02, -0.02, 0.0, 0.0)),
     RotorDrag: DRAG,
     MotorLagAsymmetry: MotorLagAsymmetry(a=0.4),
+    MotorLagSpeed: MotorLagSpeed(hover=0.7, s=0.5),
     SteadyWind: SteadyWind(w_x=1.0),
     ThrustCurve: ThrustCurve(f=0.2),
     ThrustLevel: ThrustLevel(s=0.05),
@@ -84,7 +86,11 @@ AWAY = {
 }
 
 
-NEEDED = {SteadyWind: (DRAG,), MotorLagAsymmetry: (MotorLag(tau=0.03),)}
+NEEDED = {
+    SteadyWind: (DRAG,),
+    MotorLagAsymmetry: (MotorLag(tau=0.03),),
+    MotorLagSpeed: (MotorLag(tau=0.03),),
+}
 """What an effect is felt through."""
 
 
@@ -100,7 +106,11 @@ def flight(*effects):
 
 
 def null(kind):
-    facts = {BatterySag: {"nominal_voltage": 3.8}, GroundEffect: {"rotor_radius": 0.0231}}
+    facts = {
+        BatterySag: {"nominal_voltage": 3.8},
+        GroundEffect: {"rotor_radius": 0.0231},
+        MotorLagSpeed: {"hover": 0.7},
+    }
     return kind(**facts.get(kind, {}))
 
 

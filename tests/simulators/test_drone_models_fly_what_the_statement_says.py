@@ -89,7 +89,8 @@ def flown(dynamics: Rates, folder: Path, name: str, u: Array, dt: float = 0.01) 
 @pytest.mark.parametrize("package", ["drone-models", "crazyflow"])
 def test_what_it_says_whole_flies_alike(package: str, tmp_path: Path) -> None:
     dynamics = dynamics_of(package)
-    own = {"motor_lag_asymmetry.a": 0.3, "thrust.c1": 0.8, "torque.c1": 0.01}
+    own = {"motor_lag_asymmetry.a": 0.3, "motor_lag_speed.s": 0.6}
+    own |= {"thrust.c1": 0.8, "torque.c1": 0.01}
     own |= {"rotor_gyroscopic.J_r": 2e-5} if package == "crazyflow" else {}
     model = identified({**SAYS, **own}, gravity=9.80665)
     (statement,) = twin(model, [package], out=tmp_path).statements

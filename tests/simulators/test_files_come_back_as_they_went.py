@@ -123,3 +123,18 @@ def test_what_is_no_craft_is_refused_in_one_line(
     assert main(["vehicle", "new", "--from", str(path)]) == 2
     said = capsys.readouterr().err.strip().splitlines()
     assert line in said[-1] and len(said) == 1
+
+
+def test_a_rotor_that_falls_by_its_drag_alone_has_a_lag(tmp_path: Path) -> None:
+    """drone-models' fits of nano quadrotors: linear rates up, quadratic rates down [1/(rpm s)]."""
+    craft = Craft.of(identified({"motor_lag.tau": 0.05}))
+    text = written("drone-models", craft)["params.toml"]
+    rpm = craft.hover_nu * craft.speed_max * 60.0 / (2.0 * np.pi)
+    coefficients = [8.0, 0.0, 0.0, 12.0 / (2.0 * rpm)]
+    (tmp_path / "p.toml").write_text(
+        re.sub(r"rotor_dyn_coef = .*", f"rotor_dyn_coef = {coefficients}", text)
+    )
+    found = read_craft(str(tmp_path / "p.toml")).effects
+    assert found["motor_lag.tau"] == pytest.approx(0.5 * (1 / 8.0 + 1 / 12.0))
+    assert found["motor_lag_asymmetry.a"] == pytest.approx((1 / 12 - 1 / 8) / (1 / 12 + 1 / 8))
+    assert found["motor_lag_speed.s"] == pytest.approx(0.5)

@@ -24,6 +24,7 @@ EVERYTHING = {
     "rotor_gyroscopic.J_r": 1e-5,
     "constant_force.f_x": 0.2,
     "motor_lag_asymmetry.a": 0.2,
+    "motor_lag_speed.s": 0.4,
     "command_saturation.a_hi": 0.05,
     "gyro_bias.b_x": 0.02,
     "pose_delay.d": 0.013,

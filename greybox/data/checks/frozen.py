@@ -1,6 +1,8 @@
-"""Check of frozen samples: a sensor that repeats its last value while the craft flies.
+"""Check of frozen samples: a sensor, or the commands, that repeat their last value while the craft
+flies.
 
-A group is frozen when all of it is: one component may stand still.
+A group is frozen when all of it is: one component of a pose may stand still, and one command stays
+at its limit. Each axis of an IMU has noise of its own and never does.
 """
 
 from __future__ import annotations
@@ -15,7 +17,9 @@ from greybox.data.checks.view import FloatArray, View
 from greybox.data.repeats import LATE, held_over
 from greybox.runs import runs
 
-GROUPS = ("rate", "specific_force", "attitude", "position", "velocity")
+NOISY = ("rate", "specific_force")
+"""Groups of which every axis is looked at."""
+GROUPS = ("command", *NOISY, "attitude", "position", "velocity")
 FROZEN_TIME = 0.2
 """A group that keeps its values for this long [s] in flight is frozen ..."""
 
@@ -33,6 +37,12 @@ def frozen_runs(values: FloatArray, rows: int) -> list[tuple[int, int]]:
     """(start, stop) of the runs of at least `rows` rows of (N, k) in which no column changes."""
     same = (np.diff(values, axis=0) == 0.0).all(axis=1)
     return [(a, b + 1) for a, b in runs(same) if b + 1 - a >= rows]
+
+
+def _range(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest of the known values (N, k) of every column."""
+    known = np.isfinite(values)
+    return np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
 
 
 def _moves(values: FloatArray, rows: int) -> bool:
@@ -58,42 +68,58 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     t = log.t[rows]
     need = max(FROZEN_ROWS, int(np.ceil(FROZEN_TIME / view.clock.dt)))
     for group in GROUPS:
-        names = [n for n in group_names(group) if n in log.channels]
+        every = group_names(group, len(view.vehicle.rotors))
+        names = [n for n in every if n in log.channels]
         if not names or t.size <= need:
             continue
         values = np.column_stack([log.channels[n][rows] for n in names])
-        known = np.isfinite(values)
-        low, high = (
-            np.where(known, values, np.inf).min(axis=0),
-            np.where(known, values, -np.inf).max(axis=0),
-        )
-        dead = [n for n, same in zip(names, low == high, strict=True) if same]
-        if dead and len(dead) < len(names) and group in ("rate", "specific_force"):
-            yield _dead(view, dead)
-        longer = max(need, LATE * held_over(values[known.all(axis=1)]))
-        runs = [(a, b) for a, b in frozen_runs(values, longer) if view.in_flight(t[a])]
-        if not runs or not (len(dead) == len(names) or _moves(values, longer)):
-            continue
-        longest = max(runs, key=lambda ab: ab[1] - ab[0])
-        total = sum(b - a for a, b in runs)
-        share = total / max(t.size, 1)
-        seconds = float(t[longest[1] - 1] - t[longest[0]])
-        kept = ", ".join(f"{v:.6g}" for v in values[longest[0]])
-        yield Finding(
-            check="frozen",
-            severity="blocking" if share > BLOCKING_SHARE else "warning",
-            flight=view.name,
-            where=f"{', '.join(names)}, from t = {t[longest[0]]:.3f} s",
-            message=f"{', '.join(names)} keep{'s' if len(names) == 1 else ''} the value {kept} for "
-            f"{seconds:.3f} s",
-            evidence={
-                "frozen_rows": total,
-                "frozen_share": share,
-                "longest_s": seconds,
-                "start_s": float(t[longest[0]]),
-            },
-            fix="leave the cells empty where the sensor gave nothing new",
-        )
+        low, high = _range(values)
+        dead = low == high
+        if group in NOISY and dead.any() and not dead.all():
+            yield _dead(view, [n for n, same in zip(names, dead, strict=True) if same])
+        if (whole := _stands(view, names, t, values, need)) is not None:
+            yield whole
+        elif group in NOISY:
+            for i in np.flatnonzero(~dead):
+                if (one := _stands(view, [names[i]], t, values[:, [i]], need)) is not None:
+                    yield one
+
+
+def _stands(
+    view: View, names: list[str], t: FloatArray, values: FloatArray, need: int
+) -> Finding | None:
+    """What keeps its values (N, k) at the times t (N,) for `need` rows or more, or longer where a
+    slow stream repeats; None where nothing does."""
+    commands = names[0] in group_names("command", len(view.vehicle.rotors))
+    known = np.isfinite(values)
+    low, high = _range(values)
+    longer = max(need, LATE * held_over(values[known.all(axis=1)]))
+    runs = [(a, b) for a, b in frozen_runs(values, longer) if view.in_flight(t[a])]
+    if commands:  # motors at their limits stay there
+        runs = [(a, b) for a, b in runs if ((values[a] > low) & (values[a] < high)).any()]
+    dead = bool((low == high).all()) and not commands
+    if not runs or not (dead or _moves(values, longer)):
+        return None
+    longest = max(runs, key=lambda ab: ab[1] - ab[0])
+    total = sum(b - a for a, b in runs)
+    share = total / max(t.size, 1)
+    seconds = float(t[longest[1] - 1] - t[longest[0]])
+    kept = ", ".join(f"{v:.6g}" for v in values[longest[0]])
+    return Finding(
+        check="frozen",
+        severity="blocking" if share > BLOCKING_SHARE else "warning",
+        flight=view.name,
+        where=f"{', '.join(names)}, from t = {t[longest[0]]:.3f} s",
+        message=f"{', '.join(names)} keep{'s' if len(names) == 1 else ''} the value {kept} for "
+        f"{seconds:.3f} s",
+        evidence={
+            "frozen_rows": total,
+            "frozen_share": share,
+            "longest_s": seconds,
+            "start_s": float(t[longest[0]]),
+        },
+        fix="leave the cells empty where nothing new was measured or sent",
+    )
 
 
 def _dead(view: View, names: list[str]) -> Finding:

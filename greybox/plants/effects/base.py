@@ -127,6 +127,10 @@ class PlantEffect:
         """Share of itself by which that is longer going down, and shorter going up."""
         return 0.0
 
+    def lag_drag(self) -> tuple[Number, Number]:
+        """(b, k) tau / J of a rotor J dnu/dt = b (target - nu) + k (target^2 - nu^2)."""
+        return (1.0, 0.0)
+
     # thrust
     def thrust_factor(self, hub: Hub) -> Number:
         """Factor on the thrust of one rotor."""

@@ -55,8 +55,6 @@ def _craft(name: str, p: Parsed) -> Found:
     gravity = float(-np.array(p.get("gravity_vec", [0.0, 0.0, -GRAVITY]))[2])
     speed = _full_speed(thrust, float(p.get("thrust_max", 2.0 * mass * gravity / count)))
     powers = (speed * PER_MINUTE) ** np.arange(3.0)
-    up, _, down, _ = (float(v) for v in p.get("rotor_dyn_coef", [0.0] * 4))
-    rise, fall = (1.0 / v if v > 0 else 0.0 for v in (up, down))
     base = Found(
         name=name,
         mass=mass,
@@ -70,8 +68,7 @@ def _craft(name: str, p: Parsed) -> Found:
     )
     drag = -np.diag(np.array(p.get("drag_matrix", np.zeros((3, 3))), dtype=float))
     effects = {
-        "motor_lag.tau": 0.5 * (rise + fall),
-        "motor_lag_asymmetry.a": (fall - rise) / (fall + rise) if rise + fall else 0.0,
+        **_lag(p.get("rotor_dyn_coef", [0.0] * 4), 2.0 * base.hover_nu * speed * PER_MINUTE),
         "rotor_gyroscopic.J_r": float(p.get("prop_inertia", 0.0)),
         **{f"rotor_asymmetry.delta_{i}": float(s - 1) for i, s in enumerate(strength[:-1], 1)},
         **base.linear_drag(drag),
@@ -80,6 +77,19 @@ def _craft(name: str, p: Parsed) -> Found:
     return Found(
         **{**fields, "effects": used(effects), "to_measure": ("mass: weigh it ready to fly",)}
     )
+
+
+def _lag(coefficients: npt.ArrayLike, twice: float) -> dict[str, float]:
+    """Lag of rotors at the speed that hovers, `twice` that [rpm]: the shares of damping that grow
+    with speed, rising and falling, become their mean."""
+    own, squares, own_down, squares_down = (float(v) for v in np.ravel(coefficients))
+    rates = own + twice * squares, own_down + twice * squares_down
+    rise, fall = (1.0 / v if v > 0 else 0.0 for v in rates)
+    return {
+        "motor_lag.tau": 0.5 * (rise + fall),
+        "motor_lag_asymmetry.a": (fall - rise) / (fall + rise) if rise + fall else 0.0,
+        "motor_lag_speed.s": 0.5 * twice * (squares * rise + squares_down * fall),
+    }
 
 
 def _curve(value: npt.ArrayLike, count: int) -> tuple[FloatArray, FloatArray]:

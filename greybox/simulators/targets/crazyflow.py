@@ -49,7 +49,8 @@ class FirstPrinciples:
         if self.gravity is not None:
             fixed_gravity(w, self.gravity)
         say_commands(w)
-        w.said("motor_lag", "rotor_dyn_coef").said("motor_lag_asymmetry", "rotor_dyn_coef")
+        for name in ("motor_lag", "motor_lag_asymmetry", "motor_lag_speed"):
+            w.said(name, "rotor_dyn_coef")
         w.said("rotor_asymmetry", "a curve per motor")
         for name in ("center_of_mass_offset", "products_of_inertia", "payload_mass"):
             w.said(name, "in mixing_matrix, J and mass")
@@ -68,7 +69,7 @@ class FirstPrinciples:
         arms, n = craft.arms, craft.count
         length = float(np.abs(arms[:, :2]).max())
         mixing = np.vstack([arms[:, 1] / length, -arms[:, 0] / length, -craft.spins])
-        up, down = (max(tau, SHORTEST_LAG) for tau in craft.lags)
+        rates = np.array(craft.rates(SHORTEST_LAG)) / [1.0, scale, 1.0, scale]
         low, high = craft.command_range
         lines = [
             f"# First-principles parameters for {self.simulator}, written by greybox twin.",
@@ -82,7 +83,7 @@ class FirstPrinciples:
             f"mixing_matrix = {mixing.tolist()}",
             f"rpm2thrust = {self._curves(craft.thrust, craft, scale)}  # N, powers of rpm",
             f"rpm2torque = {self._curves(craft.torque, craft, scale)}  # N m, powers of rpm",
-            f"rotor_dyn_coef = [{1.0 / up!r}, 0.0, {1.0 / down!r}, 0.0]  # 1/s",
+            f"rotor_dyn_coef = {rates.tolist()}  # 1/s, 1/(rpm s)",
             f"prop_inertia = {craft.per_speed('rotor_gyroscopic.J_r')!r}  # kg m^2",
             f"drag_matrix = {np.diag(-drag_of(craft)).tolist()}  # N s/m",
             f"thrust_min = {_thrust(craft, low)!r}  # N, of one rotor",

@@ -24,6 +24,7 @@ class _Functions:
 
     abs, minimum, maximum, where, sign = jnp.abs, jnp.minimum, jnp.maximum, jnp.where, jnp.sign
     exp, log, sqrt, sin, cos, tan = jnp.exp, jnp.log, jnp.sqrt, jnp.sin, jnp.cos, jnp.tan
+    log1p = jnp.log1p
     arcsin, arccos, arctan, arctan2 = jnp.arcsin, jnp.arccos, jnp.arctan, jnp.arctan2
     tanh, floor, ceil, copysign = jnp.tanh, jnp.floor, jnp.ceil, jnp.copysign
 

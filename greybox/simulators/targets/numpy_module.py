@@ -32,6 +32,7 @@ class _Arrays:
 
     abs, minimum, maximum, where, sign = np.abs, np.minimum, np.maximum, np.where, np.sign
     exp, log, sqrt, sin, cos, tan = np.exp, np.log, np.sqrt, np.sin, np.cos, np.tan
+    log1p = np.log1p
     arcsin, arccos, arctan, arctan2 = np.arcsin, np.arccos, np.arctan, np.arctan2
     tanh, floor, ceil, copysign = np.tanh, np.floor, np.ceil, np.copysign
 
