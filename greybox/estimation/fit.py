@@ -85,7 +85,7 @@ def fit(
         start = predictor.approach(problem, start, progress)
         try:
             theta, status = solver.solve(problem, problem.inside(start), progress)
-            if status.converged and not _rough(solver):
+            if status.converged and (predictor.one_step is predictor or not _rough(solver)):
                 theta, status = _lowest(problem, solver, theta, status, progress)
         except Interrupted as stop:
             theta, status = stop.kept
