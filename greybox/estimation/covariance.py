@@ -27,7 +27,8 @@ class Covariance:
     scores were summed; `doubt`: why all errors are too small, `form`: which parameters are no
     measurement, since flights want what the model lacks, and which pushes go with how the craft is
     flown, `beyond`: which bounds of the model flights push against (`greybox.automatic.wanted`),
-    `changed`: where the craft changed within a flight (`greybox.automatic.lasting`); all empty where
+    `changed`: where the craft changed within a flight (`greybox.automatic.lasting`), `splits`: which
+    noise levels are one number to the flights (`greybox.estimation.noise_split`); all empty where
     nothing says so."""
 
     fisher: FloatArray
@@ -37,6 +38,7 @@ class Covariance:
     form: str = ""
     beyond: str = ""
     changed: tuple[str, ...] = ()
+    splits: tuple[str, ...] = ()
 
     @property
     def enough(self) -> bool:
