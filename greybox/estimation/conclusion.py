@@ -19,6 +19,7 @@ from greybox.estimation.document import FitSettings
 from greybox.estimation.feasible import wall
 from greybox.estimation.few_samples import too_short_for_errors
 from greybox.estimation.identifiability import Combination, marginal_information, unidentified
+from greybox.estimation.noise_split import wider_split
 from greybox.estimation.options import FitOptions
 from greybox.estimation.prior import prior_terms
 from greybox.estimation.problem import Problem
@@ -92,6 +93,7 @@ def concluded(
         *([errors.spread.doubt] if errors.spread.doubt else []),
         *([UNFINISHED] if status.converged and _unfinished(value, errors.held) else []),
         *_bound_warnings(estimates, own_parameters(problem.dynamics)),
+        *errors.spread.splits,
         *nearer_warnings(nearer),
         *_record_warnings(problem),
         *_combination_warnings(problem, kept, combinations),
@@ -245,6 +247,11 @@ def _spread(
     low, high = theta <= problem.lower, theta >= problem.upper
     held = (low & (value.gradient > 0)) | (high & (value.gradient < 0))
     spread = covariance(told, value.scores, precision, held)
+    wider, splits = wider_split(problem, theta, value, spread.fisher, held)
+    by = np.outer(wider, wider)
+    spread = replace(
+        spread, fisher=spread.fisher * by, sandwich=spread.sandwich * by, splits=splits
+    )
     more = varying_spread(problem, theta, told, held)
     if considered.spread is not None:
         free_rows = np.where(held, 0.0, 1.0)

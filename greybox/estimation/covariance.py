@@ -26,10 +26,12 @@ FEWEST_BLOCKS = 8
 class Covariance:
     """Matrices over all unknowns (n, n); rows and columns of held ones are zero. `matrix`, which
     NumPy takes it for, is the one that errors go by. `coloured`: whether the innovations are.
-    `blocks`: how many scores were summed; `doubt`: why all errors are too small, `form`: which parameters are no
-    measurement, since flights want what the model lacks, and which pushes go with how the craft is
-    flown, `beyond`: which bounds of the model flights push against (`greybox.automatic.wanted`),
-    `changed`: where the craft changed within a flight (`greybox.automatic.lasting`); all empty where
+    `blocks`: how many scores were summed; `doubt`: why all errors are too small, `form`: which
+    parameters are no measurement, since flights want what the model lacks, and which pushes go with
+    how the craft is flown, `beyond`: which bounds of the model flights push against
+    (`greybox.automatic.wanted`), `changed`: where the craft changed within a flight
+    (`greybox.automatic.lasting`), `splits`: which noise levels are one number to the flights
+    (`greybox.estimation.noise_split`); all empty where
     nothing says so."""
 
     fisher: FloatArray
@@ -39,6 +41,7 @@ class Covariance:
     form: str = ""
     beyond: str = ""
     changed: tuple[str, ...] = ()
+    splits: tuple[str, ...] = ()
     coloured: bool = False
 
     @property

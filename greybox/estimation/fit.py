@@ -18,7 +18,7 @@ from greybox.data import Dataset
 from greybox.errors import FitError, UnknownNameError
 from greybox.estimation.conclusion import concluded
 from greybox.estimation.considered import demand_considerable
-from greybox.estimation.exchange import exchanged
+from greybox.estimation.elsewhere import elsewhere
 from greybox.estimation.few_samples import demand_samples
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
 from greybox.estimation.problem import Problem, make_problem
@@ -84,8 +84,8 @@ def fit(
         start = predictor.approach(problem, start, progress)
         try:
             theta, status = solver.solve(problem, problem.inside(start), progress)
-            if status.converged and not _rough(solver):
-                theta, status = _best_order(problem, solver, theta, status, progress)
+            if status.converged and (predictor.one_step is predictor or not _rough(solver)):
+                theta, status = _lowest(problem, solver, theta, status, progress)
         except Interrupted as stop:
             theta, status = stop.kept
         result = concluded(problem, data, options, theta, status, began)
@@ -108,16 +108,16 @@ def _rough(solver: Solver) -> bool:
     )
 
 
-def _best_order(
+def _lowest(
     problem: Problem,
     solver: Solver,
     theta: FloatArray,
     status: Status,
     progress: Progress | None,
 ) -> tuple[FloatArray, Status]:
-    """Where a search ended, or ends with motor lag and command delay exchanged, if that is lower."""
+    """Where a search ended, or ends from other values of lag and delay, if that is lower."""
     try:
-        start = exchanged(problem, theta)
+        start = elsewhere(problem, theta)
         if start is None:
             return theta, status
         other, how = solver.solve(problem, start, progress)
@@ -141,16 +141,18 @@ def _initialise(problem: Problem, options: FitOptions, solver: Solver) -> FloatA
         return problem.start
     from greybox.estimation import initialisation as init
 
+    has_noise = problem.predictor.has_noise
     if how == "noise":
         return init.noise_start(problem)
     if how == "equation-error":
+        # Where the user's values, or the vehicle's, predict better, the equation error's wait.
+        starts = [problem.start, init.noise_start(problem)] if has_noise else [problem.start]
         try:
-            start = problem.inside(init.equation_error(problem))
-            start = init.noise_start(problem, start) if problem.predictor.has_noise else start
+            found = problem.inside(init.equation_error(problem))
+            starts.append(init.noise_start(problem, found) if has_noise else found)
         except FitError:
-            return problem.start
-        better = problem.evaluate(start, 0).cost < problem.evaluate(problem.start, 0).cost
-        return start if better else problem.start
+            pass
+        return min(starts, key=lambda at: problem.evaluate(at, 0).cost)
     if how == "multistart":
         from greybox.estimation.multistart import multistart
 

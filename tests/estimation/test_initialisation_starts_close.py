@@ -13,8 +13,10 @@ from greybox import build_model
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import DataError, UnknownNameError
 from greybox.estimation.criteria.gaussian import Gaussian
+from greybox.estimation.fit import _initialise
 from greybox.estimation.initialisation import equation_error, noise_start
 from greybox.estimation.multistart import multistart
+from greybox.estimation.options import FitOptions
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.predictors.simulation import Simulation
 from greybox.estimation.problem import Problem, make_problem
@@ -73,6 +75,18 @@ def test_instruments_undo_the_bias_that_feedback_brings() -> None:
     assert abs(np.mean(plain) - 0.5) > 0.03
     assert abs(np.mean(instrumental) - 0.5) < 4 * error
     assert abs(np.mean(instrumental) - 0.5) < 0.2 * abs(np.mean(plain) - 0.5)
+
+
+def test_given_values_that_predict_better_than_the_equation_error_are_the_start() -> None:
+    options = FitOptions(values={"a": 0.9, "b": 0.5})
+    for seed in range(3):
+        problem = make_problem(first_order(), loop(seed), options)
+        start = _initialise(problem, options, LevenbergMarquardt())
+        assert start[:2] == pytest.approx([0.9, 0.5])
+        assert (
+            problem.evaluate(start).cost
+            < problem.evaluate(noise_start(problem, equation_error(problem))).cost
+        )
 
 
 def test_bad_instruments_are_named() -> None:

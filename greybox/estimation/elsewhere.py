@@ -1,0 +1,52 @@
+"""Elsewhere: where else the lag of the motors and the delay of the commands may be likelier.
+
+Flights tell their sum (see `greybox.model.effective_lag`) far better than the two. Between "nearly
+all lag" and "nearly all delay" lies a low ridge, and calm flights have a second optimum of the sum
+itself, where gusts and inertia stand in for the rest: no descent leaves either. So other places are
+asked: the two exchanged, as they started (what the user gave), and as they are expected. Each costs
+one evaluation; the decrease that a full Gauss-Newton step promises from there decides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from greybox.estimation.laplace import at_bound
+from greybox.estimation.problem import Problem
+from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
+from greybox.symbolic import FloatArray
+
+PAIR = ("motor_lag.tau", "command_delay.d")
+"""Lag and delay [s] in a row."""
+CLEAR = 1.0
+"""Log likelihood below which two optima are as likely."""
+
+
+def elsewhere(problem: Problem, theta: FloatArray) -> FloatArray | None:
+    """The unknowns (n,) with lag and delay where the lowest cost is promised, from where a search
+    may end below the optimum `theta` (n,); None where they are not free and shared, or nothing
+    lower is promised."""
+    pair = [i for name in PAIR if (i := problem.index.get((name, None))) is not None]
+    unknowns = [problem.unknowns[i] for i in pair]
+    ways = [[u.start for u in unknowns], [u.mean for u in unknowns]]
+    if len(pair) == len(PAIR):
+        ways.append(theta[pair[::-1]].tolist())
+    places = {tuple(way) for way in ways if way != theta[pair].tolist()}
+    limit, best = problem.evaluate(theta, 0).cost - CLEAR, None
+    for place in sorted(places):
+        other = theta.copy()
+        other[pair] = place
+        other = problem.inside(other)
+        reached = _reached(problem, other)
+        if reached < limit:
+            limit, best = reached, other
+    return best
+
+
+def _reached(problem: Problem, theta: FloatArray) -> float:
+    """The cost that a full step from `theta` (n,) promises; infinite where it has none."""
+    there = problem.evaluate(theta)
+    if not there.valid or there.gradient is None or there.hessian is None:
+        return np.inf
+    held = at_bound(problem, theta, there)
+    return there.cost - newton_decrement(there.gradient, there.hessian, held)
