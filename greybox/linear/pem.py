@@ -34,8 +34,8 @@ FIRST_DAMPING = 1e-3
 """Of a Hessian scaled to unit information."""
 FLAT_GAIN = 0.05
 """Gain of three steps together, in -2 log likelihood, below which the iteration ends as
-`Status.FLAT` where a full step promises more; at most 5 times the tolerance. Much more would stop on plateaus behind which states
-of real flights were found."""
+`Status.FLAT` where a full step promises more; at most 5 times the tolerance. Much more would stop
+on plateaus behind which states of real flights were found."""
 
 
 FORGET = 3.0
