@@ -2,7 +2,7 @@
 flies.
 
 A group is frozen when all of it is: one component of a pose may stand still, and one command stays
-at its limit. Each axis of an IMU has noise of its own and never does.
+at its limit. Each axis of an IMU has noise of its own and never does, unless its numbers are coarse.
 """
 
 from __future__ import annotations
@@ -55,6 +55,14 @@ def _moves(values: FloatArray, rows: int) -> bool:
     return bool(step.size and change.size and np.percentile(change, 75) > COARSE * step.min())
 
 
+def _left_at_once(values: FloatArray, found: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Those runs of one axis (N, 1) that end by more than `COARSE` of its smallest steps, or with
+    the flight: coarse numbers of a slow motion come and go step by step."""
+    step = np.abs(np.diff(values[:, 0]))
+    least = step[step > 0].min(initial=np.inf)
+    return [(a, b) for a, b in found if b == len(values) or step[b - 1] > COARSE * least]
+
+
 def run(view: View) -> Iterator[Finding | Unjudged]:
     """Findings on measured groups that stand still in flight, and on channels that never move."""
     if view.flight is None or view.clock is None:
@@ -95,6 +103,8 @@ def _stands(
     low, high = _range(values)
     longer = max(need, LATE * held_over(values[known.all(axis=1)]))
     runs = [(a, b) for a, b in frozen_runs(values, longer) if view.in_flight(t[a])]
+    if len(names) == 1:
+        runs = _left_at_once(values, runs)
     if commands:  # motors at their limits stay there
         runs = [(a, b) for a, b in runs if ((values[a] > low) & (values[a] < high)).any()]
     dead = bool((low == high).all()) and not commands
