@@ -163,6 +163,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             _model(options.model),
             ("numpy", "jax", "rotorpy", "drone-models", "crazyflow"),
             out=folder,
+            even_so=True,
         )
         for found in (
             ours(folder),

@@ -24,7 +24,7 @@ from greybox.estimation.options import FitChoices, FitOptions, member, says_choi
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.result import Estimate, Fit
 from greybox.estimation.solver import Progress, Solver
-from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.solvers.levenberg_marquardt import GOOD, POOR, LevenbergMarquardt
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.model.dynamics import Dynamics
 from greybox.model.given_values import demand_given
@@ -117,7 +117,8 @@ def _lowest(
 ) -> tuple[FloatArray, Status]:
     """Where a search ended, or ends from other values of lag and delay, if that is lower."""
     try:
-        start = elsewhere(problem, theta)
+        # A trial does not search in vain.
+        start = elsewhere(problem, theta, GOOD if _rough(solver) else POOR)
         if start is None:
             return theta, status
         other, how = solver.solve(problem, start, progress)

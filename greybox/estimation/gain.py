@@ -297,7 +297,10 @@ def _distinct(
     kinds = np.frombuffer(patterns).reshape(shape)
     kept = 1.0 + (lost_bits(kinds) & felt)
     few, which = np.unique(np.where(kinds == 0, 0.0, kept), axis=0, return_inverse=True)
-    return few, which.ravel()
+    which = which.ravel()
+    few.setflags(write=False)
+    which.setflags(write=False)
+    return few, which
 
 
 def solve_riccati(

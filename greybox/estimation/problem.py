@@ -32,6 +32,7 @@ from greybox.estimation.settling import start_sigma
 from greybox.estimation.solver import IndexArray, Value
 from greybox.estimation.unknown import SearchSpace, Unknown
 from greybox.model.dynamics import Dynamics
+from greybox.model.given_values import demand_given
 from greybox.model.parameter import Parameter, nominal_values
 from greybox.statistics.blocks import block_samples
 from greybox.symbolic import BoolArray, FloatArray, Layout
@@ -301,6 +302,7 @@ def make_problem(
     predictor, criterion = o.chosen_predictor(), o.chosen_criterion()
     choice = _choice(dynamics.parameters, o)
     means = {n: float(p[0]) for n, p in o.priors.items() if n not in choice.free}
+    demand_given(dynamics, means)
     values = nominal_values(dynamics.parameters).replace({**means, **o.values})
     dt = sample_time(dataset)
     engine = engine_for(dynamics, choice.built, use_compiler=o.use_compiler).select(choice.free)

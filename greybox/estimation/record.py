@@ -3,6 +3,7 @@ channels."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,6 +25,8 @@ REACH = 50
 bits."""
 MOST = 2
 """How many lost rows before it a row knows of, the last ones."""
+ALIKE = 10.0
+"""Factor between two spreads of a start up to which they are of one kind."""
 RARE = 0.1
 """Share of a record's rows up to which rows without any measurement count as lost."""
 
@@ -185,9 +188,21 @@ def make_records(engine: Engine, dataset: Dataset) -> list[Record]:
             expected=", ".join(engine.dynamics.outputs.names),
             fix="check the column names of the log",
         )
-    # One spread for all, the widest: records that start alike share how their filter settles.
-    widest = np.max([r.x0_sigma for r in records], axis=0)
-    return [replace(r, x0_sigma=widest) for r in records]
+    return _with_common_spreads(records)
+
+
+def _with_common_spreads(records: Sequence[Record]) -> list[Record]:
+    """Records whose starts are known alike, every error to a factor `ALIKE`, with one spread, the
+    widest of them: they share how their filter settles."""
+    shared = list[Record]()
+    for r in records:
+        alike = [
+            o.x0_sigma
+            for o in records
+            if (np.abs(np.log(o.x0_sigma / r.x0_sigma)) <= np.log(ALIKE)).all()
+        ]
+        shared.append(replace(r, x0_sigma=np.max(alike, axis=0)))
+    return shared
 
 
 def channel_means(dataset: Dataset) -> dict[str, float]:

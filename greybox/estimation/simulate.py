@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -83,7 +84,7 @@ def simulate(
     )
 
 
-def _finite(values: npt.ArrayLike, what: str) -> FloatArray:
+def _finite(values: object, what: str) -> FloatArray:
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -93,13 +94,17 @@ def _finite(values: npt.ArrayLike, what: str) -> FloatArray:
     return array
 
 
+def _named(given: object) -> dict[str, Any] | None:
+    """What a mapping, or a frame or series of pandas, holds by name; None of anything else."""
+    items = getattr(given, "items", None)
+    return None if items is None else dict(items())
+
+
 def _columns(
     given: npt.ArrayLike | Mapping[str, npt.ArrayLike], layout: Layout, what: str
 ) -> FloatArray:
     """(n, columns) of a layout. Raises `DataError`, `UnknownNameError`."""
-    items = getattr(given, "items", None)  # of a data frame, too
-    if items is not None:
-        named = dict(items())
+    if (named := _named(given)) is not None:
         for name in named:
             if name not in layout.names:
                 raise UnknownNameError("input", str(name), layout.names, where=what)
@@ -108,9 +113,9 @@ def _columns(
         columns = [_finite(named[n], f"{what} of {n}") for n in layout.names]
         if len({c.shape for c in columns}) > 1 or columns[0].ndim != 1:
             raise DataError(f"{what}: not one value per sample for every input")
-        given = np.column_stack(columns)
-    assert not isinstance(given, Mapping)
-    array = _finite(given, what)
+        array = np.column_stack(columns)
+    else:
+        array = _finite(given, what)
     if array.ndim != 2 or array.shape[1] != len(layout) or not len(array):
         raise DataError(
             f"{what} has shape {array.shape}",
@@ -123,8 +128,8 @@ def _start(given: npt.ArrayLike | Mapping[str, float] | None, model: IdentifiedM
     """x0 (n_x,). Raises `DataError`, `UnknownNameError`."""
     names = model.dynamics.states.names
     start = np.array(model.reference_state, dtype=np.float64)
-    if isinstance(given, Mapping):
-        for name, value in given.items():
+    if (named := _named(given)) is not None:
+        for name, value in named.items():
             if name not in names:
                 raise UnknownNameError("state", str(name), names, where="x0")
             start[names.index(name)] = float(_finite(value, f"x0 of {name}"))

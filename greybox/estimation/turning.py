@@ -39,7 +39,7 @@ def turning_states(model: IdentifiedModel, segments: Iterable[Segment]) -> tuple
         gain = _gain(runner.riccati.N, runner.riccati.S)
         for segment in segments:
             found |= dict.fromkeys(_of_segment(runner, gain, segment))
-    except FitError:  # no prediction, and so no place
+    except (FitError, np.linalg.LinAlgError):  # no prediction, no place: a hint costs no result
         return ()
     return tuple(found)
 
@@ -51,8 +51,10 @@ def _of_segment(runner: Filter, gain: FloatArray, segment: Segment) -> list[str]
     for k in np.unique(np.linspace(0, len(run.states) - 1, PLACES).astype(int)):
         window = run.record.inputs[k : k + width].T
         values = here.values(run.states[k], window, run.p, model.sample_time)
+        if not all(np.isfinite(v).all() for v in values):
+            continue
         grown, vectors = np.linalg.eig(values[0] - gain @ values[2])
-        if np.abs(grown).max() < 1.0 or not all(np.isfinite(v).all() for v in values):
+        if np.abs(grown).max() < 1.0:
             continue
         try:
             own = stationary(values, model.process_noise**2, model.sensor_noise**2, model.weak**2)

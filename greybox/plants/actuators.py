@@ -114,8 +114,10 @@ class Actuators:
         tau = where(target > nu, self._up, self._down)
         rate = own + 2.0 * drag * target
         left = self._decay(tau, rate * duration)
-        gap = nu - target
-        return target + gap * left / (1.0 + drag * gap / rate * (1.0 - left))
+        gap, still = nu - target, rate == 0.0
+        # (1 - left) / rate, which is duration / tau where the rotor shall stand still
+        passed = where(still, duration / tau, (1.0 - left) / where(still, 1.0, rate))
+        return target + gap * left / (1.0 + drag * gap * passed)
 
     @staticmethod
     def _decay(tau: Number, duration: float) -> Number:

@@ -478,19 +478,21 @@ def _spread(
     every group follows (empirical Bayes by moments); factor/lambda at least.
     """
     on = np.isfinite(chosen)
-    strengths = np.where(on, chosen, 1.0)
-    prior, noise = np.repeat(strengths, basis.m), np.repeat(factor, basis.m)
-    c = np.linalg.inv(hessian + np.diag(prior))
-    seen = c @ hessian
+    free = np.repeat(on, basis.m)  # outputs that are off have no weights
+    prior, noise = np.repeat(chosen[on], basis.m), np.repeat(factor[on], basis.m)
+    h = hessian[np.ix_(free, free)]
+    c = np.linalg.inv(h + np.diag(prior))
+    seen = c @ h
     # Of an ensemble theta is that of the mean, a member's weights are as many times larger.
-    size = (basis.members * theta) ** 2 - np.einsum("ij,ji->i", seen, c) * noise
-    groups = [n.split(".")[0] for n in basis.posterior.outputs.names]
-    names = list(dict.fromkeys(g for g, o in zip(groups, on, strict=True) if o))
-    belongs = np.repeat(
-        [[g == n and o for n in names] for g, o in zip(groups, on, strict=True)], basis.m, axis=0
-    ).astype(np.float64)
+    size = (basis.members * theta[free]) ** 2 - np.einsum("ij,ji->i", seen, c) * noise
+    names = basis.posterior.outputs.names
+    groups = [n.split(".")[0] for n, o in zip(names, on, strict=True) if o]
+    kinds = list(dict.fromkeys(groups))
+    belongs = np.repeat([[g == k for k in kinds] for g in groups], basis.m, axis=0).astype(float)
     found, _ = scipy.optimize.nnls(belongs.T @ seen**2 @ belongs, np.maximum(size @ belongs, 0.0))
-    tau = np.array([found[names.index(g)] if o else 0.0 for g, o in zip(groups, on, strict=True)])
-    before = np.where(on, np.maximum(tau, factor / strengths), 0.0)
-    shrunk, root = c * (prior * np.sqrt(np.repeat(before, basis.m))), np.sqrt(noise)
-    return root[:, None] * (seen @ c) * root + shrunk @ shrunk.T, before
+    before = np.zeros(on.size)
+    before[on] = np.maximum([found[kinds.index(g)] for g in groups], (factor / chosen)[on])
+    shrunk, root = c * (prior * np.sqrt(np.repeat(before[on], basis.m))), np.sqrt(noise)
+    covariance = np.zeros_like(hessian)
+    covariance[np.ix_(free, free)] = root[:, None] * (seen @ c) * root + shrunk @ shrunk.T
+    return covariance, before

@@ -85,9 +85,6 @@ def test_what_an_imu_log_cannot_show_is_listed():
         (lambda r: scaled(r, "u1 u2 u3 u4", 65535.0), "ranges", "outside"),
         (lambda r: scaled(r, "qw qx qy qz", 2.0), "ranges", "unit length"),
         (lambda r: frozen(r, "p q r", 800, 1400), "frozen", "p, q, r keep the value"),
-        (lambda r: frozen(r, "p", 800, 1400), "frozen", "p keeps the value"),
-        (lambda r: frozen(r, "az", 800, 1400), "frozen", "az keeps the value"),
-        (lambda r: frozen(r, "u1 u2 u3 u4", 800, 1400), "frozen", "u4 keep the value"),
         (lambda r: with_time(r, r.t * 1e3), "clock", "hardly in seconds"),
         (lambda r: late(r, 12, "p q r ax ay az"), "alignment", "late against the attitude"),
         (lambda r: late(r, -12, "p q r ax ay az"), "alignment", "early against the attitude"),
@@ -193,6 +190,30 @@ def test_short_freeze_is_a_warning_with_its_place():
     assert finding.severity == "warning"
     assert finding.evidence["frozen_rows"] == 30
     assert finding.evidence["start_s"] == pytest.approx(raw.t[1000])
+
+
+@pytest.mark.parametrize("columns", ["p", "az", "u1 u2 u3 u4"])
+def test_one_axis_or_the_commands_that_stand_are_a_warning(columns):
+    raw = frozen(real(*CIRCLE), columns, 800, 1400)
+    (finding,) = check([raw], vehicle(CIRCLE[0])).of("frozen")
+    assert finding.severity == "warning"
+    assert finding.where.startswith(", ".join(columns.split()))
+    assert finding.evidence["frozen_rows"] == pytest.approx(600, abs=2)
+
+
+@pytest.mark.parametrize("step", [np.pi / 180, np.pi / 60])
+def test_coarse_axes_of_slow_flight_are_not_frozen(step):
+    raw = real(*STAR)
+    coarse = {n: np.round(raw.channels[n] / step) * step for n in ("p", "q", "r")}
+    assert not check([with_channels(raw, **coarse)], vehicle("nanobench")).of("frozen")
+
+
+def test_commands_that_are_held_for_as_long_again_and_again_are_not_frozen():
+    raw = real(*STAR)
+    names, hold = ("u1", "u2", "u3", "u4"), np.random.default_rng(0).integers(20, 50, len(raw.t))
+    first = np.repeat(np.cumsum(hold) - hold, hold)[: len(raw.t)]
+    held = {n: raw.channels[n][np.minimum(first, len(raw.t) - 1)] for n in names}
+    assert not check([with_channels(raw, **held)], vehicle("nanobench")).of("frozen")
 
 
 def test_motors_at_their_limits_are_not_frozen():

@@ -63,6 +63,13 @@ def _left_at_once(values: FloatArray, found: list[tuple[int, int]]) -> list[tupl
     return [(a, b) for a, b in found if b == len(values) or step[b - 1] > COARSE * least]
 
 
+def _far_longer(values: FloatArray, found: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The longest run of commands (N, k), where it is `LATE` times as long as any other: others
+    are how the craft is commanded."""
+    lengths = [1, 1, *sorted(b - a for a, b in frozen_runs(values, 2))]
+    return [(a, b) for a, b in found if b - a == lengths[-1] > LATE * lengths[-2]]
+
+
 def run(view: View) -> Iterator[Finding | Unjudged]:
     """Findings on measured groups that stand still in flight, and on channels that never move."""
     if view.flight is None or view.clock is None:
@@ -101,13 +108,15 @@ def _stands(
     commands = names[0] in group_names("command", len(view.vehicle.rotors))
     known = np.isfinite(values)
     low, high = _range(values)
+    dead = bool((low == high).all()) and not commands
     longer = max(need, LATE * held_over(values[known.all(axis=1)]))
     runs = [(a, b) for a, b in frozen_runs(values, longer) if view.in_flight(t[a])]
     if len(names) == 1:
         runs = _left_at_once(values, runs)
-    if commands:  # motors at their limits stay there
-        runs = [(a, b) for a, b in runs if ((values[a] > low) & (values[a] < high)).any()]
-    dead = bool((low == high).all()) and not commands
+    # At the end of its range a sensor is clipped and a motor at its limit.
+    runs = [(a, b) for a, b in runs if ((values[a] > low) & (values[a] < high)).any() or dead]
+    if commands:
+        runs = _far_longer(values, runs)
     if not runs or not (dead or _moves(values, longer)):
         return None
     longest = max(runs, key=lambda ab: ab[1] - ab[0])
@@ -117,7 +126,9 @@ def _stands(
     kept = ", ".join(f"{v:.6g}" for v in values[longest[0]])
     return Finding(
         check="frozen",
-        severity="blocking" if share > BLOCKING_SHARE else "warning",
+        severity="blocking"
+        if share > BLOCKING_SHARE and len(names) > 1 and not commands
+        else "warning",
         flight=view.name,
         where=f"{', '.join(names)}, from t = {t[longest[0]]:.3f} s",
         message=f"{', '.join(names)} keep{'s' if len(names) == 1 else ''} the value {kept} for "
