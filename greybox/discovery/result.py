@@ -47,10 +47,10 @@ SAYS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Discovery(Shown):
-    """What was found: `verdict` is a key of `SAYS`, `names` everything that was asked, `fit` the
-    final structure, `left` what its unnamed force and torque hold, `bar` the log e-value that a
-    name needs, `lawful` the model with laws (the one to go on with; None without), `denied` which
-    stated numbers the flights deny. `proposals()` are the laws as files by name."""
+    """What was found. `verdict` is a key of `SAYS`, `names` everything that was asked, `fit` the
+    final structure, `left` what its unnamed force and torque hold. `bar` is the log e-value that a
+    name needs, `denied` which stated numbers the flights deny. `lawful` is the model with laws (the
+    one to go on with; None without), `proposals()` the laws as files by name."""
 
     verdict: str
     names: tuple[Name, ...] = ()

@@ -88,14 +88,11 @@ def concluded(
     turned = turning(model, data) if problem.predictor.one_step.name == "innovation" else ""
     combinations = tuple(_seen_with_one_gain(c) if turned else c for c in combinations)
     status = replace(status, detail=turned or status.detail)
-    warnings = [
+    said = [
         *([status.advice] if turned or not status.converged else []),
         *([errors.spread.doubt] if errors.spread.doubt else []),
         *([UNFINISHED] if status.converged and _unfinished(value, errors.held) else []),
-        *_bound_warnings(estimates, own_parameters(problem.dynamics)),
-        *errors.spread.splits,
-        *nearer_warnings(nearer),
-        *_record_warnings(problem),
+        *_warned(problem, estimates, errors, nearer),
         *_combination_warnings(problem, kept, combinations),
     ]
     return Fit(
@@ -117,7 +114,7 @@ def concluded(
             innovations=seen.by_flight,
             coloured=seen.coloured,
             covariance=replace(errors.spread, coloured=seen.coloured),
-            warnings=tuple(warnings),
+            warnings=tuple(said),
         ),
         provenance=Provenance(
             problem=problem,
@@ -128,6 +125,22 @@ def concluded(
             flights=tuple(f.facts() for f in data.flights),
         ),
     )
+
+
+def _warned(
+    problem: Problem,
+    estimates: Mapping[str, Estimate],
+    errors: _Errors,
+    nearer: Mapping[str, tuple[float, float]],
+) -> list[str]:
+    """What is said of bounds, of noise that is not told apart, of what flights tell of the rest and
+    of the records."""
+    return [
+        *_bound_warnings(estimates, own_parameters(problem.dynamics)),
+        *errors.spread.splits,
+        *nearer_warnings(nearer),
+        *_record_warnings(problem),
+    ]
 
 
 def _settings(problem: Problem, options: FitOptions) -> FitSettings:

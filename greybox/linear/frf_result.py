@@ -260,10 +260,10 @@ class FrequencyResponse(Shown):
     """Responses of flights, `pairs` by "output/input", over `frequency` (K,) [Hz].
 
     `averages` (K,) independent averages and `window` (K,) [s] behind each; `flights` seconds that
-    were used by flight; `references` the signals that make it an estimate for closed loops; `closed_by` what
-    follows the outputs (references, or inputs where there are none), so that nothing is usable,
-    `untold` of which that cannot be told, as the outputs were smoothed with later samples;
-    `model` the name of the model beside it; `warnings` what must be known before it is believed.
+    were used by flight; `references` the signals that make it an estimate for closed loops.
+    `closed_by`: what follows the outputs (references, or inputs where there are none), so that
+    nothing is usable. `untold`: of which that cannot be told, as the outputs were smoothed with
+    later samples. `model`: the name of the model beside it. `warnings`: what must be known first.
     """
 
     pairs: Mapping[str, Pair]

@@ -153,9 +153,9 @@ def twin(
     `train`: the flights of the fit, on which is counted how strongly they are pushed about;
     `check`: flights that no fit saw, on which their band is counted.
 
-    Raises `UnknownNameError` for a target, `DataError` for one named twice, `ModelError` for a
-    model that is no vehicle's, that no body is like, or whose rotors a named target cannot express,
-    and for one that was judged NOT USABLE, unless `even_so`; `OutputError` for files that exist.
+    Raises `UnknownNameError` for a target, `DataError` for one named twice, `OutputError` for files
+    that exist. `ModelError`: no vehicle's model, like no body, with rotors that a named target
+    cannot express, or judged NOT USABLE, unless `even_so`.
     """
     demand_usable(model.verdict, model.name, even_so=even_so)
     craft = Craft.of(model)
