@@ -74,3 +74,33 @@ def test_a_prior_that_is_too_strong_is_in_the_spread(strength: float) -> None:
         told.append(np.trace(covariance))
         true.append(np.sum((found - theta) ** 2))
     assert np.mean(told) == pytest.approx(np.mean(true), rel=0.15)
+
+
+def test_an_output_that_is_off_does_not_widen_the_other() -> None:
+    """Two outputs that the flights hardly tell apart, the second off: nothing is free in it."""
+    rng = np.random.default_rng(4)
+    m, factor = 20, 0.5
+    slopes = rng.standard_normal((2 * m, 2 * m)) * np.geomspace(3.0, 0.03, 2 * m)
+    slopes[:, m:] += slopes[:, :m]
+    hessian, found = slopes.T @ slopes, np.r_[rng.standard_normal(m), np.zeros(m)]
+    names = ("force.x", "force.y")
+    both, alone = (
+        cast(
+            Basis,
+            SimpleNamespace(
+                m=m,
+                members=1,
+                posterior=SimpleNamespace(
+                    outputs=Layout([Signal(name=n, unit="N") for n in names[:k]])
+                ),
+            ),
+        )
+        for k in (2, 1)
+    )
+    covariance, before = _spread(
+        hessian, found, both, np.array([1.0, np.inf]), np.array([factor, factor])
+    )
+    own, prior = _spread(hessian[:m, :m], found[:m], alone, np.array([1.0]), np.array([factor]))
+    assert covariance[:m, :m] == pytest.approx(own)
+    assert not covariance[m:].any() and not covariance[:, m:].any()
+    assert before == pytest.approx([prior[0], 0.0])
