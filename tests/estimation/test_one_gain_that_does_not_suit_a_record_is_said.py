@@ -92,3 +92,34 @@ def test_a_heading_that_is_measured_turns_nothing() -> None:
     assert turning_states(found.model, drives(1, 9).segments) == ()
     told = validate(found.model, drives(1, 9)).verdict
     assert told is not None and told.line.startswith("useful")
+
+
+def test_a_place_without_slopes_costs_no_verdict() -> None:
+    """A tank that runs empty: the root of its level has no slope there."""
+    level, pump = Signal(name="h", unit="m"), Signal(name="u", unit="V")
+    model = StateSpaceModel(
+        name="tank",
+        states=Layout([level]),
+        inputs=Layout([pump]),
+        outputs=Layout([level]),
+        parameters=(Parameter(name="c", unit="1", nominal=0.2, lower=0.01, scale=0.1),),
+        dynamics=lambda t, x, u, p: [0.4 * u[0] - p["c"] * ca.sqrt(ca.fmax(x[0], 0))],
+        measurement=lambda t, x, u, p: [x[0]],
+        noise_states=("h",),
+        initial_sigma={"h": 0.3},
+    )
+
+    def filled(name: str, seed: int, stops: int) -> Dataset:
+        rng, n, dt = np.random.default_rng(seed), 200, 0.5
+        u = np.where(np.arange(n) < stops, rng.uniform(0.4, 1.2, n // 20).repeat(20), 0.0)
+        h, rows = 1.0, []
+        for k in range(n):
+            rows.append(h + 0.005 * rng.standard_normal())
+            for _ in range(20):
+                h = max(h + dt / 20 * (0.4 * u[k] - 0.25 * np.sqrt(max(h, 0.0))), 0.0)
+        return dataset_from_arrays(dt * np.arange(n), {"u": u, "h": np.array(rows)}, name=name)
+
+    found = fit(model, filled("full", 1, 200))
+    empty = filled("empty", 2, 60)
+    assert turning_states(found.model, [s for f in empty.flights for s in f.segments]) == ()
+    assert validate(found.model, empty).verdict is not None
