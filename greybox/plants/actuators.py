@@ -116,7 +116,8 @@ class Actuators:
         left = self._decay(tau, rate * duration)
         gap, still = nu - target, rate == 0.0
         # (1 - left) / rate, which is duration / tau where the rotor shall stand still
-        passed = where(still, duration / tau, (1.0 - left) / where(still, 1.0, rate))
+        slow = duration / where(tau == 0.0, 1.0, tau)
+        passed = where(still, slow, (1.0 - left) / where(still, 1.0, rate))
         return target + gap * left / (1.0 + drag * gap * passed)
 
     @staticmethod
