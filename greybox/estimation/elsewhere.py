@@ -33,6 +33,8 @@ def elsewhere(problem: Problem, theta: FloatArray, kept: float = POOR) -> FloatA
     if len(pair) == len(PAIR):
         ways.append(theta[pair[::-1]].tolist())
     places = {tuple(way) for way in ways if way != theta[pair].tolist()}
+    if not places:
+        return None
     # What a search that ended early has left promises nothing elsewhere.
     limit, best = _reached(problem, theta, kept) - CLEAR, None
     for place in sorted(places):
