@@ -81,35 +81,40 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     first, last = view.flight.segments[0].t[0], view.flight.segments[-1].t[-1]
     rows = slice(*np.searchsorted(log.t, [first, last]).tolist())
     t = log.t[rows]
-    need = max(FROZEN_ROWS, int(np.ceil(FROZEN_TIME / view.clock.dt)))
     for group in GROUPS:
         every = group_names(group, len(view.vehicle.rotors))
         names = [n for n in every if n in log.channels]
-        if not names or t.size <= need:
+        if not names or t.size <= _rows(view):
             continue
         values = np.column_stack([log.channels[n][rows] for n in names])
         low, high = _range(values)
         dead = low == high
         if group in NOISY and dead.any() and not dead.all():
             yield _dead(view, [n for n, same in zip(names, dead, strict=True) if same])
-        if (whole := _stands(view, names, t, values, need)) is not None:
+        if (whole := _stands(view, group, names, t, values)) is not None:
             yield whole
         elif group in NOISY:
             for i in np.flatnonzero(~dead):
-                if (one := _stands(view, [names[i]], t, values[:, [i]], need)) is not None:
+                if (one := _stands(view, group, [names[i]], t, values[:, [i]])) is not None:
                     yield one
 
 
+def _rows(view: View) -> int:
+    """Rows that a group must keep its values for."""
+    assert view.clock is not None
+    return max(FROZEN_ROWS, int(np.ceil(FROZEN_TIME / view.clock.dt)))
+
+
 def _stands(
-    view: View, names: list[str], t: FloatArray, values: FloatArray, need: int
+    view: View, group: str, names: list[str], t: FloatArray, values: FloatArray
 ) -> Finding | None:
-    """What keeps its values (N, k) at the times t (N,) for `need` rows or more, or longer where a
-    slow stream repeats; None where nothing does."""
-    commands = names[0] in group_names("command", len(view.vehicle.rotors))
+    """What of a group keeps its values (N, k) at the times t (N,) for as many rows as `_rows`
+    asks, or longer where a slow stream repeats; None where nothing does."""
+    commands = group == "command"
     known = np.isfinite(values)
     low, high = _range(values)
     dead = bool((low == high).all()) and not commands
-    longer = max(need, LATE * held_over(values[known.all(axis=1)]))
+    longer = max(_rows(view), LATE * held_over(values[known.all(axis=1)]))
     runs = [(a, b) for a, b in frozen_runs(values, longer) if view.in_flight(t[a])]
     if len(names) == 1:
         runs = _left_at_once(values, runs)
