@@ -199,8 +199,13 @@ def _combinations(
     """Combinations of parameters that the flights do not tell apart."""
     kept, n = errors.parameters(problem), problem.n
     hessian = np.zeros((n, n)) if value.data_hessian is None else value.data_hessian
-    labels = [_label(problem.unknowns[i]) for i in kept]
-    return unidentified(marginal_information(hessian, kept), labels, [theta[i] for i in kept])
+    unknowns = [problem.unknowns[i] for i in kept]
+    return unidentified(
+        marginal_information(hessian, kept),
+        [_label(u) for u in unknowns],
+        [theta[i] for i in kept],
+        [u.scale for u in unknowns],
+    )
 
 
 def turning(model: IdentifiedModel, data: Dataset) -> str:

@@ -41,33 +41,35 @@ def marginal_information(information: FloatArray, keep: Sequence[int]) -> FloatA
 
 
 def unidentified(
-    information: FloatArray, names: Sequence[str], values: Sequence[float]
+    information: FloatArray,
+    names: Sequence[str],
+    values: Sequence[float],
+    scales: Sequence[float],
 ) -> tuple[Combination, ...]:
     """Combinations without information. `information` (k, k) of the named parameters, `values` (k,)
-    their estimates."""
+    their estimates and `scales` (k,) their typical sizes.
+
+    What is known of a parameter is measured against its typical size, or against its value where
+    that is larger: an estimate that happens to be next to zero may be known as well as any.
+    """
     k = len(names)
     if not k:
         return ()
     diagonal = np.diag(information)
-    top = float(
-        np.max(diagonal * np.square(np.maximum(np.abs(np.asarray(values)), 1e-300)), initial=0.0)
-    )
-    out: list[Combination] = []
-    alone = [
-        i
-        for i in range(k)
-        if diagonal[i] * max(abs(values[i]), 1e-300) ** 2 <= 1e-14 * top and values[i] != 0
-    ]
-    for i in alone:
-        out.append(
-            Combination(
-                names=(names[i],),
-                weights=(1.0,),
-                eigenvalue=0.0,
-                text=f"{names[i]}: the data say nothing about it; fix it or fly a manoeuvre that "
-                "excites it",
-            )
+    sizes = np.maximum(np.abs(np.asarray(values, dtype=np.float64)), np.asarray(scales))
+    sizes = np.copysign(sizes, values)
+    known = diagonal * sizes**2
+    alone = np.flatnonzero(known <= 1e-14 * known.max()).tolist()
+    out = [
+        Combination(
+            names=(names[i],),
+            weights=(1.0,),
+            eigenvalue=0.0,
+            text=f"{names[i]}: the data say nothing about it; fix it or fly a manoeuvre that "
+            "excites it",
         )
+        for i in alone
+    ]
     seen = [i for i in range(k) if i not in alone and diagonal[i] > 0]
     if len(seen) < 2:
         return tuple(out)
@@ -78,7 +80,7 @@ def unidentified(
         if value > WEAK * eigenvalues[-1]:
             break
         step = v / size  # change of the parameters along the direction
-        relative = step / np.array([values[i] if values[i] else np.inf for i in seen])
+        relative = step / sizes[seen]
         if not np.abs(relative).max() > 0:
             continue
         weights = relative / relative[np.argmax(np.abs(relative))]

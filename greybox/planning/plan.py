@@ -82,6 +82,7 @@ def plan(
             marginal_information(found.matrix, places),
             [found.names[i] for i in places],
             [wish.values[found.names[i]] for i in places],
+            [wish.declared[found.names[i]].scale for i in places],
         ),
         left_out=tuple(left_out),
         warnings=(

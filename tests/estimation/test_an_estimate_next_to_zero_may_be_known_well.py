@@ -1,0 +1,37 @@
+"""Whether the data say something about a parameter is judged by its information and its typical
+size, not by where its estimate happens to lie."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greybox.estimation.identifiability import unidentified
+
+NAMES = ("mass", "thrust.c2", "accelerometer_bias.b_y")
+SCALES = (0.03, 0.6, 0.1)
+ERRORS = np.array([3e-6, 1e-5, 4.4e-3])
+
+
+@pytest.mark.parametrize("bias", [-6e-5, 0.0, 1e-9, -0.05])
+def test_an_estimate_next_to_zero_is_not_unseen(bias: float) -> None:
+    assert not unidentified(np.diag(ERRORS**-2.0), NAMES, (0.03, 0.6, bias), SCALES)
+
+
+@pytest.mark.parametrize("bias", [0.3, -6e-5, 0.0])
+@pytest.mark.parametrize("information", [0.0, 1e-9])
+def test_what_is_truly_unseen_is_named_wherever_its_estimate_lies(
+    bias: float, information: float
+) -> None:
+    matrix = np.diag([*ERRORS[:2] ** -2.0, information])
+    found = unidentified(matrix, NAMES, (0.03, 0.6, bias), SCALES)
+    assert [c.names for c in found] == [("accelerometer_bias.b_y",)]
+    assert "the data say nothing about it" in found[0].text
+
+
+def test_an_estimate_next_to_zero_takes_no_part_in_what_others_share() -> None:
+    """Mass and thrust only as a ratio; the bias has next to nothing of that direction."""
+    slope = np.array([[1.0 / 0.03, -1.0 / 0.6, 1e-7], [0.0, 0.0, 200.0]])
+    found = unidentified(1e8 * slope.T @ slope, NAMES, (0.03, 0.6, 1e-9), SCALES)
+    assert [set(c.names) for c in found] == [{"mass", "thrust.c2"}]
+    assert "only as a ratio" in found[0].text
