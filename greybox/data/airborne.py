@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.repeats import LATE
+from greybox.data.stillness import Motion, motion_of, stiller_than_in_flight
 from greybox.runs import runs
 
 FloatArray = npt.NDArray[np.float64]
@@ -30,6 +31,10 @@ WINDOW = 0.3
 
 MARGIN = 0.5
 """Without a height, this much time [s] next to the ground is cut as take-off and landing."""
+
+WEAK = 0.85
+"""Below this share of the hover command a craft falls by several times `FLAT` in `WINDOW`. Nearer to
+it that is not sure: the hover level is not known so well."""
 
 IDLE_TIME = 1.0
 """Inside a log, motors below half the hover command for this long [s] mean that the craft
@@ -77,7 +82,10 @@ def airborne(
         return everything, ("the motors never ran: take-off and landing not looked for",)
     level = float(np.median(mean[mean > 0.3 * top]))
     height = _handed_on(channels["z"]) if "z" in channels else None
-    ground = _with_take_off_and_landing(t, mean / level, height, _standing(t, mean / level, height))
+    share = mean / level
+    turns = motion_of(t, np.column_stack([_held(channels[n]) for n in driving]), channels)
+    standing = _standing(t, share, height, turns)
+    ground = _with_take_off_and_landing(t, share, height, standing)
     covers = np.zeros(t.size + 1, dtype=np.int64)
     for first, last in ground:
         covers[first] += 1
@@ -100,8 +108,39 @@ def _flat(height: FloatArray | None, rows: slice) -> bool | None:
     return bool(np.ptp(seen) < FLAT) if seen.size >= 3 else None
 
 
+def _stays(t: FloatArray, height: FloatArray | None) -> float:
+    """Time [s] from the first row on over which the height stays put, less that of a take-off; 0
+    where it never leaves, or not upwards."""
+    if height is None:
+        return 0.0
+    near = height[t < t[0] + WINDOW]
+    base = float(np.median(near[np.isfinite(near)])) if np.isfinite(near).any() else np.nan
+    left = np.flatnonzero(np.abs(height - base) > FLAT)
+    higher = float(np.nanmedian(height)) - base > FLAT
+    return max(float(t[left[0]] - t[0]) - MARGIN, 0.0) if left.size and higher else 0.0
+
+
+def _unmoved(t: FloatArray, height: FloatArray | None, turns: Motion | None) -> tuple[bool, bool]:
+    """Whether the craft keeps stiller at the beginning, and at the end, than its commands let it in
+    flight, while its height stays put."""
+    if height is None or turns is None:
+        return False, False
+    head, tail = _stays(t, height), _stays(-t[::-1], height[::-1])
+    first, last = float(t[0]), float(t[-1])
+    flight = (
+        first + (head + 2.0 * MARGIN) * (head > 0.0),
+        last - (tail + 2.0 * MARGIN) * (tail > 0.0),
+    )
+    ends = ((first, first + head), (last - tail, last))
+    begins, stops = (
+        stop - start > WINDOW and stiller_than_in_flight(turns, (start, stop), flight)
+        for start, stop in ends
+    )
+    return begins, stops
+
+
 def _standing(
-    t: FloatArray, share: FloatArray, height: FloatArray | None
+    t: FloatArray, share: FloatArray, height: FloatArray | None, turns: Motion | None
 ) -> Sequence[tuple[int, int]]:
     """Row ranges on the ground: at the ends of the log, and inside it with idle motors."""
     n = t.size
@@ -111,12 +150,14 @@ def _standing(
     tail = slice(int(np.searchsorted(t, t[-1] - WINDOW)), n)
     ends = []
     grounds = []
-    for rows, low in (
-        (head, t[strong[0]] - t[0] > 0.05 if strong.size else True),
-        (tail, t[-1] - t[strong[-1]] > 0.05 if strong.size else True),
+    begins, stops = _unmoved(t, height, turns)
+    for rows, low, unmoved in (
+        (head, t[strong[0]] - t[0] > 0.05 if strong.size else True, begins),
+        (tail, t[-1] - t[strong[-1]] > 0.05 if strong.size else True, stops),
     ):
         flat = _flat(height, rows)
-        at_rest = low if flat is None else flat and (low or float(np.median(share[rows])) < 0.85)
+        falls = float(np.median(share[rows])) < WEAK
+        at_rest = low if flat is None else flat and (low or falls or unmoved)
         ends.append((rows, flat, at_rest))
         if at_rest and height is not None and flat:
             grounds.append(float(np.nanmedian(height[rows])))
