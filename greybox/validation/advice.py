@@ -16,7 +16,10 @@ from itertools import chain
 from greybox.data.checks import CheckReport
 from greybox.errors import DataError
 from greybox.estimation.fit import Fit
+from greybox.model.absence import not_offered
+from greybox.model.effects import effect_by_name
 from greybox.model.layer import own_parameters
+from greybox.model.model import PhysicsModel
 from greybox.validation.sanity import Sanity, sanity_of
 
 PAGE = "docs/bad_fit.md"
@@ -306,8 +309,16 @@ def hints_of_sanity(sanity: Sanity) -> tuple[Hint, ...]:
     )
 
 
+def impossible(action: str, model: PhysicsModel, columns: Collection[str]) -> set[str]:
+    """The effects that an action names and that logs with these columns cannot judge beside the
+    model."""
+    named = {n for part in re.findall(r"--effects ([a-z_,]+)", action) for n in part.split(",")}
+    return {n for n in named if not_offered(effect_by_name(n), model, columns) is not None}
+
+
 def lacking(action: str, there: Collection[str]) -> str:
-    """An action without the effects and groups of disturbances that the model has already."""
+    """An action without the effects and groups of disturbances that the model has already, or that
+    cannot be there."""
 
     def left(match: re.Match[str]) -> str:
         names = [n for n in match.group(2).split(",") if n not in there]

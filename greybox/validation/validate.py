@@ -33,7 +33,7 @@ from greybox.model.verdict import Verdict
 from greybox.symbolic import FloatArray
 from greybox.takes import COUNT, FLIGHTS, MODEL, NUMBERS, POSITIVE, takes
 from greybox.validation.adapt import Adaptation, adapt_to_flight
-from greybox.validation.advice import Hint, Symptom, lacking
+from greybox.validation.advice import Hint, Symptom, impossible, lacking
 from greybox.validation.baselines import (
     ImuBias,
     ImuRecord,
@@ -570,6 +570,8 @@ class _Work:
         physics = physics_of(self.model.dynamics)
         there = {e.name for e in physics.effects} if physics is not None else set()
         there |= {d.group for d in disturbances(self.model.dynamics)}
+        if physics is not None:
+            there |= impossible(found.action, physics, self.dataset.channels)
         action = lacking(found.action, there)
         line = found.line.replace(found.action, action) if found.action else found.line
         return replace(found, action=action, line=line)

@@ -5,7 +5,21 @@ from __future__ import annotations
 import pytest
 
 from greybox.data.checks import CheckReport, Finding
-from greybox.validation.advice import ADVICE, Hint, Symptom, hints_of_checks, lacking, likely
+from greybox.model.model import build_model
+from greybox.validation.advice import (
+    ADVICE,
+    Hint,
+    Symptom,
+    hints_of_checks,
+    impossible,
+    lacking,
+    likely,
+)
+from tests.data.faults import vehicle
+
+COMMANDS = ("u1", "u2", "u3", "u4")
+POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+IMU = ("p", "q", "r", "ax", "ay", "az")
 
 FIT = "--effects motor_lag,rotor_drag and --disturbance force,torque; hold what was weighed"
 DISCOVER = "greybox discover names what is missing"
@@ -27,6 +41,25 @@ def test_only_what_is_not_there_is_left(there: set[str], left: str) -> None:
 
 def test_where_nothing_is_left_a_search_is_advised() -> None:
     assert lacking("--effects motor_lag", {"motor_lag"}) == DISCOVER
+
+
+@pytest.mark.parametrize(
+    ("columns", "left"),
+    [
+        ((*POSE, *IMU, "vbat"), "--effects battery_sag,rotor_drag,accelerometer_bias"),
+        ((*POSE, *IMU), "--effects rotor_drag,accelerometer_bias"),
+        (POSE, "--effects rotor_drag"),
+    ],
+)
+def test_what_the_logs_cannot_show_is_not_proposed(columns: tuple[str, ...], left: str) -> None:
+    (action,) = {a.action for a in ADVICE if a.symptom is Symptom.POSITION}
+    model = build_model(vehicle("nanobench"), (*COMMANDS, *columns))
+    cannot = impossible(action, model, (*COMMANDS, *columns))
+    assert lacking(action, cannot) == f"{left} --disturbance force"
+    there = {"rotor_drag", "accelerometer_bias", "force"}
+    assert lacking(action, cannot | there) == (
+        "--effects battery_sag" if "vbat" in columns else DISCOVER
+    )
 
 
 @pytest.mark.parametrize("action", [a.action for a in ADVICE])
