@@ -360,7 +360,7 @@ class _Comparison:
         )
 
     def _say_noise(self, chosen: Candidate, reason: str) -> None:
-        if "noise_parts" in self.setting.given.choices:
+        if "noise_parts" in self.setting.given.choices or not self.setting.facts.has_imu:
             return
         parts = [part_named(n) for n in chosen.likelihood.settings["noise_parts"]]
         of_imu = [p for p in parts if isinstance(p, LowPass | Coloured) and p.sensor in FILTERED]

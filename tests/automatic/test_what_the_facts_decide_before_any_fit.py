@@ -4,11 +4,12 @@ better known is held."""
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from greybox.automatic.decide import decide
+from greybox.automatic.decide import _Comparison, decide
 from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import prepare
 from greybox.automatic.setting import Given
@@ -79,6 +80,28 @@ def test_kinematic_noise_that_was_refused_stays_off():
     _, found = decided(wandering(0.06), Given(kinematic_noise=False))
     assert not found.recipe.kinematic_noise
     assert not [d for d in found.decisions if "kinematics" in d.about]
+
+
+def test_where_no_gyro_is_nothing_is_said_to_drift_apart():
+    (columns,) = flown(SEED, SECONDS)
+    facts, found = decided(Dataset(flights=flight(dict(columns), "run0", POSE).flights))
+    assert "gyro" not in facts.sensors
+    (said,) = [d for d in found.decisions if "kinematics" in d.about]
+    assert said.choice == "no" and "no gyro is there" in said.reason
+    assert "apart by" not in said.reason
+
+
+@pytest.mark.parametrize("channels", [(*RATES, *POSE), POSE])
+def test_noise_of_an_imu_is_said_only_where_one_is(channels):
+    (columns,) = flown(SEED, SECONDS)
+    data = Dataset(flights=flight(dict(columns), "run0", channels).flights)
+    facts = facts_of(data, vehicle(), prepare(vehicle(), data).report)
+    said: list[str] = []
+    setting = SimpleNamespace(given=Given(), facts=facts)
+    deciding = SimpleNamespace(setting=setting, note=lambda about, *rest: said.append(about))
+    white = SimpleNamespace(likelihood=SimpleNamespace(settings={"noise_parts": []}))
+    _Comparison._say_noise(deciding, white, "the innovations of the IMU are white")
+    assert said == (["noise of the IMU"] if facts.has_imu else [])
 
 
 def test_no_flight_long_enough_takes_the_base_set_and_says_so():
